@@ -1,0 +1,92 @@
+"""The learners. They know Gymnasium's spaces and nothing of the environments behind them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Protocol
+
+import gymnasium as gym
+import numpy as np
+
+Array = np.ndarray
+ALGORITHMS = ("ppo",)
+
+
+class DivergenceError(FloatingPointError):
+    """Something the learner needs is no longer a finite number."""
+
+
+class Transition(NamedTuple):
+    """What `gymnasium.Env.step` returns."""
+
+    obs: Any
+    reward: float
+    terminated: bool
+    truncated: bool
+    info: dict[str, Any]
+
+
+class EnvPool(Protocol):
+    """Several environments of one kind that step side by side."""
+
+    observation_space: gym.Space[Any]
+    action_space: gym.Space[Any]
+
+    def __len__(self) -> int: ...
+
+    def reset(self, index: int, seed: int) -> Any:
+        """First observation of a new episode of one environment."""
+
+    def step(self, indices: Sequence[int], actions: Array) -> list[Transition]:
+        """Step the environments `indices` with actions (len(indices), ...)."""
+
+
+class Algorithm(Protocol):
+    """What the training loop asks of a learner."""
+
+    env_steps: int
+    """Environment steps taken so far, on all ranks."""
+
+    def collect(self) -> dict[str, float]:
+        """Gather experience for one epoch; what was seen."""
+
+    def update(self) -> dict[str, float]:
+        """Learn from it; losses and the like."""
+
+    def act(self, obs: Any, deterministic: bool = False) -> Array:
+        """Action for one observation."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that the rest of the run depends on."""
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on exactly where `state_dict` was taken."""
+
+
+def load(name: str) -> tuple[type, type]:
+    """(Config, Algorithm) by name; PyTorch is imported here and not before."""
+    if name == "ppo":
+        from .ppo import PPO, PPOConfig
+
+        return PPOConfig, PPO
+    raise ValueError(f"unknown algorithm {name!r}; allowed: {', '.join(ALGORITHMS)}")
+
+
+def flat_observation(obs: Any) -> Array:
+    """What a policy sees, float32 (n,): a goal environment's observation and desired goal."""
+    if isinstance(obs, dict):
+        parts = [np.ravel(obs["observation"]), np.ravel(obs["desired_goal"])]
+        return np.concatenate(parts).astype(np.float32, copy=False)
+    return np.ravel(obs).astype(np.float32, copy=False)
+
+
+def flat_size(space: gym.Space[Any]) -> int:
+    """Length of `flat_observation`; ValueError for spaces no algorithm here can read."""
+    if isinstance(space, gym.spaces.Dict) and {"observation", "desired_goal"} <= set(space.spaces):
+        return sum(flat_size(space[key]) for key in ("observation", "desired_goal"))
+    if isinstance(space, gym.spaces.Box):
+        return int(np.prod(space.shape))
+    raise ValueError(
+        f"observation space: found {space}, allowed Box, or Dict with observation, "
+        "achieved_goal and desired_goal"
+    )

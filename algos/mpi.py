@@ -1,0 +1,98 @@
+"""All of MPI: who am I, and how to average, gather and agree.
+
+mpi4py is imported only under an MPI launcher, so that nobody else needs it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+LAUNCHERS = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_RANK", "MPI_LOCALNRANKS")
+
+
+class Communicator:
+    """One process on its own; `MPICommunicator` is several."""
+
+    rank = 0
+    size = 1
+
+    def mean_(self, tensor: Tensor) -> None:
+        """Replace `tensor` by its mean over ranks, in place."""
+
+    def broadcast_(self, tensor: Tensor) -> None:
+        """Replace `tensor` by rank 0's, in place."""
+
+    def sum(self, values: np.ndarray) -> np.ndarray:
+        """Elementwise sum of float64 arrays over ranks."""
+        return values
+
+    def min(self, value: int) -> int:
+        """Smallest value of any rank."""
+        return value
+
+    def gather(self, value: Any) -> list[Any]:
+        """The values of all ranks, in their order, on every rank."""
+        return [value]
+
+
+class MPICommunicator(Communicator):
+    """The processes of one MPI launch."""
+
+    def __init__(self) -> None:
+        try:
+            from mpi4py import MPI
+        except (ImportError, RuntimeError) as error:
+            raise ImportError(
+                f"started by an MPI launcher, but mpi4py cannot be loaded ({error}); "
+                "install the extra: pip install 'tactilerl[mpi]'"
+            ) from error
+        self._mpi = MPI
+        self._comm = MPI.COMM_WORLD
+        self.rank = self._comm.Get_rank()
+        self.size = self._comm.Get_size()
+
+    def mean_(self, tensor: Tensor) -> None:
+        on_host = tensor.detach().cpu()
+        self._comm.Allreduce(self._mpi.IN_PLACE, on_host.numpy(), op=self._mpi.SUM)
+        tensor.detach().copy_(on_host).div_(self.size)
+
+    def broadcast_(self, tensor: Tensor) -> None:
+        on_host = tensor.detach().cpu()
+        self._comm.Bcast(on_host.numpy(), root=0)
+        tensor.detach().copy_(on_host)
+
+    def sum(self, values: np.ndarray) -> np.ndarray:
+        total = np.empty_like(values, dtype=np.float64)
+        self._comm.Allreduce(np.asarray(values, np.float64), total, op=self._mpi.SUM)
+        return total
+
+    def min(self, value: int) -> int:
+        return int(self._comm.allreduce(value, op=self._mpi.MIN))
+
+    def gather(self, value: Any) -> list[Any]:
+        return list(self._comm.allgather(value))
+
+    def abort(self) -> None:
+        """End every rank at once."""
+        self._comm.Abort(1)
+
+
+def world() -> Communicator:
+    """All ranks of this launch; a lone Communicator without a launcher."""
+    if any(name in os.environ for name in LAUNCHERS):
+        return MPICommunicator()
+    return Communicator()
+
+
+def same_on_all_ranks(comm: Communicator, tensor: Tensor) -> bool:
+    """Is `tensor` bit for bit the same everywhere?"""
+    if comm.size == 1:
+        return True
+    digest = hashlib.sha256(tensor.detach().cpu().numpy().tobytes()).hexdigest()
+    return len(set(comm.gather(digest))) == 1

@@ -1,0 +1,91 @@
+"""Multilayer perceptrons whose parameters lie in one vector, and Adam on that vector.
+
+One vector makes the optimiser step, the gradient's norm and the reduction over ranks one
+operation each, instead of one for every layer's weight and bias.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from .mpi import Communicator
+
+
+class MLP(nn.Sequential):
+    """Linear layers with ReLU between them, and optionally Tanh at the end.
+
+    Weights and biases start uniform in ±1/sqrt(fan-in) (PyTorch's own default), drawn from
+    `generator`, so that no global random state is involved.
+    """
+
+    def __init__(self, sizes: Sequence[int], generator: torch.Generator, tanh: bool = False):
+        layers: list[nn.Module] = []
+        for fan_in, fan_out in zip(sizes, sizes[1:], strict=False):
+            linear = nn.utils.skip_init(nn.Linear, fan_in, fan_out)
+            bound = 1.0 / math.sqrt(fan_in)
+            for parameter in linear.parameters():
+                nn.init.uniform_(parameter, -bound, bound, generator=generator)
+            layers += [linear, nn.ReLU()]
+        layers[-1:] = [nn.Tanh()] if tanh else []
+        super().__init__(*layers)
+
+
+def flatten(module: nn.Module) -> nn.Parameter:
+    """Move all parameters of `module` into one vector, of which they become views.
+
+    The vector's gradient is likewise made of the parameters' gradients. Returns the vector.
+    """
+    parameters = list(module.parameters())
+    vector = nn.Parameter(torch.cat([p.detach().reshape(-1) for p in parameters]))
+    vector.grad = torch.zeros_like(vector)
+    start = 0
+    for parameter in parameters:
+        end = start + parameter.numel()
+        parameter.data = vector.data[start:end].view_as(parameter)
+        parameter.grad = vector.grad[start:end].view_as(parameter)
+        start = end
+    return vector
+
+
+class FlatAdam:
+    """Adam (Kingma & Ba 2014) on all parameters of a module as one vector."""
+
+    def __init__(self, module: nn.Module, lr: float, eps: float = 1e-8) -> None:
+        self.vector = flatten(module)
+        self.gradient = self.vector.grad
+        self._adam = torch.optim.Adam([self.vector], lr=lr, eps=eps, fused=True)
+
+    def set_lr(self, lr: float) -> None:
+        """Change the learning rate."""
+        self._adam.param_groups[0]["lr"] = lr
+
+    def zero_grad(self) -> None:
+        """Set the gradient to zero, in place: the parameters' gradients are views of it."""
+        assert self.gradient is not None
+        self.gradient.zero_()
+
+    def step(self, comm: Communicator, max_norm: float | None = None) -> None:
+        """Average the gradient over ranks, clip its norm, take one step."""
+        assert self.gradient is not None
+        comm.mean_(self.gradient)
+        if max_norm is not None:
+            scale = max_norm / (torch.linalg.vector_norm(self.gradient) + 1e-6)
+            self.gradient.mul_(scale.clamp(max=1.0))
+        self._adam.step()
+
+    def is_finite(self) -> bool:
+        """Are all parameters finite?"""
+        return bool(torch.isfinite(self.vector).all())
+
+    def state_dict(self) -> dict[str, Any]:
+        """Moments and step count; the parameters themselves belong to the module."""
+        return self._adam.state_dict()
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what `state_dict` returned."""
+        self._adam.load_state_dict(state)

@@ -1,0 +1,53 @@
+"""Tactile grasping environments behind Gymnasium's interface.
+
+`make("shadow", layout="4")` is the Shadow Hand in MuJoCo; `make` also takes the id of any
+registered Gymnasium environment. The same environments are registered as
+tactilerl/Shadow-v0, tactilerl/LQR-v0 and tactilerl/PointReach-v0. A simulator is imported
+when an environment that uses it is made.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+
+GRASP_ENVS = ("shadow",)  # each by the name of its hand
+TOYS = {"lqr": "tactilerl/LQR-v0", "point-reach": "tactilerl/PointReach-v0"}
+
+
+def make(name: str, *, render_mode: str | None = None, **choices: Any) -> gym.Env[Any, Any]:
+    """An environment by name.
+
+    `name` is one of the grasping environments (`choices` are then fields of
+    `grasp.GraspConfig`), a toy ("lqr", "point-reach"), or a Gymnasium id. Raises ValueError
+    when there is none of that name.
+    """
+    if name in GRASP_ENVS:
+        from .grasp import GraspConfig, GraspEnv
+
+        return GraspEnv(name, GraspConfig(**choices), render_mode)
+    try:
+        return gym.make(TOYS.get(name, name), render_mode=render_mode, **choices)
+    except gym.error.Error as error:
+        known = ", ".join((*GRASP_ENVS, *TOYS))
+        reason = str(error).strip().splitlines()[0]
+        raise ValueError(
+            f"unknown environment {name!r}; allowed: {known} or a Gymnasium id ({reason})"
+        ) from None
+
+
+def _make_grasp(name: str, render_mode: str | None = None, **choices: Any) -> gym.Env[Any, Any]:
+    return make(name, render_mode=render_mode, **choices)
+
+
+for _name in GRASP_ENVS:
+    gym.register(
+        f"tactilerl/{_name.capitalize()}-v0",
+        entry_point=_make_grasp,
+        kwargs={"name": _name},
+        order_enforce=False,
+        disable_env_checker=True,
+    )
+gym.register("tactilerl/LQR-v0", entry_point="tactilerl.envs.toy:LQREnv")
+gym.register("tactilerl/PointReach-v0", entry_point="tactilerl.envs.toy:PointReachEnv")

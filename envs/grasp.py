@@ -1,0 +1,306 @@
+"""GraspEnv: a hand, a simulator, a task, a taxel layout and a run type as one environment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import gymnasium as gym
+import numpy as np
+
+from . import hands, layouts, objects, simulators, tasks, touch
+from .hold import HoldTest, Verdict
+
+Array = np.ndarray
+LIMIT = 1e6  # observations beyond this are an ejected object or a broken simulation
+
+
+@dataclass(frozen=True)
+class GraspConfig:
+    """Every choice a grasping scene leaves open. SI units and radians."""
+
+    simulator: Literal["mujoco"] = "mujoco"
+    """The physics engine."""
+    task: Literal["lift-and-hold", "reach-goal"] = "lift-and-hold"
+    """lift-and-hold: the paper's PPO task; reach-goal: its DDPG+HER task."""
+    reward: Literal["staged", "sparse", "dense"] | None = None
+    """staged (lift-and-hold), sparse 0/-1 or dense -10 x distance (reach-goal); default: the
+    task's first."""
+    layout: str = "2"
+    """Taxels: 1-6 (paper, Fig. 2), a named design, or the path of a .toml file."""
+    run_type: Literal["main", "control", "absent"] = "main"
+    """main: taxels read; control: all zero, same size (paper); absent: no taxel entries."""
+    touch: Literal["overlap", "contact"] = "overlap"
+    """Touch rule. overlap: the taxel's sphere overlaps the object; contact: the simulator's own
+    contact points (paper). Why overlap: docs/environments.md."""
+    object_size: float = 0.05
+    """Edge of the cube, m."""
+    object_density: float = 567.0
+    """kg/m^3 (manipulate_block.xml of the Shadow Hand's model)."""
+    friction: float = 1.0
+    """Sliding friction of the object (the models' own value)."""
+    finger_gain: float = 1.0
+    """Position gain and force limit of the fingers, relative to the hand model's."""
+    timestep: float = 0.004
+    """Physics step, s."""
+    control_dt: float = 0.2
+    """Time between actions, s; a whole number of timesteps."""
+    max_episode_steps: int | None = None
+    """Actions per episode; default: the task's (lift-and-hold 100, as in the paper)."""
+    jitter: bool = True
+    """Move the start a little in every episode, seeded (the paper does not)."""
+    lift_clearance: float = 0.05
+    """lift-and-hold: the object counts as lifted when its lowest point is this high, m."""
+    hold_steps: int = 5000
+    """lift-and-hold: simulation steps of the hold test (paper)."""
+    hold_verdict: Verdict = "full"
+    """lift-and-hold: full, or settled (a success is called once the object rests in the hand)."""
+    reward_length: float = 1.0
+    """lift-and-hold: unit of the distances in the staged reward, m (paper: 1)."""
+    actions: Literal["absolute", "relative"] = "absolute"
+    """absolute: joint target = centre + action x range / 2 (paper, MuJoCo set-up); relative: the
+    action moves the target from where it is (paper, PyBullet set-up)."""
+    goal_height: float = 0.08
+    """reach-goal: the goal is this far above the object's start, m."""
+    goal_tolerance: float = 0.03
+    """reach-goal: success within this distance, m."""
+
+    @property
+    def n_substeps(self) -> int:
+        """Timesteps per action."""
+        return round(self.control_dt / self.timestep)
+
+    def validate(self) -> None:
+        """Raise ValueError naming the first field that cannot be."""
+        positive = ("object_density", "friction", "finger_gain", "timestep", "control_dt")
+        positive += ("lift_clearance", "goal_height", "goal_tolerance")
+        for name in (*positive, "object_size"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise ValueError(f"{name}: found {value}, allowed a finite number above 0")
+        for name in ("hold_steps", "max_episode_steps"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise ValueError(f"{name}: found {value}, allowed 1 or more")
+        ratio = self.control_dt / self.timestep
+        if self.n_substeps < 1 or abs(ratio - self.n_substeps) > 1e-6 * ratio:
+            raise ValueError(
+                f"control_dt: found {self.control_dt} s, allowed a whole number of timesteps "
+                f"of {self.timestep} s"
+            )
+        allowed = REWARDS[self.task]
+        if self.reward is not None and self.reward not in allowed:
+            raise ValueError(
+                f"reward: found {self.reward!r}, allowed for {self.task}: {', '.join(allowed)}"
+            )
+
+
+REWARDS = {"lift-and-hold": ("staged",), "reach-goal": ("sparse", "dense")}
+RELATIVE_STEP = 0.2  # share of the half range that a relative action of 1 moves
+OFF_GROUND = 0.005  # m under the object's lowest point: lift-and-hold's attempt has begun
+JITTER_POSITION = 0.005  # m, of the object along x and y
+JITTER_YAW = 0.15  # rad, of the object
+JITTER_JOINT = 0.02  # rad, of every finger joint
+
+
+class GraspEnv(gym.Env[dict[str, Array], Array]):
+    """A hand above an object on the ground; a goal environment in Gymnasium's sense.
+
+    Observations are a Dict of float32 Boxes: ``observation`` (`observation_names` says what
+    each entry is), ``achieved_goal`` and ``desired_goal`` (see the task). Actions lie in
+    [-1, 1]; what is beyond is clipped. ``info`` holds ``is_success``, and ``diverged`` when
+    the physics broke: the step is then void, the observation the last good one, and the
+    episode truncated.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 5}
+
+    def __init__(
+        self,
+        hand: str = "shadow",
+        config: GraspConfig | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        self.config = config = config or GraspConfig()
+        config.validate()
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"render_mode: found {render_mode!r}, allowed None or 'rgb_array'")
+        self.render_mode = render_mode
+        self.hand = hands.load(hand)
+        if config.object_size > self.hand.reach:
+            raise ValueError(
+                f"object_size: found {config.object_size} m, allowed up to {self.hand.reach} m, "
+                f"what fits under the {self.hand.name} hand"
+            )
+        self.shape = objects.cube(config.object_size)
+        self.taxels = layouts.load(config.layout).place(self.hand)
+        self.task = _task(config)
+        self.max_episode_steps = config.max_episode_steps or self.task.max_episode_steps
+        self._contact = config.touch == "contact" and config.run_type == "main"
+        self.simulator = simulators.load(
+            config.simulator,
+            simulators.Scene(
+                hand=self.hand,
+                shape=self.shape,
+                mass=config.object_density * config.object_size**3,
+                friction=config.friction,
+                timestep=config.timestep,
+                finger_gain=config.finger_gain,
+                contact_taxels=self.taxels if self._contact else None,
+                visual=render_mode is not None,
+            ),
+        )
+        self._hold = HoldTest(steps=config.hold_steps, verdict=config.hold_verdict)
+        self._desired_goal = self.task.desired_goal().astype(np.float32)
+        self._start_positions = self.hand.start_positions()
+        self._targets = self.hand.start_targets()
+        self._steps, self._is_off_ground = 0, False
+        self._obs: dict[str, Array] = {}
+        n_obs, n_goal = len(self.observation_names()), len(self._desired_goal)
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (len(self.hand.action_names),), np.float32)
+        self.observation_space = gym.spaces.Dict(
+            {
+                "observation": gym.spaces.Box(-np.inf, np.inf, (n_obs,), np.float32),
+                "achieved_goal": gym.spaces.Box(-np.inf, np.inf, (n_goal,), np.float32),
+                "desired_goal": gym.spaces.Box(-np.inf, np.inf, (n_goal,), np.float32),
+            }
+        )
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Array], dict[str, Any]]:
+        super().reset(seed=seed)
+        positions = self._start_positions.copy()
+        position, yaw = np.array([0.0, 0.0, self.shape.half_size[2]]), 0.0
+        if self.config.jitter:
+            rng = self.np_random
+            position[:2] += rng.uniform(-JITTER_POSITION, JITTER_POSITION, 2)
+            yaw = rng.uniform(-JITTER_YAW, JITTER_YAW)
+            positions[3:] += rng.uniform(-JITTER_JOINT, JITTER_JOINT, len(positions) - 3)
+        self._targets = self.hand.start_targets()
+        self._steps, self._is_off_ground = 0, False
+        self.simulator.reset(positions, position, yaw)
+        self._obs, _ = self._observe()
+        return self._copy(self._obs), {"is_success": False}
+
+    def step(self, action: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
+        action = np.asarray(action, dtype=np.float64)
+        if action.shape != self.action_space.shape:
+            raise ValueError(f"action: found shape {action.shape}, allowed {self.action_space.shape}")
+        if not np.isfinite(action).all():
+            raise ValueError(f"action: found {action[~np.isfinite(action)][0]}, allowed finite numbers")
+        self._targets = self._move_targets(np.clip(action, -1.0, 1.0))
+        self._steps += 1
+        try:
+            self.simulator.step(self._targets, self.config.n_substeps)
+            obs, situation = self._observe()
+            outcome = self._outcome()
+        except simulators.SimulationError as error:
+            info = {"is_success": False, "diverged": True, "error": str(error)}
+            return self._copy(self._obs), 0.0, False, True, info
+        # The outcome is known after the hold test, which nobody observes.
+        situation = replace(situation, outcome=outcome)
+        obs["achieved_goal"] = self.task.achieved_goal(situation).astype(np.float32)
+        self._obs = obs
+        goals = obs["achieved_goal"], obs["desired_goal"]
+        terminated = outcome in ("held", "dropped")
+        truncated = not terminated and self._steps >= self.max_episode_steps
+        info = {"is_success": bool(self.task.is_success(*goals))}
+        return self._copy(obs), float(self.task.reward(*goals)), terminated, truncated, info
+
+    def compute_reward(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Array:
+        """Rewards (...) of goals (..., goal_size); pure, `info` is not looked at."""
+        return self.task.reward(np.asarray(achieved_goal), np.asarray(desired_goal))
+
+    def observation_names(self) -> list[str]:
+        """What each entry of ``observation`` is, in order."""
+        names = {
+            "joint_positions": [f"position of {joint}" for joint in self.hand.joints],
+            "joint_velocities": [f"velocity of {joint}" for joint in self.hand.joints],
+            "object_position": [f"object {axis}" for axis in "xyz"],
+            "object_orientation": [f"object quaternion {axis}" for axis in "wxyz"],
+        }
+        entries = [name for term in self.hand.observation for name in names[term]]
+        if self.config.run_type != "absent":
+            entries += [f"taxel {name}" for name in self.taxels.names]
+        return entries
+
+    def taxel_readings(self) -> Array:
+        """bool (n_taxels,): what the taxels feel now by the configured touch rule."""
+        if self._contact:
+            return self.simulator.contact_taxels()
+        points = touch.taxel_positions(self.taxels, *self.simulator.link_poses(self.taxels.links))
+        thing = self.simulator.object_state()
+        return touch.overlap(points, self.taxels.radii, self.shape, thing.position, thing.rotation)
+
+    def render(self) -> Array | None:
+        """A picture of the scene, taxels that fire lit, when made with "rgb_array"."""
+        if self.render_mode is None:
+            return None
+        lit = self.taxel_readings() if self.config.run_type == "main" else None
+        taxels = None if self.config.run_type == "absent" else self.taxels
+        return self.simulator.render(720, 540, taxels, lit)
+
+    def close(self) -> None:
+        self.simulator.close()
+
+    def _observe(self) -> tuple[dict[str, Array], tasks.Situation]:
+        positions, velocities = self.simulator.joint_state()
+        thing = self.simulator.object_state()
+        terms = {
+            "joint_positions": positions,
+            "joint_velocities": velocities,
+            "object_position": thing.position,
+            "object_orientation": thing.orientation,
+        }
+        parts = [terms[term] for term in self.hand.observation]
+        if self.config.run_type == "main":
+            parts.append(self.taxel_readings())
+        elif self.config.run_type == "control":
+            parts.append(np.zeros(len(self.taxels)))
+        observation = np.concatenate(parts).astype(np.float32)
+        if not np.abs(observation).max() < LIMIT:
+            raise simulators.SimulationError(
+                f"an observation is {observation[np.abs(observation).argmax()]}: "
+                "the object was ejected or the simulation broke"
+            )
+        points = self.simulator.link_positions()
+        situation = tasks.Situation(points[0], points[1:], thing.position, "undecided")
+        obs = {
+            "observation": observation,
+            "achieved_goal": self.task.achieved_goal(situation).astype(np.float32),
+            "desired_goal": self._desired_goal,
+        }
+        return obs, situation
+
+    def _move_targets(self, action: Array) -> Array:
+        action_map = self.hand.action_map
+        if self.config.actions == "absolute":
+            return action_map(action, self._targets)
+        return action_map.clip(self._targets + RELATIVE_STEP * action * action_map.half_range)
+
+    def _outcome(self) -> tasks.Outcome:
+        if not self.task.tests_hold:
+            return "undecided"
+        thing = self.simulator.object_state()
+        clearance = thing.position[2] - self.shape.half_height(thing.rotation)
+        if clearance > self.config.lift_clearance:
+            held = self._hold.run(self.simulator, self._targets, self.config.timestep)
+            return "held" if held else "dropped"
+        was_off, self._is_off_ground = self._is_off_ground, clearance > OFF_GROUND
+        if self._steps >= self.max_episode_steps:
+            return "timed_out"
+        return "fell_back" if was_off and not self._is_off_ground else "undecided"
+
+    @staticmethod
+    def _copy(obs: dict[str, Array]) -> dict[str, Array]:
+        return {key: value.copy() for key, value in obs.items()}
+
+
+def _task(config: GraspConfig) -> tasks.Task:
+    if config.task == "lift-and-hold":
+        return tasks.LiftAndHold(reward_length=config.reward_length)
+    goal = (0.0, 0.0, config.object_size / 2 + config.goal_height)
+    reward = config.reward or "sparse"
+    assert reward != "staged"
+    return tasks.ReachGoal(goal, config.goal_tolerance, reward)

@@ -1,0 +1,155 @@
+"""Robot hands: what a simulator, a task and a taxel layout need to know about one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import mujoco
+
+Array = np.ndarray
+
+DIGITS = ("thumb", "index", "middle", "ring", "little")
+SEGMENTS = ("proximal", "middle", "distal")
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The palmar side of one link: where taxels may lie.
+
+    A phalanx is the palmar half of a cylinder, the palm a plane (``radius`` None). All
+    vectors are in the link's frame; the grid's origin is ``centre + radius * palmar``.
+    """
+
+    digit: str
+    """One of DIGITS; for the palm, the finger whose base it is."""
+    segment: str
+    """One of SEGMENTS, or "palm"."""
+    link: str
+    """Body the taxels ride on."""
+    centre: tuple[float, float, float]
+    """Point on the cylinder's axis (on the plane for the palm) under the grid's centre, m."""
+    along: tuple[float, float, float]
+    """Unit vector towards the fingertip: the direction of a grid's rows."""
+    palmar: tuple[float, float, float]
+    """Unit outward normal of the palmar side."""
+    radius: float | None = None
+    """Cylinder radius in m; None for a flat surface."""
+
+    def place(self, row: float, column: float) -> Array:
+        """Position in the link frame, shape (3,), of a taxel `row` and `column` metres off centre.
+
+        The flat grid is projected on to the cylinder along the palmar normal, so that the
+        paper's pitches hold in the plane they are given in. Raises ValueError when the
+        column lies beside the cylinder.
+        """
+        along, palmar = np.array(self.along), np.array(self.palmar)
+        across = np.cross(palmar, along)
+        if self.radius is None:
+            height = 0.0
+        elif abs(column) <= self.radius:
+            height = np.sqrt(self.radius**2 - column**2)
+        else:
+            raise ValueError(
+                f"a taxel {1e3 * abs(column):.1f} mm off the middle of {self.digit}.{self.segment} "
+                f"lies beside the phalanx: found |column| {1e3 * abs(column):.1f} mm, "
+                f"allowed up to its radius, {1e3 * self.radius:.1f} mm"
+            )
+        return np.array(self.centre) + row * along + column * across + height * palmar
+
+
+@dataclass(frozen=True)
+class Pitch:
+    """Distances between a hand's taxels and their sensing radii, in m (paper, Methods)."""
+
+    rows: dict[str, float]
+    """Row distance for each segment."""
+    column: float
+    """Column distance."""
+    radius: float
+    """Radius of a taxel of layouts 1-5 and of every palm taxel."""
+    large_radius: float
+    """Radius of a phalanx taxel of layout 6."""
+
+
+@dataclass(frozen=True)
+class LinearAction:
+    """Joint target = centre + action * half_range (paper, MuJoCo set-up; Melnik et al. 2021)."""
+
+    centre: Array
+    half_range: Array
+
+    def __call__(self, action: Array, joint_targets: Array) -> Array:
+        """New joint targets, shape (n_actuators,), from an action in [-1, 1] of the same shape."""
+        return self.centre + action * self.half_range
+
+    def clip(self, joint_targets: Array) -> Array:
+        """The targets nearest to `joint_targets` that an action can reach."""
+        return np.clip(joint_targets, self.centre - self.half_range, self.centre + self.half_range)
+
+
+@dataclass(frozen=True)
+class ScriptedGrasp:
+    """An open-loop grasp found by search: targets by actuator name, rad or m."""
+
+    object_size: float
+    targets: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Hand:
+    """One hand, palm down above the origin of the world.
+
+    The first three joints and actuators are the slides of the whole hand along the world's
+    x, y and z axes, in m, zero where the hand starts.
+    """
+
+    name: str
+    build: Callable[[bool, float], mujoco.MjSpec]
+    """(with visual meshes?, gain of the finger actuators relative to the model's) -> model
+    of the hand alone: no ground, no object, no taxels."""
+    joints: tuple[str, ...]
+    """Joints in the order of the observation."""
+    actuators: tuple[str, ...]
+    """Actuators in the order of joint targets; each drives the joint of ``actuated``."""
+    actuated: tuple[str, ...]
+    palm: str
+    """Body whose ``palm_point`` is "the hand" in rewards."""
+    palm_point: tuple[float, float, float]
+    fingertips: tuple[tuple[str, tuple[float, float, float]], ...]
+    """Body and point (m, body frame) of each fingertip, in the order of DIGITS."""
+    surfaces: tuple[Surface, ...]
+    pitch: Pitch
+    action_map: LinearAction
+    action_names: tuple[str, ...]
+    start: dict[str, float] = field(default_factory=dict)
+    """Joint positions at reset that are not zero, rad or m."""
+    observation: tuple[str, ...] = ()
+    """Names of the observation's terms, in order (see grasp.OBSERVATION_TERMS)."""
+    reach: float = 0.12
+    """Largest extent of an object that fits under the hand, m."""
+    grasps: tuple[ScriptedGrasp, ...] = ()
+
+    def start_positions(self) -> Array:
+        """Joint positions at reset in the order of ``joints``, shape (n_joints,)."""
+        return np.array([self.start.get(joint, 0.0) for joint in self.joints])
+
+    def start_targets(self) -> Array:
+        """Joint targets that hold the start pose, shape (n_actuators,)."""
+        return np.array([self.start.get(joint, 0.0) for joint in self.actuated])
+
+
+def load(name: str) -> Hand:
+    """The hand called `name`; its model is read from disk only when it is built."""
+    if name == "shadow":
+        from . import shadow
+
+        return shadow.shadow_hand()
+    raise ValueError(f"unknown hand {name!r}; allowed: {', '.join(HANDS)}")
+
+
+HANDS = ("shadow",)

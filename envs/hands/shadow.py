@@ -1,0 +1,252 @@
+"""The Shadow Dexterous Hand, from the model files that ship with gymnasium-robotics.
+
+The MJCF is OpenAI's (Plappert et al. 2018), which the paper's MuJoCo set-up inherits through
+Melnik et al. 2021. Kept: every joint, tendon, actuator, inertia and collision primitive of
+the hand and its own contact pairs. Changed: the hand hangs palm down from three slides, and
+its forearm is light (it is carried, not modelled). Dropped, because nothing in a grasping
+scene can notice them: the forearm's collision mesh, two 1 mm boxes in the thumb's joints,
+the old object, target and floor, the old touch zones and sensors.
+"""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from . import DIGITS, SEGMENTS, Hand, LinearAction, Pitch, ScriptedGrasp, Surface
+
+PREFIX = "robot0:"
+SLIDES = ("slide_x", "slide_y", "slide_z")
+# Order of joints and ranges of actuators: hand/robot.xml and hand/shared.xml of the assets.
+WRIST = ("WRJ1", "WRJ0")
+JOINTS = (
+    *WRIST,
+    *("FFJ3", "FFJ2", "FFJ1", "FFJ0"),
+    *("MFJ3", "MFJ2", "MFJ1", "MFJ0"),
+    *("RFJ3", "RFJ2", "RFJ1", "RFJ0"),
+    *("LFJ4", "LFJ3", "LFJ2", "LFJ1", "LFJ0"),
+    *("THJ4", "THJ3", "THJ2", "THJ1", "THJ0"),
+)
+UNACTUATED = ("FFJ0", "MFJ0", "RFJ0", "LFJ0")  # coupled to J1 by a tendon
+ACTUATED = tuple(joint for joint in JOINTS if joint not in UNACTUATED)
+DISTAL_PER_MIDDLE = 0.00805 / 0.00705  # the coupling tendon's ratio J0 : J1
+ACTUATOR_RANGES = {
+    **{"WRJ1": (-0.489, 0.14), "WRJ0": (-0.698, 0.489), "LFJ4": (0.0, 0.785)},
+    **{f"{f}J3": (-0.349, 0.349) for f in ("FF", "MF", "RF", "LF")},
+    **{f"{f}J{j}": (0.0, 1.571) for f in ("FF", "MF", "RF", "LF") for j in (1, 2)},
+    **{"THJ4": (-1.047, 1.047), "THJ3": (0.0, 1.222), "THJ2": (-0.209, 0.209)},
+    **{"THJ1": (-0.524, 0.524), "THJ0": (-1.571, 0.0)},
+}
+
+# The whole hand. Position of the palm box's centre at slide zero, m (world; the object rests
+# at the origin), and how far an action moves it. Action 0 puts the hand at the grasping
+# height, or the penalty on actions and a zero-mean policy would park it away from the cube.
+START_PALM = (-0.030, 0.064, 0.085)
+SLIDE_CENTRE = (0.0, 0.0, -0.042)
+SLIDE_HALF_RANGE = (0.03, 0.03, 0.20)
+SLIDE_GAIN = 1000.0  # N/m
+SLIDE_DAMPING = 79.0  # N s/m
+SLIDE_FORCE = 30.0  # N; without a limit the slides press the hand 10-23 mm into the ground
+FOREARM_MASS = 0.5  # kg; the model's 4 kg would only be carried along
+
+PALM_BOX = (0.011, 0.0, 0.038)  # C_palm0's centre in the palm's frame, m
+PALM_HALF_THICKNESS = 0.0111
+KNUCKLES = {"index": 0.033, "middle": 0.011, "ring": -0.011}  # x of the finger bases, palm frame
+FINGERS = {"thumb": "th", "index": "ff", "middle": "mf", "ring": "rf", "little": "lf"}
+# (half length of the capsule, radius), m, in the model's collision geometry; each phalanx's
+# frame lies at its proximal end with z along the bone.
+FINGER_CAPSULES = {
+    "proximal": (0.0225, 0.01),
+    "middle": (0.0125, 0.00805),
+    "distal": (0.012, 0.00705),
+}
+THUMB_CAPSULES = {"proximal": (0.019, 0.013), "middle": (0.016, 0.011), "distal": (0.013, 0.00918)}
+
+
+def assets() -> Path:
+    """Folder of the MJCF files; gymnasium-robotics is located but not imported (it is slow)."""
+    spec = find_spec("gymnasium_robotics")
+    if spec is None or not spec.submodule_search_locations:
+        raise ImportError(
+            "the Shadow Hand's model files come with gymnasium-robotics, which is not installed: "
+            "pip install gymnasium-robotics"
+        )
+    return Path(spec.submodule_search_locations[0]) / "envs" / "assets" / "hand"
+
+
+def build(visual: bool = False, finger_gain: float = 1.0) -> mujoco.MjSpec:
+    """The hand alone as an editable model.
+
+    `visual` keeps the meshes, which weigh nothing and touch nothing, for pictures.
+    `finger_gain` multiplies the position gain and force limit of the finger actuators.
+    """
+    spec = mujoco.MjSpec.from_file(str(assets() / "manipulate_block.xml"))
+    _drop_what_the_scene_does_not_need(spec, visual)
+    _hang_from_slides(spec)
+    if finger_gain != 1.0:
+        for joint in ACTUATED:
+            if joint not in WRIST:
+                _scale_gain(spec.actuator(f"{PREFIX}A_{joint}"), finger_gain)
+    return spec
+
+
+def _drop_what_the_scene_does_not_need(spec: mujoco.MjSpec, visual: bool) -> None:
+    for name in ("object", "target", "floor0"):
+        spec.delete(spec.body(name))
+    spec.delete(spec.geom("floor0"))
+    for element in (*spec.sensors, *spec.lights):
+        spec.delete(element)
+    for site in spec.sites:
+        spec.delete(site)
+    is_unneeded = {"C_forearm", "V_thbase", "V_thhub"}
+    for geom in spec.geoms:
+        name = geom.name.removeprefix(PREFIX)
+        if name in is_unneeded or (name.startswith("V_") and not visual):
+            spec.delete(geom)
+    used = {geom.meshname for geom in spec.geoms}
+    for mesh in spec.meshes:
+        if mesh.name not in used:
+            spec.delete(mesh)
+    if not visual:
+        for geom in spec.geoms:
+            geom.material = ""
+        for cls in ("DC_Hand", "D_Vizual"):
+            spec.find_default(PREFIX + cls).geom.material = ""
+        for element in (*spec.materials, *spec.textures):
+            spec.delete(element)
+
+
+def _hang_from_slides(spec: mujoco.MjSpec) -> None:
+    mount = spec.body(PREFIX + "hand mount")
+    mount.alt.euler = [np.pi / 2, 0, 0]  # palm (-y of the body) down, fingers (+z) to world -y
+    # The palm's frame hangs at mount + forearm (0, .01, 0) + wrist (0, 0, .256) + (0, 0, .034).
+    palm_in_mount = np.array([0.0, 0.01, 0.29]) + PALM_BOX
+    x, y, z = palm_in_mount
+    mount.pos = np.array(START_PALM) - np.array([x, -z, y])
+    # Slide axes are given in the mount's frame: world (x, y, z) is local (x, z, -y).
+    for name, axis in zip(SLIDES, ([1, 0, 0], [0, 0, -1], [0, 1, 0]), strict=True):
+        mount.add_joint(
+            name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis, damping=[SLIDE_DAMPING, 0, 0]
+        )
+        spec.add_actuator(
+            name=name,
+            target=name,
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            gainprm=[SLIDE_GAIN] + [0] * 9,
+            biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+            biasprm=[0, -SLIDE_GAIN] + [0] * 8,
+            forcelimited=True,
+            forcerange=[-SLIDE_FORCE, SLIDE_FORCE],
+        )
+    spec.body(PREFIX + "forearm").mass = FOREARM_MASS
+    for body in spec.bodies:
+        if body.name.startswith(PREFIX):
+            body.gravcomp = 1.0
+
+
+def _scale_gain(actuator: mujoco.MjsActuator, factor: float) -> None:
+    actuator.gainprm = np.array(actuator.gainprm) * factor
+    actuator.biasprm = np.array(actuator.biasprm) * factor
+    actuator.forcerange = np.array(actuator.forcerange) * factor
+
+
+def _surfaces() -> tuple[Surface, ...]:
+    surfaces = []
+    for digit in DIGITS:
+        # The thumb opposes: its palmar side is the one that faces the fingers, -x.
+        palmar = (-1.0, 0.0, 0.0) if digit == "thumb" else (0.0, -1.0, 0.0)
+        capsules = THUMB_CAPSULES if digit == "thumb" else FINGER_CAPSULES
+        for segment in SEGMENTS:
+            half_length, radius = capsules[segment]
+            surfaces.append(
+                Surface(
+                    digit=digit,
+                    segment=segment,
+                    link=f"{PREFIX}{FINGERS[digit]}{segment}",
+                    centre=(0.0, 0.0, half_length),
+                    along=(0.0, 0.0, 1.0),
+                    palmar=palmar,
+                    radius=radius,
+                )
+            )
+    palm = dict(segment="palm", along=(0.0, 0.0, 1.0), palmar=(0.0, -1.0, 0.0))
+    for digit, x in KNUCKLES.items():
+        centre = (x, -PALM_HALF_THICKNESS, 0.080)
+        surfaces.append(Surface(digit=digit, link=PREFIX + "palm", centre=centre, **palm))
+    centre = (-0.017, -PALM_HALF_THICKNESS, 0.028)
+    surfaces.append(Surface("little", link=PREFIX + "lfmetacarpal", centre=centre, **palm))
+    return tuple(surfaces)
+
+
+def _start() -> dict[str, float]:
+    start = {}
+    for finger in ("FF", "MF", "RF", "LF"):
+        start[f"{PREFIX}{finger}J2"] = 0.6
+        start[f"{PREFIX}{finger}J1"] = 0.5
+        start[f"{PREFIX}{finger}J0"] = 0.5 * DISTAL_PER_MIDDLE
+    return start
+
+
+def _grasp(size: float, palm: tuple[float, float, float], **joints: float) -> ScriptedGrasp:
+    """A searched grasp; `palm` is the slides' target, MCP and PIP serve all four fingers."""
+    mcp, pip = joints.pop("MCP"), joints.pop("PIP")
+    targets = {f"{f}J2": mcp for f in ("FF", "MF", "RF", "LF")}
+    targets |= {f"{f}J1": pip for f in ("FF", "MF", "RF", "LF")}
+    targets |= joints
+    named = dict(zip(SLIDES, palm, strict=True)) | {PREFIX + "A_" + j: v for j, v in targets.items()}
+    return ScriptedGrasp(size, named)
+
+
+def shadow_hand() -> Hand:
+    """The Shadow Hand with 3 slides, 24 joints and 23 actuators (paper, MuJoCo set-up)."""
+    ranges = np.array([ACTUATOR_RANGES[joint] for joint in ACTUATED])
+    actuators = (*SLIDES, *(f"{PREFIX}A_{joint}" for joint in ACTUATED))
+    tip = {"thumb": 0.0275}
+    return Hand(
+        name="shadow",
+        build=build,
+        joints=(*SLIDES, *(PREFIX + joint for joint in JOINTS)),
+        actuators=actuators,
+        actuated=(*SLIDES, *(PREFIX + joint for joint in ACTUATED)),
+        palm=PREFIX + "palm",
+        palm_point=PALM_BOX,
+        # Sites S_*tip of the model.
+        fingertips=tuple(
+            (f"{PREFIX}{FINGERS[digit]}distal", (0.0, 0.0, tip.get(digit, 0.026)))
+            for digit in DIGITS
+        ),
+        surfaces=_surfaces(),
+        pitch=Pitch(
+            rows={"proximal": 6e-3, "middle": 3e-3, "distal": 7.5e-3},
+            column=5e-3,
+            radius=1.5e-3,
+            large_radius=3.5e-3,
+        ),
+        action_map=LinearAction(
+            centre=np.concatenate([SLIDE_CENTRE, ranges.mean(axis=1)]),
+            half_range=np.concatenate([SLIDE_HALF_RANGE, np.ptp(ranges, axis=1) / 2]),
+        ),
+        action_names=actuators,
+        start=_start(),
+        observation=(
+            "joint_positions",
+            "joint_velocities",
+            "object_position",
+            "object_orientation",
+        ),
+        grasps=(
+            _grasp(
+                *(0.05, (0.0, 0.0, -0.029)),
+                **dict(MCP=1.172, PIP=1.365, THJ4=0.282, THJ3=0.738, THJ1=-0.026, THJ0=-0.694),
+                **dict(LFJ4=0.688, WRJ0=-0.101, THJ2=0.115),
+            ),
+            _grasp(
+                *(0.04, (-0.021, -0.016, -0.023)),
+                **dict(MCP=1.374, PIP=1.355, THJ4=-0.316, THJ3=0.682, THJ1=-0.349, THJ0=-1.081),
+                **dict(LFJ4=0.714, WRJ0=0.117, THJ2=-0.015),
+            ),
+        ),
+    )

@@ -1,0 +1,88 @@
+"""What a simulator is: one scene with a hand, one object and the ground."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from ..hands import Array, Hand
+from ..layouts import Taxels
+from ..objects import Shape
+
+
+class SimulationError(RuntimeError):
+    """The physics left the finite numbers; the scene must be reset."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What is simulated, in SI units."""
+
+    hand: Hand
+    shape: Shape
+    mass: float
+    friction: float
+    """Sliding friction of the object against everything."""
+    timestep: float
+    finger_gain: float
+    contact_taxels: Taxels | None = None
+    """Taxels to read by the simulator's own contact rule."""
+    visual: bool = False
+    """Keep the meshes, for pictures."""
+
+
+@dataclass(frozen=True)
+class ObjectState:
+    """Pose and velocity of the object, world frame, SI units."""
+
+    position: Array
+    """(3,)"""
+    orientation: Array
+    """(4,) quaternion wxyz."""
+    rotation: Array
+    """(3, 3), the same orientation as a matrix."""
+
+
+class Simulator(Protocol):
+    """One running scene. Everything is in SI units, the world's frame, z up, ground at 0."""
+
+    def reset(self, joint_positions: Array, object_position: Array, yaw: float) -> None:
+        """Put everything at rest; afterwards the past has no influence."""
+
+    def step(self, joint_targets: Array, n_substeps: int) -> None:
+        """Advance by `n_substeps` timesteps; SimulationError when the state is not finite."""
+
+    def joint_state(self) -> tuple[Array, Array]:
+        """Positions and velocities in the order of ``hand.joints``, each (n_joints,)."""
+
+    def object_state(self) -> ObjectState:
+        """Where the object is."""
+
+    def link_positions(self) -> Array:
+        """(6, 3): the palm point, then the fingertips in the order of DIGITS."""
+
+    def link_poses(self, links: tuple[str, ...]) -> tuple[Array, Array]:
+        """Positions (k, 3) and rotations (k, 3, 3) of bodies."""
+
+    def contact_taxels(self) -> Array:
+        """bool (n,): the scene's ``contact_taxels`` by this simulator's own rule."""
+
+    def render(
+        self, width: int, height: int, taxels: Taxels | None, lit: Array | None
+    ) -> Array:
+        """RGB picture (height, width, 3) uint8, taxels drawn, those that are `lit` bright."""
+
+    def close(self) -> None:
+        """Release what is held outside Python."""
+
+
+SIMULATORS = ("mujoco",)
+
+
+def load(name: str, scene: Scene) -> Simulator:
+    """A running scene; the simulator's package is imported here and not before."""
+    if name == "mujoco":
+        from .mujoco import MujocoSimulator
+
+        return MujocoSimulator(scene)
+    raise ValueError(f"unknown simulator {name!r}; allowed: {', '.join(SIMULATORS)}")

@@ -1,0 +1,176 @@
+"""The scene in MuJoCo."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from ..hands import Array
+from ..layouts import Taxels
+from . import ObjectState, Scene, SimulationError
+
+OBJECT = "object"
+SOLVER_ITERATIONS = 20  # enough for the grasps' contacts: docs/environments.md, "Speed and error"
+
+
+def build_spec(scene: Scene) -> mujoco.MjSpec:
+    """Hand, ground, object and, for the contact rule, one touch sensor per taxel."""
+    spec = scene.hand.build(scene.visual, scene.finger_gain)
+    spec.option.timestep = scene.timestep
+    spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    spec.option.iterations = SOLVER_ITERATIONS
+    spec.worldbody.add_geom(
+        name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 0.1], rgba=[0.5, 0.5, 0.5, 1]
+    )
+    body = spec.worldbody.add_body(name=OBJECT, pos=[0, 0, scene.shape.half_size[2]])
+    body.add_freejoint(name=OBJECT)
+    body.add_geom(
+        name=OBJECT,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=scene.shape.half_size,
+        mass=scene.mass,
+        condim=4,
+        friction=[scene.friction, 0.005, 0.001],
+        rgba=[0.85, 0.45, 0.2, 1],
+    )
+    if scene.contact_taxels is not None:
+        _add_touch_sensors(spec, scene.contact_taxels)
+    return spec
+
+
+def _add_touch_sensors(spec: mujoco.MjSpec, taxels: Taxels) -> None:
+    for i, (link, position) in enumerate(zip(taxels.link_index, taxels.positions, strict=True)):
+        name = f"taxel{i}"
+        spec.body(taxels.links[link]).add_site(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=[taxels.radii[i]] * 3,
+            pos=position,
+            group=4,
+        )
+        spec.add_sensor(
+            name=name,
+            type=mujoco.mjtSensor.mjSENS_TOUCH,
+            objtype=mujoco.mjtObj.mjOBJ_SITE,
+            objname=name,
+        )
+
+
+class MujocoSimulator:
+    """One scene; the interface is `simulators.Simulator`. Stepping releases the GIL."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.model = build_spec(scene).compile()
+        # A diverged state is reported, not silently replaced by the start of the episode.
+        self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        self.data = mujoco.MjData(self.model)
+        self._renderer: mujoco.Renderer | None = None
+        hand, model = scene.hand, self.model
+        joints = [model.joint(name) for name in hand.joints]
+        self._qpos = np.array([joint.qposadr[0] for joint in joints])
+        self._qvel = np.array([joint.dofadr[0] for joint in joints])
+        self._ctrl = np.array([model.actuator(name).id for name in hand.actuators])
+        self._object_qpos = int(model.joint(OBJECT).qposadr[0])
+        self._object_body = model.body(OBJECT).id
+        points = [(hand.palm, hand.palm_point), *hand.fingertips]
+        self._point_bodies = np.array([model.body(body).id for body, _ in points])
+        self._points = np.array([point for _, point in points])
+        self._bodies: dict[tuple[str, ...], Array] = {}
+
+    def reset(self, joint_positions: Array, object_position: Array, yaw: float) -> None:
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[self._qpos] = joint_positions
+        start = self._object_qpos
+        self.data.qpos[start : start + 3] = object_position
+        self.data.qpos[start + 3 : start + 7] = np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)
+        mujoco.mj_forward(self.model, self.data)
+
+    def step(self, joint_targets: Array, n_substeps: int) -> None:
+        model, data = self.model, self.data
+        data.ctrl[self._ctrl] = joint_targets
+        if self.scene.contact_taxels is None:
+            mujoco.mj_step(model, data, n_substeps)
+        else:  # only the last substep's readings are looked at
+            off = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+            if n_substeps > 1:
+                model.opt.disableflags |= off
+                mujoco.mj_step(model, data, n_substeps - 1)
+                model.opt.disableflags &= ~off
+            mujoco.mj_step(model, data, 1)
+        # mj_step leaves body poses one substep behind qpos.
+        mujoco.mj_kinematics(model, data)
+        if not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()):
+            raise SimulationError("MuJoCo's state is not finite")
+
+    def joint_state(self) -> tuple[Array, Array]:
+        return self.data.qpos[self._qpos], self.data.qvel[self._qvel]
+
+    def object_state(self) -> ObjectState:
+        body = self._object_body
+        return ObjectState(
+            self.data.xpos[body].copy(),
+            self.data.xquat[body].copy(),
+            self.data.xmat[body].reshape(3, 3).copy(),
+        )
+
+    def link_positions(self) -> Array:
+        bodies = self._point_bodies
+        rotations = self.data.xmat[bodies].reshape(-1, 3, 3)
+        return self.data.xpos[bodies] + np.matmul(rotations, self._points[:, :, None])[:, :, 0]
+
+    def link_poses(self, links: tuple[str, ...]) -> tuple[Array, Array]:
+        if links not in self._bodies:
+            self._bodies[links] = np.array([self.model.body(link).id for link in links])
+        bodies = self._bodies[links]
+        return self.data.xpos[bodies], self.data.xmat[bodies].reshape(-1, 3, 3)
+
+    def contact_taxels(self) -> Array:
+        return self.data.sensordata > 0.0
+
+    def warnings(self) -> int:
+        """MuJoCo's own warnings since the last reset."""
+        return int(sum(warning.number for warning in self.data.warning))
+
+    def render(
+        self, width: int, height: int, taxels: Taxels | None = None, lit: Array | None = None
+    ) -> Array:
+        if self._renderer is None or (self._renderer.width, self._renderer.height) != (
+            width,
+            height,
+        ):
+            self.close()
+            self.model.vis.global_.offwidth = max(width, self.model.vis.global_.offwidth)
+            self.model.vis.global_.offheight = max(height, self.model.vis.global_.offheight)
+            self._renderer = mujoco.Renderer(self.model, height, width)
+        camera = mujoco.MjvCamera()
+        camera.lookat[:] = self.data.xpos[self._object_body] + [0.0, 0.03, 0.02]
+        camera.distance, camera.azimuth, camera.elevation = 0.42, 40.0, -8.0
+        self._renderer.update_scene(self.data, camera)
+        if taxels is not None:
+            self._draw(taxels, np.zeros(len(taxels), bool) if lit is None else lit)
+        return self._renderer.render()
+
+    def _draw(self, taxels: Taxels, lit: Array) -> None:
+        from ..touch import taxel_positions
+
+        assert self._renderer is not None
+        scene = self._renderer.scene
+        points = taxel_positions(taxels, *self.link_poses(taxels.links))
+        for point, radius, on in zip(points, taxels.radii, lit, strict=True):
+            if scene.ngeom >= scene.maxgeom:
+                raise RuntimeError("too many taxels to draw")
+            mujoco.mjv_initGeom(
+                scene.geoms[scene.ngeom],
+                mujoco.mjtGeom.mjGEOM_SPHERE,
+                np.full(3, radius),
+                point,
+                np.eye(3).ravel(),
+                np.array([1.0, 0.9, 0.1, 1.0] if on else [0.1, 0.3, 0.8, 1.0], np.float32),
+            )
+            scene.ngeom += 1
+
+    def close(self) -> None:
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None

@@ -1,0 +1,7 @@
+"""tactilerl: what is touch worth to a robot hand?
+
+Hand-written PPO in PyTorch, and tactile grasping environments behind Gymnasium's interface.
+`tactilerl.envs.make` makes an environment; the command `tactilerl` trains on it.
+"""
+
+__version__ = "0.1.0"

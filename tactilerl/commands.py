@@ -1,0 +1,275 @@
+"""One function per command: flags in, exit code out."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from . import config as configuration
+from . import flags
+from .config import RunConfig, RunOptions
+from .envs import GRASP_ENVS
+from .envs.grasp import GraspConfig
+from .errors import InputError, input_errors
+
+console = Console(highlight=False, soft_wrap=True)
+
+
+# -- train -----------------------------------------------------------------------------------
+
+
+def train(args: list[str]) -> int:
+    """`tactilerl train`"""
+    from .algos import mpi
+    from .run_dir import RunDir
+    from .train import train as run
+
+    resume = flags.peek(args, "--resume", "")
+    saved = RunDir(Path(resume)).read_config()[0] if resume else None
+    algo = flags.peek(args, "--algo", RunOptions.algo)
+    env = flags.peek(args, "--env", RunOptions.env)
+    config = _read_config(args, saved or configuration.defaults(algo, env))
+    with input_errors():
+        config.validate()
+        comm = mpi.world()
+    if saved and (difference := saved.difference(config)):
+        raise InputError(f"--resume {resume}: {difference}; a run goes on as it began")
+    if comm.rank == 0:
+        console.print(_summary(config, comm.size))
+    path = run(config, comm, Path(resume) if resume else None)
+    if comm.rank == 0:
+        console.print(
+            f"\nThe run is in {path}: progress.csv (learning curve), checkpoint.pt, config.json.\n"
+            f"  tactilerl evaluate {path}"
+        )
+    return 0
+
+
+def _read_config(args: list[str], base: RunConfig) -> RunConfig:
+    """All flags of `train`, over the defaults `base`."""
+    parts = {"run": base.run, "scene": base.scene, "learner": base.learner}
+    parts = {name: part for name, part in parts.items() if part is not None}
+    about = "go on with the run in this folder, exactly where its last epoch ended"
+    resume = ("resume", Annotated[str, tyro.conf.arg(help=about, metavar="RUN")], "")
+    kinds = [(name, type(part)) for name, part in parts.items()]
+    options = dataclasses.make_dataclass("Options", [*kinds, resume])
+    read: Any = flags.parse(
+        options,
+        args,
+        "tactilerl train",
+        options(**parts),
+        "Train a policy. Defaults are the paper's; --algo and --env decide which flags there are.",
+    )
+    return RunConfig(read.run, getattr(read, "scene", None), read.learner)
+
+
+def _summary(config: RunConfig, ranks: int) -> str:
+    """What the run resolved to, one line per part."""
+    lines = [f"tactilerl train: {ranks} process{'es' if ranks > 1 else ''}"]
+    for part, values in config.as_dict().items():
+        if values:
+            lines.append(f"  {part:8}" + "  ".join(f"{k}={v}" for k, v in values.items()))
+    return "\n".join([*lines, f"  resolved {config.learner.resolved()}"])
+
+
+# -- evaluate --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class EvaluateFlags:
+    """Flags of `tactilerl evaluate`."""
+
+    run: tyro.conf.Positional[Path]
+    """Run folder."""
+    episodes: int = 100
+    """Episodes to play; their starts are not those of training."""
+    stochastic: bool = False
+    """Keep the exploration noise."""
+    json: bool = False
+    """Print JSON instead of a table."""
+
+
+def evaluate(args: list[str]) -> int:
+    """`tactilerl evaluate RUN`"""
+    from rich.progress import track
+
+    from . import evaluate as evaluation
+
+    read = flags.parse(EvaluateFlags, args, "tactilerl evaluate")
+    _at_least("--episodes", read.episodes, 1)
+    config, learner, epoch = evaluation.load_policy(read.run)
+    played = evaluation.episodes(config, learner, read.episodes, read.stochastic)
+    is_shown = sys.stderr.isatty() and not read.json
+    listed = track(played, "playing", read.episodes, console=Console(stderr=True), disable=not is_shown)
+    result = {"run": str(read.run), "epoch": epoch, "env_steps": learner.env_steps}
+    result |= evaluation.summarise(list(listed))
+    if read.json:
+        print(json.dumps(result))
+        return 0
+    table = Table("", "mean", "95 % interval", title=f"{read.run}, epoch {epoch}, {read.episodes} episodes")
+    if "success_rate" in result:
+        low, high = result["success_rate_ci"]
+        table.add_row("success rate", f"{result['success_rate']:.3f}", f"{low:.3f} – {high:.3f}")
+    low, high = result["mean_return_ci"]
+    table.add_row("return", f"{result['mean_return']:.2f}", f"{low:.2f} – {high:.2f}")
+    table.add_row("length", f"{result['mean_length']:.1f}", "")
+    console.print(table)
+    return 0
+
+
+# -- env -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class EnvFlags:
+    """Flags of `tactilerl env`, besides the scene's."""
+
+    env: str = "shadow"
+    """Which environment."""
+    describe: bool = False
+    """List every entry of the observation and of the action."""
+    json: bool = False
+    """Print JSON instead of text."""
+
+
+def env(args: list[str]) -> int:
+    """`tactilerl env --describe`"""
+    from . import envs
+
+    name = flags.peek(args, "--env", EnvFlags.env)
+    read, scene = _read_scene(EnvFlags, args, name, "tactilerl env")
+    with input_errors():
+        made = envs.make(name, **(dataclasses.asdict(scene) if scene else {}))
+    try:
+        base = made.unwrapped
+        described: dict[str, Any] = {
+            "env": name,
+            "action_space": str(made.action_space),
+            "observation_space": str(made.observation_space),
+        }
+        if scene:
+            described |= {"observation": base.observation_names(), "action": base.hand.action_names}
+            described["taxels"] = len(base.taxels)
+    finally:
+        made.close()
+    if read.json:
+        print(json.dumps(described))
+        return 0
+    for key in ("env", "action_space", "observation_space", "taxels"):
+        if key in described:
+            print(f"{key}: {described[key]}")
+    if read.describe:
+        for key in ("action", "observation"):
+            for index, entry in enumerate(described.get(key, ())):
+                print(f"{key}[{index}] {entry}")
+    return 0
+
+
+def _read_scene(kind: type[Any], args: list[str], env: str, prog: str) -> tuple[Any, GraspConfig | None]:
+    """Flags of one command together with the scene's, where `env` has a scene."""
+    parts: list[Any] = [("own", kind)]
+    defaults: dict[str, Any] = {"own": kind()}
+    if env in GRASP_ENVS:
+        parts.append(("scene", GraspConfig))
+        defaults["scene"] = GraspConfig()
+    options = dataclasses.make_dataclass("Options", parts)
+    read: Any = flags.parse(options, args, prog, options(**defaults))
+    return read.own, getattr(read, "scene", None)
+
+
+# -- doctor ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class DoctorFlags:
+    """Flags of `tactilerl doctor`, besides the scene's."""
+
+    env: str = "shadow"
+    """Which environment."""
+    grasps: int = 20
+    """Perturbed grasps per layout."""
+    seconds: float = 3.0
+    """Length of each hold, s."""
+    verbose: bool = False
+    """Name the taxels that never fired."""
+    json: bool = False
+    """Print JSON instead of a table."""
+
+
+def doctor(args: list[str]) -> int:
+    """`tactilerl doctor`: exit 1 when a layout is blind."""
+    from . import doctor as taxels
+
+    name = flags.peek(args, "--env", DoctorFlags.env)
+    read, scene = _read_scene(DoctorFlags, args, name, "tactilerl doctor")
+    if scene is None:
+        raise InputError(f"--env: found {name!r}, allowed: {', '.join(GRASP_ENVS)}")
+    _at_least("--grasps", read.grasps, 1)
+    if not 0 < read.seconds <= 60:
+        raise InputError(f"--seconds: found {read.seconds}, allowed above 0 and up to 60")
+    chosen = flags.peek(args, "--layout", "")
+    names = [chosen] if chosen else [str(i) for i in range(1, 7)]
+    with input_errors():
+        figures = [
+            taxels.examine(name, dataclasses.replace(scene, layout=layout), read.grasps, read.seconds)
+            for layout in names
+        ]
+    blind = [f.layout for f in figures if f.is_blind]
+    if read.json:
+        print(json.dumps([f.as_dict() for f in figures]))
+        return 1 if blind else 0
+    table = Table(title=f"{name} in {scene.simulator}, rule {scene.touch}: taxels during the hold")
+    for column in ("layout", "taxels", "held", "bits on", "steps with any", "never fired", ""):
+        table.add_column(column, justify="right")
+    for f in figures:
+        table.add_row(
+            *(f.layout, str(f.taxels), f"{f.held}/{f.grasps}", f"{f.mean_bits:.2f}"),
+            *(f"{100 * f.share_any:.0f} %", str(len(f.never_fired)), "blind" if f.is_blind else "ok"),
+        )
+    console.print(table)
+    if read.verbose:
+        for f in figures:
+            console.print(f"layout {f.layout} never fired: {', '.join(f.never_fired) or 'none'}")
+    return 1 if blind else 0
+
+
+# -- render ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class RenderFlags:
+    """Flags of `tactilerl render`, besides the scene's."""
+
+    env: str = "shadow"
+    """Which environment."""
+    out: Path = Path("grasp.png")
+    """The picture to write."""
+    seconds: float = 0.5
+    """Into the hold of a scripted grasp, s."""
+
+
+def render(args: list[str]) -> int:
+    """`tactilerl render`: a scripted grasp with its taxels."""
+    from . import render as pictures
+
+    name = flags.peek(args, "--env", RenderFlags.env)
+    read, scene = _read_scene(RenderFlags, args, name, "tactilerl render")
+    if scene is None:
+        raise InputError(f"--env: found {name!r}, allowed: {', '.join(GRASP_ENVS)}")
+    with input_errors():
+        lit = pictures.grasp_picture(name, scene, read.out, read.seconds)
+    console.print(f"{read.out}: {lit} taxels fire")
+    return 0
+
+
+def _at_least(flag: str, value: int, least: int) -> None:
+    if value < least:
+        raise InputError(f"{flag}: found {value}, allowed {least} or more")

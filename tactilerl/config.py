@@ -1,0 +1,120 @@
+"""What a run is made of: options of the run, choices of the scene, hyperparameters.
+
+Each command-line flag is a field of one of these dataclasses; `--algo` and `--env` decide
+which dataclasses there are and what the defaults are.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from . import algos, envs
+from .envs.grasp import GraspConfig
+from .errors import InputError, input_errors
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """What is trained, how long, and where it is written."""
+
+    algo: str = "ppo"
+    """The algorithm: ppo."""
+    env: str = "shadow"
+    """shadow (Shadow Hand), a toy (lqr, point-reach), or any registered Gymnasium id with Box or
+    goal-Dict observations and Box actions."""
+    total_timesteps: int = 500_000
+    """Environment steps of the whole run (paper: 500,000 for PPO)."""
+    num_envs: int = 1
+    """Environments per process, stepped by threads."""
+    seed: int = 0
+    """Everything random follows from this."""
+    out: str | None = None
+    """Run folder; default: runs/ALGO_ENV_..._sSEED. It must not exist."""
+    device: str = "cpu"
+    """PyTorch device of the networks."""
+    threads: int = 1
+    """Threads of PyTorch; another number can change the last digits of a run."""
+    tensorboard: bool = False
+    """Write TensorBoard events as well (needs the extra: pip install 'tactilerl[tensorboard]')."""
+
+    def validate(self) -> None:
+        """Raise ValueError naming the first field that cannot be."""
+        for name in ("total_timesteps", "num_envs", "threads"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name}: found {getattr(self, name)}, allowed 1 or more")
+        if not 0 <= self.seed < 2**32:
+            raise ValueError(f"seed: found {self.seed}, allowed from 0 to 2**32 - 1")
+
+
+# Fields that may differ between a run and its continuation: they do not change its course.
+FREE_ON_RESUME = {"total_timesteps", "out", "tensorboard"}
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """Everything a run depends on; `scene` is None for environments that are not ours."""
+
+    run: RunOptions
+    scene: GraspConfig | None
+    learner: Any
+
+    def validate(self) -> None:
+        """Raise ValueError naming the first field that cannot be."""
+        for part in (self.run, self.scene, self.learner):
+            if part is not None:
+                part.validate()
+
+    def make_env(self, render_mode: str | None = None) -> Any:
+        """One environment."""
+        choices = dataclasses.asdict(self.scene) if self.scene is not None else {}
+        return envs.make(self.run.env, render_mode=render_mode, **choices)
+
+    def name(self) -> str:
+        """Default name of the run's folder."""
+        parts = [self.run.algo, self.run.env.replace("/", "-")]
+        if self.scene is not None:
+            layout = Path(self.scene.layout).stem
+            parts += [self.scene.task, f"layout{layout}", self.scene.run_type]
+        return "_".join([*parts, f"s{self.run.seed}"])
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, for config.json."""
+        scene = None if self.scene is None else dataclasses.asdict(self.scene)
+        learner = dataclasses.asdict(self.learner)
+        return {"run": dataclasses.asdict(self.run), "scene": scene, "learner": learner}
+
+    def difference(self, other: RunConfig) -> str | None:
+        """The first field in which `other` is another run, in words; None when it is not."""
+        mine, theirs = self.as_dict(), other.as_dict()
+        for part in ("run", "scene", "learner"):
+            a, b = mine[part] or {}, theirs[part] or {}
+            for key in {**a, **b}:
+                if key not in FREE_ON_RESUME and _plain(a.get(key)) != _plain(b.get(key)):
+                    return f"{key}: found {b.get(key)!r}, the run was made with {a.get(key)!r}"
+        return None
+
+
+def defaults(algo: str, env: str) -> RunConfig:
+    """The configuration before any flag; InputError for an unknown algorithm or environment."""
+    with input_errors("--algo"):
+        config_type, _ = algos.load(algo)
+    scene = GraspConfig() if env in envs.GRASP_ENVS else None
+    return RunConfig(RunOptions(algo=algo, env=env), scene, config_type())
+
+
+def from_dict(data: dict[str, Any]) -> RunConfig:
+    """The configuration that `as_dict` wrote; InputError when it is not one."""
+    try:
+        config_type, _ = algos.load(data["run"]["algo"])
+        learner = {k: tuple(v) if isinstance(v, list) else v for k, v in data["learner"].items()}
+        scene = None if data["scene"] is None else GraspConfig(**data["scene"])
+        return RunConfig(RunOptions(**data["run"]), scene, config_type(**learner))
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"the configuration is not one of this version: {error}") from error
+
+
+def _plain(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value

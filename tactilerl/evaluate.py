@@ -1,0 +1,84 @@
+"""How good is a trained run? Episodes without exploration noise, and how sure one can be."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from . import algos, checkpoint
+from .algos.mpi import Communicator
+from .config import RunConfig
+from .errors import InputError
+from .run_dir import RunDir
+from .train import make_algorithm
+
+SEED = 10_000_000  # evaluation starts are not those of training
+CONFIDENCE = 0.95
+
+
+def load_policy(path: Path) -> tuple[RunConfig, algos.Algorithm, int]:
+    """(configuration, learner, epoch) of a run folder."""
+    run_dir = RunDir(path)
+    config, _ = run_dir.read_config()
+    one_env = dataclasses.replace(config, run=dataclasses.replace(config.run, num_envs=1))
+    epoch, states = checkpoint.load(run_dir.checkpoint_file)
+    learner, pool = make_algorithm(one_env, Communicator())
+    pool.close()
+    try:
+        learner.load_state_dict(states[0])
+    except (KeyError, RuntimeError, ValueError) as error:
+        raise InputError(
+            f"{run_dir.checkpoint_file}: from another configuration than config.json"
+        ) from error
+    return one_env, learner, epoch
+
+
+def episodes(
+    config: RunConfig, learner: algos.Algorithm, n: int, stochastic: bool = False
+) -> Iterator[dict[str, float]]:
+    """Play `n` episodes; success (nan where the environment has none), return and length."""
+    env = config.make_env()
+    try:
+        for index in range(n):
+            obs, _ = env.reset(seed=SEED + index)
+            total, length, done, info = 0.0, 0, False, {}
+            while not done:
+                action = learner.act(obs, deterministic=not stochastic)
+                obs, reward, terminated, truncated, info = env.step(action)
+                total, length, done = total + float(reward), length + 1, terminated or truncated
+            success = float(info.get("is_success", math.nan))
+            yield {"success": success, "return": total, "length": length}
+    finally:
+        env.close()
+
+
+def summarise(played: list[dict[str, float]]) -> dict[str, Any]:
+    """Success rate with its Wilson interval, mean return with a bootstrap interval."""
+    from scipy import stats
+
+    returns = np.array([episode["return"] for episode in played])
+    successes = np.array([episode["success"] for episode in played])
+    result: dict[str, Any] = {
+        "episodes": len(played),
+        "mean_return": float(returns.mean()),
+        "mean_length": float(np.mean([episode["length"] for episode in played])),
+    }
+    if len(played) > 1 and np.ptp(returns) > 0:
+        interval = stats.bootstrap(
+            (returns,), np.mean, confidence_level=CONFIDENCE, method="percentile", rng=0
+        ).confidence_interval
+        result["mean_return_ci"] = [float(interval.low), float(interval.high)]
+    else:
+        result["mean_return_ci"] = [result["mean_return"]] * 2
+    if not np.isnan(successes).any():
+        count = int(successes.sum())
+        test = stats.binomtest(count, len(played))
+        interval = test.proportion_ci(CONFIDENCE, method="wilson")
+        result["success_rate"] = count / len(played)
+        result["success_rate_ci"] = [float(interval.low), float(interval.high)]
+    return result

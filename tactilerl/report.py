@@ -1,0 +1,109 @@
+"""What a person sees of a run: a progress bar on a terminal, plain lines in a pipe."""
+
+from __future__ import annotations
+
+import math
+import time
+from types import TracebackType
+from typing import Any
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from .config import RunConfig
+from .errors import InputError
+from .run_dir import RunDir
+
+
+class Report:
+    """Shows each epoch; writes TensorBoard events when asked to."""
+
+    def __init__(
+        self, config: RunConfig, run_dir: RunDir, epoch: int, env_steps: int, is_quiet: bool = False
+    ) -> None:
+        self.console = Console(quiet=is_quiet, highlight=False, soft_wrap=True)
+        self.total = config.run.total_timesteps
+        self._first_step, self._started = env_steps, time.perf_counter()
+        self._events = _summary_writer(run_dir) if config.run.tensorboard and not is_quiet else None
+        self._diverged = 0.0
+        self._bar: Progress | None = None
+        if self.console.is_terminal and not is_quiet:
+            self._bar = Progress(
+                BarColumn(),
+                MofNCompleteColumn(),
+                TextColumn("steps  {task.description}"),
+                TimeElapsedColumn(),
+                TextColumn("ETA"),
+                TimeRemainingColumn(elapsed_when_finished=False),
+                console=self.console,
+            )
+            self._task = self._bar.add_task("", total=self.total, completed=env_steps)
+
+    def __enter__(self) -> Report:
+        if self._bar is not None:
+            self._bar.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+        if self._events is not None:
+            self._events.close()
+        if self._diverged:
+            self.console.print(
+                f"warning: the simulation diverged {self._diverged:.0f} times; those steps were "
+                "dropped (column `diverged` of progress.csv)"
+            )
+
+    def epoch(self, row: dict[str, Any]) -> None:
+        """Show one row of the progress table."""
+        self._diverged += row.get("diverged", 0.0)
+        text = (
+            f"success {_rate(row['success_rate'])}  return {row['mean_return']:.1f}  "
+            f"{row['steps_per_s']:.0f} steps/s"
+        )
+        if self._bar is not None:
+            self._bar.update(self._task, completed=min(row["env_steps"], self.total), description=text)
+        else:
+            done = row["env_steps"] - self._first_step
+            left = (time.perf_counter() - self._started) * (self.total - row["env_steps"]) / done
+            self.console.print(
+                f"epoch {row['epoch']:4d}  steps {row['env_steps']:,}/{self.total:,}  {text}  "
+                f"ETA {_duration(max(0.0, left))}"
+            )
+        if self._events is not None:
+            for key, value in row.items():
+                if key not in ("epoch", "env_steps"):
+                    self._events.add_scalar(f"train/{key}", value, row["env_steps"])
+
+
+def _rate(value: float) -> str:
+    return "  –  " if math.isnan(value) else f"{100 * value:4.0f}%"
+
+
+def _duration(seconds: float) -> str:
+    minutes, seconds = divmod(int(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{seconds:02d}"
+
+
+def _summary_writer(run_dir: RunDir) -> Any:
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError as error:
+        raise InputError(
+            "--tensorboard needs an extra that is not installed: pip install 'tactilerl[tensorboard]'"
+        ) from error
+    return SummaryWriter(str(run_dir.path))
