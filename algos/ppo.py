@@ -316,8 +316,10 @@ class PPO:
         actions = torch.from_numpy(np.concatenate([np.stack(e.actions) for e in episodes]))
         actions = actions.to(self.device)
         old_log_prob = log_prob(actions, self.actor(obs), config.action_variance)
-        as_tensor = (torch.from_numpy(x.astype(np.float32)).to(self.device) for x in
-                     (self._normalise(advantage), returns))
+        as_tensor = (
+            torch.from_numpy(x.astype(np.float32)).to(self.device)
+            for x in (self._normalise(advantage), returns)
+        )
         return (obs, actions, old_log_prob, *as_tensor)
 
     def _normalise(self, advantage: Array) -> Array:

@@ -55,11 +55,6 @@ class GraspConfig:
     """lift-and-hold: simulation steps of the hold test (paper)."""
     hold_verdict: Verdict = "full"
     """lift-and-hold: full, or settled (a success is called once the object rests in the hand)."""
-    reward_length: float = 1.0
-    """lift-and-hold: unit of the distances in the staged reward, m (paper: 1)."""
-    actions: Literal["absolute", "relative"] = "absolute"
-    """absolute: joint target = centre + action x range / 2 (paper, MuJoCo set-up); relative: the
-    action moves the target from where it is (paper, PyBullet set-up)."""
     goal_height: float = 0.08
     """reach-goal: the goal is this far above the object's start, m."""
     goal_tolerance: float = 0.03
@@ -96,7 +91,6 @@ class GraspConfig:
 
 
 REWARDS = {"lift-and-hold": ("staged",), "reach-goal": ("sparse", "dense")}
-RELATIVE_STEP = 0.2  # share of the half range that a relative action of 1 moves
 OFF_GROUND = 0.005  # m under the object's lowest point: lift-and-hold's attempt has begun
 JITTER_POSITION = 0.005  # m, of the object along x and y
 JITTER_YAW = 0.15  # rad, of the object
@@ -189,7 +183,7 @@ class GraspEnv(gym.Env[dict[str, Array], Array]):
             raise ValueError(f"action: found shape {action.shape}, allowed {self.action_space.shape}")
         if not np.isfinite(action).all():
             raise ValueError(f"action: found {action[~np.isfinite(action)][0]}, allowed finite numbers")
-        self._targets = self._move_targets(np.clip(action, -1.0, 1.0))
+        self._targets = self.hand.action_map(np.clip(action, -1.0, 1.0), self._targets)
         self._steps += 1
         try:
             self.simulator.step(self._targets, self.config.n_substeps)
@@ -273,12 +267,6 @@ class GraspEnv(gym.Env[dict[str, Array], Array]):
         }
         return obs, situation
 
-    def _move_targets(self, action: Array) -> Array:
-        action_map = self.hand.action_map
-        if self.config.actions == "absolute":
-            return action_map(action, self._targets)
-        return action_map.clip(self._targets + RELATIVE_STEP * action * action_map.half_range)
-
     def _outcome(self) -> tasks.Outcome:
         if not self.task.tests_hold:
             return "undecided"
@@ -299,7 +287,7 @@ class GraspEnv(gym.Env[dict[str, Array], Array]):
 
 def _task(config: GraspConfig) -> tasks.Task:
     if config.task == "lift-and-hold":
-        return tasks.LiftAndHold(reward_length=config.reward_length)
+        return tasks.LiftAndHold()
     goal = (0.0, 0.0, config.object_size / 2 + config.goal_height)
     reward = config.reward or "sparse"
     assert reward != "staged"

@@ -80,9 +80,7 @@ class Layout:
                     names.append(f"{surface.digit}.{surface.segment}[{row:+g},{column:+g}]")
         if not names:
             raise ValueError(f"layout {self.name!r} puts no taxel on the {hand.name} hand")
-        return Taxels(
-            tuple(links), np.array(index), np.array(positions), np.array(radii), tuple(names)
-        )
+        return Taxels(tuple(links), np.array(index), np.array(positions), np.array(radii), tuple(names))
 
 
 def _scale(patch: Patch, surface: Surface, hand: Hand) -> tuple[float, float, float]:

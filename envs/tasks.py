@@ -95,8 +95,6 @@ class LiftAndHold:
 
     finger_weight: float = 0.2
     """alpha of the paper's reward."""
-    reward_length: float = 1.0
-    """Unit of the distances in the reward, m."""
     max_episode_steps: int = 100
     tests_hold = True
 
@@ -112,7 +110,7 @@ class LiftAndHold:
         """Closeness of palm and fingertips until a lift; 5 more for a failed attempt, whether
         the object fell back before it was lifted or was dropped in the hold test; 1000 for a
         lift that held; -100 at time-out. Squares are of metres, as the paper has them."""
-        closeness = np.exp(-((achieved_goal[..., :6] / self.reward_length) ** 2))
+        closeness = np.exp(-(achieved_goal[..., :6] ** 2))
         reward = closeness[..., 0] + self.finger_weight * closeness[..., 1:].sum(axis=-1)
         outcome = achieved_goal[..., 6]
         failed = (outcome == OUTCOMES["fell_back"]) | (outcome == OUTCOMES["dropped"])

@@ -114,7 +114,9 @@ def evaluate(args: list[str]) -> int:
     if read.json:
         print(json.dumps(result))
         return 0
-    table = Table("", "mean", "95 % interval", title=f"{read.run}, epoch {epoch}, {read.episodes} episodes")
+    table = Table(
+        "", "mean", "95 % interval", title=f"{read.run}, epoch {epoch}, {read.episodes} episodes"
+    )
     if "success_rate" in result:
         low, high = result["success_rate_ci"]
         table.add_row("success rate", f"{result['success_rate']:.3f}", f"{low:.3f} – {high:.3f}")
@@ -173,7 +175,9 @@ def env(args: list[str]) -> int:
     return 0
 
 
-def _read_scene(kind: type[Any], args: list[str], env: str, prog: str) -> tuple[Any, GraspConfig | None]:
+def _read_scene(
+    kind: type[Any], args: list[str], env: str, prog: str
+) -> tuple[Any, GraspConfig | None]:
     """Flags of one command together with the scene's, where `env` has a scene."""
     parts: list[Any] = [("own", kind)]
     defaults: dict[str, Any] = {"own": kind()}

@@ -87,17 +87,15 @@ class LinearAction:
         """New joint targets, shape (n_actuators,), from an action in [-1, 1] of the same shape."""
         return self.centre + action * self.half_range
 
-    def clip(self, joint_targets: Array) -> Array:
-        """The targets nearest to `joint_targets` that an action can reach."""
-        return np.clip(joint_targets, self.centre - self.half_range, self.centre + self.half_range)
-
 
 @dataclass(frozen=True)
 class ScriptedGrasp:
-    """An open-loop grasp found by search: targets by actuator name, rad or m."""
+    """An open-loop grasp found by search."""
 
     object_size: float
+    """Edge of the cube it was found for, m."""
     targets: dict[str, float]
+    """Joint targets by actuator name, rad; of the slides, m from where the hand starts."""
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ ACTUATOR_RANGES = {
 # height, or the penalty on actions and a zero-mean policy would park it away from the cube.
 START_PALM = (-0.030, 0.064, 0.085)
 SLIDE_CENTRE = (0.0, 0.0, -0.042)
-SLIDE_HALF_RANGE = (0.03, 0.03, 0.20)
+SLIDE_HALF_RANGE = (0.03, 0.03, 0.15)
 SLIDE_GAIN = 1000.0  # N/m
 SLIDE_DAMPING = 79.0  # N s/m
 SLIDE_FORCE = 30.0  # N; without a limit the slides press the hand 10-23 mm into the ground
@@ -64,6 +64,9 @@ FINGER_CAPSULES = {
     "distal": (0.012, 0.00705),
 }
 THUMB_CAPSULES = {"proximal": (0.019, 0.013), "middle": (0.016, 0.011), "distal": (0.013, 0.00918)}
+# Fingertips meet objects on the pulp, near the tip: contacts of held grasps lie 14 mm beyond the
+# middle of the distal capsule, and a grid centred there misses them (docs/environments.md).
+DISTAL_SHIFT = 0.005  # m towards the tip
 
 
 def assets() -> Path:
@@ -161,12 +164,13 @@ def _surfaces() -> tuple[Surface, ...]:
         capsules = THUMB_CAPSULES if digit == "thumb" else FINGER_CAPSULES
         for segment in SEGMENTS:
             half_length, radius = capsules[segment]
+            shift = DISTAL_SHIFT if segment == "distal" else 0.0
             surfaces.append(
                 Surface(
                     digit=digit,
                     segment=segment,
                     link=f"{PREFIX}{FINGERS[digit]}{segment}",
-                    centre=(0.0, 0.0, half_length),
+                    centre=(0.0, 0.0, half_length + shift),
                     along=(0.0, 0.0, 1.0),
                     palmar=palmar,
                     radius=radius,
@@ -191,12 +195,13 @@ def _start() -> dict[str, float]:
 
 
 def _grasp(size: float, palm: tuple[float, float, float], **joints: float) -> ScriptedGrasp:
-    """A searched grasp; `palm` is the slides' target, MCP and PIP serve all four fingers."""
+    """A searched grasp; `palm` is where the palm box's centre goes, MCP and PIP serve all fingers."""
     mcp, pip = joints.pop("MCP"), joints.pop("PIP")
     targets = {f"{f}J2": mcp for f in ("FF", "MF", "RF", "LF")}
     targets |= {f"{f}J1": pip for f in ("FF", "MF", "RF", "LF")}
     targets |= joints
-    named = dict(zip(SLIDES, palm, strict=True)) | {PREFIX + "A_" + j: v for j, v in targets.items()}
+    named = {f"{PREFIX}A_{joint}": value for joint, value in targets.items()}
+    named |= {s: p - q for s, p, q in zip(SLIDES, palm, START_PALM, strict=True)}
     return ScriptedGrasp(size, named)
 
 
@@ -215,8 +220,7 @@ def shadow_hand() -> Hand:
         palm_point=PALM_BOX,
         # Sites S_*tip of the model.
         fingertips=tuple(
-            (f"{PREFIX}{FINGERS[digit]}distal", (0.0, 0.0, tip.get(digit, 0.026)))
-            for digit in DIGITS
+            (f"{PREFIX}{FINGERS[digit]}distal", (0.0, 0.0, tip.get(digit, 0.026))) for digit in DIGITS
         ),
         surfaces=_surfaces(),
         pitch=Pitch(
@@ -239,14 +243,19 @@ def shadow_hand() -> Hand:
         ),
         grasps=(
             _grasp(
-                *(0.05, (0.0, 0.0, -0.029)),
-                **dict(MCP=1.172, PIP=1.365, THJ4=0.282, THJ3=0.738, THJ1=-0.026, THJ0=-0.694),
-                **dict(LFJ4=0.688, WRJ0=-0.101, THJ2=0.115),
+                *(0.04, (-0.010, 0.052, 0.022)),
+                **{"MCP": 1.0, "PIP": 1.571, "THJ4": 0.653, "THJ3": 0.234, "THJ2": 0.208},
+                **{"THJ1": -0.065, "THJ0": -1.083, "LFJ4": 0.546, "WRJ0": -0.434, "WRJ1": -0.074},
             ),
             _grasp(
-                *(0.04, (-0.021, -0.016, -0.023)),
-                **dict(MCP=1.374, PIP=1.355, THJ4=-0.316, THJ3=0.682, THJ1=-0.349, THJ0=-1.081),
-                **dict(LFJ4=0.714, WRJ0=0.117, THJ2=-0.015),
+                *(0.05, (-0.010, 0.050, 0.038)),
+                **{"MCP": 1.08, "PIP": 1.571, "THJ4": 0.498, "THJ3": 0.612, "THJ2": 0.153},
+                **{"THJ1": -0.089, "THJ0": -1.02, "LFJ4": 0.712, "WRJ0": -0.297, "WRJ1": -0.104},
+            ),
+            _grasp(
+                *(0.06, (-0.016, 0.045, 0.049)),
+                **{"MCP": 1.058, "PIP": 1.525, "THJ4": 0.577, "THJ3": 0.588, "THJ2": 0.109},
+                **{"THJ1": -0.269, "THJ0": -0.897, "LFJ4": 0.615, "WRJ0": -0.27, "WRJ1": -0.095},
             ),
         ),
     )

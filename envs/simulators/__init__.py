@@ -67,9 +67,7 @@ class Simulator(Protocol):
     def contact_taxels(self) -> Array:
         """bool (n,): the scene's ``contact_taxels`` by this simulator's own rule."""
 
-    def render(
-        self, width: int, height: int, taxels: Taxels | None, lit: Array | None
-    ) -> Array:
+    def render(self, width: int, height: int, taxels: Taxels | None, lit: Array | None) -> Array:
         """RGB picture (height, width, 3) uint8, taxels drawn, those that are `lit` bright."""
 
     def close(self) -> None:

@@ -1,0 +1,303 @@
+"""GraspEnv: Gymnasium's contract, determinism, rewards, run types, faults."""
+
+import dataclasses
+import warnings
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from tactilerl import envs
+from tactilerl.envs import tasks
+from tactilerl.envs.grasp import GraspConfig, GraspEnv
+from tactilerl.envs.simulators import SimulationError
+from tactilerl.envs.vector import ThreadedEnvs
+
+TASKS = ("lift-and-hold", "reach-goal")
+
+
+def make(**choices):
+    return envs.make("shadow", **{"hold_steps": 100, **choices})
+
+
+def rollout(env, seed, n=30, scale=1.0):
+    obs, _ = env.reset(seed=seed)
+    rng, seen = np.random.default_rng(seed), [obs["observation"]]
+    for _ in range(n):
+        obs, reward, terminated, truncated, _ = env.step(
+            scale * rng.uniform(-1, 1, env.action_space.shape)
+        )
+        seen.append(np.append(obs["observation"], reward))
+        if terminated or truncated:
+            break
+    return np.concatenate(seen)
+
+
+@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("touch", ["overlap", "contact"])
+def test_gymnasium_accepts_it(task, touch):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", message=".*(infinity|render).*")
+        check_env(make(task=task, touch=touch), skip_render_check=True)
+
+
+def test_registered():
+    env = gym.make("tactilerl/Shadow-v0", layout="5")
+    assert env.reset(seed=0)[0]["observation"].shape == (80,)
+    env.close()
+
+
+@pytest.mark.parametrize("layout", ["1", "6"])
+@pytest.mark.parametrize("task", TASKS)
+def test_same_seed_same_trajectory_after_every_reset(task, layout):
+    env = make(task=task, layout=layout)
+    first = rollout(env, 5)
+    rollout(env, 6)
+    assert np.array_equal(first, rollout(env, 5))
+    assert np.array_equal(first, rollout(make(task=task, layout=layout), 5))
+    assert not np.array_equal(first[:50], rollout(env, 6)[:50])
+
+
+def test_jitter_can_be_turned_off():
+    env = make(jitter=False)
+    assert np.array_equal(env.reset(seed=1)[0]["observation"], env.reset(seed=2)[0]["observation"])
+
+
+def test_observation_is_what_its_names_say():
+    env = make(layout="1", task="reach-goal")
+    names = env.observation_names()
+    obs = env.reset(seed=0)[0]["observation"]
+    assert len(names) == len(set(names)) == len(obs) == 27 + 27 + 3 + 4 + 139
+    at = dict(zip(names, obs, strict=True))
+    data = env.simulator.data
+    assert at["position of robot0:FFJ1"] == pytest.approx(data.joint("robot0:FFJ1").qpos[0])
+    assert at["object z"] == pytest.approx(0.025)
+    quaternion = [at[f"object quaternion {axis}"] for axis in "wxyz"]
+    np.testing.assert_allclose(quaternion, data.joint("object").qpos[3:], atol=1e-6)
+    assert obs.dtype == np.float32
+
+
+def test_run_types():
+    sizes = {kind: make(run_type=kind, layout="2") for kind in ("main", "control", "absent")}
+    observed = {kind: env.reset(seed=3)[0]["observation"] for kind, env in sizes.items()}
+    assert observed["main"].shape == observed["control"].shape
+    assert len(observed["absent"]) == len(observed["main"]) - 79
+    assert not observed["control"][-79:].any()
+    np.testing.assert_array_equal(observed["absent"], observed["control"][:-79])
+
+
+def test_physics_does_not_depend_on_what_is_felt():
+    def trajectory(**choices):
+        env = make(task="reach-goal", **choices)
+        env.reset(seed=2)
+        rng = np.random.default_rng(0)
+        for _ in range(15):
+            env.step(rng.uniform(-1, 1, 23))
+        return env.simulator.data.qpos.copy()
+
+    reference = trajectory(layout="1", run_type="absent")
+    for choices in (
+        dict(layout="1"),
+        dict(layout="6", run_type="control"),
+        dict(layout="1", touch="contact"),
+        dict(layout="smarthand"),
+    ):
+        assert np.array_equal(reference, trajectory(**choices)), choices
+
+
+def test_absolute_actions_are_the_papers_linear_map():
+    env = make(task="reach-goal")
+    env.reset(seed=0)
+    action = np.random.default_rng(0).uniform(-1, 1, 23)
+    env.step(action)
+    model, ctrl = env.simulator.model, env.simulator.data.ctrl
+    for value, name in zip(action[3:], env.hand.action_names[3:], strict=True):
+        low, high = model.actuator(name).ctrlrange
+        target = ctrl[model.actuator(name).id]
+        assert target == pytest.approx((low + high) / 2 + value * (high - low) / 2)
+
+
+def test_action_zero_is_beyond_the_clip_of_large_actions():
+    """Actions are clipped, not rescaled."""
+    a, b = make(), make()
+    a.reset(seed=0), b.reset(seed=0)
+    assert np.array_equal(
+        a.step(np.full(23, 7.0))[0]["observation"], b.step(np.ones(23))[0]["observation"]
+    )
+
+
+class TestRewards:
+    def test_reach_goal(self):
+        goal = np.array([0.0, 0.0, 0.1])
+        achieved = np.array([[0.0, 0.0, 0.1], [0.0, 0.03, 0.1], [0.0, 0.04, 0.1]])
+        sparse = tasks.ReachGoal(tuple(goal), 0.03, "sparse")
+        assert sparse.reward(achieved, goal).tolist() == [0.0, 0.0, -1.0]
+        dense = tasks.ReachGoal(tuple(goal), 0.03, "dense")
+        np.testing.assert_allclose(dense.reward(achieved, goal), [0.0, -0.3, -0.4])
+        assert sparse.is_success(achieved, goal).tolist() == [True, True, False]
+
+    def test_lift_and_hold_stages(self):
+        task = tasks.LiftAndHold()
+        distances = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
+        closeness = np.exp(-0.01) + 0.2 * np.exp(-(distances[1:] ** 2)).sum()
+        goals = np.stack([np.append(distances, value) for value in tasks.OUTCOMES.values()])
+        expected = {
+            "timed_out": -100.0,
+            "undecided": closeness,
+            "fell_back": closeness + 5,
+            "dropped": closeness + 5,
+            "held": 1000.0,
+        }
+        assert task.reward(goals, task.desired_goal()) == pytest.approx(
+            [expected[k] for k in tasks.OUTCOMES]
+        )
+
+    @pytest.mark.parametrize(
+        "choices",
+        [dict(task="lift-and-hold"), dict(task="reach-goal"), dict(task="reach-goal", reward="dense")],
+    )
+    def test_compute_reward_is_the_reward_of_the_step_and_vectorised(self, choices):
+        env = make(**choices, max_episode_steps=12)
+        env.reset(seed=1)
+        achieved, desired, rewards = [], [], []
+        rng, done = np.random.default_rng(0), False
+        while not done:
+            obs, reward, terminated, truncated, _ = env.step(rng.uniform(-1, 1, 23))
+            done = terminated or truncated
+            achieved.append(obs["achieved_goal"])
+            desired.append(obs["desired_goal"])
+            rewards.append(reward)
+        got = env.compute_reward(np.stack(achieved), np.stack(desired), {})
+        np.testing.assert_allclose(got, rewards, rtol=1e-6)
+        assert got.shape == (len(rewards),)
+
+    def test_time_out_costs_100_and_truncates(self):
+        env = make(max_episode_steps=3)
+        env.reset(seed=0)
+        results = [env.step(np.zeros(23)) for _ in range(3)]
+        assert [r[2:4] for r in results] == [(False, False), (False, False), (False, True)]
+        assert results[-1][1] == -100.0
+
+
+class TestFaults:
+    @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+    def test_action_that_is_not_finite_is_refused(self, bad):
+        env = make()
+        env.reset(seed=0)
+        action = np.zeros(23)
+        action[4] = bad
+        with pytest.raises(ValueError, match="action: found"):
+            env.step(action)
+        env.step(np.zeros(23))
+
+    def test_action_of_another_shape_is_refused(self):
+        env = make()
+        env.reset(seed=0)
+        with pytest.raises(ValueError, match=r"action: found shape \(20,\)"):
+            env.step(np.zeros(20))
+
+    def test_huge_action_is_clipped(self):
+        env = make()
+        env.reset(seed=0)
+        assert np.isfinite(env.step(np.full(23, 1e30))[0]["observation"]).all()
+
+    @pytest.mark.parametrize("poison", ["qpos", "qvel"])
+    def test_nan_from_the_simulator_truncates_and_says_so(self, poison):
+        env = make()
+        before, _ = env.reset(seed=0)
+        getattr(env.simulator.data, poison)[5] = np.nan
+        obs, reward, terminated, truncated, info = env.step(np.zeros(23))
+        assert info["diverged"]
+        assert "not finite" in info["error"]
+        assert (reward, terminated, truncated) == (0.0, False, True)
+        assert np.array_equal(obs["observation"], before["observation"])
+        assert np.array_equal(env.reset(seed=0)[0]["observation"], before["observation"])
+
+    def test_ejected_object_counts_as_divergence(self):
+        env = make()
+        env.reset(seed=0)
+        env.simulator.data.joint("object").qpos[2] = 2e6
+        assert env.step(np.zeros(23))[4]["diverged"]
+
+    def test_simulation_error_is_raised_by_the_simulator(self):
+        env = make()
+        env.reset(seed=0)
+        env.simulator.data.qpos[0] = np.nan
+        with pytest.raises(SimulationError):
+            env.simulator.step(np.zeros(23), 1)
+
+    @pytest.mark.parametrize(
+        "choices",
+        [
+            dict(control_dt=0.005),
+            dict(friction=-1.0),
+            dict(timestep=float("nan")),
+            dict(object_size=0.5),
+            dict(layout="9"),
+            dict(reward="sparse"),
+            dict(hold_steps=0),
+        ],
+    )
+    def test_bad_configuration_is_named(self, choices):
+        with pytest.raises(ValueError, match=next(iter(choices))):
+            envs.make("shadow", **choices)
+
+    def test_unknown_environment(self):
+        with pytest.raises(ValueError, match="unknown environment 'nope'; allowed: shadow"):
+            envs.make("nope")
+
+
+class TestHoldTest:
+    """The verdict of the hold, on a grasp that holds and on one that cannot."""
+
+    def verdict(self, env, close, verdict="full", steps=1000):
+        from tactilerl.envs import scripted
+        from tactilerl.envs.hold import HoldTest
+
+        grasp = scripted.grasp_for(env)
+        start = scripted.Start(np.zeros(2), 0.0, np.zeros(len(env.hand.joints)))
+        for _ in scripted.hold_steps(env, grasp, start, 0.5):
+            pass
+        targets = env.simulator.data.ctrl[env.simulator._ctrl].copy()
+        if not close:
+            targets[3:] = env.hand.start_targets()[3:]
+        return HoldTest(steps=steps, verdict=verdict).run(env.simulator, targets, env.config.timestep)
+
+    @pytest.mark.parametrize("verdict", ["full", "settled"])
+    def test_grasped_object_is_held_at_one_metre(self, verdict):
+        env = make()
+        assert self.verdict(env, close=True, verdict=verdict)
+        assert env.simulator.link_positions()[0, 2] == pytest.approx(1.0, abs=0.02)
+        assert env.simulator.object_state().position[2] > 0.85
+
+    def test_opened_hand_drops_it(self):
+        assert not self.verdict(make(), close=False)
+
+
+def test_threads_change_nothing():
+    def run(threads):
+        pool = ThreadedEnvs(lambda: make(task="reach-goal"), 3, threads)
+        rng = np.random.default_rng(0)
+        seen = [pool.reset(i, 10 + i)["observation"] for i in range(3)]
+        for _ in range(8):
+            seen += [s.obs["observation"] for s in pool.step([0, 1, 2], rng.uniform(-1, 1, (3, 23)))]
+        pool.close()
+        return np.stack(seen)
+
+    assert np.array_equal(run(1), run(3))
+
+
+def test_config_is_frozen():
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        GraspConfig().layout = "3"
+
+
+def test_stable_baselines3_trains_on_it_unmodified():
+    sb3 = pytest.importorskip("stable_baselines3")
+    env = GraspEnv("shadow", GraspConfig(layout="6", max_episode_steps=20, hold_steps=100))
+    model = sb3.PPO("MultiInputPolicy", env, n_steps=64, batch_size=32, n_epochs=1, device="cpu")
+    before = [p.clone() for p in model.policy.parameters()]
+    model.learn(128)
+    assert any((a != b).any() for a, b in zip(before, model.policy.parameters(), strict=True))

@@ -1,0 +1,111 @@
+"""Layouts: the paper's counts, the geometry of the grids, files and their errors."""
+
+import numpy as np
+import pytest
+
+from tactilerl.envs import hands, layouts
+
+HAND = hands.load("shadow")
+COUNTS = {"1": 139, "2": 79, "3": 64, "4": 79, "5": 19, "6": 19}
+
+
+@pytest.mark.parametrize(("name", "count"), COUNTS.items())
+def test_paper_counts(name, count):
+    assert len(layouts.load(name).place(HAND)) == count
+
+
+@pytest.mark.parametrize(("name", "count"), {"smarthand": 4, "zhang": 13, "abbass": 15}.items())
+def test_designs_from_the_literature(name, count):
+    assert len(layouts.load(name).place(HAND)) == count
+
+
+def test_grids_are_the_papers_figure():
+    offsets = {name: set(layouts.PAPER[name][1]) for name in layouts.PAPER}
+    assert offsets["2"] | offsets["4"] == offsets["1"]
+    assert offsets["2"] & offsets["4"] == offsets["5"] == offsets["6"] == {(0.0, 0.0)}
+    assert offsets["3"] == offsets["2"] - {(0.0, 0.0)}
+
+
+def test_pitches_and_radii_are_the_papers():
+    taxels = layouts.load("1").place(HAND)
+    at = dict(zip(taxels.names, taxels.positions, strict=True))
+    for segment, pitch in (("proximal", 6e-3), ("middle", 3e-3), ("distal", 7.5e-3)):
+        up, centre = at[f"index.{segment}[+1,+0]"], at[f"index.{segment}[+0,+0]"]
+        assert np.linalg.norm(up - centre) == pytest.approx(pitch)
+        side = at[f"index.{segment}[+0,+1]"]
+        assert abs(side - centre)[0] == pytest.approx(5e-3)
+    assert set(taxels.radii) == {1.5e-3}
+    large = layouts.load("6").place(HAND)
+    assert sorted(set(large.radii)) == [1.5e-3, 3.5e-3]
+    assert sum(large.radii == 1.5e-3) == 4
+
+
+def test_phalanx_taxels_lie_on_the_skin_of_the_collision_capsules():
+    mujoco = pytest.importorskip("mujoco")
+    model = HAND.build(False, 1.0).compile()
+    taxels = layouts.load("1").place(HAND)
+    for name, link, position in zip(taxels.names, taxels.link_index, taxels.positions, strict=True):
+        if "palm" in name:
+            continue
+        body = model.body(taxels.links[link])
+        geom = next(g for g in map(model.geom, range(model.ngeom)) if g.bodyid[0] == body.id)
+        assert geom.type[0] == mujoco.mjtGeom.mjGEOM_CAPSULE
+        along = np.clip(position[2] - geom.pos[2], -geom.size[1], geom.size[1])
+        axis_point = geom.pos + [0, 0, along]
+        assert np.linalg.norm(position - axis_point) == pytest.approx(geom.size[0], abs=4e-4), name
+
+
+def test_own_layout_from_a_file(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        '[[patch]]\ndigits = ["thumb"]\nsegments = ["distal"]\noffsets_mm = [[0, 0], [4, -3]]\n'
+        "radius_mm = 2.5\n"
+    )
+    taxels = layouts.load(str(path)).place(HAND)
+    assert taxels.radii.tolist() == [2.5e-3, 2.5e-3]
+    first, second = taxels.positions
+    assert (second - first)[2] == pytest.approx(4e-3)
+
+
+GOOD = 'digits = ["thumb"]\nsegments = ["distal"]\noffsets_mm = [[0, 0]]\nradius_mm = 2.0\n'
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        ("[[patch]\n", "not valid TOML"),
+        ("", "at least one"),
+        ("colour = 3\n[[patch]]\n" + GOOD, "unknown key 'colour'"),
+        ("[[patch]]\nradii = 2\n" + GOOD, "unknown key 'radii'"),
+        ("[[patch]]\n" + GOOD.replace("thumb", "toe"), "found 'toe', allowed: thumb"),
+        ("[[patch]]\n" + GOOD.replace("distal", "tip"), "found 'tip', allowed: proximal"),
+        ("[[patch]]\n" + GOOD.replace("2.0", "-1"), "radius_mm: found -1"),
+        ("[[patch]]\n" + GOOD.replace("2.0", "nan"), "radius_mm: found nan"),
+        ("[[patch]]\n" + GOOD.replace("[[0, 0]]", "[[0]]"), "expected [row, column]"),
+        ("[[patch]]\n" + GOOD.replace("[[0, 0]]", "[[0, 80]]"), "up to 50 mm"),
+        ("[[patch]]\n" + GOOD.replace("[[0, 0]]", "[[0, 0], [0, 0]]"), "stands twice"),
+        ("[[patch]]\n" + GOOD.replace("[[0, 0]]", '"centre"'), "offsets_mm"),
+    ],
+)
+def test_malformed_file_says_what_is_wrong(tmp_path, content, complaint):
+    path = tmp_path / "bad.toml"
+    path.write_text(content)
+    with pytest.raises(ValueError, match="layout file") as error:
+        layouts.load(str(path))
+    assert complaint in str(error.value)
+
+
+def test_taxel_beside_the_phalanx_is_refused(tmp_path):
+    path = tmp_path / "wide.toml"
+    path.write_text("[[patch]]\n" + GOOD.replace("[0, 0]", "[0, 20]"))
+    with pytest.raises(ValueError, match="lies beside the phalanx"):
+        layouts.load(str(path)).place(HAND)
+
+
+def test_unknown_names():
+    with pytest.raises(ValueError, match="allowed: 1, 2"):
+        layouts.load("7")
+    with pytest.raises(FileNotFoundError, match="does not exist"):
+        layouts.load("nowhere.toml")
+    with pytest.raises(ValueError, match="unknown layout"):
+        layouts.load("../layout_files/zhang")

@@ -1,0 +1,294 @@
+"""PPO against numbers derived by hand, and on inputs that break careless code."""
+
+import math
+from types import SimpleNamespace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+
+from tactilerl.algos import DivergenceError, Transition
+from tactilerl.algos.mpi import Communicator
+from tactilerl.algos.ppo import PPO, PPOConfig, clipped_loss, gae, log_prob
+
+
+class ScriptedPool:
+    """One environment whose rewards, observations and episode ends are given."""
+
+    def __init__(self, obs=None, reward=None, length=5, terminated=True, n_actions=2, info=None):
+        self.observation_space = gym.spaces.Box(-np.inf, np.inf, (3,), np.float32)
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (n_actions,), np.float32)
+        self.obs = obs or (lambda rng: rng.standard_normal(3).astype(np.float32))
+        self.reward = reward or (lambda rng: float(rng.standard_normal()))
+        self.info = info or (lambda step: {})
+        self.length, self.terminated = length, terminated
+        self.rng, self.steps = np.random.default_rng(0), 0
+        self.seen_actions = []
+
+    def __len__(self):
+        return 1
+
+    def reset(self, index, seed):
+        self.steps = 0
+        return self.obs(self.rng)
+
+    def step(self, indices, actions):
+        self.steps += 1
+        self.seen_actions.append(actions.copy())
+        ended = self.steps >= self.length
+        flags = (ended and self.terminated, ended and not self.terminated)
+        return [Transition(self.obs(self.rng), self.reward(self.rng), *flags, self.info(self.steps))]
+
+
+def make_ppo(pool, seed=0, comm=None, **choices):
+    defaults = dict(hidden=(32, 32), steps_per_epoch=60, n_passes=5)
+    config = PPOConfig(**{**defaults, **choices})
+    return PPO(config, pool, comm or Communicator(), seed, total_timesteps=1000)
+
+
+class TestGAE:
+    def test_three_steps_by_hand(self):
+        # gamma = lambda = 1/2; deltas: 1 + .5*2 - 1 = 1, 2 + .5*4 - 2 = 2, 3 + 0 - 4 = -1
+        # backwards: -1, 2 - 1/4 = 1.75, 1 + 1.75/4 = 1.4375
+        got = gae(np.array([1.0, 2.0, 3.0]), np.array([1.0, 2.0, 4.0]), 0.0, 0.5, 0.5)
+        assert got.tolist() == [1.4375, 1.75, -1.0]
+
+    def test_bootstrap_adds_the_discounted_last_value(self):
+        # the last delta is 3 + .5*6 - 4 = 2
+        got = gae(np.array([1.0, 2.0, 3.0]), np.array([1.0, 2.0, 4.0]), 6.0, 0.5, 0.5)
+        assert got.tolist() == [1.0 + (2.0 + 2.0 / 4) / 4, 2.5, 2.0]
+
+    def test_lambda_one_is_return_minus_value(self):
+        rng = np.random.default_rng(1)
+        rewards, values = rng.standard_normal((2, 50))
+        returns = np.array([sum(0.9**k * r for k, r in enumerate(rewards[t:])) for t in range(50)])
+        np.testing.assert_allclose(gae(rewards, values, 0.0, 0.9, 1.0), returns - values, atol=1e-12)
+
+
+class TestDensityAndLoss:
+    def test_log_prob_of_a_standard_case(self):
+        # variance 1/4, distances (1/2, 1): -(1/4 + 1) / (2/4) - 2/2 * log(2 pi / 4)
+        got = log_prob(torch.tensor([[0.5, 1.0]]), torch.zeros(1, 2), 0.25)
+        assert got.item() == pytest.approx(-2.5 - math.log(math.pi / 2), rel=1e-6)
+
+    def test_log_prob_agrees_with_torch(self):
+        x, mean = torch.randn(2, 10, 23)
+        reference = torch.distributions.Normal(mean, math.sqrt(0.05)).log_prob(x).sum(-1)
+        torch.testing.assert_close(log_prob(x, mean, 0.05), reference)
+
+    def test_clipped_loss_case_by_case(self):
+        # ratios 1.5, 1.5, 0.5, 0.5 and advantages 1, -1, 1, -1 at clip 0.2:
+        # min(1.5, 1.2) = 1.2; min(-1.5, -1.2) = -1.5; min(.5, .8) = .5; min(-.5, -.8) = -.8
+        log_ratio = torch.tensor([1.5, 1.5, 0.5, 0.5]).log()
+        loss = clipped_loss(log_ratio, torch.tensor([1.0, -1.0, 1.0, -1.0]), 0.2)
+        assert loss.item() == pytest.approx(-(1.2 - 1.5 + 0.5 - 0.8) / 4, rel=1e-6)
+
+    def test_gradient_is_zero_where_the_clip_binds(self):
+        log_ratio = torch.tensor([0.5, -0.5, 0.5, -0.5], requires_grad=True)
+        clipped_loss(log_ratio, torch.tensor([1.0, -1.0, -1.0, 1.0]), 0.2).backward()
+        assert (log_ratio.grad != 0).tolist() == [False, False, True, True]
+
+    @pytest.mark.parametrize("gap", [1e3, -1e3])
+    @pytest.mark.parametrize("advantage", [1.0, -1.0])
+    def test_overflowing_ratio_stays_finite(self, gap, advantage):
+        log_ratio = torch.tensor([gap], requires_grad=True)
+        loss = clipped_loss(log_ratio, torch.tensor([advantage]), 0.2)
+        loss.backward()
+        assert torch.isfinite(loss)
+        assert torch.isfinite(log_ratio.grad).all()
+
+
+class TestBatch:
+    def test_returns_and_normalised_advantages(self):
+        ppo = make_ppo(ScriptedPool(length=7))
+        ppo.collect()
+        obs, actions, old, advantages, returns = ppo._batch()
+        assert len(obs) == len(actions) == len(old) == len(advantages) == len(returns) == 63
+        assert advantages.mean().item() == pytest.approx(0.0, abs=1e-6)
+        assert advantages.std(unbiased=False).item() == pytest.approx(1.0, abs=1e-5)
+        values = ppo.critic(obs).squeeze(-1).detach()
+        raw = (returns - values).numpy().astype(np.float64)
+        np.testing.assert_allclose(advantages.numpy(), (raw - raw.mean()) / raw.std(), atol=1e-4)
+
+    def test_all_equal_advantages_become_zero(self):
+        ppo = make_ppo(ScriptedPool())
+        assert ppo._normalise(np.full(50, 1e6 + 0.1)).tolist() == [0.0] * 50
+
+    def test_truncation_switch(self):
+        def returns(truncation, terminated):
+            pool = ScriptedPool(length=1, terminated=terminated, reward=lambda rng: 1.0)
+            ppo = make_ppo(pool, truncation=truncation)
+            ppo.collect()
+            return ppo._batch()[4].numpy()
+
+        assert (returns("terminal", False) == 1.0).all()
+        assert (returns("bootstrap", True) == 1.0).all()
+        assert (returns("bootstrap", False) != 1.0).all()
+
+    def test_whole_episodes_until_enough_steps(self):
+        ppo = make_ppo(ScriptedPool(length=7), steps_per_epoch=15)
+        seen = ppo.collect()
+        assert (seen["episodes"], seen["mean_length"], ppo.env_steps) == (3, 7, 21)
+
+    def test_minibatches(self):
+        assert PPOConfig().minibatches(1003) == 6
+        assert PPOConfig(minibatch_size=6).minibatches(1003) == 167
+        assert PPOConfig().minibatches(2) == 2
+        with pytest.raises(ValueError, match="found both"):
+            PPOConfig(n_minibatches=6, minibatch_size=6).validate()
+
+
+class TestLearning:
+    def test_update_is_adam_on_the_clipped_gradient(self):
+        """One minibatch, one pass, against a plain PyTorch implementation."""
+        ppo = make_ppo(ScriptedPool(), n_passes=1, n_minibatches=1, max_grad_norm=0.5)
+        ppo.collect()
+        obs, actions, old, advantages, returns = ppo._batch()
+        reference = []
+        for net, lr in ((ppo.actor, 3e-4), (ppo.critic, 1e-3)):
+            copy = torch.nn.Sequential(
+                *[
+                    type(m)(m.in_features, m.out_features) if isinstance(m, torch.nn.Linear) else m
+                    for m in net
+                ]
+            )
+            copy.load_state_dict(net.state_dict())
+            reference.append((copy, torch.optim.Adam(copy.parameters(), lr)))
+        (actor, actor_adam), (critic, critic_adam) = reference
+        normal = torch.distributions.Normal(actor(obs), math.sqrt(0.05))
+        ratio = (normal.log_prob(actions).sum(-1) - old).exp()
+        loss = -torch.min(ratio * advantages, ratio.clamp(0.8, 1.2) * advantages).mean()
+        loss.backward()
+        torch.nn.functional.mse_loss(critic(obs).squeeze(-1), returns).backward()
+        for net, adam in reference:
+            torch.nn.utils.clip_grad_norm_(net.parameters(), 0.5)
+            adam.step()
+        ppo.update()
+        for net, (copy, _) in zip((ppo.actor, ppo.critic), reference, strict=True):
+            for mine, theirs in zip(net.parameters(), copy.parameters(), strict=True):
+                torch.testing.assert_close(mine, theirs, atol=2e-6, rtol=1e-4)
+
+    def test_same_seed_same_run_and_resume(self):
+        def run(epochs, state=None):
+            ppo = make_ppo(ScriptedPool(), seed=3)
+            if state is not None:
+                ppo.load_state_dict(state)
+                ppo.pool.rng.bit_generator.state = pool_state
+            for _ in range(epochs):
+                ppo.collect()
+                ppo.update()
+            return ppo
+
+        whole, half = run(4), run(2)
+        pool_state = half.pool.rng.bit_generator.state
+        resumed = run(2, half.state_dict())
+        for a, b in zip(whole.actor.parameters(), resumed.actor.parameters(), strict=True):
+            assert torch.equal(a, b)
+
+    def test_target_kl_ends_the_passes(self):
+        ppo = make_ppo(ScriptedPool(), n_passes=50, target_kl=1e-6)
+        ppo.collect()
+        assert ppo.update()["updates"] < 50 * 6
+
+    def test_annealing_reaches_zero(self):
+        ppo = make_ppo(ScriptedPool(), anneal_lr=True)
+        ppo.collect()
+        ppo.env_steps = 1000
+        before = ppo.actor_adam.vector.clone()
+        ppo.update()
+        assert torch.equal(before, ppo.actor_adam.vector)
+
+    def test_two_ranks_average_their_gradients(self):
+        """A rank whose partner reports a zero gradient takes a step from half of its own."""
+        comm = Communicator()
+        comm.mean_ = lambda tensor: tensor.mul_(0.5)
+        alone, halved = (
+            make_ppo(ScriptedPool(), comm=c, n_passes=1, n_minibatches=1, max_grad_norm=1e9)
+            for c in (Communicator(), comm)
+        )
+        for ppo in (alone, halved):
+            ppo.collect()
+            ppo.update()
+        torch.testing.assert_close(halved.actor_adam.gradient, alone.actor_adam.gradient / 2)
+
+
+class TestHardCases:
+    @pytest.mark.parametrize(
+        "pool",
+        [
+            SimpleNamespace(reward=lambda rng: 1e6),
+            SimpleNamespace(reward=lambda rng: -1e6),
+            SimpleNamespace(reward=lambda rng: float(rng.choice([-1e6, 1e6]))),
+            SimpleNamespace(reward=lambda rng: 1e-6 * float(rng.standard_normal())),
+            SimpleNamespace(obs=lambda rng: np.ones(3, np.float32)),
+            SimpleNamespace(obs=lambda rng: (1e8 + rng.standard_normal(3)).astype(np.float32)),
+            SimpleNamespace(length=1),
+            SimpleNamespace(length=1, terminated=False),
+        ],
+        ids=[
+            "+1e6",
+            "-1e6",
+            "±1e6",
+            "1e-6",
+            "constant obs",
+            "offset obs",
+            "one step",
+            "truncated at once",
+        ],
+    )
+    def test_stays_finite(self, pool):
+        ppo = make_ppo(ScriptedPool(**vars(pool)))
+        for _ in range(3):
+            ppo.collect()
+            learned = ppo.update()
+        assert all(math.isfinite(value) for value in learned.values())
+        assert ppo.actor_adam.is_finite()
+        assert ppo.critic_adam.is_finite()
+
+    def test_gamma_one(self):
+        ppo = make_ppo(ScriptedPool(length=50), gamma=1.0, gae_lambda=1.0)
+        ppo.collect()
+        assert math.isfinite(ppo.update()["value_loss"])
+
+    def test_saturated_actions_reach_the_environment_clipped(self):
+        pool = ScriptedPool()
+        ppo = make_ppo(pool)
+        with torch.no_grad():
+            ppo.actor[-2].bias.fill_(50.0)
+        ppo.collect()
+        assert np.abs(np.concatenate(pool.seen_actions)).max() <= 1.0
+        assert math.isfinite(ppo.update()["policy_loss"])
+
+    @pytest.mark.parametrize("bad", [math.nan, math.inf])
+    def test_reward_that_is_not_finite_stops_the_run(self, bad):
+        with pytest.raises(DivergenceError, match="reward"):
+            make_ppo(ScriptedPool(reward=lambda rng: bad)).collect()
+
+    def test_observation_that_is_not_finite_stops_the_run(self):
+        with pytest.raises(DivergenceError, match="observation"):
+            make_ppo(ScriptedPool(obs=lambda rng: np.full(3, np.nan, np.float32))).collect()
+
+    def test_broken_parameters_stop_the_run(self):
+        ppo = make_ppo(ScriptedPool())
+        ppo.collect()
+        with torch.no_grad():
+            ppo.critic_adam.vector[0] = math.nan
+        with pytest.raises(DivergenceError):
+            ppo.update()
+
+    def test_a_diverged_step_is_counted_and_not_learned_from(self):
+        pool = ScriptedPool(length=9, info=lambda step: {"diverged": True} if step == 4 else {})
+        ppo = make_ppo(pool, steps_per_epoch=30)
+        seen = ppo.collect()
+        assert seen["diverged"] == seen["episodes"] > 0
+        assert seen["mean_length"] == 3
+
+
+@pytest.mark.parametrize(
+    "choices",
+    [dict(gamma=1.5), dict(actor_lr=0.0), dict(n_passes=0), dict(hidden=()), dict(target_kl=0.0)],
+)
+def test_config_rejects(choices):
+    with pytest.raises(ValueError, match=next(iter(choices))):
+        PPOConfig(**choices).validate()
