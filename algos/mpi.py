@@ -10,7 +10,6 @@ import os
 from typing import Any
 
 import numpy as np
-import torch
 from torch import Tensor
 
 LAUNCHERS = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_RANK", "MPI_LOCALNRANKS")
@@ -31,6 +30,10 @@ class Communicator:
     def sum(self, values: np.ndarray) -> np.ndarray:
         """Elementwise sum of float64 arrays over ranks."""
         return values
+
+    def average(self, value: float) -> float:
+        """Mean of a number over ranks."""
+        return float(self.sum(np.array([value]))[0]) / self.size
 
     def min(self, value: int) -> int:
         """Smallest value of any rank."""

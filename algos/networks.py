@@ -6,12 +6,13 @@ operation each, instead of one for every layer's weight and bias.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 from .mpi import Communicator
 
@@ -25,8 +26,8 @@ class MLP(nn.Sequential):
 
     def __init__(self, sizes: Sequence[int], generator: torch.Generator, tanh: bool = False):
         layers: list[nn.Module] = []
-        for fan_in, fan_out in zip(sizes, sizes[1:], strict=False):
-            linear = nn.utils.skip_init(nn.Linear, fan_in, fan_out)
+        for fan_in, fan_out in itertools.pairwise(sizes):
+            linear = nn.Linear(fan_in, fan_out)
             bound = 1.0 / math.sqrt(fan_in)
             for parameter in linear.parameters():
                 nn.init.uniform_(parameter, -bound, bound, generator=generator)

@@ -200,7 +200,8 @@ class PPO:
         batch does not depend on how fast the environments are.
         """
         wanted = -(-self.config.steps_per_epoch // self.comm.size)
-        self._episodes, running = [], {}
+        self._episodes = []
+        running: dict[int, Episode] = {}
         started = diverged = 0
         while running or started < wanted:
             for index in range(len(self.pool)):
@@ -280,9 +281,8 @@ class PPO:
                 batch = (t[rows] for t in (obs, actions, old_log_prob, advantages, returns))
                 sums += (stats := self._minibatch(*batch))
                 kl, n_updates = float(stats[2]), n_updates + 1
-            if config.target_kl is not None:
-                if comm.sum(np.array([kl]))[0] / comm.size > config.target_kl:
-                    break
+            if config.target_kl is not None and comm.average(kl) > config.target_kl:
+                break
         self._check(sums)
         policy_loss, value_loss, kl, clip_fraction = (sums / n_updates).tolist()
         return {
@@ -316,11 +316,11 @@ class PPO:
         actions = torch.from_numpy(np.concatenate([np.stack(e.actions) for e in episodes]))
         actions = actions.to(self.device)
         old_log_prob = log_prob(actions, self.actor(obs), config.action_variance)
-        as_tensor = (
+        normalised, target = (
             torch.from_numpy(x.astype(np.float32)).to(self.device)
             for x in (self._normalise(advantage), returns)
         )
-        return (obs, actions, old_log_prob, *as_tensor)
+        return obs, actions, old_log_prob, normalised, target
 
     def _normalise(self, advantage: Array) -> Array:
         """Mean 0 and standard deviation 1 over all ranks; zero where all are alike."""

@@ -37,14 +37,10 @@ def make(name: str, *, render_mode: str | None = None, **choices: Any) -> gym.En
         ) from None
 
 
-def _make_grasp(name: str, render_mode: str | None = None, **choices: Any) -> gym.Env[Any, Any]:
-    return make(name, render_mode=render_mode, **choices)
-
-
 for _name in GRASP_ENVS:
     gym.register(
         f"tactilerl/{_name.capitalize()}-v0",
-        entry_point=_make_grasp,
+        entry_point="tactilerl.envs:make",
         kwargs={"name": _name},
         order_enforce=False,
         disable_env_checker=True,

@@ -67,9 +67,10 @@ class GraspConfig:
 
     def validate(self) -> None:
         """Raise ValueError naming the first field that cannot be."""
-        positive = ("object_density", "friction", "finger_gain", "timestep", "control_dt")
-        positive += ("lift_clearance", "goal_height", "goal_tolerance")
-        for name in (*positive, "object_size"):
+        for name in (
+            *("object_size", "object_density", "friction", "finger_gain", "timestep", "control_dt"),
+            *("lift_clearance", "goal_height", "goal_tolerance"),
+        ):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
                 raise ValueError(f"{name}: found {value}, allowed a finite number above 0")
@@ -97,7 +98,7 @@ JITTER_YAW = 0.15  # rad, of the object
 JITTER_JOINT = 0.02  # rad, of every finger joint
 
 
-class GraspEnv(gym.Env[dict[str, Array], Array]):
+class GraspEnv(gym.Env[Any, Array]):
     """A hand above an object on the ground; a goal environment in Gymnasium's sense.
 
     Observations are a Dict of float32 Boxes: ``observation`` (`observation_names` says what

@@ -166,7 +166,7 @@ def _patch(data: Any, where: str) -> Patch:
     digits = _choices(data.get("digits"), DIGITS, f"{where}: digits")
     segments = _choices(data.get("segments"), (*SEGMENTS, "palm"), f"{where}: segments")
     radius = data.get("radius_mm")
-    if not _is_number(radius) or not 0.1 <= radius <= 20:
+    if radius is None or not _is_number(radius) or not 0.1 <= radius <= 20:
         raise ValueError(f"{where}: radius_mm: found {radius!r}, allowed a number from 0.1 to 20")
     offsets = data.get("offsets_mm")
     if not isinstance(offsets, list) or not offsets:

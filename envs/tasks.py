@@ -40,9 +40,13 @@ class Situation:
 class Task(Protocol):
     """A goal, a reward and a verdict."""
 
-    tests_hold: bool
-    """Does lifting the object end the episode with a hold test?"""
-    max_episode_steps: int
+    @property
+    def tests_hold(self) -> bool:
+        """Does lifting the object end the episode with a hold test?"""
+
+    @property
+    def max_episode_steps(self) -> int:
+        """Length of an episode unless the configuration says otherwise."""
 
     def desired_goal(self) -> Array:
         """(goal_size,) float64"""
@@ -65,7 +69,7 @@ class ReachGoal:
     tolerance: float
     kind: Literal["sparse", "dense"]
     max_episode_steps: int = 20
-    tests_hold = False
+    tests_hold: bool = False
 
     def desired_goal(self) -> Array:
         return np.array(self.goal)
@@ -96,7 +100,7 @@ class LiftAndHold:
     finger_weight: float = 0.2
     """alpha of the paper's reward."""
     max_episode_steps: int = 100
-    tests_hold = True
+    tests_hold: bool = True
 
     def desired_goal(self) -> Array:
         return np.array([0.0] * 6 + [OUTCOMES["held"]])

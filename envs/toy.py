@@ -63,7 +63,7 @@ class LQREnv(gym.Env[Array, Array]):
         return -float(state @ cls.riccati()[0][0] @ state)
 
 
-class PointReachEnv(gym.Env[dict[str, Array], Array]):
+class PointReachEnv(gym.Env[Any, Array]):
     """Move a point in the plane to a goal; a sparse goal environment (0 at the goal, else -1).
 
     Each step moves up to `speed` along each axis. `optimal_steps` is exact.

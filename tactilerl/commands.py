@@ -109,7 +109,7 @@ def evaluate(args: list[str]) -> int:
     played = evaluation.episodes(config, learner, read.episodes, read.stochastic)
     is_shown = sys.stderr.isatty() and not read.json
     listed = track(played, "playing", read.episodes, console=Console(stderr=True), disable=not is_shown)
-    result = {"run": str(read.run), "epoch": epoch, "env_steps": learner.env_steps}
+    result: dict[str, Any] = {"run": str(read.run), "epoch": epoch, "env_steps": learner.env_steps}
     result |= evaluation.summarise(list(listed))
     if read.json:
         print(json.dumps(result))
@@ -151,7 +151,7 @@ def env(args: list[str]) -> int:
     with input_errors():
         made = envs.make(name, **(dataclasses.asdict(scene) if scene else {}))
     try:
-        base = made.unwrapped
+        base: Any = made.unwrapped
         described: dict[str, Any] = {
             "env": name,
             "action_space": str(made.action_space),

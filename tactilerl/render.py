@@ -24,7 +24,9 @@ def grasp_picture(env_name: str, config: GraspConfig, out: Path, seconds: float)
         start = scripted.Start(np.zeros(2), 0.0, np.zeros(n_joints))
         for _ in scripted.hold_steps(env, scripted.grasp_for(env), start, seconds):
             pass
-        Image.fromarray(env.render()).save(out)
+        picture = env.render()
+        assert picture is not None
+        Image.fromarray(picture).save(out)
         return int(env.taxel_readings().sum())
     finally:
         env.close()

@@ -51,7 +51,7 @@ def test_phalanx_taxels_lie_on_the_skin_of_the_collision_capsules():
         geom = next(g for g in map(model.geom, range(model.ngeom)) if g.bodyid[0] == body.id)
         assert geom.type[0] == mujoco.mjtGeom.mjGEOM_CAPSULE
         along = np.clip(position[2] - geom.pos[2], -geom.size[1], geom.size[1])
-        axis_point = geom.pos + [0, 0, along]
+        axis_point = geom.pos + np.array([0, 0, along])
         assert np.linalg.norm(position - axis_point) == pytest.approx(geom.size[0], abs=4e-4), name
 
 

@@ -155,7 +155,7 @@ class TestLearning:
             )
             copy.load_state_dict(net.state_dict())
             reference.append((copy, torch.optim.Adam(copy.parameters(), lr)))
-        (actor, actor_adam), (critic, critic_adam) = reference
+        (actor, _), (critic, _) = reference
         normal = torch.distributions.Normal(actor(obs), math.sqrt(0.05))
         ratio = (normal.log_prob(actions).sum(-1) - old).exp()
         loss = -torch.min(ratio * advantages, ratio.clamp(0.8, 1.2) * advantages).mean()

@@ -37,7 +37,7 @@ def test_overlap_turns_with_the_object():
     c, s = np.cos(np.pi / 4), np.sin(np.pi / 4)
     turned = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     position = np.array([1.0, 2.0, 3.0])
-    corner = position + [0.02 * np.sqrt(2) + 0.001, 0, 0]  # 1 mm beyond the turned cube's edge
+    corner = position + np.array([0.02 * np.sqrt(2) + 0.001, 0, 0])  # 1 mm off the edge
     radii = np.array([0.0009, 0.0011])
     points = np.stack([corner, corner])
     assert touch.overlap(points, radii, shape, position, turned).tolist() == [False, True]

@@ -54,7 +54,13 @@ FOREARM_MASS = 0.5  # kg; the model's 4 kg would only be carried along
 
 PALM_BOX = (0.011, 0.0, 0.038)  # C_palm0's centre in the palm's frame, m
 PALM_HALF_THICKNESS = 0.0111
-KNUCKLES = {"index": 0.033, "middle": 0.011, "ring": -0.011}  # x of the finger bases, palm frame
+# At the bases of the four fingers, on the palmar face of the palm's boxes.
+PALM_TAXELS = (
+    ("index", PREFIX + "palm", (0.033, -PALM_HALF_THICKNESS, 0.080)),
+    ("middle", PREFIX + "palm", (0.011, -PALM_HALF_THICKNESS, 0.080)),
+    ("ring", PREFIX + "palm", (-0.011, -PALM_HALF_THICKNESS, 0.080)),
+    ("little", PREFIX + "lfmetacarpal", (-0.017, -PALM_HALF_THICKNESS, 0.028)),
+)
 FINGERS = {"thumb": "th", "index": "ff", "middle": "mf", "ring": "rf", "little": "lf"}
 # (half length of the capsule, radius), m, in the model's collision geometry; each phalanx's
 # frame lies at its proximal end with z along the bone.
@@ -176,12 +182,8 @@ def _surfaces() -> tuple[Surface, ...]:
                     radius=radius,
                 )
             )
-    palm = dict(segment="palm", along=(0.0, 0.0, 1.0), palmar=(0.0, -1.0, 0.0))
-    for digit, x in KNUCKLES.items():
-        centre = (x, -PALM_HALF_THICKNESS, 0.080)
-        surfaces.append(Surface(digit=digit, link=PREFIX + "palm", centre=centre, **palm))
-    centre = (-0.017, -PALM_HALF_THICKNESS, 0.028)
-    surfaces.append(Surface("little", link=PREFIX + "lfmetacarpal", centre=centre, **palm))
+    for digit, link, centre in PALM_TAXELS:
+        surfaces.append(Surface(digit, "palm", link, centre, (0.0, 0.0, 1.0), (0.0, -1.0, 0.0)))
     return tuple(surfaces)
 
 
@@ -194,8 +196,9 @@ def _start() -> dict[str, float]:
     return start
 
 
-def _grasp(size: float, palm: tuple[float, float, float], **joints: float) -> ScriptedGrasp:
+def _grasp(size: float, palm: tuple[float, float, float], joints: dict[str, float]) -> ScriptedGrasp:
     """A searched grasp; `palm` is where the palm box's centre goes, MCP and PIP serve all fingers."""
+    joints = dict(joints)
     mcp, pip = joints.pop("MCP"), joints.pop("PIP")
     targets = {f"{f}J2": mcp for f in ("FF", "MF", "RF", "LF")}
     targets |= {f"{f}J1": pip for f in ("FF", "MF", "RF", "LF")}
@@ -203,6 +206,30 @@ def _grasp(size: float, palm: tuple[float, float, float], **joints: float) -> Sc
     named = {f"{PREFIX}A_{joint}": value for joint, value in targets.items()}
     named |= {s: p - q for s, p, q in zip(SLIDES, palm, START_PALM, strict=True)}
     return ScriptedGrasp(size, named)
+
+
+# Found by a cross-entropy search over perturbed starts, apart from those the doctor uses:
+# (edge of the cube, palm box's centre, joint targets), m and rad.
+GRASPS = (
+    _grasp(
+        0.04,
+        (-0.010, 0.052, 0.022),
+        {"MCP": 1.0, "PIP": 1.571, "THJ4": 0.653, "THJ3": 0.234, "THJ2": 0.208, "THJ1": -0.065}
+        | {"THJ0": -1.083, "LFJ4": 0.546, "WRJ0": -0.434, "WRJ1": -0.074},
+    ),
+    _grasp(
+        0.05,
+        (-0.010, 0.050, 0.038),
+        {"MCP": 1.08, "PIP": 1.571, "THJ4": 0.498, "THJ3": 0.612, "THJ2": 0.153, "THJ1": -0.089}
+        | {"THJ0": -1.02, "LFJ4": 0.712, "WRJ0": -0.297, "WRJ1": -0.104},
+    ),
+    _grasp(
+        0.06,
+        (-0.016, 0.045, 0.049),
+        {"MCP": 1.058, "PIP": 1.525, "THJ4": 0.577, "THJ3": 0.588, "THJ2": 0.109, "THJ1": -0.269}
+        | {"THJ0": -0.897, "LFJ4": 0.615, "WRJ0": -0.27, "WRJ1": -0.095},
+    ),
+)
 
 
 def shadow_hand() -> Hand:
@@ -241,21 +268,5 @@ def shadow_hand() -> Hand:
             "object_position",
             "object_orientation",
         ),
-        grasps=(
-            _grasp(
-                *(0.04, (-0.010, 0.052, 0.022)),
-                **{"MCP": 1.0, "PIP": 1.571, "THJ4": 0.653, "THJ3": 0.234, "THJ2": 0.208},
-                **{"THJ1": -0.065, "THJ0": -1.083, "LFJ4": 0.546, "WRJ0": -0.434, "WRJ1": -0.074},
-            ),
-            _grasp(
-                *(0.05, (-0.010, 0.050, 0.038)),
-                **{"MCP": 1.08, "PIP": 1.571, "THJ4": 0.498, "THJ3": 0.612, "THJ2": 0.153},
-                **{"THJ1": -0.089, "THJ0": -1.02, "LFJ4": 0.712, "WRJ0": -0.297, "WRJ1": -0.104},
-            ),
-            _grasp(
-                *(0.06, (-0.016, 0.045, 0.049)),
-                **{"MCP": 1.058, "PIP": 1.525, "THJ4": 0.577, "THJ3": 0.588, "THJ2": 0.109},
-                **{"THJ1": -0.269, "THJ0": -0.897, "LFJ4": 0.615, "WRJ0": -0.27, "WRJ1": -0.095},
-            ),
-        ),
+        grasps=GRASPS,
     )
