@@ -27,8 +27,10 @@ def make(name: str, *, render_mode: str | None = None, **choices: Any) -> gym.En
         from .grasp import GraspConfig, GraspEnv
 
         return GraspEnv(name, GraspConfig(**choices), render_mode)
+    if render_mode is not None:
+        choices["render_mode"] = render_mode
     try:
-        return gym.make(TOYS.get(name, name), render_mode=render_mode, **choices)
+        return gym.make(TOYS.get(name, name), **choices)
     except gym.error.Error as error:
         known = ", ".join((*GRASP_ENVS, *TOYS))
         reason = str(error).strip().splitlines()[0]

@@ -49,7 +49,7 @@ class GraspConfig:
     """Actions per episode; default: the task's (lift-and-hold 100, as in the paper)."""
     jitter: bool = True
     """Move the start a little in every episode, seeded (the paper does not)."""
-    lift_clearance: float = 0.05
+    lift_clearance: float = 0.03
     """lift-and-hold: the object counts as lifted when its lowest point is this high, m."""
     hold_steps: int = 5000
     """lift-and-hold: simulation steps of the hold test (paper)."""

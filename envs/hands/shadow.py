@@ -46,7 +46,7 @@ ACTUATOR_RANGES = {
 # height, or the penalty on actions and a zero-mean policy would park it away from the cube.
 START_PALM = (-0.030, 0.064, 0.085)
 SLIDE_CENTRE = (0.0, 0.0, -0.042)
-SLIDE_HALF_RANGE = (0.03, 0.03, 0.15)
+SLIDE_HALF_RANGE = (0.03, 0.03, 0.20)
 SLIDE_GAIN = 1000.0  # N/m
 SLIDE_DAMPING = 79.0  # N s/m
 SLIDE_FORCE = 30.0  # N; without a limit the slides press the hand 10-23 mm into the ground
