@@ -80,6 +80,13 @@ def flat_observation(obs: Any) -> Array:
     return np.ravel(obs).astype(np.float32, copy=False)
 
 
+def action_bounds(space: gym.Space[Any]) -> tuple[Array, Array]:
+    """(low, high) of an action space; ValueError when it is not a bounded Box."""
+    if isinstance(space, gym.spaces.Box) and space.is_bounded():
+        return space.low, space.high
+    raise ValueError(f"action space: found {space}, allowed Box with finite bounds")
+
+
 def flat_size(space: gym.Space[Any]) -> int:
     """Length of `flat_observation`; ValueError for spaces no algorithm here can read."""
     if isinstance(space, gym.spaces.Dict) and {"observation", "desired_goal"} <= set(space.spaces):

@@ -11,12 +11,19 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-import gymnasium as gym
 import numpy as np
 import torch
 from torch import Tensor
 
-from . import Array, DivergenceError, EnvPool, Transition, flat_observation, flat_size
+from . import (
+    Array,
+    DivergenceError,
+    EnvPool,
+    Transition,
+    action_bounds,
+    flat_observation,
+    flat_size,
+)
 from .mpi import Communicator, same_on_all_ranks
 from .networks import MLP, FlatAdam
 
@@ -67,7 +74,7 @@ class PPOConfig:
     def validate(self) -> None:
         """Raise ValueError naming the first field that cannot be."""
         for name in ("actor_lr", "critic_lr", "action_variance", "clip_range", "max_grad_norm"):
-            if not getattr(self, name) > 0:
+            if not 0 < getattr(self, name) < np.inf:
                 raise ValueError(f"{name}: found {getattr(self, name)}, allowed above 0")
         for name in ("gamma", "gae_lambda"):
             if not 0 <= getattr(self, name) <= 1:
@@ -158,8 +165,7 @@ class PPO:
         config.validate()
         self.config, self.pool, self.comm = config, pool, comm
         self.total_timesteps, self.device = total_timesteps, torch.device(device)
-        assert isinstance(pool.action_space, gym.spaces.Box)
-        self._low, self._high = pool.action_space.low, pool.action_space.high
+        self._low, self._high = action_bounds(pool.action_space)
         n_obs, n_actions = flat_size(pool.observation_space), int(np.prod(self._low.shape))
         weights = torch.Generator().manual_seed(seed)
         self.actor = MLP((n_obs, *config.hidden, n_actions), weights, tanh=True).to(self.device)

@@ -129,6 +129,7 @@ class GraspEnv(gym.Env[Any, Array]):
             )
         self.shape = objects.cube(config.object_size)
         self.taxels = layouts.load(config.layout).place(self.hand)
+        self._placement = touch.TaxelPlacement(self.taxels)
         self.task = _task(config)
         self.max_episode_steps = config.max_episode_steps or self.task.max_episode_steps
         self._contact = config.touch == "contact" and config.run_type == "main"
@@ -175,8 +176,8 @@ class GraspEnv(gym.Env[Any, Array]):
         self._targets = self.hand.start_targets()
         self._steps, self._is_off_ground = 0, False
         self.simulator.reset(positions, position, yaw)
-        self._obs, _ = self._observe()
-        return self._copy(self._obs), {"is_success": False}
+        self._obs = self._goal_obs(self._observation(), self._situation("undecided"))
+        return self._obs, {"is_success": False}
 
     def step(self, action: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
         action = np.asarray(action, dtype=np.float64)
@@ -188,20 +189,21 @@ class GraspEnv(gym.Env[Any, Array]):
         self._steps += 1
         try:
             self.simulator.step(self._targets, self.config.n_substeps)
-            obs, situation = self._observe()
-            outcome = self._outcome()
+            observation = self._observation()
+            situation = self._situation(self._outcome_before_hold())
+            if situation.outcome == "lifted":
+                held = self._hold.run(self.simulator, self._targets, self.config.timestep)
+                situation = replace(situation, outcome="held" if held else "dropped")
         except simulators.SimulationError as error:
             info = {"is_success": False, "diverged": True, "error": str(error)}
-            return self._copy(self._obs), 0.0, False, True, info
-        # The outcome is known after the hold test, which nobody observes.
-        situation = replace(situation, outcome=outcome)
-        obs["achieved_goal"] = self.task.achieved_goal(situation).astype(np.float32)
-        self._obs = obs
+            last = {key: value.copy() for key, value in self._obs.items()}
+            return last, 0.0, False, True, info
+        self._obs = obs = self._goal_obs(observation, situation)
         goals = obs["achieved_goal"], obs["desired_goal"]
-        terminated = outcome in ("held", "dropped")
+        terminated = situation.outcome in ("held", "dropped")
         truncated = not terminated and self._steps >= self.max_episode_steps
         info = {"is_success": bool(self.task.is_success(*goals))}
-        return self._copy(obs), float(self.task.reward(*goals)), terminated, truncated, info
+        return obs, float(self.task.reward(*goals)), terminated, truncated, info
 
     def compute_reward(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Array:
         """Rewards (...) of goals (..., goal_size); pure, `info` is not looked at."""
@@ -224,7 +226,7 @@ class GraspEnv(gym.Env[Any, Array]):
         """bool (n_taxels,): what the taxels feel now by the configured touch rule."""
         if self._contact:
             return self.simulator.contact_taxels()
-        points = touch.taxel_positions(self.taxels, *self.simulator.link_poses(self.taxels.links))
+        points = self._placement(*self.simulator.link_poses(self._placement.links))
         thing = self.simulator.object_state()
         return touch.overlap(points, self.taxels.radii, self.shape, thing.position, thing.rotation)
 
@@ -239,7 +241,7 @@ class GraspEnv(gym.Env[Any, Array]):
     def close(self) -> None:
         self.simulator.close()
 
-    def _observe(self) -> tuple[dict[str, Array], tasks.Situation]:
+    def _observation(self) -> Array:
         positions, velocities = self.simulator.joint_state()
         thing = self.simulator.object_state()
         terms = {
@@ -253,37 +255,36 @@ class GraspEnv(gym.Env[Any, Array]):
             parts.append(self.taxel_readings())
         elif self.config.run_type == "control":
             parts.append(np.zeros(len(self.taxels)))
-        observation = np.concatenate(parts).astype(np.float32)
-        if not np.abs(observation).max() < LIMIT:
+        observation = np.concatenate(parts, dtype=np.float32, casting="same_kind")
+        largest = np.abs(observation).max()
+        if not largest < LIMIT:
             raise simulators.SimulationError(
-                f"an observation is {observation[np.abs(observation).argmax()]}: "
-                "the object was ejected or the simulation broke"
+                f"an observation is as large as {largest}: the object was ejected or the physics broke"
             )
-        points = self.simulator.link_positions()
-        situation = tasks.Situation(points[0], points[1:], thing.position, "undecided")
-        obs = {
+        return observation
+
+    def _situation(self, outcome: tasks.Outcome) -> tasks.Situation:
+        points, thing = self.simulator.link_positions(), self.simulator.object_state()
+        return tasks.Situation(points[0], points[1:], thing.position, outcome)
+
+    def _goal_obs(self, observation: Array, situation: tasks.Situation) -> dict[str, Array]:
+        return {
             "observation": observation,
             "achieved_goal": self.task.achieved_goal(situation).astype(np.float32),
-            "desired_goal": self._desired_goal,
+            "desired_goal": self._desired_goal.copy(),
         }
-        return obs, situation
 
-    def _outcome(self) -> tasks.Outcome:
+    def _outcome_before_hold(self) -> tasks.Outcome:
         if not self.task.tests_hold:
             return "undecided"
         thing = self.simulator.object_state()
         clearance = thing.position[2] - self.shape.half_height(thing.rotation)
         if clearance > self.config.lift_clearance:
-            held = self._hold.run(self.simulator, self._targets, self.config.timestep)
-            return "held" if held else "dropped"
+            return "lifted"
         was_off, self._is_off_ground = self._is_off_ground, clearance > OFF_GROUND
         if self._steps >= self.max_episode_steps:
             return "timed_out"
         return "fell_back" if was_off and not self._is_off_ground else "undecided"
-
-    @staticmethod
-    def _copy(obs: dict[str, Array]) -> dict[str, Array]:
-        return {key: value.copy() for key, value in obs.items()}
 
 
 def _task(config: GraspConfig) -> tasks.Task:

@@ -23,8 +23,8 @@ class Shape:
     def signed_distance(self, points: Array) -> Array:
         """Distance (n,) in m from points (n, 3) to the surface, negative inside."""
         outside = np.abs(points) - self.half_size
-        distance = np.linalg.norm(np.maximum(outside, 0.0), axis=-1)
-        return distance + np.minimum(outside.max(axis=-1), 0.0)
+        beyond = np.maximum(outside, 0.0)
+        return np.sqrt(np.einsum("...i,...i", beyond, beyond)) + np.minimum(outside.max(-1), 0.0)
 
     def half_height(self, rotation: Array) -> float:
         """How far the shape reaches below its centre when turned by `rotation` (3, 3), m."""

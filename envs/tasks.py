@@ -13,12 +13,13 @@ import numpy as np
 
 from .hands import Array
 
-Outcome = Literal["undecided", "fell_back", "dropped", "held", "timed_out"]
+Outcome = Literal["undecided", "fell_back", "lifted", "dropped", "held", "timed_out"]
 # How the outcome of a step of lift-and-hold stands in its achieved goal.
 OUTCOMES: dict[Outcome, float] = {
     "timed_out": -1.0,
     "undecided": 0.0,
     "fell_back": 0.25,  # had left the ground, and lies on it again
+    "lifted": 0.4,  # the hold test decides between the next two
     "dropped": 0.5,  # was lifted, and did not survive the hold test
     "held": 1.0,
 }

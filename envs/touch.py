@@ -17,11 +17,27 @@ from .layouts import Taxels
 from .objects import Shape
 
 
-def taxel_positions(taxels: Taxels, link_positions: Array, link_rotations: Array) -> Array:
-    """World positions (n, 3) of taxels from poses of ``taxels.links``: (k, 3) and (k, 3, 3)."""
-    rotations = link_rotations[taxels.link_index]
-    offsets = np.matmul(rotations, taxels.positions[:, :, None])[:, :, 0]
-    return link_positions[taxels.link_index] + offsets
+class TaxelPlacement:
+    """World positions of taxels from the poses of their links, in one matrix product.
+
+    Row i of `blocks` (n, 4k) holds taxel i's homogeneous coordinates in the four columns of
+    its link; the poses stack to (4k, 3).
+    """
+
+    def __init__(self, taxels: Taxels) -> None:
+        n, k = len(taxels), len(taxels.links)
+        blocks = np.zeros((n, k, 4))
+        blocks[np.arange(n), taxels.link_index, :3] = taxels.positions
+        blocks[np.arange(n), taxels.link_index, 3] = 1.0
+        self.links = taxels.links
+        self._blocks = blocks.reshape(n, 4 * k)
+        self._poses = np.empty((k, 4, 3))
+
+    def __call__(self, link_positions: Array, link_rotations: Array) -> Array:
+        """(n, 3), m, from poses of ``links``: (k, 3) and (k, 3, 3)."""
+        self._poses[:, :3] = link_rotations.transpose(0, 2, 1)
+        self._poses[:, 3] = link_positions
+        return self._blocks @ self._poses.reshape(-1, 3)
 
 
 def overlap(points: Array, radii: Array, shape: Shape, position: Array, rotation: Array) -> Array:
@@ -30,5 +46,4 @@ def overlap(points: Array, radii: Array, shape: Shape, position: Array, rotation
     `points` (n, 3) and `radii` (n,) in m, world frame; `position` (3,) and `rotation` (3, 3)
     are the object's pose.
     """
-    local = (points - position) @ rotation
-    return shape.signed_distance(local) <= radii
+    return shape.signed_distance((points - position) @ rotation) <= radii

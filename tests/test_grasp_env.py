@@ -147,6 +147,7 @@ class TestRewards:
             "timed_out": -100.0,
             "undecided": closeness,
             "fell_back": closeness + 5,
+            "lifted": closeness,
             "dropped": closeness + 5,
             "held": 1000.0,
         }

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import mujoco
 import numpy as np
 
 from ..hands import Array
 from ..layouts import Taxels
+from ..touch import TaxelPlacement
 from . import ObjectState, Scene, SimulationError
 
 OBJECT = "object"
@@ -106,7 +109,7 @@ class MujocoSimulator:
             mujoco.mj_step(model, data, 1)
         # mj_step leaves body poses one substep behind qpos.
         mujoco.mj_kinematics(model, data)
-        if not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()):
+        if not math.isfinite(data.qpos.sum() + data.qvel.sum()):
             raise SimulationError("MuJoCo's state is not finite")
 
     def joint_state(self) -> tuple[Array, Array]:
@@ -158,11 +161,9 @@ class MujocoSimulator:
         return self._renderer.render()
 
     def _draw(self, taxels: Taxels, lit: Array) -> None:
-        from ..touch import taxel_positions
-
         assert self._renderer is not None
         scene = self._renderer.scene
-        points = taxel_positions(taxels, *self.link_poses(taxels.links))
+        points = TaxelPlacement(taxels)(*self.link_poses(taxels.links))
         for point, radius, on in zip(points, taxels.radii, lit, strict=True):
             if scene.ngeom >= scene.maxgeom:
                 raise RuntimeError("too many taxels to draw")

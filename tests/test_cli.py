@@ -1,0 +1,278 @@
+"""The command: what it prints, what it refuses, and that a killed run goes on bit for bit."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+
+from tactilerl.cli import main
+
+FAST = ["--hidden", "16", "--steps-per-epoch", "120", "--n-passes", "2"]
+TOY = ["train", "--env", "lqr", *FAST]
+TIMES = ("collect_s", "update_s", "steps_per_s")
+
+
+@pytest.fixture(autouse=True)
+def _in_tmp(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def fails_with(capsys, args, *words):
+    assert main(args) == 2
+    out, err = capsys.readouterr()
+    assert err.startswith("tactilerl: error: ")
+    assert err.count("\n") == 1
+    assert "Traceback" not in out + err
+    for word in words:
+        assert word in err, err
+
+
+def progress(path):
+    """The progress table without the columns that hold times."""
+    with open(path / "progress.csv", newline="") as file:
+        return [{k: v for k, v in row.items() if k not in TIMES} for row in csv.DictReader(file)]
+
+
+def same_checkpoint(a, b):
+    """Are two checkpoints equal in everything, bit for bit?"""
+
+    def equal(x, y):
+        if isinstance(x, torch.Tensor):
+            return torch.equal(x, y)
+        if isinstance(x, dict):
+            return x.keys() == y.keys() and all(equal(x[k], y[k]) for k in x)
+        if isinstance(x, list | tuple):
+            return len(x) == len(y) and all(map(equal, x, y))
+        return x == y
+
+    return equal(*(torch.load(p / "checkpoint.pt", weights_only=True) for p in (a, b)))
+
+
+class TestTrain:
+    def test_run_folder(self, capsys):
+        assert main([*TOY, "--total-timesteps", "240", "--out", "run"]) == 0
+        out = capsys.readouterr().out
+        assert "6 minibatches of about 20 transitions, 2 passes: 12 updates" in out
+        assert "epoch    2" in out
+        assert "tactilerl evaluate run" in out
+        config = json.loads(Path("run/config.json").read_text())
+        assert config["learner"]["gae_lambda"] == 0.97
+        assert config["versions"]["torch"]
+        assert config["ranks"] == 1
+        assert [row["epoch"] for row in progress(Path("run"))] == ["1", "2"]
+
+    def test_default_folder_names_the_run(self):
+        main([*TOY, "--total-timesteps", "1", "--seed", "7"])
+        assert Path("runs/ppo_lqr_s7/checkpoint.pt").is_file()
+
+    def test_same_seed_same_run_whatever_the_number_of_stepping_threads(self):
+        args = [*TOY, "--num-envs", "3", "--total-timesteps", "300"]
+        main([*args, "--out", "a"])
+        main([*args, "--out", "b"])
+        main([*args, "--out", "c", "--seed", "1"])
+        assert progress(Path("a")) == progress(Path("b")) != progress(Path("c"))
+        assert same_checkpoint(Path("a"), Path("b"))
+
+    def test_goal_environment_and_gymnasium_id(self):
+        for name in ("point-reach", "Pendulum-v1"):
+            assert main(["train", "--env", name, *FAST, "--total-timesteps", "1", "--out", name]) == 0
+
+    def test_shadow_hand_trains(self):
+        args = ["train", "--env", "shadow", "--layout", "4", *FAST, "--hold-steps", "50"]
+        args += ["--max-episode-steps", "30", "--num-envs", "2", "--total-timesteps", "200"]
+        assert main([*args, "--out", "run"]) == 0
+        assert len(progress(Path("run"))) == 2
+
+    def test_tensorboard(self):
+        pytest.importorskip("tensorboard")
+        main([*TOY, "--total-timesteps", "1", "--out", "run", "--tensorboard"])
+        assert list(Path("run").glob("events.out.tfevents.*"))
+
+
+class TestResume:
+    def test_resumed_run_equals_the_uninterrupted_one(self):
+        main([*TOY, "--total-timesteps", "600", "--out", "whole"])
+        main([*TOY, "--total-timesteps", "240", "--out", "parts"])
+        assert main(["train", "--resume", "parts", "--total-timesteps", "600"]) == 0
+        assert progress(Path("whole")) == progress(Path("parts"))
+        assert same_checkpoint(Path("whole"), Path("parts"))
+
+    def test_killed_run_equals_the_uninterrupted_one(self):
+        """kill -9 in the middle of an epoch, several times, on the real hand."""
+        args = ["train", "--env", "shadow", "--layout", "6", *FAST, "--hold-steps", "50"]
+        args += ["--max-episode-steps", "20", "--total-timesteps", "600"]
+        main([*args, "--out", "whole"])
+        command = [sys.executable, "-m", "tactilerl.cli"]
+        env = os.environ | {"OMP_NUM_THREADS": "1"}
+        for attempt in range(3):
+            more = [*args, "--out", "killed"] if attempt == 0 else ["train", "--resume", "killed"]
+            process = subprocess.Popen([*command, *more], env=env, stdout=subprocess.DEVNULL)
+            checkpoint, started = Path("killed/checkpoint.pt"), time.time()
+            seen = checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
+            while time.time() - started < 60 and process.poll() is None:
+                if checkpoint.exists() and checkpoint.stat().st_mtime_ns != seen:
+                    break
+                time.sleep(0.005)
+            time.sleep(0.1 * attempt)
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+        assert main(["train", "--resume", "killed"]) == 0
+        assert progress(Path("whole")) == progress(Path("killed"))
+        assert same_checkpoint(Path("whole"), Path("killed"))
+
+    def test_half_written_progress_row_is_dropped(self):
+        main([*TOY, "--total-timesteps", "360", "--out", "whole"])
+        main([*TOY, "--total-timesteps", "240", "--out", "cut"])
+        with open("cut/progress.csv", "a") as file:
+            file.write("3,36")
+        main(["train", "--resume", "cut", "--total-timesteps", "360"])
+        assert progress(Path("whole")) == progress(Path("cut"))
+
+    def test_another_configuration_is_refused(self, capsys):
+        main([*TOY, "--total-timesteps", "1", "--out", "run"])
+        before = Path("run/checkpoint.pt").read_bytes()
+        fails_with(capsys, ["train", "--resume", "run", "--gamma", "0.9"], "gamma: found 0.9", "0.99")
+        fails_with(capsys, ["train", "--resume", "run", "--seed", "4"], "seed: found 4")
+        assert Path("run/checkpoint.pt").read_bytes() == before
+
+    def test_checkpoint_of_another_run_is_refused(self, capsys):
+        main([*TOY, "--total-timesteps", "1", "--out", "small"])
+        main(
+            ["train", "--env", "lqr", *FAST, "--hidden", "24", "--total-timesteps", "1", "--out", "big"]
+        )
+        Path("small/checkpoint.pt").write_bytes(Path("big/checkpoint.pt").read_bytes())
+        fails_with(capsys, ["train", "--resume", "small"], "another configuration")
+        fails_with(capsys, ["evaluate", "small"], "another configuration")
+
+    @pytest.mark.parametrize("keep", [0, 10, 2000])
+    def test_truncated_checkpoint_is_refused(self, capsys, keep):
+        main([*TOY, "--total-timesteps", "1", "--out", "run"])
+        content = Path("run/checkpoint.pt").read_bytes()
+        Path("run/checkpoint.pt").write_bytes(content[:keep])
+        fails_with(capsys, ["train", "--resume", "run"], "checkpoint.pt: damaged")
+        fails_with(capsys, ["evaluate", "run"], "checkpoint.pt: damaged")
+
+
+class TestBadInput:
+    @pytest.mark.parametrize(
+        ("args", "words"),
+        [
+            (["fly"], ["unknown command 'fly'", "allowed: train"]),
+            (["train", "--env", "nope"], ["unknown environment 'nope'", "allowed: shadow"]),
+            (["train", "--env", "CartPole-v1"], ["action space", "allowed Box"]),
+            (["train", "--algo", "sac"], ["unknown algorithm 'sac'", "allowed: ppo"]),
+            (["train", "--layout", "9"], ["unknown layout '9'", "1, 2, 3, 4, 5, 6"]),
+            (["train", "--layout", "no.toml"], ["no.toml", "does not exist"]),
+            (["train", "--run-type", "half"], ["'half'", "--run-type", "main"]),
+            (["train", "--total-timesteps", "-5"], ["total_timesteps: found -5", "1 or more"]),
+            (["train", "--gama", "0.9"], ["--gama"]),
+            (["train", "--gamma", "much"], ["--gamma", "much"]),
+            (["train", "--gamma", "nan"], ["gamma", "nan"]),
+            (["train", "--device", "cuda:99"], ["device", "cuda:99"]),
+            (["train", "--num-envs", "0"], ["num_envs: found 0"]),
+            (["train", "--n-minibatches", "6", "--minibatch-size", "6"], ["found both"]),
+            (["train", "--control-dt", "0.001"], ["control_dt: found 0.001"]),
+            (["train", "--resume", "nowhere"], ["'nowhere' is not a run folder"]),
+            (["evaluate", "nowhere"], ["'nowhere' is not a run folder"]),
+            (["evaluate", "nowhere", "--episodes", "0"], ["--episodes: found 0"]),
+            (["doctor", "--grasps", "0"], ["--grasps: found 0"]),
+            (["doctor", "--env", "lqr"], ["--env: found 'lqr'", "shadow"]),
+            (["env", "--env", "nope"], ["unknown environment 'nope'"]),
+        ],
+    )
+    def test_one_clear_line(self, capsys, args, words):
+        fails_with(capsys, args, *words)
+        assert not Path("runs").exists()
+
+    def test_malformed_layout_file(self, capsys):
+        Path("mine.toml").write_text("[[patch]]\ndigits = 3\n")
+        fails_with(capsys, ["train", "--layout", "mine.toml"], "layout file mine.toml", "digits")
+
+    def test_existing_run_folder_is_kept(self, capsys):
+        Path("mine").mkdir()
+        Path("mine/thesis.txt").write_text("years of work")
+        fails_with(capsys, [*TOY, "--out", "mine"], "'mine' exists", "--resume mine")
+        assert Path("mine/thesis.txt").read_text() == "years of work"
+
+    def test_divergence_stops_with_the_last_checkpoint_kept(self, capsys):
+        main([*TOY, "--total-timesteps", "1", "--out", "run"])
+        data = torch.load("run/checkpoint.pt", weights_only=True)
+        data["ranks"][0]["critic"]["0.weight"][0, 0] = float("nan")
+        torch.save(data, "run/checkpoint.pt")
+        before = Path("run/checkpoint.pt").read_bytes()
+        assert main(["train", "--resume", "run", "--total-timesteps", "600"]) == 1
+        err = capsys.readouterr().err
+        assert err.startswith("tactilerl: stopped: ")
+        assert "not finite" in err
+        assert Path("run/checkpoint.pt").read_bytes() == before
+
+
+class TestOtherCommands:
+    def test_evaluate(self, capsys):
+        main(["train", "--env", "point-reach", *FAST, "--total-timesteps", "1", "--out", "run"])
+        capsys.readouterr()
+        assert main(["evaluate", "run", "--episodes", "8", "--json"]) == 0
+        result = json.loads(capsys.readouterr().out)
+        low, high = result["success_rate_ci"]
+        assert low <= result["success_rate"] <= high
+        low, high = result["mean_return_ci"]
+        assert low <= result["mean_return"] <= high
+        assert main(["evaluate", "run", "--episodes", "8"]) == 0
+        assert "success rate" in capsys.readouterr().out
+
+    def test_evaluation_is_repeatable(self, capsys):
+        main([*TOY, "--total-timesteps", "1", "--out", "run"])
+        capsys.readouterr()
+        outputs = []
+        for _ in range(2):
+            main(["evaluate", "run", "--episodes", "5", "--json"])
+            outputs.append(capsys.readouterr().out)
+        assert outputs[0] == outputs[1]
+        assert "success_rate" not in json.loads(outputs[0])  # the LQR has no success
+
+    def test_wilson_interval(self):
+        from tactilerl.evaluate import summarise
+
+        played = [{"success": float(i < 8), "return": float(i), "length": 5} for i in range(10)]
+        low, high = summarise(played)["success_rate_ci"]
+        assert (low, high) == pytest.approx((0.4902, 0.9433), abs=1e-4)  # Wilson 1927, 8 of 10
+
+    def test_env_describe(self, capsys):
+        assert main(["env", "--env", "shadow", "--layout", "5", "--describe"]) == 0
+        out = capsys.readouterr().out
+        assert "action[0] slide_x" in out
+        assert "observation[61] taxel thumb.proximal[+0,+0]" in out
+        assert out.count("observation[") == 80
+
+    def test_doctor_passes_the_overlap_rule_and_fails_the_contact_rule(self, capsys):
+        few = ["--grasps", "4", "--json"]
+        assert main(["doctor", "--env", "shadow", *few]) == 0
+        felt = {f["layout"]: f for f in json.loads(capsys.readouterr().out)}
+        assert felt["1"]["mean_bits"] >= 3
+        assert felt["1"]["share_any"] >= 0.9
+        assert all(f["share_any"] >= 0.5 and f["held"] > 0 for f in felt.values())
+        assert main(["doctor", "--layout", "3", "--touch", "contact", *few]) == 1
+        assert json.loads(capsys.readouterr().out)[0]["is_blind"]
+
+    def test_help_lists_every_hyperparameter(self, capsys):
+        with pytest.raises(SystemExit) as stop:
+            main(["train", "--help"])
+        assert stop.value.code == 0
+        out = capsys.readouterr().out
+        for flag in ("--algo", "--env", "--simulator", "--task", "--reward", "--layout", "--run-type",
+                     "--total-timesteps", "--num-envs", "--seed", "--out", "--resume", "--device",
+                     "--gamma", "--gae-lambda", "--clip-range", "--n-passes", "--action-variance"):  # fmt: skip
+            assert flag in out, flag
+
+    def test_installed_command_starts_fast_enough_to_be_pleasant(self):
+        """No simulator and no PyTorch for the list of commands."""
+        code = "import sys, tactilerl.cli; tactilerl.cli.main(['--help']); print(len(sys.modules))"
+        code += "; assert not {'torch', 'mujoco', 'gymnasium', 'scipy'} & set(sys.modules)"
+        assert subprocess.run([sys.executable, "-c", code], capture_output=True).returncode == 0

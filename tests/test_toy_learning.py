@@ -1,0 +1,96 @@
+"""Algorithms on environments whose optimum is known: do they get there, for three seeds?"""
+
+import numpy as np
+import pytest
+
+from tactilerl import envs
+from tactilerl.algos.mpi import Communicator
+from tactilerl.algos.ppo import PPO, PPOConfig
+from tactilerl.envs.toy import LQREnv, PointReachEnv
+from tactilerl.envs.vector import ThreadedEnvs
+
+SEEDS = (0, 1, 2)
+
+
+def train_ppo(name, config, steps, seed):
+    pool = ThreadedEnvs(lambda: envs.make(name), 1)
+    learner = PPO(config, pool, Communicator(), seed, total_timesteps=steps)
+    while learner.env_steps < steps:
+        learner.collect()
+        learner.update()
+    return learner
+
+
+def play(name, learner, episodes=20):
+    """Returns of deterministic episodes, and the first observation of each."""
+    env, returns, starts = envs.make(name), [], []
+    for index in range(episodes):
+        obs, _ = env.reset(seed=10_000 + index)
+        starts.append(obs)
+        total, done = 0.0, False
+        while not done:
+            obs, reward, terminated, truncated, _ = env.step(learner.act(obs, deterministic=True))
+            total, done = total + float(reward), terminated or truncated
+        returns.append(total)
+    return np.array(returns), starts
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_ppo_comes_within_5_percent_of_the_riccati_optimum(seed):
+    config = PPOConfig(
+        hidden=(64, 64), actor_lr=1e-3, n_passes=20, n_minibatches=12, action_variance=0.02,
+        truncation="bootstrap", anneal_lr=True,
+    )  # fmt: skip
+    returns, starts = play("lqr", train_ppo("lqr", config, 40_000, seed))
+    optimal = np.array([LQREnv.optimal_return(start.astype(np.float64)) for start in starts])
+    assert (returns <= optimal + 1e-6).all()  # nothing beats the optimum
+    assert returns.mean() / optimal.mean() < 1.05
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_ppo_swings_up_the_pendulum(seed):
+    config = PPOConfig(
+        hidden=(64, 64), actor_lr=1e-3, n_passes=20, n_minibatches=16, action_variance=0.2,
+        gamma=0.9, gae_lambda=0.95, truncation="bootstrap", anneal_lr=True,
+    )  # fmt: skip
+    returns, _ = play("Pendulum-v1", train_ppo("Pendulum-v1", config, 40_000, seed))
+    assert returns.mean() > -250
+
+
+class TestToysThemselves:
+    def test_riccati_policy_attains_the_optimal_return(self):
+        env = LQREnv()
+        for seed in range(5):
+            start, _ = env.reset(seed=seed)
+            exact = LQREnv.optimal_return(env._state.copy())
+            total = 0.0
+            for _, gain in LQREnv.riccati():
+                force = -gain @ env._state
+                assert np.abs(force).max() < 1.0  # the bound never binds
+                total += env.step(force)[1]
+            assert total == pytest.approx(exact, rel=1e-9)
+            assert exact == pytest.approx(LQREnv.optimal_return(start.astype(float)), rel=1e-5)
+
+    def test_any_other_policy_is_worse(self):
+        env = LQREnv()
+        env.reset(seed=0)
+        exact = LQREnv.optimal_return(env._state.copy())
+        total = sum(env.step(-1.1 * gain @ env._state)[1] for _, gain in LQREnv.riccati())
+        assert total < exact
+
+    def test_point_reach_optimal_steps(self):
+        assert PointReachEnv.optimal_steps(np.zeros(2), np.array([0.05, 0.0])) == 0
+        assert PointReachEnv.optimal_steps(np.zeros(2), np.array([0.18, 0.0])) == 1
+        assert PointReachEnv.optimal_steps(np.zeros(2), np.array([0.5, 0.9])) == 9
+
+    def test_point_reach_greedy_policy_needs_the_optimal_steps(self):
+        env = PointReachEnv()
+        for seed in range(20):
+            obs, _ = env.reset(seed=seed)
+            fewest = PointReachEnv.optimal_steps(env._point, env._goal)
+            for step in range(1, env.horizon + 1):
+                gap = obs["desired_goal"] - obs["achieved_goal"]
+                obs, reward, _, _, _ = env.step(gap / env.speed)
+                if reward == 0.0:
+                    break
+            assert step == max(fewest, 1)
