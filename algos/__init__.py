@@ -80,6 +80,27 @@ def flat_observation(obs: Any) -> Array:
     return np.ravel(obs).astype(np.float32, copy=False)
 
 
+def check_ranges(
+    config: Any,
+    positive: Sequence[str] = (),
+    shares: Sequence[str] = (),
+    counts: Sequence[str] = (),
+) -> None:
+    """Raise ValueError naming the first field out of its range; None is in every range.
+
+    `positive` are finite and above 0, `shares` lie in [0, 1], `counts` are 1 or more.
+    """
+    rules = [(name, lambda x: 0 < x < np.inf, "a finite number above 0") for name in positive]
+    rules += [(name, lambda x: 0 <= x <= 1, "from 0 to 1") for name in shares]
+    rules += [(name, lambda x: x >= 1, "1 or more") for name in counts]
+    for name, is_allowed, allowed in rules:
+        value = getattr(config, name)
+        if value is not None and not is_allowed(value):
+            raise ValueError(f"{name}: found {value}, allowed {allowed}")
+    if not config.hidden or min(config.hidden) < 1:
+        raise ValueError(f"hidden: found {config.hidden}, allowed one or more sizes of 1 or more")
+
+
 def action_bounds(space: gym.Space[Any]) -> tuple[Array, Array]:
     """(low, high) of an action space; ValueError when it is not a bounded Box."""
     if isinstance(space, gym.spaces.Box) and space.is_bounded():

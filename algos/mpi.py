@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import sys
 from typing import Any
 
 import numpy as np
@@ -81,16 +82,22 @@ class MPICommunicator(Communicator):
     def gather(self, value: Any) -> list[Any]:
         return list(self._comm.allgather(value))
 
-    def abort(self) -> None:
-        """End every rank at once."""
-        self._comm.Abort(1)
-
 
 def world() -> Communicator:
     """All ranks of this launch; a lone Communicator without a launcher."""
     if any(name in os.environ for name in LAUNCHERS):
         return MPICommunicator()
     return Communicator()
+
+
+def abort(code: int) -> None:
+    """End every rank at once, when there are several: the others would wait for this one."""
+    if "mpi4py.MPI" in sys.modules:
+        comm = sys.modules["mpi4py.MPI"].COMM_WORLD
+        if comm.Get_size() > 1:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            comm.Abort(code)
 
 
 def same_on_all_ranks(comm: Communicator, tensor: Tensor) -> bool:

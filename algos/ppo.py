@@ -21,12 +21,14 @@ from . import (
     EnvPool,
     Transition,
     action_bounds,
+    check_ranges,
     flat_observation,
     flat_size,
 )
 from .mpi import Communicator, same_on_all_ranks
 from .networks import MLP, FlatAdam
 
+SAVED = ("actor", "critic", "actor_adam", "critic_adam")
 MAX_LOG_RATIO = 20.0  # exp(20) = 5e8: far outside any clip range, far inside float32
 
 
@@ -73,22 +75,21 @@ class PPOConfig:
 
     def validate(self) -> None:
         """Raise ValueError naming the first field that cannot be."""
-        for name in ("actor_lr", "critic_lr", "action_variance", "clip_range", "max_grad_norm"):
-            if not 0 < getattr(self, name) < np.inf:
-                raise ValueError(f"{name}: found {getattr(self, name)}, allowed above 0")
-        for name in ("gamma", "gae_lambda"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name}: found {getattr(self, name)}, allowed from 0 to 1")
-        for name in ("steps_per_epoch", "n_passes", "n_minibatches", "minibatch_size"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise ValueError(f"{name}: found {value}, allowed 1 or more")
-        if not self.hidden or min(self.hidden) < 1:
-            raise ValueError(f"hidden: found {self.hidden}, allowed one or more sizes of 1 or more")
+        check_ranges(
+            self,
+            positive=(
+                "actor_lr",
+                "critic_lr",
+                "action_variance",
+                "clip_range",
+                "max_grad_norm",
+                "target_kl",
+            ),
+            shares=("gamma", "gae_lambda"),
+            counts=("steps_per_epoch", "n_passes", "n_minibatches", "minibatch_size"),
+        )
         if self.n_minibatches is not None and self.minibatch_size is not None:
             raise ValueError("n_minibatches and minibatch_size: found both, allowed one of them")
-        if self.target_kl is not None and not self.target_kl > 0:
-            raise ValueError(f"target_kl: found {self.target_kl}, allowed above 0")
 
     def resolved(self) -> str:
         """What the fields amount to, in words."""
@@ -371,21 +372,13 @@ class PPO:
 
     def state_dict(self) -> dict[str, Any]:
         """Networks, optimisers, random state, counters: all that the next epoch depends on."""
-        return {
-            "actor": self.actor.state_dict(),
-            "critic": self.critic.state_dict(),
-            "actor_adam": self.actor_adam.state_dict(),
-            "critic_adam": self.critic_adam.state_dict(),
-            "rng": self.rng.bit_generator.state,
-            "env_steps": self.env_steps,
-        }
+        parts = {name: getattr(self, name).state_dict() for name in SAVED}
+        return {**parts, "rng": self.rng.bit_generator.state, "env_steps": self.env_steps}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on exactly where `state_dict` was taken."""
-        self.actor.load_state_dict(state["actor"])
-        self.critic.load_state_dict(state["critic"])
-        self.actor_adam.load_state_dict(state["actor_adam"])
-        self.critic_adam.load_state_dict(state["critic_adam"])
+        for name in SAVED:
+            getattr(self, name).load_state_dict(state[name])
         self.rng.bit_generator.state = state["rng"]
         self.env_steps = state["env_steps"]
 

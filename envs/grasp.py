@@ -232,11 +232,13 @@ class GraspEnv(gym.Env[Any, Array]):
 
     def render(self) -> Array | None:
         """A picture of the scene, taxels that fire lit, when made with "rgb_array"."""
-        if self.render_mode is None:
-            return None
+        return None if self.render_mode is None else self.picture(simulators.Camera())
+
+    def picture(self, camera: simulators.Camera) -> Array:
+        """The scene as `camera` sees it, RGB (height, width, 3) uint8."""
         lit = self.taxel_readings() if self.config.run_type == "main" else None
         taxels = None if self.config.run_type == "absent" else self.taxels
-        return self.simulator.render(720, 540, taxels, lit)
+        return self.simulator.render(camera, taxels, lit)
 
     def close(self) -> None:
         self.simulator.close()

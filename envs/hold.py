@@ -32,8 +32,8 @@ class HoldTest:
     height: float = 1.0
     """Height of the palm, m."""
     verdict: Verdict = "full"
-    settle_steps: int = 800
-    settle_distance: float = 2e-4
+    settle_steps: int = 400
+    settle_distance: float = 5e-4
     """"settled": less movement in the palm's frame than this over `settle_steps`, m."""
 
     def run(self, simulator: Simulator, joint_targets: Array, timestep: float) -> bool:

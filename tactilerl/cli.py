@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import traceback
 from collections.abc import Callable, Sequence
 
 from . import __version__
@@ -13,13 +14,25 @@ COMMANDS = {
     "evaluate": "success rate and return of a trained run, with confidence intervals",
     "env": "describe an environment: its observations, actions and taxels",
     "doctor": "do the taxels feel? scripted grasps, figures per layout",
-    "render": "a picture of a grasp with its taxels, or a video of a trained run",
+    "render": "a picture of the hand or of a grasp, with its taxels",
 }
 
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run one command; the exit code: 0 done, 1 stopped or failed a check, 2 bad input."""
-    args = list(sys.argv[1:] if args is None else args)
+    try:
+        code = _run(list(sys.argv[1:] if args is None else args))
+    except Exception:
+        traceback.print_exc()
+        code = 1
+    if code and "mpi4py" in sys.modules:
+        from .algos import mpi
+
+        mpi.abort(code)
+    return code
+
+
+def _run(args: list[str]) -> int:
     if not args or args[0] in ("-h", "--help"):
         print(_usage())
         return 0 if args else 2

@@ -7,7 +7,7 @@ import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
@@ -18,6 +18,7 @@ from . import flags
 from .config import RunConfig, RunOptions
 from .envs import GRASP_ENVS
 from .envs.grasp import GraspConfig
+from .envs.simulators import Camera
 from .errors import InputError, input_errors
 
 console = Console(highlight=False, soft_wrap=True)
@@ -256,8 +257,14 @@ class RenderFlags:
     """Which environment."""
     out: Path = Path("grasp.png")
     """The picture to write."""
-    seconds: float = 0.5
-    """Into the hold of a scripted grasp, s."""
+    pose: Literal["start", "grasp"] = "grasp"
+    """The start of an episode, or a scripted grasp."""
+    azimuth: float = 120.0
+    """Direction of the camera, degrees."""
+    elevation: float = 35.0
+    """Degrees; positive looks up from below."""
+    distance: float = 0.32
+    """Of the camera, m."""
 
 
 def render(args: list[str]) -> int:
@@ -269,7 +276,8 @@ def render(args: list[str]) -> int:
     if scene is None:
         raise InputError(f"--env: found {name!r}, allowed: {', '.join(GRASP_ENVS)}")
     with input_errors():
-        lit = pictures.grasp_picture(name, scene, read.out, read.seconds)
+        camera = Camera(read.azimuth, read.elevation, read.distance)
+        lit = pictures.picture(name, scene, read.pose, camera, read.out)
     console.print(f"{read.out}: {lit} taxels fire")
     return 0
 

@@ -32,6 +32,18 @@ class Scene:
 
 
 @dataclass(frozen=True)
+class Camera:
+    """Where a picture is taken from: around the palm and the object, degrees and m."""
+
+    azimuth: float = 120.0
+    elevation: float = 35.0
+    """Positive looks up from below, where the palmar side is."""
+    distance: float = 0.32
+    width: int = 720
+    height: int = 540
+
+
+@dataclass(frozen=True)
 class ObjectState:
     """Pose and velocity of the object, world frame, SI units."""
 
@@ -67,7 +79,7 @@ class Simulator(Protocol):
     def contact_taxels(self) -> Array:
         """bool (n,): the scene's ``contact_taxels`` by this simulator's own rule."""
 
-    def render(self, width: int, height: int, taxels: Taxels | None, lit: Array | None) -> Array:
+    def render(self, camera: Camera, taxels: Taxels | None, lit: Array | None) -> Array:
         """RGB picture (height, width, 3) uint8, taxels drawn, those that are `lit` bright."""
 
     def close(self) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from ..hands import Array
 from ..layouts import Taxels
 from ..touch import TaxelPlacement
-from . import ObjectState, Scene, SimulationError
+from . import Camera, ObjectState, Scene, SimulationError
 
 OBJECT = "object"
 SOLVER_ITERATIONS = 20  # enough for the grasps' contacts: docs/environments.md, "Speed and error"
@@ -29,8 +29,13 @@ def build_spec(scene: Scene) -> mujoco.MjSpec:
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = FRICTION_TO_NORMAL_IMPEDANCE
     spec.worldbody.add_geom(
-        name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 0.1], rgba=[0.5, 0.5, 0.5, 1]
+        name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 0.1], rgba=[0.8, 0.8, 0.8, 1]
     )
+    for texture in spec.textures:
+        if texture.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX:
+            texture.rgb1, texture.rgb2 = [0.93, 0.95, 0.98], [0.6, 0.66, 0.75]
+    spec.worldbody.add_light(pos=[0.1, -0.2, -0.6], dir=[-0.1, 0.2, 0.6], diffuse=[0.5] * 3)
+    spec.worldbody.add_light(pos=[0.3, -0.5, 1.0], dir=[-0.3, 0.5, -1.0], diffuse=[0.8] * 3)
     body = spec.worldbody.add_body(name=OBJECT, pos=[0, 0, scene.shape.half_size[2]])
     body.add_freejoint(name=OBJECT)
     body.add_geom(
@@ -40,7 +45,7 @@ def build_spec(scene: Scene) -> mujoco.MjSpec:
         mass=scene.mass,
         condim=4,
         friction=[scene.friction, 0.005, 0.001],
-        rgba=[0.85, 0.45, 0.2, 1],
+        rgba=[0.9, 0.5, 0.2, 0.45 if scene.visual else 1.0],
     )
     if scene.contact_taxels is not None:
         _add_touch_sensors(spec, scene.contact_taxels)
@@ -142,20 +147,17 @@ class MujocoSimulator:
         return int(sum(warning.number for warning in self.data.warning))
 
     def render(
-        self, width: int, height: int, taxels: Taxels | None = None, lit: Array | None = None
+        self, camera: Camera, taxels: Taxels | None = None, lit: Array | None = None
     ) -> Array:
-        if self._renderer is None or (self._renderer.width, self._renderer.height) != (
-            width,
-            height,
-        ):
-            self.close()
-            self.model.vis.global_.offwidth = max(width, self.model.vis.global_.offwidth)
-            self.model.vis.global_.offheight = max(height, self.model.vis.global_.offheight)
-            self._renderer = mujoco.Renderer(self.model, height, width)
-        camera = mujoco.MjvCamera()
-        camera.lookat[:] = self.data.xpos[self._object_body] + [0.0, 0.03, 0.02]
-        camera.distance, camera.azimuth, camera.elevation = 0.42, 40.0, -8.0
-        self._renderer.update_scene(self.data, camera)
+        if self._renderer is None:
+            offscreen = self.model.vis.global_
+            offscreen.offwidth, offscreen.offheight = camera.width, camera.height
+            self._renderer = mujoco.Renderer(self.model, camera.height, camera.width)
+        view = mujoco.MjvCamera()
+        view.lookat[:] = (self.data.xpos[self._object_body] + self.link_positions()[0]) / 2
+        view.distance, view.azimuth = camera.distance, camera.azimuth
+        view.elevation = camera.elevation
+        self._renderer.update_scene(self.data, view)
         if taxels is not None:
             self._draw(taxels, np.zeros(len(taxels), bool) if lit is None else lit)
         return self._renderer.render()
@@ -173,7 +175,7 @@ class MujocoSimulator:
                 np.full(3, radius),
                 point,
                 np.eye(3).ravel(),
-                np.array([1.0, 0.9, 0.1, 1.0] if on else [0.1, 0.3, 0.8, 1.0], np.float32),
+                np.array([1.0, 0.85, 0.0, 1.0] if on else [0.05, 0.25, 0.9, 1.0], np.float32),
             )
             scene.ngeom += 1
 

@@ -1,0 +1,57 @@
+"""The layers of the house, and which third-party package may be imported where."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+ALLOWED = {
+    "mujoco": ("envs/simulators/mujoco.py", "envs/hands/"),
+    "pybullet": ("envs/simulators/",),
+    "mpi4py": ("algos/mpi.py",),
+    "matplotlib": ("benchmarks/",),
+    "torch": ("algos/", "tactilerl/", "benchmarks/"),
+    "tyro": ("tactilerl/flags.py", "tactilerl/commands.py"),
+}
+
+
+def imports(path):
+    """(level, module) of every import in a file, at any depth of it."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from ((0, alias.name) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield node.level, node.module or ""
+
+
+def sources(*folders):
+    return [path for folder in folders for path in sorted((ROOT / folder).rglob("*.py"))]
+
+
+@pytest.mark.parametrize("layer", ["envs", "algos"])
+def test_envs_and_algos_import_neither_each_other_nor_the_application(layer):
+    for path in sources(layer):
+        depth = len(path.relative_to(ROOT / layer).parts)
+        for level, module in imports(path):
+            assert not module.startswith("tactilerl"), f"{path}: imports {module}"
+            assert level <= depth, f"{path}: reaches out of {layer}"
+
+
+def test_third_party_packages_stay_where_they_belong():
+    files = [p for p in sources("envs", "algos", "tactilerl") if "tactilerl/envs" not in str(p)]
+    for path in files:
+        name = path.relative_to(ROOT).as_posix()
+        for level, module in imports(path):
+            top = module.partition(".")[0]
+            if level == 0 and top in ALLOWED and not name.startswith("tactilerl/algos"):
+                assert name.startswith(ALLOWED[top]), f"{name} imports {top}"
+
+
+def test_no_file_is_called_utils():
+    assert not [path for path in sources("envs", "algos", "tactilerl") if "util" in path.stem]
+
+
+@pytest.mark.parametrize("name", ["ppo.py"])
+def test_an_algorithm_is_readable_in_one_sitting(name):
+    assert len((ROOT / "algos" / name).read_text().splitlines()) <= 400
