@@ -1,11 +1,12 @@
 """The Shadow Dexterous Hand, from the model files that ship with gymnasium-robotics.
 
 The MJCF is OpenAI's (Plappert et al. 2018), which the paper's MuJoCo set-up inherits through
-Melnik et al. 2021. Kept: every joint, tendon, actuator, inertia and collision primitive of
+Melnik et al. 2021. Kept: every joint, coupling tendon, actuator, inertia and collision primitive of
 the hand and its own contact pairs. Changed: the hand hangs palm down from three slides, and
 its forearm is light (it is carried, not modelled). Dropped, because nothing in a grasping
 scene can notice them: the forearm's collision mesh, two 1 mm boxes in the thumb's joints,
-the old object, target and floor, the old touch zones and sensors.
+40 tendons whose limits lie beyond the joints' own, the old object, target and floor, the old
+touch zones and sensors.
 """
 
 from __future__ import annotations
@@ -110,6 +111,9 @@ def _drop_what_the_scene_does_not_need(spec: mujoco.MjSpec, visual: bool) -> Non
         spec.delete(element)
     for site in spec.sites:
         spec.delete(site)
+    for tendon in spec.tendons:  # all but the couplings limit what the joints limit first
+        if not tendon.name.endswith("J1c"):
+            spec.delete(tendon)
     is_unneeded = {"C_forearm", "V_thbase", "V_thhub"}
     for geom in spec.geoms:
         name = geom.name.removeprefix(PREFIX)
