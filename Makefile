@@ -2,22 +2,24 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-RUN ?= runs/shadow-layout4
-MINUTES ?= 10
+RUN ?= runs/shadow_layout4
 export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 
-.PHONY: train test test-slow lint bench clean
+.PHONY: train test test-slow lint bench figures clean
 
+# PyTorch first and alone: the plain dependency could pull gigabytes of CUDA packages.
 $(VENV)/.installed: setup.cfg pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --constraint constraints.txt "torch"
+	$(BIN)/pip install --quiet --constraint constraints.txt torch
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable ".[dev]"
 	touch $@
 
+# About ten minutes on two cores. The early hold verdict and two environments are for speed.
 train: $(VENV)/.installed
-	$(BIN)/tactilerl train --algo ppo --env shadow --layout 4 --total-timesteps 100000 --num-envs 2 --out $(RUN)
-	$(BIN)/tactilerl evaluate $(RUN) --episodes 20
+	$(BIN)/tactilerl train --algo ppo --env shadow --layout 4 --total-timesteps 50000 \
+		--num-envs 2 --hold-verdict settled --out $(RUN)
+	$(BIN)/tactilerl evaluate $(RUN) --episodes 50
 
 test: $(VENV)/.installed
 	$(BIN)/python -m pytest -m "not slow"
@@ -32,6 +34,10 @@ lint: $(VENV)/.installed
 
 bench: $(VENV)/.installed
 	$(BIN)/python benchmarks/speed.py
+	$(BIN)/python benchmarks/speed_vs_error.py
+
+figures: $(VENV)/.installed
+	$(BIN)/python benchmarks/figures.py
 
 clean:
 	rm -rf $(VENV) build *.egg-info

@@ -4,11 +4,12 @@
 steps" (paper, PyBullet set-up). A failure is called as soon as it is certain: an object that
 hangs further below the palm than any finger reaches is in free fall. A success is called at
 the end, or, under the verdict "settled", once the object has stopped moving in the hand; how
-often that is wrong is measured in docs/environments.md.
+often that is wrong was measured: docs/environments.md, "Hold test".
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -38,31 +39,40 @@ class HoldTest:
 
     def run(self, simulator: Simulator, joint_targets: Array, timestep: float) -> bool:
         """Does the object stay in the hand? Leaves the simulator wherever the test ended."""
+        history = []
+        for is_at_top, position in self.positions(simulator, joint_targets, timestep):
+            if position[2] < -OUT_OF_REACH:
+                return False
+            if is_at_top:
+                history.append(position)
+                if self.verdict == "settled" and self.is_settled(history):
+                    return True
+        return True
+
+    def positions(
+        self, simulator: Simulator, joint_targets: Array, timestep: float
+    ) -> Iterator[tuple[bool, Array]]:
+        """Raise and hold; every CHECK_EVERY steps whether the hand is at the top, and the
+        object's position relative to the palm (3,), m. The palm does not turn meanwhile."""
         targets = joint_targets.copy()
         top = targets[2] + self.height - simulator.link_positions()[0, 2]
         while targets[2] < top:
             targets[2] = min(top, targets[2] + RAISE_SPEED * timestep * CHECK_EVERY)
             simulator.step(targets, CHECK_EVERY)
-            if _fell(simulator):
-                return False
-        history = [_in_hand(simulator)]
-        lag = self.settle_steps // CHECK_EVERY
+            yield False, _in_hand(simulator)
+        yield True, _in_hand(simulator)
         for _ in range(self.steps // CHECK_EVERY):
             simulator.step(targets, CHECK_EVERY)
-            if _fell(simulator):
-                return False
-            history.append(_in_hand(simulator))
-            if self.verdict == "settled" and len(history) > lag:
-                moved = np.linalg.norm(np.array(history[-lag - 1 :]) - history[-1], axis=1).max()
-                if moved < self.settle_distance:
-                    return True
-        return True
+            yield True, _in_hand(simulator)
+
+    def is_settled(self, history: list[Array]) -> bool:
+        """Has the object moved less than `settle_distance` for `settle_steps`?"""
+        lag = self.settle_steps // CHECK_EVERY
+        if len(history) <= lag:
+            return False
+        moved = np.linalg.norm(np.array(history[-lag - 1 :]) - history[-1], axis=1)
+        return bool(moved.max() < self.settle_distance)
 
 
 def _in_hand(simulator: Simulator) -> Array:
-    """Position of the object relative to the palm; the palm does not turn during the test."""
     return simulator.object_state().position - simulator.link_positions()[0]
-
-
-def _fell(simulator: Simulator) -> bool:
-    return bool(_in_hand(simulator)[2] < -OUT_OF_REACH)

@@ -77,7 +77,7 @@ class Layout:
                     index.append(links.index(surface.link))
                     positions.append(surface.place(row * row_pitch, column * column_pitch))
                     radii.append(radius)
-                    names.append(f"{surface.digit}.{surface.segment}[{row:+g},{column:+g}]")
+                    names.append(f"{surface.digit}.{surface.segment}[{_label(patch, row, column)}]")
         if not names:
             raise ValueError(f"layout {self.name!r} puts no taxel on the {hand.name} hand")
         return Taxels(tuple(links), np.array(index), np.array(positions), np.array(radii), tuple(names))
@@ -90,6 +90,13 @@ def _scale(patch: Patch, surface: Surface, hand: Hand) -> tuple[float, float, fl
     pitch = hand.pitch
     radius = pitch.large_radius if patch.large else pitch.radius
     return pitch.rows.get(surface.segment, 0.0), pitch.column, radius
+
+
+def _label(patch: Patch, row: float, column: float) -> str:
+    """Where on its phalanx a taxel is, in pitches, or in mm."""
+    if patch.radius is None:
+        return f"{row:+g},{column:+g}"
+    return f"{1e3 * row:+g},{1e3 * column:+g} mm"
 
 
 CENTRE = ((0.0, 0.0),)

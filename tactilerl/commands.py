@@ -22,6 +22,9 @@ from .envs.simulators import Camera
 from .errors import InputError, input_errors
 
 console = Console(highlight=False, soft_wrap=True)
+SETTLED_NOTE = (  # docs/data/hold_verdict.json
+    "hold_verdict=settled calls a success early; it was wrong in 1 of 150 holds (95 %: 0.1 to 3.7 %)"
+)
 
 
 # -- train -----------------------------------------------------------------------------------
@@ -78,7 +81,10 @@ def _summary(config: RunConfig, ranks: int) -> str:
     for part, values in config.as_dict().items():
         if values:
             lines.append(f"  {part:8}" + "  ".join(f"{k}={v}" for k, v in values.items()))
-    return "\n".join([*lines, f"  resolved {config.learner.resolved()}"])
+    lines.append(f"  resolved {config.learner.resolved()}")
+    if config.scene is not None and config.scene.hold_verdict == "settled":
+        lines.append(f"  note     {SETTLED_NOTE}")
+    return "\n".join(lines)
 
 
 # -- evaluate --------------------------------------------------------------------------------
