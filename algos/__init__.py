@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import gymnasium as gym
@@ -90,13 +90,16 @@ def check_ranges(
 
     `positive` are finite and above 0, `shares` lie in [0, 1], `counts` are 1 or more.
     """
-    rules = [(name, lambda x: 0 < x < np.inf, "a finite number above 0") for name in positive]
-    rules += [(name, lambda x: 0 <= x <= 1, "from 0 to 1") for name in shares]
-    rules += [(name, lambda x: x >= 1, "1 or more") for name in counts]
-    for name, is_allowed, allowed in rules:
-        value = getattr(config, name)
-        if value is not None and not is_allowed(value):
-            raise ValueError(f"{name}: found {value}, allowed {allowed}")
+    ranges: list[tuple[Sequence[str], Callable[[float], bool], str]] = [
+        (positive, lambda x: 0 < x < np.inf, "a finite number above 0"),
+        (shares, lambda x: 0 <= x <= 1, "from 0 to 1"),
+        (counts, lambda x: x >= 1, "1 or more"),
+    ]
+    for names, is_allowed, allowed in ranges:
+        for name in names:
+            value = getattr(config, name)
+            if value is not None and not is_allowed(value):
+                raise ValueError(f"{name}: found {value}, allowed {allowed}")
     if not config.hidden or min(config.hidden) < 1:
         raise ValueError(f"hidden: found {config.hidden}, allowed one or more sizes of 1 or more")
 

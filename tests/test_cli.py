@@ -266,10 +266,12 @@ class TestOtherCommands:
             main(["train", "--help"])
         assert stop.value.code == 0
         out = capsys.readouterr().out
-        for flag in ("--algo", "--env", "--simulator", "--task", "--reward", "--layout", "--run-type",
-                     "--total-timesteps", "--num-envs", "--seed", "--out", "--resume", "--device",
-                     "--gamma", "--gae-lambda", "--clip-range", "--n-passes", "--action-variance"):  # fmt: skip
-            assert flag in out, flag
+        flags = (
+            "algo env simulator task reward layout run-type total-timesteps num-envs seed out resume"
+        )
+        flags += " device gamma gae-lambda clip-range n-passes action-variance"
+        for flag in flags.split():
+            assert f"--{flag}" in out, flag
 
     def test_installed_command_starts_fast_enough_to_be_pleasant(self):
         """No simulator and no PyTorch for the list of commands."""

@@ -42,6 +42,8 @@ ACTUATOR_RANGES = {
     **{"THJ1": (-0.524, 0.524), "THJ0": (-1.571, 0.0)},
 }
 
+UNNEEDED_GEOMS = {"C_forearm", "V_thbase", "V_thhub"}
+
 # The whole hand. Position of the palm box's centre at slide zero, m (world; the object rests
 # at the origin), and how far an action moves it. Action 0 puts the hand at the grasping
 # height, or the penalty on actions and a zero-mean policy would park it away from the cube.
@@ -106,30 +108,29 @@ def build(visual: bool = False, finger_gain: float = 1.0) -> mujoco.MjSpec:
 def _drop_what_the_scene_does_not_need(spec: mujoco.MjSpec, visual: bool) -> None:
     for name in ("object", "target", "floor0"):
         spec.delete(spec.body(name))
-    spec.delete(spec.geom("floor0"))
-    for element in (*spec.sensors, *spec.lights):
+    # All tendons but the couplings limit what the joints limit first.
+    free_tendons = [tendon for tendon in spec.tendons if not tendon.name.endswith("J1c")]
+    for element in (spec.geom("floor0"), *spec.sensors, *spec.lights, *spec.sites, *free_tendons):
         spec.delete(element)
-    for site in spec.sites:
-        spec.delete(site)
-    for tendon in spec.tendons:  # all but the couplings limit what the joints limit first
-        if not tendon.name.endswith("J1c"):
-            spec.delete(tendon)
-    is_unneeded = {"C_forearm", "V_thbase", "V_thhub"}
     for geom in spec.geoms:
         name = geom.name.removeprefix(PREFIX)
-        if name in is_unneeded or (name.startswith("V_") and not visual):
+        if name in UNNEEDED_GEOMS or (name.startswith("V_") and not visual):
             spec.delete(geom)
     used = {geom.meshname for geom in spec.geoms}
     for mesh in spec.meshes:
         if mesh.name not in used:
             spec.delete(mesh)
     if not visual:
-        for geom in spec.geoms:
-            geom.material = ""
-        for cls in ("DC_Hand", "D_Vizual"):
-            spec.find_default(PREFIX + cls).geom.material = ""
-        for element in (*spec.materials, *spec.textures):
-            spec.delete(element)
+        _drop_materials(spec)
+
+
+def _drop_materials(spec: mujoco.MjSpec) -> None:
+    for geom in spec.geoms:
+        geom.material = ""
+    for cls in ("DC_Hand", "D_Vizual"):
+        spec.find_default(PREFIX + cls).geom.material = ""
+    for element in (*spec.materials, *spec.textures):
+        spec.delete(element)
 
 
 def _hang_from_slides(spec: mujoco.MjSpec) -> None:
