@@ -38,7 +38,7 @@ def play(name, learner, episodes=20):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_ppo_comes_within_5_percent_of_the_riccati_optimum(seed):
     config = PPOConfig(
-        hidden=(64, 64), actor_lr=1e-3, n_passes=20, n_minibatches=12, action_variance=0.02,
+        hidden=(64, 64), actor_lr=1e-3, n_passes=20, n_minibatches=12, gae_lambda=0.9,
         truncation="bootstrap", anneal_lr=True,
     )  # fmt: skip
     returns, starts = play("lqr", train_ppo("lqr", config, 40_000, seed))
