@@ -277,16 +277,17 @@ class PPO:
             left = max(0.0, 1.0 - self.env_steps / self.total_timesteps)
             self.actor_adam.set_lr(config.actor_lr * left)
             self.critic_adam.set_lr(config.critic_lr * left)
-        obs, actions, old_log_prob, advantages, returns = self._batch()
-        n = len(obs)
+        batch = self._batch()
+        n = len(batch[0])
         n_minibatches = comm.min(config.minibatches(n))
         sums, n_updates = torch.zeros(4, device=self.device), 0
         for _ in range(config.n_passes):
             order = torch.from_numpy(self.rng.permutation(n)).to(self.device)
+            shuffled = (torch.tensor_split(t[order], n_minibatches) for t in batch)
             kl = 0.0
-            for rows in torch.tensor_split(order, n_minibatches):
-                batch = (t[rows] for t in (obs, actions, old_log_prob, advantages, returns))
-                sums += (stats := self._minibatch(*batch))
+            for minibatch in zip(*shuffled, strict=True):
+                stats = self._minibatch(*minibatch)
+                sums += stats
                 kl, n_updates = float(stats[2]), n_updates + 1
             if config.target_kl is not None and comm.average(kl) > config.target_kl:
                 break

@@ -226,9 +226,8 @@ class GraspEnv(gym.Env[Any, Array]):
         """bool (n_taxels,): what the taxels feel now by the configured touch rule."""
         if self._contact:
             return self.simulator.contact_taxels()
-        points = self._placement(*self.simulator.link_poses(self._placement.links))
-        thing = self.simulator.object_state()
-        return touch.overlap(points, self.taxels.radii, self.shape, thing.position, thing.rotation)
+        poses = self.simulator.link_poses(self._placement.links)
+        return self._placement.overlap(*poses, self.shape, self.simulator.object_state())
 
     def render(self) -> Array | None:
         """A picture of the scene, taxels that fire lit, when made with "rgb_array"."""

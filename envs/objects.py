@@ -20,15 +20,28 @@ class Shape:
     half_size: tuple[float, float, float]
     """Half extents along its own axes, m."""
 
-    def signed_distance(self, points: Array) -> Array:
-        """Distance (n,) in m from points (n, 3) to the surface, negative inside."""
-        outside = np.abs(points) - self.half_size
-        beyond = np.maximum(outside, 0.0)
-        return np.sqrt(np.einsum("...i,...i", beyond, beyond)) + np.minimum(outside.max(-1), 0.0)
+    def squared_distance(self, points: Array) -> Array:
+        """Squared distance (n,) in m² from points (n, 3) to the solid, 0 inside."""
+        beyond = np.abs(points)
+        beyond -= self.half_size
+        np.maximum(beyond, 0.0, out=beyond)
+        return np.einsum("ij,ij->i", beyond, beyond)
 
     def half_height(self, rotation: Array) -> float:
         """How far the shape reaches below its centre when turned by `rotation` (3, 3), m."""
         return float(np.abs(rotation[2]) @ self.half_size)
+
+
+@dataclass(frozen=True)
+class ObjectState:
+    """Pose and velocity of the object, world frame, SI units."""
+
+    position: Array
+    """(3,)"""
+    orientation: Array
+    """(4,) quaternion wxyz."""
+    rotation: Array
+    """(3, 3), the same orientation as a matrix."""
 
 
 def cube(size: float) -> Shape:

@@ -14,11 +14,11 @@ import numpy as np
 
 from .hands import Array
 from .layouts import Taxels
-from .objects import Shape
+from .objects import ObjectState, Shape
 
 
 class TaxelPlacement:
-    """World positions of taxels from the poses of their links, in one matrix product.
+    """Positions of taxels from the poses of their links, in one matrix product.
 
     Row i of `blocks` (n, 4k) holds taxel i's homogeneous coordinates in the four columns of
     its link; the poses stack to (4k, 3).
@@ -32,18 +32,19 @@ class TaxelPlacement:
         self.links = taxels.links
         self._blocks = blocks.reshape(n, 4 * k)
         self._poses = np.empty((k, 4, 3))
+        self._squared_radii = taxels.radii**2
 
-    def __call__(self, link_positions: Array, link_rotations: Array) -> Array:
+    def world(self, link_positions: Array, link_rotations: Array) -> Array:
         """(n, 3), m, from poses of ``links``: (k, 3) and (k, 3, 3)."""
         self._poses[:, :3] = link_rotations.transpose(0, 2, 1)
         self._poses[:, 3] = link_positions
         return self._blocks @ self._poses.reshape(-1, 3)
 
-
-def overlap(points: Array, radii: Array, shape: Shape, position: Array, rotation: Array) -> Array:
-    """Which spheres overlap the object: bool (n,).
-
-    `points` (n, 3) and `radii` (n,) in m, world frame; `position` (3,) and `rotation` (3, 3)
-    are the object's pose.
-    """
-    return shape.signed_distance((points - position) @ rotation) <= radii
+    def overlap(
+        self, link_positions: Array, link_rotations: Array, shape: Shape, thing: ObjectState
+    ) -> Array:
+        """Which taxels' spheres overlap the object: bool (n,)."""
+        self._poses[:, :3] = link_rotations.transpose(0, 2, 1)
+        np.subtract(link_positions, thing.position, out=self._poses[:, 3])
+        local = self._blocks @ (self._poses.reshape(-1, 3) @ thing.rotation)
+        return shape.squared_distance(local) <= self._squared_radii

@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 
-from tactilerl.envs import objects, touch
+from tactilerl.envs import layouts, objects, touch
 
 
 def brute_force_distance(shape, point, n=60):
-    """Distance to a box by sampling its surface densely."""
+    """Distance to a box by sampling its surface densely; 0 inside."""
     half = np.array(shape.half_size)
+    if (np.abs(point) <= half).all():
+        return 0.0
     grid = np.linspace(-1, 1, n)
     best = np.inf
     for axis in range(3):
@@ -18,30 +20,42 @@ def brute_force_distance(shape, point, n=60):
             points[:, axis] = side
             points[:, (axis + 1) % 3], points[:, (axis + 2) % 3] = a.ravel(), b.ravel()
             best = min(best, np.linalg.norm(points * half - point, axis=1).min())
-    return best if (np.abs(point) > half).any() else -best
+    return best
 
 
-def test_signed_distance_of_a_box():
+def test_distance_to_a_box():
     shape = objects.Shape("box", (0.01, 0.02, 0.03))
-    rng = np.random.default_rng(0)
-    points = rng.uniform(-0.05, 0.05, (200, 3))
-    got = shape.signed_distance(points)
-    reference = [brute_force_distance(shape, point) for point in points]
-    np.testing.assert_allclose(got, reference, atol=6e-4)
-    assert shape.signed_distance(np.array([[0.04, 0.0, 0.0]]))[0] == pytest.approx(0.03)
-    assert shape.signed_distance(np.zeros((1, 3)))[0] == pytest.approx(-0.01)
+    points = np.random.default_rng(0).uniform(-0.05, 0.05, (200, 3))
+    got = np.sqrt(shape.squared_distance(points))
+    np.testing.assert_allclose(got, [brute_force_distance(shape, p) for p in points], atol=6e-4)
+    assert shape.squared_distance(np.array([[0.04, 0.0, 0.0]]))[0] == pytest.approx(0.03**2)
+    assert shape.squared_distance(np.zeros((1, 3)))[0] == 0.0
 
 
-def test_overlap_turns_with_the_object():
-    shape = objects.cube(0.04)
-    c, s = np.cos(np.pi / 4), np.sin(np.pi / 4)
-    turned = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    position = np.array([1.0, 2.0, 3.0])
-    corner = position + np.array([0.02 * np.sqrt(2) + 0.001, 0, 0])  # 1 mm off the edge
-    radii = np.array([0.0009, 0.0011])
-    points = np.stack([corner, corner])
-    assert touch.overlap(points, radii, shape, position, turned).tolist() == [False, True]
-    assert not touch.overlap(points, radii, shape, position, np.eye(3)).any()
+def pose(position, rotation):
+    return objects.ObjectState(np.array(position), np.full(4, np.nan), np.array(rotation))
+
+
+def test_overlap_turns_with_object_and_links():
+    """Two taxels 1 mm off the edge of a cube turned by 45 degrees, one a little too small."""
+    c = np.cos(np.pi / 4)
+    turn = np.array([[c, -c, 0], [c, c, 0], [0, 0, 1]])
+    cube, thing = objects.cube(0.04), pose([1.0, 2.0, 3.0], turn)
+    edge = 0.02 * np.sqrt(2) + 0.001
+    # Taxels on two links: one turned by 45 degrees about z, one not, both at the cube's centre.
+    on_turned = turn.T @ [edge, 0, 0]
+    taxels = layouts.Taxels(
+        links=("a", "b"),
+        link_index=np.array([0, 0, 1, 1]),
+        positions=np.array([on_turned, on_turned, [edge, 0, 0], [edge, 0, 0]]),
+        radii=np.array([0.0009, 0.0011, 0.0009, 0.0011]),
+        names=("", "", "", ""),
+    )
+    placement = touch.TaxelPlacement(taxels)
+    links = np.tile(thing.position, (2, 1)), np.stack([turn, np.eye(3)])
+    np.testing.assert_allclose(placement.world(*links), np.tile([1 + edge, 2, 3], (4, 1)))
+    assert placement.overlap(*links, cube, thing).tolist() == [False, True, False, True]
+    assert not placement.overlap(*links, cube, pose([1.0, 2.0, 3.0], np.eye(3))).any()
 
 
 def test_half_height():

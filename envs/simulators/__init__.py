@@ -7,7 +7,7 @@ from typing import Protocol
 
 from ..hands import Array, Hand
 from ..layouts import Taxels
-from ..objects import Shape
+from ..objects import ObjectState, Shape
 
 
 class SimulationError(RuntimeError):
@@ -41,18 +41,6 @@ class Camera:
     distance: float = 0.32
     width: int = 720
     height: int = 540
-
-
-@dataclass(frozen=True)
-class ObjectState:
-    """Pose and velocity of the object, world frame, SI units."""
-
-    position: Array
-    """(3,)"""
-    orientation: Array
-    """(4,) quaternion wxyz."""
-    rotation: Array
-    """(3, 3), the same orientation as a matrix."""
 
 
 class Simulator(Protocol):

@@ -9,8 +9,9 @@ import numpy as np
 
 from ..hands import Array
 from ..layouts import Taxels
+from ..objects import ObjectState
 from ..touch import TaxelPlacement
-from . import Camera, ObjectState, Scene, SimulationError
+from . import Camera, Scene, SimulationError
 
 OBJECT = "object"
 SOLVER_ITERATIONS = 20  # enough for the grasps' contacts: docs/environments.md, "Speed and error"
@@ -164,7 +165,7 @@ class MujocoSimulator:
     def _draw(self, taxels: Taxels, lit: Array) -> None:
         assert self._renderer is not None
         scene = self._renderer.scene
-        points = TaxelPlacement(taxels)(*self.link_poses(taxels.links))
+        points = TaxelPlacement(taxels).world(*self.link_poses(taxels.links))
         for point, radius, on in zip(points, taxels.radii, lit, strict=True):
             if scene.ngeom >= scene.maxgeom:
                 raise RuntimeError("too many taxels to draw")
