@@ -125,7 +125,7 @@ class GraspEnv(gym.Env[Any, Array]):
         if config.object_size > self.hand.reach:
             raise ValueError(
                 f"object_size: found {config.object_size} m, allowed up to {self.hand.reach} m, "
-                f"what fits under the {self.hand.name} hand"
+                f"what lies free under the {self.hand.name} hand at the start"
             )
         self.shape = objects.cube(config.object_size)
         self.taxels = layouts.load(config.layout).place(self.hand)

@@ -55,14 +55,16 @@ class HoldTest:
         """Raise and hold; every CHECK_EVERY steps whether the hand is at the top, and the
         object's position relative to the palm (3,), m. The palm does not turn meanwhile."""
         targets = joint_targets.copy()
-        top = targets[2] + self.height - simulator.link_positions()[0, 2]
-        while targets[2] < top:
-            targets[2] = min(top, targets[2] + RAISE_SPEED * timestep * CHECK_EVERY)
+        # From where the slide is, not from its target: the hand may still lag behind that.
+        top = simulator.joint_state()[0][2] + self.height - simulator.link_positions()[0, 2]
+        while targets[2] != top:
+            way = RAISE_SPEED * timestep * CHECK_EVERY
+            targets[2] += np.clip(top - targets[2], -way, way)
             simulator.step(targets, CHECK_EVERY)
             yield False, _in_hand(simulator)
         yield True, _in_hand(simulator)
-        for _ in range(self.steps // CHECK_EVERY):
-            simulator.step(targets, CHECK_EVERY)
+        for done in range(0, self.steps, CHECK_EVERY):
+            simulator.step(targets, min(CHECK_EVERY, self.steps - done))
             yield True, _in_hand(simulator)
 
     def is_settled(self, history: list[Array]) -> bool:

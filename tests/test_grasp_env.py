@@ -250,6 +250,31 @@ class TestFaults:
             envs.make("nope")
 
 
+@pytest.mark.parametrize("size", [0.01, 0.03, 0.05])
+def test_nothing_overlaps_at_the_start(size):
+    env = make(object_size=size)
+    model, data = env.simulator.model, env.simulator.data
+    ground, thing = model.geom("ground").id, model.geom("object").id
+    for seed in range(30):
+        env.reset(seed=seed)
+        depths = [-c.dist for c in data.contact if {c.geom1, c.geom2} != {ground, thing}]
+        assert max(depths, default=0.0) <= 0.0
+
+
+@pytest.mark.parametrize("friction", [0.3, 1.0, 2.5])
+def test_friction_is_the_objects_against_everything(friction):
+    env = make(friction=friction, task="reach-goal")
+    env.reset(seed=0)
+    thing, seen = env.simulator.model.geom("object").id, set()
+    for _ in range(4):
+        env.step(np.zeros(23))
+        for contact in env.simulator.data.contact:
+            if thing in (contact.geom1, contact.geom2):
+                assert contact.friction[0] == friction
+                seen |= {contact.geom1, contact.geom2}
+    assert len(seen) > 2  # ground and hand
+
+
 class TestHoldTest:
     """The verdict of the hold, on a grasp that holds and on one that cannot."""
 
@@ -272,6 +297,30 @@ class TestHoldTest:
         assert self.verdict(env, close=True, verdict=verdict)
         assert env.simulator.link_positions()[0, 2] == pytest.approx(1.0, abs=0.02)
         assert env.simulator.object_state().position[2] > 0.85
+
+    @pytest.mark.parametrize("steps", [20, 49, 100])
+    def test_lasts_as_long_as_it_says(self, steps):
+        from tactilerl.envs.hold import HoldTest
+
+        env = make()
+        env.reset(seed=0)
+        env.step(np.eye(23)[2])  # the hand is on its way up and lags behind its target
+        test = HoldTest(steps=steps)
+        targets, before = env._targets, []
+        for is_at_top, _ in test.positions(env.simulator, targets, env.config.timestep):
+            before.append((is_at_top, env.simulator.data.time))
+        top = [time for is_at_top, time in before if is_at_top]
+        assert (top[-1] - top[0]) / env.config.timestep == pytest.approx(steps)
+
+    def test_palm_ends_at_one_metre_wherever_it_was_going(self):
+        from tactilerl.envs.hold import HoldTest
+
+        env = make()
+        for action in (-1.0, 1.0):
+            env.reset(seed=0)
+            env.step(action * np.eye(23)[2])
+            list(HoldTest(steps=500).positions(env.simulator, env._targets, env.config.timestep))
+            assert env.simulator.link_positions()[0, 2] == pytest.approx(1.0, abs=0.02)  # the wrist may still turn
 
     def test_opened_hand_drops_it(self):
         assert not self.verdict(make(), close=False)

@@ -127,9 +127,9 @@ class Hand:
     start: dict[str, float] = field(default_factory=dict)
     """Joint positions at reset that are not zero, rad or m."""
     observation: tuple[str, ...] = ()
-    """Names of the observation's terms, in order (see grasp.OBSERVATION_TERMS)."""
-    reach: float = 0.12
-    """Largest extent of an object that fits under the hand, m."""
+    """Names of the observation's terms, in order (`GraspEnv.observation_names`)."""
+    reach: float = 0.05
+    """Edge of the largest cube that lies free of the hand at the start, m."""
     grasps: tuple[ScriptedGrasp, ...] = ()
 
     def start_positions(self) -> Array:

@@ -47,8 +47,8 @@ UNNEEDED_GEOMS = {"C_forearm", "V_thbase", "V_thhub"}
 # The whole hand. Position of the palm box's centre at slide zero, m (world; the object rests
 # at the origin), and how far an action moves it. Action 0 puts the hand at the grasping
 # height, or the penalty on actions and a zero-mean policy would park it away from the cube.
-START_PALM = (-0.030, 0.064, 0.085)
-SLIDE_CENTRE = (0.0, 0.0, -0.042)
+START_PALM = (-0.030, 0.064, 0.095)
+SLIDE_CENTRE = (0.0, 0.0, -0.052)
 SLIDE_HALF_RANGE = (0.03, 0.03, 0.20)
 SLIDE_GAIN = 1000.0  # N/m
 SLIDE_DAMPING = 79.0  # N s/m
@@ -228,12 +228,6 @@ GRASPS = (
         {"MCP": 1.08, "PIP": 1.571, "THJ4": 0.498, "THJ3": 0.612, "THJ2": 0.153, "THJ1": -0.089}
         | {"THJ0": -1.02, "LFJ4": 0.712, "WRJ0": -0.297, "WRJ1": -0.104},
     ),
-    _grasp(
-        0.06,
-        (-0.016, 0.045, 0.049),
-        {"MCP": 1.058, "PIP": 1.525, "THJ4": 0.577, "THJ3": 0.588, "THJ2": 0.109, "THJ1": -0.269}
-        | {"THJ0": -0.897, "LFJ4": 0.615, "WRJ0": -0.27, "WRJ1": -0.095},
-    ),
 )
 
 
@@ -273,5 +267,6 @@ def shadow_hand() -> Hand:
             "object_position",
             "object_orientation",
         ),
+        reach=0.05,
         grasps=GRASPS,
     )

@@ -47,6 +47,7 @@ def build_spec(scene: Scene) -> mujoco.MjSpec:
         mass=scene.mass,
         condim=4,
         friction=[scene.friction, 0.005, 0.001],
+        priority=1,  # else MuJoCo takes the larger friction of the two in contact
         rgba=[0.9, 0.5, 0.2, 0.45 if scene.visual else 1.0],
     )
     if scene.contact_taxels is not None:
