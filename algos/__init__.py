@@ -73,11 +73,13 @@ def load(name: str) -> tuple[type, type]:
 
 
 def flat_observation(obs: Any) -> Array:
-    """What a policy sees, float32 (n,): a goal environment's observation and desired goal."""
+    """What a policy sees, float32 (n,): a goal environment's observation and desired goal.
+
+    Always a copy: an environment may reuse its buffer.
+    """
     if isinstance(obs, dict):
-        parts = [np.ravel(obs["observation"]), np.ravel(obs["desired_goal"])]
-        return np.concatenate(parts).astype(np.float32, copy=False)
-    return np.ravel(obs).astype(np.float32, copy=False)
+        obs = np.concatenate([np.ravel(obs["observation"]), np.ravel(obs["desired_goal"])])
+    return np.array(obs, np.float32).ravel()
 
 
 def check_ranges(

@@ -60,8 +60,7 @@ class PPOConfig:
     minibatch_size: int | None = None
     """Transitions per minibatch: the other reading. Not together with --n-minibatches."""
     entropy_coef: float = 0.0
-    """Weight of the entropy; with a fixed variance the entropy is constant and the weight
-    changes the reported loss only."""
+    """Only 0 (paper): with a fixed variance the entropy is constant and cannot teach anything."""
     max_grad_norm: float = 0.5
     """Gradient norm is clipped to this, actor and critic separately."""
     truncation: Literal["terminal", "bootstrap"] = "terminal"
@@ -90,12 +89,15 @@ class PPOConfig:
         )
         if self.n_minibatches is not None and self.minibatch_size is not None:
             raise ValueError("n_minibatches and minibatch_size: found both, allowed one of them")
+        if self.entropy_coef != 0:
+            raise ValueError(f"entropy_coef: found {self.entropy_coef}, allowed 0")
 
-    def resolved(self) -> str:
-        """What the fields amount to, in words."""
-        n = self.minibatches(self.steps_per_epoch)
+    def resolved(self, ranks: int) -> str:
+        """What the fields amount to on that many ranks, in words."""
+        steps = -(-self.steps_per_epoch // ranks)
+        n = self.minibatches(steps)
         return (
-            f"{n} minibatches of about {self.steps_per_epoch // n} transitions, {self.n_passes} "
+            f"{n} minibatches of about {steps // n} transitions, {self.n_passes} "
             f"passes: {n * self.n_passes} updates of actor and critic per epoch"
         )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args, get_type_hints
 
 import gymnasium as gym
 import numpy as np
@@ -67,6 +67,12 @@ class GraspConfig:
 
     def validate(self) -> None:
         """Raise ValueError naming the first field that cannot be."""
+        for name, kind in get_type_hints(type(self)).items():
+            options = (c for part in (kind, *get_args(kind)) for c in get_args(part))
+            choices = [choice for choice in options if isinstance(choice, str)]
+            value = getattr(self, name)
+            if choices and value not in (*choices, getattr(type(self), name)):
+                raise ValueError(f"{name}: found {value!r}, allowed: {', '.join(choices)}")
         for name in (
             *("object_size", "object_density", "friction", "finger_gain", "timestep", "control_dt"),
             *("lift_clearance", "goal_height", "goal_tolerance"),
@@ -132,7 +138,7 @@ class GraspEnv(gym.Env[Any, Array]):
         self._placement = touch.TaxelPlacement(self.taxels)
         self.task = _task(config)
         self.max_episode_steps = config.max_episode_steps or self.task.max_episode_steps
-        self._contact = config.touch == "contact" and config.run_type == "main"
+        self._contact = config.touch == "contact"
         self.simulator = simulators.load(
             config.simulator,
             simulators.Scene(

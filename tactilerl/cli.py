@@ -50,6 +50,9 @@ def _run(args: list[str]) -> int:
     except FloatingPointError as error:  # DivergenceError, without importing PyTorch for it
         print(f"tactilerl: stopped: {error}; the last checkpoint is kept", file=sys.stderr)
         return 1
+    except OSError as error:
+        print(f"tactilerl: stopped: {error}; the last checkpoint is kept", file=sys.stderr)
+        return 1
     except KeyboardInterrupt:
         print("tactilerl: interrupted; the last checkpoint is kept", file=sys.stderr)
         return 130

@@ -21,7 +21,7 @@ from .envs.grasp import GraspConfig
 from .envs.simulators import Camera
 from .errors import InputError, input_errors
 
-console = Console(highlight=False, soft_wrap=True)
+console = Console(highlight=False, soft_wrap=True, markup=False)
 SETTLED_NOTE = (  # docs/data/hold_verdict.json
     "hold_verdict=settled calls a success early; it was wrong in 1 of 150 holds (95 %: 0.1 to 3.7 %)"
 )
@@ -41,10 +41,12 @@ def train(args: list[str]) -> int:
     algo = flags.peek(args, "--algo", RunOptions.algo)
     env = flags.peek(args, "--env", RunOptions.env)
     config = _read_config(args, saved or configuration.defaults(algo, env))
+    if resume and any(arg.partition("=")[0] == "--out" for arg in args):
+        raise InputError("--out: a resumed run stays in its folder; leave it out")
     with input_errors():
         config.validate()
         comm = mpi.world()
-    if saved and (difference := saved.difference(config)):
+    if saved and (difference := saved.difference(config.identity())):
         raise InputError(f"--resume {resume}: {difference}; a run goes on as it began")
     if comm.rank == 0:
         console.print(_summary(config, comm.size))
@@ -81,7 +83,7 @@ def _summary(config: RunConfig, ranks: int) -> str:
     for part, values in config.as_dict().items():
         if values:
             lines.append(f"  {part:8}" + "  ".join(f"{k}={v}" for k, v in values.items()))
-    lines.append(f"  resolved {config.learner.resolved()}")
+    lines.append(f"  resolved {config.learner.resolved(ranks)}")
     if config.scene is not None and config.scene.hold_verdict == "settled":
         lines.append(f"  note     {SETTLED_NOTE}")
     return "\n".join(lines)

@@ -7,6 +7,7 @@ which dataclasses there are and what the defaults are.
 from __future__ import annotations
 
 import dataclasses
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -51,6 +52,7 @@ class RunOptions:
 
 # Fields that may differ between a run and its continuation: they do not change its course.
 FREE_ON_RESUME = {"total_timesteps", "out", "tensorboard"}
+LAYOUT_COPY = "layout.toml"  # in the run folder, when the layout is a file
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,8 @@ class RunConfig:
     run: RunOptions
     scene: GraspConfig | None
     learner: Any
+    folder: Path | None = None
+    """The run's folder, once it exists: its copy of a layout file counts, not the original."""
 
     def validate(self) -> None:
         """Raise ValueError naming the first field that cannot be."""
@@ -70,7 +74,15 @@ class RunConfig:
     def make_env(self, render_mode: str | None = None) -> Any:
         """One environment."""
         choices = dataclasses.asdict(self.scene) if self.scene is not None else {}
+        if self.layout_file and self.folder and (self.folder / LAYOUT_COPY).is_file():
+            choices["layout"] = str(self.folder / LAYOUT_COPY)
         return envs.make(self.run.env, render_mode=render_mode, **choices)
+
+    @property
+    def layout_file(self) -> Path | None:
+        """The user's layout file, if the layout is one."""
+        is_file = self.scene is not None and self.scene.layout.endswith(".toml")
+        return Path(self.scene.layout) if self.scene is not None and is_file else None
 
     def name(self) -> str:
         """Default name of the run's folder."""
@@ -86,15 +98,26 @@ class RunConfig:
         learner = dataclasses.asdict(self.learner)
         return {"run": dataclasses.asdict(self.run), "scene": scene, "learner": learner}
 
-    def difference(self, other: RunConfig) -> str | None:
-        """The first field in which `other` is another run, in words; None when it is not."""
-        mine, theirs = self.as_dict(), other.as_dict()
-        for part in ("run", "scene", "learner"):
-            a, b = mine[part] or {}, theirs[part] or {}
+    def identity(self) -> dict[str, Any]:
+        """What makes it this run: plain values without those that may change on resume."""
+        parts = json.loads(json.dumps(self.as_dict()))
+        for name in FREE_ON_RESUME - ({"total_timesteps"} if _anneals(self.learner) else set()):
+            del parts["run"][name]
+        return parts
+
+    def difference(self, other: dict[str, Any]) -> str | None:
+        """The first field in which `other`, another's identity, is another run; None if none."""
+        for part, mine in self.identity().items():
+            a, b = mine or {}, other.get(part) or {}
             for key in {**a, **b}:
-                if key not in FREE_ON_RESUME and _plain(a.get(key)) != _plain(b.get(key)):
+                if a.get(key) != b.get(key):
                     return f"{key}: found {b.get(key)!r}, the run was made with {a.get(key)!r}"
         return None
+
+
+def _anneals(learner: Any) -> bool:
+    """Does the learner's course depend on how long the run will be?"""
+    return bool(getattr(learner, "anneal_lr", False))
 
 
 def defaults(algo: str, env: str) -> RunConfig:
@@ -111,10 +134,8 @@ def from_dict(data: dict[str, Any]) -> RunConfig:
         config_type, _ = algos.load(data["run"]["algo"])
         learner = {k: tuple(v) if isinstance(v, list) else v for k, v in data["learner"].items()}
         scene = None if data["scene"] is None else GraspConfig(**data["scene"])
-        return RunConfig(RunOptions(**data["run"]), scene, config_type(**learner))
+        config = RunConfig(RunOptions(**data["run"]), scene, config_type(**learner))
+        config.validate()
+        return config
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"the configuration is not one of this version: {error}") from error
-
-
-def _plain(value: Any) -> Any:
-    return list(value) if isinstance(value, tuple) else value

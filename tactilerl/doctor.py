@@ -9,6 +9,7 @@ import numpy as np
 
 from .envs import layouts, scripted
 from .envs.grasp import GraspConfig, GraspEnv
+from .envs.simulators import SimulationError
 
 SEED = 20_000  # apart from any seed of a training run or of the search for the grasps
 
@@ -41,18 +42,27 @@ def examine(env_name: str, config: GraspConfig, grasps: int, seconds: float) -> 
         for index in range(grasps):
             rng = np.random.default_rng([SEED, index])
             start = scripted.perturbed_start(rng, len(env.hand.joints))
-            felt = []
-            for is_up in scripted.hold_steps(env, scripted.grasp_for(env), start, seconds):
-                if not is_up:
-                    break
-                felt.append(env.taxel_readings())
-            else:
+            felt = _felt(env, start, seconds)
+            if felt is not None:
                 held += 1
                 readings += felt
         bits = np.array(readings).reshape(-1, len(env.taxels))
         return _figures(config.layout, env.taxels, grasps, held, bits)
     finally:
         env.close()
+
+
+def _felt(env: GraspEnv, start: scripted.Start, seconds: float) -> list[np.ndarray] | None:
+    """Readings at each control step of one hold; None when the object was not held."""
+    felt = []
+    try:
+        for is_up in scripted.hold_steps(env, scripted.grasp_for(env), start, seconds):
+            if not is_up:
+                return None
+            felt.append(env.taxel_readings())
+    except SimulationError:
+        return None
+    return felt
 
 
 def _figures(

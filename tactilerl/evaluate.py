@@ -13,7 +13,6 @@ import numpy as np
 from . import algos, checkpoint
 from .algos.mpi import Communicator
 from .config import RunConfig
-from .errors import InputError
 from .run_dir import RunDir
 from .train import make_algorithm
 
@@ -22,20 +21,15 @@ CONFIDENCE = 0.95
 
 
 def load_policy(path: Path) -> tuple[RunConfig, algos.Algorithm, int]:
-    """(configuration, learner, epoch) of a run folder."""
+    """(configuration, learner, epoch) of a run folder, on the CPU, with the full hold test."""
     run_dir = RunDir(path)
-    config, _ = run_dir.read_config()
-    one_env = dataclasses.replace(config, run=dataclasses.replace(config.run, num_envs=1))
-    epoch, states = checkpoint.load(run_dir.checkpoint_file)
-    learner, pool = make_algorithm(one_env, Communicator())
+    saved, _ = run_dir.read_config()
+    run = dataclasses.replace(saved.run, num_envs=1, device="cpu")
+    scene = saved.scene and dataclasses.replace(saved.scene, hold_verdict="full")
+    config = dataclasses.replace(saved, run=run, scene=scene)
+    learner, pool = make_algorithm(config, Communicator())
     pool.close()
-    try:
-        learner.load_state_dict(states[0])
-    except (KeyError, RuntimeError, ValueError) as error:
-        raise InputError(
-            f"{run_dir.checkpoint_file}: from another configuration than config.json"
-        ) from error
-    return one_env, learner, epoch
+    return config, learner, checkpoint.restore(run_dir, saved, learner, rank=0, ranks=0)
 
 
 def episodes(

@@ -19,7 +19,7 @@ def parse(kind: type[T], args: Sequence[str], prog: str, default: Any = None, ab
     """Read `args` into a dataclass; InputError over bad flags, SystemExit(0) after --help."""
     output = io.StringIO()
     extra = {} if default is None else {"default": default}
-    config = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff)
+    config = (tyro.conf.OmitArgPrefixes,)
     try:
         with contextlib.redirect_stderr(output):
             return tyro.cli(kind, args=args, prog=prog, description=about, config=config, **extra)
@@ -30,13 +30,15 @@ def parse(kind: type[T], args: Sequence[str], prog: str, default: Any = None, ab
 
 
 def peek(args: Sequence[str], flag: str, default: str) -> str:
-    """The value of one flag before all are known: it decides which others there are."""
-    for i, arg in enumerate(args):
-        if arg == flag and i + 1 < len(args):
-            return args[i + 1]
-        if arg.startswith(flag + "="):
-            return arg.partition("=")[2]
-    return default
+    """The value of one flag before all are known: it decides which others there are.
+
+    As for every flag, the last one counts.
+    """
+    found = [args[i + 1] for i, arg in enumerate(args[:-1]) if arg == flag]
+    found += [arg.partition("=")[2] for arg in args if arg.startswith(flag + "=")]
+    if "" in found:
+        raise InputError(f"{flag}: found nothing, expected a value")
+    return found[-1] if found else default
 
 
 def _one_line(boxed: str) -> str:

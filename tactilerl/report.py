@@ -26,12 +26,14 @@ class Report:
     """Shows each epoch; writes TensorBoard events when asked to."""
 
     def __init__(
-        self, config: RunConfig, run_dir: RunDir, epoch: int, env_steps: int, is_quiet: bool = False
+        self, config: RunConfig, run_dir: RunDir, env_steps: int, is_quiet: bool = False
     ) -> None:
         self.console = Console(quiet=is_quiet, highlight=False, soft_wrap=True)
         self.total = config.run.total_timesteps
         self._first_step, self._started = env_steps, time.perf_counter()
-        self._events = _summary_writer(run_dir) if config.run.tensorboard and not is_quiet else None
+        self._events: Any = None
+        if config.run.tensorboard and not is_quiet:
+            self._events = require_tensorboard()(str(run_dir.path))
         self._diverged = 0.0
         self._bar: Progress | None = None
         if self.console.is_terminal and not is_quiet:
@@ -99,11 +101,12 @@ def _duration(seconds: float) -> str:
     return f"{hours}:{minutes:02d}:{seconds:02d}"
 
 
-def _summary_writer(run_dir: RunDir) -> Any:
+def require_tensorboard() -> Any:
+    """The class that writes events; InputError naming the extra when it is not installed."""
     try:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError as error:
         raise InputError(
             "--tensorboard needs an extra that is not installed: pip install 'tactilerl[tensorboard]'"
         ) from error
-    return SummaryWriter(str(run_dir.path))
+    return SummaryWriter

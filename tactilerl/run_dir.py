@@ -7,16 +7,18 @@ replaced whole, and the progress table is cut back to the checkpoint when a run 
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 import os
 import platform
+import shutil
 import subprocess
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from . import __version__
-from .config import RunConfig, from_dict
+from .config import LAYOUT_COPY, RunConfig, from_dict
 from .errors import InputError
 
 PACKAGES = ("torch", "numpy", "mujoco", "pybullet", "gymnasium", "gymnasium-robotics", "mpi4py")
@@ -44,9 +46,15 @@ class RunDir:
         except OSError as error:
             raise InputError(f"cannot make the run folder {str(path)!r}: {error.strerror}") from error
         run_dir = cls(path)
-        content = {**config.as_dict(), "ranks": ranks, **_provenance()}
-        replace_file(run_dir.config_file, (json.dumps(content, indent=1) + "\n").encode())
+        if config.layout_file:
+            shutil.copyfile(config.layout_file, path / LAYOUT_COPY)
+        run_dir.write_config(config, ranks)
         return run_dir
+
+    def write_config(self, config: RunConfig, ranks: int) -> None:
+        """Write config.json: every value, the number of ranks, versions and commit."""
+        content = {**config.as_dict(), "ranks": ranks, **_provenance()}
+        replace_file(self.config_file, (json.dumps(content, indent=1) + "\n").encode())
 
     def read_config(self) -> tuple[RunConfig, int]:
         """The run's configuration and number of ranks; InputError when there is none."""
@@ -57,7 +65,7 @@ class RunDir:
             raise InputError(f"{str(self.path)!r} is not a run folder: no config.json in it") from None
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise InputError(f"{self.config_file}: not a run's configuration: {error}") from error
-        return from_dict(data), ranks
+        return dataclasses.replace(from_dict(data), folder=self.path), ranks
 
     def append_progress(self, row: dict[str, Any]) -> None:
         """Add one row; the first decides the columns."""
@@ -67,19 +75,6 @@ class RunDir:
             if is_new:
                 writer.writeheader()
             writer.writerow(row)
-
-    def read_progress(self) -> list[dict[str, float]]:
-        """All complete rows."""
-        if not self.progress_file.exists():
-            return []
-        rows = []
-        with self.progress_file.open(newline="", encoding="utf-8") as file:
-            for row in csv.DictReader(file):
-                try:
-                    rows.append({key: float(value) for key, value in row.items()})
-                except (TypeError, ValueError):
-                    break  # the run was cut off while it wrote this row
-        return rows
 
     def cut_progress(self, epoch: int) -> None:
         """Drop what was written after the checkpoint of `epoch`."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import dataclasses
 import os
 import time
 from pathlib import Path
@@ -11,12 +11,11 @@ from typing import Any
 import torch
 
 from . import algos, checkpoint
-from .algos import DivergenceError
 from .algos.mpi import Communicator
 from .config import RunConfig
 from .envs.vector import ThreadedEnvs
-from .errors import InputError, input_errors
-from .report import Report
+from .errors import input_errors
+from .report import Report, require_tensorboard
 from .run_dir import RunDir
 
 
@@ -37,24 +36,29 @@ def train(config: RunConfig, comm: Communicator, resume: Path | None = None) -> 
     """Train until `total_timesteps`; returns the run folder.
 
     With `resume`, goes on from that folder's checkpoint, bit for bit as if the run had never
-    been cut off. Raises InputError over bad input and DivergenceError when the learner or
-    every episode breaks; the last checkpoint stays.
+    been cut off; from the start when it was cut off before its first. Raises InputError over
+    bad input and DivergenceError when the learner or every episode breaks; the last
+    checkpoint stays.
     """
+    path = resume or Path(config.run.out or Path("runs") / config.name())
+    config = dataclasses.replace(config, folder=path)
     learner, pool = make_algorithm(config, comm)
     try:
-        if resume is None:
-            path = Path(config.run.out or Path("runs") / config.name())
-            run_dir, epoch = RunDir(path), 0
-            if comm.rank == 0:
-                run_dir = RunDir.create(path, config, comm.size)
-        else:
-            run_dir = RunDir(resume)
-            epoch = _restore(run_dir, learner, comm)
-        with Report(config, run_dir, epoch, learner.env_steps, is_quiet=comm.rank > 0) as report:
+        if config.run.tensorboard:
+            require_tensorboard()
+        run_dir, epoch = RunDir(path), 0
+        if resume is not None and run_dir.checkpoint_file.exists():
+            epoch = checkpoint.restore(run_dir, config, learner, comm.rank, comm.size)
+        if comm.rank == 0 and resume is None:
+            RunDir.create(path, config, comm.size)
+        elif comm.rank == 0:  # the length of the run may be another
+            run_dir.write_config(config, comm.size)
+            run_dir.cut_progress(epoch)
+        with Report(config, run_dir, learner.env_steps, is_quiet=comm.rank > 0) as report:
             _loop(learner, config, comm, run_dir, epoch, report)
     finally:
         pool.close()
-    return run_dir.path
+    return path
 
 
 def _loop(
@@ -82,28 +86,8 @@ def _loop(
         states = comm.gather(learner.state_dict())
         if comm.rank == 0:
             run_dir.append_progress({**row, **times})
-            checkpoint.save(run_dir.checkpoint_file, epoch, states)
+            checkpoint.save(run_dir, config, epoch, states)
             report.epoch({**row, **times})
-
-
-def _restore(run_dir: RunDir, learner: algos.Algorithm, comm: Communicator) -> int:
-    """Load the checkpoint; the epoch it was written after."""
-    epoch, states = checkpoint.load(run_dir.checkpoint_file)
-    if len(states) != comm.size:
-        raise InputError(
-            f"ranks: found {comm.size}, the run was made with {len(states)}; "
-            f"start it with mpirun -n {len(states)}"
-        )
-    try:
-        learner.load_state_dict(states[comm.rank])
-    except (KeyError, RuntimeError, ValueError, TypeError) as error:
-        reason = " ".join(str(error).split())[:200]
-        raise InputError(
-            f"{run_dir.checkpoint_file}: from another configuration than config.json ({reason})"
-        ) from error
-    if comm.rank == 0:
-        run_dir.cut_progress(epoch)
-    return epoch
 
 
 def _device(name: str) -> str:
@@ -113,13 +97,3 @@ def _device(name: str) -> str:
         reason = str(error).splitlines()[0]
         raise ValueError(f"device: found {name!r}, which PyTorch cannot use here ({reason})") from None
     return name
-
-
-def converged(rows: list[dict[str, float]], share: float = 0.1) -> float:
-    """Mean success rate over the last `share` of epochs; nan without any."""
-    rates = [row["success_rate"] for row in rows]
-    tail = rates[-max(1, math.ceil(share * len(rates))) :]
-    return sum(tail) / len(tail) if tail else math.nan
-
-
-__all__ = ["DivergenceError", "converged", "make_algorithm", "train"]

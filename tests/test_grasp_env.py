@@ -320,7 +320,9 @@ class TestHoldTest:
             env.reset(seed=0)
             env.step(action * np.eye(23)[2])
             list(HoldTest(steps=500).positions(env.simulator, env._targets, env.config.timestep))
-            assert env.simulator.link_positions()[0, 2] == pytest.approx(1.0, abs=0.02)  # the wrist may still turn
+            assert env.simulator.link_positions()[0, 2] == pytest.approx(
+                1.0, abs=0.02
+            )  # the wrist may still turn
 
     def test_opened_hand_drops_it(self):
         assert not self.verdict(make(), close=False)

@@ -145,15 +145,17 @@ class MujocoSimulator:
     def contact_taxels(self) -> Array:
         return self.data.sensordata > 0.0
 
-    def warnings(self) -> int:
-        """MuJoCo's own warnings since the last reset."""
-        return int(sum(warning.number for warning in self.data.warning))
-
     def render(self, camera: Camera, taxels: Taxels | None = None, lit: Array | None = None) -> Array:
         if self._renderer is None:
             offscreen = self.model.vis.global_
             offscreen.offwidth, offscreen.offheight = camera.width, camera.height
-            self._renderer = mujoco.Renderer(self.model, camera.height, camera.width)
+            try:
+                self._renderer = mujoco.Renderer(self.model, camera.height, camera.width)
+            except (mujoco.FatalError, ImportError, AttributeError) as error:
+                raise OSError(
+                    f"MuJoCo cannot draw here ({' '.join(str(error).split())}); without a display set "
+                    "MUJOCO_GL=egl or MUJOCO_GL=osmesa"
+                ) from error
         view = mujoco.MjvCamera()
         view.lookat[:] = (self.data.xpos[self._object_body] + self.link_positions()[0]) / 2
         view.distance, view.azimuth = camera.distance, camera.azimuth
