@@ -16,9 +16,11 @@ $(VENV)/.installed: setup.cfg pyproject.toml constraints.txt
 	touch $@
 
 # About ten minutes on two cores. The early hold verdict and two environments are for speed.
+# Goes on with the run when it is there already.
 train: $(VENV)/.installed
-	$(BIN)/tactilerl train --algo ppo --env shadow --layout 4 --total-timesteps 50000 \
-		--num-envs 2 --hold-verdict settled --out $(RUN)
+	if [ -e $(RUN)/config.json ]; then $(BIN)/tactilerl train --resume $(RUN); else \
+		$(BIN)/tactilerl train --algo ppo --env shadow --layout 4 --total-timesteps 50000 \
+			--num-envs 2 --hold-verdict settled --out $(RUN); fi
 	$(BIN)/tactilerl evaluate $(RUN) --episodes 50
 
 test: $(VENV)/.installed

@@ -7,7 +7,7 @@ distances; files are in millimetres. `place` puts a layout on a hand.
 
 from __future__ import annotations
 
-import sys
+import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,11 +15,6 @@ from typing import Any
 import numpy as np
 
 from .hands import DIGITS, SEGMENTS, Array, Hand, Surface
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 FINGERS = DIGITS[1:]
 NAMED = Path(__file__).with_name("layout_files")

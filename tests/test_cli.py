@@ -135,6 +135,34 @@ class TestResume:
         main(["train", "--resume", "cut", "--total-timesteps", "360"])
         assert progress(Path("whole")) == progress(Path("cut"))
 
+    def test_run_cut_off_before_its_first_checkpoint_starts_anew(self):
+        main([*TOY, "--total-timesteps", "240", "--out", "whole"])
+        main([*TOY, "--total-timesteps", "240", "--out", "cut"])
+        Path("cut/checkpoint.pt").unlink()
+        assert main(["train", "--resume", "cut"]) == 0
+        assert progress(Path("whole")) == progress(Path("cut"))
+        assert same_checkpoint(Path("whole"), Path("cut"))
+
+    def test_longer_run_is_remembered(self):
+        main([*TOY, "--total-timesteps", "1", "--out", "run"])
+        main(["train", "--resume", "run", "--total-timesteps", "240"])
+        assert json.loads(Path("run/config.json").read_text())["run"]["total_timesteps"] == 240
+
+    def test_length_counts_when_the_learning_rate_is_annealed(self, capsys):
+        main([*TOY, "--anneal-lr", "--total-timesteps", "1", "--out", "run"])
+        more = ["train", "--resume", "run", "--anneal-lr", "--total-timesteps", "240"]
+        fails_with(capsys, more, "total_timesteps: found 240")
+
+    def test_the_runs_own_copy_of_a_layout_file_counts(self):
+        patch = {"digits": ["thumb"], "segments": ["distal"], "offsets_mm": [[0, 0]], "radius_mm": 2}
+        lines = [f"{key} = {json.dumps(value)}" for key, value in patch.items()]
+        Path("mine.toml").write_text("\n".join(["[[patch]]", *lines]))
+        args = ["train", "--layout", "mine.toml", *FAST, "--max-episode-steps", "5"]
+        main([*args, "--hold-steps", "50", "--total-timesteps", "1", "--out", "run"])
+        Path("mine.toml").unlink()
+        assert main(["evaluate", "run", "--episodes", "1"]) == 0
+        assert main(["train", "--resume", "run"]) == 0
+
     def test_another_configuration_is_refused(self, capsys):
         main([*TOY, "--total-timesteps", "1", "--out", "run"])
         before = Path("run/checkpoint.pt").read_bytes()
@@ -179,6 +207,9 @@ class TestBadInput:
             (["train", "--num-envs", "0"], ["num_envs: found 0"]),
             (["train", "--n-minibatches", "6", "--minibatch-size", "6"], ["found both"]),
             (["train", "--control-dt", "0.001"], ["control_dt: found 0.001"]),
+            (["train", "--entropy-coef", "nan"], ["entropy_coef: found nan"]),
+            (["train", "--object-size", "0.3"], ["object_size: found 0.3", "up to 0.05"]),
+            (["train", "--resume="], ["--resume: found nothing"]),
             (["train", "--resume", "nowhere"], ["'nowhere' is not a run folder"]),
             (["evaluate", "nowhere"], ["'nowhere' is not a run folder"]),
             (["evaluate", "nowhere", "--episodes", "0"], ["--episodes: found 0"]),
@@ -200,6 +231,28 @@ class TestBadInput:
         Path("mine/thesis.txt").write_text("years of work")
         fails_with(capsys, [*TOY, "--out", "mine"], "'mine' exists", "--resume mine")
         assert Path("mine/thesis.txt").read_text() == "years of work"
+
+    def test_damaged_configuration(self, capsys):
+        main([*TOY, "--total-timesteps", "1", "--out", "run"])
+        good = json.loads(Path("run/config.json").read_text())
+        for part, key, value in (("run", "total_timesteps", "x"), ("learner", "gamma", 7)):
+            bad = {**good, part: {**good[part], key: value}}
+            Path("run/config.json").write_text(json.dumps(bad))
+            fails_with(capsys, ["evaluate", "run"], "configuration")
+            fails_with(capsys, ["train", "--resume", "run"], "configuration")
+
+    def test_full_disk_stops_with_one_line_and_keeps_the_checkpoint(self):
+        """A limit on file sizes stands in for a full disk: the next checkpoint does not fit."""
+        main([*TOY, "--total-timesteps", "1", "--out", "run"])
+        before = Path("run/checkpoint.pt").read_bytes()
+        command = "trap '' XFSZ; ulimit -f 4; exec $0 -m tactilerl.cli train --resume run"
+        command += " --total-timesteps 600"
+        result = subprocess.run(["bash", "-c", command, sys.executable], capture_output=True, text=True)
+        assert result.returncode == 1
+        assert "tactilerl: stopped: " in result.stderr
+        assert "Traceback" not in result.stderr
+        assert Path("run/checkpoint.pt").read_bytes() == before
+        assert not list(Path("run").glob("*.tmp"))
 
     def test_divergence_stops_with_the_last_checkpoint_kept(self, capsys):
         main([*TOY, "--total-timesteps", "1", "--out", "run"])

@@ -239,6 +239,9 @@ class TestFaults:
             dict(layout="9"),
             dict(reward="sparse"),
             dict(hold_steps=0),
+            dict(run_type="half"),
+            dict(task="fly"),
+            dict(hold_verdict="maybe"),
         ],
     )
     def test_bad_configuration_is_named(self, choices):

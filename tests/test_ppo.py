@@ -115,6 +115,18 @@ class TestBatch:
         ppo = make_ppo(ScriptedPool())
         assert ppo._normalise(np.full(50, 1e6 + 0.1)).tolist() == [0.0] * 50
 
+    def test_observations_are_copied(self):
+        """An environment may hand out the same buffer again and again."""
+        buffer, count = np.zeros(3, np.float32), iter(range(1000))
+
+        def obs(rng):
+            buffer[:] = next(count)
+            return buffer
+
+        ppo = make_ppo(ScriptedPool(obs=obs), steps_per_epoch=5)
+        ppo.collect()
+        assert [o[0] for o in ppo._episodes[0].obs] == [0, 1, 2, 3, 4, 5]
+
     def test_truncation_switch(self):
         def returns(truncation, terminated):
             pool = ScriptedPool(length=1, terminated=terminated, reward=lambda rng: 1.0)
