@@ -314,6 +314,27 @@ class TestOtherCommands:
         assert main(["doctor", "--layout", "3", "--touch", "contact", *few]) == 1
         assert json.loads(capsys.readouterr().out)[0]["is_blind"]
 
+    def test_render_draws_the_hand_and_its_taxels(self):
+        """Where neither EGL nor OSMesa is there, the command says so in one line."""
+        command = [sys.executable, "-m", "tactilerl.cli", "render", "--layout", "1"]
+        for backend in ("egl", "osmesa"):
+            env = os.environ | {"MUJOCO_GL": backend}
+            result = subprocess.run(
+                [*command, "--out", "x.png"], env=env, capture_output=True, text=True
+            )
+            if result.returncode == 0:
+                break
+            assert "Traceback" not in result.stderr
+        else:
+            pytest.skip("no OpenGL without a display here")
+        from PIL import Image
+
+        with Image.open("x.png") as picture:
+            colours = picture.convert("RGB").getcolors(10**6)
+        assert picture.size == (720, 540)
+        assert sum(n for n, (r, g, b) in colours if b > 100 and r < 60) > 20  # taxels that are off
+        assert "taxels fire" in result.stdout
+
     def test_help_lists_every_hyperparameter(self, capsys):
         with pytest.raises(SystemExit) as stop:
             main(["train", "--help"])
