@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import gymnasium as gym
 import numpy as np
 
 Array = np.ndarray
-ALGORITHMS = ("ppo",)
+ALGORITHMS = ("ppo", "ddpg_her")
 
 
 class DivergenceError(FloatingPointError):
@@ -32,6 +32,14 @@ class EnvPool(Protocol):
     observation_space: gym.Space[Any]
     action_space: gym.Space[Any]
 
+    @property
+    def max_episode_steps(self) -> int | None:
+        """Steps after which an episode is cut off; None where the environment does not say."""
+
+    @property
+    def n_boolean(self) -> int:
+        """How many entries at the end of a goal environment's observation are 0 or 1."""
+
     def __len__(self) -> int: ...
 
     def reset(self, index: int, seed: int) -> Any:
@@ -40,6 +48,9 @@ class EnvPool(Protocol):
     def step(self, indices: Sequence[int], actions: Array) -> list[Transition]:
         """Step the environments `indices` with actions (len(indices), ...)."""
 
+    def compute_reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
+        """A goal environment's rewards (n,) of goals (n, goal_size)."""
+
 
 class Algorithm(Protocol):
     """What the training loop asks of a learner."""
@@ -47,28 +58,57 @@ class Algorithm(Protocol):
     env_steps: int
     """Environment steps taken so far, on all ranks."""
 
+    total_timesteps: int
+    """Where to stop, on all ranks."""
+
+    cycles_per_epoch: int
+    """How often an epoch collects and updates."""
+
+    def prepare(self) -> str:
+        """What the configuration amounts to, in words; ValueError when memory is short."""
+
     def collect(self) -> dict[str, float]:
-        """Gather experience for one epoch; what was seen."""
+        """Gather experience for one cycle; what was seen."""
 
     def update(self) -> dict[str, float]:
         """Learn from it; losses and the like."""
+
+    def test(self) -> dict[str, float]:
+        """How good is it without exploration, at the end of an epoch? Empty where not asked."""
 
     def act(self, obs: Any, deterministic: bool = False) -> Array:
         """Action for one observation."""
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that the rest of the run depends on."""
+        """Everything that the rest of the run depends on, except the experience."""
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on exactly where `state_dict` was taken."""
+        """Go on exactly where `state_dict` was taken; with the own random state if it has none."""
+
+    @property
+    def experience_bytes(self) -> int:
+        """Memory that the experience takes when it is full; 0 where nothing is remembered."""
+
+    def new_experience(self, everything: bool = False) -> dict[str, Any]:
+        """Tensors: what is remembered since the last call, or at all; empty where nothing is."""
+
+    def add_experience(self, saved: dict[str, Any]) -> None:
+        """Remember again what `new_experience` returned."""
 
 
-def load(name: str) -> tuple[type, type]:
-    """(Config, Algorithm) by name; PyTorch is imported here and not before."""
+def load(name: str) -> tuple[Mapping[str, Any], type]:
+    """(configurations by the name of their preset, Algorithm) by name.
+
+    The first preset is "paper". PyTorch is imported here and not before.
+    """
     if name == "ppo":
         from .ppo import PPO, PPOConfig
 
-        return PPOConfig, PPO
+        return {"paper": PPOConfig()}, PPO
+    if name == "ddpg_her":
+        from .ddpg_her import DDPGHER, PRESETS
+
+        return PRESETS, DDPGHER
     raise ValueError(f"unknown algorithm {name!r}; allowed: {', '.join(ALGORITHMS)}")
 
 
@@ -121,5 +161,18 @@ def flat_size(space: gym.Space[Any]) -> int:
         return int(np.prod(space.shape))
     raise ValueError(
         f"observation space: found {space}, allowed Box, or Dict with observation, "
+        "achieved_goal and desired_goal"
+    )
+
+
+def goal_size(space: gym.Space[Any]) -> int:
+    """Length of a goal environment's goals; ValueError when it is not one."""
+    keys = ("observation", "achieved_goal", "desired_goal")
+    if isinstance(space, gym.spaces.Dict) and set(keys) <= set(space.spaces):
+        sizes = [flat_size(space[key]) for key in keys]
+        if sizes[1] == sizes[2]:
+            return sizes[2]
+    raise ValueError(
+        f"observation space: found {space}, allowed a goal environment's: Dict with observation, "
         "achieved_goal and desired_goal"
     )

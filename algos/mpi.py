@@ -21,9 +21,11 @@ class Communicator:
 
     rank = 0
     size = 1
+    local_size = 1
+    """Ranks on this machine."""
 
-    def mean_(self, tensor: Tensor) -> None:
-        """Replace `tensor` by its mean over ranks, in place."""
+    def sum_(self, tensor: Tensor) -> None:
+        """Replace `tensor` by its sum over ranks, in place."""
 
     def broadcast_(self, tensor: Tensor) -> None:
         """Replace `tensor` by rank 0's, in place."""
@@ -40,8 +42,12 @@ class Communicator:
         """Smallest value of any rank."""
         return value
 
-    def gather(self, value: Any) -> list[Any]:
+    def all_gather(self, value: Any) -> list[Any]:
         """The values of all ranks, in their order, on every rank."""
+        return [value]
+
+    def gather(self, value: Any) -> list[Any]:
+        """The values of all ranks, in their order, on rank 0; nothing on the others."""
         return [value]
 
 
@@ -60,16 +66,19 @@ class MPICommunicator(Communicator):
         self._comm = MPI.COMM_WORLD
         self.rank = self._comm.Get_rank()
         self.size = self._comm.Get_size()
+        self.local_size = self._comm.Split_type(MPI.COMM_TYPE_SHARED).Get_size()
 
-    def mean_(self, tensor: Tensor) -> None:
+    def sum_(self, tensor: Tensor) -> None:
         on_host = tensor.detach().cpu()
         self._comm.Allreduce(self._mpi.IN_PLACE, on_host.numpy(), op=self._mpi.SUM)
-        tensor.detach().copy_(on_host).div_(self.size)
+        if on_host.data_ptr() != tensor.data_ptr():
+            tensor.detach().copy_(on_host)
 
     def broadcast_(self, tensor: Tensor) -> None:
         on_host = tensor.detach().cpu()
         self._comm.Bcast(on_host.numpy(), root=0)
-        tensor.detach().copy_(on_host)
+        if on_host.data_ptr() != tensor.data_ptr():
+            tensor.detach().copy_(on_host)
 
     def sum(self, values: np.ndarray) -> np.ndarray:
         total = np.empty_like(values, dtype=np.float64)
@@ -79,8 +88,11 @@ class MPICommunicator(Communicator):
     def min(self, value: int) -> int:
         return int(self._comm.allreduce(value, op=self._mpi.MIN))
 
-    def gather(self, value: Any) -> list[Any]:
+    def all_gather(self, value: Any) -> list[Any]:
         return list(self._comm.allgather(value))
+
+    def gather(self, value: Any) -> list[Any]:
+        return list(self._comm.gather(value) or ())
 
 
 def world() -> Communicator:
@@ -105,4 +117,4 @@ def same_on_all_ranks(comm: Communicator, tensor: Tensor) -> bool:
     if comm.size == 1:
         return True
     digest = hashlib.sha256(tensor.detach().cpu().numpy().tobytes()).hexdigest()
-    return len(set(comm.gather(digest))) == 1
+    return len(set(comm.all_gather(digest))) == 1

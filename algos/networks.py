@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import nn
@@ -36,12 +36,12 @@ class MLP(nn.Sequential):
         super().__init__(*layers)
 
 
-def flatten(module: nn.Module) -> nn.Parameter:
-    """Move all parameters of `module` into one vector, of which they become views.
+def flatten(*modules: nn.Module) -> nn.Parameter:
+    """Move all parameters of `modules` into one vector, of which they become views.
 
     The vector's gradient is likewise made of the parameters' gradients. Returns the vector.
     """
-    parameters = list(module.parameters())
+    parameters = [parameter for module in modules for parameter in module.parameters()]
     vector = nn.Parameter(torch.cat([p.detach().reshape(-1) for p in parameters]))
     vector.grad = torch.zeros_like(vector)
     start = 0
@@ -54,29 +54,46 @@ def flatten(module: nn.Module) -> nn.Parameter:
 
 
 class FlatAdam:
-    """Adam (Kingma & Ba 2014) on all parameters of a module as one vector."""
+    """Adam (Kingma & Ba 2014) on all parameters of modules as one vector.
 
-    def __init__(self, module: nn.Module, lr: float, eps: float = 1e-8) -> None:
-        self.vector = flatten(module)
+    Each module comes with its step size.
+    """
+
+    def __init__(self, *modules: tuple[nn.Module, float], eps: float = 1e-8) -> None:
+        self.vector = flatten(*(module for module, _ in modules))
+        assert self.vector.grad is not None
         self.gradient = self.vector.grad
-        self._adam = torch.optim.Adam([self.vector], lr=lr, eps=eps, fused=True)
+        groups, start = [], 0
+        for module, lr in modules:
+            end = start + sum(parameter.numel() for parameter in module.parameters())
+            part = nn.Parameter(self.vector.data[start:end])
+            part.grad = self.gradient[start:end]
+            groups.append({"params": [part], "lr": lr})
+            start = end
+        self._adam = torch.optim.Adam(groups, eps=eps, fused=True)
 
     def set_lr(self, lr: float) -> None:
-        """Change the learning rate."""
-        self._adam.param_groups[0]["lr"] = lr
+        """Change the step size of all modules."""
+        for group in self._adam.param_groups:
+            group["lr"] = lr
 
     def zero_grad(self) -> None:
         """Set the gradient to zero, in place: the parameters' gradients are views of it."""
-        assert self.gradient is not None
         self.gradient.zero_()
 
-    def step(self, comm: Communicator, max_norm: float | None = None) -> None:
-        """Average the gradient over ranks, clip its norm, take one step."""
-        assert self.gradient is not None
-        comm.mean_(self.gradient)
-        if max_norm is not None:
-            scale = max_norm / (torch.linalg.vector_norm(self.gradient) + 1e-6)
-            self.gradient.mul_(scale.clamp(max=1.0))
+    def reduce(self, comm: Communicator, how: Literal["mean", "sum"] = "mean") -> None:
+        """Replace the gradient by its mean or sum over ranks: one message."""
+        comm.sum_(self.gradient)
+        if how == "mean" and comm.size > 1:
+            self.gradient.div_(comm.size)
+
+    def clip(self, max_norm: float) -> None:
+        """Scale the gradient down to `max_norm` where it is longer."""
+        scale = max_norm / (torch.linalg.vector_norm(self.gradient) + 1e-6)
+        self.gradient.mul_(scale.clamp(max=1.0))
+
+    def step(self) -> None:
+        """One step along the gradient."""
         self._adam.step()
 
     def is_finite(self) -> bool:
@@ -84,7 +101,7 @@ class FlatAdam:
         return bool(torch.isfinite(self.vector).all())
 
     def state_dict(self) -> dict[str, Any]:
-        """Moments and step count; the parameters themselves belong to the module."""
+        """Moments and step count; the parameters themselves belong to the modules."""
         return self._adam.state_dict()
 
     def load_state_dict(self, state: dict[str, Any]) -> None:

@@ -7,26 +7,17 @@ returns = advantage + value, advantages normalised over the batch, separate Adam
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from . import (
-    Array,
-    DivergenceError,
-    EnvPool,
-    Transition,
-    action_bounds,
-    check_ranges,
-    flat_observation,
-    flat_size,
-)
+from . import Array, DivergenceError, EnvPool, check_ranges, flat_observation, flat_size
 from .mpi import Communicator, same_on_all_ranks
 from .networks import MLP, FlatAdam
+from .rollout import Episode, Rollouts, finite, summary
 
 SAVED = ("actor", "critic", "actor_adam", "critic_adam")
 MAX_LOG_RATIO = 20.0  # exp(20) = 5e8: far outside any clip range, far inside float32
@@ -92,15 +83,6 @@ class PPOConfig:
         if self.entropy_coef != 0:
             raise ValueError(f"entropy_coef: found {self.entropy_coef}, allowed 0")
 
-    def resolved(self, ranks: int) -> str:
-        """What the fields amount to on that many ranks, in words."""
-        steps = -(-self.steps_per_epoch // ranks)
-        n = self.minibatches(steps)
-        return (
-            f"{n} minibatches of about {steps // n} transitions, {self.n_passes} "
-            f"passes: {n * self.n_passes} updates of actor and critic per epoch"
-        )
-
     def minibatches(self, n: int) -> int:
         """Minibatches per pass over a batch of `n` transitions."""
         if self.minibatch_size is not None:
@@ -141,18 +123,6 @@ def clipped_loss(log_ratio: Tensor, advantages: Tensor, clip_range: float) -> Te
     return -torch.min(ratio * advantages, clipped * advantages).mean()
 
 
-@dataclass
-class Episode:
-    """One episode as it was lived; the observations include the last."""
-
-    obs: list[Array]
-    actions: list[Array] = field(default_factory=list)
-    rewards: list[float] = field(default_factory=list)
-    terminated: bool = False
-    success: float = math.nan
-    """1 or 0 at the end; nan where the environment does not say."""
-
-
 class PPO:
     """Actor, critic and the batch of the current epoch; the interface is `algos.Algorithm`."""
 
@@ -168,107 +138,53 @@ class PPO:
         config.validate()
         self.config, self.pool, self.comm = config, pool, comm
         self.total_timesteps, self.device = total_timesteps, torch.device(device)
-        self._low, self._high = action_bounds(pool.action_space)
-        n_obs, n_actions = flat_size(pool.observation_space), int(np.prod(self._low.shape))
+        self.rng = np.random.default_rng([seed, comm.rank])
+        self.rollouts = Rollouts(pool, flat_observation, self.rng)
+        n_obs, n_actions = flat_size(pool.observation_space), self.rollouts.n_actions
         weights = torch.Generator().manual_seed(seed)
         self.actor = MLP((n_obs, *config.hidden, n_actions), weights, tanh=True).to(self.device)
         self.critic = MLP((n_obs, *config.hidden, 1), weights).to(self.device)
-        self.actor_adam = FlatAdam(self.actor, config.actor_lr)
-        self.critic_adam = FlatAdam(self.critic, config.critic_lr)
-        self.rng = np.random.default_rng([seed, comm.rank])
-        self.env_steps = 0
-        self._episodes: list[Episode] = []
+        self.actor_adam = FlatAdam((self.actor, config.actor_lr))
+        self.critic_adam = FlatAdam((self.critic, config.critic_lr))
+        self.env_steps, self.cycles_per_epoch = 0, 1
+        self._episodes: list[Episode[Array]] = []
 
-    # -- acting ------------------------------------------------------------------------------
+    def prepare(self) -> str:
+        """What the configuration amounts to, in words."""
+        config = self.config
+        steps = -(-config.steps_per_epoch // self.comm.size)
+        n = config.minibatches(steps)
+        return (
+            f"{n} minibatches of about {steps // n} transitions, {config.n_passes} "
+            f"passes: {n * config.n_passes} updates of actor and critic per epoch"
+        )
+
+    # -- acting and collecting ---------------------------------------------------------------
 
     def act(self, obs: Any, deterministic: bool = False) -> Array:
         """Action for one observation, in the environment's own range."""
-        return self._to_env(self._sample(flat_observation(obs)[None], deterministic))[0]
+        return self.rollouts.to_env(self._sample([flat_observation(obs)], deterministic))[0]
 
     @torch.no_grad()
-    def _sample(self, obs: Array, deterministic: bool = False) -> Array:
+    def _sample(self, obs: list[Array], deterministic: bool = False) -> Array:
         """Actions (n, d) in units of the policy, where the bounds are ±1."""
-        mean = self.actor(torch.from_numpy(obs).to(self.device)).cpu().numpy()
+        mean = self.actor(torch.from_numpy(np.stack(obs)).to(self.device)).cpu().numpy()
         if deterministic:
             return mean
         noise = self.rng.standard_normal(mean.shape, dtype=np.float32)
         return mean + np.float32(self.config.action_variance**0.5) * noise
 
-    def _to_env(self, actions: Array) -> Array:
-        """Policy units to the environment's: [-1, 1] to [low, high], clipped."""
-        half = (self._high - self._low) / 2
-        actions = actions.reshape(-1, *self._low.shape)
-        return self._low + half * (np.clip(actions, -1.0, 1.0) + 1.0)
-
-    # -- collecting --------------------------------------------------------------------------
-
     def collect(self) -> dict[str, float]:
-        """Whole episodes, until this rank's share of `steps_per_epoch` is there.
-
-        An environment whose episode ends starts another only while steps are missing, so the
-        batch does not depend on how fast the environments are.
-        """
+        """Whole episodes, until this rank's share of `steps_per_epoch` is there."""
         wanted = -(-self.config.steps_per_epoch // self.comm.size)
-        self._episodes = []
-        running: dict[int, Episode] = {}
-        started = diverged = 0
-        while running or started < wanted:
-            for index in range(len(self.pool)):
-                if index not in running and started < wanted:
-                    running[index] = self._reset(index)
-            indices = list(running)
-            actions = self._sample(np.stack([running[i].obs[-1] for i in indices]))
-            started += len(indices)
-            results = self.pool.step(indices, self._to_env(actions))
-            for index, action, result in zip(indices, actions, results, strict=True):
-                ended = self._record(running[index], action, result)
-                diverged += bool(result.info.get("diverged"))
-                if ended:
-                    episode = running.pop(index)
-                    if episode.rewards:
-                        self._episodes.append(episode)
-        return self._summary(diverged)
+        self._episodes = self.rollouts.play(self._sample, steps=wanted)
+        seen = summary(self._episodes, self.rollouts.diverged, self.comm)
+        self.env_steps += int(seen.pop("steps"))
+        return seen
 
-    def _reset(self, index: int) -> Episode:
-        obs = self.pool.reset(index, int(self.rng.integers(2**31)))
-        return Episode([_checked(flat_observation(obs), "an observation")])
-
-    def _record(self, episode: Episode, action: Array, result: Transition) -> bool:
-        """Add one transition; has the episode ended? A diverged step is void, not learned from."""
-        if result.info.get("diverged"):
-            return True
-        episode.obs.append(_checked(flat_observation(result.obs), "an observation"))
-        episode.actions.append(action)
-        episode.rewards.append(float(_checked(np.float64(result.reward), "a reward")))
-        episode.terminated = result.terminated
-        episode.success = float(result.info.get("is_success", math.nan))
-        return result.terminated or result.truncated
-
-    def _summary(self, diverged: int) -> dict[str, float]:
-        episodes = self._episodes
-        steps = sum(len(e.rewards) for e in episodes)
-        sums = self.comm.sum(
-            np.array(
-                [
-                    steps,
-                    len(episodes),
-                    sum(e.success for e in episodes),
-                    sum(sum(e.rewards) for e in episodes),
-                    diverged,
-                ],
-                dtype=np.float64,
-            )
-        )
-        if not episodes:
-            raise DivergenceError(f"all episodes of an epoch diverged at their first step ({diverged})")
-        self.env_steps += int(sums[0])
-        return {
-            "episodes": sums[1],
-            "success_rate": sums[2] / sums[1],
-            "mean_return": sums[3] / sums[1],
-            "mean_length": sums[0] / sums[1],
-            "diverged": sums[4],
-        }
+    def test(self) -> dict[str, float]:
+        """Nothing: the paper's success rate is that of the training episodes."""
+        return {}
 
     # -- learning ----------------------------------------------------------------------------
 
@@ -321,7 +237,7 @@ class PPO:
             )
             start = end + 1
         advantage = np.concatenate(advantages)
-        returns = _checked(advantage + all_values[~is_last], "a return")
+        returns = finite(advantage + all_values[~is_last], "a return")
         obs = all_obs[torch.from_numpy(~is_last).to(self.device)]
         actions = torch.from_numpy(np.concatenate([np.stack(e.actions) for e in episodes]))
         actions = actions.to(self.device)
@@ -351,8 +267,10 @@ class PPO:
         self.actor_adam.zero_grad()
         self.critic_adam.zero_grad()
         (policy_loss + value_loss).backward()
-        self.actor_adam.step(self.comm, config.max_grad_norm)
-        self.critic_adam.step(self.comm, config.max_grad_norm)
+        for adam in (self.actor_adam, self.critic_adam):
+            adam.reduce(self.comm)
+            adam.clip(config.max_grad_norm)
+            adam.step()
         with torch.no_grad():
             ratio = log_ratio.clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO).exp()
             kl = (ratio - 1 - log_ratio).mean()
@@ -382,11 +300,18 @@ class PPO:
         """Go on exactly where `state_dict` was taken."""
         for name in SAVED:
             getattr(self, name).load_state_dict(state[name])
-        self.rng.bit_generator.state = state["rng"]
+        if "rng" in state:  # not on a rank that is new
+            self.rng.bit_generator.state = state["rng"]
         self.env_steps = state["env_steps"]
 
+    @property
+    def experience_bytes(self) -> int:
+        """Nothing is remembered from epoch to epoch."""
+        return 0
 
-def _checked(values: Any, what: str) -> Any:
-    if not np.isfinite(values).all():
-        raise DivergenceError(f"{what} of the environment is not finite")
-    return values
+    def new_experience(self, everything: bool = False) -> dict[str, Any]:
+        """Nothing."""
+        return {}
+
+    def add_experience(self, saved: dict[str, Any]) -> None:
+        """Nothing to remember."""

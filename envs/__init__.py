@@ -48,4 +48,6 @@ for _name in GRASP_ENVS:
         disable_env_checker=True,
     )
 gym.register("tactilerl/LQR-v0", entry_point="tactilerl.envs.toy:LQREnv")
-gym.register("tactilerl/PointReach-v0", entry_point="tactilerl.envs.toy:PointReachEnv")
+gym.register(
+    "tactilerl/PointReach-v0", entry_point="tactilerl.envs.toy:PointReachEnv", max_episode_steps=25
+)

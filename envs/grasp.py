@@ -224,9 +224,13 @@ class GraspEnv(gym.Env[Any, Array]):
             "object_orientation": [f"object quaternion {axis}" for axis in "wxyz"],
         }
         entries = [name for term in self.hand.observation for name in names[term]]
-        if self.config.run_type != "absent":
-            entries += [f"taxel {name}" for name in self.taxels.names]
+        entries += [f"taxel {name}" for name in self.taxels.names][: self.n_boolean]
         return entries
+
+    @property
+    def n_boolean(self) -> int:
+        """How many entries at the end of ``observation`` are 0 or 1: the taxels."""
+        return 0 if self.config.run_type == "absent" else len(self.taxels)
 
     def taxel_readings(self) -> Array:
         """bool (n_taxels,): what the taxels feel now by the configured touch rule."""

@@ -24,7 +24,7 @@ class LQREnv(gym.Env[Array, Array]):
     R = np.array([[0.5]])
     start = 0.3
     """Starts are uniform in the box ±start."""
-    horizon = 60
+    max_episode_steps = 60
 
     def __init__(self) -> None:
         self.observation_space = gym.spaces.Box(-np.inf, np.inf, (2,), np.float32)
@@ -45,13 +45,19 @@ class LQREnv(gym.Env[Array, Array]):
         cost = self._state @ self.Q @ self._state + force @ self.R @ force
         self._state = self.A @ self._state + self.B @ force
         self._steps += 1
-        return self._state.astype(np.float32), -float(cost), False, self._steps >= self.horizon, {}
+        return (
+            self._state.astype(np.float32),
+            -float(cost),
+            False,
+            self._steps >= self.max_episode_steps,
+            {},
+        )
 
     @classmethod
     def riccati(cls) -> list[tuple[Array, Array]]:
         """(cost-to-go matrix (2, 2), gain (1, 2)) at each step: the optimal force is -gain @ x."""
         cost, solution = np.zeros((2, 2)), []
-        for _ in range(cls.horizon):
+        for _ in range(cls.max_episode_steps):
             gain = np.linalg.solve(cls.R + cls.B.T @ cost @ cls.B, cls.B.T @ cost @ cls.A)
             cost = cls.Q + cls.A.T @ cost @ (cls.A - cls.B @ gain)
             solution.append((cost, gain))
@@ -71,7 +77,7 @@ class PointReachEnv(gym.Env[Any, Array]):
 
     speed = 0.1
     tolerance = 0.08
-    horizon = 25
+    max_episode_steps = 25
 
     def __init__(self) -> None:
         box = gym.spaces.Box(-np.inf, np.inf, (2,), np.float32)
@@ -96,7 +102,7 @@ class PointReachEnv(gym.Env[Any, Array]):
         self._steps += 1
         obs = self._obs()
         reward = float(self.compute_reward(obs["achieved_goal"], obs["desired_goal"], {}))
-        return obs, reward, False, self._steps >= self.horizon, {"is_success": reward == 0.0}
+        return obs, reward, False, self._steps >= self.max_episode_steps, {"is_success": reward == 0.0}
 
     def compute_reward(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Array:
         """Rewards (...) of goals (..., 2)."""

@@ -36,6 +36,23 @@ class ThreadedEnvs:
     def __len__(self) -> int:
         return len(self.envs)
 
+    @property
+    def max_episode_steps(self) -> int | None:
+        """Steps after which an episode is cut off; None where the environment does not say."""
+        env = self.envs[0]
+        own = getattr(env.unwrapped, "max_episode_steps", None)
+        return own or (env.spec.max_episode_steps if env.spec else None)
+
+    @property
+    def n_boolean(self) -> int:
+        """How many entries at the end of a goal environment's observation are 0 or 1."""
+        return int(getattr(self.envs[0].unwrapped, "n_boolean", 0))
+
+    def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray) -> np.ndarray:
+        """Rewards (n,) of goals (n, goal_size)."""
+        env: Any = self.envs[0].unwrapped
+        return np.asarray(env.compute_reward(achieved_goal, desired_goal, {}))
+
     def reset(self, index: int, seed: int) -> Any:
         """First observation of a new episode of one environment."""
         return self.envs[index].reset(seed=seed)[0]

@@ -40,7 +40,8 @@ def train(args: list[str]) -> int:
     saved = RunDir(Path(resume)).read_config()[0] if resume else None
     algo = flags.peek(args, "--algo", RunOptions.algo)
     env = flags.peek(args, "--env", RunOptions.env)
-    config = _read_config(args, saved or configuration.defaults(algo, env))
+    preset = flags.peek(args, "--preset", RunOptions.preset)
+    config, any_ranks = _read_config(args, saved or configuration.defaults(algo, env, preset))
     if resume and any(arg.partition("=")[0] == "--out" for arg in args):
         raise InputError("--out: a resumed run stays in its folder; leave it out")
     with input_errors():
@@ -50,7 +51,7 @@ def train(args: list[str]) -> int:
         raise InputError(f"--resume {resume}: {difference}; a run goes on as it began")
     if comm.rank == 0:
         console.print(_summary(config, comm.size))
-    path = run(config, comm, Path(resume) if resume else None)
+    path = run(config, comm, Path(resume) if resume else None, any_ranks)
     if comm.rank == 0:
         console.print(
             f"\nThe run is in {path}: progress.csv (learning curve), checkpoint.pt, config.json.\n"
@@ -59,14 +60,16 @@ def train(args: list[str]) -> int:
     return 0
 
 
-def _read_config(args: list[str], base: RunConfig) -> RunConfig:
-    """All flags of `train`, over the defaults `base`."""
+def _read_config(args: list[str], base: RunConfig) -> tuple[RunConfig, bool]:
+    """All flags of `train`, over the defaults `base`; and may the number of ranks change?"""
     parts = {"run": base.run, "scene": base.scene, "learner": base.learner}
     parts = {name: part for name, part in parts.items() if part is not None}
     about = "go on with the run in this folder, exactly where its last epoch ended"
     resume = ("resume", Annotated[str, tyro.conf.arg(help=about, metavar="RUN")], "")
+    about = "with --resume: go on with another number of processes, no longer bit for bit"
+    any_ranks = ("any_ranks", Annotated[bool, tyro.conf.arg(help=about)], False)
     kinds = [(name, type(part)) for name, part in parts.items()]
-    options = dataclasses.make_dataclass("Options", [*kinds, resume])
+    options = dataclasses.make_dataclass("Options", [*kinds, resume, any_ranks])
     read: Any = flags.parse(
         options,
         args,
@@ -74,7 +77,7 @@ def _read_config(args: list[str], base: RunConfig) -> RunConfig:
         options(**parts),
         "Train a policy. Defaults are the paper's; --algo and --env decide which flags there are.",
     )
-    return RunConfig(read.run, getattr(read, "scene", None), read.learner)
+    return RunConfig(read.run, getattr(read, "scene", None), read.learner), read.any_ranks
 
 
 def _summary(config: RunConfig, ranks: int) -> str:
@@ -83,7 +86,6 @@ def _summary(config: RunConfig, ranks: int) -> str:
     for part, values in config.as_dict().items():
         if values:
             lines.append(f"  {part:8}" + "  ".join(f"{k}={v}" for k, v in values.items()))
-    lines.append(f"  resolved {config.learner.resolved(ranks)}")
     if config.scene is not None and config.scene.hold_verdict == "settled":
         lines.append(f"  note     {SETTLED_NOTE}")
     return "\n".join(lines)

@@ -22,14 +22,17 @@ class RunOptions:
     """What is trained, how long, and where it is written."""
 
     algo: str = "ppo"
-    """The algorithm: ppo."""
+    """The algorithm: ppo or ddpg_her."""
+    preset: str = "paper"
+    """Defaults of the hyperparameters: paper, or (ddpg_her) fast."""
     env: str = "shadow"
     """shadow (Shadow Hand), a toy (lqr, point-reach), or any registered Gymnasium id with Box or
     goal-Dict observations and Box actions."""
     total_timesteps: int = 500_000
-    """Environment steps of the whole run (paper: 500,000 for PPO)."""
+    """Environment steps: of the whole run (ppo), of each process (ddpg_her); the paper's by
+    default."""
     num_envs: int = 1
-    """Environments per process, stepped by threads."""
+    """Environments per process, stepped by threads where cores are free."""
     seed: int = 0
     """Everything random follows from this."""
     out: str | None = None
@@ -120,18 +123,34 @@ def _anneals(learner: Any) -> bool:
     return bool(getattr(learner, "anneal_lr", False))
 
 
-def defaults(algo: str, env: str) -> RunConfig:
-    """The configuration before any flag; InputError for an unknown algorithm or environment."""
+# The paper's task, length and environments per process with each algorithm.
+PAPER: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    "ppo": ({"total_timesteps": 500_000}, {"task": "lift-and-hold"}),
+    "ddpg_her": ({"total_timesteps": 5_000_000, "num_envs": 2}, {"task": "reach-goal"}),
+}
+
+
+def defaults(algo: str, env: str, preset: str = "paper") -> RunConfig:
+    """The configuration before any flag; InputError for names that do not exist."""
     with input_errors("--algo"):
-        config_type, _ = algos.load(algo)
-    scene = GraspConfig() if env in envs.GRASP_ENVS else None
-    return RunConfig(RunOptions(algo=algo, env=env), scene, config_type())
+        presets, _ = algos.load(algo)
+    if preset not in presets:
+        raise InputError(
+            f"--preset: found {preset!r}, allowed with --algo {algo}: {', '.join(presets)}"
+        )
+    run, scene = PAPER[algo]
+    return RunConfig(
+        RunOptions(algo=algo, env=env, preset=preset, **run),
+        GraspConfig(**scene) if env in envs.GRASP_ENVS else None,
+        presets[preset],
+    )
 
 
 def from_dict(data: dict[str, Any]) -> RunConfig:
     """The configuration that `as_dict` wrote; InputError when it is not one."""
     try:
-        config_type, _ = algos.load(data["run"]["algo"])
+        presets, _ = algos.load(data["run"]["algo"])
+        config_type = type(presets["paper"])
         learner = {k: tuple(v) if isinstance(v, list) else v for k, v in data["learner"].items()}
         scene = None if data["scene"] is None else GraspConfig(**data["scene"])
         config = RunConfig(RunOptions(**data["run"]), scene, config_type(**learner))

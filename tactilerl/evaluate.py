@@ -29,7 +29,9 @@ def load_policy(path: Path) -> tuple[RunConfig, algos.Algorithm, int]:
     config = dataclasses.replace(saved, run=run, scene=scene)
     learner, pool = make_algorithm(config, Communicator())
     pool.close()
-    return config, learner, checkpoint.restore(run_dir, saved, learner, rank=0, ranks=0)
+    data = checkpoint.read(run_dir, saved)
+    checkpoint.load_state(learner, data["ranks"][0], run_dir.checkpoint_file)
+    return config, learner, int(data["epoch"])
 
 
 def episodes(

@@ -17,6 +17,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from .algos import Algorithm
 from .config import RunConfig
 from .errors import InputError
 from .run_dir import RunDir
@@ -26,11 +27,11 @@ class Report:
     """Shows each epoch; writes TensorBoard events when asked to."""
 
     def __init__(
-        self, config: RunConfig, run_dir: RunDir, env_steps: int, is_quiet: bool = False
+        self, config: RunConfig, run_dir: RunDir, learner: Algorithm, is_quiet: bool = False
     ) -> None:
         self.console = Console(quiet=is_quiet, highlight=False, soft_wrap=True)
-        self.total = config.run.total_timesteps
-        self._first_step, self._started = env_steps, time.perf_counter()
+        self.total = learner.total_timesteps
+        self._first_step, self._started = learner.env_steps, time.perf_counter()
         self._events: Any = None
         if config.run.tensorboard and not is_quiet:
             self._events = require_tensorboard()(str(run_dir.path))
@@ -46,7 +47,7 @@ class Report:
                 TimeRemainingColumn(elapsed_when_finished=False),
                 console=self.console,
             )
-            self._task = self._bar.add_task("", total=self.total, completed=env_steps)
+            self._task = self._bar.add_task("", total=self.total, completed=learner.env_steps)
 
     def __enter__(self) -> Report:
         if self._bar is not None:
@@ -69,11 +70,16 @@ class Report:
                 "dropped (column `diverged` of progress.csv)"
             )
 
+    def note(self, text: str) -> None:
+        """Show a line."""
+        self.console.print(text)
+
     def epoch(self, row: dict[str, Any]) -> None:
         """Show one row of the progress table."""
         self._diverged += row.get("diverged", 0.0)
+        test = f"test {_rate(row['test_success_rate'])}  " if "test_success_rate" in row else ""
         text = (
-            f"success {_rate(row['success_rate'])}  return {row['mean_return']:.1f}  "
+            f"success {_rate(row['success_rate'])}  {test}return {row['mean_return']:.1f}  "
             f"{row['steps_per_s']:.0f} steps/s"
         )
         if self._bar is not None:

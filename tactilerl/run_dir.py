@@ -1,4 +1,4 @@
-"""The run folder: config.json, progress.csv, checkpoint.pt.
+"""The run folder: config.json, progress.csv, checkpoint.pt, and what a learner remembers.
 
 A folder can be cut off at any moment (`kill -9`, a full disk) and stays readable: files are
 replaced whole, and the progress table is cut back to the checkpoint when a run goes on.
@@ -32,6 +32,7 @@ class RunDir:
         self.config_file = path / "config.json"
         self.progress_file = path / "progress.csv"
         self.checkpoint_file = path / "checkpoint.pt"
+        self.experience_folder = path / "experience"
 
     @classmethod
     def create(cls, path: Path, config: RunConfig, ranks: int) -> RunDir:

@@ -8,15 +8,19 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
-from . import algos, checkpoint
+from . import algos
 from .algos.mpi import Communicator
+from .checkpoint import Checkpoint
 from .config import RunConfig
 from .envs.vector import ThreadedEnvs
 from .errors import input_errors
 from .report import Report, require_tensorboard
 from .run_dir import RunDir
+
+COUNTS = ("episodes", "diverged", "updates")  # columns of progress.csv that are sums
 
 
 def make_algorithm(config: RunConfig, comm: Communicator) -> tuple[algos.Algorithm, ThreadedEnvs]:
@@ -27,18 +31,20 @@ def make_algorithm(config: RunConfig, comm: Communicator) -> tuple[algos.Algorit
         config.validate()
         torch.set_num_threads(run.threads)
         device = _device(run.device)
-        pool = ThreadedEnvs(config.make_env, run.num_envs, threads=os.cpu_count() or 1)
+        pool = ThreadedEnvs(config.make_env, run.num_envs, threads=_free_cores(comm))
         learner = algorithm(config.learner, pool, comm, run.seed, run.total_timesteps, device)
     return learner, pool
 
 
-def train(config: RunConfig, comm: Communicator, resume: Path | None = None) -> Path:
-    """Train until `total_timesteps`; returns the run folder.
+def train(
+    config: RunConfig, comm: Communicator, resume: Path | None = None, any_ranks: bool = False
+) -> Path:
+    """Train until the learner's `total_timesteps`; returns the run folder.
 
     With `resume`, goes on from that folder's checkpoint, bit for bit as if the run had never
-    been cut off; from the start when it was cut off before its first. Raises InputError over
-    bad input and DivergenceError when the learner or every episode breaks; the last
-    checkpoint stays.
+    been cut off; from the start when it was cut off before its first. `any_ranks` allows
+    another number of processes, which ends that equality. Raises InputError over bad input and
+    DivergenceError when the learner or every episode breaks; the last checkpoint stays.
     """
     path = resume or Path(config.run.out or Path("runs") / config.name())
     config = dataclasses.replace(config, folder=path)
@@ -46,16 +52,20 @@ def train(config: RunConfig, comm: Communicator, resume: Path | None = None) -> 
     try:
         if config.run.tensorboard:
             require_tensorboard()
+        with input_errors():
+            resolved = learner.prepare()
         run_dir, epoch = RunDir(path), 0
+        checkpoint = Checkpoint(run_dir, config, learner, comm)
         if resume is not None and run_dir.checkpoint_file.exists():
-            epoch = checkpoint.restore(run_dir, config, learner, comm.rank, comm.size)
+            epoch = checkpoint.restore(any_ranks)
         if comm.rank == 0 and resume is None:
             RunDir.create(path, config, comm.size)
         elif comm.rank == 0:  # the length of the run may be another
             run_dir.write_config(config, comm.size)
             run_dir.cut_progress(epoch)
-        with Report(config, run_dir, learner.env_steps, is_quiet=comm.rank > 0) as report:
-            _loop(learner, config, comm, run_dir, epoch, report)
+        with Report(config, run_dir, learner, is_quiet=comm.rank > 0) as report:
+            report.note(f"  resolved {resolved}")
+            _loop(learner, comm, run_dir, epoch, checkpoint, report)
     finally:
         pool.close()
     return path
@@ -63,31 +73,62 @@ def train(config: RunConfig, comm: Communicator, resume: Path | None = None) -> 
 
 def _loop(
     learner: algos.Algorithm,
-    config: RunConfig,
     comm: Communicator,
     run_dir: RunDir,
     epoch: int,
+    checkpoint: Checkpoint,
     report: Report,
 ) -> None:
-    while learner.env_steps < config.run.total_timesteps:
-        started = time.perf_counter()
-        before = learner.env_steps
-        seen = learner.collect()
-        collected = time.perf_counter()
-        learned = learner.update()
-        updated = time.perf_counter()
+    while learner.env_steps < learner.total_timesteps:
         epoch += 1
-        row = {"epoch": epoch, "env_steps": learner.env_steps, **seen, **learned}
-        times: dict[str, Any] = {
-            "collect_s": round(collected - started, 4),
-            "update_s": round(updated - collected, 4),
-            "steps_per_s": round((learner.env_steps - before) / (updated - started), 1),
-        }
-        states = comm.gather(learner.state_dict())
+        row = {"epoch": epoch, **_epoch(learner)}
         if comm.rank == 0:
-            run_dir.append_progress({**row, **times})
-            checkpoint.save(run_dir, config, epoch, states)
-            report.epoch({**row, **times})
+            run_dir.append_progress(row)
+        checkpoint.save(epoch)
+        report.epoch(row)
+
+
+def _epoch(learner: algos.Algorithm) -> dict[str, Any]:
+    """One epoch: as many cycles as the algorithm's epochs have, then its test."""
+    before, seen, learned = learner.env_steps, [], []
+    collecting = updating = 0.0
+    for _ in range(learner.cycles_per_epoch):
+        started = time.perf_counter()
+        seen.append(learner.collect())
+        collected = time.perf_counter()
+        learned.append(learner.update())
+        updated = time.perf_counter()
+        collecting, updating = collecting + collected - started, updating + updated - collected
+    weights = [row["episodes"] for row in seen]
+    row = {
+        "env_steps": learner.env_steps,
+        **_merged(seen, weights),
+        **_merged(learned),
+        **learner.test(),
+    }
+    seconds = collecting + updating + time.perf_counter() - updated
+    return {
+        **row,
+        "collect_s": round(collecting, 4),
+        "update_s": round(updating, 4),
+        "steps_per_s": round((learner.env_steps - before) / seconds, 1),
+    }
+
+
+def _merged(rows: list[dict[str, float]], weights: list[float] | None = None) -> dict[str, float]:
+    """One row for an epoch's cycles: counts are added, everything else is averaged."""
+    columns = {key: [row[key] for row in rows] for key in rows[0]}
+    return {
+        key: sum(values) if key in COUNTS else float(np.average(values, weights=weights))
+        for key, values in columns.items()
+    }
+
+
+def _free_cores(comm: Communicator) -> int:
+    """Cores that this process may use without taking one from the other ranks here."""
+    cores = os.cpu_count() or 1
+    own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else cores
+    return max(1, min(own, cores // comm.local_size))
 
 
 def _device(name: str) -> str:

@@ -72,15 +72,17 @@ from tactilerl.algos import mpi
 comm = mpi.world()
 assert comm.size == 3
 x = torch.arange(4.0) + comm.rank
-comm.mean_(x)
-assert x.tolist() == [1.0, 2.0, 3.0, 4.0]
+comm.sum_(x)
+assert x.tolist() == [3.0, 6.0, 9.0, 12.0]
 y = torch.full((2,), float(comm.rank))
 comm.broadcast_(y)
 assert y.tolist() == [0.0, 0.0]
 assert comm.sum(np.array([comm.rank, 1.0])).tolist() == [3.0, 3.0]
 assert comm.average(comm.rank) == 1.0
 assert comm.min(5 - comm.rank) == 3
-assert comm.gather(comm.rank) == [0, 1, 2]
+assert comm.all_gather(comm.rank) == [0, 1, 2]
+assert comm.gather(comm.rank) == ([0, 1, 2] if comm.rank == 0 else [])
+assert comm.local_size == 3
 assert mpi.same_on_all_ranks(comm, torch.ones(3))
 assert not mpi.same_on_all_ranks(comm, torch.full((3,), float(comm.rank)))
 """

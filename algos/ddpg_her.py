@@ -1,0 +1,336 @@
+"""Deep deterministic policy gradient (Lillicrap et al. 2016) with hindsight experience replay.
+
+Read from top to bottom: the choices, two pure functions, the learner. The order of operations
+is OpenAI baselines' (baselines/her), which the paper used through Melnik et al. 2021: an epoch
+is `n_cycles` times {episodes, normaliser, `n_batches` updates, one step of the target
+networks}, then test episodes without noise.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from . import Array, DivergenceError, EnvPool, check_ranges, flat_size, goal_size
+from .mpi import Communicator, same_on_all_ranks
+from .networks import MLP, FlatAdam, flatten
+from .normalizer import Normalizer
+from .replay import GoalObs, Replay, goal_observation
+from .rollout import Episode, Rollouts, summary
+
+CHECK_EVERY = 100  # updates between two looks at whether the ranks' parameters are equal
+SAVED = ("actor", "critic", "target_actor", "target_critic", "adam", "obs_stats", "goal_stats")
+
+
+@dataclass(frozen=True)
+class DDPGHERConfig:
+    """Hyperparameters; defaults are the paper's (Methods, MuJoCo set-up) unless said."""
+
+    hidden: tuple[int, ...] = (256, 256, 256)
+    """Units of each hidden layer, actor and critic alike."""
+    actor_lr: float = 1e-3
+    """Adam step size of the actor."""
+    critic_lr: float = 1e-3
+    """Adam step size of the critic."""
+    buffer_size: int = 1_000_000
+    """Transitions each process remembers."""
+    polyak: float = 0.95
+    """Share of itself that the target network keeps, once per cycle."""
+    gamma: float | None = None
+    """Discount factor; default: 1 - 1/T, T the steps of an episode (source)."""
+    action_l2: float = 1.0
+    """Weight of the mean squared action in the actor's loss."""
+    clip_obs: float = 200.0
+    """Observations and goals are cut at ± this before anything else."""
+    norm_clip: float = 5.0
+    """And at ± this after normalisation."""
+    batch_size: int = 256
+    """Transitions per update and process."""
+    n_rollouts: int = 2
+    """Episodes per cycle and process."""
+    n_cycles: int = 50
+    """Cycles per epoch."""
+    n_batches: int = 40
+    """Updates per cycle."""
+    n_test_rollouts: int = 10
+    """Test episodes per epoch and process, in units of --n-rollouts."""
+    random_eps: float = 0.3
+    """Probability of a uniformly random action."""
+    noise_eps: float = 0.2
+    """Standard deviation of the noise on the others, relative to half the action range."""
+    replay_p: float = 0.8
+    """Probability that a sampled transition is relabelled (HER)."""
+    reduction: Literal["sum", "mean"] = "sum"
+    """Gradients over processes (source: sum)."""
+    clip_target: bool = True
+    """Cut targets at -1/(1 - gamma) and 0 (source): for rewards from -1 to 0."""
+    termination: Literal["bootstrap", "terminal"] = "bootstrap"
+    """What follows the last step of an episode that terminated: the target network's value
+    (the source has no done mask), or nothing."""
+
+    def validate(self) -> None:
+        """Raise ValueError naming the first field that cannot be."""
+        check_ranges(
+            self,
+            positive=("actor_lr", "critic_lr", "clip_obs", "norm_clip"),
+            shares=("polyak", "random_eps", "replay_p"),
+            counts=(
+                *("buffer_size", "batch_size", "n_rollouts", "n_cycles", "n_batches"),
+                "n_test_rollouts",
+            ),
+        )
+        for name in ("action_l2", "noise_eps"):
+            value = getattr(self, name)
+            if not 0 <= value < np.inf:
+                raise ValueError(f"{name}: found {value}, allowed a finite number, 0 or more")
+        if self.gamma is not None and not 0 <= self.gamma < 1:
+            raise ValueError(f"gamma: found {self.gamma}, allowed from 0 to below 1")
+
+
+PRESETS: Mapping[str, DDPGHERConfig] = {"paper": DDPGHERConfig()}
+
+
+def targets(rewards: Tensor, next_values: Tensor, terminal: Tensor, gamma: float, clip: bool) -> Tensor:
+    """What the critic should say (n,): r + gamma Q'(next), cut where `clip` (all (n,)).
+
+    `terminal` is 1 where nothing follows. The bounds are those of returns made of rewards
+    from -1 to 0 (Andrychowicz et al. 2017, appendix A).
+    """
+    values = rewards + gamma * (1.0 - terminal) * next_values
+    return values.clamp(-1.0 / (1.0 - gamma), 0.0) if clip else values
+
+
+def explore(actions: Array, noise_eps: float, random_eps: float, rng: np.random.Generator) -> Array:
+    """Noisy copies of actions (n, d) in [-1, 1]; whole rows are random with `random_eps`."""
+    noisy = actions + np.float32(noise_eps) * rng.standard_normal(actions.shape, dtype=np.float32)
+    noisy = np.clip(noisy, -1.0, 1.0)
+    is_random = rng.random(len(actions)) < random_eps
+    uniform = rng.uniform(-1.0, 1.0, actions.shape).astype(np.float32)
+    return np.where(is_random[:, None], uniform, noisy)
+
+
+class DDPGHER:
+    """Actor, critic, their targets and the replay; the interface is `algos.Algorithm`."""
+
+    def __init__(
+        self,
+        config: DDPGHERConfig,
+        pool: EnvPool,
+        comm: Communicator,
+        seed: int,
+        total_timesteps: int,
+        device: str = "cpu",
+    ) -> None:
+        config.validate()
+        self.pool, self.comm, self.device = pool, comm, torch.device(device)
+        n_goal, n_obs = goal_size(pool.observation_space), flat_size(pool.observation_space)
+        max_steps = pool.max_episode_steps
+        if not max_steps:
+            raise ValueError(
+                "max_episode_steps: found none, allowed environments whose episodes are limited"
+            )
+        gamma = config.gamma if config.gamma is not None else 1.0 - 1.0 / max_steps
+        self.config = config = dataclasses.replace(config, gamma=gamma)
+        self.total_timesteps = total_timesteps * comm.size  # the source's are per worker
+        self.rng = np.random.default_rng([seed, comm.rank])
+        self.rollouts = Rollouts(pool, goal_observation, self.rng)
+        n_actions = self.rollouts.n_actions
+        weights = torch.Generator().manual_seed(seed)
+        self.actor = MLP((n_obs, *config.hidden, n_actions), weights, tanh=True).to(self.device)
+        self.critic = MLP((n_obs + n_actions, *config.hidden, 1), weights).to(self.device)
+        self.target_actor, self.target_critic = copy.deepcopy((self.actor, self.critic))
+        self.adam = FlatAdam((self.actor, config.actor_lr), (self.critic, config.critic_lr))
+        self._target_vector = flatten(self.target_actor, self.target_critic).requires_grad_(False)
+        self.comm.broadcast_(self.adam.vector)
+        self.comm.broadcast_(self._target_vector)
+        self.obs_stats = Normalizer(n_obs - n_goal, comm, config.norm_clip)
+        self.goal_stats = Normalizer(n_goal, comm, config.norm_clip)
+        sizes = (n_obs - n_goal, n_goal, n_actions)
+        self.replay = Replay(
+            config.buffer_size, max_steps, sizes, pool.n_boolean, pool.compute_reward, self.rng
+        )
+        self.cycles_per_epoch = config.n_cycles
+        self.env_steps = self.updates = 0
+
+    def prepare(self) -> str:
+        """What the configuration amounts to, in words; ValueError when memory is short."""
+        config, replay = self.config, self.replay
+        replay.require_memory(self.comm.local_size)
+        epoch = config.n_cycles * config.n_rollouts * replay.max_steps
+        return (
+            f"epochs of up to {epoch:,} steps and {config.n_cycles * config.n_batches:,} updates in "
+            f"each process, gamma {config.gamma:g}, replay of {config.buffer_size:,} transitions: "
+            f"{replay.nbytes / 1e9:.2f} GB in each process when full"
+        )
+
+    # -- acting ------------------------------------------------------------------------------
+
+    def act(self, obs: Any, deterministic: bool = False) -> Array:
+        """Action for one observation, in the environment's own range."""
+        policy = self._greedy if deterministic else self._explore
+        return self.rollouts.to_env(policy([goal_observation(obs)]))[0]
+
+    @torch.no_grad()
+    def _greedy(self, obs: list[GoalObs]) -> Array:
+        """Actions (n, d) of the policy itself, in [-1, 1]."""
+        observations, _, goals = (np.stack(part) for part in zip(*obs, strict=True))
+        return self.actor(self._inputs(observations, self._normalised_goals(goals))).cpu().numpy()
+
+    def _explore(self, obs: list[GoalObs]) -> Array:
+        config = self.config
+        return explore(self._greedy(obs), config.noise_eps, config.random_eps, self.rng)
+
+    def _inputs(self, obs: Array, goals: Tensor) -> Tensor:
+        """What both networks see of observations (n, obs) and normalised goals (n, goal)."""
+        return torch.cat([self.obs_stats(self._tensor(self._clipped(obs))), goals], dim=1)
+
+    def _normalised_goals(self, goals: Array) -> Tensor:
+        return self.goal_stats(self._tensor(self._clipped(goals)))
+
+    def _clipped(self, values: Array) -> Array:
+        return np.clip(values, -self.config.clip_obs, self.config.clip_obs)
+
+    def _tensor(self, values: Array) -> Tensor:
+        return torch.from_numpy(values).to(self.device)
+
+    # -- collecting --------------------------------------------------------------------------
+
+    def collect(self) -> dict[str, float]:
+        """One cycle's episodes: into the replay, and relabelled into the normaliser."""
+        episodes = self.rollouts.play(self._explore, episodes=self.config.n_rollouts)
+        seen = summary(episodes, self.rollouts.diverged, self.comm)
+        self.env_steps += int(seen.pop("steps"))
+        self._check_rewards(episodes)
+        slots = self.replay.store(episodes)
+        n = sum(len(episode.rewards) for episode in episodes)
+        batch = self.replay.sample(n, self.config.replay_p, slots)
+        self.obs_stats.update(self._clipped(batch.obs))
+        self.goal_stats.update(self._clipped(batch.goal))
+        return seen
+
+    def _check_rewards(self, episodes: list[Episode[GoalObs]]) -> None:
+        """Are the rewards such as relabelling and the target's bounds take for granted?"""
+        for episode in episodes:
+            rewards = np.array(episode.rewards)
+            if self.config.clip_target and rewards.max() > 0:
+                raise ValueError(
+                    f"clip_target: found a reward of {rewards.max():g}, allowed 0 or less while "
+                    "targets are cut at 0; give --no-clip-target"
+                )
+            if not len(self.replay):  # once in a run
+                achieved = np.stack([obs.achieved_goal for obs in episode.obs[1:]])
+                desired = np.stack([obs.desired_goal for obs in episode.obs[1:]])
+                again = np.asarray(self.pool.compute_reward(achieved, desired))
+                if again.shape != rewards.shape or not np.allclose(again, rewards, 1e-3, 1e-4):
+                    raise ValueError(
+                        "compute_reward: found other rewards than those of the steps, allowed "
+                        "environments whose reward follows from achieved and desired goal"
+                    )
+
+    def test(self) -> dict[str, float]:
+        """Episodes without noise at the end of an epoch."""
+        n = self.config.n_test_rollouts * self.config.n_rollouts
+        episodes = self.rollouts.play(self._greedy, episodes=n)
+        seen = summary(episodes, self.rollouts.diverged, self.comm)
+        return {f"test_{name}": seen[name] for name in ("success_rate", "mean_return")}
+
+    # -- learning ----------------------------------------------------------------------------
+
+    def update(self) -> dict[str, float]:
+        """One cycle's updates, then one step of the target networks.
+
+        Neither the replay, the normaliser nor the target networks change in between, so all
+        batches are drawn, normalised and given their targets at once.
+        """
+        config = self.config
+        batches = self._batches()
+        sums = torch.zeros(3, device=self.device)
+        for batch in zip(*(part.split(config.batch_size) for part in batches), strict=True):
+            sums += self._minibatch(*batch)
+        self._target_vector.lerp_(self.adam.vector, 1.0 - config.polyak)
+        self.updates += config.n_batches
+        self._check(sums)
+        critic_loss, actor_loss, value = (sums / config.n_batches).tolist()
+        return {
+            "critic_loss": critic_loss,
+            "actor_loss": actor_loss,
+            "mean_q": value,
+            "updates": config.n_batches,
+        }
+
+    @torch.no_grad()
+    def _batches(self) -> tuple[Tensor, Tensor, Tensor]:
+        """`n_batches` batches one after another: inputs, actions, targets."""
+        config = self.config
+        batch = self.replay.sample(config.n_batches * config.batch_size, config.replay_p)
+        goals = self._normalised_goals(batch.goal)
+        next_inputs = self._inputs(batch.next_obs, goals)
+        next_actions = self.target_actor(next_inputs)
+        next_values = self.target_critic(torch.cat([next_inputs, next_actions], dim=1)).squeeze(-1)
+        terminal = self._tensor(batch.terminal * (config.termination == "terminal"))
+        assert config.gamma is not None
+        target = targets(
+            self._tensor(batch.reward), next_values, terminal, config.gamma, config.clip_target
+        )
+        return self._inputs(batch.obs, goals), self._tensor(batch.action), target
+
+    def _minibatch(self, inputs: Tensor, actions: Tensor, target: Tensor) -> Tensor:
+        """One step of both networks from the same parameters; critic's and actor's loss, mean Q."""
+        self.adam.zero_grad()
+        q = self.critic(torch.cat([inputs, actions], dim=1)).squeeze(-1)
+        critic_loss = (q - target).square().mean()
+        critic_loss.backward()
+        own = self.actor(inputs)
+        value = self.critic(torch.cat([inputs, own], dim=1)).mean()
+        actor_loss = -value + self.config.action_l2 * own.square().mean()
+        actor_loss.backward(inputs=list(self.actor.parameters()))
+        self.adam.reduce(self.comm, self.config.reduction)
+        self.adam.step()
+        return torch.stack([critic_loss, actor_loss, value]).detach()
+
+    def _check(self, sums: Tensor) -> None:
+        """Stop with DivergenceError rather than go on from what is not finite."""
+        if not (bool(torch.isfinite(sums).all()) and self.adam.is_finite()):
+            raise DivergenceError(
+                f"a loss or a parameter is not finite after {self.env_steps} steps "
+                f"(losses {[f'{x:.3g}' for x in sums.tolist()]})"
+            )
+        is_due = self.updates % CHECK_EVERY < self.config.n_batches
+        if is_due and not same_on_all_ranks(self.comm, self.adam.vector):
+            raise DivergenceError("the ranks' parameters differ")
+
+    # -- saving ------------------------------------------------------------------------------
+
+    def state_dict(self) -> dict[str, Any]:
+        """Networks, optimiser, normalisers, random state, counters: all but the replay."""
+        parts = {name: getattr(self, name).state_dict() for name in SAVED}
+        counters = {"env_steps": self.env_steps, "updates": self.updates}
+        return {**parts, **counters, "rng": self.rng.bit_generator.state}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on exactly where `state_dict` was taken."""
+        for name in SAVED:
+            getattr(self, name).load_state_dict(state[name])
+        if "rng" in state:  # not on a rank that is new
+            self.rng.bit_generator.state = state["rng"]
+        self.env_steps, self.updates = state["env_steps"], state["updates"]
+
+    @property
+    def experience_bytes(self) -> int:
+        """Of a full replay."""
+        return self.replay.nbytes
+
+    def new_experience(self, everything: bool = False) -> dict[str, Any]:
+        """Episodes stored since the last call, or all, with their places in the replay."""
+        return self.replay.new_experience(everything)
+
+    def add_experience(self, saved: dict[str, Any]) -> None:
+        """Put back what `new_experience` returned."""
+        self.replay.add_experience(saved)

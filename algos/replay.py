@@ -1,0 +1,225 @@
+"""Episode replay with hindsight (HER, Andrychowicz et al. 2017), relabelled when sampled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import psutil
+import torch
+
+from . import Array
+from .rollout import Episode
+
+Reward = Callable[[Array, Array], Array]
+
+
+class GoalObs(NamedTuple):
+    """What a goal environment returns, flat float32 copies."""
+
+    observation: Array
+    achieved_goal: Array
+    desired_goal: Array
+
+
+def goal_observation(obs: Any) -> GoalObs:
+    """A goal environment's Dict as a `GoalObs`."""
+    return GoalObs(*(np.array(obs[key], np.float32).ravel() for key in GoalObs._fields))
+
+
+class Batch(NamedTuple):
+    """Relabelled transitions, one a row; float32."""
+
+    obs: Array
+    goal: Array
+    """Of this and of the next step alike."""
+    action: Array
+    reward: Array
+    """(n,)"""
+    next_obs: Array
+    terminal: Array
+    """(n,) 1 where the episode was terminated by this transition, else 0."""
+
+
+def future_goal_steps(
+    t: Array, lengths: Array, replay_p: float, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Which transitions get a new goal, and from where: HER's strategy "future".
+
+    For transitions at steps `t` (n,) of episodes of `lengths` (n,): a bool (n,), True with
+    probability `replay_p`, and steps (n,) uniform in t + 1 ... length, whose achieved goals
+    are those new goals (OpenAI baselines, her_sampler.py: t + 1 + floor(U (T - t))).
+    """
+    is_relabelled = rng.random(len(t)) < replay_p
+    offset = (rng.random(len(t)) * (lengths - t)).astype(np.int64)
+    return is_relabelled, t + 1 + offset
+
+
+class Replay:
+    """Episodes in slots of equal size, oldest order; a full buffer overwrites random slots.
+
+    A slot has room for `max_steps` transitions and the last observation. The last `n_boolean`
+    entries of an observation are 0 or 1 and are kept as bytes, everything else as float32.
+    Memory is taken when the first episode is stored, and filled as episodes come.
+    """
+
+    def __init__(
+        self,
+        capacity: int,
+        max_steps: int,
+        sizes: tuple[int, int, int],
+        n_boolean: int,
+        reward: Reward,
+        rng: np.random.Generator,
+    ) -> None:
+        """`capacity` in transitions; `sizes` of observation, goal and action.
+
+        Raises ValueError when not a single episode has room.
+        """
+        if capacity < max_steps:
+            raise ValueError(
+                f"buffer_size: found {capacity}, allowed {max_steps} (one episode) or more"
+            )
+        self.n_slots, self.max_steps = capacity // max_steps, max_steps
+        self.sizes, self.n_boolean = sizes, n_boolean
+        self.reward, self.rng = reward, rng
+        self.n_episodes = 0
+        self._rows = max_steps + 1
+        self._columns: dict[str, Array] = {}
+        self._lengths = np.zeros(self.n_slots, np.int64)
+        self._unsaved: dict[int, None] = {}  # slots, in the order in which they were filled
+
+    def __len__(self) -> int:
+        """Transitions stored."""
+        return int(self._lengths.sum())
+
+    @property
+    def nbytes(self) -> int:
+        """Memory when full."""
+        return sum(int(np.prod(shape)) * dtype().itemsize for shape, dtype in self._shapes().values())
+
+    def require_memory(self, n_buffers: int = 1) -> None:
+        """ValueError when this machine has not got what `n_buffers` like this one take."""
+        available = psutil.virtual_memory().available
+        if self.nbytes * n_buffers > available:
+            raise ValueError(
+                f"buffer_size: found {self.n_slots * self.max_steps:,} transitions, which take "
+                f"{n_buffers} x {self.nbytes / 1e9:.2f} GB; allowed are the {available / 1e9:.2f} GB "
+                "free on this machine"
+            )
+
+    def _shapes(self) -> dict[str, tuple[tuple[int, int], type]]:
+        """Shape and type of every column; a row is one step of one slot."""
+        n_obs, n_goal, n_action = self.sizes
+        rows = self.n_slots * self._rows
+        return {
+            "obs": ((rows, n_obs - self.n_boolean), np.float32),
+            "boolean": ((rows, self.n_boolean), np.uint8),
+            "achieved": ((rows, n_goal), np.float32),
+            "desired": ((rows, n_goal), np.float32),
+            "action": ((rows, n_action), np.float32),
+            "terminal": ((rows, 1), np.uint8),
+        }
+
+    # -- storing -----------------------------------------------------------------------------
+
+    def store(self, episodes: Sequence[Episode[GoalObs]]) -> Array:
+        """Keep episodes; each takes the next free slot, or a random one when all are full.
+
+        Returns the slots (n,), each once.
+        """
+        taken: dict[int, None] = {}
+        for episode in episodes:
+            is_full = self.n_episodes == self.n_slots
+            slot = int(self.rng.integers(self.n_slots)) if is_full else self.n_episodes
+            self._put(slot, self._as_columns(episode))
+            taken[slot] = None
+        self._unsaved |= taken
+        return np.array(list(taken), np.int64)
+
+    def _as_columns(self, episode: Episode[GoalObs]) -> dict[str, Array]:
+        """Rows of one episode: one more than it has transitions."""
+        obs, achieved, desired = (np.stack(part) for part in zip(*episode.obs, strict=True))
+        n_steps, n_float = len(episode.actions), obs.shape[1] - self.n_boolean
+        boolean = obs[:, n_float:].astype(np.uint8)
+        if (boolean != obs[:, n_float:]).any() or (boolean > 1).any():
+            raise ValueError(f"the last {self.n_boolean} entries of an observation are not 0 or 1")
+        action = np.zeros((n_steps + 1, self.sizes[2]), np.float32)
+        action[:-1] = np.stack(episode.actions)
+        terminal = np.zeros((n_steps + 1, 1), np.uint8)
+        terminal[n_steps - 1] = episode.terminated
+        return {
+            "obs": obs[:, :n_float],
+            "boolean": boolean,
+            "achieved": achieved,
+            "desired": desired,
+            "action": action,
+            "terminal": terminal,
+        }
+
+    def _put(self, slot: int, columns: dict[str, Array]) -> None:
+        if not self._columns:  # zeros are given out page by page, when they are written to
+            self._columns = {k: np.zeros(shape, dtype) for k, (shape, dtype) in self._shapes().items()}
+        first, n_rows = slot * self._rows, len(columns["obs"])
+        for name, values in columns.items():
+            self._columns[name][first : first + n_rows] = values
+        self._lengths[slot] = n_rows - 1
+        self.n_episodes = max(self.n_episodes, slot + 1)
+
+    # -- sampling ----------------------------------------------------------------------------
+
+    def sample(self, n: int, replay_p: float, slots: Array | None = None) -> Batch:
+        """`n` relabelled transitions, uniform over all that are stored or are in `slots`."""
+        slot, t = self._pick(np.arange(self.n_episodes) if slots is None else slots, n)
+        is_relabelled, future = future_goal_steps(t, self._lengths[slot], replay_p, self.rng)
+        first = slot * self._rows
+        row = first + t
+        goal = self._columns["desired"][row]
+        goal[is_relabelled] = self._columns["achieved"][(first + future)[is_relabelled]]
+        reward = self.reward(self._columns["achieved"][row + 1], goal)
+        return Batch(
+            obs=self._observations(row),
+            goal=goal,
+            action=self._columns["action"][row],
+            reward=np.asarray(reward, np.float32),
+            next_obs=self._observations(row + 1),
+            terminal=self._columns["terminal"][row, 0].astype(np.float32),
+        )
+
+    def _pick(self, slots: Array, n: int) -> tuple[Array, Array]:
+        """Slot and step of `n` transitions, uniform over the transitions in `slots`."""
+        ends = np.cumsum(self._lengths[slots])
+        pick = self.rng.integers(ends[-1], size=n)
+        which = np.searchsorted(ends, pick, side="right")
+        slot = slots[which]
+        return slot, pick - (ends[which] - self._lengths[slot])
+
+    def _observations(self, rows: Array) -> Array:
+        n_float = self.sizes[0] - self.n_boolean
+        obs = np.empty((len(rows), self.sizes[0]), np.float32)
+        obs[:, :n_float] = self._columns["obs"][rows]
+        obs[:, n_float:] = self._columns["boolean"][rows]
+        return obs
+
+    # -- saving ------------------------------------------------------------------------------
+
+    def new_experience(self, everything: bool = False) -> dict[str, Any]:
+        """The slots written since the last call, or all; tensors, for `add_experience`."""
+        slots = np.array(range(self.n_episodes) if everything else list(self._unsaved), np.int64)
+        self._unsaved = {}
+        if not len(slots):
+            return {}
+        rows = (slots[:, None] * self._rows + np.arange(self._rows)).ravel()
+        columns = {name: torch.from_numpy(values[rows]) for name, values in self._columns.items()}
+        lengths = torch.from_numpy(self._lengths[slots])
+        return {"slots": torch.from_numpy(slots), "lengths": lengths, **columns}
+
+    def add_experience(self, saved: dict[str, Any]) -> None:
+        """Put back what `new_experience` returned, in the same slots."""
+        if not saved:
+            return
+        parts = {name: values.numpy() for name, values in saved.items()}
+        for i, slot in enumerate(parts["slots"]):
+            rows = slice(i * self._rows, i * self._rows + int(parts["lengths"][i]) + 1)
+            self._put(int(slot), {name: parts[name][rows] for name in self._shapes()})

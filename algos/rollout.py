@@ -1,0 +1,131 @@
+"""Whole episodes from several environments: what every learner here learns from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from . import Array, DivergenceError, EnvPool, Transition, action_bounds
+from .mpi import Communicator
+
+Obs = TypeVar("Obs")
+
+
+@dataclass
+class Episode(Generic[Obs]):
+    """One episode as it was lived; the observations include the last."""
+
+    obs: list[Obs]
+    actions: list[Array] = field(default_factory=list)
+    rewards: list[float] = field(default_factory=list)
+    terminated: bool = False
+    success: float = math.nan
+    """1 or 0 at the end; nan where the environment does not say."""
+
+
+class Rollouts(Generic[Obs]):
+    """Plays episodes in a pool of environments.
+
+    Actions are in units of the policy, where the bounds are ±1. `read` makes the learner's
+    view of what an environment returns, always a copy: an environment may reuse its buffer.
+    """
+
+    def __init__(self, pool: EnvPool, read: Callable[[Any], Obs], rng: np.random.Generator) -> None:
+        self.pool, self.read, self.rng = pool, read, rng
+        self.diverged = 0
+        """Void steps of the last call of `play`."""
+        self._low, self._high = action_bounds(pool.action_space)
+        self.n_actions = int(np.prod(self._low.shape))
+
+    def to_env(self, actions: Array) -> Array:
+        """Policy units to the environment's: [-1, 1] to [low, high], clipped."""
+        half = (self._high - self._low) / 2
+        actions = actions.reshape(-1, *self._low.shape)
+        return self._low + half * (np.clip(actions, -1.0, 1.0) + 1.0)
+
+    def play(
+        self, policy: Callable[[list[Obs]], Array], *, steps: int = 0, episodes: int = 0
+    ) -> list[Episode[Obs]]:
+        """Whole episodes: `episodes` of them, or until `steps` have begun.
+
+        `policy` gives actions (n, d) for a list of n observations. An environment whose
+        episode ends starts another only while something is missing, so what comes out does
+        not depend on how fast the environments are. Raises DivergenceError when an
+        observation or a reward is not finite.
+        """
+        played: list[Episode[Obs]] = []
+        running: dict[int, Episode[Obs]] = {}
+        steps_begun = episodes_begun = self.diverged = 0
+        while True:
+            for index in range(len(self.pool)):
+                if index not in running and (steps_begun < steps or episodes_begun < episodes):
+                    running[index] = self._reset(index)
+                    episodes_begun += 1
+            if not running:
+                return played
+            indices = list(running)
+            actions = policy([running[i].obs[-1] for i in indices])
+            steps_begun += len(indices)
+            results = self.pool.step(indices, self.to_env(actions))
+            for index, action, result in zip(indices, actions, results, strict=True):
+                if self._record(running[index], action, result):
+                    episode = running.pop(index)
+                    if episode.rewards:
+                        played.append(episode)
+
+    def _reset(self, index: int) -> Episode[Obs]:
+        obs = self.read(self.pool.reset(index, int(self.rng.integers(2**31))))
+        return Episode([finite(obs, "an observation")])
+
+    def _record(self, episode: Episode[Obs], action: Array, result: Transition) -> bool:
+        """Add one transition; has the episode ended? A diverged step is void, not learned from."""
+        if result.info.get("diverged"):
+            self.diverged += 1
+            return True
+        episode.obs.append(finite(self.read(result.obs), "an observation"))
+        episode.actions.append(action)
+        episode.rewards.append(float(finite(result.reward, "a reward")))
+        episode.terminated = result.terminated
+        episode.success = float(result.info.get("is_success", math.nan))
+        return result.terminated or result.truncated
+
+
+def summary(episodes: list[Episode[Any]], diverged: int, comm: Communicator) -> dict[str, float]:
+    """Counts and means over the episodes of all ranks.
+
+    Raises DivergenceError where this rank has none left.
+    """
+    if not episodes:
+        raise DivergenceError(f"all episodes of an epoch diverged at their first step ({diverged})")
+    sums = comm.sum(
+        np.array(
+            [
+                sum(len(e.rewards) for e in episodes),
+                len(episodes),
+                sum(e.success for e in episodes),
+                sum(sum(e.rewards) for e in episodes),
+                diverged,
+            ],
+            dtype=np.float64,
+        )
+    )
+    return {
+        "steps": sums[0],
+        "episodes": sums[1],
+        "success_rate": sums[2] / sums[1],
+        "mean_return": sums[3] / sums[1],
+        "mean_length": sums[0] / sums[1],
+        "diverged": sums[4],
+    }
+
+
+def finite(values: Any, what: str) -> Any:
+    """`values`, an array or a tuple of arrays; DivergenceError unless all are finite."""
+    parts = values if isinstance(values, tuple) else (values,)
+    if not all(np.isfinite(part).all() for part in parts):
+        raise DivergenceError(f"{what} of the environment is not finite")
+    return values
