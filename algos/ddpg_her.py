@@ -22,7 +22,7 @@ from . import Array, DivergenceError, EnvPool, check_ranges, flat_size, goal_siz
 from .mpi import Communicator, same_on_all_ranks
 from .networks import MLP, FlatAdam, flatten
 from .normalizer import Normalizer
-from .replay import GoalObs, Replay, goal_observation
+from .replay import Batch, GoalObs, Replay, goal_observation
 from .rollout import Episode, Rollouts, summary
 
 CHECK_EVERY = 100  # updates between two looks at whether the ranks' parameters are equal
@@ -180,22 +180,18 @@ class DDPGHER:
     @torch.no_grad()
     def _greedy(self, obs: list[GoalObs]) -> Array:
         """Actions (n, d) of the policy itself, in [-1, 1]."""
-        observations, _, goals = (np.stack(part) for part in zip(*obs, strict=True))
-        return self.actor(self._inputs(observations, self._normalised_goals(goals))).cpu().numpy()
+        observations, _, goals = (self._tensor(np.stack(part)) for part in zip(*obs, strict=True))
+        return self.actor(self._inputs(observations, goals)).cpu().numpy()
 
     def _explore(self, obs: list[GoalObs]) -> Array:
         config = self.config
         return explore(self._greedy(obs), config.noise_eps, config.random_eps, self.rng)
 
-    def _inputs(self, obs: Array, goals: Tensor) -> Tensor:
-        """What both networks see of observations (n, obs) and normalised goals (n, goal)."""
-        return torch.cat([self.obs_stats(self._tensor(self._clipped(obs))), goals], dim=1)
-
-    def _normalised_goals(self, goals: Array) -> Tensor:
-        return self.goal_stats(self._tensor(self._clipped(goals)))
-
-    def _clipped(self, values: Array) -> Array:
-        return np.clip(values, -self.config.clip_obs, self.config.clip_obs)
+    def _inputs(self, obs: Tensor, goals: Tensor) -> Tensor:
+        """What both networks see of observations (n, obs) and goals (n, goal): normalised."""
+        limit = self.config.clip_obs
+        parts = (self.obs_stats, obs), (self.goal_stats, goals)
+        return torch.cat([stats(part.clamp(-limit, limit)) for stats, part in parts], dim=1)
 
     def _tensor(self, values: Array) -> Tensor:
         return torch.from_numpy(values).to(self.device)
@@ -211,8 +207,9 @@ class DDPGHER:
         slots = self.replay.store(episodes)
         n = sum(len(episode.rewards) for episode in episodes)
         batch = self.replay.sample(n, self.config.replay_p, slots)
-        self.obs_stats.update(self._clipped(batch.obs))
-        self.goal_stats.update(self._clipped(batch.goal))
+        limit = self.config.clip_obs
+        self.obs_stats.update(batch.obs.clip(-limit, limit))
+        self.goal_stats.update(batch.goal.clip(-limit, limit))
         return seen
 
     def _check_rewards(self, episodes: list[Episode[GoalObs]]) -> None:
@@ -246,14 +243,13 @@ class DDPGHER:
     def update(self) -> dict[str, float]:
         """One cycle's updates, then one step of the target networks.
 
-        Neither the replay, the normaliser nor the target networks change in between, so all
-        batches are drawn, normalised and given their targets at once.
+        The replay does not change in between, so all batches are drawn at once.
         """
         config = self.config
-        batches = self._batches()
+        drawn = self.replay.sample(config.n_batches * config.batch_size, config.replay_p)
         sums = torch.zeros(3, device=self.device)
-        for batch in zip(*(part.split(config.batch_size) for part in batches), strict=True):
-            sums += self._minibatch(*batch)
+        for part in zip(*(self._tensor(p).split(config.batch_size) for p in drawn), strict=True):
+            sums += self._minibatch(*self._prepared(Batch(*part)))
         self._target_vector.lerp_(self.adam.vector, 1.0 - config.polyak)
         self.updates += config.n_batches
         self._check(sums)
@@ -266,20 +262,16 @@ class DDPGHER:
         }
 
     @torch.no_grad()
-    def _batches(self) -> tuple[Tensor, Tensor, Tensor]:
-        """`n_batches` batches one after another: inputs, actions, targets."""
+    def _prepared(self, batch: Batch[Tensor]) -> tuple[Tensor, Tensor, Tensor]:
+        """What both networks see (n, obs + goal), actions (n, d) and the critic's targets (n,)."""
         config = self.config
-        batch = self.replay.sample(config.n_batches * config.batch_size, config.replay_p)
-        goals = self._normalised_goals(batch.goal)
-        next_inputs = self._inputs(batch.next_obs, goals)
+        inputs, next_inputs = (self._inputs(o, batch.goal) for o in (batch.obs, batch.next_obs))
         next_actions = self.target_actor(next_inputs)
         next_values = self.target_critic(torch.cat([next_inputs, next_actions], dim=1)).squeeze(-1)
-        terminal = self._tensor(batch.terminal * (config.termination == "terminal"))
+        terminal = batch.terminal * (config.termination == "terminal")
         assert config.gamma is not None
-        target = targets(
-            self._tensor(batch.reward), next_values, terminal, config.gamma, config.clip_target
-        )
-        return self._inputs(batch.obs, goals), self._tensor(batch.action), target
+        target = targets(batch.reward, next_values, terminal, config.gamma, config.clip_target)
+        return inputs, batch.action, target
 
     def _minibatch(self, inputs: Tensor, actions: Tensor, target: Tensor) -> Tensor:
         """One step of both networks from the same parameters; critic's and actor's loss, mean Q."""

@@ -26,6 +26,7 @@ class Normalizer:
         self.count = 0.0
         self.mean = np.zeros(size)
         self._squares = np.zeros(size)  # sum of squared deviations from the mean
+        self._parts: list[Tensor] | None = None  # mean in two parts and 1/std, until the next update
 
     @property
     def std(self) -> Array:
@@ -47,6 +48,7 @@ class Normalizer:
         self._squares += squares + np.square(gap) * (self.count * count / all_count)
         self.mean += gap * (count / all_count)
         self.count = all_count
+        self._parts = None
 
     def __call__(self, values: Tensor) -> Tensor:
         """Normalised float32 (..., size) of `values`, float32.
@@ -54,11 +56,13 @@ class Normalizer:
         The mean is subtracted in two parts, so that float32 keeps the digits of values that
         lie far from zero.
         """
-        high = self.mean.astype(np.float32)
-        low = (self.mean - high).astype(np.float32)
-        scale = (1.0 / self.std).astype(np.float32)
-        high_, low_, scale_ = (torch.from_numpy(x).to(values.device) for x in (high, low, scale))
-        return ((values - high_).sub_(low_)).mul_(scale_).clamp_(-self.clip, self.clip)
+        if self._parts is None:
+            high = self.mean.astype(np.float32)
+            low = (self.mean - high).astype(np.float32)
+            scale = (1.0 / self.std).astype(np.float32)
+            self._parts = [torch.from_numpy(x).to(values.device) for x in (high, low, scale)]
+        high_, low_, scale_ = self._parts
+        return (values - high_).sub_(low_).mul_(scale_).clamp_(-self.clip, self.clip)
 
     def state_dict(self) -> dict[str, Any]:
         """The moments."""
@@ -70,3 +74,4 @@ class Normalizer:
         self.count = float(state["count"])
         self.mean = state["mean"].numpy().copy()
         self._squares = state["squares"].numpy().copy()
+        self._parts = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 import psutil
@@ -13,6 +13,7 @@ from . import Array
 from .rollout import Episode
 
 Reward = Callable[[Array, Array], Array]
+Values = TypeVar("Values")
 
 
 class GoalObs(NamedTuple):
@@ -28,17 +29,17 @@ def goal_observation(obs: Any) -> GoalObs:
     return GoalObs(*(np.array(obs[key], np.float32).ravel() for key in GoalObs._fields))
 
 
-class Batch(NamedTuple):
-    """Relabelled transitions, one a row; float32."""
+class Batch(NamedTuple, Generic[Values]):
+    """Relabelled transitions, one a row: float32 arrays or tensors."""
 
-    obs: Array
-    goal: Array
+    obs: Values
+    goal: Values
     """Of this and of the next step alike."""
-    action: Array
-    reward: Array
+    action: Values
+    reward: Values
     """(n,)"""
-    next_obs: Array
-    terminal: Array
+    next_obs: Values
+    terminal: Values
     """(n,) 1 where the episode was terminated by this transition, else 0."""
 
 
@@ -169,7 +170,7 @@ class Replay:
 
     # -- sampling ----------------------------------------------------------------------------
 
-    def sample(self, n: int, replay_p: float, slots: Array | None = None) -> Batch:
+    def sample(self, n: int, replay_p: float, slots: Array | None = None) -> Batch[Array]:
         """`n` relabelled transitions, uniform over all that are stored or are in `slots`."""
         slot, t = self._pick(np.arange(self.n_episodes) if slots is None else slots, n)
         is_relabelled, future = future_goal_steps(t, self._lengths[slot], replay_p, self.rng)
