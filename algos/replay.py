@@ -190,6 +190,8 @@ class Replay:
 
     def _pick(self, slots: Array, n: int) -> tuple[Array, Array]:
         """Slot and step of `n` transitions, uniform over the transitions in `slots`."""
+        if not len(slots):
+            raise ValueError("the replay is empty: nothing to sample from")
         ends = np.cumsum(self._lengths[slots])
         pick = self.rng.integers(ends[-1], size=n)
         which = np.searchsorted(ends, pick, side="right")

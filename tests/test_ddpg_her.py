@@ -1,0 +1,339 @@
+"""DDPG+HER: targets, target networks, gradients and order of operations against derivations."""
+
+import copy
+import math
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+
+from tactilerl.algos import DivergenceError, Transition
+from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig, explore, targets
+from tactilerl.algos.mpi import Communicator
+from tactilerl.algos.networks import FlatAdam
+
+
+class GoalPool:
+    """A goal environment that goes nowhere: random observations, sparse rewards."""
+
+    max_episode_steps, n_boolean = 5, 1
+
+    def __init__(self, scale=1.0, offset=0.0, reward=None, length=5, terminated=False):
+        def box(n):
+            return gym.spaces.Box(-np.inf, np.inf, (n,), np.float32)
+
+        self.observation_space = gym.spaces.Dict(
+            observation=box(4), achieved_goal=box(2), desired_goal=box(2)
+        )
+        self.action_space = gym.spaces.Box(-2.0, 2.0, (3,), np.float32)
+        self.scale, self.offset, self.bad_reward = scale, offset, reward
+        self.length, self.terminated = length, terminated
+        self.rng, self.steps, self.seeds, self.actions = np.random.default_rng(0), [0, 0], [], []
+
+    def __len__(self):
+        return 2
+
+    def _obs(self):
+        observation = self.offset + self.scale * self.rng.standard_normal(4)
+        observation[-1] = self.rng.random() < 0.5
+        achieved, desired = self.rng.standard_normal((2, 2))
+        return dict(observation=observation, achieved_goal=achieved, desired_goal=desired)
+
+    def reset(self, index, seed):
+        self.steps[index] = 0
+        self.seeds.append(seed)
+        return self._obs()
+
+    def step(self, indices, actions):
+        self.actions += list(actions)
+        return [self._step(index) for index in indices]
+
+    def _step(self, index):
+        self.steps[index] += 1
+        obs, ended = self._obs(), self.steps[index] >= self.length
+        achieved, desired = (obs[k].astype(np.float32) for k in ("achieved_goal", "desired_goal"))
+        reward = float(self.compute_reward(achieved, desired))
+        reward = reward if self.bad_reward is None else self.bad_reward
+        flags = (ended and self.terminated, ended and not self.terminated)
+        return Transition(obs, reward, *flags, {"is_success": reward == 0})
+
+    def compute_reward(self, achieved, desired):
+        return (np.linalg.norm(achieved - desired, axis=-1) < 1.0) - 1.0
+
+
+SMALL = dict(hidden=(16, 16), buffer_size=200, batch_size=8, n_cycles=2, n_batches=3)
+
+
+def make(pool=None, seed=0, comm=None, **choices):
+    config = DDPGHERConfig(**{**SMALL, **choices})
+    return DDPGHER(config, pool or GoalPool(), comm or Communicator(), seed, total_timesteps=100)
+
+
+def trained(cycles=3, learner=None, **choices):
+    learner = learner or make(**choices)
+    for _ in range(cycles):
+        learner.collect()
+        learner.update()
+    return learner
+
+
+class TestTargets:
+    def test_by_hand(self):
+        rewards, values = torch.tensor([0.0, -1.0, -1.0]), torch.tensor([-2.0, -3.0, 5.0])
+        got = targets(rewards, values, torch.tensor([0.0, 0.0, 1.0]), 0.5, clip=False)
+        assert got.tolist() == [-1.0, -2.5, -1.0]
+
+    def test_clip(self):
+        """gamma .9: returns of rewards from -1 to 0 lie between -10 and 0."""
+        rewards, values = torch.tensor([0.0, -1.0, -1.0]), torch.tensor([3.0, -99.0, -5.0])
+        got = targets(rewards, values, torch.zeros(3), 0.9, clip=True)
+        torch.testing.assert_close(got, torch.tensor([0.0, -10.0, -5.5]))
+
+    def test_discount_of_the_source(self):
+        assert make().config.gamma == pytest.approx(1 - 1 / 5)
+        assert make(gamma=0.5).config.gamma == 0.5
+
+    def test_terminal_transitions_bootstrap_unless_told_otherwise(self):
+        for termination, is_cut in (("bootstrap", False), ("terminal", True)):
+            pool = GoalPool(length=1, terminated=True)
+            learner = make(pool, termination=termination, clip_target=False, gamma=0.5)
+            learner.collect()
+            batch = learner.replay.sample(8, 0.8)
+            tensors = type(batch)(*map(torch.from_numpy, batch))
+            _, _, target = learner._prepared(tensors)
+            assert torch.equal(target, tensors.reward) == is_cut
+
+
+class TestExploration:
+    def test_rows_are_random_or_noisy(self):
+        rng = np.random.default_rng(0)
+        base = np.full((20_000, 4), 0.1, np.float32)
+        got = explore(base, 0.2, 0.3, rng)
+        assert np.abs(got).max() <= 1.0
+        # 30 % uniform with standard deviation 1/sqrt(3), 70 % Gaussian with .2
+        assert got.mean() == pytest.approx(0.7 * 0.1, abs=0.01)
+        second = 0.3 / 3 + 0.7 * (0.04 + 0.01)
+        assert np.square(got).mean() == pytest.approx(second, rel=0.02)
+        far = (np.abs(got - 0.1) > 0.8).any(axis=1)  # 4 sigma: only random rows
+        some = 1 - 0.8**4  # of four uniform entries one is below -.7 or above .9
+        assert far.mean() == pytest.approx(0.3 * some, abs=0.02)
+
+    def test_none(self):
+        base = np.random.default_rng(0).uniform(-1, 1, (5, 2)).astype(np.float32)
+        np.testing.assert_array_equal(explore(base, 0.0, 0.0, np.random.default_rng(0)), base)
+
+    def test_actions_reach_the_environment_in_its_own_range(self):
+        learner = make(random_eps=1.0)
+        learner.collect()
+        actions = np.stack(learner.pool.actions)
+        assert np.abs(actions).max() <= 2.0
+        assert np.abs(actions).max() > 1.2
+        stored = learner.replay.sample(500, 0.8).action
+        assert np.abs(stored).max() <= 1.0
+
+    def test_deterministic_action_is_the_policy(self):
+        learner = trained()
+        obs = learner.pool._obs()
+        first, again = (learner.act(obs, deterministic=True) for _ in range(2))
+        np.testing.assert_array_equal(first, again)
+        assert not np.array_equal(first, learner.act(obs))
+
+
+class TestUpdate:
+    def test_polyak_once_per_cycle(self):
+        learner = make(polyak=0.75)
+        learner.collect()
+        before = learner._target_vector.clone()
+        learner.update()
+        expected = 0.75 * before + 0.25 * learner.adam.vector
+        torch.testing.assert_close(learner._target_vector, expected)
+        assert torch.equal(
+            torch.cat([p.reshape(-1) for p in learner.target_actor.parameters()]),
+            learner._target_vector[: sum(p.numel() for p in learner.target_actor.parameters())],
+        )
+
+    def test_targets_start_equal(self):
+        learner = make()
+        assert torch.equal(learner._target_vector, learner.adam.vector)
+
+    def test_gradients_are_those_of_the_two_losses_apart(self):
+        learner = make(action_l2=0.3)
+        learner.collect()
+        batch = learner.replay.sample(8, 0.8)
+        with torch.no_grad():
+            inputs, actions, target = learner._prepared(type(batch)(*map(torch.from_numpy, batch)))
+        actor, critic = copy.deepcopy((learner.actor, learner.critic))
+        q = critic(torch.cat([inputs, actions], dim=1)).squeeze(-1)
+        critic_loss = ((q - target) ** 2).mean()
+        own = actor(inputs)
+        value = critic(torch.cat([inputs, own], dim=1)).mean()
+        actor_loss = -value + 0.3 * (own**2).mean()
+        of_critic = torch.autograd.grad(critic_loss, list(critic.parameters()))
+        of_actor = torch.autograd.grad(actor_loss, list(actor.parameters()))
+        expected = torch.cat([g.reshape(-1) for g in (*of_actor, *of_critic)])
+        got = learner._minibatch(inputs, actions, target)
+        torch.testing.assert_close(learner.adam.gradient, expected)
+        torch.testing.assert_close(got, torch.stack([critic_loss, actor_loss, value]).detach())
+
+    def test_float32_follows_float64(self):
+        """100 updates on the same data: how far do the parameters drift apart?"""
+        learner = make(n_batches=100, hidden=(32, 32))
+        learner.collect()
+        drawn = learner.replay.sample(100 * 8, 0.8)
+        double = copy.deepcopy((learner.actor, learner.critic))
+        for module in double:
+            module.double()
+        adam = FlatAdam((double[0], 1e-3), (double[1], 1e-3))
+        start = adam.vector.clone()
+        for part in zip(*(torch.from_numpy(p).split(8) for p in drawn), strict=True):
+            with torch.no_grad():
+                inputs, actions, target = learner._prepared(type(drawn)(*part))
+            learner._minibatch(inputs, actions, target)
+            inputs, actions, target = inputs.double(), actions.double(), target.double()
+            adam.zero_grad()
+            q = double[1](torch.cat([inputs, actions], dim=1)).squeeze(-1)
+            (q - target).square().mean().backward()
+            own = double[0](inputs)
+            loss = own.square().mean() - double[1](torch.cat([inputs, own], dim=1)).mean()
+            loss.backward(inputs=list(double[0].parameters()))
+            adam.step()
+        moved = (adam.vector - start).norm()
+        assert (adam.vector - learner.adam.vector.double()).norm() < 2e-3 * moved
+
+    def test_normaliser_is_fed_relabelled_goals_of_new_episodes(self):
+        learner = make()
+        learner.collect()
+        assert learner.obs_stats.count == learner.goal_stats.count == 10
+        learner.collect()
+        assert learner.goal_stats.count == 20
+
+    def test_sum_and_mean_of_gradients(self):
+        got = {}
+        for how in ("sum", "mean"):
+            learner = make(reduction=how)
+            learner.comm.size = 2  # a partner whose gradient is zero
+            learner.collect()
+            learner.update()
+            got[how] = learner.adam.gradient.clone()
+        torch.testing.assert_close(got["sum"], 2 * got["mean"], rtol=0.2, atol=1e-2)
+
+    def test_counts(self):
+        learner = trained(3)
+        assert learner.env_steps == 3 * 2 * 5
+        assert learner.updates == 9
+
+    def test_total_timesteps_count_per_worker(self):
+        comm = Communicator()
+        comm.size = 4
+        assert make(comm=comm).total_timesteps == 400
+
+    def test_test_episodes_learn_nothing(self):
+        learner = trained()
+        before = learner.adam.vector.clone(), learner.env_steps, len(learner.replay)
+        seen = learner.test()
+        assert set(seen) == {"test_success_rate", "test_mean_return"}
+        assert torch.equal(before[0], learner.adam.vector)
+        assert before[1:] == (learner.env_steps, len(learner.replay))
+
+    def test_ranks_have_their_own_seeds(self):
+        comm = Communicator()
+        comm.rank = 1
+        first, second = make(), make(comm=comm)
+        assert torch.equal(first.adam.vector, second.adam.vector)
+        for learner in (first, second):
+            learner.collect()
+        assert not set(first.pool.seeds) & set(second.pool.seeds)
+
+
+class TestSaving:
+    def test_goes_on_as_if_never_stopped(self):
+        whole = trained(6)
+        half = trained(3)
+        state, kept = copy.deepcopy(half.state_dict()), half.new_experience()
+        again = make(half.pool)
+        again.load_state_dict(state)
+        again.add_experience(kept)
+        trained(3, again)
+        assert torch.equal(whole.adam.vector, again.adam.vector)
+        assert torch.equal(whole._target_vector, again._target_vector)
+        assert whole.env_steps == again.env_steps
+
+
+class TestHardCases:
+    @pytest.mark.parametrize(
+        ("pool", "choices"),
+        [
+            (dict(offset=1e8), {}),
+            (dict(scale=0.0), {}),
+            (dict(scale=1e30), {}),
+            (dict(length=1), {}),
+            (dict(), dict(gamma=1 - 1e-7)),
+            (dict(), dict(batch_size=1)),
+            (dict(), dict(clip_obs=1e9)),
+        ],
+        ids=["offset", "constant", "huge", "one step", "gamma to 1", "one transition", "wide clip"],
+    )
+    def test_stays_finite(self, pool, choices):
+        learner = make(GoalPool(**pool), **choices)
+        for _ in range(4):
+            learner.collect()
+            assert all(math.isfinite(value) for value in learner.update().values())
+        assert learner.adam.is_finite()
+
+    @pytest.mark.parametrize("bad", [math.nan, math.inf])
+    def test_bad_reward_stops_the_run(self, bad):
+        with pytest.raises(DivergenceError, match="a reward"):
+            make(GoalPool(reward=bad)).collect()
+
+    def test_bad_observation_stops_the_run(self):
+        with pytest.raises(DivergenceError, match="an observation"):
+            make(GoalPool(offset=math.nan)).collect()
+
+    def test_broken_parameters_stop_the_run(self):
+        learner = trained(1)
+        learner.adam.vector.data[0] = math.nan
+        with pytest.raises(DivergenceError, match="not finite"):
+            learner.update()
+
+    def test_parameters_that_differ_between_ranks_stop_the_run(self):
+        comm = Communicator()
+        learner = make(comm=comm, n_batches=100)  # as often as it looks
+        learner.collect()
+        comm.size = 2
+        comm.all_gather = lambda value: [value, "another"]
+        with pytest.raises(DivergenceError, match="differ"):
+            learner.update()
+
+    def test_rewards_that_the_clip_would_spoil_are_refused(self):
+        with pytest.raises(ValueError, match="--no-clip-target"):
+            make(GoalPool(reward=1.8)).collect()
+
+    def test_rewards_that_cannot_be_recomputed_are_refused(self):
+        with pytest.raises(ValueError, match="compute_reward"):
+            make(GoalPool(reward=-0.37)).collect()
+
+    def test_environments_without_goals_or_time_limit_are_refused(self):
+        pool = GoalPool()
+        pool.max_episode_steps = None
+        with pytest.raises(ValueError, match="max_episode_steps"):
+            make(pool)
+        pool = GoalPool()
+        pool.observation_space = gym.spaces.Box(-1, 1, (3,), np.float32)
+        with pytest.raises(ValueError, match="goal environment"):
+            make(pool)
+
+    @pytest.mark.parametrize(
+        ("choices", "words"),
+        [
+            (dict(gamma=1.0), "gamma: found 1.0, allowed from 0 to below 1"),
+            (dict(polyak=1.5), "polyak: found 1.5"),
+            (dict(action_l2=-1.0), "action_l2: found -1.0"),
+            (dict(noise_eps=math.nan), "noise_eps: found nan"),
+            (dict(n_batches=0), "n_batches: found 0"),
+            (dict(buffer_size=4), "buffer_size: found 4, allowed 5"),
+        ],
+    )
+    def test_bad_values(self, choices, words):
+        with pytest.raises(ValueError, match=words):
+            make(**choices)

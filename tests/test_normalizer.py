@@ -1,0 +1,112 @@
+"""Running moments against NumPy's float64, where the digits are easily lost."""
+
+import numpy as np
+import pytest
+import torch
+
+from tactilerl.algos.mpi import Communicator
+from tactilerl.algos.normalizer import MIN_STD, Normalizer
+
+
+def fed(batches, size, comm=None):
+    stats = Normalizer(size, comm or Communicator())
+    for batch in batches:
+        stats.update(batch)
+    return stats
+
+
+@pytest.mark.parametrize("offset", [0.0, 1.0, 1e4, 1e8])
+def test_moments_of_columns_far_from_zero(offset):
+    rows = offset + np.random.default_rng(0).standard_normal((10_000, 3)) * [1.0, 0.1, 30.0]
+    stats = fed(np.array_split(rows, 117), 3)
+    np.testing.assert_allclose(stats.mean, rows.mean(axis=0), rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(stats.std, rows.std(axis=0), rtol=1e-6 if offset == 1e8 else 1e-9)
+
+
+def test_ten_million_rows():
+    rng = np.random.default_rng(1)
+    stats, total, squares = Normalizer(1, Communicator()), 0.0, 0.0
+    for _ in range(100):
+        rows = 1e4 + rng.standard_normal((100_000, 1))
+        stats.update(rows)
+        total, squares = total + (rows - 1e4).sum(), squares + np.square(rows - 1e4).sum()
+    mean, n = total / 1e7, 1e7
+    assert stats.count == n
+    np.testing.assert_allclose(stats.mean - 1e4, mean, atol=1e-9)
+    np.testing.assert_allclose(stats.std, np.sqrt(squares / n - mean**2), rtol=1e-9)
+
+
+def test_constant_columns_do_not_explode():
+    stats = fed([np.full((50, 2), [3.0, 1e8]) for _ in range(3)], 2)
+    assert (stats.std == MIN_STD).all()
+    assert (stats(torch.tensor([[3.0, 1e8]])) == 0).all()
+
+
+def test_normalised_values_keep_their_digits():
+    """float32 at 1e8 knows multiples of 8; beyond that nothing is lost."""
+    rows = (1e8 + 800.0 * np.random.default_rng(0).standard_normal((5000, 1))).astype(np.float32)
+    stats = fed([rows], 1)
+    exact = (rows.astype(np.float64) - rows.mean(dtype=np.float64)) / rows.std(dtype=np.float64)
+    assert np.abs(stats(torch.from_numpy(rows)).numpy() - exact).max() < 1e-5
+
+
+def test_clip_and_before_the_first_update():
+    stats = Normalizer(2, Communicator(), clip=5.0)
+    assert stats(torch.tensor([[-1.0, 99.0]])).tolist() == [[-1.0, 5.0]]
+
+
+def test_the_argument_is_left_alone():
+    stats, values = fed([np.arange(6.0).reshape(3, 2)], 2), torch.ones(4, 2)
+    stats(values)
+    assert (values == 1).all()
+
+
+def test_later_rows_change_what_comes_out():
+    stats = fed([np.array([[0.0], [2.0]])], 1)
+    before = stats(torch.tensor([[3.0]])).item()
+    stats.update(np.array([[10.0], [20.0]]))
+    assert before == 2.0
+    assert stats(torch.tensor([[3.0]])).item() < 0
+
+
+def test_ranks_merge_to_one_stream():
+    """Two ranks' sums, put together as MPI would, equal one process that saw all rows."""
+    rng = np.random.default_rng(2)
+    rows = 1e6 + rng.standard_normal((7, 2, 30, 4))  # updates, ranks, rows, columns
+    alone = fed([both.reshape(-1, 4) for both in rows], 4)
+
+    class Both(Communicator):
+        """Answers for rank 0 and adds what rank 1 would send."""
+
+        def __init__(self):
+            self.other = []
+
+        def sum(self, values):
+            return values + self.other.pop(0)
+
+    comm = Both()
+    merged = Normalizer(4, comm)
+    for mine, theirs in rows:
+        mean = np.concatenate([mine, theirs]).mean(axis=0)
+        comm.other = [np.append(theirs.sum(axis=0), 30.0), np.square(theirs - mean).sum(axis=0)]
+        merged.update(mine)
+    assert merged.count == alone.count == 420
+    np.testing.assert_allclose(merged.mean, alone.mean, rtol=1e-14)
+    np.testing.assert_allclose(merged.std, alone.std, rtol=1e-9)
+
+
+def test_a_rank_without_rows_and_no_rows_at_all():
+    stats = fed([np.zeros((0, 2)), np.ones((4, 2)), np.zeros((0, 2))], 2)
+    assert stats.count == 4
+    assert stats.mean.tolist() == [1.0, 1.0]
+
+
+def test_saved_and_restored():
+    stats = fed([np.random.default_rng(0).standard_normal((9, 2))], 2)
+    again = Normalizer(2, Communicator())
+    again(torch.zeros(1, 2))  # whatever it computed before must not stick
+    again.load_state_dict(stats.state_dict())
+    values = torch.ones(1, 2)
+    assert torch.equal(stats(values), again(values))
+    again.update(np.ones((1, 2)))
+    assert stats.count == 9

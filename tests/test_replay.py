@@ -1,0 +1,194 @@
+"""Hindsight: new goals come from the future of the same episode, with HER's distribution."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from tactilerl.algos.replay import GoalObs, Replay, future_goal_steps, goal_observation
+from tactilerl.algos.rollout import Episode
+
+MAX_STEPS = 8
+
+
+def reward(achieved, desired):
+    return -np.abs(achieved - desired).sum(axis=-1)
+
+
+def episode(number, length=MAX_STEPS, terminated=False):
+    """Every entry says which episode and step it is of; goals to reach are negative."""
+    obs = [
+        GoalObs(*np.array([[number, t, t % 2], [number, t, 0], [-number, -t, 0]], np.float32))
+        for t in range(length + 1)
+    ]
+    actions = [np.array([number, t], np.float32) for t in range(length)]
+    return Episode(obs, actions, [0.0] * length, terminated)
+
+
+def make_replay(slots=10, seed=0):
+    rng = np.random.default_rng(seed)
+    return Replay(slots * MAX_STEPS, MAX_STEPS, (3, 3, 2), n_boolean=1, reward=reward, rng=rng)
+
+
+def filled(numbers, slots=10, lengths=None):
+    replay = make_replay(slots)
+    replay.store([episode(n, (lengths or {}).get(n, MAX_STEPS)) for n in numbers])
+    return replay
+
+
+class TestRelabelling:
+    def test_transitions_hang_together(self):
+        batch = filled(range(1, 6), lengths={2: 3, 4: 1}).sample(5000, 0.8)
+        number, t = batch.obs[:, 0], batch.obs[:, 1]
+        np.testing.assert_array_equal(batch.next_obs[:, 0], number)
+        np.testing.assert_array_equal(batch.next_obs[:, 1], t + 1)
+        np.testing.assert_array_equal(batch.action, np.stack([number, t], axis=1))
+        np.testing.assert_array_equal(batch.obs[:, 2], t % 2)
+        assert (t < np.where(number == 2, 3, np.where(number == 4, 1, MAX_STEPS))).all()
+
+    def test_goals_are_achieved_later_in_the_same_episode_or_the_own(self):
+        batch = filled(range(1, 6), lengths={2: 3}).sample(20_000, 0.8)
+        number, t = batch.obs[:, 0], batch.obs[:, 1]
+        is_new = batch.goal[:, 0] > 0
+        np.testing.assert_array_equal(batch.goal[is_new, 0], number[is_new])
+        assert (batch.goal[is_new, 1] > t[is_new]).all()
+        assert (batch.goal[is_new, 1] <= np.where(number == 2, 3, MAX_STEPS)[is_new]).all()
+        own = np.stack([-number, -t, 0 * t], axis=1)
+        np.testing.assert_array_equal(batch.goal[~is_new], own[~is_new])
+
+    def test_the_share_of_new_goals(self):
+        is_new = filled([1]).sample(100_000, 0.8).goal[:, 0] > 0
+        assert stats.binomtest(int(is_new.sum()), is_new.size, 0.8).pvalue > 1e-3
+
+    @pytest.mark.parametrize("length", [MAX_STEPS, 5])
+    def test_each_later_step_is_equally_likely(self, length):
+        batch = filled([3], lengths={3: length}).sample(100_000, 0.8)
+        for t in range(length):
+            chosen = batch.goal[(batch.obs[:, 1] == t) & (batch.goal[:, 0] > 0), 1].astype(int)
+            counts = np.bincount(chosen, minlength=length + 1)
+            assert counts[: t + 1].sum() == 0
+            if t < length - 1:
+                assert stats.chisquare(counts[t + 1 :]).pvalue > 1e-3
+
+    def test_transitions_are_uniform_whatever_the_episodes_lengths(self):
+        batch = filled([1, 2, 3], lengths={1: 2, 3: 5}).sample(60_000, 0.8)
+        which = batch.obs[:, 0] * 100 + batch.obs[:, 1]
+        _, counts = np.unique(which, return_counts=True)
+        assert len(counts) == 2 + MAX_STEPS + 5
+        assert stats.chisquare(counts).pvalue > 1e-3
+
+    def test_reward_is_compute_reward_of_the_next_achieved_goal(self):
+        batch = filled([1, 2]).sample(1000, 0.8)
+        achieved = np.stack([batch.obs[:, 0], batch.obs[:, 1] + 1, 0 * batch.obs[:, 1]], axis=1)
+        np.testing.assert_array_equal(batch.reward, reward(achieved, batch.goal))
+
+    def test_without_hindsight_goals_stay(self):
+        assert (filled([1, 2]).sample(1000, 0.0).goal[:, 0] < 0).all()
+
+    def test_only_the_last_transition_of_a_terminated_episode_is_terminal(self):
+        replay = make_replay()
+        replay.store([episode(1, 4, terminated=True), episode(2, 4)])
+        batch = replay.sample(2000, 0.8)
+        is_last = (batch.obs[:, 0] == 1) & (batch.obs[:, 1] == 3)
+        np.testing.assert_array_equal(batch.terminal, is_last)
+
+    def test_pure_in_its_generator(self):
+        t, lengths = np.array([0, 3, 7]), np.array([8, 8, 8])
+        a, b = (future_goal_steps(t, lengths, 0.8, np.random.default_rng(1)) for _ in range(2))
+        np.testing.assert_array_equal(a, b)
+        assert future_goal_steps(t, lengths, 0.8, np.random.default_rng(0))[1][2] == 8
+
+
+class TestStoring:
+    def test_partial_buffer_gives_only_what_is_there(self):
+        replay = filled([4, 5])
+        assert len(replay) == 2 * MAX_STEPS
+        assert set(replay.sample(500, 0.8).obs[:, 0]) == {4, 5}
+
+    def test_full_buffer_overwrites_random_slots(self):
+        replay = filled(range(1, 11))
+        replay.store([episode(n) for n in range(11, 16)])
+        numbers = set(replay.sample(5000, 0.8).obs[:, 0])
+        assert len(replay) == 10 * MAX_STEPS
+        assert numbers & {11, 12, 13, 14, 15}
+        assert 15 in numbers
+        assert len(numbers) == 10
+        # not first in, first out
+        assert {n for n in numbers if n <= 10} != {6, 7, 8, 9, 10}
+
+    def test_a_shorter_episode_hides_what_its_slot_held(self):
+        replay = make_replay(slots=1)
+        replay.store([episode(1)])
+        replay.store([episode(2, length=3)])
+        batch = replay.sample(1000, 0.8)
+        assert set(batch.obs[:, 0]) == {2}
+        assert batch.obs[:, 1].max() == 2
+        assert batch.goal[:, 1].max() == 3
+
+    def test_sampling_of_some_slots(self):
+        replay = filled([1, 2, 3])
+        slots = replay.store([episode(7), episode(8)])
+        assert set(replay.sample(500, 0.8, slots).obs[:, 0]) == {7, 8}
+
+    def test_bytes_for_booleans(self):
+        replay = filled([1])
+        n_rows = 10 * (MAX_STEPS + 1)
+        assert replay.nbytes == n_rows * (2 * 4 + 1 + 3 * 4 + 3 * 4 + 2 * 4 + 1)
+
+    def test_what_is_not_boolean_is_refused(self):
+        odd = episode(1)
+        odd.obs[2].observation[2] = 0.5
+        with pytest.raises(ValueError, match="last 1 entries"):
+            make_replay().store([odd])
+
+    def test_a_million_transitions_of_layout_1_take_half_a_gigabyte(self):
+        replay = Replay(10**6, 20, (61 + 139, 3, 23), 139, reward, np.random.default_rng(0))
+        assert replay.nbytes < 0.55e9
+
+    def test_too_small_and_too_large(self):
+        with pytest.raises(ValueError, match="buffer_size: found 7, allowed 8"):
+            Replay(7, 8, (3, 3, 2), 0, reward, np.random.default_rng(0))
+        with pytest.raises(ValueError, match="buffer_size: found 10,000,000,000.*GB"):
+            Replay(10**10, 8, (3, 3, 2), 0, reward, np.random.default_rng(0)).require_memory()
+
+    def test_empty_buffer_says_so(self):
+        with pytest.raises(ValueError, match="empty"):
+            make_replay().sample(4, 0.8)
+
+    def test_one_transition(self):
+        replay = make_replay()
+        replay.store([episode(1, length=1)])
+        batch = replay.sample(10, 1.0)
+        assert (batch.goal[:, 1] == 1).all()
+        assert (batch.reward == 0).all()
+
+
+class TestSaving:
+    def test_reloaded_in_parts_it_samples_the_same(self):
+        whole, parts = make_replay(slots=4), []
+        for numbers in ([1, 2], [3, 4, 5], [6]):
+            whole.store([episode(n, length=3 + n % 3) for n in numbers])
+            parts.append(whole.new_experience())
+        again = make_replay(slots=4, seed=9)
+        for part in parts:
+            again.add_experience(part)
+        again.rng.bit_generator.state = whole.rng.bit_generator.state
+        assert len(again) == len(whole)
+        for a, b in zip(whole.sample(300, 0.8), again.sample(300, 0.8), strict=True):
+            np.testing.assert_array_equal(a, b)
+
+    def test_everything_at_once(self):
+        whole = filled(range(1, 14))
+        whole.new_experience()
+        assert whole.new_experience() == {}
+        again = make_replay(seed=9)
+        again.add_experience(whole.new_experience(everything=True))
+        again.rng.bit_generator.state = whole.rng.bit_generator.state
+        np.testing.assert_array_equal(whole.sample(100, 0.8).goal, again.sample(100, 0.8).goal)
+
+
+def test_goal_observation_copies():
+    obs = {name: np.zeros(2) for name in GoalObs._fields}
+    read = goal_observation(obs)
+    obs["achieved_goal"][:] = 1.0
+    assert read.achieved_goal.dtype == np.float32
+    assert not read.achieved_goal.any()
