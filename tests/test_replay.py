@@ -147,7 +147,7 @@ class TestStoring:
     def test_too_small_and_too_large(self):
         with pytest.raises(ValueError, match="buffer_size: found 7, allowed 8"):
             Replay(7, 8, (3, 3, 2), 0, reward, np.random.default_rng(0))
-        with pytest.raises(ValueError, match="buffer_size: found 10,000,000,000.*GB"):
+        with pytest.raises(ValueError, match=r"buffer_size: found 10,000,000,000.*GB"):
             Replay(10**10, 8, (3, 3, 2), 0, reward, np.random.default_rng(0)).require_memory()
 
     def test_empty_buffer_says_so(self):
