@@ -16,6 +16,10 @@ class DivergenceError(FloatingPointError):
     """Something the learner needs is no longer a finite number."""
 
 
+class RewardError(ValueError):
+    """Rewards are not what the configuration takes for granted."""
+
+
 class Transition(NamedTuple):
     """What `gymnasium.Env.step` returns."""
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -18,12 +18,20 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from . import Array, DivergenceError, EnvPool, check_ranges, flat_size, goal_size
+from . import (
+    Array,
+    DivergenceError,
+    EnvPool,
+    RewardError,
+    check_ranges,
+    flat_size,
+    goal_size,
+)
 from .mpi import Communicator, same_on_all_ranks
 from .networks import MLP, FlatAdam, flatten
 from .normalizer import Normalizer
 from .replay import Batch, GoalObs, Replay, goal_observation
-from .rollout import Episode, Rollouts, summary
+from .rollout import Rollouts, summary
 
 CHECK_EVERY = 100  # updates between two looks at whether the ranks' parameters are equal
 SAVED = ("actor", "critic", "target_actor", "target_critic", "adam", "obs_stats", "goal_stats")
@@ -160,8 +168,12 @@ class DDPGHER:
         self.env_steps = self.updates = 0
 
     def prepare(self) -> str:
-        """What the configuration amounts to, in words; ValueError when memory is short."""
+        """What the configuration amounts to, in words.
+
+        Raises ValueError when memory is short or the environment's rewards do not fit.
+        """
         config, replay = self.config, self.replay
+        self._probe()
         replay.require_memory(self.comm.local_size)
         epoch = config.n_cycles * config.n_rollouts * replay.max_steps
         return (
@@ -203,7 +215,7 @@ class DDPGHER:
         episodes = self.rollouts.play(self._explore, episodes=self.config.n_rollouts)
         seen = summary(episodes, self.rollouts.diverged, self.comm)
         self.env_steps += int(seen.pop("steps"))
-        self._check_rewards(episodes)
+        self._check_signs([reward for episode in episodes for reward in episode.rewards])
         slots = self.replay.store(episodes)
         n = sum(len(episode.rewards) for episode in episodes)
         batch = self.replay.sample(n, self.config.replay_p, slots)
@@ -212,24 +224,27 @@ class DDPGHER:
         self.goal_stats.update(batch.goal.clip(-limit, limit))
         return seen
 
-    def _check_rewards(self, episodes: list[Episode[GoalObs]]) -> None:
-        """Are the rewards such as relabelling and the target's bounds take for granted?"""
-        for episode in episodes:
-            rewards = np.array(episode.rewards)
-            if self.config.clip_target and rewards.max() > 0:
-                raise ValueError(
-                    f"clip_target: found a reward of {rewards.max():g}, allowed 0 or less while "
-                    "targets are cut at 0; give --no-clip-target"
-                )
-            if not len(self.replay):  # once in a run
-                achieved = np.stack([obs.achieved_goal for obs in episode.obs[1:]])
-                desired = np.stack([obs.desired_goal for obs in episode.obs[1:]])
-                again = np.asarray(self.pool.compute_reward(achieved, desired))
-                if again.shape != rewards.shape or not np.allclose(again, rewards, 1e-3, 1e-4):
-                    raise ValueError(
-                        "compute_reward: found other rewards than those of the steps, allowed "
-                        "environments whose reward follows from achieved and desired goal"
-                    )
+    def _probe(self) -> None:
+        """Can the rewards be relabelled and cut? Asked of one step, before a run begins."""
+        self.pool.reset(0, seed=0)
+        middle = self.rollouts.to_env(np.zeros((1, self.rollouts.n_actions), np.float32))
+        result = self.pool.step([0], middle)[0]
+        self._check_signs([result.reward])
+        obs = goal_observation(result.obs)
+        again = self.pool.compute_reward(obs.achieved_goal[None], obs.desired_goal[None])
+        if np.shape(again) != (1,) or not np.allclose(again, result.reward, 1e-3, 1e-4):
+            raise ValueError(
+                f"compute_reward: found {again} where the step gave {result.reward}, allowed "
+                "environments whose reward follows from achieved and desired goal, row by row"
+            )
+
+    def _check_signs(self, rewards: Sequence[float]) -> None:
+        largest = max(rewards, default=0.0)
+        if self.config.clip_target and largest > 0:
+            raise RewardError(
+                f"clip_target: found a reward of {largest:g}, allowed 0 or less while targets are "
+                "cut at 0; give --no-clip-target"
+            )
 
     def test(self) -> dict[str, float]:
         """Episodes without noise at the end of an epoch."""

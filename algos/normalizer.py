@@ -39,7 +39,7 @@ class Normalizer:
         """Take in the rows (n, size) that each rank has; every rank must call it, n may be 0."""
         batch = np.asarray(batch, np.float64)
         total = self.comm.sum(np.append(batch.sum(axis=0), len(batch)))
-        count = total[-1]
+        count = float(total[-1])
         if not count:
             return
         mean = total[:-1] / count

@@ -88,7 +88,7 @@ class Replay:
         self.n_episodes = 0
         self._rows = max_steps + 1
         self._columns: dict[str, Array] = {}
-        self._lengths = np.zeros(self.n_slots, np.int64)
+        self._lengths = np.zeros(0, np.int64)
         self._unsaved: dict[int, None] = {}  # slots, in the order in which they were filled
 
     def __len__(self) -> int:
@@ -162,6 +162,7 @@ class Replay:
     def _put(self, slot: int, columns: dict[str, Array]) -> None:
         if not self._columns:  # zeros are given out page by page, when they are written to
             self._columns = {k: np.zeros(shape, dtype) for k, (shape, dtype) in self._shapes().items()}
+            self._lengths = np.zeros(self.n_slots, np.int64)
         first, n_rows = slot * self._rows, len(columns["obs"])
         for name, values in columns.items():
             self._columns[name][first : first + n_rows] = values

@@ -82,7 +82,8 @@ def _read_config(args: list[str], base: RunConfig) -> tuple[RunConfig, bool]:
 
 def _summary(config: RunConfig, ranks: int) -> str:
     """What the run resolved to, one line per part."""
-    lines = [f"tactilerl train: {ranks} process{'es' if ranks > 1 else ''}"]
+    several = f"{ranks} processes" if ranks > 1 else "1 process (mpirun -n 2 tactilerl ... for two)"
+    lines = [f"tactilerl train: {several}"]
     for part, values in config.as_dict().items():
         if values:
             lines.append(f"  {part:8}" + "  ".join(f"{k}={v}" for k, v in values.items()))

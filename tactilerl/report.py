@@ -18,6 +18,7 @@ from rich.progress import (
 )
 
 from .algos import Algorithm
+from .algos.mpi import Communicator
 from .config import RunConfig
 from .errors import InputError
 from .run_dir import RunDir
@@ -27,8 +28,9 @@ class Report:
     """Shows each epoch; writes TensorBoard events when asked to."""
 
     def __init__(
-        self, config: RunConfig, run_dir: RunDir, learner: Algorithm, is_quiet: bool = False
+        self, config: RunConfig, run_dir: RunDir, learner: Algorithm, comm: Communicator
     ) -> None:
+        is_quiet = comm.rank > 0
         self.console = Console(quiet=is_quiet, highlight=False, soft_wrap=True)
         self.total = learner.total_timesteps
         self._first_step, self._started = learner.env_steps, time.perf_counter()
@@ -37,7 +39,8 @@ class Report:
             self._events = require_tensorboard()(str(run_dir.path))
         self._diverged = 0.0
         self._bar: Progress | None = None
-        if self.console.is_terminal and not is_quiet:
+        # mpirun hands its ranks a terminal that is none: plain lines for several processes
+        if self.console.is_terminal and not is_quiet and comm.size == 1:
             self._bar = Progress(
                 BarColumn(),
                 MofNCompleteColumn(),

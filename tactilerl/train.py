@@ -16,7 +16,7 @@ from .algos.mpi import Communicator
 from .checkpoint import Checkpoint
 from .config import RunConfig
 from .envs.vector import ThreadedEnvs
-from .errors import input_errors
+from .errors import InputError, input_errors
 from .report import Report, require_tensorboard
 from .run_dir import RunDir
 
@@ -63,9 +63,11 @@ def train(
         elif comm.rank == 0:  # the length of the run may be another
             run_dir.write_config(config, comm.size)
             run_dir.cut_progress(epoch)
-        with Report(config, run_dir, learner, is_quiet=comm.rank > 0) as report:
+        with Report(config, run_dir, learner, comm) as report:
             report.note(f"  resolved {resolved}")
             _loop(learner, comm, run_dir, epoch, checkpoint, report)
+    except algos.RewardError as error:
+        raise InputError(str(error)) from error
     finally:
         pool.close()
     return path

@@ -16,6 +16,9 @@ from tactilerl.cli import main
 
 FAST = ["--hidden", "16", "--steps-per-epoch", "120", "--n-passes", "2"]
 TOY = ["train", "--env", "lqr", *FAST]
+HER = ["train", "--algo", "ddpg_her", "--hidden", "16", "--n-cycles", "2", "--n-batches", "4"]
+HER += ["--n-test-rollouts", "1", "--batch-size", "32"]
+REACH = [*HER, "--env", "point-reach"]
 TIMES = ("collect_s", "update_s", "steps_per_s")
 
 
@@ -41,7 +44,7 @@ def progress(path):
 
 
 def same_checkpoint(a, b):
-    """Are two checkpoints equal in everything, bit for bit?"""
+    """Are two checkpoints equal in everything, bit for bit, with what the learner remembers?"""
 
     def equal(x, y):
         if isinstance(x, torch.Tensor):
@@ -52,7 +55,12 @@ def same_checkpoint(a, b):
             return len(x) == len(y) and all(map(equal, x, y))
         return x == y
 
-    return equal(*(torch.load(p / "checkpoint.pt", weights_only=True) for p in (a, b)))
+    def files(run):
+        return sorted(path.relative_to(run) for path in run.rglob("*.pt"))
+
+    return files(a) == files(b) and all(
+        equal(*(torch.load(run / name, weights_only=True) for run in (a, b))) for name in files(a)
+    )
 
 
 class TestTrain:
@@ -90,6 +98,26 @@ class TestTrain:
         assert main([*args, "--out", "run"]) == 0
         assert len(progress(Path("run"))) == 2
 
+    def test_ddpg_her_means_the_papers_mujoco_set_up(self, capsys):
+        assert main([*HER, "--max-episode-steps", "3", "--total-timesteps", "12"]) == 0
+        out = capsys.readouterr().out
+        assert "epochs of up to 12 steps and 8 updates in each process, gamma 0.666667" in out
+        assert "replay of 1,000,000 transitions: 0." in out
+        run = Path("runs/ddpg_her_shadow_reach-goal_layout2_main_s0")
+        config = json.loads((run / "config.json").read_text())
+        assert config["scene"]["task"] == "reach-goal"
+        assert config["run"]["num_envs"] == 2
+        learner = config["learner"]
+        assert (learner["polyak"], learner["replay_p"], learner["reduction"]) == (0.95, 0.8, "sum")
+        assert progress(run)[0]["updates"] == "8"
+        assert 0 <= float(progress(run)[0]["test_success_rate"]) <= 1
+        assert main(["evaluate", str(run), "--episodes", "2"]) == 0
+
+    def test_ddpg_her_on_lift_and_hold(self):
+        args = [*HER, "--task", "lift-and-hold", "--no-clip-target", "--termination", "terminal"]
+        args += ["--max-episode-steps", "10", "--hold-steps", "50", "--total-timesteps", "30"]
+        assert main([*args, "--out", "run"]) == 0
+
     def test_tensorboard(self):
         pytest.importorskip("tensorboard")
         main([*TOY, "--total-timesteps", "1", "--out", "run", "--tensorboard"])
@@ -97,17 +125,20 @@ class TestTrain:
 
 
 class TestResume:
-    def test_resumed_run_equals_the_uninterrupted_one(self):
-        main([*TOY, "--total-timesteps", "600", "--out", "whole"])
-        main([*TOY, "--total-timesteps", "240", "--out", "parts"])
+    @pytest.mark.parametrize("toy", [TOY, REACH], ids=["ppo", "ddpg_her"])
+    def test_resumed_run_equals_the_uninterrupted_one(self, toy):
+        main([*toy, "--total-timesteps", "600", "--out", "whole"])
+        main([*toy, "--total-timesteps", "240", "--out", "parts"])
         assert main(["train", "--resume", "parts", "--total-timesteps", "600"]) == 0
         assert progress(Path("whole")) == progress(Path("parts"))
         assert same_checkpoint(Path("whole"), Path("parts"))
 
-    def test_killed_run_equals_the_uninterrupted_one(self):
+    @pytest.mark.parametrize("algo", ["ppo", "ddpg_her"])
+    def test_killed_run_equals_the_uninterrupted_one(self, algo):
         """kill -9 in the middle of an epoch, several times, on the real hand."""
-        args = ["train", "--env", "shadow", "--layout", "6", *FAST, "--hold-steps", "50"]
-        args += ["--max-episode-steps", "20", "--total-timesteps", "600"]
+        args = ["train", *FAST, "--hold-steps", "50"] if algo == "ppo" else HER
+        args = [*args, "--env", "shadow", "--layout", "6", "--max-episode-steps", "20"]
+        args += ["--total-timesteps", "600"]
         main([*args, "--out", "whole"])
         command = [sys.executable, "-m", "tactilerl.cli"]
         env = os.environ | {"OMP_NUM_THREADS": "1"}
@@ -126,6 +157,32 @@ class TestResume:
         assert main(["train", "--resume", "killed"]) == 0
         assert progress(Path("whole")) == progress(Path("killed"))
         assert same_checkpoint(Path("whole"), Path("killed"))
+
+    def test_experience_is_rewritten_when_its_parts_outgrow_the_memory(self):
+        """A replay of eight episodes: after every other epoch the parts become one."""
+        args = [*REACH, "--buffer-size", "200"]
+        main([*args, "--total-timesteps", "1500", "--out", "whole"])
+        parts = sorted(Path("whole/experience").glob("*.pt"))
+        assert 1 <= len(parts) < 15
+        main([*args, "--total-timesteps", "700", "--out", "cut"])
+        assert main(["train", "--resume", "cut", "--total-timesteps", "1500"]) == 0
+        assert same_checkpoint(Path("whole"), Path("cut"))
+
+    def test_missing_or_damaged_experience_is_refused(self, capsys):
+        main([*REACH, "--total-timesteps", "200", "--out", "run"])
+        part = Path("run/experience/00000001.pt")
+        content = part.read_bytes()
+        part.write_bytes(content[:500])
+        fails_with(capsys, ["train", "--resume", "run"], "00000001.pt: damaged")
+        part.unlink()
+        fails_with(capsys, ["train", "--resume", "run"], "00000001.pt: missing")
+        assert main(["evaluate", "run", "--episodes", "1"]) == 0  # which needs none of it
+
+    def test_experience_of_a_lost_epoch_is_removed(self):
+        main([*REACH, "--total-timesteps", "100", "--out", "run"])
+        Path("run/experience/00000007.pt").write_bytes(b"written, but its checkpoint was not")
+        main(["train", "--resume", "run", "--total-timesteps", "200"])
+        assert len(list(Path("run/experience").iterdir())) == 2
 
     def test_half_written_progress_row_is_dropped(self):
         main([*TOY, "--total-timesteps", "360", "--out", "whole"])
@@ -195,7 +252,12 @@ class TestBadInput:
             (["fly"], ["unknown command 'fly'", "allowed: train"]),
             (["train", "--env", "nope"], ["unknown environment 'nope'", "allowed: shadow"]),
             (["train", "--env", "CartPole-v1"], ["action space", "allowed Box"]),
-            (["train", "--algo", "sac"], ["unknown algorithm 'sac'", "allowed: ppo"]),
+            (["train", "--algo", "sac"], ["unknown algorithm 'sac'", "allowed: ppo, ddpg_her"]),
+            (["train", "--preset", "slow"], ["--preset: found 'slow'", "allowed", "paper"]),
+            ([*HER, "--env", "lqr"], ["observation space", "goal environment"]),
+            ([*REACH, "--buffer-size", "9" * 13], ["buffer_size: found 9,", "GB", "free"]),
+            ([*REACH, "--gamma", "1"], ["gamma: found 1.0, allowed from 0 to below 1"]),
+            ([*HER, "--task", "lift-and-hold", "--max-episode-steps", "3"], ["--no-clip-target"]),
             (["train", "--layout", "9"], ["unknown layout '9'", "1, 2, 3, 4, 5, 6"]),
             (["train", "--layout", "no.toml"], ["no.toml", "does not exist"]),
             (["train", "--run-type", "half"], ["'half'", "--run-type", "main"]),
@@ -241,9 +303,10 @@ class TestBadInput:
             fails_with(capsys, ["evaluate", "run"], "configuration")
             fails_with(capsys, ["train", "--resume", "run"], "configuration")
 
-    def test_full_disk_stops_with_one_line_and_keeps_the_checkpoint(self):
+    @pytest.mark.parametrize("toy", [TOY, REACH], ids=["ppo", "ddpg_her"])
+    def test_full_disk_stops_with_one_line_and_keeps_the_checkpoint(self, toy):
         """A limit on file sizes stands in for a full disk: the next checkpoint does not fit."""
-        main([*TOY, "--total-timesteps", "1", "--out", "run"])
+        main([*toy, "--total-timesteps", "1", "--out", "run"])
         before = Path("run/checkpoint.pt").read_bytes()
         command = "trap '' XFSZ; ulimit -f 4; exec $0 -m tactilerl.cli train --resume run"
         command += " --total-timesteps 600"
@@ -252,7 +315,8 @@ class TestBadInput:
         assert "tactilerl: stopped: " in result.stderr
         assert "Traceback" not in result.stderr
         assert Path("run/checkpoint.pt").read_bytes() == before
-        assert not list(Path("run").glob("*.tmp"))
+        assert not list(Path("run").rglob("*.tmp"))
+        assert main(["train", "--resume", "run"]) == 0
 
     def test_divergence_stops_with_the_last_checkpoint_kept(self, capsys):
         main([*TOY, "--total-timesteps", "1", "--out", "run"])

@@ -306,12 +306,13 @@ class TestHardCases:
             learner.update()
 
     def test_rewards_that_the_clip_would_spoil_are_refused(self):
-        with pytest.raises(ValueError, match="--no-clip-target"):
-            make(GoalPool(reward=1.8)).collect()
+        for step in (DDPGHER.prepare, DDPGHER.collect):
+            with pytest.raises(ValueError, match="--no-clip-target"):
+                step(make(GoalPool(reward=1.8)))
 
     def test_rewards_that_cannot_be_recomputed_are_refused(self):
         with pytest.raises(ValueError, match="compute_reward"):
-            make(GoalPool(reward=-0.37)).collect()
+            make(GoalPool(reward=-0.37)).prepare()
 
     def test_environments_without_goals_or_time_limit_are_refused(self):
         pool = GoalPool()

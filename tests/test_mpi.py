@@ -1,22 +1,37 @@
 """Several processes: equal parameters on all ranks, one writer, and no rank left waiting."""
 
 import json
+import os
+import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 
 import pytest
+import torch
 
 pytest.importorskip("mpi4py")
 MPIRUN = Path(sys.executable).with_name("mpirun")
 pytestmark = pytest.mark.skipif(not MPIRUN.exists(), reason="no mpirun beside this Python (extra: mpi)")
+PARTS = ("whole", "parts")
+REACH = ["train", "--algo", "ddpg_her", "--env", "point-reach", "--hidden", "16", "--n-cycles", "2"]
+REACH += ["--n-batches", "5", "--n-test-rollouts", "1"]
 TOY = ["train", "--env", "lqr", "--hidden", "16", "--steps-per-epoch", "240", "--n-passes", "2"]
 
 
 def mpirun(args, ranks=2, timeout=120):
     command = [str(MPIRUN), "--oversubscribe", "-n", str(ranks), sys.executable, *args]
     return subprocess.run(command, capture_output=True, text=True, timeout=timeout)
+
+
+def flat(state):
+    """A state as one comparable string: every bit of every tensor."""
+    if isinstance(state, torch.Tensor):
+        return state.numpy().tobytes().hex()
+    if isinstance(state, dict):
+        return str({key: flat(value) for key, value in state.items()})
+    return str([flat(x) for x in state]) if isinstance(state, list | tuple) else repr(state)
 
 
 def tactilerl(*args):
@@ -48,12 +63,37 @@ def test_two_ranks_train_one_writes_and_resume_is_exact():
     assert checked.returncode == 0, checked.stderr
 
 
-def test_another_number_of_ranks_is_refused():
-    tactilerl(*TOY, "--total-timesteps", "1", "--out", "run")
+def test_ddpg_trains_on_two_ranks_and_resumes_exactly():
+    args = [*REACH, "--total-timesteps", "300"]
+    whole = tactilerl(*args, "--out", "whole")
+    assert whole.returncode == 0, whole.stderr
+    assert whole.stdout.count("The run is in whole") == 1
+    tactilerl(*REACH, "--total-timesteps", "100", "--out", "parts")
+    resumed = tactilerl("train", "--resume", "parts", "--total-timesteps", "300")
+    assert resumed.returncode == 0, resumed.stderr
+    whole, parts = (torch.load(Path(run, "checkpoint.pt"), weights_only=True) for run in PARTS)
+    assert [rank["env_steps"] for rank in whole["ranks"]] == [600, 600]
+    for a, b in zip(whole["ranks"], parts["ranks"], strict=True):
+        assert flat(a) == flat(b)
+    first, second = whole["ranks"]
+    assert flat({**first, "rng": None}) == flat({**second, "rng": None})  # bit-equal parameters
+    assert first["rng"] != second["rng"]
+
+
+@pytest.mark.parametrize("toy", ["ppo", "ddpg_her"])
+def test_another_number_of_ranks_is_refused_unless_asked_for(toy):
+    toy = TOY if toy == "ppo" else REACH
+    tactilerl(*toy, "--total-timesteps", "1", "--out", "run")
     command = [sys.executable, "-m", "tactilerl.cli", "train", "--resume", "run"]
-    alone = subprocess.run(command, capture_output=True, text=True)
+    more = ["--total-timesteps", "800"]
+    alone = subprocess.run([*command, *more], capture_output=True, text=True)
     assert alone.returncode == 2
     assert "ranks: found 1, the run was made with 2" in alone.stderr
+    alone = subprocess.run([*command, *more, "--any-ranks"], capture_output=True, text=True)
+    assert alone.returncode == 0, alone.stderr
+    three = mpirun(["-m", *command[2:], "--total-timesteps", "1600", "--any-ranks"], ranks=3)
+    assert three.returncode == 0, three.stderr
+    assert json.loads(Path("run/config.json").read_text())["ranks"] == 3
 
 
 def test_bad_input_on_one_rank_ends_all():
@@ -63,6 +103,120 @@ def test_bad_input_on_one_rank_ends_all():
     assert result.returncode == 2
     assert "'taken' exists" in result.stderr
     assert time.monotonic() - started < 60
+
+
+# A goal environment with a fault: after 40 steps rank 1 sees what is not a number, or raises.
+FAULTY = """
+import os
+import gymnasium as gym
+import numpy as np
+from tactilerl.envs.toy import PointReachEnv
+
+class Faulty(PointReachEnv):
+    calls = 0
+    def step(self, action):
+        Faulty.calls += 1
+        obs, *rest = super().step(action)
+        if Faulty.calls > 40 and os.environ["OMPI_COMM_WORLD_RANK"] == "1":
+            if os.environ["FAULT"] == "raise":
+                raise RuntimeError("the cable came off")
+            obs["observation"] = obs["observation"] * np.nan
+        return obs, *rest
+
+gym.register("Faulty-v0", entry_point=Faulty)
+"""
+
+
+@pytest.mark.parametrize("fault", ["nan", "raise"])
+def test_a_fault_on_one_rank_ends_all_with_the_reason(fault, monkeypatch):
+    Path("faulty.py").write_text(FAULTY)
+    monkeypatch.setenv("PYTHONPATH", str(Path.cwd()))
+    monkeypatch.setenv("FAULT", fault)
+    args = ["faulty:Faulty-v0" if arg == "point-reach" else arg for arg in REACH]
+    started = time.monotonic()
+    result = tactilerl(*args, "--out", "run")
+    assert result.returncode == 1
+    reason = {"nan": "observation of the environment is not finite", "raise": "the cable came off"}
+    assert reason[fault] in result.stderr
+    assert time.monotonic() - started < 60
+
+
+def start(*args):
+    """A run in the background that has written its first checkpoint."""
+    command = [str(MPIRUN), "--oversubscribe", "-n", "2", sys.executable, "-m", "tactilerl.cli"]
+    process = subprocess.Popen([*command, *args, "--out", "run"], stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60
+    while not Path("run/checkpoint.pt").exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    return process
+
+
+def ranks_of(process):
+    """Process ids of the ranks that mpirun started, found by their command line."""
+    listed = subprocess.run(["ps", "-eo", "pid,ppid,args"], capture_output=True, text=True).stdout
+    rows = [line.split(maxsplit=2) for line in listed.splitlines()[1:]]
+    parents = {process.pid}
+    for _ in range(3):  # launchers in between
+        parents |= {int(pid) for pid, parent, _ in rows if int(parent) in parents}
+    return [
+        int(p)
+        for p, _, a in rows
+        if int(p) in parents and "tactilerl.cli" in a and "mpi" not in a and "prterun" not in a
+    ]
+
+
+@pytest.mark.parametrize("how", ["kill -9 of a rank", "Ctrl-C"])
+def test_an_end_from_outside_ends_all_and_loses_nothing(how):
+    args = [*REACH, "--total-timesteps", "2000"]
+    process = start(*args)
+    if how == "Ctrl-C":
+        process.send_signal(signal.SIGINT)
+    else:
+        os.kill(ranks_of(process)[1], signal.SIGKILL)
+    _, errors = process.communicate(timeout=10)
+    assert process.returncode != 0
+    if how != "Ctrl-C":
+        assert "signal 9" in errors
+    assert not ranks_of(process)
+    assert tactilerl("train", "--resume", "run").returncode == 0
+    assert tactilerl(*args, "--out", "whole").returncode == 0
+    whole, run = (torch.load(Path(p, "checkpoint.pt"), weights_only=True) for p in ("whole", "run"))
+    assert [flat(a) for a in whole["ranks"]] == [flat(b) for b in run["ranks"]]
+
+
+def test_two_ranks_equal_one_with_both_batches():
+    """Gradients averaged over two ranks with batch B take the steps of one with batch 2 B."""
+    code = """
+import numpy as np, torch
+from tactilerl.algos import mpi
+from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
+from tactilerl import envs
+from tactilerl.envs.vector import ThreadedEnvs
+world, alone = mpi.world(), mpi.Communicator()
+pool = ThreadedEnvs(lambda: envs.make("point-reach"), 1)
+config = DDPGHERConfig(hidden=(32, 32), reduction="mean")
+halves, both = (DDPGHER(config, pool, comm, 0, 1) for comm in (world, alone))
+rng = np.random.default_rng(0)
+for _ in range(50):
+    parts = [torch.from_numpy(rng.standard_normal(shape).astype(np.float32))
+             for shape in ((64, 4), (64, 2), (64,))]
+    mine = slice(32 * world.rank, 32 * world.rank + 32)
+    halves._minibatch(*(part[mine].contiguous() for part in parts))
+    both._minibatch(*parts)
+assert mpi.same_on_all_ranks(world, halves.adam.vector)
+start = DDPGHER(config, pool, alone, 0, 1).adam.vector
+moved = (both.adam.vector - start).norm()
+assert (both.adam.vector - halves.adam.vector).norm() < 1e-3 * moved
+# and the normaliser has seen one stream
+rows = 1e6 + rng.standard_normal((5, 2, 10, 2))
+for both_rows in rows:
+    halves.goal_stats.update(both_rows[world.rank])
+    both.goal_stats.update(both_rows.reshape(-1, 2))
+np.testing.assert_allclose(halves.goal_stats.std, both.goal_stats.std, rtol=1e-9)
+"""
+    Path("check.py").write_text(code)
+    result = mpirun(["check.py"])
+    assert result.returncode == 0, result.stderr
 
 
 def test_reductions_agree_with_numpy():
