@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import gymnasium as gym
@@ -100,19 +100,16 @@ class Algorithm(Protocol):
         """Remember again what `new_experience` returned."""
 
 
-def load(name: str) -> tuple[Mapping[str, Any], type]:
-    """(configurations by the name of their preset, Algorithm) by name.
-
-    The first preset is "paper". PyTorch is imported here and not before.
-    """
+def load(name: str) -> tuple[type, type]:
+    """(Config, Algorithm) by name; PyTorch is imported here and not before."""
     if name == "ppo":
         from .ppo import PPO, PPOConfig
 
-        return {"paper": PPOConfig()}, PPO
+        return PPOConfig, PPO
     if name == "ddpg_her":
-        from .ddpg_her import DDPGHER, PRESETS
+        from .ddpg_her import DDPGHER, DDPGHERConfig
 
-        return PRESETS, DDPGHER
+        return DDPGHERConfig, DDPGHER
     raise ValueError(f"unknown algorithm {name!r}; allowed: {', '.join(ALGORITHMS)}")
 
 

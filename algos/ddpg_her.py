@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -100,9 +100,6 @@ class DDPGHERConfig:
                 raise ValueError(f"{name}: found {value}, allowed a finite number, 0 or more")
         if self.gamma is not None and not 0 <= self.gamma < 1:
             raise ValueError(f"gamma: found {self.gamma}, allowed from 0 to below 1")
-
-
-PRESETS: Mapping[str, DDPGHERConfig] = {"paper": DDPGHERConfig()}
 
 
 def targets(rewards: Tensor, next_values: Tensor, terminal: Tensor, gamma: float, clip: bool) -> Tensor:

@@ -40,8 +40,7 @@ def train(args: list[str]) -> int:
     saved = RunDir(Path(resume)).read_config()[0] if resume else None
     algo = flags.peek(args, "--algo", RunOptions.algo)
     env = flags.peek(args, "--env", RunOptions.env)
-    preset = flags.peek(args, "--preset", RunOptions.preset)
-    config, any_ranks = _read_config(args, saved or configuration.defaults(algo, env, preset))
+    config, any_ranks = _read_config(args, saved or configuration.defaults(algo, env))
     if resume and any(arg.partition("=")[0] == "--out" for arg in args):
         raise InputError("--out: a resumed run stays in its folder; leave it out")
     with input_errors():

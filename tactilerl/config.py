@@ -23,8 +23,6 @@ class RunOptions:
 
     algo: str = "ppo"
     """The algorithm: ppo or ddpg_her."""
-    preset: str = "paper"
-    """Defaults of the hyperparameters: paper, or (ddpg_her) fast."""
     env: str = "shadow"
     """shadow (Shadow Hand), a toy (lqr, point-reach), or any registered Gymnasium id with Box or
     goal-Dict observations and Box actions."""
@@ -130,27 +128,22 @@ PAPER: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
 }
 
 
-def defaults(algo: str, env: str, preset: str = "paper") -> RunConfig:
-    """The configuration before any flag; InputError for names that do not exist."""
+def defaults(algo: str, env: str) -> RunConfig:
+    """The configuration before any flag; InputError for an unknown algorithm or environment."""
     with input_errors("--algo"):
-        presets, _ = algos.load(algo)
-    if preset not in presets:
-        raise InputError(
-            f"--preset: found {preset!r}, allowed with --algo {algo}: {', '.join(presets)}"
-        )
+        config_type, _ = algos.load(algo)
     run, scene = PAPER[algo]
     return RunConfig(
-        RunOptions(algo=algo, env=env, preset=preset, **run),
+        RunOptions(algo=algo, env=env, **run),
         GraspConfig(**scene) if env in envs.GRASP_ENVS else None,
-        presets[preset],
+        config_type(),
     )
 
 
 def from_dict(data: dict[str, Any]) -> RunConfig:
     """The configuration that `as_dict` wrote; InputError when it is not one."""
     try:
-        presets, _ = algos.load(data["run"]["algo"])
-        config_type = type(presets["paper"])
+        config_type, _ = algos.load(data["run"]["algo"])
         learner = {k: tuple(v) if isinstance(v, list) else v for k, v in data["learner"].items()}
         scene = None if data["scene"] is None else GraspConfig(**data["scene"])
         config = RunConfig(RunOptions(**data["run"]), scene, config_type(**learner))

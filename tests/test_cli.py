@@ -253,7 +253,6 @@ class TestBadInput:
             (["train", "--env", "nope"], ["unknown environment 'nope'", "allowed: shadow"]),
             (["train", "--env", "CartPole-v1"], ["action space", "allowed Box"]),
             (["train", "--algo", "sac"], ["unknown algorithm 'sac'", "allowed: ppo, ddpg_her"]),
-            (["train", "--preset", "slow"], ["--preset: found 'slow'", "allowed", "paper"]),
             ([*HER, "--env", "lqr"], ["observation space", "goal environment"]),
             ([*REACH, "--buffer-size", "9" * 13], ["buffer_size: found 9,", "GB", "free"]),
             ([*REACH, "--gamma", "1"], ["gamma: found 1.0, allowed from 0 to below 1"]),
