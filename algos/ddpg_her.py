@@ -260,8 +260,9 @@ class DDPGHER:
         config = self.config
         drawn = self.replay.sample(config.n_batches * config.batch_size, config.replay_p)
         sums = torch.zeros(3, device=self.device)
-        for part in zip(*(self._tensor(p).split(config.batch_size) for p in drawn), strict=True):
-            sums += self._minibatch(*self._prepared(Batch(*part)))
+        parts = (torch.split(self._tensor(part), config.batch_size) for part in drawn)
+        for batch in zip(*parts, strict=True):
+            sums += self._minibatch(*self._prepared(Batch(*batch)))
         self._target_vector.lerp_(self.adam.vector, 1.0 - config.polyak)
         self.updates += config.n_batches
         self._check(sums)

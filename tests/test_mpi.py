@@ -80,6 +80,16 @@ def test_ddpg_trains_on_two_ranks_and_resumes_exactly():
     assert first["rng"] != second["rng"]
 
 
+def test_ddpg_reaches_points_from_sparse_rewards_on_two_ranks():
+    args = ["train", "--algo", "ddpg_her", "--env", "point-reach", "--hidden", "64", "64"]
+    args += ["--action-l2", "0.1", "--polyak", "0.9", "--batch-size", "128", "--n-cycles", "10"]
+    result = tactilerl(*args, "--n-test-rollouts", "5", "--total-timesteps", "3500", "--out", "run")
+    assert result.returncode == 0, result.stderr
+    command = [sys.executable, "-m", "tactilerl.cli", "evaluate", "run", "--episodes", "200", "--json"]
+    evaluated = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert json.loads(evaluated.stdout)["success_rate"] >= 0.95
+
+
 @pytest.mark.parametrize("toy", ["ppo", "ddpg_her"])
 def test_another_number_of_ranks_is_refused_unless_asked_for(toy):
     toy = TOY if toy == "ppo" else REACH

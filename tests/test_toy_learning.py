@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tactilerl import envs
+from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.envs.toy import LQREnv, PointReachEnv
@@ -12,9 +13,9 @@ from tactilerl.envs.vector import ThreadedEnvs
 SEEDS = (0, 1, 2)
 
 
-def train_ppo(name, config, steps, seed):
+def train(algorithm, name, config, steps, seed):
     pool = ThreadedEnvs(lambda: envs.make(name), 1)
-    learner = PPO(config, pool, Communicator(), seed, total_timesteps=steps)
+    learner = algorithm(config, pool, Communicator(), seed, total_timesteps=steps)
     while learner.env_steps < steps:
         learner.collect()
         learner.update()
@@ -41,7 +42,7 @@ def test_ppo_comes_within_5_percent_of_the_riccati_optimum(seed):
         hidden=(64, 64), actor_lr=1e-3, n_passes=20, n_minibatches=12, gae_lambda=0.9,
         truncation="bootstrap", anneal_lr=True,
     )  # fmt: skip
-    returns, starts = play("lqr", train_ppo("lqr", config, 40_000, seed))
+    returns, starts = play("lqr", train(PPO, "lqr", config, 40_000, seed))
     optimal = np.array([LQREnv.optimal_return(start.astype(np.float64)) for start in starts])
     assert (returns <= optimal + 1e-6).all()  # nothing beats the optimum
     assert returns.mean() / optimal.mean() < 1.05
@@ -53,8 +54,24 @@ def test_ppo_swings_up_the_pendulum(seed):
         hidden=(64, 64), actor_lr=1e-3, n_passes=20, n_minibatches=16, action_variance=0.2,
         gamma=0.9, gae_lambda=0.95, truncation="bootstrap", anneal_lr=True,
     )  # fmt: skip
-    returns, _ = play("Pendulum-v1", train_ppo("Pendulum-v1", config, 40_000, seed))
+    returns, _ = play("Pendulum-v1", train(PPO, "Pendulum-v1", config, 40_000, seed))
     assert returns.mean() > -250
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_ddpg_her_reaches_points_from_sparse_rewards(seed):
+    """Of 200 goals at least 95 %; the same under mpirun in test_mpi.py."""
+    config = DDPGHERConfig(hidden=(64, 64), action_l2=0.1, polyak=0.9, batch_size=128)
+    learner = train(DDPGHER, "point-reach", config, 7000, seed)
+    env, reached = envs.make("point-reach"), []
+    for index in range(200):
+        obs, _ = env.reset(seed=10_000 + index)
+        done = False
+        while not done:
+            obs, _, terminated, truncated, info = env.step(learner.act(obs, deterministic=True))
+            done = terminated or truncated
+        reached.append(info["is_success"])
+    assert np.mean(reached) >= 0.95
 
 
 class TestToysThemselves:
