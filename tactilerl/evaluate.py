@@ -37,18 +37,20 @@ def load_policy(path: Path) -> tuple[RunConfig, algos.Algorithm, int]:
 def episodes(
     config: RunConfig, learner: algos.Algorithm, n: int, stochastic: bool = False
 ) -> Iterator[dict[str, float]]:
-    """Play `n` episodes; success (nan where the environment has none), return and length."""
+    """Play `n` episodes; success at the end (nan where the environment has none), for how many
+    steps it stood by then, return and length."""
     env = config.make_env()
     try:
         for index in range(n):
             obs, _ = env.reset(seed=SEED + index)
-            total, length, done, info = 0.0, 0, False, {}
+            total, length, held, done, info = 0.0, 0, 0, False, {}
             while not done:
                 action = learner.act(obs, deterministic=not stochastic)
                 obs, reward, terminated, truncated, info = env.step(action)
                 total, length, done = total + float(reward), length + 1, terminated or truncated
+                held = held + 1 if info.get("is_success") else 0
             success = float(info.get("is_success", math.nan))
-            yield {"success": success, "return": total, "length": length}
+            yield {"success": success, "held": held, "return": total, "length": length}
     finally:
         env.close()
 
@@ -77,4 +79,5 @@ def summarise(played: list[dict[str, float]]) -> dict[str, Any]:
         interval = test.proportion_ci(CONFIDENCE, method="wilson")
         result["success_rate"] = count / len(played)
         result["success_rate_ci"] = [float(interval.low), float(interval.high)]
+        result["mean_held_steps"] = float(np.mean([episode["held"] for episode in played]))
     return result

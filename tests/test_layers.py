@@ -53,9 +53,9 @@ def test_no_file_is_called_utils():
     assert not [path for path in sources("envs", "algos", "tactilerl") if "util" in path.stem]
 
 
-@pytest.mark.parametrize("name", ["ppo.py"])
+@pytest.mark.parametrize("name", ["ppo.py", "ddpg_her.py"])
 def test_an_algorithm_is_readable_in_one_sitting(name):
-    assert len((ROOT / "algos" / name).read_text().splitlines()) <= 400
+    assert len((ROOT / "algos" / name).read_text().splitlines()) <= 350
 
 
 @pytest.mark.parametrize(
