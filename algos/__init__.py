@@ -96,8 +96,9 @@ class Algorithm(Protocol):
     def new_experience(self, everything: bool = False) -> dict[str, Any]:
         """Tensors: what is remembered since the last call, or at all; empty where nothing is."""
 
-    def add_experience(self, saved: dict[str, Any]) -> None:
-        """Remember again what `new_experience` returned."""
+    def add_experience(self, saved: dict[str, Any], is_foreign: bool = False) -> None:
+        """Remember what `new_experience` returned, of this learner or of another (`is_foreign`),
+        whose experience counts as new."""
 
 
 def load(name: str) -> tuple[type, type]:

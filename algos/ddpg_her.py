@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -89,12 +88,9 @@ class DDPGHERConfig:
             self,
             positive=("actor_lr", "critic_lr", "clip_obs", "norm_clip"),
             shares=("polyak", "random_eps", "replay_p"),
-            counts=(
-                *("buffer_size", "batch_size", "n_rollouts", "n_cycles", "n_batches"),
-                "n_test_rollouts",
-            ),
+            counts=(*("buffer_size", "batch_size", "n_rollouts", "n_cycles", "n_batches"),),
         )
-        for name in ("action_l2", "noise_eps"):
+        for name in ("action_l2", "noise_eps", "n_test_rollouts"):
             value = getattr(self, name)
             if not 0 <= value < np.inf:
                 raise ValueError(f"{name}: found {value}, allowed a finite number, 0 or more")
@@ -212,10 +208,10 @@ class DDPGHER:
         episodes = self.rollouts.play(self._explore, episodes=self.config.n_rollouts)
         seen = summary(episodes, self.rollouts.diverged, self.comm)
         self.env_steps += int(seen.pop("steps"))
-        self._check_signs([reward for episode in episodes for reward in episode.rewards])
         slots = self.replay.store(episodes)
         n = sum(len(episode.rewards) for episode in episodes)
         batch = self.replay.sample(n, self.config.replay_p, slots)
+        self._check_signs(batch.reward)
         limit = self.config.clip_obs
         self.obs_stats.update(batch.obs.clip(-limit, limit))
         self.goal_stats.update(batch.goal.clip(-limit, limit))
@@ -226,7 +222,7 @@ class DDPGHER:
         self.pool.reset(0, seed=0)
         middle = self.rollouts.to_env(np.zeros((1, self.rollouts.n_actions), np.float32))
         result = self.pool.step([0], middle)[0]
-        self._check_signs([result.reward])
+        self._check_signs(np.array([result.reward]))
         obs = goal_observation(result.obs)
         again = self.pool.compute_reward(obs.achieved_goal[None], obs.desired_goal[None])
         if np.shape(again) != (1,) or not np.allclose(again, result.reward, 1e-3, 1e-4):
@@ -235,8 +231,8 @@ class DDPGHER:
                 "environments whose reward follows from achieved and desired goal, row by row"
             )
 
-    def _check_signs(self, rewards: Sequence[float]) -> None:
-        largest = max(rewards, default=0.0)
+    def _check_signs(self, rewards: Array) -> None:
+        largest = np.max(rewards, initial=0.0)
         if self.config.clip_target and largest > 0:
             raise RewardError(
                 f"clip_target: found a reward of {largest:g}, allowed 0 or less while targets are "
@@ -246,9 +242,11 @@ class DDPGHER:
     def test(self) -> dict[str, float]:
         """Episodes without noise at the end of an epoch."""
         n = self.config.n_test_rollouts * self.config.n_rollouts
+        if not n:
+            return {}
         episodes = self.rollouts.play(self._greedy, episodes=n)
         seen = summary(episodes, self.rollouts.diverged, self.comm)
-        return {f"test_{name}": seen[name] for name in ("success_rate", "mean_return")}
+        return {f"test_{name}": seen[name] for name in ("success_rate", "mean_return", "diverged")}
 
     # -- learning ----------------------------------------------------------------------------
 
@@ -263,7 +261,7 @@ class DDPGHER:
         parts = (torch.split(self._tensor(part), config.batch_size) for part in drawn)
         for batch in zip(*parts, strict=True):
             sums += self._minibatch(*self._prepared(Batch(*batch)))
-        self._target_vector.lerp_(self.adam.vector, 1.0 - config.polyak)
+        self._target_vector.lerp_(self.adam.vector.detach(), 1.0 - config.polyak)
         self.updates += config.n_batches
         self._check(sums)
         critic_loss, actor_loss, value = (sums / config.n_batches).tolist()
@@ -336,6 +334,6 @@ class DDPGHER:
         """Episodes stored since the last call, or all, with their places in the replay."""
         return self.replay.new_experience(everything)
 
-    def add_experience(self, saved: dict[str, Any]) -> None:
-        """Put back what `new_experience` returned."""
-        self.replay.add_experience(saved)
+    def add_experience(self, saved: dict[str, Any], is_foreign: bool = False) -> None:
+        """Put back what `new_experience` returned; another learner's as new episodes."""
+        self.replay.add_experience(saved, is_foreign)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -46,9 +47,12 @@ class Communicator:
         """The values of all ranks, in their order, on every rank."""
         return [value]
 
-    def gather(self, value: Any) -> list[Any]:
-        """The values of all ranks, in their order, on rank 0; nothing on the others."""
-        return [value]
+    def receive(self, value: Any) -> Iterator[Any]:
+        """The values of all ranks, one after another, on rank 0; nothing on the others.
+
+        Every rank must exhaust it. Rank 0 holds no more than one of them at a time.
+        """
+        yield value
 
 
 class MPICommunicator(Communicator):
@@ -91,8 +95,12 @@ class MPICommunicator(Communicator):
     def all_gather(self, value: Any) -> list[Any]:
         return list(self._comm.allgather(value))
 
-    def gather(self, value: Any) -> list[Any]:
-        return list(self._comm.gather(value) or ())
+    def receive(self, value: Any) -> Iterator[Any]:
+        if self.rank == 0:
+            yield value
+            yield from (self._comm.recv(source=rank) for rank in range(1, self.size))
+        else:
+            self._comm.send(value, dest=0)
 
 
 def world() -> Communicator:

@@ -313,5 +313,5 @@ class PPO:
         """Nothing."""
         return {}
 
-    def add_experience(self, saved: dict[str, Any]) -> None:
+    def add_experience(self, saved: dict[str, Any], is_foreign: bool = False) -> None:
         """Nothing to remember."""

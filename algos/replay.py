@@ -130,19 +130,22 @@ class Replay:
 
         Returns the slots (n,), each once.
         """
-        taken: dict[int, None] = {}
-        for episode in episodes:
-            is_full = self.n_episodes == self.n_slots
-            slot = int(self.rng.integers(self.n_slots)) if is_full else self.n_episodes
-            self._put(slot, self._as_columns(episode))
-            taken[slot] = None
-        self._unsaved |= taken
-        return np.array(list(taken), np.int64)
+        slots = [self._add(self._as_columns(episode)) for episode in episodes]
+        return np.array(list(dict.fromkeys(slots)), np.int64)
+
+    def _add(self, columns: dict[str, Array]) -> int:
+        is_full = self.n_episodes == self.n_slots
+        slot = int(self.rng.integers(self.n_slots)) if is_full else self.n_episodes
+        self._put(slot, columns)
+        self._unsaved[slot] = None
+        return slot
 
     def _as_columns(self, episode: Episode[GoalObs]) -> dict[str, Array]:
         """Rows of one episode: one more than it has transitions."""
         obs, achieved, desired = (np.stack(part) for part in zip(*episode.obs, strict=True))
         n_steps, n_float = len(episode.actions), obs.shape[1] - self.n_boolean
+        if n_steps > self.max_steps:
+            raise ValueError(f"max_episode_steps: {self.max_steps}, but found {n_steps} steps")
         boolean = obs[:, n_float:].astype(np.uint8)
         if (boolean != obs[:, n_float:]).any() or (boolean > 1).any():
             raise ValueError(f"the last {self.n_boolean} entries of an observation are not 0 or 1")
@@ -210,7 +213,7 @@ class Replay:
 
     def new_experience(self, everything: bool = False) -> dict[str, Any]:
         """The slots written since the last call, or all; tensors, for `add_experience`."""
-        slots = np.array(range(self.n_episodes) if everything else list(self._unsaved), np.int64)
+        slots = np.arange(self.n_episodes) if everything else np.array([*self._unsaved], np.int64)
         self._unsaved = {}
         if not len(slots):
             return {}
@@ -219,11 +222,16 @@ class Replay:
         lengths = torch.from_numpy(self._lengths[slots])
         return {"slots": torch.from_numpy(slots), "lengths": lengths, **columns}
 
-    def add_experience(self, saved: dict[str, Any]) -> None:
-        """Put back what `new_experience` returned, in the same slots."""
+    def add_experience(self, saved: dict[str, Any], is_foreign: bool = False) -> None:
+        """Put back what `new_experience` returned: in the same slots, or, when it is another
+        buffer's, as episodes that were not there yet."""
         if not saved:
             return
         parts = {name: values.numpy() for name, values in saved.items()}
         for i, slot in enumerate(parts["slots"]):
             rows = slice(i * self._rows, i * self._rows + int(parts["lengths"][i]) + 1)
-            self._put(int(slot), {name: parts[name][rows] for name in self._shapes()})
+            columns = {name: parts[name][rows] for name in self._shapes()}
+            if is_foreign:
+                self._add(columns)
+            else:
+                self._put(int(slot), columns)

@@ -13,6 +13,7 @@ from . import Array, DivergenceError, EnvPool, Transition, action_bounds
 from .mpi import Communicator
 
 Obs = TypeVar("Obs")
+VOID_LIMIT = 100  # episodes that diverge at their first step before something must be wrong
 
 
 @dataclass
@@ -54,12 +55,13 @@ class Rollouts(Generic[Obs]):
 
         `policy` gives actions (n, d) for a list of n observations. An environment whose
         episode ends starts another only while something is missing, so what comes out does
-        not depend on how fast the environments are. Raises DivergenceError when an
+        not depend on how fast the environments are. An episode whose first step diverged is
+        played again. Raises DivergenceError when that happens `VOID_LIMIT` times, or when an
         observation or a reward is not finite.
         """
         played: list[Episode[Obs]] = []
         running: dict[int, Episode[Obs]] = {}
-        steps_begun = episodes_begun = self.diverged = 0
+        steps_begun = episodes_begun = self.diverged = n_void = 0
         while True:
             for index in range(len(self.pool)):
                 if index not in running and (steps_begun < steps or episodes_begun < episodes):
@@ -76,6 +78,11 @@ class Rollouts(Generic[Obs]):
                     episode = running.pop(index)
                     if episode.rewards:
                         played.append(episode)
+                    else:  # diverged at its first step: play another
+                        steps_begun, episodes_begun = steps_begun - 1, episodes_begun - 1
+                        n_void += 1
+                if n_void == VOID_LIMIT:
+                    raise DivergenceError(f"{n_void} episodes diverged at their first step")
 
     def _reset(self, index: int) -> Episode[Obs]:
         obs = self.read(self.pool.reset(index, int(self.rng.integers(2**31))))
@@ -95,12 +102,7 @@ class Rollouts(Generic[Obs]):
 
 
 def summary(episodes: list[Episode[Any]], diverged: int, comm: Communicator) -> dict[str, float]:
-    """Counts and means over the episodes of all ranks.
-
-    Raises DivergenceError where this rank has none left.
-    """
-    if not episodes:
-        raise DivergenceError(f"all episodes of an epoch diverged at their first step ({diverged})")
+    """Counts and means over the episodes of all ranks; each has some."""
     sums = comm.sum(
         np.array(
             [

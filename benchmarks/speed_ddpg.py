@@ -204,7 +204,9 @@ def worker() -> None:
     comm.average(0.0)  # start together
     started = time.perf_counter()
     for _ in range(CYCLES):
+        sampled = watches.seconds["sampling"]
         learner.collect()
+        watches.seconds["sampling"] = sampled  # the normaliser's samples are part of collecting
         learner.update()
     comm.average(0.0)  # and end together
     seconds = time.perf_counter() - started
@@ -220,10 +222,11 @@ def worker() -> None:
     }
     config = learner.config
     updates = CYCLES * config.n_batches
+    steps = comm.size * CYCLES * config.n_rollouts * learner.replay.max_steps
     if comm.rank == 0:
         result = {
             "transitions_per_s": comm.size * updates * config.batch_size / s["updating"],
-            "env_steps_per_s": comm.size * CYCLES * config.n_rollouts * 20 / seconds,
+            "env_steps_per_s": steps / seconds,
             "shares": {name: part / seconds for name, part in shares.items()},
         }
         print(json.dumps(result))

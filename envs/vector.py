@@ -15,7 +15,8 @@ import numpy as np
 
 
 class Step(NamedTuple):
-    """What `gymnasium.Env.step` returns."""
+    """What `gymnasium.Env.step` returns; `algos.Transition` by structure, for neither layer
+    imports the other."""
 
     obs: Any
     reward: float
@@ -40,8 +41,9 @@ class ThreadedEnvs:
     def max_episode_steps(self) -> int | None:
         """Steps after which an episode is cut off; None where the environment does not say."""
         env = self.envs[0]
-        own = getattr(env.unwrapped, "max_episode_steps", None)
-        return own or (env.spec.max_episode_steps if env.spec else None)
+        limits = [getattr(env.unwrapped, "max_episode_steps", None)]
+        limits += [env.spec.max_episode_steps] if env.spec else []
+        return min((limit for limit in limits if limit), default=None)
 
     @property
     def n_boolean(self) -> int:
@@ -49,8 +51,10 @@ class ThreadedEnvs:
         return int(getattr(self.envs[0].unwrapped, "n_boolean", 0))
 
     def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray) -> np.ndarray:
-        """Rewards (n,) of goals (n, goal_size)."""
+        """Rewards (n,) of goals (n, goal_size); ValueError where the environment has no such."""
         env: Any = self.envs[0].unwrapped
+        if not hasattr(env, "compute_reward"):
+            raise ValueError("compute_reward: found none, allowed environments that have it")
         return np.asarray(env.compute_reward(achieved_goal, desired_goal, {}))
 
     def reset(self, index: int, seed: int) -> Any:

@@ -1,13 +1,14 @@
 """Saving and loading a run's state: files replaced whole, read without running their code.
 
 `checkpoint.pt` is what the run depends on, without the experience of learners that remember.
-That grows slowly and would be rewritten again and again, so each epoch's part of it is a file
-of its own, and the checkpoint names those that belong to it.
+That grows slowly and would be rewritten again and again, so what an epoch and rank added is a
+file of its own, and the checkpoint names the epochs that belong to it.
 """
 
 from __future__ import annotations
 
-import io
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from .algos import Algorithm
 from .algos.mpi import Communicator
 from .config import RunConfig
 from .errors import InputError
-from .run_dir import RunDir, replace_file
+from .run_dir import RunDir, replacing
 
 FORMAT = 2
 REWRITE = 2.0  # the parts are written anew as one when they take this many times a full memory
@@ -33,86 +34,112 @@ class Checkpoint:
     def save(self, epoch: int) -> None:
         """Write the states of all ranks after `epoch`; every rank must call it."""
         is_anew = self.comm.min(self._has_outgrown() if self.comm.rank == 0 else 1)
-        experience = self.comm.gather(self.learner.new_experience(everything=bool(is_anew)))
-        states = self.comm.gather(self.learner.state_dict())
-        if self.comm.rank > 0:
-            return
-        if any(experience):
+        experience = self.learner.new_experience(everything=bool(is_anew))
+        for rank, part in enumerate(self.comm.receive(experience)):
+            if part:
+                self.run_dir.experience_folder.mkdir(exist_ok=True)
+                _write(self._part(epoch, rank), {"format": FORMAT, **part})
+        states = list(self.comm.receive(_compact(self.learner.state_dict())))
+        if experience:
             self._parts = [*([] if is_anew else self._parts), epoch]
-            self.run_dir.experience_folder.mkdir(exist_ok=True)
-            _write(self._part(epoch), {"format": FORMAT, "ranks": experience})
-        content = {
-            "format": FORMAT,
-            "epoch": epoch,
-            "config": self.config.identity(),
-            "ranks": states,
-            "experience": self._parts,
-        }
-        _write(self.run_dir.checkpoint_file, content)
-        self._drop_others()
+        if self.comm.rank == 0:
+            content = {
+                "format": FORMAT,
+                "epoch": epoch,
+                "config": self.config.identity(),
+                "ranks": states,
+                "experience": self._parts,
+            }
+            _write(self.run_dir.checkpoint_file, content)
+            self._drop_others()
 
     def restore(self, any_ranks: bool = False) -> int:
         """Load this rank's state and experience; the epoch it was written after.
 
         InputError when a file is damaged, of another configuration, or of another number of
         ranks. With `any_ranks` another number goes: ranks that are new start from the state of
-        an old one with their own random numbers, and the experience of ranks that are gone is
-        dealt out to the others.
+        an old one with random numbers of their own, and the experience of ranks that are gone
+        is dealt out to the others.
         """
         data, comm = read(self.run_dir, self.config), self.comm
-        states = data["ranks"]
-        if len(states) != comm.size and not any_ranks:
+        n_old = len(data["ranks"])
+        is_other = n_old != comm.size
+        if is_other and not any_ranks:
             raise InputError(
-                f"ranks: found {comm.size}, the run was made with {len(states)}; start it with "
-                f"mpirun -n {len(states)}, or give --any-ranks to go on all the same"
+                f"ranks: found {comm.size}, the run was made with {n_old}; start it with "
+                f"mpirun -n {n_old}, or give --any-ranks to go on all the same"
             )
-        state = dict(states[comm.rank % len(states)])
-        if len(states) != comm.size:
+        state = dict(data["ranks"][comm.rank % n_old])
+        if comm.rank >= n_old:
             del state["rng"]
         load_state(self.learner, state, self.run_dir.checkpoint_file)
-        self._parts = list(data["experience"])
-        for epoch in self._parts:
-            ranks = _read(self._part(epoch))["ranks"]
-            for rank in range(comm.rank, len(ranks), comm.size):
-                self.learner.add_experience(ranks[rank])
+        for epoch in data["experience"]:
+            for rank in range(comm.rank, n_old, comm.size):
+                path = self._part(epoch, rank)
+                with _damage_named(path):
+                    self.learner.add_experience(_read(path), is_foreign=is_other)
+        # What came from elsewhere counts as new: the next checkpoint writes all of it.
+        self._parts = [] if is_other else list(data["experience"])
         return int(data["epoch"])
 
-    def _part(self, epoch: int) -> Path:
-        return self.run_dir.experience_folder / f"{epoch:08d}.pt"
+    def _part(self, epoch: int, rank: int) -> Path:
+        return self.run_dir.experience_folder / f"{epoch:08d}-{rank:04d}.pt"
+
+    def _files(self) -> list[Path]:
+        return sorted(self.run_dir.experience_folder.glob("[0-9]" * 8 + "-*.pt"))
 
     def _has_outgrown(self) -> bool:
-        size = sum(self._part(epoch).stat().st_size for epoch in self._parts)
+        size = sum(path.stat().st_size for path in self._files())
         return size > REWRITE * self.learner.experience_bytes * self.comm.size > 0
 
     def _drop_others(self) -> None:
         """Remove parts that no checkpoint names: rewritten, or of epochs that were lost."""
-        for path in self.run_dir.experience_folder.glob("*.pt"):
-            if int(path.stem) not in self._parts:
+        for path in self._files():
+            if int(path.stem.partition("-")[0]) not in self._parts:
                 path.unlink()
+
+
+def _compact(value: Any) -> Any:
+    """Copies of all tensors: of a view, pickle would send all that it is a view of."""
+    if isinstance(value, torch.Tensor):
+        return value.clone()
+    if isinstance(value, dict):
+        return {key: _compact(part) for key, part in value.items()}
+    return [_compact(part) for part in value] if isinstance(value, list) else value
 
 
 def read(run_dir: RunDir, config: RunConfig) -> dict[str, Any]:
     """The content of checkpoint.pt; InputError when damaged or of another configuration."""
     path = run_dir.checkpoint_file
     data = _read(path)
-    if difference := config.difference(data["config"]):
+    with _damage_named(path):
+        difference = config.difference(data["config"])
+        if not data["ranks"] or data["epoch"] < 0 or data["experience"] is None:
+            raise ValueError("incomplete")
+    if difference:
         raise InputError(f"{path}: from another configuration than config.json ({difference})")
     return data
 
 
 def load_state(learner: Algorithm, state: dict[str, Any], path: Path) -> None:
     """Give a learner its state; InputError naming the file when they do not fit."""
-    try:
+    with _damage_named(path):
         learner.load_state_dict(state)
-    except (KeyError, RuntimeError, ValueError, TypeError) as error:
+
+
+@contextmanager
+def _damage_named(path: Path) -> Iterator[None]:
+    """What a file's content breaks is an InputError that names the file."""
+    try:
+        yield
+    except (KeyError, IndexError, AttributeError, RuntimeError, ValueError, TypeError) as error:
         reason = " ".join(str(error).split())[:200]
         raise InputError(f"{path}: damaged ({reason})") from error
 
 
 def _write(path: Path, content: dict[str, Any]) -> None:
-    buffer = io.BytesIO()
-    torch.save(content, buffer)
-    replace_file(path, buffer.getvalue())
+    with replacing(path) as file:
+        torch.save(content, file)
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import traceback
 from collections.abc import Callable, Sequence
 
 from . import __version__
-from .errors import InputError
+from .errors import InputError, let_rank_0_speak
 
 COMMANDS = {
     "train": "train a policy (start here; --resume goes on with a run)",
@@ -45,6 +45,7 @@ def _run(args: list[str]) -> int:
             raise InputError(f"unknown command {name!r}; allowed: {', '.join(COMMANDS)}")
         return _command(name)(rest)
     except InputError as error:
+        let_rank_0_speak()
         print(f"tactilerl: error: {error}", file=sys.stderr)
         return 2
     except FloatingPointError as error:  # DivergenceError, without importing PyTorch for it

@@ -41,6 +41,8 @@ def train(args: list[str]) -> int:
     algo = flags.peek(args, "--algo", RunOptions.algo)
     env = flags.peek(args, "--env", RunOptions.env)
     config, any_ranks = _read_config(args, saved or configuration.defaults(algo, env))
+    if any_ranks and not resume:
+        raise InputError("--any-ranks: found without --resume, allowed with it")
     if resume and any(arg.partition("=")[0] == "--out" for arg in args):
         raise InputError("--out: a resumed run stays in its folder; leave it out")
     with input_errors():

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+
+RANKS = ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK")  # set by MPI launchers
 
 
 class InputError(Exception):
@@ -18,3 +22,9 @@ def input_errors(where: str = "") -> Iterator[None]:
     except (ValueError, OSError, ImportError, RuntimeError) as error:
         line = " ".join(str(error).split())
         raise InputError(f"{where}: {line}" if where else line) from error
+
+
+def let_rank_0_speak() -> None:
+    """On other ranks, wait a second: mostly rank 0 has found the same, and its end is theirs."""
+    if any(os.environ.get(name, "0") != "0" for name in RANKS):
+        time.sleep(1.0)

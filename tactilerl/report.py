@@ -70,7 +70,7 @@ class Report:
         if self._diverged:
             self.console.print(
                 f"warning: the simulation diverged {self._diverged:.0f} times; those steps were "
-                "dropped (column `diverged` of progress.csv)"
+                "dropped (columns `diverged` of progress.csv)"
             )
 
     def note(self, text: str) -> None:
@@ -79,7 +79,7 @@ class Report:
 
     def epoch(self, row: dict[str, Any]) -> None:
         """Show one row of the progress table."""
-        self._diverged += row.get("diverged", 0.0)
+        self._diverged += row.get("diverged", 0.0) + row.get("test_diverged", 0.0)
         test = f"test {_rate(row['test_success_rate'])}  " if "test_success_rate" in row else ""
         text = (
             f"success {_rate(row['success_rate'])}  {test}return {row['mean_return']:.1f}  "

@@ -13,9 +13,11 @@ import os
 import platform
 import shutil
 import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from . import __version__
 from .config import LAYOUT_COPY, RunConfig, from_dict
@@ -55,7 +57,8 @@ class RunDir:
     def write_config(self, config: RunConfig, ranks: int) -> None:
         """Write config.json: every value, the number of ranks, versions and commit."""
         content = {**config.as_dict(), "ranks": ranks, **_provenance()}
-        replace_file(self.config_file, (json.dumps(content, indent=1) + "\n").encode())
+        with replacing(self.config_file) as file:
+            file.write((json.dumps(content, indent=1) + "\n").encode())
 
     def read_config(self) -> tuple[RunConfig, int]:
         """The run's configuration and number of ranks; InputError when there is none."""
@@ -82,15 +85,17 @@ class RunDir:
         if not self.progress_file.exists():
             return
         lines = self.progress_file.read_text(encoding="utf-8").splitlines(keepends=True)
-        replace_file(self.progress_file, "".join(lines[: epoch + 1]).encode())
+        with replacing(self.progress_file) as file:
+            file.write("".join(lines[: epoch + 1]).encode())
 
 
-def replace_file(path: Path, content: bytes) -> None:
-    """Write a file whole or not at all."""
+@contextmanager
+def replacing(path: Path) -> Iterator[BinaryIO]:
+    """A file to write to that takes the place of `path` when it is whole, or not at all."""
     temporary = path.with_name(path.name + ".tmp")
     try:
         with temporary.open("wb") as file:
-            file.write(content)
+            yield file
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, path)

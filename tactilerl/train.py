@@ -65,6 +65,9 @@ def train(
             run_dir.cut_progress(epoch)
         with Report(config, run_dir, learner, comm) as report:
             report.note(f"  resolved {resolved}")
+            if learner.env_steps >= learner.total_timesteps:
+                done = f"{learner.env_steps:,} of {learner.total_timesteps:,}"
+                report.note(f"  nothing to do: {done} steps are done; --total-timesteps goes on")
             _loop(learner, comm, run_dir, epoch, checkpoint, report)
     except algos.RewardError as error:
         raise InputError(str(error)) from error

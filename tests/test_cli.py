@@ -170,17 +170,17 @@ class TestResume:
 
     def test_missing_or_damaged_experience_is_refused(self, capsys):
         main([*REACH, "--total-timesteps", "200", "--out", "run"])
-        part = Path("run/experience/00000001.pt")
+        part = Path("run/experience/00000001-0000.pt")
         content = part.read_bytes()
         part.write_bytes(content[:500])
-        fails_with(capsys, ["train", "--resume", "run"], "00000001.pt: damaged")
+        fails_with(capsys, ["train", "--resume", "run"], "00000001-0000.pt: damaged")
         part.unlink()
-        fails_with(capsys, ["train", "--resume", "run"], "00000001.pt: missing")
+        fails_with(capsys, ["train", "--resume", "run"], "00000001-0000.pt: missing")
         assert main(["evaluate", "run", "--episodes", "1"]) == 0  # which needs none of it
 
     def test_experience_of_a_lost_epoch_is_removed(self):
         main([*REACH, "--total-timesteps", "100", "--out", "run"])
-        Path("run/experience/00000007.pt").write_bytes(b"written, but its checkpoint was not")
+        Path("run/experience/00000007-0000.pt").write_bytes(b"written, but its checkpoint was not")
         main(["train", "--resume", "run", "--total-timesteps", "200"])
         assert len(list(Path("run/experience").iterdir())) == 2
 
@@ -257,6 +257,7 @@ class TestBadInput:
             ([*REACH, "--buffer-size", "9" * 13], ["buffer_size: found 9,", "GB", "free"]),
             ([*REACH, "--gamma", "1"], ["gamma: found 1.0, allowed from 0 to below 1"]),
             ([*HER, "--task", "lift-and-hold", "--max-episode-steps", "3"], ["--no-clip-target"]),
+            (["train", "--any-ranks"], ["--any-ranks: found without --resume"]),
             (["train", "--layout", "9"], ["unknown layout '9'", "1, 2, 3, 4, 5, 6"]),
             (["train", "--layout", "no.toml"], ["no.toml", "does not exist"]),
             (["train", "--run-type", "half"], ["'half'", "--run-type", "main"]),

@@ -148,6 +148,7 @@ class TestUpdate:
         learner.update()
         expected = 0.75 * before + 0.25 * learner.adam.vector
         torch.testing.assert_close(learner._target_vector, expected)
+        assert not learner._target_vector.requires_grad  # else every cycle's graph would be kept
         assert torch.equal(
             torch.cat([p.reshape(-1) for p in learner.target_actor.parameters()]),
             learner._target_vector[: sum(p.numel() for p in learner.target_actor.parameters())],
@@ -213,10 +214,10 @@ class TestUpdate:
         for how in ("sum", "mean"):
             learner = make(reduction=how)
             learner.comm.size = 2  # a partner whose gradient is zero
-            learner.collect()
-            learner.update()
-            got[how] = learner.adam.gradient.clone()
-        torch.testing.assert_close(got["sum"], 2 * got["mean"], rtol=0.2, atol=1e-2)
+            tensors = (torch.ones(8, 6), torch.ones(8, 3), torch.zeros(8))
+            learner._minibatch(*tensors)
+            got[how] = learner.adam.gradient
+        torch.testing.assert_close(got["sum"], 2 * got["mean"])
 
     def test_counts(self):
         learner = trained(3)
@@ -232,7 +233,7 @@ class TestUpdate:
         learner = trained()
         before = learner.adam.vector.clone(), learner.env_steps, len(learner.replay)
         seen = learner.test()
-        assert set(seen) == {"test_success_rate", "test_mean_return"}
+        assert set(seen) == {"test_success_rate", "test_mean_return", "test_diverged"}
         assert torch.equal(before[0], learner.adam.vector)
         assert before[1:] == (learner.env_steps, len(learner.replay))
 
@@ -306,9 +307,15 @@ class TestHardCases:
             learner.update()
 
     def test_rewards_that_the_clip_would_spoil_are_refused(self):
-        for step in (DDPGHER.prepare, DDPGHER.collect):
-            with pytest.raises(ValueError, match="--no-clip-target"):
-                step(make(GoalPool(reward=1.8)))
+        with pytest.raises(ValueError, match="--no-clip-target"):
+            make(GoalPool(reward=1.8)).prepare()
+
+    def test_relabelled_rewards_count_too(self):
+        """0 at the goal's absence, +1 at the goal: none lived, but hindsight finds some."""
+        pool = GoalPool(reward=0.0)
+        pool.compute_reward = lambda achieved, desired: (achieved == desired).all(axis=-1) * 1.0
+        with pytest.raises(ValueError, match="found a reward of 1"):
+            trained(5, make(pool, replay_p=1.0))
 
     def test_rewards_that_cannot_be_recomputed_are_refused(self):
         with pytest.raises(ValueError, match="compute_reward"):

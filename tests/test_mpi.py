@@ -8,6 +8,7 @@ import sys
 import time
 from pathlib import Path
 
+import psutil
 import pytest
 import torch
 
@@ -101,6 +102,10 @@ def test_another_number_of_ranks_is_refused_unless_asked_for(toy):
     assert "ranks: found 1, the run was made with 2" in alone.stderr
     alone = subprocess.run([*command, *more, "--any-ranks"], capture_output=True, text=True)
     assert alone.returncode == 0, alone.stderr
+    if toy is REACH:  # four episodes of each of two ranks, and those that followed, all with rank 0
+        parts = [torch.load(path, weights_only=True) for path in Path("run/experience").iterdir()]
+        steps = torch.load("run/checkpoint.pt", weights_only=True)["ranks"][0]["env_steps"]
+        assert 25 * sum(len(part["slots"]) for part in parts) == steps == 800
     three = mpirun(["-m", *command[2:], "--total-timesteps", "1600", "--any-ranks"], ranks=3)
     assert three.returncode == 0, three.stderr
     assert json.loads(Path("run/config.json").read_text())["ranks"] == 3
@@ -162,32 +167,26 @@ def start(*args):
 
 
 def ranks_of(process):
-    """Process ids of the ranks that mpirun started, found by their command line."""
-    listed = subprocess.run(["ps", "-eo", "pid,ppid,args"], capture_output=True, text=True).stdout
-    rows = [line.split(maxsplit=2) for line in listed.splitlines()[1:]]
-    parents = {process.pid}
-    for _ in range(3):  # launchers in between
-        parents |= {int(pid) for pid, parent, _ in rows if int(parent) in parents}
-    return [
-        int(p)
-        for p, _, a in rows
-        if int(p) in parents and "tactilerl.cli" in a and "mpi" not in a and "prterun" not in a
-    ]
+    """Process ids of the ranks that mpirun started: Pythons below it that run our command."""
+    below = psutil.Process(process.pid).children(recursive=True)
+    return [p.pid for p in below if "tactilerl.cli" in p.cmdline() and "python" in p.name()]
 
 
 @pytest.mark.parametrize("how", ["kill -9 of a rank", "Ctrl-C"])
 def test_an_end_from_outside_ends_all_and_loses_nothing(how):
     args = [*REACH, "--total-timesteps", "2000"]
     process = start(*args)
+    ranks = ranks_of(process)
+    assert len(ranks) == 2
     if how == "Ctrl-C":
         process.send_signal(signal.SIGINT)
     else:
-        os.kill(ranks_of(process)[1], signal.SIGKILL)
+        os.kill(ranks[1], signal.SIGKILL)
     _, errors = process.communicate(timeout=10)
     assert process.returncode != 0
     if how != "Ctrl-C":
         assert "signal 9" in errors
-    assert not ranks_of(process)
+    assert not any(map(psutil.pid_exists, ranks))
     assert tactilerl("train", "--resume", "run").returncode == 0
     assert tactilerl(*args, "--out", "whole").returncode == 0
     whole, run = (torch.load(Path(p, "checkpoint.pt"), weights_only=True) for p in ("whole", "run"))

@@ -147,8 +147,12 @@ class TestStoring:
     def test_too_small_and_too_large(self):
         with pytest.raises(ValueError, match="buffer_size: found 7, allowed 8"):
             Replay(7, 8, (3, 3, 2), 0, reward, np.random.default_rng(0))
-        with pytest.raises(ValueError, match=r"buffer_size: found 10,000,000,000.*GB"):
-            Replay(10**10, 8, (3, 3, 2), 0, reward, np.random.default_rng(0)).require_memory()
+        with pytest.raises(ValueError, match=r"buffer_size: found 10,000,000,000,000.*GB"):
+            Replay(10**13, 8, (3, 3, 2), 0, reward, np.random.default_rng(0)).require_memory()
+
+    def test_longer_episodes_than_a_slot_are_refused(self):
+        with pytest.raises(ValueError, match="max_episode_steps: 8, but found 9"):
+            make_replay().store([episode(1, length=9)])
 
     def test_empty_buffer_says_so(self):
         with pytest.raises(ValueError, match="empty"):
@@ -184,6 +188,14 @@ class TestSaving:
         again.add_experience(whole.new_experience(everything=True))
         again.rng.bit_generator.state = whole.rng.bit_generator.state
         np.testing.assert_array_equal(whole.sample(100, 0.8).goal, again.sample(100, 0.8).goal)
+
+    def test_anothers_episodes_are_added_to_the_own(self):
+        mine, theirs = filled([1, 2], slots=4), filled([3, 4], slots=4)
+        mine.new_experience()
+        mine.add_experience(theirs.new_experience(), is_foreign=True)
+        assert len(mine) == 4 * MAX_STEPS
+        assert set(mine.sample(500, 0.8).obs[:, 0]) == {1, 2, 3, 4}
+        assert mine.new_experience()["slots"].tolist() == [2, 3]  # new to it, so saved again
 
 
 def test_goal_observation_copies():
