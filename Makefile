@@ -36,6 +36,8 @@ lint: $(VENV)/.installed
 
 bench: $(VENV)/.installed
 	$(BIN)/python benchmarks/speed.py
+	$(BIN)/python benchmarks/speed_ddpg.py
+	$(BIN)/python benchmarks/exploration.py
 	$(BIN)/python benchmarks/speed_vs_error.py
 
 figures: $(VENV)/.installed

@@ -16,20 +16,34 @@ import numpy as np
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 WINDOW = 100  # episodes of the running success rate
+PPO, DDPG = "ppo_shadow_layout4_{}.csv", "ddpg_her_shadow_layout2_{}.csv"
+# Picture: title, what is drawn, the runs.
 RUNS = {
     "learning_shadow_ppo": (
         "PPO, Shadow Hand in MuJoCo, lift-and-hold, layout 4, seed 0",
-        {"main": "ppo_shadow_layout4_main_s0.csv", "control": "ppo_shadow_layout4_control_s0.csv"},
-    )
+        f"success rate, last {WINDOW} episodes",
+        {"main": PPO.format("main_s0"), "control": PPO.format("control_s0")},
+    ),
+    "learning_shadow_ddpg_her": (
+        "DDPG+HER, two processes, Shadow Hand in MuJoCo, reach-goal, layout 2",
+        "success rate of 40 test episodes",
+        {
+            **{f"main, seed {seed}": DDPG.format(f"main_s{seed}") for seed in (0, 1, 2)},
+            "control, seed 0": DDPG.format("control_s0"),
+        },
+    ),
 }
-COLOURS = {"main": "#e0a800", "control": "#2b6cb0"}  # the paper's: yellow and blue
+COLOURS = {"main": ("#e0a800", "#b07d00", "#f2cf63"), "control": ("#2b6cb0",)}  # as in the paper
 
 
 def curve(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """(steps, success rate over at least the last WINDOW episodes) of a progress table."""
+    """(steps, success rate) of a progress table: of the test episodes where there are some,
+    else over at least the last WINDOW episodes."""
     with path.open(newline="") as file:
         rows = list(csv.DictReader(file))
     steps = np.array([float(row["env_steps"]) for row in rows])
+    if "test_success_rate" in rows[0]:
+        return steps, np.array([float(row["test_success_rate"]) for row in rows])
     episodes = np.array([float(row["episodes"]) for row in rows])
     successes = episodes * np.array([float(row["success_rate"]) for row in rows])
     rates = []
@@ -43,12 +57,13 @@ def curve(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 def main() -> None:
     """One picture for each entry of RUNS."""
-    for name, (title, files) in RUNS.items():
+    for name, (title, what, files) in RUNS.items():
         figure, axes = plt.subplots(figsize=(7, 4))
+        colours = {run_type: iter(some) for run_type, some in COLOURS.items()}
         for label, file in files.items():
-            axes.plot(*curve(DOCS / "data" / file), label=label, color=COLOURS[label])
-        axes.set(title=title, xlabel="environment steps", ylim=(0, 1))
-        axes.set_ylabel(f"success rate, last {WINDOW} episodes")
+            colour = next(colours[label.partition(",")[0]])
+            axes.plot(*curve(DOCS / "data" / file), label=label, color=colour)
+        axes.set(title=title, xlabel="environment steps", ylabel=what, ylim=(0, 1.02))
         axes.grid(alpha=0.3)
         axes.legend()
         figure.tight_layout()
