@@ -1,8 +1,9 @@
 """Tactile grasping environments behind Gymnasium's interface.
 
-`make("shadow", layout="4")` is the Shadow Hand in MuJoCo; `make` also takes the id of any
-registered Gymnasium environment. The same environments are registered as
-tactilerl/Shadow-v0, tactilerl/LQR-v0 and tactilerl/PointReach-v0. A simulator is imported
+`make("shadow", layout="4")` is the Shadow Hand in MuJoCo, `make("mpl")` the MPL hand in PyBullet,
+and `simulator=` swaps; `make` also takes the id of any registered Gymnasium environment. The same
+environments are registered as tactilerl/Shadow-v0, tactilerl/MPL-v0, tactilerl/LQR-v0 and
+tactilerl/PointReach-v0. A simulator is imported
 when an environment that uses it is made.
 """
 
@@ -12,7 +13,8 @@ from typing import Any
 
 import gymnasium as gym
 
-GRASP_ENVS = ("shadow",)  # each by the name of its hand
+# By the name of the hand.
+GRASP_ENVS = {"shadow": "tactilerl/Shadow-v0", "mpl": "tactilerl/MPL-v0"}
 TOYS = {"lqr": "tactilerl/LQR-v0", "point-reach": "tactilerl/PointReach-v0"}
 
 
@@ -24,9 +26,9 @@ def make(name: str, *, render_mode: str | None = None, **choices: Any) -> gym.En
     when there is none of that name.
     """
     if name in GRASP_ENVS:
-        from .grasp import GraspConfig, GraspEnv
+        from .grasp import GraspEnv, setup
 
-        return GraspEnv(name, GraspConfig(**choices), render_mode)
+        return GraspEnv(name, setup(name, **choices), render_mode)
     if render_mode is not None:
         choices["render_mode"] = render_mode
     try:
@@ -39,9 +41,9 @@ def make(name: str, *, render_mode: str | None = None, **choices: Any) -> gym.En
         ) from None
 
 
-for _name in GRASP_ENVS:
+for _name, _id in GRASP_ENVS.items():
     gym.register(
-        f"tactilerl/{_name.capitalize()}-v0",
+        _id,
         entry_point="tactilerl.envs:make",
         kwargs={"name": _name},
         order_enforce=False,

@@ -17,10 +17,13 @@ LIMIT = 1e6  # observations beyond this are an ejected object or a broken simula
 
 @dataclass(frozen=True)
 class GraspConfig:
-    """Every choice a grasping scene leaves open. SI units and radians."""
+    """Every choice a grasping scene leaves open. SI units and radians.
 
-    simulator: Literal["mujoco"] = "mujoco"
-    """The physics engine."""
+    The defaults are the Shadow Hand's; `setup` gives those of another hand.
+    """
+
+    simulator: Literal["mujoco", "pybullet"] = "mujoco"
+    """The physics engine (mpl: pybullet, an extra)."""
     task: Literal["lift-and-hold", "reach-goal"] = "lift-and-hold"
     """lift-and-hold: the paper's PPO task; reach-goal: its DDPG+HER task."""
     reward: Literal["staged", "sparse", "dense"] | None = None
@@ -33,18 +36,21 @@ class GraspConfig:
     touch: Literal["overlap", "contact"] = "overlap"
     """Touch rule. overlap: the taxel's sphere overlaps the object; contact: the simulator's own
     contact points (paper). Why overlap: docs/environments.md."""
-    object_size: float = 0.05
-    """Edge of the cube, m."""
+    object: objects.Kind = "box"
+    """box, sphere or cylinder."""
+    object_size: tuple[float, ...] = (0.05,)
+    """Edge of the cube or three edges of a box, diameter of a sphere, diameter and height of a
+    standing cylinder, m."""
     object_density: float = 567.0
-    """kg/m^3 (manipulate_block.xml of the Shadow Hand's model)."""
+    """kg/m^3 (manipulate_block.xml of the Shadow Hand's model; mpl: 800, a cube of 0.1 kg)."""
     friction: float = 1.0
     """Sliding friction of the object (the models' own value)."""
     finger_gain: float = 1.0
     """Position gain and force limit of the fingers, relative to the hand model's."""
     timestep: float = 0.004
-    """Physics step, s."""
+    """Physics step, s (mpl: 1/240)."""
     control_dt: float = 0.2
-    """Time between actions, s; a whole number of timesteps."""
+    """Time between actions, s; a whole number of timesteps (mpl: 0.05)."""
     max_episode_steps: int | None = None
     """Actions per episode; default: the task's (lift-and-hold 100, as in the paper)."""
     jitter: bool = True
@@ -59,6 +65,15 @@ class GraspConfig:
     """reach-goal: the goal is this far above the object's start, m."""
     goal_tolerance: float = 0.03
     """reach-goal: success within this distance, m."""
+
+    def __post_init__(self) -> None:
+        size = (self.object_size,) if np.ndim(self.object_size) == 0 else self.object_size
+        object.__setattr__(self, "object_size", tuple(size))  # a number, or JSON's list
+
+    @property
+    def shape(self) -> objects.Shape:
+        """The object's."""
+        return objects.make(self.object, self.object_size)
 
     @property
     def n_substeps(self) -> int:
@@ -77,9 +92,10 @@ class GraspConfig:
             *("object_size", "object_density", "friction", "finger_gain", "timestep", "control_dt"),
             *("lift_clearance", "goal_height", "goal_tolerance"),
         ):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise ValueError(f"{name}: found {value}, allowed a finite number above 0")
+            for value in np.ravel(getattr(self, name)):
+                if not (np.isfinite(value) and value > 0):
+                    raise ValueError(f"{name}: found {value}, allowed a finite number above 0")
+        objects.make(self.object, self.object_size)
         for name in ("hold_steps", "max_episode_steps"):
             value = getattr(self, name)
             if value is not None and value < 1:
@@ -95,6 +111,23 @@ class GraspConfig:
             raise ValueError(
                 f"reward: found {self.reward!r}, allowed for {self.task}: {', '.join(allowed)}"
             )
+
+
+# What the paper's set-up of a hand says differently from `GraspConfig`'s own defaults.
+SETUPS: dict[str, dict[str, Any]] = {
+    "shadow": {},
+    "mpl": {
+        "simulator": "pybullet",
+        "object_density": 800.0,
+        "timestep": 1 / 240,
+        "control_dt": 0.05,
+    },
+}
+
+
+def setup(hand: str, **choices: Any) -> GraspConfig:
+    """The configuration of a hand's set-up, with some fields chosen otherwise."""
+    return GraspConfig(**{**SETUPS[hand], **choices})
 
 
 REWARDS = {"lift-and-hold": ("staged",), "reach-goal": ("sparse", "dense")}
@@ -122,18 +155,19 @@ class GraspEnv(gym.Env[Any, Array]):
         config: GraspConfig | None = None,
         render_mode: str | None = None,
     ) -> None:
-        self.config = config = config or GraspConfig()
+        self.config = config = config or setup(hand)
         config.validate()
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode: found {render_mode!r}, allowed None or 'rgb_array'")
         self.render_mode = render_mode
         self.hand = hands.load(hand)
-        if config.object_size > self.hand.reach:
+        largest = max(config.object_size)
+        if largest > self.hand.reach:
             raise ValueError(
-                f"object_size: found {config.object_size} m, allowed up to {self.hand.reach} m, "
+                f"object_size: found {largest} m, allowed up to {self.hand.reach} m, "
                 f"what lies free under the {self.hand.name} hand at the start"
             )
-        self.shape = objects.cube(config.object_size)
+        self.shape = config.shape
         self.taxels = layouts.load(config.layout).place(self.hand)
         self._placement = touch.TaxelPlacement(self.taxels)
         self.task = _task(config)
@@ -144,7 +178,7 @@ class GraspEnv(gym.Env[Any, Array]):
             simulators.Scene(
                 hand=self.hand,
                 shape=self.shape,
-                mass=config.object_density * config.object_size**3,
+                mass=config.object_density * self.shape.volume,
                 friction=config.friction,
                 timestep=config.timestep,
                 finger_gain=config.finger_gain,
@@ -154,6 +188,8 @@ class GraspEnv(gym.Env[Any, Array]):
         )
         self._hold = HoldTest(steps=config.hold_steps, verdict=config.hold_verdict)
         self._desired_goal = self.task.desired_goal().astype(np.float32)
+        self._object_id = np.array([float(objects.KINDS.index(self.shape.kind))])
+        self._first_joints = [self.hand.joints.index(joint) for joint in self.hand.first_joints]
         self._start_positions = self.hand.start_positions()
         self._targets = self.hand.start_targets()
         self._steps, self._is_off_ground = 0, False
@@ -218,6 +254,9 @@ class GraspEnv(gym.Env[Any, Array]):
     def observation_names(self) -> list[str]:
         """What each entry of ``observation`` is, in order."""
         names = {
+            "object_id": ["object kind: " + ", ".join(objects.KINDS)],
+            "hand_position": [f"hand {axis}" for axis in "xyz"],
+            "finger_joints": [f"position of {joint}" for joint in self.hand.first_joints],
             "joint_positions": [f"position of {joint}" for joint in self.hand.joints],
             "joint_velocities": [f"velocity of {joint}" for joint in self.hand.joints],
             "object_position": [f"object {axis}" for axis in "xyz"],
@@ -256,6 +295,9 @@ class GraspEnv(gym.Env[Any, Array]):
         positions, velocities = self.simulator.joint_state()
         thing = self.simulator.object_state()
         terms = {
+            "object_id": self._object_id,
+            "hand_position": self.simulator.link_positions()[0],
+            "finger_joints": positions[self._first_joints],
             "joint_positions": positions,
             "joint_velocities": velocities,
             "object_position": thing.position,
@@ -301,7 +343,7 @@ class GraspEnv(gym.Env[Any, Array]):
 def _task(config: GraspConfig) -> tasks.Task:
     if config.task == "lift-and-hold":
         return tasks.LiftAndHold()
-    goal = (0.0, 0.0, config.object_size / 2 + config.goal_height)
+    goal = (0.0, 0.0, config.shape.half_size[2] + config.goal_height)
     reward = config.reward or "sparse"
     assert reward != "staged"
     return tasks.ReachGoal(goal, config.goal_tolerance, reward)

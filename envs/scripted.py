@@ -65,4 +65,4 @@ def _ramps(start: Array, grasp: ScriptedGrasp, actuators: tuple[str, ...]) -> It
 
 def grasp_for(env: GraspEnv) -> ScriptedGrasp:
     """The hand's scripted grasp nearest to the size of the environment's object."""
-    return min(env.hand.grasps, key=lambda g: abs(g.object_size - env.config.object_size))
+    return min(env.hand.grasps, key=lambda g: abs(g.object_size - max(env.config.object_size)))

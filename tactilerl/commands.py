@@ -17,7 +17,7 @@ from . import config as configuration
 from . import flags
 from .config import RunConfig, RunOptions
 from .envs import GRASP_ENVS
-from .envs.grasp import GraspConfig
+from .envs.grasp import GraspConfig, setup
 from .envs.simulators import Camera
 from .errors import InputError, input_errors
 
@@ -197,7 +197,7 @@ def _read_scene(
     defaults: dict[str, Any] = {"own": kind()}
     if env in GRASP_ENVS:
         parts.append(("scene", GraspConfig))
-        defaults["scene"] = GraspConfig()
+        defaults["scene"] = setup(env)
     options = dataclasses.make_dataclass("Options", parts)
     read: Any = flags.parse(options, args, prog, options(**defaults))
     return read.own, getattr(read, "scene", None)

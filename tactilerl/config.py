@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from . import algos, envs
-from .envs.grasp import GraspConfig
+from .envs.grasp import GraspConfig, setup
 from .errors import InputError, input_errors
 
 
@@ -24,8 +24,8 @@ class RunOptions:
     algo: str = "ppo"
     """The algorithm: ppo or ddpg_her."""
     env: str = "shadow"
-    """shadow (Shadow Hand), a toy (lqr, point-reach), or any registered Gymnasium id with Box or
-    goal-Dict observations and Box actions."""
+    """shadow (Shadow Hand in MuJoCo), mpl (MPL hand in PyBullet), a toy (lqr, point-reach), or any
+    registered Gymnasium id with Box or goal-Dict observations and Box actions."""
     total_timesteps: int = 500_000
     """Environment steps: of the whole run (ppo), of each process (ddpg_her); the paper's by
     default."""
@@ -135,7 +135,7 @@ def defaults(algo: str, env: str) -> RunConfig:
     run, scene = PAPER[algo]
     return RunConfig(
         RunOptions(algo=algo, env=env, **run),
-        GraspConfig(**scene) if env in envs.GRASP_ENVS else None,
+        setup(env, **scene) if env in envs.GRASP_ENVS else None,
         config_type(),
     )
 

@@ -113,6 +113,17 @@ class TestTrain:
         assert 0 <= float(progress(run)[0]["test_success_rate"]) <= 1
         assert main(["evaluate", str(run), "--episodes", "2"]) == 0
 
+    @pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
+    @pytest.mark.parametrize("hand", ["shadow", "mpl"])
+    @pytest.mark.parametrize("algo", ["ppo", "ddpg_her"])
+    def test_every_algorithm_hand_and_simulator(self, algo, hand, simulator):
+        args = HER if algo == "ddpg_her" else ["train", *FAST, "--hold-steps", "50"]
+        args = [*args, "--env", hand, "--simulator", simulator, "--max-episode-steps", "6"]
+        args += ["--steps-per-epoch", "24"] if algo == "ppo" else []
+        assert main([*args, "--total-timesteps", "48", "--out", "run"]) == 0
+        assert len(progress(Path("run"))) == 2
+        assert main(["evaluate", "run", "--episodes", "1"]) == 0
+
     def test_ddpg_her_on_lift_and_hold(self):
         args = [*HER, "--task", "lift-and-hold", "--no-clip-target", "--termination", "terminal"]
         args += ["--max-episode-steps", "10", "--hold-steps", "50", "--total-timesteps", "30"]
@@ -271,6 +282,8 @@ class TestBadInput:
             (["train", "--control-dt", "0.001"], ["control_dt: found 0.001"]),
             (["train", "--entropy-coef", "nan"], ["entropy_coef: found nan"]),
             (["train", "--object-size", "0.3"], ["object_size: found 0.3", "up to 0.05"]),
+            (["train", "--object", "sphere", "--object-size", "0.03", "0.04"], ["found 2 numbers"]),
+            (["train", "--object", "torus"], ["object", "torus"]),
             (["train", "--resume="], ["--resume: found nothing"]),
             (["train", "--resume", "nowhere"], ["'nowhere' is not a run folder"]),
             (["evaluate", "nowhere"], ["'nowhere' is not a run folder"]),

@@ -36,17 +36,22 @@ def rollout(env, seed, n=30, scale=1.0):
 
 @pytest.mark.parametrize("task", TASKS)
 @pytest.mark.parametrize("touch", ["overlap", "contact"])
-def test_gymnasium_accepts_it(task, touch):
+@pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
+@pytest.mark.parametrize("hand", ["shadow", "mpl"])
+def test_gymnasium_accepts_it(task, touch, simulator, hand):
+    env = envs.make(hand, hold_steps=100, task=task, touch=touch, simulator=simulator)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.filterwarnings("ignore", message=".*(infinity|render).*")
-        check_env(make(task=task, touch=touch), skip_render_check=True)
+        check_env(env, skip_render_check=True)
+    env.close()
 
 
 def test_registered():
-    env = gym.make("tactilerl/Shadow-v0", layout="5")
-    assert env.reset(seed=0)[0]["observation"].shape == (80,)
-    env.close()
+    for name, size in (("Shadow", 61 + 19), ("MPL", 12 + 19)):
+        env = gym.make(f"tactilerl/{name}-v0", layout="5")
+        assert env.reset(seed=0)[0]["observation"].shape == (size,)
+        env.close()
 
 
 @pytest.mark.parametrize("layout", ["1", "6"])

@@ -8,8 +8,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 ALLOWED = {
-    "mujoco": ("envs/simulators/mujoco.py", "envs/hands/"),
-    "pybullet": ("envs/simulators/",),
+    "mujoco": ("envs/simulators/", "envs/hands/"),
+    "pybullet": ("envs/simulators/pybullet.py",),
     "mpi4py": ("algos/mpi.py",),
     "matplotlib": ("benchmarks/",),
     "torch": ("algos/", "tactilerl/", "benchmarks/"),

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
 Array = np.ndarray
 
+SLIDES = ("slide_x", "slide_y", "slide_z")
+"""Joints and actuators that carry the whole hand along the world's axes."""
 DIGITS = ("thumb", "index", "middle", "ring", "little")
 SEGMENTS = ("proximal", "middle", "distal")
 
@@ -89,6 +91,37 @@ class LinearAction:
 
 
 @dataclass(frozen=True)
+class ClosingAction:
+    """Increments: the slides move, groups of joints go along their closing trajectories (paper,
+    PyBullet set-up: "in relation to the current position and within the limits")."""
+
+    slide_step: float
+    """How far an action of 1 moves a slide's target, m."""
+    slide_limits: Array
+    """(3, 2) lowest and highest target of each slide, m."""
+    closing_step: float
+    """How far an action of 1 closes a group; 1 is from open to closed."""
+    groups: tuple[Array, ...]
+    """For each action after the slides', the actuators that it moves."""
+    open: Array
+    """(n_actuators,) targets at the open end."""
+    closed: Array
+    """(n_actuators,) targets at the closed end."""
+
+    def __call__(self, action: Array, joint_targets: Array) -> Array:
+        """New joint targets (n_actuators,) from an action (3 + number of groups,) in [-1, 1]."""
+        targets = joint_targets.copy()
+        moved = targets[:3] + self.slide_step * action[:3]
+        targets[:3] = np.clip(moved, self.slide_limits[:, 0], self.slide_limits[:, 1])
+        for group, step in zip(self.groups, action[3:], strict=True):
+            way = (self.closed - self.open)[group]
+            closing = (targets[group[0]] - self.open[group[0]]) / way[0]
+            closing = np.clip(closing + self.closing_step * step, 0.0, 1.0)
+            targets[group] = self.open[group] + closing * way
+        return targets
+
+
+@dataclass(frozen=True)
 class ScriptedGrasp:
     """An open-loop grasp found by search."""
 
@@ -122,8 +155,13 @@ class Hand:
     """Body and point (m, body frame) of each fingertip, in the order of DIGITS."""
     surfaces: tuple[Surface, ...]
     pitch: Pitch
-    action_map: LinearAction
+    action_map: LinearAction | ClosingAction
     action_names: tuple[str, ...]
+    couplings: tuple[tuple[str, str, float], ...] = ()
+    """(joint, actuated joint, ratio): the first moves with the second, by a tendon where there
+    are tendons."""
+    first_joints: tuple[str, ...] = ()
+    """The joint that stands for each digit in the observation term "finger_joints"."""
     start: dict[str, float] = field(default_factory=dict)
     """Joint positions at reset that are not zero, rad or m."""
     observation: tuple[str, ...] = ()
@@ -147,7 +185,11 @@ def load(name: str) -> Hand:
         from . import shadow
 
         return shadow.shadow_hand()
+    if name == "mpl":
+        from . import mpl
+
+        return mpl.mpl_hand()
     raise ValueError(f"unknown hand {name!r}; allowed: {', '.join(HANDS)}")
 
 
-HANDS = ("shadow",)
+HANDS = ("shadow", "mpl")

@@ -17,10 +17,9 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from . import DIGITS, SEGMENTS, Hand, LinearAction, Pitch, ScriptedGrasp, Surface
+from . import DIGITS, SEGMENTS, SLIDES, Hand, LinearAction, Pitch, ScriptedGrasp, Surface
 
 PREFIX = "robot0:"
-SLIDES = ("slide_x", "slide_y", "slide_z")
 # Order of joints and ranges of actuators: hand/robot.xml and hand/shared.xml of the assets.
 WRIST = ("WRJ1", "WRJ0")
 JOINTS = (
@@ -260,6 +259,9 @@ def shadow_hand() -> Hand:
             half_range=np.concatenate([SLIDE_HALF_RANGE, np.ptp(ranges, axis=1) / 2]),
         ),
         action_names=actuators,
+        couplings=tuple(
+            (PREFIX + joint, f"{PREFIX}{joint[:2]}J1", DISTAL_PER_MIDDLE) for joint in UNACTUATED
+        ),
         start=_start(),
         observation=(
             "joint_positions",

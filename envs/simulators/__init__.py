@@ -74,7 +74,7 @@ class Simulator(Protocol):
         """Release what is held outside Python."""
 
 
-SIMULATORS = ("mujoco",)
+SIMULATORS = ("mujoco", "pybullet")
 
 
 def load(name: str, scene: Scene) -> Simulator:
@@ -83,4 +83,14 @@ def load(name: str, scene: Scene) -> Simulator:
         from .mujoco import MujocoSimulator
 
         return MujocoSimulator(scene)
+    if name == "pybullet":
+        try:
+            from .pybullet import PyBulletSimulator
+        except ModuleNotFoundError as error:
+            raise ImportError(
+                "simulator pybullet: found no PyBullet; install the extra: pip install "
+                "'tactilerl[pybullet]' (wheels for Python up to 3.11)"
+            ) from error
+
+        return PyBulletSimulator(scene)
     raise ValueError(f"unknown simulator {name!r}; allowed: {', '.join(SIMULATORS)}")

@@ -9,11 +9,16 @@ import numpy as np
 
 from ..hands import Array
 from ..layouts import Taxels
-from ..objects import ObjectState
+from ..objects import ObjectState, Shape
 from ..touch import TaxelPlacement
 from . import Camera, Scene, SimulationError
 
 OBJECT = "object"
+GEOMS = {
+    "box": mujoco.mjtGeom.mjGEOM_BOX,
+    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
+    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
+}
 SOLVER_ITERATIONS = 20  # enough for the grasps' contacts: docs/environments.md, "Speed and error"
 
 # Dry friction does not creep, MuJoCo's soft contacts do: with the model's pyramidal cones and
@@ -33,17 +38,16 @@ def build_spec(scene: Scene) -> mujoco.MjSpec:
     spec.worldbody.add_geom(
         name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 0.1], rgba=[0.8, 0.8, 0.8, 1]
     )
-    for texture in spec.textures:
-        if texture.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX:
-            texture.rgb1, texture.rgb2 = [0.93, 0.95, 0.98], [0.6, 0.66, 0.75]
+    if scene.visual:
+        _add_sky(spec)
     spec.worldbody.add_light(pos=[0.1, -0.2, -0.6], dir=[-0.1, 0.2, 0.6], diffuse=[0.5] * 3)
     spec.worldbody.add_light(pos=[0.3, -0.5, 1.0], dir=[-0.3, 0.5, -1.0], diffuse=[0.8] * 3)
     body = spec.worldbody.add_body(name=OBJECT, pos=[0, 0, scene.shape.half_size[2]])
     body.add_freejoint(name=OBJECT)
     body.add_geom(
         name=OBJECT,
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=scene.shape.half_size,
+        type=GEOMS[scene.shape.kind],
+        size=_geom_size(scene.shape),
         mass=scene.mass,
         condim=4,
         friction=[scene.friction, 0.005, 0.001],
@@ -53,6 +57,28 @@ def build_spec(scene: Scene) -> mujoco.MjSpec:
     if scene.contact_taxels is not None:
         _add_touch_sensors(spec, scene.contact_taxels)
     return spec
+
+
+def _geom_size(shape: Shape) -> tuple[float, ...]:
+    """As MuJoCo wants it: a cylinder's radius and half height come first."""
+    x, _, z = shape.half_size
+    return (x, z, 0.0) if shape.kind == "cylinder" else shape.half_size
+
+
+def _add_sky(spec: mujoco.MjSpec) -> None:
+    """A light background, in place of the hand model's own if it has one."""
+    for texture in spec.textures:
+        if texture.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX:
+            spec.delete(texture)
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        width=64,
+        height=64,
+        rgb1=[0.93, 0.95, 0.98],
+        rgb2=[0.6, 0.66, 0.75],
+    )
 
 
 def _add_touch_sensors(spec: mujoco.MjSpec, taxels: Taxels) -> None:
@@ -97,10 +123,14 @@ class MujocoSimulator:
 
     def reset(self, joint_positions: Array, object_position: Array, yaw: float) -> None:
         mujoco.mj_resetData(self.model, self.data)
+        self.place(joint_positions, object_position, np.array([np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]))
+
+    def place(self, joint_positions: Array, object_position: Array, orientation: Array) -> None:
+        """Put hand and object (quaternion wxyz) somewhere, velocities and time as they are."""
         self.data.qpos[self._qpos] = joint_positions
         start = self._object_qpos
         self.data.qpos[start : start + 3] = object_position
-        self.data.qpos[start + 3 : start + 7] = np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)
+        self.data.qpos[start + 3 : start + 7] = orientation
         mujoco.mj_forward(self.model, self.data)
 
     def step(self, joint_targets: Array, n_substeps: int) -> None:

@@ -1,0 +1,260 @@
+"""The right hand of the Modular Prosthetic Limb, made of primitives.
+
+mpl.toml holds the figures: bodies, joints, masses and inertias of the public model, and
+capsules fitted to its meshes (NOTICE says where they are from). The palm's frame: fingers
+along -y, palmar side -z, thumb at +x; identity orientation is palm down. Body 0 of a digit is
+its knuckle, 1 to 3 are the phalanges.
+
+Fingers follow closing trajectories with one parameter, 0 open and 1 closed; thumb and little
+finger share theirs (paper, PyBullet set-up).
+"""
+
+from __future__ import annotations
+
+import tomllib
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from . import DIGITS, SEGMENTS, SLIDES, ClosingAction, Hand, Pitch, ScriptedGrasp, Surface
+
+FIGURES = Path(__file__).with_name("mpl.toml")
+FINGERS = DIGITS[1:]
+GROUPS = (("thumb", "little"), ("index",), ("middle",), ("ring",))
+# Joint angles at the open and the closed end of the trajectories, rad; other joints stay at 0.
+THUMB_CLOSING = {"ABD": (0.6, 1.95), "MCP": (0.0, 0.67), "PIP": (0.0, 0.73), "DIP": (0.0, 0.68)}
+FINGER_CLOSING = {"MCP": (0.0, 1.57), "PIP": (0.0, 1.0), "DIP": (0.0, 0.88)}
+# Distance from a joint to its fingertip, m: the joint's torque limit is that times a force.
+LEVERS = {
+    "thumb": {"ABD": 0.095, "MCP": 0.09, "PIP": 0.056, "DIP": 0.023},
+    "little": {"ABD": 0.07, "MCP": 0.068, "PIP": 0.035, "DIP": 0.018},
+}
+OTHER_LEVERS = {"ABD": 0.09, "MCP": 0.086, "PIP": 0.043, "DIP": 0.018}
+FINGER_FORCE = 8.0  # N
+FINGER_GAIN, FINGER_DAMPING, FINGER_ARMATURE = 10.0, 0.2, 0.01  # the source's joint defaults
+
+# Boxes of the palm: (centre, half size), m.
+PALM_BOXES = (
+    ((-0.0215, -0.0395, 0.0003), (0.0385, 0.0345, 0.0229)),
+    ((-0.011, -0.079, 0.0033), (0.028, 0.008, 0.0165)),
+)
+# At the bases of the fingers, on the palmar face of the first box.
+PALM_TAXELS = {
+    finger: (x, y, PALM_BOXES[0][0][2] - PALM_BOXES[0][1][2])
+    for finger, (x, y) in zip(
+        FINGERS,
+        ((0.0099, -0.066), (-0.0128, -0.068), (-0.0355, -0.066), (-0.0562, -0.055)),
+        strict=True,
+    )
+}
+PALM_POINT = (-0.0215, -0.0395, -0.0226)  # middle of the palmar face
+
+# The palm's frame where the hand starts, m (world; the object rests at the origin).
+START = (0.0, 0.069, 0.100)
+START_CLOSING = 0.25
+SLIDE_STEP, CLOSING_STEP = 0.04, 0.5  # of an action of 1: m, share of the trajectory
+SLIDE_LIMITS = ((-0.05, 0.05), (-0.05, 0.05), (-0.05, 0.20))
+SLIDE_GAIN, SLIDE_DAMPING, SLIDE_FORCE = 1000.0, 79.0, 100.0  # N/m, N s/m, N
+
+
+@cache
+def figures() -> tuple[dict[str, Any], ...]:
+    """The bodies of mpl.toml, parents first."""
+    return tuple(tomllib.loads(FIGURES.read_text(encoding="utf-8"))["body"])
+
+
+def joints() -> tuple[str, ...]:
+    """The hinges, in the order of the bodies."""
+    return tuple(body["joint"] for body in figures() if "joint" in body)
+
+
+def build(visual: bool = False, finger_gain: float = 1.0) -> mujoco.MjSpec:
+    """The hand alone as an editable model; `visual` changes nothing, its shapes are its looks.
+
+    `finger_gain` multiplies the position gain and torque limit of the finger actuators. Links of
+    the hand do not touch each other, as in the paper's simulator.
+    """
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    spec.modelname = "mpl"
+    bodies = {"": spec.worldbody}
+    for figure in figures():
+        bodies[figure["name"]] = _add_body(bodies[figure.get("parent", "")], figure)
+    palm = bodies["palm"]
+    palm.pos = START
+    for name, axis in zip(SLIDES, np.eye(3), strict=True):
+        palm.add_joint(
+            name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis, damping=[SLIDE_DAMPING, 0, 0]
+        )
+        _add_servo(spec, name, SLIDE_GAIN, SLIDE_FORCE)
+    for centre, half_size in PALM_BOXES:
+        palm.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, pos=centre, size=half_size, **LOOKS)
+    for joint in joints():
+        limit = FINGER_FORCE * _lever(joint)
+        _add_servo(spec, joint, FINGER_GAIN * finger_gain, limit * finger_gain)
+    return spec
+
+
+# contype without conaffinity: touches the object and the ground, not the hand itself.
+LOOKS = {"contype": 1, "conaffinity": 0, "rgba": [0.75, 0.76, 0.8, 1.0]}
+
+
+def _add_body(parent: mujoco.MjsBody, figure: dict[str, Any]) -> mujoco.MjsBody:
+    body = parent.add_body(
+        name=figure["name"],
+        pos=figure["pos"],
+        quat=figure["quat"],
+        mass=figure["mass"],
+        ipos=figure["com"],
+        iquat=figure["inertia_quat"],
+        inertia=figure["inertia"],
+        explicitinertial=True,
+        gravcomp=1.0,
+    )
+    if "joint" in figure:
+        body.add_joint(
+            name=figure["joint"],
+            type=mujoco.mjtJoint.mjJNT_HINGE,
+            axis=figure["axis"],
+            range=figure["range"],
+            limited=True,
+            damping=[FINGER_DAMPING, 0, 0],
+            armature=FINGER_ARMATURE,
+        )
+    if "capsule" in figure:
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+            fromto=figure["capsule"],
+            size=[figure["radius"], 0, 0],
+            **LOOKS,
+        )
+    return body
+
+
+def _add_servo(spec: mujoco.MjSpec, joint: str, gain: float, limit: float) -> None:
+    spec.add_actuator(
+        name=joint,
+        target=joint,
+        trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        gainprm=[gain] + [0] * 9,
+        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+        biasprm=[0, -gain] + [0] * 8,
+        forcelimited=True,
+        forcerange=[-limit, limit],
+    )
+
+
+def _lever(joint: str) -> float:
+    digit, _, kind = joint.partition("_")
+    return LEVERS.get(digit, OTHER_LEVERS)[kind]
+
+
+def _trajectory(end: int) -> dict[str, float]:
+    """Joint angles at the open (0) or closed (1) end."""
+    return {
+        f"{digit}_{kind}": ends[end]
+        for digit in DIGITS
+        for kind, ends in (THUMB_CLOSING if digit == "thumb" else FINGER_CLOSING).items()
+    }
+
+
+def _action() -> ClosingAction:
+    actuators = (*SLIDES, *joints())
+    opened, closed = _trajectory(0), _trajectory(1)
+    groups = tuple(
+        np.array(
+            [
+                i
+                for i, name in enumerate(actuators)
+                if name in closed and name.partition("_")[0] in group
+            ]
+        )
+        for group in GROUPS
+    )
+    return ClosingAction(
+        slide_step=SLIDE_STEP,
+        slide_limits=np.array(SLIDE_LIMITS),
+        closing_step=CLOSING_STEP,
+        groups=groups,
+        open=np.array([opened.get(name, 0.0) for name in actuators]),
+        closed=np.array([closed.get(name, 0.0) for name in actuators]),
+    )
+
+
+# Which way the palmar side of a digit's phalanges looks, as an angle about the bone, rad: 0 is the
+# palm's side for fingers. Where contacts of held grasps lie (docs/environments.md).
+PALMAR_ANGLE = {"thumb": 0.0, "little": 0.0}
+DISTAL_SHIFT = 0.0075  # m towards the tip
+
+
+def _surfaces() -> tuple[Surface, ...]:
+    surfaces = []
+    by_name = {figure["name"]: figure for figure in figures()}
+    for digit in DIGITS:
+        for number, segment in enumerate(SEGMENTS, start=1):
+            figure = by_name[f"{digit}{number}"]
+            ends = np.array(figure["capsule"]).reshape(2, 3)
+            along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+            # Flexion turns the bone towards the palmar side.
+            palmar = np.cross(figure["axis"], along)
+            palmar /= np.linalg.norm(palmar)
+            angle = PALMAR_ANGLE.get(digit, 0.0)
+            palmar = np.cos(angle) * palmar + np.sin(angle) * np.cross(along, palmar)
+            shift = DISTAL_SHIFT if segment == "distal" else 0.0
+            surfaces.append(
+                Surface(
+                    digit=digit,
+                    segment=segment,
+                    link=figure["name"],
+                    centre=tuple(ends.mean(axis=0) + shift * along),
+                    along=tuple(along),
+                    palmar=tuple(palmar),
+                    radius=figure["radius"],
+                )
+            )
+    for finger, centre in PALM_TAXELS.items():
+        surfaces.append(Surface(finger, "palm", "palm", centre, (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)))
+    return tuple(surfaces)
+
+
+def _grasp(size: float, palm: tuple[float, float, float], closing: float) -> ScriptedGrasp:
+    """Every finger closed to `closing`, the palm's frame at `palm`, m."""
+    targets = {s: p - q for s, p, q in zip(SLIDES, palm, START, strict=True)}
+    opened, closed = _trajectory(0), _trajectory(1)
+    targets |= {joint: opened[joint] + closing * (closed[joint] - opened[joint]) for joint in closed}
+    return ScriptedGrasp(size, targets)
+
+
+GRASPS = (_grasp(0.05, (0.0, 0.069, 0.092), 0.8),)
+
+
+def mpl_hand() -> Hand:
+    """The MPL hand with 3 slides, 19 hinges and 7 actions (paper, PyBullet set-up)."""
+    names = (*SLIDES, *joints())
+    action = _action()
+    start = dict(zip(names, action.open + START_CLOSING * (action.closed - action.open), strict=True))
+    by_name = {figure["name"]: figure for figure in figures()}
+    return Hand(
+        name="mpl",
+        build=build,
+        joints=names,
+        actuators=names,
+        actuated=names,
+        palm="palm",
+        palm_point=PALM_POINT,
+        fingertips=tuple((f"{digit}3", tuple(by_name[f"{digit}3"]["capsule"][3:])) for digit in DIGITS),
+        surfaces=_surfaces(),
+        pitch=Pitch(
+            rows=dict.fromkeys(SEGMENTS, 4.5e-3), column=6.5e-3, radius=2e-3, large_radius=3.8e-3
+        ),
+        action_map=action,
+        action_names=(*SLIDES, *("closing of " + " and ".join(group) for group in GROUPS)),
+        first_joints=tuple(f"{digit}_{'ABD' if digit == 'thumb' else 'MCP'}" for digit in DIGITS),
+        start={name: value for name, value in start.items() if value},
+        observation=("object_id", "hand_position", "object_position", "finger_joints"),
+        reach=0.05,
+        grasps=GRASPS,
+    )

@@ -1,0 +1,252 @@
+"""The scene in PyBullet.
+
+Bullet has no tendons, armature or position servos of its own. Here coupled joints get
+targets of their own, motors are Bullet's velocity constraints with the model's force limits,
+the hand feels no gravity (gravity is a force on the object alone), and links, which are too
+light for Bullet's solver, get some rotational inertia.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+import os
+import tempfile
+import weakref
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ..hands import Array
+from ..layouts import Taxels
+from ..objects import ObjectState, Shape
+from ..touch import TaxelPlacement
+from . import Camera, Scene, SimulationError, urdf
+from .mujoco import MujocoSimulator
+
+
+def _import_quietly() -> Any:
+    """PyBullet, without the line that it prints to the process's stderr when imported."""
+    kept = os.dup(2)
+    try:
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+            return importlib.import_module("pybullet")
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+
+
+pybullet = _import_quietly()
+GRAVITY = 9.81
+SOLVER_ITERATIONS = 50
+MOTOR_RATE = 48.0  # 1/s: how fast a motor takes back an error, gain per step = rate x timestep
+ADDED_INERTIA = 1e-4  # kg m²: without it links creep and jitter (docs/accuracy_and_speed.md)
+JOINT_DAMPING = 0.01  # N m s/rad
+SPINNING_FRICTION = 0.005  # m, of the object's contacts
+
+
+class PyBulletSimulator:
+    """One scene with a client of its own; the interface is `simulators.Simulator`."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene, hand = scene, scene.hand
+        self.model = hand.build(False, scene.finger_gain).compile()
+        self.client = pybullet.connect(pybullet.DIRECT)
+        if self.client < 0:
+            raise OSError("PyBullet gave no client")
+        self._release = weakref.finalize(self, _disconnect, self.client)
+        self._set(
+            fixedTimeStep=scene.timestep,
+            numSolverIterations=SOLVER_ITERATIONS,
+            deterministicOverlappingPairs=1,
+        )
+        self.hand = self._load_hand()
+        self._links, self._joint_index = self._names()
+        self._joints = [self._joint_index[name] for name in hand.joints]
+        self._ground = self._body(mass=0.0, friction=1.0, shapeType=pybullet.GEOM_PLANE)
+        self.object = self._body(mass=scene.mass, friction=scene.friction, **_measures(scene.shape))
+        self._set_dynamics()
+        self._weight = (0.0, 0.0, -GRAVITY * scene.mass)
+        self._motors, self._gains, self._forces = self._motor_figures()
+        points = [(hand.palm, hand.palm_point), *hand.fingertips]
+        self._point_links = tuple(body for body, _ in points)
+        self._points = np.array([point for _, point in points])
+        felt = scene.contact_taxels
+        self._taxels = None if felt is None else TaxelPlacement(felt)
+        self._painter: MujocoSimulator | None = None
+        self._start = pybullet.saveState(physicsClientId=self.client)
+
+    # -- building ----------------------------------------------------------------------------
+
+    def _set(self, **parameters: Any) -> None:
+        pybullet.setPhysicsEngineParameter(physicsClientId=self.client, **parameters)
+
+    def _load_hand(self) -> int:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "hand.urdf"
+            path.write_text(urdf.from_model(self.model), encoding="utf-8")
+            flags = pybullet.URDF_USE_INERTIA_FROM_FILE
+            return int(
+                pybullet.loadURDF(
+                    str(path), useFixedBase=True, flags=flags, physicsClientId=self.client
+                )
+            )
+
+    def _names(self) -> tuple[dict[str, int], dict[str, int]]:
+        """Indices of links and joints by name; in Bullet a joint has its child link's index."""
+        links, joints = {}, {}
+        for index in range(pybullet.getNumJoints(self.hand, physicsClientId=self.client)):
+            info = pybullet.getJointInfo(self.hand, index, physicsClientId=self.client)
+            joints[info[1].decode()], links[info[12].decode()] = index, index
+        return links, joints
+
+    def _body(self, mass: float, friction: float, **shape: Any) -> int:
+        made = pybullet.createCollisionShape(physicsClientId=self.client, **shape)
+        body = int(pybullet.createMultiBody(mass, made, physicsClientId=self.client))
+        pybullet.changeDynamics(
+            body, -1, lateralFriction=friction, linearDamping=0.0, angularDamping=0.0,
+            physicsClientId=self.client,
+        )  # fmt: skip
+        return body
+
+    def _set_dynamics(self) -> None:
+        """Bullet multiplies the frictions of two bodies: 1 everywhere but on the object."""
+        client = self.client
+        pybullet.changeDynamics(
+            self.object, -1, spinningFriction=SPINNING_FRICTION, physicsClientId=client
+        )
+        for name, index in self._links.items():
+            body = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, name)
+            inertia = self.model.body_inertia[body] if body >= 0 else np.zeros(3)
+            pybullet.changeDynamics(
+                self.hand, index, lateralFriction=1.0, linearDamping=0.0, angularDamping=0.0,
+                jointDamping=JOINT_DAMPING,
+                localInertiaDiagonal=(inertia + (ADDED_INERTIA if body >= 0 else 0.0)).tolist(),
+                physicsClientId=client,
+            )  # fmt: skip
+
+    def _motor_figures(self) -> tuple[list[int], list[float], list[float]]:
+        """Joint, gain and force limit of each motor: the actuated joints, then the coupled."""
+        hand, model = self.scene.hand, self.model
+        limits = [float(model.actuator(name).forcerange[1]) for name in hand.actuators]
+        limit_of = dict(zip(hand.actuated, limits, strict=True))
+        motors = [self._joint_index[name] for name in hand.actuated]
+        motors += [self._joint_index[joint] for joint, _, _ in hand.couplings]
+        limits += [limit_of[driver] for _, driver, _ in hand.couplings]
+        self._drivers = [hand.actuated.index(driver) for _, driver, _ in hand.couplings]
+        self._ratios = np.array([ratio for _, _, ratio in hand.couplings])
+        return motors, [MOTOR_RATE * self.scene.timestep] * len(motors), limits
+
+    # -- running -----------------------------------------------------------------------------
+
+    def reset(self, joint_positions: Array, object_position: Array, yaw: float) -> None:
+        client = self.client
+        if not pybullet.isConnected(client):
+            raise OSError("PyBullet's client is gone: make the environment anew")
+        pybullet.restoreState(self._start, physicsClientId=client)
+        for index, position in zip(self._joints, joint_positions, strict=True):
+            pybullet.resetJointState(self.hand, index, position, physicsClientId=client)
+        turn = (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
+        pybullet.resetBasePositionAndOrientation(
+            self.object, object_position, turn, physicsClientId=client
+        )
+        pybullet.resetBaseVelocity(self.object, (0, 0, 0), (0, 0, 0), physicsClientId=client)
+
+    def step(self, joint_targets: Array, n_substeps: int) -> None:
+        try:
+            self._step(joint_targets, n_substeps)
+        except pybullet.error as error:
+            raise SimulationError(f"PyBullet: {error}") from error
+        thing, (positions, velocities) = self.object_state(), self.joint_state()
+        if not math.isfinite(thing.position.sum() + positions.sum() + velocities.sum()):
+            raise SimulationError("PyBullet's state is not finite")
+
+    def _step(self, joint_targets: Array, n_substeps: int) -> None:
+        client = self.client
+        coupled = self._ratios * joint_targets[self._drivers]
+        pybullet.setJointMotorControlArray(
+            self.hand, self._motors, pybullet.POSITION_CONTROL,
+            targetPositions=[*joint_targets.tolist(), *coupled.tolist()],
+            positionGains=self._gains, forces=self._forces, physicsClientId=client,
+        )  # fmt: skip
+        for _ in range(n_substeps):  # external forces last one step
+            position, _ = pybullet.getBasePositionAndOrientation(self.object, physicsClientId=client)
+            pybullet.applyExternalForce(
+                self.object, -1, self._weight, position, pybullet.WORLD_FRAME, physicsClientId=client
+            )
+            pybullet.stepSimulation(physicsClientId=client)
+
+    def joint_state(self) -> tuple[Array, Array]:
+        states = pybullet.getJointStates(self.hand, self._joints, physicsClientId=self.client)
+        return np.array([state[0] for state in states]), np.array([state[1] for state in states])
+
+    def object_state(self) -> ObjectState:
+        position, xyzw = pybullet.getBasePositionAndOrientation(
+            self.object, physicsClientId=self.client
+        )
+        rotation = np.array(pybullet.getMatrixFromQuaternion(xyzw)).reshape(3, 3)
+        return ObjectState(np.array(position), np.array([xyzw[3], *xyzw[:3]]), rotation)
+
+    def link_positions(self) -> Array:
+        positions, rotations = self.link_poses(self._point_links)
+        return positions + np.matmul(rotations, self._points[:, :, None])[:, :, 0]
+
+    def link_poses(self, links: tuple[str, ...]) -> tuple[Array, Array]:
+        states = pybullet.getLinkStates(
+            self.hand, [self._links[link] for link in links], computeForwardKinematics=True,
+            physicsClientId=self.client,
+        )  # fmt: skip
+        positions = np.array([state[4] for state in states])
+        return positions, _rotations(np.array([state[5] for state in states]))
+
+    def contact_taxels(self) -> Array:
+        """A taxel is on when a contact with the object that carries force lies in its sphere."""
+        assert self.scene.contact_taxels is not None
+        assert self._taxels is not None
+        contacts = pybullet.getContactPoints(self.hand, self.object, physicsClientId=self.client)
+        points = np.array([contact[5] for contact in contacts if contact[9] > 0.0]).reshape(-1, 3)
+        centres = self._taxels.world(*self.link_poses(self._taxels.links))
+        gaps = np.square(points[None] - centres[:, None]).sum(axis=2)
+        return (gaps <= np.square(self.scene.contact_taxels.radii)[:, None]).any(axis=1)
+
+    def render(self, camera: Camera, taxels: Taxels | None = None, lit: Array | None = None) -> Array:
+        """Drawn by MuJoCo's renderer: one look for both simulators."""
+        if self._painter is None:
+            self._painter = MujocoSimulator(self.scene)
+        thing = self.object_state()
+        self._painter.place(self.joint_state()[0], thing.position, thing.orientation)
+        return self._painter.render(camera, taxels, lit)
+
+    def close(self) -> None:
+        if self._painter is not None:
+            self._painter.close()
+        self._release()
+
+
+def _measures(shape: Shape) -> dict[str, Any]:
+    """A shape as PyBullet wants it."""
+    x, _, z = shape.half_size
+    if shape.kind == "sphere":
+        return {"shapeType": pybullet.GEOM_SPHERE, "radius": x}
+    if shape.kind == "cylinder":
+        return {"shapeType": pybullet.GEOM_CYLINDER, "radius": x, "height": 2 * z}
+    return {"shapeType": pybullet.GEOM_BOX, "halfExtents": list(shape.half_size)}
+
+
+def _disconnect(client: int) -> None:
+    if pybullet.isConnected(client):
+        pybullet.disconnect(client)
+
+
+def _rotations(xyzw: Array) -> Array:
+    """Matrices (k, 3, 3) of unit quaternions (k, 4) in Bullet's order."""
+    x, y, z, w = xyzw.T
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return np.array(rows).transpose(2, 0, 1)

@@ -1,0 +1,121 @@
+"""A compiled MuJoCo model as URDF, for simulators that read that.
+
+Every body becomes a link of the same name and frame; a body with several joints hangs on
+massless links, one for each joint but the last. Poses, joint ranges, masses and inertias
+carry over to the last digit (tests/test_kinematics.py), what URDF cannot say does not:
+tendons, armature, actuators, friction, contact filters.
+"""
+
+from __future__ import annotations
+
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..hands import Array
+
+WORLD = "world"
+_HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+_JOINTS = {_HINGE: "revolute", _SLIDE: "prismatic"}
+_UNLIMITED = 1e9
+
+
+def from_model(model: mujoco.MjModel) -> str:
+    """The text; ValueError when the model has a joint or a shape that URDF has not."""
+    robot = ElementTree.Element("robot", name="hand")
+    _link(robot, WORLD, 0.0, np.zeros(3))
+    for body in range(1, model.nbody):
+        _add_link(robot, model, body)
+        _add_joints(robot, model, body)
+    ElementTree.indent(robot)  # Bullet reads lines, and long ones not to their end
+    return ElementTree.tostring(robot, encoding="unicode")
+
+
+def _add_link(robot: ElementTree.Element, model: mujoco.MjModel, body: int) -> None:
+    link = _link(robot, model.body(body).name, model.body_mass[body], model.body_inertia[body])
+    _origin(link[0], model.body_ipos[body], model.body_iquat[body])
+    first = model.body_geomadr[body]
+    for geom in range(first, first + model.body_geomnum[body]):
+        if _collides(model, geom):
+            for role in ("collision", "visual"):
+                part = ElementTree.SubElement(link, role)
+                _origin(part, model.geom_pos[geom], model.geom_quat[geom])
+                _shape(ElementTree.SubElement(part, "geometry"), model, geom)
+
+
+def _link(robot: ElementTree.Element, name: str, mass: float, inertia: Array) -> ElementTree.Element:
+    """A link whose first element is its inertia."""
+    link = ElementTree.SubElement(robot, "link", name=name)
+    inertial = ElementTree.SubElement(link, "inertial")
+    ElementTree.SubElement(inertial, "mass", value=repr(float(mass)))
+    xx, yy, zz = (repr(float(value)) for value in inertia)
+    ElementTree.SubElement(inertial, "inertia", ixx=xx, iyy=yy, izz=zz, ixy="0", ixz="0", iyz="0")
+    return link
+
+
+def _collides(model: mujoco.MjModel, geom: int) -> bool:
+    """By its own filter, or because a contact pair names it."""
+    in_pair = geom in model.pair_geom1 or geom in model.pair_geom2
+    return bool(model.geom_contype[geom] or model.geom_conaffinity[geom] or in_pair)
+
+
+def _shape(parent: ElementTree.Element, model: mujoco.MjModel, geom: int) -> None:
+    size = [float(value) for value in model.geom_size[geom]]
+    kind = mujoco.mjtGeom(int(model.geom_type[geom]))
+    if kind == mujoco.mjtGeom.mjGEOM_BOX:
+        ElementTree.SubElement(parent, "box", size=_text(2 * np.array(size)))
+    elif kind in (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER):
+        name = "capsule" if kind == mujoco.mjtGeom.mjGEOM_CAPSULE else "cylinder"
+        ElementTree.SubElement(parent, name, radius=repr(size[0]), length=repr(2 * size[1]))
+    elif kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        ElementTree.SubElement(parent, "sphere", radius=repr(size[0]))
+    else:
+        raise ValueError(f"geom {model.geom(geom).name!r}: URDF has no shape like it")
+
+
+def _add_joints(robot: ElementTree.Element, model: mujoco.MjModel, body: int) -> None:
+    """The joints between a body and its parent, with massless links between them."""
+    name, parent = model.body(body).name, model.body(model.body_parentid[body]).name
+    joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
+    if not joints:
+        joint = _joint(robot, f"{name} fixed", "fixed", parent, name)
+        _origin(joint, model.body_pos[body], model.body_quat[body])
+    for number, index in enumerate(joints):
+        if int(model.jnt_type[index]) not in _JOINTS or np.any(model.jnt_pos[index]):
+            raise ValueError(f"joint {model.joint(index).name!r}: URDF has no joint like it")
+        is_last = index == joints[-1]
+        child = name if is_last else f"{name} {number}"
+        if not is_last:
+            _link(robot, child, 0.0, np.zeros(3))
+        joint = _joint(
+            robot, model.joint(index).name, _JOINTS[int(model.jnt_type[index])], parent, child
+        )
+        if number == 0:
+            _origin(joint, model.body_pos[body], model.body_quat[body])
+        ElementTree.SubElement(joint, "axis", xyz=_text(model.jnt_axis[index]))
+        lower, upper = (-_UNLIMITED, _UNLIMITED)
+        if model.jnt_limited[index]:
+            lower, upper = model.jnt_range[index]
+        limits = {"lower": repr(float(lower)), "upper": repr(float(upper))}
+        ElementTree.SubElement(joint, "limit", {"effort": "0", "velocity": "0", **limits})
+        parent = child
+
+
+def _joint(
+    robot: ElementTree.Element, name: str, kind: str, parent: str, child: str
+) -> ElementTree.Element:
+    joint = ElementTree.SubElement(robot, "joint", name=name, type=kind)
+    ElementTree.SubElement(joint, "parent", link=parent)
+    ElementTree.SubElement(joint, "child", link=child)
+    return joint
+
+
+def _origin(parent: ElementTree.Element, position: Array, quaternion: Array) -> None:
+    angles = Rotation.from_quat(quaternion, scalar_first=True).as_euler("xyz")
+    ElementTree.SubElement(parent, "origin", xyz=_text(position), rpy=_text(angles))
+
+
+def _text(values: Array) -> str:
+    return " ".join(repr(float(value)) for value in values)

@@ -1,0 +1,264 @@
+"""Both hands in both simulators: the same mechanism, repeatable runs, clean ends."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from tactilerl import envs
+from tactilerl.envs import hands, objects, scripted, simulators
+from tactilerl.envs.grasp import GraspEnv, setup
+
+HANDS = ("shadow", "mpl")
+BOTH = ("mujoco", "pybullet")
+pytest.importorskip("pybullet")
+
+
+def make_scene(hand, **choices):
+    defaults = dict(
+        hand=hands.load(hand), shape=objects.cube(0.05), mass=0.1, friction=1.0,
+        timestep=1 / 240, finger_gain=1.0,
+    )  # fmt: skip
+    return simulators.Scene(**{**defaults, **choices})
+
+
+@pytest.fixture(params=HANDS)
+def pair(request):
+    """The same scene in MuJoCo and in PyBullet."""
+    made = [simulators.load(name, make_scene(request.param)) for name in BOTH]
+    yield made
+    for simulator in made:
+        simulator.close()
+
+
+def bodies(model):
+    return tuple(model.body(i).name for i in range(1, model.nbody) if model.body(i).name != "object")
+
+
+class TestKinematics:
+    def test_same_angles_same_poses(self, pair):
+        mj, bullet = pair
+        hand, rng = mj.scene.hand, np.random.default_rng(0)
+        for _ in range(20):
+            positions = rng.uniform(-0.5, 1.0, len(hand.joints))
+            for simulator in pair:
+                simulator.reset(positions, np.array([0.1, 0.2, 1.0]), 0.4)
+            for a, b in zip(*(s.link_poses(bodies(mj.model)) for s in pair), strict=True):
+                assert np.abs(a - b).max() < 1e-6
+            np.testing.assert_allclose(mj.link_positions(), bullet.link_positions(), atol=1e-6)
+            np.testing.assert_allclose(mj.joint_state()[0], bullet.joint_state()[0], atol=1e-12)
+            thing = [s.object_state() for s in pair]
+            np.testing.assert_allclose(thing[0].rotation, thing[1].rotation, atol=1e-7)
+            np.testing.assert_allclose(thing[0].orientation, thing[1].orientation, atol=1e-7)
+
+    def test_same_masses_and_limits(self, pair):
+        from tactilerl.envs.simulators.pybullet import ADDED_INERTIA, pybullet
+
+        mj, bullet = pair
+        for name in bodies(mj.model):
+            index, body = bullet._links[name], mj.model.body(name).id
+            info = pybullet.getDynamicsInfo(bullet.hand, index, physicsClientId=bullet.client)
+            assert info[0] == pytest.approx(mj.model.body_mass[body], rel=1e-12)
+            expected = mj.model.body_inertia[body] + ADDED_INERTIA
+            np.testing.assert_allclose(info[2], expected, rtol=1e-6)
+        for name in mj.scene.hand.joints[3:]:
+            info = pybullet.getJointInfo(
+                bullet.hand, bullet._joint_index[name], physicsClientId=bullet.client
+            )
+            np.testing.assert_allclose(info[8:10], mj.model.joint(name).range, rtol=1e-12)
+
+
+class TestPhysics:
+    @pytest.mark.parametrize("simulator", BOTH)
+    def test_free_fall(self, simulator):
+        made = simulators.load(simulator, make_scene("mpl"))
+        made.reset(made.scene.hand.start_positions(), np.array([0.3, 0.3, 1.0]), 0.0)
+        made.step(made.scene.hand.start_targets(), 48)
+        fallen = 0.5 * 9.81 * 0.2**2
+        assert 1.0 - made.object_state().position[2] == pytest.approx(fallen, rel=0.03)
+        made.close()
+
+    @pytest.mark.parametrize("simulator", BOTH)
+    @pytest.mark.parametrize("hand", HANDS)
+    def test_the_hand_hangs_still_without_touching_anything(self, simulator, hand):
+        made = simulators.load(simulator, make_scene(hand))
+        start = made.scene.hand.start_positions()
+        made.reset(start, np.array([0.4, 0.4, 0.025]), 0.0)
+        made.step(made.scene.hand.start_targets(), 240)
+        assert np.abs(made.joint_state()[0] - start).max() < 0.02
+        made.close()
+
+    @pytest.mark.parametrize("simulator", BOTH)
+    @pytest.mark.parametrize("hand", HANDS)
+    def test_scripted_grasps_hold_and_the_taxels_feel_them(self, simulator, hand):
+        env = GraspEnv(hand, setup(hand, simulator=simulator, layout="1"))
+        start = scripted.perturbed_start(np.random.default_rng(3), len(env.hand.joints))
+        held, bits = [], []
+        for is_up in scripted.hold_steps(env, scripted.grasp_for(env), start, 1.0):
+            held.append(is_up)
+            bits.append(env.taxel_readings().sum())
+        assert held[-1]
+        assert np.mean(bits) >= 2.0
+        env.close()
+
+    @pytest.mark.parametrize("simulator", BOTH)
+    @pytest.mark.parametrize(
+        ("kind", "size", "volume"),
+        [
+            ("box", (0.05,), 125e-6),
+            ("box", (0.02, 0.03, 0.05), 30e-6),
+            ("sphere", (0.04,), 4 / 3 * np.pi * 8e-6),
+            ("cylinder", (0.03, 0.05), np.pi * 0.015**2 * 0.05),
+        ],
+    )
+    def test_objects_weigh_what_they_should_and_rest_on_the_ground(self, simulator, kind, size, volume):
+        env = envs.make("mpl", simulator=simulator, object=kind, object_size=size, jitter=False)
+        assert env.simulator.scene.mass == pytest.approx(800 * volume)
+        env.reset(seed=0)
+        env.simulator.step(env.hand.start_targets(), 120)
+        position = env.simulator.object_state().position
+        np.testing.assert_allclose(position, [0, 0, size[-1] / 2], atol=1e-3)
+        env.close()
+
+    @pytest.mark.parametrize("simulator", BOTH)
+    def test_a_cylinder_can_be_grasped(self, simulator):
+        choices = dict(object="cylinder", object_size=(0.045, 0.05))
+        env = GraspEnv("mpl", setup("mpl", simulator=simulator, layout="1", **choices))
+        start = scripted.Start(np.zeros(2), 0.0, np.zeros(len(env.hand.joints)))
+        assert list(scripted.hold_steps(env, scripted.grasp_for(env), start, 1.0))[-1]
+        assert env.taxel_readings().any()
+        env.close()
+
+    def test_contact_rule_in_pybullet_fires_only_at_contacts_with_the_object(self):
+        env = GraspEnv("mpl", setup("mpl", layout="1", touch="contact"))
+        env.reset(seed=0)
+        assert not env.taxel_readings().any()
+        start = scripted.perturbed_start(np.random.default_rng(3), len(env.hand.joints))
+        fired = 0
+        for _ in scripted.hold_steps(env, scripted.grasp_for(env), start, 0.4):
+            fired += env.taxel_readings().sum()
+        assert fired > 0
+        env.close()
+
+
+class TestPyBullet:
+    @pytest.mark.parametrize("hand", HANDS)
+    def test_same_seed_and_actions_same_trajectory_also_in_another_process(self, hand):
+        code = (
+            "import sys, numpy as np\n"
+            "from tactilerl import envs\n"
+            f"env = envs.make({hand!r}, simulator='pybullet', task='reach-goal')\n"
+            "def run(seed):\n"
+            "    rng = np.random.default_rng(seed)\n"
+            "    seen = [env.reset(seed=seed)[0]['observation']]\n"
+            "    for _ in range(12):\n"
+            "        action = rng.uniform(-1, 1, env.action_space.shape)\n"
+            "        seen.append(env.step(action)[0]['observation'])\n"
+            "    return np.array(seen).tobytes().hex()\n"
+            "first, other, again = run(1), run(2), run(1)\n"
+            "assert first == again != other\n"
+            "print(first)\n"
+        )
+        command = [sys.executable, "-c", code]
+        runs = [subprocess.run(command, capture_output=True, text=True, check=True) for _ in "ab"]
+        assert runs[0].stdout == runs[1].stdout
+        assert "pybullet build time" not in runs[0].stderr + runs[0].stdout
+
+    def test_each_environment_has_its_own_client_and_releases_it(self):
+        from tactilerl.envs.simulators.pybullet import pybullet
+
+        first, second = (envs.make("mpl") for _ in range(2))
+        a, b = first.simulator.client, second.simulator.client
+        assert a != b
+        first.reset(seed=0)
+        second.reset(seed=0)
+        state = second.simulator.object_state().position
+        first.step(np.ones(7))
+        np.testing.assert_array_equal(second.simulator.object_state().position, state)
+        first.close()
+        assert not pybullet.isConnected(a)
+        del second  # without close
+        assert not pybullet.isConnected(b)
+
+    def test_a_dead_client_is_an_error_that_names_it(self):
+        from tactilerl.envs.simulators.pybullet import pybullet
+
+        env = envs.make("mpl", task="reach-goal")
+        env.reset(seed=0)
+        pybullet.disconnect(env.simulator.client)
+        *_, truncated, info = env.step(np.zeros(7))
+        assert truncated
+        assert info["diverged"]
+        assert "PyBullet" in info["error"]
+        with pytest.raises(OSError, match="client is gone"):
+            env.reset()
+
+    def test_a_broken_state_is_void(self):
+        from tactilerl.envs.simulators.pybullet import pybullet
+
+        env = envs.make("mpl", task="reach-goal")
+        before, _ = env.reset(seed=0)
+        pybullet.resetBasePositionAndOrientation(
+            env.simulator.object, (np.nan, 0, 0), (0, 0, 0, 1), physicsClientId=env.simulator.client
+        )
+        obs, reward, _, truncated, info = env.step(np.zeros(7))
+        assert (truncated, info["diverged"], reward) == (True, True, 0.0)
+        np.testing.assert_array_equal(obs["observation"], before["observation"])
+        env.reset(seed=0)
+        assert "diverged" not in env.step(np.zeros(7))[-1]
+        env.close()
+
+
+class TestMPL:
+    def test_figures_of_the_model(self):
+        model = hands.load("mpl").build(False, 1.0).compile()
+        assert (model.nbody, model.njnt, model.nu) == (22, 22, 22)
+        assert model.body("palm").mass[0] == 0.119867
+        assert model.joint("thumb_DIP").range.tolist() == [-0.819, 1.28]
+        pinky = model.geom_size[model.body("little3").geomadr[0]]
+        assert pinky[0] == 0.00765
+
+    def test_gain_scales_servos(self):
+        plain, strong = (hands.load("mpl").build(False, gain).compile() for gain in (1.0, 3.0))
+        for name in ("index_MCP", "thumb_ABD"):
+            a, b = plain.actuator(name), strong.actuator(name)
+            np.testing.assert_allclose(b.forcerange, 3 * a.forcerange)
+            np.testing.assert_allclose(b.gainprm, 3 * a.gainprm)
+
+    def test_actions_are_increments_within_limits(self):
+        hand = hands.load("mpl")
+        action, start = hand.action_map, hand.start_targets()
+        names = list(hand.actuated)
+        np.testing.assert_array_equal(action(np.zeros(7), start), start)
+        closed = start
+        for _ in range(20):
+            closed = action(np.ones(7), closed)
+        assert closed[names.index("index_MCP")] == pytest.approx(1.57)
+        assert closed[names.index("thumb_ABD")] == pytest.approx(1.95)
+        assert closed[:3].tolist() == action.slide_limits[:, 1].tolist()
+        one = action(np.eye(7)[3], start) - start  # thumb and little finger move together
+        moved = {name.partition("_")[0] for name, by in zip(names, one, strict=True) if by}
+        assert moved == {"thumb", "little"}
+
+    def test_observation_is_the_papers(self):
+        env = envs.make("mpl", layout="6")
+        names = env.observation_names()
+        assert len(names) == 1 + 3 + 3 + 5 + 19
+        obs, _ = env.reset(seed=0)
+        hand = env.simulator.link_positions()[0]
+        np.testing.assert_allclose(obs["observation"][1:4], hand, rtol=1e-6)
+        env.close()
+
+    def test_joints_flex_towards_the_palmar_side(self):
+        """Closing moves every fingertip down, towards the object, in both simulators' frame."""
+        made = simulators.load("mujoco", make_scene("mpl"))
+        hand = made.scene.hand
+        place = np.array([0.4, 0.4, 0.025])
+        made.reset(hand.start_positions(), place, 0.0)
+        before = made.link_positions()
+        closed = hand.start_positions()
+        for _ in range(2):
+            closed = hand.action_map(np.eye(7)[3:].sum(axis=0), closed)
+        made.reset(closed, place, 0.0)
+        assert (made.link_positions()[2:, 2] < before[2:, 2] - 0.003).all()
