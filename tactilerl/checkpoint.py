@@ -38,7 +38,7 @@ class Checkpoint:
         for rank, part in enumerate(self.comm.receive(experience)):
             if part:
                 self.run_dir.experience_folder.mkdir(exist_ok=True)
-                _write(self._part(epoch, rank), {"format": FORMAT, **part})
+                _write(self._part(epoch, rank), {"format": FORMAT, "experience": part})
         states = list(self.comm.receive(_compact(self.learner.state_dict())))
         if experience:
             self._parts = [*([] if is_anew else self._parts), epoch]
@@ -77,7 +77,7 @@ class Checkpoint:
             for rank in range(comm.rank, n_old, comm.size):
                 path = self._part(epoch, rank)
                 with _damage_named(path):
-                    self.learner.add_experience(_read(path), is_foreign=is_other)
+                    self.learner.add_experience(_read(path)["experience"], is_foreign=is_other)
         # What came from elsewhere counts as new: the next checkpoint writes all of it.
         self._parts = [] if is_other else list(data["experience"])
         return int(data["epoch"])

@@ -1,7 +1,6 @@
 """Several processes: equal parameters on all ranks, one writer, and no rank left waiting."""
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -105,7 +104,7 @@ def test_another_number_of_ranks_is_refused_unless_asked_for(toy):
     if toy is REACH:  # four episodes of each of two ranks, and those that followed, all with rank 0
         parts = [torch.load(path, weights_only=True) for path in Path("run/experience").iterdir()]
         steps = torch.load("run/checkpoint.pt", weights_only=True)["ranks"][0]["env_steps"]
-        assert 25 * sum(len(part["slots"]) for part in parts) == steps == 800
+        assert 25 * sum(len(p["experience"]["slots"]) for p in parts) == steps == 800
     three = mpirun(["-m", *command[2:], "--total-timesteps", "1600", "--any-ranks"], ranks=3)
     assert three.returncode == 0, three.stderr
     assert json.loads(Path("run/config.json").read_text())["ranks"] == 3
@@ -167,9 +166,9 @@ def start(*args):
 
 
 def ranks_of(process):
-    """Process ids of the ranks that mpirun started: Pythons below it that run our command."""
+    """The ranks that mpirun started: Pythons below it that run our command."""
     below = psutil.Process(process.pid).children(recursive=True)
-    return [p.pid for p in below if "tactilerl.cli" in p.cmdline() and "python" in p.name()]
+    return [p for p in below if "tactilerl.cli" in p.cmdline() and "python" in p.name()]
 
 
 @pytest.mark.parametrize("how", ["kill -9 of a rank", "Ctrl-C"])
@@ -181,12 +180,13 @@ def test_an_end_from_outside_ends_all_and_loses_nothing(how):
     if how == "Ctrl-C":
         process.send_signal(signal.SIGINT)
     else:
-        os.kill(ranks[1], signal.SIGKILL)
+        ranks[1].kill()
     _, errors = process.communicate(timeout=10)
     assert process.returncode != 0
     if how != "Ctrl-C":
         assert "signal 9" in errors
-    assert not any(map(psutil.pid_exists, ranks))
+    _, alive = psutil.wait_procs(ranks, timeout=10)
+    assert not [rank for rank in alive if rank.status() != psutil.STATUS_ZOMBIE]
     assert tactilerl("train", "--resume", "run").returncode == 0
     assert tactilerl(*args, "--out", "whole").returncode == 0
     whole, run = (torch.load(Path(p, "checkpoint.pt"), weights_only=True) for p in ("whole", "run"))
