@@ -27,7 +27,7 @@ from . import (
     goal_size,
 )
 from .mpi import Communicator, same_on_all_ranks
-from .networks import MLP, FlatAdam, flatten
+from .networks import MLP, FlatAdam, flatten, require_finite
 from .normalizer import Normalizer
 from .replay import Batch, GoalObs, Replay, goal_observation
 from .rollout import Rollouts, summary
@@ -299,12 +299,8 @@ class DDPGHER:
         return torch.stack([critic_loss, actor_loss, value]).detach()
 
     def _check(self, sums: Tensor) -> None:
-        """Stop with DivergenceError rather than go on from what is not finite."""
-        if not (bool(torch.isfinite(sums).all()) and self.adam.is_finite()):
-            raise DivergenceError(
-                f"a loss or a parameter is not finite after {self.env_steps} steps "
-                f"(losses {[f'{x:.3g}' for x in sums.tolist()]})"
-            )
+        """Stop with DivergenceError when something broke or the ranks have parted."""
+        require_finite([self.adam], sums, self.env_steps)
         is_due = self.updates % CHECK_EVERY < self.config.n_batches
         if is_due and not same_on_all_ranks(self.comm, self.adam.vector):
             raise DivergenceError("the ranks' parameters differ")

@@ -12,8 +12,9 @@ from collections.abc import Sequence
 from typing import Any, Literal
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
+from . import DivergenceError
 from .mpi import Communicator
 
 
@@ -107,3 +108,12 @@ class FlatAdam:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what `state_dict` returned."""
         self._adam.load_state_dict(state)
+
+
+def require_finite(adams: Sequence[FlatAdam], losses: Tensor, env_steps: int) -> None:
+    """DivergenceError, rather than going on from losses or parameters that are not finite."""
+    if not (bool(torch.isfinite(losses).all()) and all(adam.is_finite() for adam in adams)):
+        raise DivergenceError(
+            f"a loss or a parameter is not finite after {env_steps} steps "
+            f"(losses {[f'{x:.3g}' for x in losses.tolist()]})"
+        )

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from . import Array, DivergenceError, EnvPool, check_ranges, flat_observation, flat_size
 from .mpi import Communicator, same_on_all_ranks
-from .networks import MLP, FlatAdam
+from .networks import MLP, FlatAdam, require_finite
 from .rollout import Episode, Rollouts, finite, summary
 
 SAVED = ("actor", "critic", "actor_adam", "critic_adam")
@@ -278,13 +278,8 @@ class PPO:
             return torch.stack([policy_loss, value_loss, kl, clipped])
 
     def _check(self, sums: Tensor) -> None:
-        """Stop with DivergenceError rather than go on from what is not finite."""
-        finite = bool(torch.isfinite(sums).all())
-        if not (finite and self.actor_adam.is_finite() and self.critic_adam.is_finite()):
-            raise DivergenceError(
-                f"a loss or a parameter is not finite after {self.env_steps} steps "
-                f"(losses {[f'{x:.3g}' for x in sums.tolist()]})"
-            )
+        """Stop with DivergenceError when something broke or the ranks have parted."""
+        require_finite([self.actor_adam, self.critic_adam], sums, self.env_steps)
         for adam in (self.actor_adam, self.critic_adam):
             if not same_on_all_ranks(self.comm, adam.vector):
                 raise DivergenceError("the ranks' parameters differ")

@@ -67,28 +67,33 @@ def test_half_height():
     assert shape.half_height(tipped) == pytest.approx(0.025 * np.sqrt(2))
 
 
-@pytest.mark.parametrize("kind", objects.KINDS)
-def test_distance_to_a_shape_agrees_with_the_nearest_of_many_points_inside(kind):
-    """The distance is that to the nearest of many points of the solid, up to their gaps."""
-    rng = np.random.default_rng(0)
-    shape = objects.make(kind, {"box": (0.02, 0.04, 0.06), "sphere": (0.04,)}.get(kind, (0.04, 0.06)))
-    inside = rng.uniform(-1, 1, (200_000, 3)) * shape.half_size
-    inside = inside[shape.squared_distance(inside) == 0]
-    filled = len(inside) / 200_000 * np.prod(shape.half_size) * 8
-    assert filled == pytest.approx(shape.volume, rel=0.01)
-    for point in rng.uniform(-0.08, 0.08, (20, 3)):
+@pytest.fixture(params=objects.KINDS)
+def solid(request):
+    """A shape, and many points of the box around it that lie inside (n, 3)."""
+    sizes = {"box": (0.02, 0.04, 0.06), "sphere": (0.04,), "cylinder": (0.04, 0.06)}
+    shape = objects.make(request.param, sizes[request.param])
+    points = np.random.default_rng(0).uniform(-1, 1, (200_000, 3)) * shape.half_size
+    return shape, points[shape.squared_distance(points) == 0]
+
+
+def test_volume_is_that_of_the_points_inside(solid):
+    shape, inside = solid
+    share = len(inside) / 200_000
+    assert share * np.prod(shape.half_size) * 8 == pytest.approx(shape.volume, rel=0.01)
+
+
+def test_distance_to_a_shape_is_that_to_the_nearest_of_many_points_inside(solid):
+    """Up to the gaps between them."""
+    shape, inside = solid
+    for point in np.random.default_rng(1).uniform(-0.08, 0.08, (20, 3)):
         nearest = np.linalg.norm(inside - point, axis=1).min()
         distance = np.sqrt(shape.squared_distance(point[None])[0])
         assert distance <= nearest + 1e-12
         assert nearest - distance < 3e-3
 
 
-@pytest.mark.parametrize("kind", objects.KINDS)
-def test_half_height_is_that_of_the_lowest_point(kind):
-    rng = np.random.default_rng(1)
-    shape = objects.make(kind, {"box": (0.02, 0.04, 0.06), "sphere": (0.04,)}.get(kind, (0.04, 0.06)))
-    inside = rng.uniform(-1, 1, (200_000, 3)) * shape.half_size
-    inside = inside[shape.squared_distance(inside) == 0]
+def test_half_height_is_that_of_the_lowest_point(solid):
+    shape, inside = solid
     for turn in Rotation.random(5, rng=2):
         rotation = turn.as_matrix()
         lowest = -(inside @ rotation.T)[:, 2].min()
