@@ -95,8 +95,8 @@ class ClosingAction:
     """Increments: the slides move, groups of joints go along their closing trajectories (paper,
     PyBullet set-up: "in relation to the current position and within the limits")."""
 
-    slide_step: float
-    """How far an action of 1 moves a slide's target, m."""
+    slide_step: Array
+    """(3,) how far an action of 1 moves each slide's target, m."""
     slide_limits: Array
     """(3, 2) lowest and highest target of each slide, m."""
     closing_step: float

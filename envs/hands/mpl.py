@@ -55,7 +55,9 @@ PALM_POINT = (-0.0215, -0.0395, -0.0226)  # middle of the palmar face
 # The palm's frame where the hand starts, m (world; the object rests at the origin).
 START = (0.0, 0.069, 0.100)
 START_CLOSING = 0.25
-SLIDE_STEP, CLOSING_STEP = 0.04, 0.5  # of an action of 1: m, share of the trajectory
+# Of an action of 1: m along x, y, z, and a share of the closing trajectory. Sideways the hand need
+# not go far; up and closing, a small step is undone by the next before anything is lifted.
+SLIDE_STEP, CLOSING_STEP = (0.01, 0.01, 0.2), 1.0
 SLIDE_LIMITS = ((-0.05, 0.05), (-0.05, 0.05), (-0.05, 0.20))
 SLIDE_GAIN, SLIDE_DAMPING, SLIDE_FORCE = 1000.0, 79.0, 100.0  # N/m, N s/m, N
 
@@ -175,7 +177,7 @@ def _action() -> ClosingAction:
         for group in GROUPS
     )
     return ClosingAction(
-        slide_step=SLIDE_STEP,
+        slide_step=np.array(SLIDE_STEP),
         slide_limits=np.array(SLIDE_LIMITS),
         closing_step=CLOSING_STEP,
         groups=groups,
