@@ -370,7 +370,9 @@ class TestOtherCommands:
     def test_wilson_interval(self):
         from tactilerl.evaluate import summarise
 
-        played = [{"success": float(i < 8), "return": float(i), "length": 5} for i in range(10)]
+        played = [
+            {"success": float(i < 8), "held": 1, "return": float(i), "length": 5} for i in range(10)
+        ]
         low, high = summarise(played)["success_rate_ci"]
         assert (low, high) == pytest.approx((0.4902, 0.9433), abs=1e-4)  # Wilson 1927, 8 of 10
 

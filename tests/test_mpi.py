@@ -244,7 +244,7 @@ assert comm.sum(np.array([comm.rank, 1.0])).tolist() == [3.0, 3.0]
 assert comm.average(comm.rank) == 1.0
 assert comm.min(5 - comm.rank) == 3
 assert comm.all_gather(comm.rank) == [0, 1, 2]
-assert comm.gather(comm.rank) == ([0, 1, 2] if comm.rank == 0 else [])
+assert list(comm.receive(comm.rank)) == ([0, 1, 2] if comm.rank == 0 else [])
 assert comm.local_size == 3
 assert mpi.same_on_all_ranks(comm, torch.ones(3))
 assert not mpi.same_on_all_ranks(comm, torch.full((3,), float(comm.rank)))

@@ -165,6 +165,20 @@ class TestPyBullet:
         assert runs[0].stdout == runs[1].stdout
         assert "pybullet build time" not in runs[0].stderr + runs[0].stdout
 
+    def test_the_first_episode_equals_the_later_ones(self):
+        """Nothing of a past episode, such as a cached contact, reaches the next."""
+        env = envs.make("mpl", task="reach-goal")
+        rng = np.random.default_rng(123)
+        for seed in range(4):
+            action = rng.uniform(-1, 1, 7) * [1, 1, 0.2, 0.5, 0.5, 0.5, 0.5]
+            seen = []
+            for _ in range(3):
+                env.reset(seed=seed)
+                seen.append([env.step(action)[0]["observation"] for _ in range(3)])
+            assert np.array_equal(seen[0], seen[1])
+            assert np.array_equal(seen[0], seen[2])
+        env.close()
+
     def test_each_environment_has_its_own_client_and_releases_it(self):
         from tactilerl.envs.simulators.pybullet import pybullet
 

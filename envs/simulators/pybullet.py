@@ -57,18 +57,12 @@ class PyBulletSimulator:
         self.client = pybullet.connect(pybullet.DIRECT)
         if self.client < 0:
             raise OSError("PyBullet gave no client")
-        self._release = weakref.finalize(self, _disconnect, self.client)
-        self._set(
-            fixedTimeStep=scene.timestep,
-            numSolverIterations=SOLVER_ITERATIONS,
-            deterministicOverlappingPairs=1,
-        )
-        self.hand = self._load_hand()
-        self._links, self._joint_index = self._names()
+        self._folder = tempfile.TemporaryDirectory()
+        self._urdf = Path(self._folder.name) / "hand.urdf"
+        self._urdf.write_text(urdf.from_model(self.model), encoding="utf-8")
+        self._release = weakref.finalize(self, _disconnect, self.client, self._folder)
+        self._build()
         self._joints = [self._joint_index[name] for name in hand.joints]
-        self._ground = self._body(mass=0.0, friction=1.0, shapeType=pybullet.GEOM_PLANE)
-        self.object = self._body(mass=scene.mass, friction=scene.friction, **_measures(scene.shape))
-        self._set_dynamics()
         self._weight = (0.0, 0.0, -GRAVITY * scene.mass)
         self._motors, self._gains, self._forces = self._motor_figures()
         points = [(hand.palm, hand.palm_point), *hand.fingertips]
@@ -77,23 +71,25 @@ class PyBulletSimulator:
         felt = scene.contact_taxels
         self._taxels = None if felt is None else TaxelPlacement(felt)
         self._painter: MujocoSimulator | None = None
-        self._start = pybullet.saveState(physicsClientId=self.client)
 
     # -- building ----------------------------------------------------------------------------
 
-    def _set(self, **parameters: Any) -> None:
-        pybullet.setPhysicsEngineParameter(physicsClientId=self.client, **parameters)
-
-    def _load_hand(self) -> int:
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "hand.urdf"
-            path.write_text(urdf.from_model(self.model), encoding="utf-8")
-            flags = pybullet.URDF_USE_INERTIA_FROM_FILE
-            return int(
-                pybullet.loadURDF(
-                    str(path), useFixedBase=True, flags=flags, physicsClientId=self.client
-                )
-            )
+    def _build(self) -> None:
+        """The scene in an empty world."""
+        scene, client = self.scene, self.client
+        pybullet.resetSimulation(physicsClientId=client)
+        pybullet.setPhysicsEngineParameter(
+            fixedTimeStep=scene.timestep, numSolverIterations=SOLVER_ITERATIONS,
+            deterministicOverlappingPairs=1, physicsClientId=client,
+        )  # fmt: skip
+        self.hand = pybullet.loadURDF(
+            str(self._urdf), useFixedBase=True, flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
+            physicsClientId=client,
+        )  # fmt: skip
+        self._links, self._joint_index = self._names()
+        self._body(mass=0.0, friction=1.0, shapeType=pybullet.GEOM_PLANE)
+        self.object = self._body(mass=scene.mass, friction=scene.friction, **_measures(scene.shape))
+        self._set_dynamics()
 
     def _names(self) -> tuple[dict[str, int], dict[str, int]]:
         """Indices of links and joints by name; in Bullet a joint has its child link's index."""
@@ -146,14 +142,13 @@ class PyBulletSimulator:
         client = self.client
         if not pybullet.isConnected(client):
             raise OSError("PyBullet's client is gone: make the environment anew")
-        pybullet.restoreState(self._start, physicsClientId=client)
+        self._build()  # a world that has been stepped keeps pairs and contacts of its past
         for index, position in zip(self._joints, joint_positions, strict=True):
             pybullet.resetJointState(self.hand, index, position, physicsClientId=client)
         turn = (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
         pybullet.resetBasePositionAndOrientation(
             self.object, object_position, turn, physicsClientId=client
         )
-        pybullet.resetBaseVelocity(self.object, (0, 0, 0), (0, 0, 0), physicsClientId=client)
 
     def step(self, joint_targets: Array, n_substeps: int) -> None:
         try:
@@ -236,7 +231,8 @@ def _measures(shape: Shape) -> dict[str, Any]:
     return {"shapeType": pybullet.GEOM_BOX, "halfExtents": list(shape.half_size)}
 
 
-def _disconnect(client: int) -> None:
+def _disconnect(client: int, folder: tempfile.TemporaryDirectory[str]) -> None:
+    folder.cleanup()
     if pybullet.isConnected(client):
         pybullet.disconnect(client)
 
