@@ -86,7 +86,7 @@ class Algorithm(Protocol):
     def state_dict(self) -> dict[str, Any]:
         """Everything that the rest of the run depends on, except the experience."""
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Go on exactly where `state_dict` was taken; with the own random state if it has none."""
 
     @property

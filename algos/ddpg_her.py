@@ -25,6 +25,7 @@ from . import (
     check_ranges,
     flat_size,
     goal_size,
+    state,
 )
 from .mpi import Communicator, same_on_all_ranks
 from .networks import MLP, FlatAdam, flatten, require_finite
@@ -34,6 +35,7 @@ from .rollout import Rollouts, summary
 
 CHECK_EVERY = 100  # updates between two looks at whether the ranks' parameters are equal
 SAVED = ("actor", "critic", "target_actor", "target_critic", "adam", "obs_stats", "goal_stats")
+COUNTERS = ("env_steps", "updates")
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,7 @@ class DDPGHERConfig:
             self,
             positive=("actor_lr", "critic_lr", "clip_obs", "norm_clip"),
             shares=("polyak", "random_eps", "replay_p"),
-            counts=(*("buffer_size", "batch_size", "n_rollouts", "n_cycles", "n_batches"),),
+            counts=("buffer_size", "batch_size", "n_rollouts", "n_cycles", "n_batches"),
         )
         for name in ("action_l2", "noise_eps", "n_test_rollouts"):
             value = getattr(self, name)
@@ -309,17 +311,11 @@ class DDPGHER:
 
     def state_dict(self) -> dict[str, Any]:
         """Networks, optimiser, normalisers, random state, counters: all but the replay."""
-        parts = {name: getattr(self, name).state_dict() for name in SAVED}
-        counters = {"env_steps": self.env_steps, "updates": self.updates}
-        return {**parts, **counters, "rng": self.rng.bit_generator.state}
+        return state.take(self, SAVED, COUNTERS)
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Go on exactly where `state_dict` was taken."""
-        for name in SAVED:
-            getattr(self, name).load_state_dict(state[name])
-        if "rng" in state:  # not on a rank that is new
-            self.rng.bit_generator.state = state["rng"]
-        self.env_steps, self.updates = state["env_steps"], state["updates"]
+        state.give(self, saved, SAVED, COUNTERS)
 
     @property
     def experience_bytes(self) -> int:

@@ -14,12 +14,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from . import Array, DivergenceError, EnvPool, check_ranges, flat_observation, flat_size
+from . import Array, DivergenceError, EnvPool, check_ranges, flat_observation, flat_size, state
 from .mpi import Communicator, same_on_all_ranks
 from .networks import MLP, FlatAdam, require_finite
 from .rollout import Episode, Rollouts, finite, summary
 
 SAVED = ("actor", "critic", "actor_adam", "critic_adam")
+COUNTERS = ("env_steps",)
 MAX_LOG_RATIO = 20.0  # exp(20) = 5e8: far outside any clip range, far inside float32
 
 
@@ -288,16 +289,11 @@ class PPO:
 
     def state_dict(self) -> dict[str, Any]:
         """Networks, optimisers, random state, counters: all that the next epoch depends on."""
-        parts = {name: getattr(self, name).state_dict() for name in SAVED}
-        return {**parts, "rng": self.rng.bit_generator.state, "env_steps": self.env_steps}
+        return state.take(self, SAVED, COUNTERS)
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Go on exactly where `state_dict` was taken."""
-        for name in SAVED:
-            getattr(self, name).load_state_dict(state[name])
-        if "rng" in state:  # not on a rank that is new
-            self.rng.bit_generator.state = state["rng"]
-        self.env_steps = state["env_steps"]
+        state.give(self, saved, SAVED, COUNTERS)
 
     @property
     def experience_bytes(self) -> int:

@@ -58,7 +58,7 @@ def future_goal_steps(
 
 
 class Replay:
-    """Episodes in slots of equal size, oldest order; a full buffer overwrites random slots.
+    """Episodes in slots of equal size, filled in order; a full buffer overwrites random slots.
 
     A slot has room for `max_steps` transitions and the last observation. The last `n_boolean`
     entries of an observation are 0 or 1 and are kept as bytes, everything else as float32.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args, get_type_hints
 
@@ -294,16 +295,16 @@ class GraspEnv(gym.Env[Any, Array]):
     def _observation(self) -> Array:
         positions, velocities = self.simulator.joint_state()
         thing = self.simulator.object_state()
-        terms = {
-            "object_id": self._object_id,
-            "hand_position": self.simulator.link_positions()[0],
-            "finger_joints": positions[self._first_joints],
-            "joint_positions": positions,
-            "joint_velocities": velocities,
-            "object_position": thing.position,
-            "object_orientation": thing.orientation,
+        terms: dict[str, Callable[[], Array]] = {  # only what the hand observes is computed
+            "object_id": lambda: self._object_id,
+            "hand_position": lambda: self.simulator.link_positions()[0],
+            "finger_joints": lambda: positions[self._first_joints],
+            "joint_positions": lambda: positions,
+            "joint_velocities": lambda: velocities,
+            "object_position": lambda: thing.position,
+            "object_orientation": lambda: thing.orientation,
         }
-        parts = [terms[term] for term in self.hand.observation]
+        parts = [terms[term]() for term in self.hand.observation]
         if self.config.run_type == "main":
             parts.append(self.taxel_readings())
         elif self.config.run_type == "control":

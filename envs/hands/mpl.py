@@ -20,6 +20,7 @@ import mujoco
 import numpy as np
 
 from . import DIGITS, SEGMENTS, SLIDES, ClosingAction, Hand, Pitch, ScriptedGrasp, Surface
+from .servos import add_servo, add_slides
 
 FIGURES = Path(__file__).with_name("mpl.toml")
 FINGERS = DIGITS[1:]
@@ -52,6 +53,9 @@ PALM_TAXELS = {
 }
 PALM_POINT = (-0.0215, -0.0395, -0.0226)  # middle of the palmar face
 
+# contype without conaffinity: touches the object and the ground, not the hand itself.
+LOOKS = {"contype": 1, "conaffinity": 0, "rgba": [0.75, 0.76, 0.8, 1.0]}
+
 # The palm's frame where the hand starts, m (world; the object rests at the origin).
 START = (0.0, 0.069, 0.100)
 START_CLOSING = 0.25
@@ -63,14 +67,15 @@ SLIDE_GAIN, SLIDE_DAMPING, SLIDE_FORCE = 1000.0, 79.0, 100.0  # N/m, N s/m, N
 
 
 @cache
-def figures() -> tuple[dict[str, Any], ...]:
-    """The bodies of mpl.toml, parents first."""
-    return tuple(tomllib.loads(FIGURES.read_text(encoding="utf-8"))["body"])
+def figures() -> dict[str, dict[str, Any]]:
+    """The bodies of mpl.toml by name, parents first."""
+    bodies = tomllib.loads(FIGURES.read_text(encoding="utf-8"))["body"]
+    return {body["name"]: body for body in bodies}
 
 
 def joints() -> tuple[str, ...]:
     """The hinges, in the order of the bodies."""
-    return tuple(body["joint"] for body in figures() if "joint" in body)
+    return tuple(body["joint"] for body in figures().values() if "joint" in body)
 
 
 def build(visual: bool = False, finger_gain: float = 1.0) -> mujoco.MjSpec:
@@ -83,25 +88,17 @@ def build(visual: bool = False, finger_gain: float = 1.0) -> mujoco.MjSpec:
     spec.compiler.degree = False
     spec.modelname = "mpl"
     bodies = {"": spec.worldbody}
-    for figure in figures():
+    for figure in figures().values():
         bodies[figure["name"]] = _add_body(bodies[figure.get("parent", "")], figure)
     palm = bodies["palm"]
     palm.pos = START
-    for name, axis in zip(SLIDES, np.eye(3), strict=True):
-        palm.add_joint(
-            name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis, damping=[SLIDE_DAMPING, 0, 0]
-        )
-        _add_servo(spec, name, SLIDE_GAIN, SLIDE_FORCE)
+    add_slides(spec, palm, np.eye(3).tolist(), SLIDE_GAIN, SLIDE_DAMPING, SLIDE_FORCE)
     for centre, half_size in PALM_BOXES:
         palm.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, pos=centre, size=half_size, **LOOKS)
     for joint in joints():
         limit = FINGER_FORCE * _lever(joint)
-        _add_servo(spec, joint, FINGER_GAIN * finger_gain, limit * finger_gain)
+        add_servo(spec, joint, FINGER_GAIN * finger_gain, limit * finger_gain)
     return spec
-
-
-# contype without conaffinity: touches the object and the ground, not the hand itself.
-LOOKS = {"contype": 1, "conaffinity": 0, "rgba": [0.75, 0.76, 0.8, 1.0]}
 
 
 def _add_body(parent: mujoco.MjsBody, figure: dict[str, Any]) -> mujoco.MjsBody:
@@ -134,19 +131,6 @@ def _add_body(parent: mujoco.MjsBody, figure: dict[str, Any]) -> mujoco.MjsBody:
             **LOOKS,
         )
     return body
-
-
-def _add_servo(spec: mujoco.MjSpec, joint: str, gain: float, limit: float) -> None:
-    spec.add_actuator(
-        name=joint,
-        target=joint,
-        trntype=mujoco.mjtTrn.mjTRN_JOINT,
-        gainprm=[gain] + [0] * 9,
-        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-        biasprm=[0, -gain] + [0] * 8,
-        forcelimited=True,
-        forcerange=[-limit, limit],
-    )
 
 
 def _lever(joint: str) -> float:
@@ -186,25 +170,19 @@ def _action() -> ClosingAction:
     )
 
 
-# Which way the palmar side of a digit's phalanges looks, as an angle about the bone, rad: 0 is the
-# palm's side for fingers. Where contacts of held grasps lie (docs/environments.md).
-PALMAR_ANGLE = {"thumb": 0.0, "little": 0.0}
 DISTAL_SHIFT = 0.0075  # m towards the tip
 
 
 def _surfaces() -> tuple[Surface, ...]:
     surfaces = []
-    by_name = {figure["name"]: figure for figure in figures()}
     for digit in DIGITS:
         for number, segment in enumerate(SEGMENTS, start=1):
-            figure = by_name[f"{digit}{number}"]
+            figure = figures()[f"{digit}{number}"]
             ends = np.array(figure["capsule"]).reshape(2, 3)
             along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
             # Flexion turns the bone towards the palmar side.
             palmar = np.cross(figure["axis"], along)
             palmar /= np.linalg.norm(palmar)
-            angle = PALMAR_ANGLE.get(digit, 0.0)
-            palmar = np.cos(angle) * palmar + np.sin(angle) * np.cross(along, palmar)
             shift = DISTAL_SHIFT if segment == "distal" else 0.0
             surfaces.append(
                 Surface(
@@ -238,7 +216,6 @@ def mpl_hand() -> Hand:
     names = (*SLIDES, *joints())
     action = _action()
     start = dict(zip(names, action.open + START_CLOSING * (action.closed - action.open), strict=True))
-    by_name = {figure["name"]: figure for figure in figures()}
     return Hand(
         name="mpl",
         build=build,
@@ -247,7 +224,9 @@ def mpl_hand() -> Hand:
         actuated=names,
         palm="palm",
         palm_point=PALM_POINT,
-        fingertips=tuple((f"{digit}3", tuple(by_name[f"{digit}3"]["capsule"][3:])) for digit in DIGITS),
+        fingertips=tuple(
+            (f"{digit}3", tuple(figures()[f"{digit}3"]["capsule"][3:])) for digit in DIGITS
+        ),
         surfaces=_surfaces(),
         pitch=Pitch(
             rows=dict.fromkeys(SEGMENTS, 4.5e-3), column=6.5e-3, radius=2e-3, large_radius=3.8e-3

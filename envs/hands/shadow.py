@@ -18,6 +18,7 @@ import mujoco
 import numpy as np
 
 from . import DIGITS, SEGMENTS, SLIDES, Hand, LinearAction, Pitch, ScriptedGrasp, Surface
+from .servos import add_slides
 
 PREFIX = "robot0:"
 # Order of joints and ranges of actuators: hand/robot.xml and hand/shared.xml of the assets.
@@ -140,20 +141,8 @@ def _hang_from_slides(spec: mujoco.MjSpec) -> None:
     x, y, z = palm_in_mount
     mount.pos = np.array(START_PALM) - np.array([x, -z, y])
     # Slide axes are given in the mount's frame: world (x, y, z) is local (x, z, -y).
-    for name, axis in zip(SLIDES, ([1, 0, 0], [0, 0, -1], [0, 1, 0]), strict=True):
-        mount.add_joint(
-            name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis, damping=[SLIDE_DAMPING, 0, 0]
-        )
-        spec.add_actuator(
-            name=name,
-            target=name,
-            trntype=mujoco.mjtTrn.mjTRN_JOINT,
-            gainprm=[SLIDE_GAIN] + [0] * 9,
-            biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-            biasprm=[0, -SLIDE_GAIN] + [0] * 8,
-            forcelimited=True,
-            forcerange=[-SLIDE_FORCE, SLIDE_FORCE],
-        )
+    axes = ([1, 0, 0], [0, 0, -1], [0, 1, 0])
+    add_slides(spec, mount, axes, SLIDE_GAIN, SLIDE_DAMPING, SLIDE_FORCE)
     spec.body(PREFIX + "forearm").mass = FOREARM_MASS
     for body in spec.bodies:
         if body.name.startswith(PREFIX):

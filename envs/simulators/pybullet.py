@@ -18,6 +18,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ..hands import Array
 from ..layouts import Taxels
@@ -43,7 +44,7 @@ pybullet = _import_quietly()
 GRAVITY = 9.81
 SOLVER_ITERATIONS = 50
 MOTOR_RATE = 48.0  # 1/s: how fast a motor takes back an error, gain per step = rate x timestep
-ADDED_INERTIA = 1e-4  # kg m²: without it links creep and jitter (docs/accuracy_and_speed.md)
+ADDED_INERTIA = 1e-4  # kg m²: without it links creep and jitter (docs/environments.md)
 JOINT_DAMPING = 0.01  # N m s/rad
 SPINNING_FRICTION = 0.005  # m, of the object's contacts
 
@@ -195,7 +196,7 @@ class PyBulletSimulator:
             physicsClientId=self.client,
         )  # fmt: skip
         positions = np.array([state[4] for state in states])
-        return positions, _rotations(np.array([state[5] for state in states]))
+        return positions, Rotation.from_quat([state[5] for state in states]).as_matrix()
 
     def contact_taxels(self) -> Array:
         """A taxel is on when a contact with the object that carries force lies in its sphere."""
@@ -235,14 +236,3 @@ def _disconnect(client: int, folder: tempfile.TemporaryDirectory[str]) -> None:
     folder.cleanup()
     if pybullet.isConnected(client):
         pybullet.disconnect(client)
-
-
-def _rotations(xyzw: Array) -> Array:
-    """Matrices (k, 3, 3) of unit quaternions (k, 4) in Bullet's order."""
-    x, y, z, w = xyzw.T
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
-    return np.array(rows).transpose(2, 0, 1)

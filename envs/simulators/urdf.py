@@ -39,10 +39,9 @@ def _add_link(robot: ElementTree.Element, model: mujoco.MjModel, body: int) -> N
     first = model.body_geomadr[body]
     for geom in range(first, first + model.body_geomnum[body]):
         if _collides(model, geom):
-            for role in ("collision", "visual"):
-                part = ElementTree.SubElement(link, role)
-                _origin(part, model.geom_pos[geom], model.geom_quat[geom])
-                _shape(ElementTree.SubElement(part, "geometry"), model, geom)
+            collision = ElementTree.SubElement(link, "collision")
+            _origin(collision, model.geom_pos[geom], model.geom_quat[geom])
+            _shape(ElementTree.SubElement(collision, "geometry"), model, geom)
 
 
 def _link(robot: ElementTree.Element, name: str, mass: float, inertia: Array) -> ElementTree.Element:
