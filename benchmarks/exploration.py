@@ -23,7 +23,7 @@ from scipy import stats
 from tactilerl import envs
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
-from tactilerl.envs.vector import ThreadedEnvs
+from tactilerl.envs.vector import Envs
 
 LIFT = 0.02  # m: higher than a cube that is tipped over
 VARIANTS: dict[str, dict[str, Any]] = {
@@ -43,7 +43,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
 
 def explore(choices: dict[str, Any], episodes: int) -> dict[str, float]:
     """Counts of episodes in which the cube is lifted, passes the goal, ends there."""
-    pool = ThreadedEnvs(lambda: envs.make("shadow", task="reach-goal", **choices), 1)
+    pool = Envs(lambda: envs.make("shadow", task="reach-goal", **choices), 1)
     learner = DDPGHER(DDPGHERConfig(), pool, Communicator(), seed=0, total_timesteps=1)
     counts = {"lifted": 0.0, "passes the goal": 0.0, "ends at the goal": 0.0}
     for episode in learner.rollouts.play(learner._explore, episodes=episodes):

@@ -32,7 +32,7 @@ from speed import rounds, show
 from tactilerl import envs
 from tactilerl.algos import Transition, mpi
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
-from tactilerl.envs.vector import ThreadedEnvs
+from tactilerl.envs.vector import Envs
 
 OBS, GOAL, ACTIONS, STEPS = 197, 3, 23, 100  # observation and goal together: 200
 EPISODES = 50
@@ -75,7 +75,7 @@ class RandomGoals(gym.Env[Any, Any]):
 
 def ours() -> DDPGHER:
     """Our learner with a replay of `EPISODES` random episodes."""
-    pool = ThreadedEnvs(RandomGoals, 1)
+    pool = Envs(RandomGoals, 1)
     learner = DDPGHER(DDPGHERConfig(n_rollouts=EPISODES), pool, mpi.Communicator(), 0, 1)
     learner.collect()
     return learner
@@ -189,7 +189,7 @@ class Watches:
 def worker() -> None:
     """Some cycles on the Shadow Hand on each rank; rank 0 prints where its time went."""
     comm = mpi.world()
-    pool = ThreadedEnvs(lambda: envs.make("shadow", task="reach-goal"), 2)
+    pool = Envs(lambda: envs.make("shadow", task="reach-goal"), 2)
     learner = DDPGHER(DDPGHERConfig(), pool, comm, 0, 1)
     learner.collect()
     learner.update()

@@ -51,7 +51,7 @@ class GraspConfig:
     timestep: float = 0.004
     """Physics step, s (mpl: 1/240)."""
     control_dt: float = 0.2
-    """Time between actions, s; a whole number of timesteps (mpl: 0.05)."""
+    """Time between actions, s; a whole number of timesteps (mpl: 0.1)."""
     max_episode_steps: int | None = None
     """Actions per episode; default: the task's (lift-and-hold 100, as in the paper)."""
     jitter: bool = True
@@ -121,7 +121,7 @@ SETUPS: dict[str, dict[str, Any]] = {
         "simulator": "pybullet",
         "object_density": 800.0,
         "timestep": 1 / 240,
-        "control_dt": 0.05,
+        "control_dt": 0.1,
     },
 }
 
@@ -266,6 +266,11 @@ class GraspEnv(gym.Env[Any, Array]):
         entries = [name for term in self.hand.observation for name in names[term]]
         entries += [f"taxel {name}" for name in self.taxels.names][: self.n_boolean]
         return entries
+
+    @property
+    def holds_gil(self) -> bool:
+        """Does stepping keep other threads of Python waiting?"""
+        return self.simulator.holds_gil
 
     @property
     def n_boolean(self) -> int:

@@ -1,17 +1,23 @@
-"""Several environments side by side, stepped by threads.
+"""Several environments side by side, stepped by threads or by processes.
 
-MuJoCo releases the GIL while it steps, so threads suffice, and what comes out does not
-depend on how many there are.
+Threads suffice where the simulator releases the GIL while it steps, as MuJoCo does. Where it
+holds the GIL, as PyBullet does, each process has a share of the environments. What comes out
+does not depend on how many threads or processes there are.
 """
 
 from __future__ import annotations
 
+import multiprocessing
+import signal
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from multiprocessing.connection import Connection
 from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
+
+Make = Callable[[], gym.Env[Any, Any]]
 
 
 class Step(NamedTuple):
@@ -25,17 +31,25 @@ class Step(NamedTuple):
     info: dict[str, Any]
 
 
-class ThreadedEnvs:
-    """Environments made by `make()`; any of them can be stepped in any combination."""
+class Envs:
+    """`n` environments made by `make()`; any of them can be stepped in any combination. Here they
+    are stepped in turn."""
 
-    def __init__(self, make: Callable[[], gym.Env[Any, Any]], n: int, threads: int = 1) -> None:
+    def __init__(self, make: Make, n: int) -> None:
         self.envs = [make() for _ in range(n)]
-        self.observation_space = self.envs[0].observation_space
-        self.action_space = self.envs[0].action_space
-        self._threads = ThreadPoolExecutor(threads) if min(n, threads) > 1 else None
 
     def __len__(self) -> int:
         return len(self.envs)
+
+    @property
+    def observation_space(self) -> gym.Space[Any]:
+        """Of each environment."""
+        return self.envs[0].observation_space
+
+    @property
+    def action_space(self) -> gym.Space[Any]:
+        """Of each environment."""
+        return self.envs[0].action_space
 
     @property
     def max_episode_steps(self) -> int | None:
@@ -63,15 +77,111 @@ class ThreadedEnvs:
 
     def step(self, indices: Sequence[int], actions: np.ndarray) -> list[Step]:
         """Step the environments `indices` with actions (len(indices), ...)."""
-        run = map if self._threads is None or len(indices) == 1 else self._threads.map
-        return [Step(*result) for result in run(self._step_one, indices, actions)]
+        return list(map(self._step_one, indices, actions))
 
-    def _step_one(self, index: int, action: np.ndarray) -> tuple[Any, ...]:
-        return self.envs[index].step(action)
+    def _step_one(self, index: int, action: np.ndarray) -> Step:
+        obs, reward, terminated, truncated, info = self.envs[index].step(action)
+        return Step(obs, float(reward), terminated, truncated, info)
 
     def close(self) -> None:
         """Close every environment."""
-        if self._threads is not None:
-            self._threads.shutdown()
         for env in self.envs:
             env.close()
+
+
+class ThreadedEnvs(Envs):
+    """Stepped by `threads` threads."""
+
+    def __init__(self, make: Make, n: int, threads: int) -> None:
+        super().__init__(make, n)
+        self._threads = ThreadPoolExecutor(threads)
+
+    def step(self, indices: Sequence[int], actions: np.ndarray) -> list[Step]:
+        return list(self._threads.map(self._step_one, indices, actions))
+
+    def close(self) -> None:
+        self._threads.shutdown()
+        super().close()
+
+
+class ProcessEnvs(Envs):
+    """Stepped by `processes` processes, which end when this one does.
+
+    One more environment lives here and answers what does not depend on an episode. `make` is
+    pickled: a function of a module, or a `functools.partial` of one. A process that dies is an
+    OSError.
+    """
+
+    def __init__(self, make: Make, n: int, processes: int) -> None:
+        super().__init__(make, 1)
+        self._n = n
+        # A fork would copy threads' locks and an MPI process's connections.
+        context = multiprocessing.get_context("spawn")
+        self._processes, self._connections = [], []
+        for first in range(processes):
+            here, there = context.Pipe()
+            numbers = range(first, n, processes)
+            process = context.Process(target=_serve, args=(there, make, numbers), daemon=True)
+            process.start()
+            there.close()  # so that an end of the process is an end of file here
+            self._processes.append(process)
+            self._connections.append(here)
+
+    def __len__(self) -> int:
+        return self._n
+
+    def reset(self, index: int, seed: int) -> Any:
+        return self._ask([(index, "reset", seed)])[0]
+
+    def step(self, indices: Sequence[int], actions: np.ndarray) -> list[Step]:
+        return self._ask([(i, "step", a) for i, a in zip(indices, actions, strict=True)])
+
+    def _ask(self, questions: list[tuple[int, str, Any]]) -> list[Any]:
+        """All are sent before the first answer is awaited; each process answers in order."""
+        connections = [self._connections[index % len(self._connections)] for index, *_ in questions]
+        try:
+            for connection, question in zip(connections, questions, strict=True):
+                connection.send(question)
+            answers = [connection.recv() for connection in connections]
+        except (EOFError, ConnectionError) as error:
+            raise OSError("a process that steps environments has died") from error
+        for answer in answers:
+            if isinstance(answer, Exception):
+                raise answer
+        return answers
+
+    def close(self) -> None:
+        for connection in self._connections:
+            connection.close()
+        for process in self._processes:
+            process.join()
+        super().close()
+
+
+def _serve(connection: Connection[Any, Any], make: Make, numbers: range) -> None:
+    """A process's life: answer questions about its environments until nobody can ask."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the asker ends us
+    envs = Envs(make, len(numbers))
+    while True:
+        try:
+            index, question, argument = connection.recv()
+        except EOFError:
+            return envs.close()
+        place = numbers.index(index)
+        try:
+            is_reset = question == "reset"
+            answer = envs.reset(place, argument) if is_reset else envs._step_one(place, argument)
+        except Exception as error:
+            answer = error
+        connection.send(answer)
+
+
+def start(make: Make, n: int, cores: int = 1) -> Envs:
+    """`n` environments on up to `cores` cores."""
+    several = min(n, cores)
+    if several == 1:
+        return Envs(make, n)
+    probe: Any = make()
+    holds_gil = getattr(probe.unwrapped, "holds_gil", False)
+    probe.close()
+    return (ProcessEnvs if holds_gil else ThreadedEnvs)(make, n, several)

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +32,7 @@ class RunOptions:
     """Environment steps: of the whole run (ppo), of each process (ddpg_her); the paper's by
     default."""
     num_envs: int = 1
-    """Environments per process, stepped by threads where cores are free."""
+    """Environments per rank, stepped in parallel where cores are free."""
     seed: int = 0
     """Everything random follows from this."""
     out: str | None = None
@@ -72,12 +74,13 @@ class RunConfig:
             if part is not None:
                 part.validate()
 
-    def make_env(self, render_mode: str | None = None) -> Any:
-        """One environment."""
+    @property
+    def make_env(self) -> Callable[..., Any]:
+        """Makes one environment; can be pickled."""
         choices = dataclasses.asdict(self.scene) if self.scene is not None else {}
         if self.layout_file and self.folder and (self.folder / LAYOUT_COPY).is_file():
             choices["layout"] = str(self.folder / LAYOUT_COPY)
-        return envs.make(self.run.env, render_mode=render_mode, **choices)
+        return partial(envs.make, self.run.env, **choices)
 
     @property
     def layout_file(self) -> Path | None:

@@ -15,7 +15,7 @@ from . import algos
 from .algos.mpi import Communicator
 from .checkpoint import Checkpoint
 from .config import RunConfig
-from .envs.vector import ThreadedEnvs
+from .envs import vector
 from .errors import InputError, input_errors
 from .report import Report, require_tensorboard
 from .run_dir import RunDir
@@ -23,7 +23,7 @@ from .run_dir import RunDir
 COUNTS = ("episodes", "diverged", "updates")  # columns of progress.csv that are sums
 
 
-def make_algorithm(config: RunConfig, comm: Communicator) -> tuple[algos.Algorithm, ThreadedEnvs]:
+def make_algorithm(config: RunConfig, comm: Communicator) -> tuple[algos.Algorithm, vector.Envs]:
     """The learner and its environments; InputError when they do not go together."""
     run = config.run
     _, algorithm = algos.load(run.algo)
@@ -31,7 +31,7 @@ def make_algorithm(config: RunConfig, comm: Communicator) -> tuple[algos.Algorit
         config.validate()
         torch.set_num_threads(run.threads)
         device = _device(run.device)
-        pool = ThreadedEnvs(config.make_env, run.num_envs, threads=_free_cores(comm))
+        pool = vector.start(config.make_env, run.num_envs, cores=_free_cores(comm))
         learner = algorithm(config.learner, pool, comm, run.seed, run.total_timesteps, device)
     return learner, pool
 

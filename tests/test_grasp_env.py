@@ -12,7 +12,6 @@ from tactilerl import envs
 from tactilerl.envs import tasks
 from tactilerl.envs.grasp import GraspConfig, GraspEnv
 from tactilerl.envs.simulators import SimulationError
-from tactilerl.envs.vector import ThreadedEnvs
 
 TASKS = ("lift-and-hold", "reach-goal")
 
@@ -334,19 +333,6 @@ class TestHoldTest:
 
     def test_opened_hand_drops_it(self):
         assert not self.verdict(make(), close=False)
-
-
-def test_threads_change_nothing():
-    def run(threads):
-        pool = ThreadedEnvs(lambda: make(task="reach-goal"), 3, threads)
-        rng = np.random.default_rng(0)
-        seen = [pool.reset(i, 10 + i)["observation"] for i in range(3)]
-        for _ in range(8):
-            seen += [s.obs["observation"] for s in pool.step([0, 1, 2], rng.uniform(-1, 1, (3, 23)))]
-        pool.close()
-        return np.stack(seen)
-
-    assert np.array_equal(run(1), run(3))
 
 
 def test_config_is_frozen():

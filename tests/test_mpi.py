@@ -200,9 +200,9 @@ import numpy as np, torch
 from tactilerl.algos import mpi
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl import envs
-from tactilerl.envs.vector import ThreadedEnvs
+from tactilerl.envs.vector import Envs
 world, alone = mpi.world(), mpi.Communicator()
-pool = ThreadedEnvs(lambda: envs.make("point-reach"), 1)
+pool = Envs(lambda: envs.make("point-reach"), 1)
 config = DDPGHERConfig(hidden=(32, 32), reduction="mean")
 halves, both = (DDPGHER(config, pool, comm, 0, 1) for comm in (world, alone))
 rng = np.random.default_rng(0)

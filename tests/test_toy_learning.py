@@ -8,13 +8,13 @@ from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.envs.toy import LQREnv, PointReachEnv
-from tactilerl.envs.vector import ThreadedEnvs
+from tactilerl.envs.vector import Envs
 
 SEEDS = (0, 1, 2)
 
 
 def train(algorithm, name, config, steps, seed):
-    pool = ThreadedEnvs(lambda: envs.make(name), 1)
+    pool = Envs(lambda: envs.make(name), 1)
     learner = algorithm(config, pool, Communicator(), seed, total_timesteps=steps)
     while learner.env_steps < steps:
         learner.collect()

@@ -92,8 +92,13 @@ class LinearAction:
 
 @dataclass(frozen=True)
 class ClosingAction:
-    """Increments: the slides move, groups of joints go along their closing trajectories (paper,
-    PyBullet set-up: "in relation to the current position and within the limits")."""
+    """Increments "in relation to the current position and within the limits" (paper, PyBullet
+    set-up): the slides move, groups of joints go along their closing trajectories.
+
+    The position is the one last asked for, not the one reached: a finger that the object stops is
+    asked for more with each increment and presses the harder, up to its force limit. From the
+    position reached, any small step back would let go.
+    """
 
     slide_step: Array
     """(3,) how far an action of 1 moves each slide's target, m."""

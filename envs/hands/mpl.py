@@ -35,7 +35,8 @@ LEVERS = {
 }
 OTHER_LEVERS = {"ABD": 0.09, "MCP": 0.086, "PIP": 0.043, "DIP": 0.018}
 FINGER_FORCE = 8.0  # N
-FINGER_GAIN, FINGER_DAMPING, FINGER_ARMATURE = 10.0, 0.2, 0.01  # the source's joint defaults
+# The source's joint defaults but for the damping, 0.2 there: fingers that fast fling the object away.
+FINGER_GAIN, FINGER_DAMPING, FINGER_ARMATURE = 10.0, 0.5, 0.01
 
 # Boxes of the palm: (centre, half size), m.
 PALM_BOXES = (
@@ -58,11 +59,12 @@ LOOKS = {"contype": 1, "conaffinity": 0, "rgba": [0.75, 0.76, 0.8, 1.0]}
 
 # The palm's frame where the hand starts, m (world; the object rests at the origin).
 START = (0.0, 0.069, 0.100)
-START_CLOSING = 0.25
+# How far each group is closed there; the thumb would reach into the ground if it were closed more.
+START_CLOSING = (0.2, 0.4, 0.4, 0.4)
 # Of an action of 1: m along x, y, z, and a share of the closing trajectory. Sideways the hand need
 # not go far; up and closing, a small step is undone by the next before anything is lifted.
 SLIDE_STEP, CLOSING_STEP = (0.01, 0.01, 0.2), 1.0
-SLIDE_LIMITS = ((-0.05, 0.05), (-0.05, 0.05), (-0.05, 0.20))
+SLIDE_LIMITS = ((-0.02, 0.02), (-0.02, 0.02), (-0.03, 0.06))
 SLIDE_GAIN, SLIDE_DAMPING, SLIDE_FORCE = 1000.0, 79.0, 100.0  # N/m, N s/m, N
 
 
@@ -215,7 +217,9 @@ def mpl_hand() -> Hand:
     """The MPL hand with 3 slides, 19 hinges and 7 actions (paper, PyBullet set-up)."""
     names = (*SLIDES, *joints())
     action = _action()
-    start = dict(zip(names, action.open + START_CLOSING * (action.closed - action.open), strict=True))
+    start = action.open.copy()
+    for group, closing in zip(action.groups, START_CLOSING, strict=True):
+        start[group] += closing * (action.closed - action.open)[group]
     return Hand(
         name="mpl",
         build=build,
@@ -234,7 +238,7 @@ def mpl_hand() -> Hand:
         action_map=action,
         action_names=(*SLIDES, *("closing of " + " and ".join(group) for group in GROUPS)),
         first_joints=tuple(f"{digit}_{'ABD' if digit == 'thumb' else 'MCP'}" for digit in DIGITS),
-        start={name: value for name, value in start.items() if value},
+        start={name: value for name, value in zip(names, start, strict=True) if value},
         observation=("object_id", "hand_position", "object_position", "finger_joints"),
         reach=0.05,
         grasps=GRASPS,

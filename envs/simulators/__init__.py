@@ -46,6 +46,9 @@ class Camera:
 class Simulator(Protocol):
     """One running scene. Everything is in SI units, the world's frame, z up, ground at 0."""
 
+    holds_gil: bool
+    """Does `step` keep other threads of Python waiting?"""
+
     def reset(self, joint_positions: Array, object_position: Array, yaw: float) -> None:
         """Put everything at rest; afterwards the past has no influence."""
 

@@ -100,7 +100,9 @@ def _add_touch_sensors(spec: mujoco.MjSpec, taxels: Taxels) -> None:
 
 
 class MujocoSimulator:
-    """One scene; the interface is `simulators.Simulator`. Stepping releases the GIL."""
+    """One scene; the interface is `simulators.Simulator`."""
+
+    holds_gil = False
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene

@@ -13,6 +13,8 @@ import math
 import os
 import tempfile
 import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +45,6 @@ def _import_quietly() -> Any:
 pybullet = _import_quietly()
 GRAVITY = 9.81
 SOLVER_ITERATIONS = 50
-MOTOR_RATE = 48.0  # 1/s: how fast a motor takes back an error, gain per step = rate x timestep
 ADDED_INERTIA = 1e-4  # kg m²: without it links creep and jitter (docs/environments.md)
 JOINT_DAMPING = 0.01  # N m s/rad
 SPINNING_FRICTION = 0.005  # m, of the object's contacts
@@ -51,6 +52,8 @@ SPINNING_FRICTION = 0.005  # m, of the object's contacts
 
 class PyBulletSimulator:
     """One scene with a client of its own; the interface is `simulators.Simulator`."""
+
+    holds_gil = True
 
     def __init__(self, scene: Scene) -> None:
         self.scene, hand = scene, scene.hand
@@ -110,11 +113,13 @@ class PyBulletSimulator:
         return body
 
     def _set_dynamics(self) -> None:
-        """Bullet multiplies the frictions of two bodies: 1 everywhere but on the object."""
+        """Bullet multiplies the frictions of two bodies: 1 everywhere but on the object. Without
+        anchors, points where a contact sticks, a held object creeps (docs/environments.md)."""
         client = self.client
         pybullet.changeDynamics(
-            self.object, -1, spinningFriction=SPINNING_FRICTION, physicsClientId=client
-        )
+            self.object, -1, spinningFriction=SPINNING_FRICTION, frictionAnchor=1,
+            physicsClientId=client,
+        )  # fmt: skip
         for name, index in self._links.items():
             body = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, name)
             inertia = self.model.body_inertia[body] if body >= 0 else np.zeros(3)
@@ -126,16 +131,24 @@ class PyBulletSimulator:
             )  # fmt: skip
 
     def _motor_figures(self) -> tuple[list[int], list[float], list[float]]:
-        """Joint, gain and force limit of each motor: the actuated joints, then the coupled."""
+        """Joint, gain and force limit of each motor: the actuated joints, then the coupled.
+
+        A motor takes back the share `gain` of its error in a step. The model's servo, a spring of
+        `stiffness` on a damped joint, takes it back at the rate stiffness / damping.
+        """
         hand, model = self.scene.hand, self.model
-        limits = [float(model.actuator(name).forcerange[1]) for name in hand.actuators]
-        limit_of = dict(zip(hand.actuated, limits, strict=True))
-        motors = [self._joint_index[name] for name in hand.actuated]
-        motors += [self._joint_index[joint] for joint, _, _ in hand.couplings]
-        limits += [limit_of[driver] for _, driver, _ in hand.couplings]
+        limits, gains = [], []
+        for actuator, joint in zip(hand.actuators, hand.actuated, strict=True):
+            servo, damping = model.actuator(actuator), model.dof_damping[model.joint(joint).dofadr[0]]
+            limits.append(float(servo.forcerange[1]))
+            gains.append(min(1.0, float(servo.gainprm[0] / damping) * self.scene.timestep))
         self._drivers = [hand.actuated.index(driver) for _, driver, _ in hand.couplings]
         self._ratios = np.array([ratio for _, _, ratio in hand.couplings])
-        return motors, [MOTOR_RATE * self.scene.timestep] * len(motors), limits
+        joints = [*hand.actuated, *(joint for joint, _, _ in hand.couplings)]
+        motors = [self._joint_index[joint] for joint in joints]
+        for figures in (gains, limits):
+            figures += [figures[driver] for driver in self._drivers]
+        return motors, gains, limits
 
     # -- running -----------------------------------------------------------------------------
 
@@ -152,10 +165,8 @@ class PyBulletSimulator:
         )
 
     def step(self, joint_targets: Array, n_substeps: int) -> None:
-        try:
+        with _simulation_errors():
             self._step(joint_targets, n_substeps)
-        except pybullet.error as error:
-            raise SimulationError(f"PyBullet: {error}") from error
         thing, (positions, velocities) = self.object_state(), self.joint_state()
         if not math.isfinite(thing.position.sum() + positions.sum() + velocities.sum()):
             raise SimulationError("PyBullet's state is not finite")
@@ -176,7 +187,8 @@ class PyBulletSimulator:
             pybullet.stepSimulation(physicsClientId=client)
 
     def joint_state(self) -> tuple[Array, Array]:
-        states = pybullet.getJointStates(self.hand, self._joints, physicsClientId=self.client)
+        with _simulation_errors():
+            states = pybullet.getJointStates(self.hand, self._joints, physicsClientId=self.client)
         return np.array([state[0] for state in states]), np.array([state[1] for state in states])
 
     def object_state(self) -> ObjectState:
@@ -220,6 +232,15 @@ class PyBulletSimulator:
         if self._painter is not None:
             self._painter.close()
         self._release()
+
+
+@contextmanager
+def _simulation_errors() -> Iterator[None]:
+    """A client that is gone, say, is a step that failed."""
+    try:
+        yield
+    except pybullet.error as error:
+        raise SimulationError(f"PyBullet: {error}") from error
 
 
 def _measures(shape: Shape) -> dict[str, Any]:
