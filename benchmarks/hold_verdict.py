@@ -51,9 +51,9 @@ def judge(rule: HoldTest, history: list[np.ndarray]) -> int | None:
     return next((k for k in range(len(history)) if rule.is_settled(history[: k + 1])), None)
 
 
-def collect(run: Path | None, holds: int) -> list[tuple[bool, list[np.ndarray]]]:
+def collect(name: str, run: Path | None, holds: int) -> list[tuple[bool, list[np.ndarray]]]:
     """Lift by policy or at random until there are `holds` holds."""
-    env: Any = envs.make("shadow")
+    env: Any = envs.make(name)
     policy = None
     if run is not None:
         config, policy, _ = load_policy(run)
@@ -74,11 +74,12 @@ def collect(run: Path | None, holds: int) -> list[tuple[bool, list[np.ndarray]]]
 def main() -> None:
     """Judge every recorded hold by every rule."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--env", default="shadow", help="environment of random actions")
     parser.add_argument("--run", type=Path, help="run folder whose (noisy) policy lifts")
     parser.add_argument("--holds", type=int, default=150)
     parser.add_argument("--out", type=Path, help="write JSON here")
     options = parser.parse_args()
-    holds = collect(options.run, options.holds)
+    holds = collect(options.env, options.run, options.holds)
     rows = []
     for steps, distance in RULES:
         rule = HoldTest(verdict="settled", settle_steps=steps, settle_distance=distance)

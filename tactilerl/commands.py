@@ -216,6 +216,8 @@ class DoctorFlags:
     """Perturbed grasps per layout."""
     seconds: float = 3.0
     """Length of each hold, s."""
+    compare: bool = False
+    """Run the same grasps in the other simulator too: how far do the taxels agree?"""
     verbose: bool = False
     """Name the taxels that never fired."""
     json: bool = False
@@ -237,7 +239,9 @@ def doctor(args: list[str]) -> int:
     names = [chosen] if chosen else [str(i) for i in range(1, 7)]
     with input_errors():
         figures = [
-            taxels.examine(name, dataclasses.replace(scene, layout=layout), read.grasps, read.seconds)
+            taxels.examine(
+                name, dataclasses.replace(scene, layout=layout), read.grasps, read.seconds, read.compare
+            )
             for layout in names
         ]
     blind = [f.layout for f in figures if f.is_blind]
@@ -253,6 +257,9 @@ def doctor(args: list[str]) -> int:
             *(f"{100 * f.share_any:.0f} %", str(len(f.never_fired)), "blind" if f.is_blind else "ok"),
         )
     console.print(table)
+    for f in figures if read.compare else ():
+        share = "nothing to compare" if f.agreement is None else f"{100 * f.agreement:.0f} %"
+        console.print(f"layout {f.layout}: of what fires in either simulator, fires in both: {share}")
     if read.verbose:
         for f in figures:
             console.print(f"layout {f.layout} never fired: {', '.join(f.never_fired) or 'none'}")
@@ -263,7 +270,26 @@ def doctor(args: list[str]) -> int:
 
 
 @dataclass(frozen=True)
-class RenderFlags:
+class CameraFlags:
+    """Where the camera is."""
+
+    azimuth: float = Camera.azimuth
+    """Direction of the camera, degrees."""
+    elevation: float = Camera.elevation
+    """Degrees; positive looks up from below."""
+    distance: float = Camera.distance
+    """Of the camera, m."""
+
+    @property
+    def camera(self) -> Camera:
+        """The camera there; InputError where none can be."""
+        if not 0.05 <= self.distance <= 10:
+            raise InputError(f"--distance: found {self.distance}, allowed from 0.05 to 10")
+        return Camera(self.azimuth, self.elevation, self.distance)
+
+
+@dataclass(frozen=True)
+class RenderFlags(CameraFlags):
     """Flags of `tactilerl render`, besides the scene's."""
 
     env: str = "shadow"
@@ -272,26 +298,44 @@ class RenderFlags:
     """The picture to write."""
     pose: Literal["start", "grasp"] = "grasp"
     """The start of an episode, or a scripted grasp."""
-    azimuth: float = 120.0
-    """Direction of the camera, degrees."""
-    elevation: float = 35.0
-    """Degrees; positive looks up from below."""
-    distance: float = 0.32
-    """Of the camera, m."""
+
+
+@dataclass(frozen=True)
+class FilmFlags(CameraFlags):
+    """Flags of `tactilerl render RUN`."""
+
+    run: tyro.conf.Positional[Path] = Path()
+    """Run folder."""
+    video: Path = Path("episodes.mp4")
+    """The film to write, in real time."""
+    episodes: int = 1
+    """Episodes in it, those that `evaluate` plays first."""
 
 
 def render(args: list[str]) -> int:
-    """`tactilerl render`: a scripted grasp with its taxels."""
+    """`tactilerl render`: a scripted grasp with its taxels; `tactilerl render RUN`: a film."""
     from . import render as pictures
 
+    if args and not args[0].startswith("-"):
+        return _film(args)
     name = flags.peek(args, "--env", RenderFlags.env)
     read, scene = _read_scene(RenderFlags, args, name, "tactilerl render")
     if scene is None:
         raise InputError(f"--env: found {name!r}, allowed: {', '.join(GRASP_ENVS)}")
     with input_errors():
-        camera = Camera(read.azimuth, read.elevation, read.distance)
-        lit = pictures.picture(name, scene, read.pose, camera, read.out)
+        lit = pictures.picture(name, scene, read.pose, read.camera, read.out)
     console.print(f"{read.out}: {lit} taxels fire")
+    return 0
+
+
+def _film(args: list[str]) -> int:
+    from . import render as pictures
+
+    read = flags.parse(FilmFlags, args, "tactilerl render")
+    _at_least("--episodes", read.episodes, 1)
+    with input_errors():
+        for success in pictures.film(read.run, read.episodes, read.camera, read.video):
+            console.print(f"{read.video}: {'success' if success else 'no success'}")
     return 0
 
 

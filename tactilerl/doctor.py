@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from contextlib import closing
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from .envs import layouts, scripted
+from .envs import scripted
 from .envs.grasp import GraspConfig, GraspEnv
 from .envs.simulators import SimulationError
 
@@ -28,28 +29,61 @@ class LayoutFigures:
     """Share of hold steps with at least one taxel on."""
     never_fired: tuple[str, ...]
     is_blind: bool
+    agreement: float | None = None
+    """With the other simulator, if compared: see `agreement`."""
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
         return asdict(self)
 
 
-def examine(env_name: str, config: GraspConfig, grasps: int, seconds: float) -> LayoutFigures:
-    """Run `grasps` scripted grasps held for `seconds` and count what the layout feels."""
-    env = GraspEnv(env_name, config)
-    try:
-        readings, held = [], 0
+def examine(
+    env_name: str, config: GraspConfig, grasps: int, seconds: float, compare: bool = False
+) -> LayoutFigures:
+    """What one layout feels in `grasps` scripted grasps held for `seconds`; with `compare`, also
+    whether the other simulator agrees."""
+    holds = record(env_name, config, grasps, seconds)
+    result = figures(holds)
+    if not compare:
+        return result
+    other = replace(config, simulator="pybullet" if config.simulator == "mujoco" else "mujoco")
+    return replace(result, agreement=agreement(holds, record(env_name, other, grasps, seconds)))
+
+
+@dataclass(frozen=True)
+class Holds:
+    """Readings of one layout in perturbed scripted grasps."""
+
+    layout: str
+    taxels: tuple[str, ...]
+    readings: tuple[np.ndarray | None, ...]
+    """Of each grasp: bool (hold steps, taxels), or None where the object was not held."""
+
+
+def record(env_name: str, config: GraspConfig, grasps: int, seconds: float) -> Holds:
+    """Run `grasps` scripted grasps held for `seconds`; always the same ones."""
+    with closing(GraspEnv(env_name, config)) as env:
+        readings = []
         for index in range(grasps):
             rng = np.random.default_rng([SEED, index])
             start = scripted.perturbed_start(rng, len(env.hand.joints))
             felt = _felt(env, start, seconds)
-            if felt is not None:
-                held += 1
-                readings += felt
-        bits = np.array(readings).reshape(-1, len(env.taxels))
-        return _figures(config.layout, env.taxels, grasps, held, bits)
-    finally:
-        env.close()
+            readings.append(None if felt is None else np.array(felt))
+        return Holds(config.layout, env.taxels.names, tuple(readings))
+
+
+def agreement(a: Holds, b: Holds) -> float | None:
+    """How alike two simulators feel the same grasps: of what fires in one or the other, the share
+    that fires in both. None where none of the grasps held, or nothing fired, in both.
+
+    A taxel fires for a share of a hold's steps; the sums of the smaller and of the larger of the
+    two shares, over taxels and grasps, are divided (weighted Jaccard index).
+    """
+    pairs = zip(a.readings, b.readings, strict=True)
+    shares = [(x.mean(axis=0), y.mean(axis=0)) for x, y in pairs if x is not None and y is not None]
+    either = sum(float(np.maximum(x, y).sum()) for x, y in shares)
+    both = sum(float(np.minimum(x, y).sum()) for x, y in shares)
+    return both / either if either else None
 
 
 def _felt(env: GraspEnv, start: scripted.Start, seconds: float) -> list[np.ndarray] | None:
@@ -65,22 +99,24 @@ def _felt(env: GraspEnv, start: scripted.Start, seconds: float) -> list[np.ndarr
     return felt
 
 
-def _figures(
-    name: str, taxels: layouts.Taxels, grasps: int, held: int, bits: np.ndarray
-) -> LayoutFigures:
-    if not len(bits):
-        return LayoutFigures(name, len(taxels), grasps, held, 0.0, 0.0, taxels.names, True)
+def figures(holds: Holds) -> LayoutFigures:
+    """What the layout felt in the grasps that held; blind when it felt nothing of any."""
+    name, n_grasps = holds.layout, len(holds.readings)
+    held = [bits for bits in holds.readings if bits is not None]
+    if not held:
+        return LayoutFigures(name, len(holds.taxels), n_grasps, 0, 0.0, 0.0, holds.taxels, True)
+    bits = np.concatenate(held)
     share_any = float(bits.any(axis=1).mean())
     dense = name == "1"  # the densest layout must feel more than the others
     needed_share, needed_bits = (0.9, 3.0) if dense else (0.5, 0.0)
     mean_bits = float(bits.sum(axis=1).mean())
     return LayoutFigures(
         layout=name,
-        taxels=len(taxels),
-        grasps=grasps,
-        held=held,
+        taxels=len(holds.taxels),
+        grasps=n_grasps,
+        held=len(held),
         mean_bits=mean_bits,
         share_any=share_any,
-        never_fired=tuple(np.array(taxels.names)[~bits.any(axis=0)].tolist()),
+        never_fired=tuple(np.array(holds.taxels)[~bits.any(axis=0)].tolist()),
         is_blind=share_any < needed_share or mean_bits < needed_bits,
     )

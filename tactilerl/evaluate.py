@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -37,22 +38,26 @@ def load_policy(path: Path) -> tuple[RunConfig, algos.Algorithm, int]:
 def episodes(
     config: RunConfig, learner: algos.Algorithm, n: int, stochastic: bool = False
 ) -> Iterator[dict[str, float]]:
-    """Play `n` episodes; success at the end (nan where the environment has none), for how many
+    """Play `n` episodes in an environment of their own; see `play`."""
+    with closing(config.make_env()) as env:
+        yield from play(env, learner, n, stochastic)
+
+
+def play(
+    env: Any, learner: algos.Algorithm, n: int, stochastic: bool = False
+) -> Iterator[dict[str, float]]:
+    """Success at the end of each episode (nan where the environment has none), for how many
     steps it stood by then, return and length."""
-    env = config.make_env()
-    try:
-        for index in range(n):
-            obs, _ = env.reset(seed=SEED + index)
-            total, length, held, done, info = 0.0, 0, 0, False, {}
-            while not done:
-                action = learner.act(obs, deterministic=not stochastic)
-                obs, reward, terminated, truncated, info = env.step(action)
-                total, length, done = total + float(reward), length + 1, terminated or truncated
-                held = held + 1 if info.get("is_success") else 0
-            success = float(info.get("is_success", math.nan))
-            yield {"success": success, "held": held, "return": total, "length": length}
-    finally:
-        env.close()
+    for index in range(n):
+        obs, _ = env.reset(seed=SEED + index)
+        total, length, held, done, info = 0.0, 0, 0, False, {}
+        while not done:
+            action = learner.act(obs, deterministic=not stochastic)
+            obs, reward, terminated, truncated, info = env.step(action)
+            total, length, done = total + float(reward), length + 1, terminated or truncated
+            held = held + 1 if info.get("is_success") else 0
+        success = float(info.get("is_success", math.nan))
+        yield {"success": success, "held": held, "return": total, "length": length}
 
 
 def summarise(played: list[dict[str, float]]) -> dict[str, Any]:

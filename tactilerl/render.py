@@ -1,35 +1,90 @@
-"""Pictures of a scene with its taxels drawn, those that fire in yellow."""
+"""Pictures and films of a scene with its taxels drawn, those that fire in yellow."""
 
 from __future__ import annotations
 
+import importlib
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from .envs import scripted
 from .envs.grasp import GraspConfig, GraspEnv
-from .envs.simulators import Camera
+from .envs.simulators import Camera, Simulator
+from .errors import InputError
 
 Pose = Literal["start", "grasp"]
+FPS = 25
+END_PICTURES = FPS // 2  # of the last moment, repeated: so one sees how it ended
 
 
 def picture(env_name: str, config: GraspConfig, pose: Pose, camera: Camera, out: Path) -> int:
     """Write a picture of the start or of a scripted grasp; how many taxels fire in it."""
-    try:
-        from PIL import Image
-    except ImportError as error:
-        raise ImportError(
-            "pictures need an extra that is not installed: pip install 'tactilerl[render]'"
-        ) from error
+    imageio = _imageio("imageio.v2")
     env = GraspEnv(env_name, config, render_mode="rgb_array")
-    try:
+    with closing(env):
         env.reset(seed=0)
         if pose == "grasp":
             start = scripted.Start(np.zeros(2), 0.0, np.zeros(len(env.hand.joints)))
             for _ in scripted.hold_steps(env, scripted.grasp_for(env), start, seconds=0.5):
                 pass
-        Image.fromarray(env.picture(camera)).save(out)
+        imageio.imwrite(out, env.picture(camera))
         return int(env.taxel_readings().sum())
-    finally:
-        env.close()
+
+
+def film(run: Path, episodes: int, camera: Camera, out: Path) -> Iterator[bool]:
+    """Write a film of a trained run's policy, in real time, hold tests included; yields the
+    success of each episode. InputError when the run's environment is not a grasping one."""
+    from . import evaluate
+
+    imageio = _imageio("imageio.v2", "imageio_ffmpeg")
+    config, learner, _ = evaluate.load_policy(run)
+    if config.scene is None:
+        raise InputError(f"{run}: found a run on {config.run.env!r}, allowed one of a grasping scene")
+    if not out.parent.is_dir():
+        raise InputError(f"--video: found no folder {out.parent}, allowed one that exists")
+    camera = replace(camera, width=480, height=360)
+    env = config.make_env(render_mode="rgb_array")
+    with closing(env), imageio.get_writer(out, fps=FPS, macro_block_size=2) as writer:
+        env.simulator = _Filmed(env, lambda: writer.append_data(env.picture(camera)))
+        for played in evaluate.play(env, learner, episodes):
+            for _ in range(END_PICTURES):
+                writer.append_data(env.picture(camera))
+            yield bool(played["success"])
+
+
+class _Filmed:
+    """A simulator that shows every 1/FPS s what has become of the scene."""
+
+    def __init__(self, env: GraspEnv, show: Any) -> None:
+        self._inner: Simulator = env.simulator
+        self._show = show
+        self._every = max(1, round(1 / FPS / env.config.timestep))
+        self._since = 0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._inner, name)
+
+    def step(self, joint_targets: np.ndarray, n_substeps: int) -> None:
+        """The same steps in smaller portions."""
+        while n_substeps > 0:
+            portion = min(n_substeps, self._every - self._since)
+            self._inner.step(joint_targets, portion)
+            n_substeps -= portion
+            self._since = (self._since + portion) % self._every
+            if self._since == 0:
+                self._show()
+
+
+def _imageio(*modules: str) -> Any:
+    """The extra's modules, once all are found: the first."""
+    try:
+        first, *_ = [importlib.import_module(module) for module in modules]
+        return first
+    except ImportError as error:
+        raise ImportError(
+            "pictures need an extra that is not installed: pip install 'tactilerl[render]'"
+        ) from error

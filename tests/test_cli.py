@@ -9,6 +9,8 @@ import sys
 import time
 from pathlib import Path
 
+import imageio.v2 as imageio
+import numpy as np
 import pytest
 import torch
 
@@ -35,6 +37,21 @@ def fails_with(capsys, args, *words):
     assert "Traceback" not in out + err
     for word in words:
         assert word in err, err
+
+
+def render(*flags):
+    """`tactilerl render`; where neither EGL nor OSMesa is there, it says so in one line."""
+    for backend in ("egl", "osmesa"):
+        result = subprocess.run(
+            [sys.executable, "-m", "tactilerl.cli", "render", *flags],
+            env=os.environ | {"MUJOCO_GL": backend},
+            capture_output=True,
+            text=True,
+        )
+        if result.returncode == 0:
+            return result
+        assert "Traceback" not in result.stderr
+    pytest.skip("no OpenGL without a display here")
 
 
 def progress(path):
@@ -393,26 +410,35 @@ class TestOtherCommands:
         assert main(["doctor", "--layout", "3", "--touch", "contact", *few]) == 1
         assert json.loads(capsys.readouterr().out)[0]["is_blind"]
 
-    def test_render_draws_the_hand_and_its_taxels(self):
-        """Where neither EGL nor OSMesa is there, the command says so in one line."""
-        command = [sys.executable, "-m", "tactilerl.cli", "render", "--layout", "1"]
-        for backend in ("egl", "osmesa"):
-            env = os.environ | {"MUJOCO_GL": backend}
-            result = subprocess.run(
-                [*command, "--out", "x.png"], env=env, capture_output=True, text=True
-            )
-            if result.returncode == 0:
-                break
-            assert "Traceback" not in result.stderr
-        else:
-            pytest.skip("no OpenGL without a display here")
-        from PIL import Image
+    def test_doctor_compares_the_simulators(self, capsys):
+        pytest.importorskip("pybullet")
+        few = ["--grasps", "2", "--seconds", "0.4", "--layout", "1"]
+        assert main(["doctor", "--env", "mpl", "--compare", "--json", *few]) == 0
+        both = json.loads(capsys.readouterr().out)[0]["agreement"]
+        assert 0.1 < both < 0.9  # the same grasps, a millimetre apart: neither equal nor unrelated
+        assert main(["doctor", "--env", "mpl", *few, "--compare"]) == 0
+        assert f"fires in both: {100 * both:.0f} %" in capsys.readouterr().out
 
-        with Image.open("x.png") as picture:
-            colours = picture.convert("RGB").getcolors(10**6)
-        assert picture.size == (720, 540)
-        assert sum(n for n, (r, g, b) in colours if b > 100 and r < 60) > 20  # taxels that are off
+    def test_render_draws_the_hand_and_its_taxels(self):
+        result = render("--layout", "1", "--out", "x.png")
+        picture = imageio.imread("x.png")
+        assert picture.shape == (540, 720, 3)
+        red, _, blue = np.moveaxis(picture.astype(int), -1, 0)
+        assert ((blue > 100) & (red < 60)).sum() > 20  # taxels that are off
         assert "taxels fire" in result.stdout
+
+    def test_render_films_a_trained_run(self):
+        pytest.importorskip("imageio_ffmpeg")
+        short = ["--max-episode-steps", "4", "--hold-steps", "50", "--n-passes", "1"]
+        epoch = ["--total-timesteps", "8", "--steps-per-epoch", "8", "--out", "run"]
+        assert main(["train", "--env", "shadow", "--layout", "6", *short, *epoch]) == 0
+        result = render("run", "--video", "x.mp4", "--episodes", "2")
+        assert result.stdout.count("success") == 2
+        with imageio.get_reader("x.mp4") as film:
+            pictures = np.array(list(film.iter_data()))
+        assert pictures.shape[1:] == (360, 480, 3)
+        assert len(pictures) >= 2 * (4 * 5 + 12)  # 0.2 s each at 25 a second, and the last moments
+        assert pictures.std(axis=0).mean() > 0.5  # something moves
 
     def test_help_lists_every_hyperparameter(self, capsys):
         with pytest.raises(SystemExit) as stop:

@@ -223,6 +223,18 @@ class TestPyBullet:
         assert "diverged" not in env.step(np.zeros(7))[-1]
         env.close()
 
+    def test_without_the_package_the_message_names_the_extra(self):
+        code = (
+            "import sys\n"
+            "sys.modules['pybullet'] = None\n"  # what Python does when a package is not there
+            "from tactilerl.cli import main\n"
+            "sys.exit(main(['train', '--env', 'mpl', '--out', 'never']))\n"
+        )
+        result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+        assert result.returncode == 2
+        assert result.stderr.count("\n") == 1
+        assert "pip install 'tactilerl[pybullet]'" in result.stderr
+
 
 class TestMPL:
     def test_figures_of_the_model(self):
