@@ -48,6 +48,7 @@ SOLVER_ITERATIONS = 50
 ADDED_INERTIA = 1e-4  # kg m²: without it links creep and jitter (docs/environments.md)
 JOINT_DAMPING = 0.01  # N m s/rad
 SPINNING_FRICTION = 0.005  # m, of the object's contacts
+FRICTION_ANCHOR = 1  # contacts remember where they stick; without, held objects creep
 
 
 class PyBulletSimulator:
@@ -113,11 +114,10 @@ class PyBulletSimulator:
         return body
 
     def _set_dynamics(self) -> None:
-        """Bullet multiplies the frictions of two bodies: 1 everywhere but on the object. Without
-        anchors, points where a contact sticks, a held object creeps (docs/environments.md)."""
+        """Bullet multiplies the frictions of two bodies: 1 everywhere but on the object."""
         client = self.client
         pybullet.changeDynamics(
-            self.object, -1, spinningFriction=SPINNING_FRICTION, frictionAnchor=1,
+            self.object, -1, spinningFriction=SPINNING_FRICTION, frictionAnchor=FRICTION_ANCHOR,
             physicsClientId=client,
         )  # fmt: skip
         for name, index in self._links.items():
