@@ -17,6 +17,7 @@ import numpy as np
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 WINDOW = 100  # episodes of the running success rate
 PPO, DDPG = "ppo_shadow_layout4_{}.csv", "ddpg_her_shadow_layout2_{}.csv"
+MPL = "ppo_mpl_layout2_{}.csv"
 # Picture: title, what is drawn, the runs.
 RUNS = {
     "learning_shadow_ppo": (
@@ -30,6 +31,14 @@ RUNS = {
         {
             **{f"main, seed {seed}": DDPG.format(f"main_s{seed}") for seed in (0, 1, 2)},
             "control, seed 0": DDPG.format("control_s0"),
+        },
+    ),
+    "learning_mpl_ppo": (
+        "PPO, MPL hand in PyBullet, lift-and-hold, layout 2",
+        f"success rate, last {WINDOW} episodes",
+        {
+            **{f"main, seed {seed}": MPL.format(f"main_s{seed}") for seed in (0, 1)},
+            "control, seed 0": MPL.format("control_s0"),
         },
     ),
 }

@@ -132,6 +132,7 @@ def setup(hand: str, **choices: Any) -> GraspConfig:
 
 
 REWARDS = {"lift-and-hold": ("staged",), "reach-goal": ("sparse", "dense")}
+TALLEST = 0.15  # m, of an object: the hold test's fall must stay longer than it
 OFF_GROUND = 0.005  # m under the object's lowest point: lift-and-hold's attempt has begun
 JITTER_POSITION = 0.005  # m, of the object along x and y
 JITTER_YAW = 0.15  # rad, of the object
@@ -162,13 +163,14 @@ class GraspEnv(gym.Env[Any, Array]):
             raise ValueError(f"render_mode: found {render_mode!r}, allowed None or 'rgb_array'")
         self.render_mode = render_mode
         self.hand = hands.load(hand)
-        largest = max(config.object_size)
-        if largest > self.hand.reach:
-            raise ValueError(
-                f"object_size: found {largest} m, allowed up to {self.hand.reach} m, "
-                f"what lies free under the {self.hand.name} hand at the start"
-            )
         self.shape = config.shape
+        x, y, height = (2 * half for half in self.shape.half_size)
+        for what, found, allowed in (("wide", max(x, y), self.hand.reach), ("high", height, TALLEST)):
+            if found > allowed:
+                raise ValueError(
+                    f"object_size: found {found:g} m {what}, allowed up to {allowed} m: what lies free "
+                    f"under the {self.hand.name} hand at the start"
+                )
         self.taxels = layouts.load(config.layout).place(self.hand)
         self._placement = touch.TaxelPlacement(self.taxels)
         self.task = _task(config)
@@ -183,6 +185,7 @@ class GraspEnv(gym.Env[Any, Array]):
                 friction=config.friction,
                 timestep=config.timestep,
                 finger_gain=config.finger_gain,
+                rise=max(0.0, height - self.hand.reach),
                 contact_taxels=self.taxels if self._contact else None,
                 visual=render_mode is not None,
             ),

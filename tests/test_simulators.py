@@ -110,6 +110,7 @@ class TestPhysics:
             ("box", (0.02, 0.03, 0.05), 30e-6),
             ("sphere", (0.04,), 4 / 3 * np.pi * 8e-6),
             ("cylinder", (0.03, 0.05), np.pi * 0.015**2 * 0.05),
+            ("box", (0.04, 0.04, 0.12), 192e-6),
         ],
     )
     def test_objects_weigh_what_they_should_and_rest_on_the_ground(self, simulator, kind, size, volume):
@@ -122,8 +123,23 @@ class TestPhysics:
         env.close()
 
     @pytest.mark.parametrize("simulator", BOTH)
-    def test_a_cylinder_can_be_grasped(self, simulator):
-        choices = dict(object="cylinder", object_size=(0.045, 0.05))
+    @pytest.mark.parametrize("hand", HANDS)
+    def test_over_a_higher_object_the_hand_starts_higher(self, simulator, hand):
+        """With nothing touched, as low over its top as over the cube's."""
+        heights = []
+        for size in (0.05, (0.05, 0.05, 0.09)):
+            env = envs.make(hand, simulator=simulator, object_size=size, jitter=False)
+            env.reset(seed=0)
+            env.simulator.step(env.hand.start_targets(), 50)
+            assert np.abs(env.simulator.object_state().position[:2]).max() < 1e-4
+            heights.append(env.simulator.link_positions()[0, 2])
+            env.close()
+        assert heights[1] - heights[0] == pytest.approx(0.04, abs=1e-3)
+
+    @pytest.mark.parametrize("simulator", BOTH)
+    @pytest.mark.parametrize("height", [0.05, 0.08])
+    def test_a_cylinder_can_be_grasped(self, simulator, height):
+        choices = dict(object="cylinder", object_size=(0.045, height))
         env = GraspEnv("mpl", setup("mpl", simulator=simulator, layout="1", **choices))
         start = scripted.Start(np.zeros(2), 0.0, np.zeros(len(env.hand.joints)))
         assert list(scripted.hold_steps(env, scripted.grasp_for(env), start, 1.0))[-1]

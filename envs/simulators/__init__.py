@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
 
 from ..hands import Array, Hand
 from ..layouts import Taxels
 from ..objects import ObjectState, Shape
+
+if TYPE_CHECKING:
+    import mujoco
 
 
 class SimulationError(RuntimeError):
@@ -25,10 +30,19 @@ class Scene:
     """Sliding friction of the object against everything."""
     timestep: float
     finger_gain: float
+    rise: float = 0.0
+    """How much higher than usual the hand starts."""
     contact_taxels: Taxels | None = None
     """Taxels to read by the simulator's own contact rule."""
     visual: bool = False
     """Keep the meshes, for pictures."""
+
+    def build_hand(self, visual: bool) -> mujoco.MjSpec:
+        """The hand alone, where it starts."""
+        spec = self.hand.build(visual, self.finger_gain)
+        root = spec.worldbody.first_body()
+        root.pos = root.pos + np.array([0.0, 0.0, self.rise])
+        return spec
 
 
 @dataclass(frozen=True)

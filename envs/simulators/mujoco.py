@@ -28,7 +28,7 @@ FRICTION_TO_NORMAL_IMPEDANCE = 100.0
 
 def build_spec(scene: Scene) -> mujoco.MjSpec:
     """Hand, ground, object and, for the contact rule, one touch sensor per taxel."""
-    spec = scene.hand.build(scene.visual, scene.finger_gain)
+    spec = scene.build_hand(scene.visual)
     spec.option.timestep = scene.timestep
     spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON
     spec.option.iterations = SOLVER_ITERATIONS

@@ -58,7 +58,7 @@ class PyBulletSimulator:
 
     def __init__(self, scene: Scene) -> None:
         self.scene, hand = scene, scene.hand
-        self.model = hand.build(False, scene.finger_gain).compile()
+        self.model = scene.build_hand(visual=False).compile()
         self.client = pybullet.connect(pybullet.DIRECT)
         if self.client < 0:
             raise OSError("PyBullet gave no client")

@@ -1,0 +1,82 @@
+"""Where does the time of a run go? Some epochs of a run's newest policy, watched:
+
+python benchmarks/time_shares.py runs/ppo_mpl_lift-and-hold_layout2_main_s0
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+from speed_ddpg import Watches
+
+from tactilerl import checkpoint
+from tactilerl.algos.mpi import Communicator
+from tactilerl.envs.hold import HoldTest
+from tactilerl.run_dir import RunDir
+from tactilerl.train import make_algorithm
+
+
+def shares(run: Path, verdict: str, epochs: int) -> dict[str, float]:
+    """Share of the time by what was done, and steps per second, with one environment."""
+    run_dir = RunDir(run)
+    saved, _ = run_dir.read_config()
+    config = dataclasses.replace(
+        saved,
+        run=dataclasses.replace(saved.run, num_envs=1),
+        scene=saved.scene and dataclasses.replace(saved.scene, hold_verdict=verdict),
+    )
+    learner, pool = make_algorithm(config, Communicator())
+    state = checkpoint.read(run_dir, saved)["ranks"][0]
+    checkpoint.load_state(learner, state, run_dir.checkpoint_file)
+    watches, steps = Watches(), learner.env_steps
+    simulator: Any = pool.envs[0].unwrapped.simulator  # type: ignore[attr-defined]
+    watches.watch("physics", simulator, "step")
+    watches.watch("resets", simulator, "reset")
+    watches.watch("hold tests", HoldTest, "run")
+    watches.watch("collecting", learner, "collect")
+    watches.watch("updates", learner, "update")
+    started = time.perf_counter()
+    for _ in range(epochs):
+        learner.collect()
+        learner.update()
+    seconds = time.perf_counter() - started
+    pool.close()
+    s = watches.seconds
+    physics = s["physics"] - s["hold tests"]  # a hold test is nearly all physics
+    parts = {
+        "hold tests": s["hold tests"],
+        "physics of the actions": physics,
+        "resets": s["resets"],
+        "rest of the environment and acting": s["collecting"] - s["hold tests"] - physics - s["resets"],
+        "updates": s["updates"],
+    }
+    result = {name: part / seconds for name, part in parts.items()}
+    return result | {"steps_per_s": (learner.env_steps - steps) / seconds}
+
+
+def main() -> None:
+    """Print the shares, or write them."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("run", type=Path)
+    parser.add_argument("--hold-verdict", choices=("full", "settled"), default="full")
+    parser.add_argument("--epochs", type=int, default=1)
+    parser.add_argument("--out", type=Path, help="write JSON here")
+    options = parser.parse_args()
+    result = shares(options.run, options.hold_verdict, options.epochs)
+    table = Table("", "share of the time", title=f"{options.run}, hold verdict {options.hold_verdict}")
+    for name, share in result.items():
+        table.add_row(name.replace("_per_s", " per second"), f"{share:.3g}")
+    Console().print(table)
+    if options.out:
+        options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
