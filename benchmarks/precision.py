@@ -1,0 +1,175 @@
+"""Is float32 enough? The learners' updates against the same updates in float64, and bootstrap
+intervals against an exact one.
+
+100 minibatch updates on identical data, at the sizes of the paper's set-ups; then intervals of a
+mean of five numbers, all of whose 3,125 resamples can be listed. Prints tables and writes JSON:
+
+    python benchmarks/precision.py --out docs/data/precision.json
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import itertools
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from rich.console import Console
+from rich.table import Table
+from scipy import stats
+
+from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
+from tactilerl.algos.mpi import Communicator
+from tactilerl.algos.networks import FlatAdam
+from tactilerl.algos.ppo import PPO, PPOConfig
+from tactilerl.envs.vector import Envs
+
+UPDATES = 100
+SCORES = np.array([0.31, 0.44, 0.47, 0.66, 0.85])
+
+
+class Noise(gym.Env[Any, np.ndarray]):
+    """Random observations and rewards, of a set-up's sizes; goals that are sometimes reached."""
+
+    def __init__(self, n_obs: int, n_actions: int, n_goal: int) -> None:
+        def box(n: int) -> gym.spaces.Box:
+            return gym.spaces.Box(-np.inf, np.inf, (n,), np.float32)
+
+        goals = {key: box(n_goal) for key in ("achieved_goal", "desired_goal")}
+        self.observation_space = gym.spaces.Dict({"observation": box(n_obs), **goals})
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (n_actions,), np.float32)
+        self.max_episode_steps, self._steps = 20, 0
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
+        super().reset(seed=seed)
+        self._steps = 0
+        return self._obs(), {}
+
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        self._steps += 1
+        reward = -float(self.np_random.random())
+        done = self._steps >= self.max_episode_steps
+        return self._obs(), reward, False, done, {"is_success": False}
+
+    def compute_reward(self, achieved: np.ndarray, desired: np.ndarray, info: Any) -> np.ndarray:
+        return (np.linalg.norm(achieved - desired, axis=-1) < 1.0) - 1.0
+
+    def _obs(self) -> dict[str, np.ndarray]:
+        spaces = self.observation_space
+        assert isinstance(spaces, gym.spaces.Dict)
+        rng = self.np_random
+        return {key: rng.normal(size=space.shape).astype("f") for key, space in spaces.items()}
+
+
+def ppo() -> tuple[Any, list[tuple[torch.Tensor, ...]], Callable[[Any], list[FlatAdam]]]:
+    """(learner, minibatches, its optimisers remade) at the sizes of the MPL hand, layout 2."""
+    pool = Envs(lambda: Noise(91, 7, 7), 1)
+    learner: Any = PPO(PPOConfig(), pool, Communicator(), 0, 10**6)
+    learner.collect()
+    batch, rng = learner._batch(), np.random.default_rng(0)
+    n = len(batch[0])
+    minibatches = []
+    while len(minibatches) < UPDATES:
+        order = torch.from_numpy(rng.permutation(n))
+        minibatches += zip(*(torch.tensor_split(part[order], 6) for part in batch), strict=True)
+
+    def optimisers(twin: Any) -> list[FlatAdam]:
+        twin.actor_adam = FlatAdam((twin.actor, twin.config.actor_lr))
+        twin.critic_adam = FlatAdam((twin.critic, twin.config.critic_lr))
+        return [twin.actor_adam, twin.critic_adam]
+
+    return learner, minibatches[:UPDATES], optimisers
+
+
+def ddpg() -> tuple[Any, list[tuple[torch.Tensor, ...]], Callable[[Any], list[FlatAdam]]]:
+    """The same for DDPG+HER, at the sizes of the Shadow Hand, layout 2."""
+    pool = Envs(lambda: Noise(140, 23, 3), 2)
+    learner: Any = DDPGHER(DDPGHERConfig(buffer_size=2000), pool, Communicator(), 0, 10**6)
+    for _ in range(20):
+        learner.collect()
+    minibatches = []
+    for _ in range(UPDATES):
+        sample = learner.replay.sample(learner.config.batch_size, learner.config.replay_p)
+        tensors = type(sample)(*map(torch.from_numpy, sample))
+        with torch.no_grad():
+            minibatches.append(learner._prepared(tensors))
+
+    def optimisers(twin: Any) -> list[FlatAdam]:
+        config = twin.config
+        twin.adam = FlatAdam((twin.actor, config.actor_lr), (twin.critic, config.critic_lr))
+        return [twin.adam]
+
+    return learner, minibatches, optimisers
+
+
+def drift(learner: Any, minibatches: list[tuple[torch.Tensor, ...]], optimisers: Any) -> dict[str, Any]:
+    """How far float32 parameters end from float64's, relative to the way both went."""
+    ends, seconds = {}, {}
+    for dtype in (torch.float32, torch.float64):
+        twin = copy.copy(learner)
+        twin.actor, twin.critic = (
+            copy.deepcopy(net).to(dtype) for net in (learner.actor, learner.critic)
+        )
+        adams = optimisers(twin)
+        start = torch.cat([adam.vector.detach().double().clone() for adam in adams])
+        data = [tuple(part.to(dtype) for part in minibatch) for minibatch in minibatches]
+        started = time.perf_counter()
+        for minibatch in data:
+            twin._minibatch(*minibatch)
+        seconds[dtype] = time.perf_counter() - started
+        ends[dtype] = torch.cat([adam.vector.detach().double() for adam in adams])
+    way = (ends[torch.float64] - start).norm()
+    return {
+        "parameter_error": float((ends[torch.float32] - ends[torch.float64]).norm() / way),
+        "speed": seconds[torch.float64] / seconds[torch.float32],
+    }
+
+
+def bootstrap() -> list[dict[str, float]]:
+    """Percentile intervals of the mean of SCORES by the number of resamples: mean error of an
+    end over 20 repetitions, against the interval of all resamples there are."""
+    means = np.array([np.mean(draw) for draw in itertools.product(SCORES, repeat=len(SCORES))])
+    exact = np.percentile(means, [2.5, 97.5])
+    rows = []
+    for resamples in (100, 1_000, 9_999, 50_000):
+        started, errors = time.perf_counter(), []
+        for seed in range(20):
+            interval = stats.bootstrap(
+                (SCORES,), np.mean, n_resamples=resamples, method="percentile", rng=seed
+            ).confidence_interval
+            errors.append(np.abs(np.array(interval) - exact).mean())
+        seconds = (time.perf_counter() - started) / len(errors)
+        row = {"resamples": resamples, "error": float(np.mean(errors)), "ms": 1e3 * seconds}
+        rows.append(row)
+    return rows
+
+
+def main() -> None:
+    """Both tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, help="write JSON here")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    result: dict[str, Any] = {"ppo": drift(*ppo()), "ddpg_her": drift(*ddpg())}
+    table = Table("100 updates", "error of the parameters", "float32 / float64, speed")
+    for name, row in result.items():
+        table.add_row(name, f"{row['parameter_error']:.2g}", f"{row['speed']:.2f}")
+    Console().print(table)
+    result["bootstrap"] = bootstrap()
+    table = Table("resamples", "error of an end", "ms")
+    for row in result["bootstrap"]:
+        table.add_row(f"{row['resamples']:,}", f"{row['error']:.5f}", f"{row['ms']:.1f}")
+    Console().print(table)
+    if options.out:
+        options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
