@@ -2,7 +2,7 @@
 
 Scripted grasps with perturbed starts, held for 5 s, under one setting at a time, for each hand in
 each simulator, against a reference with small, well-solved steps, which is itself compared with
-one of half its step. Also what free flight and free swing lose. Prints tables and writes JSON:
+one of half its step. Also what a spinning brick in free fall loses. Prints tables and writes JSON:
 
     python benchmarks/speed_vs_error.py --out docs/data/speed_vs_error.json
     python benchmarks/speed_vs_error.py --hand mpl --simulator pybullet --grasps 3
@@ -14,7 +14,8 @@ import argparse
 import importlib
 import json
 import time
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,7 +41,7 @@ PyBullet module)."""
 EXACT = {"iterations": 200, "tolerance": 1e-12}
 REFERENCES: dict[str, tuple[Setting, Setting]] = {
     "mujoco": ((5e-4, EXACT), (2.5e-4, EXACT)),
-    "pybullet": ((1 / 960, {"SOLVER_ITERATIONS": 200}), (1 / 1920, {"SOLVER_ITERATIONS": 200})),
+    "pybullet": ((1 / 960, {"SOLVER_ITERATIONS": 100}), (1 / 1920, {"SOLVER_ITERATIONS": 100})),
 }
 SETTINGS: dict[str, dict[str, Setting]] = {
     "mujoco": {
@@ -92,24 +93,33 @@ class Trace:
     """Processor time."""
 
 
-def record(hand: str, simulator: str, size: float, setting: Setting, grasps: int) -> Trace:
-    """Perform the grasps under one setting; a dropped object counts as it falls."""
+@contextmanager
+def environment(hand: str, simulator: str, size: Any, setting: Setting) -> Iterator[GraspEnv]:
+    """A scene under one setting."""
     timestep, options = setting
     choices = {} if timestep is None else {"timestep": timestep, "control_dt": timestep}
-    constants = options if simulator == "pybullet" else {}
-    module = importlib.import_module(BULLET) if constants else np
-    with patch.multiple(module, **constants):
-        env = GraspEnv(hand, setup(hand, simulator=simulator, layout="1", object_size=size, **choices))
+    config = setup(hand, simulator=simulator, layout="1", object_size=size, **choices)
+    with ExitStack() as stack:
+        if simulator == "pybullet":
+            module = importlib.import_module(BULLET)
+            for name, value in options.items():
+                stack.enter_context(patch.object(module, name, value))
+        env = stack.enter_context(closing(GraspEnv(hand, config)))
         if simulator == "mujoco":
             for name, value in options.items():
                 setattr(env.simulator.model.opt, name, value)
-        with closing(env):
-            return perform(env, grasps)
+        yield env
+
+
+def record(hand: str, simulator: str, size: float, setting: Setting, grasps: int) -> Trace:
+    """Perform the grasps under one setting; a dropped object counts as it falls."""
+    with environment(hand, simulator, size, setting) as env:
+        return perform(env, grasps)
 
 
 def perform(env: GraspEnv, grasps: int) -> Trace:
     """The grasps in one environment."""
-    n = round(SECONDS / scripted.CONTROL_DT)
+    n = round(SECONDS / scripted.period(env.config.timestep))
     positions, rotations = np.empty((grasps, n, 3)), np.empty((grasps, n, 3, 3))
     bits, held = np.empty((grasps, n, len(env.taxels)), bool), np.empty(grasps, bool)
     overlap = 0.0
@@ -176,10 +186,7 @@ def compare(trace: Trace, reference: Trace, shipped_seconds: float) -> dict[str,
 def free_flight(hand: str, simulator: str, setting: Setting) -> dict[str, float]:
     """What a spinning brick in free fall loses in 0.3 s: relative error of the height fallen, and
     of the rotational energy."""
-    timestep, _ = setting
-    choices = {} if timestep is None else {"timestep": timestep, "control_dt": timestep}
-    config = setup(hand, simulator=simulator, object_size=(0.02, 0.03, 0.05), **choices)
-    with closing(GraspEnv(hand, config)) as env:
+    with environment(hand, simulator, (0.02, 0.03, 0.05), setting) as env:
         sim, n = env.simulator, round(0.3 / env.config.timestep)
         sim.reset(env.hand.start_positions(), np.array([0.5, 0.5, 1.0]), 0.0)
         spin(sim, np.array([3.0, 2.0, 1.0]))

@@ -132,7 +132,7 @@ def setup(hand: str, **choices: Any) -> GraspConfig:
 
 
 REWARDS = {"lift-and-hold": ("staged",), "reach-goal": ("sparse", "dense")}
-TALLEST = 0.15  # m, of an object: the hold test's fall must stay longer than it
+TALLEST = 0.15  # m, of an object: held at its top, its centre is well above what counts as dropped
 OFF_GROUND = 0.005  # m under the object's lowest point: lift-and-hold's attempt has begun
 JITTER_POSITION = 0.005  # m, of the object along x and y
 JITTER_YAW = 0.15  # rad, of the object
@@ -165,12 +165,13 @@ class GraspEnv(gym.Env[Any, Array]):
         self.hand = hands.load(hand)
         self.shape = config.shape
         x, y, height = (2 * half for half in self.shape.half_size)
-        for what, found, allowed in (("wide", max(x, y), self.hand.reach), ("high", height, TALLEST)):
-            if found > allowed:
-                raise ValueError(
-                    f"object_size: found {found:g} m {what}, allowed up to {allowed} m: what lies free "
-                    f"under the {self.hand.name} hand at the start"
-                )
+        if max(x, y) > self.hand.reach:
+            raise ValueError(
+                f"object_size: found {max(x, y):g} m, allowed up to {self.hand.reach} m across, what "
+                f"lies free under the {self.hand.name} hand at the start"
+            )
+        if height > TALLEST:
+            raise ValueError(f"object_size: found {height:g} m, allowed up to {TALLEST} m in height")
         self.taxels = layouts.load(config.layout).place(self.hand)
         self._placement = touch.TaxelPlacement(self.taxels)
         self.task = _task(config)

@@ -11,8 +11,8 @@ import numpy as np
 from .grasp import GraspEnv
 from .hands import Array, ScriptedGrasp
 
-CONTROL_DT = 0.04  # s between targets
-APPROACH, CLOSE, LIFT = 10, 20, 25  # numbers of targets
+PERIODS = (0.04, 0.05)  # s between targets: the first that is a whole number of timesteps
+APPROACH, CLOSE, LIFT = 0.4, 0.8, 1.0  # s
 LIFT_HEIGHT = 0.15  # m
 FALLEN = 0.1  # m below where it was at the beginning of the hold
 OFFSET, YAW, JOINT = 0.005, 0.15, 0.02  # perturbation: m, rad, rad
@@ -39,30 +39,41 @@ def hold_steps(env: GraspEnv, grasp: ScriptedGrasp, start: Start, seconds: float
     """Perform `grasp` on the environment's simulator and yield once per control step of the
     hold: is the object still up? The environment's own episode is not involved."""
     hand, simulator = env.hand, env.simulator
-    n_substeps = round(CONTROL_DT / env.config.timestep)
+    dt = period(env.config.timestep)
+    n_substeps = round(dt / env.config.timestep)
     position = np.array([*start.object_offset, env.shape.half_size[2]])
     simulator.reset(hand.start_positions() + start.joint_offsets, position, start.yaw)
-    for targets in _ramps(hand.start_targets(), grasp, hand.actuators):
+    for targets in _ramps(hand.start_targets(), grasp, hand.actuators, dt):
         simulator.step(targets, n_substeps)
     floor = simulator.object_state().position[2] - FALLEN
-    for _ in range(round(seconds / CONTROL_DT)):
+    for _ in range(round(seconds / dt)):
         simulator.step(targets, n_substeps)
         height = simulator.object_state().position[2]
         yield bool(height > max(floor, env.shape.half_size[2] + 0.02))
 
 
-def _ramps(start: Array, grasp: ScriptedGrasp, actuators: tuple[str, ...]) -> Iterator[Array]:
+def period(timestep: float) -> float:
+    """Time between the targets of a grasp in a scene with this timestep, s."""
+    whole = (dt for dt in PERIODS if abs(dt / timestep - round(dt / timestep)) < 1e-6)
+    return next(whole, PERIODS[0])
+
+
+def _ramps(
+    start: Array, grasp: ScriptedGrasp, actuators: tuple[str, ...], dt: float
+) -> Iterator[Array]:
     closed = np.array(
         [grasp.targets.get(name, value) for name, value in zip(actuators, start, strict=True)]
     )
     above = np.concatenate([closed[:3], start[3:]])
     lifted = closed + LIFT_HEIGHT * np.eye(len(closed))[2]
     legs = ((start, above, APPROACH), (above, closed, CLOSE), (closed, lifted, LIFT))
-    for begin, end, n in legs:
+    for begin, end, seconds in legs:
+        n = round(seconds / dt)
         for k in range(1, n + 1):
             yield begin + (end - begin) * k / n
 
 
 def grasp_for(env: GraspEnv) -> ScriptedGrasp:
-    """The hand's scripted grasp nearest to the size of the environment's object."""
-    return min(env.hand.grasps, key=lambda g: abs(g.object_size - max(env.config.object_size)))
+    """The hand's scripted grasp nearest to the width of the environment's object."""
+    width = 2 * max(env.shape.half_size[:2])
+    return min(env.hand.grasps, key=lambda g: abs(g.object_size - width))

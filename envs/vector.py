@@ -9,15 +9,20 @@ from __future__ import annotations
 
 import multiprocessing
 import signal
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, contextmanager, suppress
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
 
 Make = Callable[[], gym.Env[Any, Any]]
+Question = tuple[int, str, Any]
+"""(environment, "reset" or "step", seed or action)"""
 
 
 class Step(NamedTuple):
@@ -75,7 +80,7 @@ class Envs:
         """First observation of a new episode of one environment."""
         return self.envs[index].reset(seed=seed)[0]
 
-    def step(self, indices: Sequence[int], actions: np.ndarray) -> list[Step]:
+    def step(self, indices: Sequence[int], actions: Sequence[Any] | np.ndarray) -> list[Step]:
         """Step the environments `indices` with actions (len(indices), ...)."""
         return list(map(self._step_one, indices, actions))
 
@@ -96,7 +101,7 @@ class ThreadedEnvs(Envs):
         super().__init__(make, n)
         self._threads = ThreadPoolExecutor(threads)
 
-    def step(self, indices: Sequence[int], actions: np.ndarray) -> list[Step]:
+    def step(self, indices: Sequence[int], actions: Sequence[Any] | np.ndarray) -> list[Step]:
         return list(self._threads.map(self._step_one, indices, actions))
 
     def close(self) -> None:
@@ -108,44 +113,59 @@ class ProcessEnvs(Envs):
     """Stepped by `processes` processes, which end when this one does.
 
     One more environment lives here and answers what does not depend on an episode. `make` is
-    pickled: a function of a module, or a `functools.partial` of one. A process that dies is an
-    OSError.
+    pickled: a function of a module, or a `functools.partial` of one; a script that uses this needs
+    its ``if __name__ == "__main__"``. What an environment raises is raised here; a process that
+    dies is an OSError.
     """
 
     def __init__(self, make: Make, n: int, processes: int) -> None:
         super().__init__(make, 1)
         self._n = n
+        self._processes: list[BaseProcess] = []
+        self._connections: list[Connection[Any, Any]] = []
+        try:
+            for first in range(processes):
+                self._start(make, range(first, n, processes))
+            self._ask({process: [] for process in range(processes)})  # all are there
+        except BaseException:
+            self.close()
+            raise
+
+    def _start(self, make: Make, numbers: range) -> None:
         # A fork would copy threads' locks and an MPI process's connections.
         context = multiprocessing.get_context("spawn")
-        self._processes, self._connections = [], []
-        for first in range(processes):
-            here, there = context.Pipe()
-            numbers = range(first, n, processes)
-            process = context.Process(target=_serve, args=(there, make, numbers), daemon=True)
+        here, there = context.Pipe()
+        process = context.Process(target=_serve, args=(there, make, numbers), daemon=True)
+        with _ignore_interrupts():  # Ctrl-C reaches the whole group: this process ends the others
             process.start()
-            there.close()  # so that an end of the process is an end of file here
-            self._processes.append(process)
-            self._connections.append(here)
+        there.close()  # so that the end of the process is an end of file here
+        self._processes.append(process)
+        self._connections.append(here)
 
     def __len__(self) -> int:
         return self._n
 
     def reset(self, index: int, seed: int) -> Any:
-        return self._ask([(index, "reset", seed)])[0]
+        process = index % len(self._processes)
+        return self._ask({process: [(index, "reset", seed)]})[process][0]
 
-    def step(self, indices: Sequence[int], actions: np.ndarray) -> list[Step]:
-        return self._ask([(i, "step", a) for i, a in zip(indices, actions, strict=True)])
+    def step(self, indices: Sequence[int], actions: Sequence[Any] | np.ndarray) -> list[Step]:
+        questions: dict[int, list[Question]] = {}
+        for index, action in zip(indices, actions, strict=True):
+            process = index % len(self._processes)
+            questions.setdefault(process, []).append((index, "step", action))
+        answers = self._ask(questions)
+        return [answers[index % len(self._processes)].pop(0) for index in indices]
 
-    def _ask(self, questions: list[tuple[int, str, Any]]) -> list[Any]:
-        """All are sent before the first answer is awaited; each process answers in order."""
-        connections = [self._connections[index % len(self._connections)] for index, *_ in questions]
+    def _ask(self, questions: dict[int, list[Question]]) -> dict[int, list[Any]]:
+        """Answers of each process to its questions, in their order; all work at once."""
         try:
-            for connection, question in zip(connections, questions, strict=True):
-                connection.send(question)
-            answers = [connection.recv() for connection in connections]
+            for process, asked in questions.items():
+                self._connections[process].send(asked)
+            answers = {process: self._connections[process].recv() for process in questions}
         except (EOFError, ConnectionError) as error:
             raise OSError("a process that steps environments has died") from error
-        for answer in answers:
+        for answer in answers.values():
             if isinstance(answer, Exception):
                 raise answer
         return answers
@@ -158,22 +178,40 @@ class ProcessEnvs(Envs):
         super().close()
 
 
+@contextmanager
+def _ignore_interrupts() -> Iterator[None]:
+    """A process that is started meanwhile ignores Ctrl-C for all its life."""
+    if threading.current_thread() is not threading.main_thread():  # only there can it be set
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 def _serve(connection: Connection[Any, Any], make: Make, numbers: range) -> None:
-    """A process's life: answer questions about its environments until nobody can ask."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the asker ends us
-    envs = Envs(make, len(numbers))
-    while True:
-        try:
-            index, question, argument = connection.recv()
-        except EOFError:
-            return envs.close()
-        place = numbers.index(index)
-        try:
-            is_reset = question == "reset"
-            answer = envs.reset(place, argument) if is_reset else envs._step_one(place, argument)
-        except Exception as error:
-            answer = error
-        connection.send(answer)
+    """A process's life: answer questions about its environments until nobody asks."""
+    envs: Envs | None = None
+    with suppress(EOFError, ConnectionError):
+        while True:
+            questions = connection.recv()
+            try:
+                envs = envs or Envs(make, len(numbers))
+                answer: Any = [_answer(envs, numbers, *question) for question in questions]
+            except Exception as error:
+                answer = error
+            connection.send(answer)
+    if envs is not None:
+        envs.close()
+
+
+def _answer(envs: Envs, numbers: range, index: int, question: str, argument: Any) -> Any:
+    place = numbers.index(index)
+    if question == "reset":
+        return envs.reset(place, argument)
+    return envs.step([place], [argument])[0]
 
 
 def start(make: Make, n: int, cores: int = 1) -> Envs:
@@ -181,7 +219,6 @@ def start(make: Make, n: int, cores: int = 1) -> Envs:
     several = min(n, cores)
     if several == 1:
         return Envs(make, n)
-    probe: Any = make()
-    holds_gil = getattr(probe.unwrapped, "holds_gil", False)
-    probe.close()
+    with closing(make()) as probe:
+        holds_gil = getattr(probe.unwrapped, "holds_gil", False)
     return (ProcessEnvs if holds_gil else ThreadedEnvs)(make, n, several)

@@ -14,7 +14,7 @@ COMMANDS = {
     "evaluate": "success rate and return of a trained run, with confidence intervals",
     "env": "describe an environment: its observations, actions and taxels",
     "doctor": "do the taxels feel? scripted grasps, figures per layout",
-    "render": "a picture of the hand or of a grasp, with its taxels",
+    "render": "a picture of a grasp with its taxels, or a film of a run",
 }
 
 

@@ -233,8 +233,8 @@ def doctor(args: list[str]) -> int:
     if scene is None:
         raise InputError(f"--env: found {name!r}, allowed: {', '.join(GRASP_ENVS)}")
     _at_least("--grasps", read.grasps, 1)
-    if not 0 < read.seconds <= 60:
-        raise InputError(f"--seconds: found {read.seconds}, allowed above 0 and up to 60")
+    if not 0.05 <= read.seconds <= 60:
+        raise InputError(f"--seconds: found {read.seconds}, allowed from 0.05 to 60")
     chosen = flags.peek(args, "--layout", "")
     names = [chosen] if chosen else [str(i) for i in range(1, 7)]
     with input_errors():
@@ -270,9 +270,21 @@ def doctor(args: list[str]) -> int:
 
 
 @dataclass(frozen=True)
-class CameraFlags:
-    """Where the camera is."""
+class RenderFlags:
+    """Flags of `tactilerl render`, besides the scene's."""
 
+    run: tyro.conf.Positional[Path | None] = None
+    """Run folder: film its policy, in its own scene. Without: a picture of a scripted grasp."""
+    video: Path = Path("episodes.mp4")
+    """The film of a run's policy to write."""
+    episodes: int = 1
+    """Episodes in the film, those that `evaluate` plays first."""
+    env: str = "shadow"
+    """Which environment (picture)."""
+    out: Path = Path("grasp.png")
+    """The picture to write."""
+    pose: Literal["start", "grasp"] = "grasp"
+    """The start of an episode, or a scripted grasp (picture)."""
     azimuth: float = Camera.azimuth
     """Direction of the camera, degrees."""
     elevation: float = Camera.elevation
@@ -282,60 +294,31 @@ class CameraFlags:
 
     @property
     def camera(self) -> Camera:
-        """The camera there; InputError where none can be."""
-        if not 0.05 <= self.distance <= 10:
-            raise InputError(f"--distance: found {self.distance}, allowed from 0.05 to 10")
+        """The camera there."""
         return Camera(self.azimuth, self.elevation, self.distance)
-
-
-@dataclass(frozen=True)
-class RenderFlags(CameraFlags):
-    """Flags of `tactilerl render`, besides the scene's."""
-
-    env: str = "shadow"
-    """Which environment."""
-    out: Path = Path("grasp.png")
-    """The picture to write."""
-    pose: Literal["start", "grasp"] = "grasp"
-    """The start of an episode, or a scripted grasp."""
-
-
-@dataclass(frozen=True)
-class FilmFlags(CameraFlags):
-    """Flags of `tactilerl render RUN`."""
-
-    run: tyro.conf.Positional[Path] = Path()
-    """Run folder."""
-    video: Path = Path("episodes.mp4")
-    """The film to write, in real time."""
-    episodes: int = 1
-    """Episodes in it, those that `evaluate` plays first."""
 
 
 def render(args: list[str]) -> int:
     """`tactilerl render`: a scripted grasp with its taxels; `tactilerl render RUN`: a film."""
     from . import render as pictures
 
-    if args and not args[0].startswith("-"):
-        return _film(args)
     name = flags.peek(args, "--env", RenderFlags.env)
     read, scene = _read_scene(RenderFlags, args, name, "tactilerl render")
+    if not 0.05 <= read.distance <= 10:
+        raise InputError(f"--distance: found {read.distance}, allowed from 0.05 to 10")
+    if read.run is not None:
+        if name != RenderFlags.env or scene != setup(name):
+            raise InputError("render RUN: found flags of a scene, allowed none: a run has its own")
+        _at_least("--episodes", read.episodes, 1)
+        with input_errors():
+            for success in pictures.film(read.run, read.episodes, read.camera, read.video):
+                console.print(f"{read.video}: {'success' if success else 'no success'}")
+        return 0
     if scene is None:
         raise InputError(f"--env: found {name!r}, allowed: {', '.join(GRASP_ENVS)}")
     with input_errors():
         lit = pictures.picture(name, scene, read.pose, read.camera, read.out)
     console.print(f"{read.out}: {lit} taxels fire")
-    return 0
-
-
-def _film(args: list[str]) -> int:
-    from . import render as pictures
-
-    read = flags.parse(FilmFlags, args, "tactilerl render")
-    _at_least("--episodes", read.episodes, 1)
-    with input_errors():
-        for success in pictures.film(read.run, read.episodes, read.camera, read.video):
-            console.print(f"{read.video}: {'success' if success else 'no success'}")
     return 0
 
 

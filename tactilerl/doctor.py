@@ -68,7 +68,7 @@ def record(env_name: str, config: GraspConfig, grasps: int, seconds: float) -> H
             rng = np.random.default_rng([SEED, index])
             start = scripted.perturbed_start(rng, len(env.hand.joints))
             felt = _felt(env, start, seconds)
-            readings.append(None if felt is None else np.array(felt))
+            readings.append(None if felt is None else np.array(felt, bool))
         return Holds(config.layout, env.taxels.names, tuple(readings))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +17,8 @@ from .envs.simulators import Camera, Simulator
 from .errors import InputError
 
 Pose = Literal["start", "grasp"]
-FPS = 25
+FPS = 25  # at least: a picture stands for a whole number of timesteps
+FORMATS = (".mp4", ".mkv", ".mov")
 END_PICTURES = FPS // 2  # of the last moment, repeated: so one sees how it ended
 
 
@@ -40,16 +41,22 @@ def film(run: Path, episodes: int, camera: Camera, out: Path) -> Iterator[bool]:
     success of each episode. InputError when the run's environment is not a grasping one."""
     from . import evaluate
 
+    if out.suffix.lower() not in FORMATS:
+        raise InputError(f"--video: found {out.name!r}, allowed names that end in {', '.join(FORMATS)}")
+    if not out.parent.is_dir():
+        raise InputError(f"--video: found no folder {out.parent}, allowed one that exists")
     imageio = _imageio("imageio.v2", "imageio_ffmpeg")
     config, learner, _ = evaluate.load_policy(run)
     if config.scene is None:
         raise InputError(f"{run}: found a run on {config.run.env!r}, allowed one of a grasping scene")
-    if not out.parent.is_dir():
-        raise InputError(f"--video: found no folder {out.parent}, allowed one that exists")
     camera = replace(camera, width=480, height=360)
+    every = max(1, int(1 / FPS / config.scene.timestep + 1e-6))
+    fps = 1 / (every * config.scene.timestep)
     env = config.make_env(render_mode="rgb_array")
-    with closing(env), imageio.get_writer(out, fps=FPS, macro_block_size=2) as writer:
-        env.simulator = _Filmed(env, lambda: writer.append_data(env.picture(camera)))
+    with closing(env), imageio.get_writer(out, fps=fps, macro_block_size=2) as writer:
+        env.simulator = _Filmed(
+            env.simulator, every, show=lambda: writer.append_data(env.picture(camera))
+        )
         for played in evaluate.play(env, learner, episodes):
             for _ in range(END_PICTURES):
                 writer.append_data(env.picture(camera))
@@ -57,12 +64,10 @@ def film(run: Path, episodes: int, camera: Camera, out: Path) -> Iterator[bool]:
 
 
 class _Filmed:
-    """A simulator that shows every 1/FPS s what has become of the scene."""
+    """A simulator that calls `show` after every `every` timesteps."""
 
-    def __init__(self, env: GraspEnv, show: Any) -> None:
-        self._inner: Simulator = env.simulator
-        self._show = show
-        self._every = max(1, round(1 / FPS / env.config.timestep))
+    def __init__(self, simulator: Simulator, every: int, show: Callable[[], None]) -> None:
+        self._inner, self._every, self._show = simulator, every, show
         self._since = 0
 
     def __getattr__(self, name: str) -> Any:

@@ -9,7 +9,6 @@ import sys
 import time
 from pathlib import Path
 
-import imageio.v2 as imageio
 import numpy as np
 import pytest
 import torch
@@ -306,6 +305,11 @@ class TestBadInput:
             (["evaluate", "nowhere"], ["'nowhere' is not a run folder"]),
             (["evaluate", "nowhere", "--episodes", "0"], ["--episodes: found 0"]),
             (["doctor", "--grasps", "0"], ["--grasps: found 0"]),
+            (["doctor", "--seconds", "0.01"], ["--seconds: found 0.01", "0.05 to 60"]),
+            (["render", "none", "--video", "x.gif"], ["--video: found 'x.gif'", ".mp4"]),
+            (["render", "none", "--video", "no/x.mp4"], ["--video: found no folder no"]),
+            (["render", "none"], ["none"]),
+            (["render", "none", "--layout", "1"], ["found flags of a scene"]),
             (["doctor", "--env", "lqr"], ["--env: found 'lqr'", "shadow"]),
             (["env", "--env", "nope"], ["unknown environment 'nope'"]),
         ],
@@ -420,6 +424,7 @@ class TestOtherCommands:
         assert f"fires in both: {100 * both:.0f} %" in capsys.readouterr().out
 
     def test_render_draws_the_hand_and_its_taxels(self):
+        imageio = pytest.importorskip("imageio.v2")
         result = render("--layout", "1", "--out", "x.png")
         picture = imageio.imread("x.png")
         assert picture.shape == (540, 720, 3)
@@ -429,10 +434,11 @@ class TestOtherCommands:
 
     def test_render_films_a_trained_run(self):
         pytest.importorskip("imageio_ffmpeg")
+        imageio = pytest.importorskip("imageio.v2")
         short = ["--max-episode-steps", "4", "--hold-steps", "50", "--n-passes", "1"]
         epoch = ["--total-timesteps", "8", "--steps-per-epoch", "8", "--out", "run"]
         assert main(["train", "--env", "shadow", "--layout", "6", *short, *epoch]) == 0
-        result = render("run", "--video", "x.mp4", "--episodes", "2")
+        result = render("--video", "x.mp4", "--episodes", "2", "run")
         assert result.stdout.count("success") == 2
         with imageio.get_reader("x.mp4") as film:
             pictures = np.array(list(film.iter_data()))

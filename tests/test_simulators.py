@@ -137,7 +137,7 @@ class TestPhysics:
         assert heights[1] - heights[0] == pytest.approx(0.04, abs=1e-3)
 
     @pytest.mark.parametrize("simulator", BOTH)
-    @pytest.mark.parametrize("height", [0.05, 0.08])
+    @pytest.mark.parametrize("height", [0.05, 0.065])
     def test_a_cylinder_can_be_grasped(self, simulator, height):
         choices = dict(object="cylinder", object_size=(0.045, height))
         env = GraspEnv("mpl", setup("mpl", simulator=simulator, layout="1", **choices))

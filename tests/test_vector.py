@@ -4,8 +4,8 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from functools import partial
+from importlib.util import find_spec
 
 import numpy as np
 import psutil
@@ -18,9 +18,7 @@ shadow = partial(envs.make, "shadow", task="reach-goal")
 mpl = partial(envs.make, "mpl", layout="1", hold_steps=200)
 
 
-@pytest.fixture(autouse=True)
-def needs_pybullet():
-    pytest.importorskip("pybullet")
+needs_pybullet = pytest.mark.skipif(find_spec("pybullet") is None, reason="no PyBullet")
 
 
 def play(pool):
@@ -39,8 +37,10 @@ def play(pool):
 
 @pytest.mark.parametrize(
     ("make", "kind"),
-    [(shadow, vector.ThreadedEnvs), (mpl, vector.ProcessEnvs)],
-    ids=["threads", "processes"],
+    [
+        pytest.param(shadow, vector.ThreadedEnvs, id="threads"),
+        pytest.param(mpl, vector.ProcessEnvs, id="processes", marks=needs_pybullet),
+    ],
 )
 def test_parallel_equals_in_turn(make, kind):
     in_turn = play(vector.start(make, 3))
@@ -53,13 +53,14 @@ def test_parallel_equals_in_turn(make, kind):
 
 def test_one_environment_or_one_core_needs_neither():
     for n, cores in ((1, 4), (2, 1)):
-        pool = vector.start(mpl, n, cores)
+        pool = vector.start(shadow, n, cores)
         assert type(pool) is vector.Envs
         pool.close()
 
 
 @pytest.fixture
 def processes():
+    pytest.importorskip("pybullet")
     pool = vector.ProcessEnvs(mpl, 2, 2)
     yield pool
     pool.close()
@@ -90,26 +91,47 @@ def test_a_killed_process_is_an_error_that_says_so(processes):
         processes.reset(1, 0)
 
 
-def test_processes_end_when_their_parent_is_killed():
+@needs_pybullet
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
+def test_processes_end_quietly_with_their_parent(end):
+    """In the middle of a step; Ctrl-C goes to the whole group, as a terminal sends it."""
     code = (
-        "import time\n"
+        "import numpy as np\n"
         "from functools import partial\n"
         "from tactilerl import envs\n"
         "from tactilerl.envs import vector\n"
         "if __name__ == '__main__':\n"
-        "    pool = vector.ProcessEnvs(partial(envs.make, 'mpl'), 2, 2)\n"
-        "    pool.reset(0, 0)\n"
-        "    pool.reset(1, 0)\n"
+        "    pool = vector.ProcessEnvs(partial(envs.make, 'mpl', task='reach-goal'), 2, 2)\n"
         "    print('ready', flush=True)\n"
-        "    time.sleep(60)\n"
+        "    try:\n"
+        "        while True:\n"
+        "            for i in range(2): pool.reset(i, 0)\n"
+        "            for _ in range(20): pool.step([0, 1], np.zeros((2, 7)))\n"
+        "    except KeyboardInterrupt:\n"
+        "        pool.close()\n"
     )
-    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    parent = subprocess.Popen(
+        [sys.executable, "-c", code],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
     assert parent.stdout.readline() == "ready\n"
     children = psutil.Process(parent.pid).children(recursive=True)
     assert len(children) >= 2
-    parent.kill()
-    parent.wait()
-    end = time.monotonic() + 10
-    while any(child.is_running() and child.status() != psutil.STATUS_ZOMBIE for child in children):
-        assert time.monotonic() < end
-        time.sleep(0.05)
+    os.killpg(parent.pid, end) if end == signal.SIGINT else parent.kill()
+    _, errors = parent.communicate(timeout=20)
+    assert not psutil.wait_procs(children, timeout=10)[1]
+    assert "Traceback" not in errors, errors
+
+
+def test_many_environments_in_one_process_do_not_block_each_other():
+    """More bytes of questions and answers than a pipe holds."""
+    pool = vector.ProcessEnvs(partial(envs.make, "point-reach"), 400, 1)
+    for index in range(400):
+        pool.reset(index, index)
+    assert len(pool.step(range(400), np.zeros((400, *pool.action_space.shape)))) == 400
+    pool.close()
+
+
+def test_what_cannot_be_made_is_raised_here():
+    with pytest.raises(ValueError, match="layout"):
+        vector.ProcessEnvs(partial(envs.make, "shadow", layout="none"), 2, 2)

@@ -172,8 +172,8 @@ class Hand:
     observation: tuple[str, ...] = ()
     """Names of the observation's terms, in order (`GraspEnv.observation_names`)."""
     reach: float = 0.05
-    """Edge of the largest cube that lies free of the hand at the start, m. Over a higher object the
-    hand starts higher."""
+    """Edge of the largest cube that lies free of the hand at the start, m. Nothing may be wider;
+    over what is higher the hand starts higher."""
     grasps: tuple[ScriptedGrasp, ...] = ()
 
     def start_positions(self) -> Array:
