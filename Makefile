@@ -38,7 +38,10 @@ bench: $(VENV)/.installed
 	$(BIN)/python benchmarks/speed.py
 	$(BIN)/python benchmarks/speed_ddpg.py
 	$(BIN)/python benchmarks/exploration.py
-	$(BIN)/python benchmarks/speed_vs_error.py
+	$(BIN)/python benchmarks/precision.py
+	$(BIN)/python benchmarks/scene_parts.py
+	$(BIN)/python benchmarks/hard_cases.py --steps 200
+	$(BIN)/python benchmarks/speed_vs_error.py --grasps 2
 
 figures: $(VENV)/.installed
 	$(BIN)/python benchmarks/figures.py

@@ -1,6 +1,8 @@
-"""Where does the time of a run go? Some epochs of a run's newest policy, watched:
+"""Where does the time of a run go? Some rounds of its newest policy collecting and learning.
 
-python benchmarks/time_shares.py runs/ppo_mpl_lift-and-hold_layout2_main_s0
+PPO's rounds are epochs, DDPG+HER's are cycles:
+
+    python benchmarks/time_shares.py runs/ppo_mpl_lift-and-hold_layout2_main_s0
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from tactilerl.run_dir import RunDir
 from tactilerl.train import make_algorithm
 
 
-def shares(run: Path, verdict: str, epochs: int) -> dict[str, float]:
+def shares(run: Path, verdict: str, rounds: int) -> dict[str, float]:
     """Share of the time by what was done, and steps per second, with one environment."""
     run_dir = RunDir(run)
     saved, _ = run_dir.read_config()
@@ -43,7 +45,7 @@ def shares(run: Path, verdict: str, epochs: int) -> dict[str, float]:
     watches.watch("collecting", learner, "collect")
     watches.watch("updates", learner, "update")
     started = time.perf_counter()
-    for _ in range(epochs):
+    for _ in range(rounds):
         learner.collect()
         learner.update()
     seconds = time.perf_counter() - started
@@ -66,10 +68,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("run", type=Path)
     parser.add_argument("--hold-verdict", choices=("full", "settled"), default="full")
-    parser.add_argument("--epochs", type=int, default=1)
+    parser.add_argument("--rounds", type=int, default=1)
     parser.add_argument("--out", type=Path, help="write JSON here")
     options = parser.parse_args()
-    result = shares(options.run, options.hold_verdict, options.epochs)
+    result = shares(options.run, options.hold_verdict, options.rounds)
     table = Table("", "share of the time", title=f"{options.run}, hold verdict {options.hold_verdict}")
     for name, share in result.items():
         table.add_row(name.replace("_per_s", " per second"), f"{share:.3g}")

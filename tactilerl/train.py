@@ -32,7 +32,11 @@ def make_algorithm(config: RunConfig, comm: Communicator) -> tuple[algos.Algorit
         torch.set_num_threads(run.threads)
         device = _device(run.device)
         pool = vector.start(config.make_env, run.num_envs, cores=_free_cores(comm))
-        learner = algorithm(config.learner, pool, comm, run.seed, run.total_timesteps, device)
+        try:
+            learner = algorithm(config.learner, pool, comm, run.seed, run.total_timesteps, device)
+        except BaseException:
+            pool.close()
+            raise
     return learner, pool
 
 

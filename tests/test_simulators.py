@@ -137,9 +137,8 @@ class TestPhysics:
         assert heights[1] - heights[0] == pytest.approx(0.04, abs=1e-3)
 
     @pytest.mark.parametrize("simulator", BOTH)
-    @pytest.mark.parametrize("height", [0.05, 0.065])
-    def test_a_cylinder_can_be_grasped(self, simulator, height):
-        choices = dict(object="cylinder", object_size=(0.045, height))
+    def test_a_cylinder_can_be_grasped(self, simulator):
+        choices = dict(object="cylinder", object_size=(0.045, 0.05))
         env = GraspEnv("mpl", setup("mpl", simulator=simulator, layout="1", **choices))
         start = scripted.Start(np.zeros(2), 0.0, np.zeros(len(env.hand.joints)))
         assert list(scripted.hold_steps(env, scripted.grasp_for(env), start, 1.0))[-1]

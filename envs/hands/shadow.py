@@ -43,6 +43,7 @@ ACTUATOR_RANGES = {
 }
 
 UNNEEDED_GEOMS = {"C_forearm", "V_thbase", "V_thhub"}
+NEEDED_TENDONS = "J1c"  # what the names of the couplings end in
 
 # The whole hand. Position of the palm box's centre at slide zero, m (world; the object rests
 # at the origin), and how far an action moves it. Action 0 puts the hand at the grasping
@@ -109,7 +110,7 @@ def _drop_what_the_scene_does_not_need(spec: mujoco.MjSpec, visual: bool) -> Non
     for name in ("object", "target", "floor0"):
         spec.delete(spec.body(name))
     # All tendons but the couplings limit what the joints limit first.
-    free_tendons = [tendon for tendon in spec.tendons if not tendon.name.endswith("J1c")]
+    free_tendons = [tendon for tendon in spec.tendons if not tendon.name.endswith(NEEDED_TENDONS)]
     for element in (spec.geom("floor0"), *spec.sensors, *spec.lights, *spec.sites, *free_tendons):
         spec.delete(element)
     for geom in spec.geoms:

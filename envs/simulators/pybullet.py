@@ -13,8 +13,6 @@ import math
 import os
 import tempfile
 import weakref
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -165,8 +163,10 @@ class PyBulletSimulator:
         )
 
     def step(self, joint_targets: Array, n_substeps: int) -> None:
-        with _simulation_errors():
+        try:
             self._step(joint_targets, n_substeps)
+        except pybullet.error as error:
+            raise SimulationError(f"PyBullet: {error}") from error
         thing, (positions, velocities) = self.object_state(), self.joint_state()
         if not math.isfinite(thing.position.sum() + positions.sum() + velocities.sum()):
             raise SimulationError("PyBullet's state is not finite")
@@ -187,8 +187,7 @@ class PyBulletSimulator:
             pybullet.stepSimulation(physicsClientId=client)
 
     def joint_state(self) -> tuple[Array, Array]:
-        with _simulation_errors():
-            states = pybullet.getJointStates(self.hand, self._joints, physicsClientId=self.client)
+        states = pybullet.getJointStates(self.hand, self._joints, physicsClientId=self.client)
         return np.array([state[0] for state in states]), np.array([state[1] for state in states])
 
     def object_state(self) -> ObjectState:
@@ -232,15 +231,6 @@ class PyBulletSimulator:
         if self._painter is not None:
             self._painter.close()
         self._release()
-
-
-@contextmanager
-def _simulation_errors() -> Iterator[None]:
-    """A client that is gone, say, is a step that failed."""
-    try:
-        yield
-    except pybullet.error as error:
-        raise SimulationError(f"PyBullet: {error}") from error
 
 
 def _measures(shape: Shape) -> dict[str, Any]:
