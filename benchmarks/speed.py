@@ -1,7 +1,7 @@
-"""How fast are the Shadow environment and PPO's updates, against their limits and peers?
+"""How fast are the environments and PPO's updates, against their limits and peers?
 
-Everything runs on one thread in one process, the contenders in turn, several rounds; what
-counts are the ratios, of medians over rounds. Prints tables and writes JSON:
+The contenders take turns for several rounds, on one thread in one process but where a second core
+is what is measured; what counts are the ratios, of medians over rounds. Prints tables and writes JSON:
 
     python benchmarks/speed.py --out docs/data/speed.json
 """
@@ -15,6 +15,7 @@ import statistics
 import time
 import warnings
 from collections.abc import Callable
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
@@ -31,6 +32,7 @@ from tactilerl import envs
 from tactilerl.algos import Transition
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
+from tactilerl.envs import vector
 
 CONTROL_DT = 0.04  # s: gymnasium-robotics' own, 20 steps of 2 ms
 STEPS = 250
@@ -159,6 +161,34 @@ def _ratios(rates: dict[str, float]) -> dict[str, float]:
     return ratios
 
 
+# -- several environments ---------------------------------------------------------------------
+
+
+def several(hand: str, cores: int, n: int = 4) -> Callable[[], int]:
+    """Steps of `n` environments side by side; the same actions whatever the cores."""
+    pool = vector.start(partial(envs.make, hand, task="reach-goal", layout="2"), n, cores)
+
+    def run() -> int:
+        rng = np.random.default_rng(0)
+        for index in range(n):
+            pool.reset(index, index)
+        for _ in range(20):
+            pool.step(range(n), rng.uniform(-1, 1, (n, *pool.action_space.shape)))
+        return 20 * n
+
+    return run
+
+
+def parallel() -> dict[str, Any]:
+    """What a second core gives: threads in MuJoCo, processes in PyBullet; resets included."""
+    rates, ratios = {}, {}
+    for hand in ("shadow", "mpl"):
+        found = rounds({"1 core": several(hand, 1), "2 cores": several(hand, 2)})
+        rates |= {f"{hand}, {cores}": rate for cores, rate in found.items()}
+        ratios[f"{hand}: 2 cores / 1"] = found["2 cores"] / found["1 core"]
+    return {"steps_per_s": rates, "ratios": ratios}
+
+
 # -- PPO's updates ---------------------------------------------------------------------------
 
 
@@ -280,7 +310,7 @@ def show(title: str, rates: dict[str, float], ratios: dict[str, float]) -> None:
 def main() -> None:
     """Run what was asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--only", choices=("env", "ppo"), help="one part instead of all")
+    parser.add_argument("--only", choices=("env", "ppo", "parallel"), help="one part instead of all")
     parser.add_argument("--out", type=Path, help="write JSON here")
     options = parser.parse_args()
     torch.set_num_threads(1)
@@ -290,11 +320,14 @@ def main() -> None:
         "machine": {"processor": platform.processor() or platform.machine(), "threads": 1},
         "versions": {name: version(name) for name in packages},
     }
-    if options.only != "ppo":
+    if options.only in (None, "env"):
         result["environment"] = environments()
         for title, part in result["environment"].items():
             show(f"environment steps, {title} s", part["steps_per_s"], part["ratios"])
-    if options.only != "env":
+    if options.only in (None, "parallel"):
+        result["parallel"] = part = parallel()
+        show("four environments, steps", part["steps_per_s"], part["ratios"])
+    if options.only in (None, "ppo"):
         result["ppo"] = part = updates()
         show("PPO minibatch updates, 167 × 97 → 7", part["updates_per_s"], part["ratios"])
     if options.out:
