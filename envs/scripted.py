@@ -35,11 +35,13 @@ def perturbed_start(rng: np.random.Generator, n_joints: int) -> Start:
     return Start(rng.uniform(-OFFSET, OFFSET, 2), float(rng.uniform(-YAW, YAW)), joints)
 
 
-def hold_steps(env: GraspEnv, grasp: ScriptedGrasp, start: Start, seconds: float) -> Iterator[bool]:
+def hold_steps(
+    env: GraspEnv, grasp: ScriptedGrasp, start: Start, seconds: float, dt: float | None = None
+) -> Iterator[bool]:
     """Perform `grasp` on the environment's simulator and yield once per control step of the
     hold: is the object still up? The environment's own episode is not involved."""
     hand, simulator = env.hand, env.simulator
-    dt = period(env.config.timestep)
+    dt = dt or period(env.config.timestep)
     n_substeps = round(dt / env.config.timestep)
     position = np.array([*start.object_offset, env.shape.half_size[2]])
     simulator.reset(hand.start_positions() + start.joint_offsets, position, start.yaw)
