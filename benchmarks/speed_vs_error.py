@@ -226,10 +226,10 @@ def rotational_energy(simulator: Any) -> float:
 
 
 def mark_front(rows: dict[str, dict[str, Any]]) -> None:
-    """Which settings does no other beat: clearly faster, with no more error and no more outcomes
-    changed? Less than CLEARLY is within the noise of the machine."""
+    """Which settings that hold something does no other beat: clearly faster, with no more error and
+    no more outcomes changed? Less than CLEARLY is within the noise of the machine."""
     for row in rows.values():
-        row["on_front"] = not any(
+        row["on_front"] = "error_median_mm" in row and not any(
             other["speed"] > CLEARLY * row["speed"]
             and other.get("error_median_mm", np.inf) <= row.get("error_median_mm", np.inf)
             and other["outcomes_changed"] <= row["outcomes_changed"]
