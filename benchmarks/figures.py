@@ -6,6 +6,7 @@ python benchmarks/figures.py
 from __future__ import annotations
 
 import csv
+import json
 from pathlib import Path
 
 import matplotlib
@@ -64,8 +65,36 @@ def curve(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return steps, np.array(rates)
 
 
+def speed_against_error() -> None:
+    """Every setting of every hand in every simulator, those on the front filled."""
+    data = json.loads((DOCS / "data" / "speed_vs_error.json").read_text(encoding="utf-8"))
+    tables = {name: rows for name, rows in data.items() if isinstance(rows, dict)}
+    cases = {  # what was not held has no error
+        name: {setting: row for setting, row in rows.items() if "error_median_mm" in row}
+        for name, rows in tables.items()
+    }
+    cases = {name: rows for name, rows in cases.items() if rows}
+    n_rows = -(-len(cases) // 2)
+    figure, grid = plt.subplots(n_rows, 2, figsize=(9, 3.2 * n_rows), squeeze=False)
+    for axes in grid.flat[len(cases) :]:
+        axes.axis("off")
+    for axes, (name, rows) in zip(grid.flat, cases.items(), strict=False):
+        for setting, row in rows.items():
+            is_shipped, on_front = setting == "as shipped", row.get("on_front", False)
+            axes.plot(
+                row["speed"], row["error_median_mm"], "s" if is_shipped else "o", color="#2b6cb0",
+                fillstyle="full" if on_front else "none",
+            )  # fmt: skip
+            axes.annotate(f" {setting}", (row["speed"], row["error_median_mm"]), fontsize=6)
+        axes.set(title=name, yscale="log", xlabel="speed, shipped = 1", ylabel="error, mm")
+        axes.grid(alpha=0.3)
+    figure.tight_layout()
+    figure.savefig(DOCS / "images" / "speed_vs_error.png", dpi=110)
+
+
 def main() -> None:
-    """One picture for each entry of RUNS."""
+    """Speed against error, and one picture for each entry of RUNS."""
+    speed_against_error()
     for name, (title, what, files) in RUNS.items():
         figure, axes = plt.subplots(figsize=(7, 4))
         colours = {run_type: iter(some) for run_type, some in COLOURS.items()}
