@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from functools import partial
 from importlib.util import find_spec
 
@@ -96,14 +97,16 @@ def test_a_killed_process_is_an_error_that_says_so(processes):
 def test_processes_end_quietly_with_their_parent(end):
     """In the middle of a step; Ctrl-C goes to the whole group, as a terminal sends it."""
     code = (
+        "import signal\n"
         "import numpy as np\n"
         "from functools import partial\n"
         "from tactilerl import envs\n"
         "from tactilerl.envs import vector\n"
         "if __name__ == '__main__':\n"
+        "    signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # CI may have it ignored
         "    pool = vector.ProcessEnvs(partial(envs.make, 'mpl', task='reach-goal'), 2, 2)\n"
-        "    print('ready', flush=True)\n"
         "    try:\n"
+        "        print('ready', flush=True)\n"
         "        while True:\n"
         "            for i in range(2): pool.reset(i, 0)\n"
         "            for _ in range(20): pool.step([0, 1], np.zeros((2, 7)))\n"
@@ -115,6 +118,7 @@ def test_processes_end_quietly_with_their_parent(end):
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
     )  # fmt: skip
     assert parent.stdout.readline() == "ready\n"
+    time.sleep(0.5)  # it is stepping
     children = psutil.Process(parent.pid).children(recursive=True)
     assert len(children) >= 2
     os.killpg(parent.pid, end) if end == signal.SIGINT else parent.kill()
