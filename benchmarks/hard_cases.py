@@ -126,7 +126,7 @@ def run(hand: str, simulator: str, case: Case, steps: int) -> dict[str, Any]:
             angles = env.simulator.joint_state()[0][3:]
             beyond = np.maximum(low - angles, angles - high).max()
             seen = {
-                "overlap": deepest(env.simulator),
+                "overlap": deepest(env),
                 "speed": float(np.linalg.norm(position - last)) / config.control_dt,
                 "joint": float(beyond),
             }

@@ -18,12 +18,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import torch
 from rich.console import Console
 from rich.table import Table
 from scipy import stats
+from speed_ddpg import RandomGoals
 
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
@@ -35,42 +35,9 @@ UPDATES = 100
 SCORES = np.array([0.31, 0.44, 0.47, 0.66, 0.85])
 
 
-class Noise(gym.Env[Any, np.ndarray]):
-    """Random observations and rewards, of a set-up's sizes; goals that are sometimes reached."""
-
-    def __init__(self, n_obs: int, n_actions: int, n_goal: int) -> None:
-        def box(n: int) -> gym.spaces.Box:
-            return gym.spaces.Box(-np.inf, np.inf, (n,), np.float32)
-
-        goals = {key: box(n_goal) for key in ("achieved_goal", "desired_goal")}
-        self.observation_space = gym.spaces.Dict({"observation": box(n_obs), **goals})
-        self.action_space = gym.spaces.Box(-1.0, 1.0, (n_actions,), np.float32)
-        self.max_episode_steps, self._steps = 20, 0
-
-    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
-        super().reset(seed=seed)
-        self._steps = 0
-        return self._obs(), {}
-
-    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        self._steps += 1
-        reward = -float(self.np_random.random())
-        done = self._steps >= self.max_episode_steps
-        return self._obs(), reward, False, done, {"is_success": False}
-
-    def compute_reward(self, achieved: np.ndarray, desired: np.ndarray, info: Any) -> np.ndarray:
-        return (np.linalg.norm(achieved - desired, axis=-1) < 1.0) - 1.0
-
-    def _obs(self) -> dict[str, np.ndarray]:
-        spaces = self.observation_space
-        assert isinstance(spaces, gym.spaces.Dict)
-        rng = self.np_random
-        return {key: rng.normal(size=space.shape).astype("f") for key, space in spaces.items()}
-
-
 def ppo() -> tuple[Any, list[tuple[torch.Tensor, ...]], Callable[[Any], list[FlatAdam]]]:
     """(learner, minibatches, its optimisers remade) at the sizes of the MPL hand, layout 2."""
-    pool = Envs(lambda: Noise(91, 7, 7), 1)
+    pool = Envs(lambda: RandomGoals(n_obs=95, n_actions=7), 1)
     learner: Any = PPO(PPOConfig(), pool, Communicator(), 0, 10**6)
     learner.collect()
     batch, rng = learner._batch(), np.random.default_rng(0)
@@ -90,8 +57,8 @@ def ppo() -> tuple[Any, list[tuple[torch.Tensor, ...]], Callable[[Any], list[Fla
 
 def ddpg() -> tuple[Any, list[tuple[torch.Tensor, ...]], Callable[[Any], list[FlatAdam]]]:
     """The same for DDPG+HER, at the sizes of the Shadow Hand, layout 2."""
-    pool = Envs(lambda: Noise(140, 23, 3), 2)
-    learner: Any = DDPGHER(DDPGHERConfig(buffer_size=2000), pool, Communicator(), 0, 10**6)
+    pool = Envs(lambda: RandomGoals(n_obs=140), 2)
+    learner: Any = DDPGHER(DDPGHERConfig(buffer_size=4000), pool, Communicator(), 0, 10**6)
     for _ in range(20):
         learner.collect()
     minibatches = []

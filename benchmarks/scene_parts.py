@@ -132,8 +132,7 @@ def perform(env: GraspEnv) -> dict[str, Any]:
     """The grasps; where the object ends in the palm's frame, and how long a step takes there."""
     ends, held, seconds = [], [], []
     model, data = env.simulator.model, env.simulator.data
-    for index in range(GRASPS):
-        start = scripted.perturbed_start(np.random.default_rng([SEED, index]), len(env.hand.joints))
+    for start in scripted.perturbed_starts(env, SEED, GRASPS):
         up = list(scripted.hold_steps(env, scripted.grasp_for(env), start, SECONDS))
         (palm,), (frame,) = env.simulator.link_poses((env.hand.palm,))
         ends.append(frame.T @ (env.simulator.object_state().position - palm))

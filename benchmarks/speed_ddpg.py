@@ -41,15 +41,15 @@ REPEATS = 3  # of each number of ranks
 
 
 class RandomGoals(gym.Env[Any, Any]):
-    """A goal environment of random numbers in the shapes of the benchmark."""
+    """A goal environment of random numbers, by default in the shapes of the benchmark."""
 
     max_episode_steps, n_boolean = STEPS, 0
 
-    def __init__(self) -> None:
-        sizes = {"observation": OBS, "achieved_goal": GOAL, "desired_goal": GOAL}
+    def __init__(self, n_obs: int = OBS, n_actions: int = ACTIONS) -> None:
+        sizes = {"observation": n_obs, "achieved_goal": GOAL, "desired_goal": GOAL}
         boxes = {k: gym.spaces.Box(-np.inf, np.inf, (n,), np.float32) for k, n in sizes.items()}
         self.observation_space = gym.spaces.Dict(boxes)
-        self.action_space = gym.spaces.Box(-1.0, 1.0, (ACTIONS,), np.float32)
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (n_actions,), np.float32)
         self.rng, self.steps = np.random.default_rng(0), 0
 
     def _obs(self) -> dict[str, Any]:

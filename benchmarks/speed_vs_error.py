@@ -125,8 +125,7 @@ def perform(env: GraspEnv, grasps: int, dt: float) -> Trace:
     bits, held = np.empty((grasps, n, len(env.taxels)), bool), np.empty(grasps, bool)
     overlap = 0.0
     started = time.process_time()
-    for index in range(grasps):
-        start = scripted.perturbed_start(np.random.default_rng([SEED, index]), len(env.hand.joints))
+    for index, start in enumerate(scripted.perturbed_starts(env, SEED, grasps)):
         hold = scripted.hold_steps(env, scripted.grasp_for(env), start, SECONDS, dt)
         for step, is_up in enumerate(hold):
             thing = env.simulator.object_state()
@@ -134,7 +133,7 @@ def perform(env: GraspEnv, grasps: int, dt: float) -> Trace:
             positions[index, step] = frame.T @ (thing.position - palm)
             rotations[index, step] = frame.T @ thing.rotation
             bits[index, step] = env.taxel_readings()
-            overlap = max(overlap, deepest(env.simulator))
+            overlap = max(overlap, deepest(env))
             held[index] = is_up
     seconds = time.process_time() - started
     data = getattr(env.simulator, "data", None)
@@ -142,9 +141,10 @@ def perform(env: GraspEnv, grasps: int, dt: float) -> Trace:
     return Trace(positions, rotations, bits, held, overlap, warnings, seconds)
 
 
-def deepest(simulator: Any) -> float:
+def deepest(env: GraspEnv) -> float:
     """How far hand and object overlap now, m."""
-    if simulator.holds_gil:
+    simulator: Any = env.simulator
+    if env.config.simulator == "pybullet":
         bullet = importlib.import_module(BULLET).pybullet
         points = bullet.getContactPoints(
             simulator.hand, simulator.object, physicsClientId=simulator.client
@@ -190,20 +190,21 @@ def free_flight(hand: str, simulator: str, setting: Setting) -> dict[str, float]
     with environment(hand, simulator, (0.02, 0.03, 0.05), setting) as env:
         sim, n = env.simulator, round(0.3 / env.config.timestep)
         sim.reset(env.hand.start_positions(), np.array([0.5, 0.5, 1.0]), 0.0)
-        spin(sim, np.array([3.0, 2.0, 1.0]))
-        before = rotational_energy(sim)
+        spin(env, np.array([3.0, 2.0, 1.0]))
+        before = rotational_energy(env)
         sim.step(env.hand.start_targets(), n)
         fallen = 1.0 - sim.object_state().position[2]
         wanted = 0.5 * 9.81 * (n * env.config.timestep) ** 2
         return {
             "fall_error": abs(fallen / wanted - 1.0),
-            "spin_energy_error": abs(rotational_energy(sim) / before - 1.0),
+            "spin_energy_error": abs(rotational_energy(env) / before - 1.0),
         }
 
 
-def spin(simulator: Any, velocity: np.ndarray) -> None:
+def spin(env: GraspEnv, velocity: np.ndarray) -> None:
     """Give the object an angular velocity, rad/s, world frame."""
-    if simulator.holds_gil:
+    simulator: Any = env.simulator
+    if env.config.simulator == "pybullet":
         bullet = importlib.import_module(BULLET).pybullet
         bullet.resetBaseVelocity(
             simulator.object, angularVelocity=velocity.tolist(), physicsClientId=simulator.client
@@ -212,11 +213,12 @@ def spin(simulator: Any, velocity: np.ndarray) -> None:
         simulator.data.joint("object").qvel[3:] = velocity  # the object is not turned yet
 
 
-def rotational_energy(simulator: Any) -> float:
+def rotational_energy(env: GraspEnv) -> float:
     """Of the object, J."""
-    edges = 2 * np.array(simulator.scene.shape.half_size)
+    simulator: Any = env.simulator
+    edges = 2 * np.array(env.shape.half_size)
     inertia = simulator.scene.mass / 12 * (np.square(edges).sum() - np.square(edges))
-    if simulator.holds_gil:
+    if env.config.simulator == "pybullet":
         bullet = importlib.import_module(BULLET).pybullet
         _, velocity = bullet.getBaseVelocity(simulator.object, physicsClientId=simulator.client)
         local = simulator.object_state().rotation.T @ np.array(velocity)

@@ -18,11 +18,9 @@ from rich.console import Console
 from rich.table import Table
 from speed_ddpg import Watches
 
-from tactilerl import checkpoint
-from tactilerl.algos.mpi import Communicator
 from tactilerl.envs.hold import HoldTest
+from tactilerl.evaluate import restore
 from tactilerl.run_dir import RunDir
-from tactilerl.train import make_algorithm
 
 
 def shares(run: Path, verdict: str, rounds: int) -> dict[str, float]:
@@ -34,9 +32,7 @@ def shares(run: Path, verdict: str, rounds: int) -> dict[str, float]:
         run=dataclasses.replace(saved.run, num_envs=1),
         scene=saved.scene and dataclasses.replace(saved.scene, hold_verdict=verdict),
     )
-    learner, pool = make_algorithm(config, Communicator())
-    state = checkpoint.read(run_dir, saved)["ranks"][0]
-    checkpoint.load_state(learner, state, run_dir.checkpoint_file)
+    learner, pool, _ = restore(run_dir, saved, config)
     watches, steps = Watches(), learner.env_steps
     simulator: Any = pool.envs[0].unwrapped.simulator  # type: ignore[attr-defined]
     watches.watch("physics", simulator, "step")

@@ -35,6 +35,12 @@ def perturbed_start(rng: np.random.Generator, n_joints: int) -> Start:
     return Start(rng.uniform(-OFFSET, OFFSET, 2), float(rng.uniform(-YAW, YAW)), joints)
 
 
+def perturbed_starts(env: GraspEnv, seed: int, n: int) -> Iterator[Start]:
+    """`n` starts; each follows from `seed` and its number alone."""
+    for index in range(n):
+        yield perturbed_start(np.random.default_rng([seed, index]), len(env.hand.joints))
+
+
 def hold_steps(
     env: GraspEnv, grasp: ScriptedGrasp, start: Start, seconds: float, dt: float | None = None
 ) -> Iterator[bool]:

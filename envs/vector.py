@@ -12,7 +12,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any, NamedTuple
@@ -40,8 +40,9 @@ class Envs:
     """`n` environments made by `make()`; any of them can be stepped in any combination. Here they
     are stepped in turn."""
 
-    def __init__(self, make: Make, n: int) -> None:
-        self.envs = [make() for _ in range(n)]
+    def __init__(self, make: Make, n: int, *made: gym.Env[Any, Any]) -> None:
+        """Those already `made` are among the `n`."""
+        self.envs = [*made, *(make() for _ in range(n - len(made)))]
 
     def __len__(self) -> int:
         return len(self.envs)
@@ -97,8 +98,8 @@ class Envs:
 class ThreadedEnvs(Envs):
     """Stepped by `threads` threads."""
 
-    def __init__(self, make: Make, n: int, threads: int) -> None:
-        super().__init__(make, n)
+    def __init__(self, make: Make, n: int, threads: int, *made: gym.Env[Any, Any]) -> None:
+        super().__init__(make, n, *made)
         self._threads = ThreadPoolExecutor(threads)
 
     def step(self, indices: Sequence[int], actions: Sequence[Any] | np.ndarray) -> list[Step]:
@@ -118,8 +119,8 @@ class ProcessEnvs(Envs):
     dies is an OSError.
     """
 
-    def __init__(self, make: Make, n: int, processes: int) -> None:
-        super().__init__(make, 1)
+    def __init__(self, make: Make, n: int, processes: int, *made: gym.Env[Any, Any]) -> None:
+        super().__init__(make, 1, *made)
         self._n = n
         self._processes: list[BaseProcess] = []
         self._connections: list[Connection[Any, Any]] = []
@@ -219,6 +220,6 @@ def start(make: Make, n: int, cores: int = 1) -> Envs:
     several = min(n, cores)
     if several == 1:
         return Envs(make, n)
-    with closing(make()) as probe:
-        holds_gil = getattr(probe.unwrapped, "holds_gil", False)
-    return (ProcessEnvs if holds_gil else ThreadedEnvs)(make, n, several)
+    first = make()
+    holds_gil = getattr(first.unwrapped, "holds_gil", False)
+    return (ProcessEnvs if holds_gil else ThreadedEnvs)(make, n, several, first)

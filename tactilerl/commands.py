@@ -307,8 +307,12 @@ def render(args: list[str]) -> int:
     read, scene = _read_scene(RenderFlags, args, name, "tactilerl render")
     if not 0.05 <= read.distance <= 10:
         raise InputError(f"--distance: found {read.distance}, allowed from 0.05 to 10")
+    for flag in ("video", "episodes") if read.run is None else ("env", "out", "pose"):
+        if getattr(read, flag) != getattr(RenderFlags, flag):
+            needed = "with" if read.run is None else "without"
+            raise InputError(f"--{flag}: found it, allowed only {needed} RUN; see --help")
     if read.run is not None:
-        if name != RenderFlags.env or scene != setup(name):
+        if scene != setup(name):
             raise InputError("render RUN: found flags of a scene, allowed none: a run has its own")
         _at_least("--episodes", read.episodes, 1)
         with input_errors():

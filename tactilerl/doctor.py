@@ -63,13 +63,9 @@ class Holds:
 def record(env_name: str, config: GraspConfig, grasps: int, seconds: float) -> Holds:
     """Run `grasps` scripted grasps held for `seconds`; always the same ones."""
     with closing(GraspEnv(env_name, config)) as env:
-        readings = []
-        for index in range(grasps):
-            rng = np.random.default_rng([SEED, index])
-            start = scripted.perturbed_start(rng, len(env.hand.joints))
-            felt = _felt(env, start, seconds)
-            readings.append(None if felt is None else np.array(felt, bool))
-        return Holds(config.layout, env.taxels.names, tuple(readings))
+        starts = scripted.perturbed_starts(env, SEED, grasps)
+        readings = tuple(_felt(env, start, seconds) for start in starts)
+        return Holds(config.layout, env.taxels.names, readings)
 
 
 def agreement(a: Holds, b: Holds) -> float | None:
@@ -86,7 +82,7 @@ def agreement(a: Holds, b: Holds) -> float | None:
     return both / either if either else None
 
 
-def _felt(env: GraspEnv, start: scripted.Start, seconds: float) -> list[np.ndarray] | None:
+def _felt(env: GraspEnv, start: scripted.Start, seconds: float) -> np.ndarray | None:
     """Readings at each control step of one hold; None when the object was not held."""
     felt = []
     try:
@@ -96,7 +92,7 @@ def _felt(env: GraspEnv, start: scripted.Start, seconds: float) -> list[np.ndarr
             felt.append(env.taxel_readings())
     except SimulationError:
         return None
-    return felt
+    return np.array(felt, bool)
 
 
 def figures(holds: Holds) -> LayoutFigures:

@@ -14,6 +14,7 @@ import numpy as np
 from . import algos, checkpoint
 from .algos.mpi import Communicator
 from .config import RunConfig
+from .envs import vector
 from .run_dir import RunDir
 from .train import make_algorithm
 
@@ -28,11 +29,20 @@ def load_policy(path: Path) -> tuple[RunConfig, algos.Algorithm, int]:
     run = dataclasses.replace(saved.run, num_envs=1, device="cpu")
     scene = saved.scene and dataclasses.replace(saved.scene, hold_verdict="full")
     config = dataclasses.replace(saved, run=run, scene=scene)
-    learner, pool = make_algorithm(config, Communicator())
+    learner, pool, epoch = restore(run_dir, saved, config)
     pool.close()
+    return config, learner, epoch
+
+
+def restore(
+    run_dir: RunDir, saved: RunConfig, config: RunConfig
+) -> tuple[algos.Algorithm, vector.Envs, int]:
+    """(learner, its environments, epoch) of the run `saved`, under a configuration that differs
+    only where the learner's state does not depend on it."""
     data = checkpoint.read(run_dir, saved)
+    learner, pool = make_algorithm(config, Communicator())
     checkpoint.load_state(learner, data["ranks"][0], run_dir.checkpoint_file)
-    return config, learner, int(data["epoch"])
+    return learner, pool, int(data["epoch"])
 
 
 def episodes(

@@ -310,6 +310,8 @@ class TestBadInput:
             (["render", "none", "--video", "no/x.mp4"], ["--video: found no folder no"]),
             (["render", "none"], ["none"]),
             (["render", "none", "--layout", "1"], ["found flags of a scene"]),
+            (["render", "none", "--pose", "start"], ["--pose", "without RUN"]),
+            (["render", "--video", "x.mp4"], ["--video", "with RUN"]),
             (["doctor", "--env", "lqr"], ["--env: found 'lqr'", "shadow"]),
             (["env", "--env", "nope"], ["unknown environment 'nope'"]),
         ],
