@@ -2,7 +2,8 @@
 
 Scripted grasps with perturbed starts, held for 5 s, under one setting at a time, for each hand in
 each simulator, against a reference with small, well-solved steps, which is itself compared with
-one of half its step. Also what a spinning brick in free fall loses. Prints tables and writes JSON:
+one of twice its step. Also what is lost where nothing should be (free_motion.py). Prints tables
+and writes JSON:
 
     python benchmarks/speed_vs_error.py --out docs/data/speed_vs_error.json
     python benchmarks/speed_vs_error.py --hand mpl --simulator pybullet --grasps 3
@@ -16,17 +17,19 @@ import json
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+import mujoco
 import numpy as np
+from free_motion import BRICK, BULLET, fall, swing
 from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from tactilerl.envs import scripted
+from tactilerl.envs import hands, scripted
 from tactilerl.envs.grasp import GraspEnv, setup
 
 SECONDS = 5.0
@@ -34,41 +37,79 @@ SEED = 30_000  # starts of this benchmark; the doctor and the search used others
 SIZES = {"shadow": (0.04, 0.05), "mpl": (0.045, 0.05)}  # of cubes, m
 SHIPPED = "as shipped"
 CLEARLY = 1.15
-BULLET = "tactilerl.envs.simulators.pybullet"
-Setting = tuple[float, dict[str, Any]]
-"""(timestep in units of the shipped one; fields of MuJoCo's options, or constants of our PyBullet
-module)."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What is different from the shipped scene."""
+
+    timestep: float = 1.0
+    """In units of the shipped one."""
+    options: dict[str, Any] = field(default_factory=dict)
+    """Fields of MuJoCo's options, or parameters of Bullet's engine."""
+    constants: dict[str, Any] = field(default_factory=dict)
+    """Of our PyBullet module."""
+    added_inertia: float = 1.0
+    """In units of the hand's own."""
+    contact_time: float = 1.0
+    """MuJoCo's time constant of the object's contacts, in units of the shipped one."""
+    config: dict[str, Any] = field(default_factory=dict)
+    """Fields of GraspConfig."""
+    all_sensors: bool = False
+    """MuJoCo's touch sensors in each substep, not only in the last of a control step."""
+
 
 EXACT = {"iterations": 200, "tolerance": 1e-12}
-REFERENCES: dict[str, tuple[Setting, Setting]] = {
-    "mujoco": ((1 / 8, EXACT), (1 / 16, EXACT)),
-    "pybullet": ((1 / 4, {"SOLVER_ITERATIONS": 100}), (1 / 8, {"SOLVER_ITERATIONS": 100})),
+MANY = {"numSolverIterations": 100}
+REFERENCES = {
+    "mujoco": (Setting(1 / 8, EXACT), Setting(1 / 16, EXACT)),
+    "pybullet": (Setting(1 / 4, MANY), Setting(1 / 8, MANY)),
 }
+SOLVER, INTEGRATOR, CONE = mujoco.mjtSolver, mujoco.mjtIntegrator, mujoco.mjtCone
+SELF_CONTACT = (
+    "URDF_USE_INERTIA_FROM_FILE",
+    "URDF_USE_SELF_COLLISION",
+    "URDF_USE_SELF_COLLISION_EXCLUDE_ALL_PARENTS",
+)
 SETTINGS: dict[str, dict[str, Setting]] = {
     "mujoco": {
-        SHIPPED: (1, {}),
-        "timestep / 4": (1 / 4, {}),
-        "timestep / 2": (1 / 2, {}),
-        "timestep x 2": (2, {}),
-        "6 iterations": (1, {"iterations": 6}),
-        "10 iterations": (1, {"iterations": 10}),
-        "50 iterations": (1, {"iterations": 50}),
-        "implicitfast": (1, {"integrator": 3}),
-        "dense Jacobian": (1, {"jacobian": 0}),
-        "impratio 10": (1, {"impratio": 10.0}),
-        "pyramidal, impratio 1": (1, {"cone": 0, "impratio": 1.0}),
+        SHIPPED: Setting(),
+        "timestep / 4": Setting(1 / 4),
+        "timestep / 2": Setting(1 / 2),
+        "timestep x 2": Setting(2),
+        "6 iterations": Setting(options={"iterations": 6}),
+        "10 iterations": Setting(options={"iterations": 10}),
+        "50 iterations": Setting(options={"iterations": 50}),
+        "solver CG": Setting(options={"solver": SOLVER.mjSOL_CG}),
+        "solver PGS": Setting(options={"solver": SOLVER.mjSOL_PGS}),
+        "implicitfast": Setting(options={"integrator": INTEGRATOR.mjINT_IMPLICITFAST}),
+        "RK4": Setting(options={"integrator": INTEGRATOR.mjINT_RK4}),
+        "dense Jacobian": Setting(options={"jacobian": mujoco.mjtJacobian.mjJAC_DENSE}),
+        "impratio 10": Setting(options={"impratio": 10.0}),
+        "pyramidal, impratio 1": Setting(options={"cone": CONE.mjCONE_PYRAMIDAL, "impratio": 1.0}),
+        "contacts / 2 as slow": Setting(contact_time=1 / 2),
+        "contacts x 2 as slow": Setting(contact_time=2),
+        "touch sensors": Setting(config={"touch": "contact"}),
+        "touch sensors, each substep": Setting(config={"touch": "contact"}, all_sensors=True),
     },
     "pybullet": {
-        SHIPPED: (1, {}),
-        "timestep / 2": (1 / 2, {}),
-        "timestep x 2": (2, {}),
-        "20 iterations": (1, {"SOLVER_ITERATIONS": 20}),
-        "30 iterations": (1, {"SOLVER_ITERATIONS": 30}),
-        "100 iterations": (1, {"SOLVER_ITERATIONS": 100}),
-        "no friction anchors": (1, {"FRICTION_ANCHOR": 0}),
-        "no spinning friction": (1, {"SPINNING_FRICTION": 0.0}),
-        "added inertia 1e-5": (1, {"ADDED_INERTIA": 1e-5}),
-        "added inertia 1e-3": (1, {"ADDED_INERTIA": 1e-3}),
+        SHIPPED: Setting(),
+        "timestep / 2": Setting(1 / 2),
+        "timestep x 2": Setting(2),
+        "2 substeps": Setting(options={"numSubSteps": 2}),
+        "20 iterations": Setting(options={"numSolverIterations": 20}),
+        "30 iterations": Setting(options={"numSolverIterations": 30}),
+        "100 iterations": Setting(options={"numSolverIterations": 100}),
+        "contact ERP 0.1": Setting(options={"contactERP": 0.1}),
+        "contact ERP 0.4": Setting(options={"contactERP": 0.4}),
+        "friction ERP 0.05": Setting(options={"frictionERP": 0.05}),
+        "CFM 1e-5": Setting(options={"globalCFM": 1e-5}),
+        "no friction anchors": Setting(constants={"FRICTION_ANCHOR": 0}),
+        "no spinning friction": Setting(constants={"SPINNING_FRICTION": 0.0}),
+        "added inertia / 10": Setting(added_inertia=0.1),
+        "added inertia x 10": Setting(added_inertia=10),
+        "hand touches itself": Setting(constants={"LOADING": SELF_CONTACT}),
+        "contact rule": Setting(config={"touch": "contact"}),
     },
 }
 
@@ -96,20 +137,35 @@ class Trace:
 @contextmanager
 def environment(hand: str, simulator: str, size: Any, setting: Setting) -> Iterator[GraspEnv]:
     """A scene under one setting."""
-    factor, options = setting
-    timestep = factor * setup(hand).timestep
-    choices = {"timestep": timestep, "control_dt": timestep}
+    timestep = setting.timestep * setup(hand).timestep
+    choices = {"timestep": timestep, "control_dt": timestep, **setting.config}
     config = setup(hand, simulator=simulator, layout="1", object_size=size, **choices)
+    change = _change_bullet if simulator == "pybullet" else _change_mujoco
     with ExitStack() as stack:
-        if simulator == "pybullet":
-            module = importlib.import_module(BULLET)
-            for name, value in options.items():
-                stack.enter_context(patch.object(module, name, value))
-        env = stack.enter_context(closing(GraspEnv(hand, config)))
-        if simulator == "mujoco":
-            for name, value in options.items():
-                setattr(env.simulator.model.opt, name, value)
-        yield env
+        yield change(stack, hand, config, setting)
+
+
+def _change_mujoco(stack: ExitStack, hand: str, config: Any, setting: Setting) -> GraspEnv:
+    env = stack.enter_context(closing(GraspEnv(hand, config)))
+    simulator: Any = env.simulator
+    for name, value in setting.options.items():
+        setattr(simulator.model.opt, name, value)
+    simulator.model.geom("object").solref[0] *= setting.contact_time
+    if setting.all_sensors:  # the simulator takes care of them only when the scene has some
+        simulator.scene = replace(simulator.scene, contact_taxels=None)
+    return env
+
+
+def _change_bullet(stack: ExitStack, hand: str, config: Any, setting: Setting) -> GraspEnv:
+    module, shipped = importlib.import_module(BULLET), hands.load(hand)
+    changed = replace(shipped, added_inertia=setting.added_inertia * shipped.added_inertia)
+    stack.enter_context(patch.object(hands, "load", lambda name: changed))
+    stack.enter_context(patch.dict(module.ENGINE, setting.options))
+    for name, value in setting.constants.items():
+        if name == "LOADING":
+            value = sum(getattr(module.pybullet, flag) for flag in value)
+        stack.enter_context(patch.object(module, name, value))
+    return stack.enter_context(closing(GraspEnv(hand, config)))
 
 
 def record(hand: str, simulator: str, size: float, setting: Setting, grasps: int) -> Trace:
@@ -184,47 +240,13 @@ def compare(trace: Trace, reference: Trace, shipped_seconds: float) -> dict[str,
     }
 
 
-def free_flight(hand: str, simulator: str, setting: Setting) -> dict[str, float]:
-    """What a spinning brick in free fall loses in 0.3 s: relative error of the height fallen, and
-    of the rotational energy."""
-    with environment(hand, simulator, (0.02, 0.03, 0.05), setting) as env:
-        sim, n = env.simulator, round(0.3 / env.config.timestep)
-        sim.reset(env.hand.start_positions(), np.array([0.5, 0.5, 1.0]), 0.0)
-        spin(env, np.array([3.0, 2.0, 1.0]))
-        before = rotational_energy(env)
-        sim.step(env.hand.start_targets(), n)
-        fallen = 1.0 - sim.object_state().position[2]
-        wanted = 0.5 * 9.81 * (n * env.config.timestep) ** 2
-        return {
-            "fall_error": abs(fallen / wanted - 1.0),
-            "spin_energy_error": abs(rotational_energy(env) / before - 1.0),
-        }
-
-
-def spin(env: GraspEnv, velocity: np.ndarray) -> None:
-    """Give the object an angular velocity, rad/s, world frame."""
-    simulator: Any = env.simulator
-    if env.config.simulator == "pybullet":
-        bullet = importlib.import_module(BULLET).pybullet
-        bullet.resetBaseVelocity(
-            simulator.object, angularVelocity=velocity.tolist(), physicsClientId=simulator.client
-        )
-    else:
-        simulator.data.joint("object").qvel[3:] = velocity  # the object is not turned yet
-
-
-def rotational_energy(env: GraspEnv) -> float:
-    """Of the object, J."""
-    simulator: Any = env.simulator
-    edges = 2 * np.array(env.shape.half_size)
-    inertia = simulator.scene.mass / 12 * (np.square(edges).sum() - np.square(edges))
-    if env.config.simulator == "pybullet":
-        bullet = importlib.import_module(BULLET).pybullet
-        _, velocity = bullet.getBaseVelocity(simulator.object, physicsClientId=simulator.client)
-        local = simulator.object_state().rotation.T @ np.array(velocity)
-    else:
-        local = simulator.data.joint("object").qvel[3:]
-    return float(0.5 * (inertia * np.square(local)).sum())
+def free_motion(hand: str, simulator: str, setting: Setting) -> dict[str, float]:
+    """What the setting loses where nothing should be lost."""
+    lost: dict[str, float] = {}
+    for move in (fall, swing):
+        with environment(hand, simulator, BRICK, setting) as env:
+            lost |= move(env)
+    return lost
 
 
 def mark_front(rows: dict[str, dict[str, Any]]) -> None:
@@ -248,7 +270,7 @@ def measure(hand: str, simulator: str, size: float, grasps: int) -> dict[str, di
     rows = {name: compare(trace, fine, shipped) for name, trace in traces.items()}
     mark_front(rows)
     for name, setting in settings.items():
-        rows[name] |= free_flight(hand, simulator, setting)
+        rows[name] |= free_motion(hand, simulator, setting)
     return {"reference, twice the step": compare(coarse, fine, shipped), **rows}
 
 
@@ -263,6 +285,7 @@ COLUMNS = {
     "outcomes_changed": "outcomes changed",
     "fall_error": "fall",
     "spin_energy_error": "spin",
+    "swing_energy_error": "swing",
     "warnings": "warnings",
 }
 

@@ -53,14 +53,14 @@ class TestKinematics:
             np.testing.assert_allclose(thing[0].orientation, thing[1].orientation, atol=1e-7)
 
     def test_same_masses_and_limits(self, pair):
-        from tactilerl.envs.simulators.pybullet import ADDED_INERTIA, pybullet
+        from tactilerl.envs.simulators.pybullet import pybullet
 
         mj, bullet = pair
         for name in bodies(mj.model):
             index, body = bullet._links[name], mj.model.body(name).id
             info = pybullet.getDynamicsInfo(bullet.hand, index, physicsClientId=bullet.client)
             assert info[0] == pytest.approx(mj.model.body_mass[body], rel=1e-12)
-            expected = mj.model.body_inertia[body] + ADDED_INERTIA
+            expected = mj.model.body_inertia[body] + mj.scene.hand.added_inertia
             np.testing.assert_allclose(info[2], expected, rtol=1e-6)
         for name in mj.scene.hand.joints[3:]:
             info = pybullet.getJointInfo(
@@ -149,11 +149,11 @@ class TestPhysics:
         env = GraspEnv("mpl", setup("mpl", layout="1", touch="contact"))
         env.reset(seed=0)
         assert not env.taxel_readings().any()
-        start = scripted.perturbed_start(np.random.default_rng(3), len(env.hand.joints))
-        fired = 0
-        for _ in scripted.hold_steps(env, scripted.grasp_for(env), start, 0.4):
-            fired += env.taxel_readings().sum()
-        assert fired > 0
+        fired = []  # a contact is a point, and few points lie in a taxel
+        for start in scripted.perturbed_starts(env, 3, 5):
+            hold = scripted.hold_steps(env, scripted.grasp_for(env), start, 0.4)
+            fired.append(sum(env.taxel_readings().sum() for _ in hold))
+        assert max(fired) > 0
         env.close()
 
 

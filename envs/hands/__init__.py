@@ -174,6 +174,9 @@ class Hand:
     reach: float = 0.05
     """Edge of the largest cube that lies free of the hand at the start, m. Nothing may be wider;
     over what is higher the hand starts higher."""
+    added_inertia: float = 1e-4
+    """Rotational inertia that every link gets in Bullet, kg m²: the solver needs it, and the value
+    is the one that comes nearest to small timesteps (docs/accuracy_and_speed.md)."""
     grasps: tuple[ScriptedGrasp, ...] = ()
 
     def start_positions(self) -> Array:

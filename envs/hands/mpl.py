@@ -210,7 +210,10 @@ def _grasp(size: float, palm: tuple[float, float, float], closing: float) -> Scr
     return ScriptedGrasp(size, targets)
 
 
-GRASPS = (_grasp(0.05, (0.0, 0.069, 0.092), 0.8),)
+GRASPS = (
+    _grasp(0.05, (0.0, 0.069, 0.092), 0.8),
+    _grasp(0.045, (-0.004, 0.069, 0.092), 0.8),
+)
 
 
 def mpl_hand() -> Hand:
@@ -241,5 +244,6 @@ def mpl_hand() -> Hand:
         start={name: value for name, value in zip(names, start, strict=True) if value},
         observation=("object_id", "hand_position", "object_position", "finger_joints"),
         reach=0.05,
+        added_inertia=1e-3,
         grasps=GRASPS,
     )

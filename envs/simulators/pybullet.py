@@ -42,8 +42,8 @@ def _import_quietly() -> Any:
 
 pybullet = _import_quietly()
 GRAVITY = 9.81
-SOLVER_ITERATIONS = 50
-ADDED_INERTIA = 1e-4  # kg m²: without it links creep and jitter (docs/environments.md)
+ENGINE = {"numSolverIterations": 50, "deterministicOverlappingPairs": 1}
+LOADING = pybullet.URDF_USE_INERTIA_FROM_FILE
 JOINT_DAMPING = 0.01  # N m s/rad
 SPINNING_FRICTION = 0.005  # m, of the object's contacts
 FRICTION_ANCHOR = 1  # contacts remember where they stick; without, held objects creep
@@ -82,13 +82,11 @@ class PyBulletSimulator:
         scene, client = self.scene, self.client
         pybullet.resetSimulation(physicsClientId=client)
         pybullet.setPhysicsEngineParameter(
-            fixedTimeStep=scene.timestep, numSolverIterations=SOLVER_ITERATIONS,
-            deterministicOverlappingPairs=1, physicsClientId=client,
-        )  # fmt: skip
+            fixedTimeStep=scene.timestep, physicsClientId=client, **ENGINE
+        )
         self.hand = pybullet.loadURDF(
-            str(self._urdf), useFixedBase=True, flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
-            physicsClientId=client,
-        )  # fmt: skip
+            str(self._urdf), useFixedBase=True, flags=LOADING, physicsClientId=client
+        )
         self._links, self._joint_index = self._names()
         self._body(mass=0.0, friction=1.0, shapeType=pybullet.GEOM_PLANE)
         self.object = self._body(mass=scene.mass, friction=scene.friction, **_measures(scene.shape))
@@ -113,7 +111,7 @@ class PyBulletSimulator:
 
     def _set_dynamics(self) -> None:
         """Bullet multiplies the frictions of two bodies: 1 everywhere but on the object."""
-        client = self.client
+        client, added = self.client, self.scene.hand.added_inertia
         pybullet.changeDynamics(
             self.object, -1, spinningFriction=SPINNING_FRICTION, frictionAnchor=FRICTION_ANCHOR,
             physicsClientId=client,
@@ -124,7 +122,7 @@ class PyBulletSimulator:
             pybullet.changeDynamics(
                 self.hand, index, lateralFriction=1.0, linearDamping=0.0, angularDamping=0.0,
                 jointDamping=JOINT_DAMPING,
-                localInertiaDiagonal=(inertia + (ADDED_INERTIA if body >= 0 else 0.0)).tolist(),
+                localInertiaDiagonal=(inertia + (added if body >= 0 else 0.0)).tolist(),
                 physicsClientId=client,
             )  # fmt: skip
 
