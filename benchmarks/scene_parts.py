@@ -1,8 +1,8 @@
-"""What does a scene need? Parts taken out or put back, one at a time, in MuJoCo.
+"""What does a scene need? Parts taken out or put back, one at a time, in each simulator.
 
-Five perturbed scripted grasps each, held for 2 s: microseconds of `mj_step` while holding, time to
-compile, size of the model, and what changes in the grasp against the shipped scene. Prints tables
-and writes JSON:
+Five perturbed scripted grasps each, held for 2 s: microseconds of a physics step while holding,
+time and memory to load a scene, and what changes in the grasp against the shipped scene. Prints
+tables and writes JSON:
 
     python benchmarks/scene_parts.py --out docs/data/scene_parts.json
 """
@@ -10,31 +10,36 @@ and writes JSON:
 from __future__ import annotations
 
 import argparse
+import ctypes
+import importlib
 import json
 import time
-from collections.abc import Callable
-from contextlib import closing
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 import mujoco
 import numpy as np
+import psutil
 from rich.console import Console
 from rich.table import Table
+from speed_vs_error import BULLET, SHIPPED, self_contact
 
 from tactilerl.envs import scripted
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.hands import shadow
-from tactilerl.envs.simulators import mujoco as simulator
+from tactilerl.envs.simulators import Scene
 
 SECONDS, GRASPS, SEED = 2.0, 5, 60_000
-SHIPPED = "as shipped"
-Edit = Callable[[mujoco.MjSpec], None]
+STEPS = 500  # of physics, timed after each grasp
+COPIES = 8  # of a scene, loaded at once to weigh one
 
 
 def nothing(spec: mujoco.MjSpec) -> None:
-    """The shipped scene."""
+    """The shipped hand."""
 
 
 def without_pairs(spec: mujoco.MjSpec) -> None:
@@ -76,96 +81,147 @@ def drop_but(*names: str) -> Callable[[mujoco.MjSpec, bool], None]:
     return drop
 
 
-Variant = tuple[dict[str, Any], Edit, Callable[[mujoco.MjSpec, bool], None], bool]
-"""(fields of GraspConfig, edit of the scene, what is dropped of the model, with visual meshes?)"""
-BASE: Variant = ({}, nothing, drop_as_shipped, False)
-VARIANTS: dict[str, dict[str, Variant]] = {
-    "shadow": {
-        SHIPPED: BASE,
-        "with visual meshes": ({}, nothing, drop_as_shipped, True),
-        "with the model's other tendons": ({}, nothing, drop_but_tendons, False),
-        "with the forearm's collision mesh": ({}, nothing, drop_but("C_forearm"), False),
-        "with the thumb's 1 mm boxes": ({}, nothing, drop_but("V_thbase", "V_thhub"), False),
-        "with 139 touch sensors": ({"touch": "contact"}, nothing, drop_as_shipped, False),
-        "without hand-hand pairs": ({}, without_pairs, drop_as_shipped, False),
-        "without palm boxes": ({}, without_palm, drop_as_shipped, False),
-        "without coupling tendons": ({}, without_couplings, drop_as_shipped, False),
+@dataclass(frozen=True)
+class Variant:
+    """What is different from the shipped scene."""
+
+    edit: Callable[[mujoco.MjSpec], None] = nothing
+    """Of the hand's model."""
+    drop: Callable[[mujoco.MjSpec, bool], None] = drop_as_shipped
+    """What is left out of the Shadow Hand's files."""
+    visual: bool = False
+    self_contact: bool = False
+    """In Bullet."""
+    config: dict[str, Any] = field(default_factory=dict)
+    """Fields of GraspConfig."""
+
+
+WITH_SENSORS = Variant(config={"touch": "contact"})
+IN_BULLET = {
+    SHIPPED: Variant(),
+    "with 139 taxels by the contact rule": WITH_SENSORS,
+    "with hand-hand pairs": Variant(self_contact=True),
+    "without palm boxes": Variant(without_palm),
+}
+VARIANTS: dict[tuple[str, str], dict[str, Variant]] = {
+    ("shadow", "mujoco"): {
+        SHIPPED: Variant(),
+        "with visual meshes": Variant(visual=True),
+        "with the model's other tendons": Variant(drop=drop_but_tendons),
+        "with the forearm's collision mesh": Variant(drop=drop_but("C_forearm")),
+        "with the thumb's 1 mm boxes": Variant(drop=drop_but("V_thbase", "V_thhub")),
+        "with 139 touch sensors": WITH_SENSORS,
+        "without hand-hand pairs": Variant(without_pairs),
+        "without palm boxes": Variant(without_palm),
+        "without coupling tendons": Variant(without_couplings),
     },
-    "mpl": {
-        SHIPPED: BASE,
-        "with 139 touch sensors": ({"touch": "contact"}, nothing, drop_as_shipped, False),
-        "without palm boxes": ({}, without_palm, drop_as_shipped, False),
+    ("mpl", "mujoco"): {
+        SHIPPED: Variant(),
+        "with 139 touch sensors": WITH_SENSORS,
+        "without palm boxes": Variant(without_palm),
     },
+    ("shadow", "pybullet"): IN_BULLET,
+    ("mpl", "pybullet"): IN_BULLET,
 }
 
 
-def measure(hand: str, variant: Variant) -> dict[str, Any]:
-    """One variant."""
-    choices, edit, drop, visual = variant
-    build_spec = simulator.build_spec
+@contextmanager
+def changed(variant: Variant) -> Iterator[None]:
+    """Scenes made meanwhile are of this variant."""
+    build_hand = Scene.build_hand
 
-    def edited(scene: Any) -> mujoco.MjSpec:
-        spec = build_spec(scene)
-        edit(spec)
+    def edited(scene: Scene, visual: bool) -> mujoco.MjSpec:
+        spec = build_hand(scene, visual)
+        variant.edit(spec)
         return spec
 
-    config = setup(hand, simulator="mujoco", layout="1", **choices)
-    with (
-        patch.object(simulator, "build_spec", edited),
-        patch.object(shadow, "_drop_what_the_scene_does_not_need", drop),
-    ):
-        env = GraspEnv(hand, config, render_mode="rgb_array" if visual else None)
-        spec = edited(env.simulator.scene)
-        started = time.perf_counter()
-        spec.compile()
-        compiling = time.perf_counter() - started
-    with closing(env):
-        return perform(env) | {"compile_ms": 1e3 * compiling, "model_mb": model_size(env) / 1e6}
+    with ExitStack() as stack:
+        stack.enter_context(patch.object(Scene, "build_hand", edited))
+        stack.enter_context(patch.object(shadow, "_drop_what_the_scene_does_not_need", variant.drop))
+        if variant.self_contact:
+            module = importlib.import_module(BULLET)
+            stack.enter_context(patch.object(module, "LOADING", self_contact()))
+        yield
 
 
-def model_size(env: GraspEnv) -> int:
-    """Bytes of the compiled model."""
-    return int(mujoco.mj_sizeModel(env.simulator.model))
+def measure(hand: str, simulator: str, variant: Variant) -> dict[str, Any]:
+    """One variant."""
+    config = setup(hand, simulator=simulator, layout="1", **variant.config)
+    mode = "rgb_array" if variant.visual else None
+    with changed(variant):
+        row = load(lambda: GraspEnv(hand, config, render_mode=mode))
+        with closing(GraspEnv(hand, config, render_mode=mode)) as env:
+            return row | perform(env)
+
+
+def load(make: Callable[[], GraspEnv]) -> dict[str, float]:
+    """Milliseconds and resident megabytes of one environment, ready to step; of the median and of
+    the mean of COPIES."""
+    make().close()  # files are read once
+    _give_back_free_memory()
+    before, seconds, made = psutil.Process().memory_info().rss, [], []
+    for _ in range(COPIES):
+        started = time.process_time()
+        made.append(make())
+        made[-1].reset(seed=0)
+        seconds.append(time.process_time() - started)
+    taken = psutil.Process().memory_info().rss - before
+    for env in made:
+        env.close()
+    return {"load_ms": 1e3 * float(np.median(seconds)), "rss_mb": taken / COPIES / 1e6}
+
+
+def _give_back_free_memory() -> None:
+    """So that what is loaded next shows in the process's size; glibc only."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is not None:
+        trim(0)
 
 
 def perform(env: GraspEnv) -> dict[str, Any]:
     """The grasps; where the object ends in the palm's frame, and how long a step takes there."""
     ends, held, seconds = [], [], []
-    model, data = env.simulator.model, env.simulator.data
+    grasp = scripted.grasp_for(env)
+    *_, targets = scripted.ramps(env, grasp, scripted.period(env.config.timestep))
     for start in scripted.perturbed_starts(env, SEED, GRASPS):
-        up = list(scripted.hold_steps(env, scripted.grasp_for(env), start, SECONDS))
+        up = list(scripted.hold_steps(env, grasp, start, SECONDS))
         (palm,), (frame,) = env.simulator.link_poses((env.hand.palm,))
         ends.append(frame.T @ (env.simulator.object_state().position - palm))
         held.append(up[-1])
-        started = time.perf_counter()
-        mujoco.mj_step(model, data, 500)
-        seconds.append((time.perf_counter() - started) / 500)
+        started = time.process_time()
+        env.simulator.step(targets, STEPS)
+        seconds.append((time.process_time() - started) / STEPS)
     return {"us_per_step": 1e6 * float(np.median(seconds)), "held": int(sum(held)), "ends": ends}
 
 
 def main() -> None:
-    """Both hands."""
+    """Both hands in both simulators."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, help="write JSON here")
     options = parser.parse_args()
     result: dict[str, Any] = {"grasps": GRASPS, "seconds": SECONDS}
-    for hand, variants in VARIANTS.items():
-        rows = {name: measure(hand, variant) for name, variant in variants.items()}
+    for (hand, simulator), variants in VARIANTS.items():
+        rows = {name: measure(hand, simulator, variant) for name, variant in variants.items()}
         ends = {name: np.array(row.pop("ends")) for name, row in rows.items()}
         for name, row in rows.items():
             row["moved_mm"] = 1e3 * float(np.linalg.norm(ends[name] - ends[SHIPPED], axis=1).max())
-        result[hand] = rows
-        table = Table("variant", title=f"{hand} in mujoco")
-        for column in ("µs/step", "compile, ms", "model, MB", f"held of {GRASPS}", "object moved, mm"):
-            table.add_column(column, justify="right")
-        for name, row in rows.items():
-            table.add_row(
-                *(name, f"{row['us_per_step']:.0f}", f"{row['compile_ms']:.1f}"),
-                *(f"{row['model_mb']:.2f}", str(row["held"]), f"{row['moved_mm']:.2f}"),
-            )
-        Console(width=130).print(table)
+        result[f"{hand} in {simulator}"] = rows
+        show(f"{hand} in {simulator}", rows)
     if options.out:
         options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+
+
+def show(title: str, rows: dict[str, dict[str, Any]]) -> None:
+    """One table."""
+    table = Table("variant", title=title)
+    for column in ("µs/step", "load, ms", "memory, MB", f"held of {GRASPS}", "object moved, mm"):
+        table.add_column(column, justify="right")
+    for name, row in rows.items():
+        table.add_row(
+            *(name, f"{row['us_per_step']:.0f}", f"{row['load_ms']:.1f}"),
+            *(f"{row['rss_mb']:.2f}", str(row["held"]), f"{row['moved_mm']:.2f}"),
+        )
+    Console(width=130).print(table)
 
 
 if __name__ == "__main__":

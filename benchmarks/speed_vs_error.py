@@ -51,6 +51,8 @@ class Setting:
     """Of our PyBullet module."""
     added_inertia: float = 1.0
     """In units of the hand's own."""
+    self_contact: bool = False
+    """Does the hand touch itself in Bullet?"""
     contact_time: float = 1.0
     """MuJoCo's time constant of the object's contacts, in units of the shipped one."""
     config: dict[str, Any] = field(default_factory=dict)
@@ -66,11 +68,6 @@ REFERENCES = {
     "pybullet": (Setting(1 / 4, MANY), Setting(1 / 8, MANY)),
 }
 SOLVER, INTEGRATOR, CONE = mujoco.mjtSolver, mujoco.mjtIntegrator, mujoco.mjtCone
-SELF_CONTACT = (
-    "URDF_USE_INERTIA_FROM_FILE",
-    "URDF_USE_SELF_COLLISION",
-    "URDF_USE_SELF_COLLISION_EXCLUDE_ALL_PARENTS",
-)
 SETTINGS: dict[str, dict[str, Setting]] = {
     "mujoco": {
         SHIPPED: Setting(),
@@ -108,7 +105,7 @@ SETTINGS: dict[str, dict[str, Setting]] = {
         "no spinning friction": Setting(constants={"SPINNING_FRICTION": 0.0}),
         "added inertia / 10": Setting(added_inertia=0.1),
         "added inertia x 10": Setting(added_inertia=10),
-        "hand touches itself": Setting(constants={"LOADING": SELF_CONTACT}),
+        "hand touches itself": Setting(self_contact=True),
         "contact rule": Setting(config={"touch": "contact"}),
     },
 }
@@ -161,11 +158,21 @@ def _change_bullet(stack: ExitStack, hand: str, config: Any, setting: Setting) -
     changed = replace(shipped, added_inertia=setting.added_inertia * shipped.added_inertia)
     stack.enter_context(patch.object(hands, "load", lambda name: changed))
     stack.enter_context(patch.dict(module.ENGINE, setting.options))
-    for name, value in setting.constants.items():
-        if name == "LOADING":
-            value = sum(getattr(module.pybullet, flag) for flag in value)
+    constants = setting.constants | ({"LOADING": self_contact()} if setting.self_contact else {})
+    for name, value in constants.items():
         stack.enter_context(patch.object(module, name, value))
     return stack.enter_context(closing(GraspEnv(hand, config)))
+
+
+def self_contact() -> int:
+    """Flags under which Bullet loads a hand whose links touch each other, but not their parents."""
+    module = importlib.import_module(BULLET)
+    bullet = module.pybullet
+    return int(
+        module.LOADING
+        | bullet.URDF_USE_SELF_COLLISION
+        | bullet.URDF_USE_SELF_COLLISION_EXCLUDE_ALL_PARENTS
+    )
 
 
 def record(hand: str, simulator: str, size: float, setting: Setting, grasps: int) -> Trace:

@@ -51,7 +51,7 @@ def hold_steps(
     n_substeps = round(dt / env.config.timestep)
     position = np.array([*start.object_offset, env.shape.half_size[2]])
     simulator.reset(hand.start_positions() + start.joint_offsets, position, start.yaw)
-    for targets in _ramps(hand.start_targets(), grasp, hand.actuators, dt):
+    for targets in ramps(env, grasp, dt):
         simulator.step(targets, n_substeps)
     floor = simulator.object_state().position[2] - FALLEN
     for _ in range(round(seconds / dt)):
@@ -66,9 +66,9 @@ def period(timestep: float) -> float:
     return next(whole, PERIODS[0])
 
 
-def _ramps(
-    start: Array, grasp: ScriptedGrasp, actuators: tuple[str, ...], dt: float
-) -> Iterator[Array]:
+def ramps(env: GraspEnv, grasp: ScriptedGrasp, dt: float) -> Iterator[Array]:
+    """Joint targets (n_actuators,) every `dt` s, until the lifted hand is where it stays."""
+    start, actuators = env.hand.start_targets(), env.hand.actuators
     closed = np.array(
         [grasp.targets.get(name, value) for name, value in zip(actuators, start, strict=True)]
     )

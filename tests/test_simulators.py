@@ -194,6 +194,34 @@ class TestPyBullet:
             assert np.array_equal(seen[0], seen[2])
         env.close()
 
+    def test_a_motor_takes_its_error_back_at_the_rate_of_the_models_servo(self):
+        env = GraspEnv("mpl", setup("mpl", task="reach-goal"))
+        env.reset(seed=0)
+        simulator, hand = env.simulator, env.hand
+        servo, joint = (getattr(simulator.model, kind)("slide_y") for kind in ("actuator", "joint"))
+        rate = servo.gainprm[0] / joint.damping[0]
+        targets = hand.start_targets()
+        targets[1] += 0.01
+        left = []
+        for _ in range(3):
+            simulator.step(targets, round(0.05 / env.config.timestep))
+            left.append(targets[1] - simulator.joint_state()[0][1])
+        np.testing.assert_allclose(np.diff(np.log(left)) / 0.05, -rate, rtol=0.05)
+        env.close()
+
+    def test_a_held_cube_does_not_creep(self):
+        env = GraspEnv("mpl", setup("mpl", layout="1"))
+        drifts = []
+        for start in scripted.perturbed_starts(env, 4, 3):
+            places = []
+            for is_up in scripted.hold_steps(env, scripted.grasp_for(env), start, 3.0):
+                (palm,), (frame,) = env.simulator.link_poses((env.hand.palm,))
+                places.append(frame.T @ (env.simulator.object_state().position - palm))
+                assert is_up
+            drifts.append(np.linalg.norm(places[-1] - places[0]))
+        assert np.median(drifts) < 1e-3  # m; without friction anchors several times that
+        env.close()
+
     def test_each_environment_has_its_own_client_and_releases_it(self):
         from tactilerl.envs.simulators.pybullet import pybullet
 
