@@ -33,7 +33,7 @@ from tactilerl.envs import hands, scripted
 from tactilerl.envs.grasp import GraspEnv, setup
 
 SECONDS = 5.0
-SEED = 30_000  # starts of this benchmark; the doctor and the search used others
+SEED = 35_000  # starts of this benchmark; the doctor and the search used others
 SIZES = {"shadow": (0.04, 0.05), "mpl": (0.045, 0.05)}  # of cubes, m
 SHIPPED = "as shipped"
 CLEARLY = 1.15
