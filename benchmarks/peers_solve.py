@@ -17,7 +17,6 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cache, partial
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -72,16 +71,18 @@ class Looks(BaseCallback):
         super().__init__()
         self.toy = toy
 
+    def act(self, obs: Any, deterministic: bool) -> np.ndarray:
+        """Action for one observation."""
+        return self.model.predict(obs, deterministic=deterministic)[0]
+
     def _on_training_start(self) -> None:
         self.run = Run(self.toy)
-        predict = self.model.predict
-        self.player = SimpleNamespace(act=lambda obs, deterministic: predict(obs, None, None, True)[0])
 
     def _on_rollout_start(self) -> None:
-        self.run.look(self.num_timesteps, self.player)
+        self.run.look(self.num_timesteps, self)
 
     def _on_training_end(self) -> None:
-        self.run.look(self.num_timesteps, self.player)
+        self.run.look(self.num_timesteps, self)
 
     def _on_step(self) -> bool:
         return not self.run.is_solved
