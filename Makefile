@@ -35,8 +35,9 @@ lint: $(VENV)/.installed
 	$(BIN)/mypy
 
 bench: $(VENV)/.installed
-	$(BIN)/python benchmarks/speed.py
-	$(BIN)/python benchmarks/speed_ddpg.py
+	$(BIN)/python benchmarks/peers.py
+	$(BIN)/python benchmarks/scaling.py
+	$(BIN)/python benchmarks/footprint.py
 	$(BIN)/python benchmarks/exploration.py
 	$(BIN)/python benchmarks/precision.py
 	$(BIN)/python benchmarks/scene_parts.py

@@ -212,12 +212,18 @@ class Replay:
     # -- saving ------------------------------------------------------------------------------
 
     def new_experience(self, everything: bool = False) -> dict[str, Any]:
-        """The slots written since the last call, or all; tensors, for `add_experience`."""
+        """The slots written since the last call, or all; tensors, for `add_experience`.
+
+        All of it is a view, good until the next episode is stored: a copy would take the memory
+        of the replay once more.
+        """
         slots = np.arange(self.n_episodes) if everything else np.array([*self._unsaved], np.int64)
         self._unsaved = {}
         if not len(slots):
             return {}
-        rows = (slots[:, None] * self._rows + np.arange(self._rows)).ravel()
+        rows: slice | Array = slice(len(slots) * self._rows)
+        if not everything:
+            rows = (slots[:, None] * self._rows + np.arange(self._rows)).ravel()
         columns = {name: torch.from_numpy(values[rows]) for name, values in self._columns.items()}
         lengths = torch.from_numpy(self._lengths[slots])
         return {"slots": torch.from_numpy(slots), "lengths": lengths, **columns}

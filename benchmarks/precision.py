@@ -1,5 +1,5 @@
 """Is float32 enough? The learners' updates against the same updates in float64, and bootstrap
-intervals against an exact one.
+intervals, SciPy's and rliable's, against an exact one.
 
 100 minibatch updates on identical data, at the sizes of the paper's set-ups; then intervals of a
 mean of five numbers, all of whose 3,125 resamples can be listed. Prints tables and writes JSON:
@@ -9,21 +9,19 @@ mean of five numbers, all of whose 3,125 resamples can be listed. Prints tables 
 
 from __future__ import annotations
 
-import argparse
 import copy
 import itertools
-import json
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from random_goals import RandomGoals
 from rich.console import Console
 from rich.table import Table
 from scipy import stats
-from speed_ddpg import RandomGoals
+from timing import Part, run_parts
 
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
@@ -33,11 +31,13 @@ from tactilerl.envs.vector import Envs
 
 UPDATES = 100
 SCORES = np.array([0.31, 0.44, 0.47, 0.66, 0.85])
+RESAMPLES = (100, 1_000, 9_999, 50_000)
+SEEDS = range(20)
 
 
 def ppo() -> tuple[Any, list[tuple[torch.Tensor, ...]], Callable[[Any], list[FlatAdam]]]:
     """(learner, minibatches, its optimisers remade) at the sizes of the MPL hand, layout 2."""
-    pool = Envs(lambda: RandomGoals(n_obs=95, n_actions=7), 1)
+    pool = Envs(lambda: RandomGoals(n_obs=94, n_actions=7), 1)
     learner: Any = PPO(PPOConfig(), pool, Communicator(), 0, 10**6)
     learner.collect()
     batch, rng = learner._batch(), np.random.default_rng(0)
@@ -57,7 +57,7 @@ def ppo() -> tuple[Any, list[tuple[torch.Tensor, ...]], Callable[[Any], list[Fla
 
 def ddpg() -> tuple[Any, list[tuple[torch.Tensor, ...]], Callable[[Any], list[FlatAdam]]]:
     """The same for DDPG+HER, at the sizes of the Shadow Hand, layout 2."""
-    pool = Envs(lambda: RandomGoals(n_obs=140), 2)
+    pool = Envs(lambda: RandomGoals(n_obs=140, n_actions=23), 2)
     learner: Any = DDPGHER(DDPGHERConfig(buffer_size=4000), pool, Communicator(), 0, 10**6)
     for _ in range(20):
         learner.collect()
@@ -99,44 +99,71 @@ def drift(learner: Any, minibatches: list[tuple[torch.Tensor, ...]], optimisers:
     }
 
 
-def bootstrap() -> list[dict[str, float]]:
-    """Percentile intervals of the mean of SCORES by the number of resamples: mean error of an
-    end over 20 repetitions, against the interval of all resamples there are."""
-    means = np.array([np.mean(draw) for draw in itertools.product(SCORES, repeat=len(SCORES))])
-    exact = np.percentile(means, [2.5, 97.5])
-    rows = []
-    for resamples in (100, 1_000, 9_999, 50_000):
-        started, errors = time.perf_counter(), []
-        for seed in range(20):
-            interval = stats.bootstrap(
-                (SCORES,), np.mean, n_resamples=resamples, method="percentile", rng=seed
-            ).confidence_interval
-            errors.append(np.abs(np.array(interval) - exact).mean())
-        seconds = (time.perf_counter() - started) / len(errors)
-        row = {"resamples": resamples, "error": float(np.mean(errors)), "ms": 1e3 * seconds}
-        rows.append(row)
-    return rows
+def learners() -> dict[str, Any]:
+    """Both."""
+    return {"ppo": drift(*ppo()), "ddpg_her": drift(*ddpg())}
 
 
-def main() -> None:
-    """Both tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, help="write JSON here")
-    options = parser.parse_args()
-    torch.set_num_threads(1)
-    result: dict[str, Any] = {"ppo": drift(*ppo()), "ddpg_her": drift(*ddpg())}
-    table = Table("100 updates", "error of the parameters", "float32 / float64, speed")
-    for name, row in result.items():
+def show_learners(found: dict[str, Any]) -> None:
+    """One table."""
+    table = Table(f"{UPDATES} updates", "error of the parameters", "float32 / float64, speed")
+    for name, row in found.items():
         table.add_row(name, f"{row['parameter_error']:.2g}", f"{row['speed']:.2f}")
     Console().print(table)
-    result["bootstrap"] = bootstrap()
-    table = Table("resamples", "error of an end", "ms")
-    for row in result["bootstrap"]:
-        table.add_row(f"{row['resamples']:,}", f"{row['error']:.5f}", f"{row['ms']:.1f}")
+
+
+def scipy_interval(resamples: int, seed: int) -> Any:
+    """What `evaluate` uses."""
+    found = stats.bootstrap(
+        (SCORES,), np.mean, n_resamples=resamples, method="percentile", rng=seed
+    )  # fmt: skip
+    return found.confidence_interval
+
+
+def rliable_interval(resamples: int, seed: int) -> Any:
+    """The stratified bootstrap of rliable, with one task."""
+    from rliable import library  # takes seconds
+
+    np.random.seed(seed)  # noqa: NPY002  rliable 1.2 draws from the global state, whatever it is given
+    _, intervals = library.get_interval_estimates(
+        {"": SCORES[:, None]}, lambda scores: np.array([scores.mean()]), reps=resamples
+    )
+    return intervals[""][:, 0]
+
+
+def bootstrap() -> dict[str, Any]:
+    """Percentile intervals of the mean of SCORES by library and number of resamples: mean error of
+    an end over SEEDS, against the interval of all resamples there are, and ms for one."""
+    means = np.array([np.mean(draw) for draw in itertools.product(SCORES, repeat=len(SCORES))])
+    exact = np.percentile(means, [2.5, 97.5])
+    rliable_interval(2, 0)  # imports it
+    contenders = {"evaluate": scipy_interval, "rliable": rliable_interval}
+    result: dict[str, Any] = {name: {} for name in contenders}
+    for resamples, (name, interval) in itertools.product(RESAMPLES, contenders.items()):
+        started = time.perf_counter()
+        found = [interval(resamples, seed) for seed in SEEDS]
+        ms = 1e3 * (time.perf_counter() - started) / len(SEEDS)
+        result[name][resamples] = {"error": float(np.abs(found - exact).mean()), "ms": ms}
+    return result
+
+
+def show_bootstrap(found: dict[str, Any]) -> None:
+    """One table."""
+    table = Table("resamples", title="bootstrap intervals: error of an end, ms")
+    for name in found:
+        table.add_column(name)
+    for resamples in RESAMPLES:
+        cells = [rows[resamples] for rows in found.values()]
+        table.add_row(f"{resamples:,}", *(f"{c['error']:.5f}, {c['ms']:.1f}" for c in cells))
     Console().print(table)
-    if options.out:
-        options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+
+
+# Part: what measures it, what shows it.
+PARTS: dict[str, Part] = {
+    "learners": (learners, show_learners),
+    "bootstrap": (bootstrap, show_bootstrap),
+}
 
 
 if __name__ == "__main__":
-    main()
+    run_parts(__doc__, PARTS, "torch", "numpy", "scipy", "rliable", "arch")

@@ -16,7 +16,7 @@ from typing import Any
 
 from rich.console import Console
 from rich.table import Table
-from speed_ddpg import Watches
+from timing import Watches
 
 from tactilerl.envs.hold import HoldTest
 from tactilerl.evaluate import restore

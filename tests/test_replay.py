@@ -189,6 +189,13 @@ class TestSaving:
         again.rng.bit_generator.state = whole.rng.bit_generator.state
         np.testing.assert_array_equal(whole.sample(100, 0.8).goal, again.sample(100, 0.8).goal)
 
+    def test_everything_is_handed_out_without_a_copy(self):
+        replay = filled([1, 2, 3])
+        for name, values in replay.new_experience(everything=True).items():
+            if name in replay._columns:
+                assert np.shares_memory(values.numpy(), replay._columns[name])
+                assert values.untyped_storage().nbytes() == values.numpy().nbytes  # all that is saved
+
     def test_anothers_episodes_are_added_to_the_own(self):
         mine, theirs = filled([1, 2], slots=4), filled([3, 4], slots=4)
         mine.new_experience()

@@ -1,0 +1,156 @@
+"""Contenders in stepping: our environments, their simulators alone, gymnasium-robotics."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+from timing import Contender, quotients, rounds
+
+from tactilerl import envs
+from tactilerl.envs.simulators.pybullet import pybullet
+
+CONTROL_DT = 0.04  # s: gymnasium-robotics' own, 20 steps of 2 ms
+STEPS = 250
+LAYOUTS = ("1", "6")  # the most and the fewest taxels of the paper
+
+
+def policy_actions(size: int) -> np.ndarray:
+    """What an untrained PPO policy does: Gaussian actions of the paper's variance, 0.05."""
+    noise = np.random.default_rng(0).standard_normal((STEPS, size))
+    return np.clip(0.05**0.5 * noise, -1, 1)
+
+
+class Steps:
+    """The same random actions in one scene, through our environment or past it.
+
+    An untrained policy presses the hand on the cube all the time; `raised` keeps the hand in
+    the air, as gymnasium-robotics' hand is once its block has fallen off.
+    """
+
+    def __init__(self, hand: str, layout: str, raised: bool = False, **choices: Any) -> None:
+        self.env: Any = envs.make(
+            hand, layout=layout, task="reach-goal", max_episode_steps=STEPS, **choices
+        )
+        self.actions = policy_actions(self.env.action_space.shape[0])
+        if raised:
+            self.actions[:, 2] = 1.0
+        thing = self.env.hand
+        targets = itertools.accumulate(
+            self.actions, lambda last, a: thing.action_map(a, last), initial=thing.start_targets()
+        )
+        self.targets = list(targets)[1:]
+
+    def ours(self) -> int:
+        """`env.step`."""
+        self.env.reset(seed=0)
+        for action in self.actions:
+            self.env.step(action)
+        return STEPS
+
+    def raw(self, step: Callable[[np.ndarray], None]) -> Contender:
+        """`step` alone, with the motors' targets."""
+
+        def run() -> int:
+            self.env.reset(seed=0)
+            for target in self.targets:
+                step(target)
+            return STEPS
+
+        return run
+
+
+def mj_step(steps: Steps) -> Contender:
+    """MuJoCo alone."""
+    model, data = steps.env.simulator.model, steps.env.simulator.data
+    order = [model.actuator(name).id for name in steps.env.hand.actuators]
+    n_substeps = steps.env.config.n_substeps
+
+    def step(target: np.ndarray) -> None:
+        data.ctrl[order] = target
+        mujoco.mj_step(model, data, n_substeps)
+
+    return steps.raw(step)
+
+
+def bullet(steps: Steps, weight_once: bool) -> Contender:
+    """PyBullet alone: motors, then per timestep the object's weight and `stepSimulation`.
+
+    Bullet's own gravity would pull at the hand too, so the weight is a force to be given anew for
+    every timestep. With `weight_once` an action it is left out of all but the first, and what is
+    left is `stepSimulation`.
+    """
+    simulator, n_substeps = steps.env.simulator, steps.env.config.n_substeps
+    n_weighed = 1 if weight_once else n_substeps
+
+    def step(target: np.ndarray) -> None:
+        simulator._step(target, n_weighed)
+        for _ in range(n_substeps - n_weighed):
+            pybullet.stepSimulation(physicsClientId=simulator.client)
+
+    return steps.raw(step)
+
+
+def gymnasium_robotics() -> Contender:
+    """The Boolean touch block environment (92 zones), mended in memory for MuJoCo 4."""
+    import gymnasium_robotics
+    from gymnasium_robotics.utils import mujoco_utils
+
+    class Mended:
+        """MuJoCo 4 no longer compares its enums with NumPy's integers."""
+
+        mjtJoint = SimpleNamespace(
+            **{name: int(value) for name, value in mujoco.mjtJoint.__members__.items()}
+        )
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(mujoco, name)
+
+    mujoco_utils.mujoco = Mended()
+    gym.register_envs(gymnasium_robotics)
+    name = "HandManipulateBlock_BooleanTouchSensors-v1"
+    env: Any = gym.make(name, max_episode_steps=STEPS).unwrapped
+    actions = policy_actions(20)
+
+    def run() -> int:
+        env.reset(seed=0)
+        for action in actions:
+            env.step(action)
+        return STEPS
+
+    assert abs(env.dt - CONTROL_DT) < 1e-9
+    return run
+
+
+def environments() -> dict[str, Any]:
+    """Environment steps per second."""
+    result: dict[str, Any] = {}
+    peer = {"gymnasium-robotics": gymnasium_robotics()}
+    for control_dt in (CONTROL_DT, 0.2):
+        layouts = {f"layout {x}": Steps("shadow", x, control_dt=control_dt) for x in LAYOUTS}
+        alone = {"mj_step": mj_step(layouts["layout 1"])}
+        title = f"Shadow Hand in MuJoCo, control period {control_dt} s"
+        result[title] = _compared(layouts, alone | (peer if control_dt == CONTROL_DT else {}))
+    air = Steps("shadow", "1", raised=True, control_dt=CONTROL_DT)
+    title = f"Shadow Hand in MuJoCo in the air, control period {CONTROL_DT} s"
+    result[title] = _compared({"layout 1": air}, {"mj_step": mj_step(air)} | peer)
+    layouts = {f"layout {x}": Steps("mpl", x) for x in LAYOUTS}
+    first = layouts["layout 1"]
+    alone = {
+        "stepSimulation with weight": bullet(first, weight_once=False),
+        "stepSimulation": bullet(first, weight_once=True),
+    }
+    title = f"MPL hand in PyBullet, control period {first.env.config.control_dt} s"
+    result[title] = _compared(layouts, alone)
+    return result
+
+
+def _compared(ours: dict[str, Steps], others: dict[str, Contender]) -> dict[str, Any]:
+    """Rates of all, and ratios of ours to the others'."""
+    rates = rounds({name: steps.ours for name, steps in ours.items()} | others)
+    return {"per_s": rates, "ratios": quotients(rates, *itertools.product(ours, others))}

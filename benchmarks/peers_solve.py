@@ -1,0 +1,241 @@
+"""Contenders in solving: seconds and steps until a toy with a known optimum is solved.
+
+Both libraries get the hyperparameters of tests/test_toy_learning.py. What cannot be made equal:
+
+- PPO: Stable-Baselines3 clips the gradient of actor and critic together, normalises advantages
+  in each minibatch, draws its first weights orthogonally, and its mean action has no tanh. Its
+  policy's variance is fixed as ours is.
+- DDPG+HER: Stable-Baselines3 has no penalty on actions, no normaliser of observations, no bounds
+  on targets and no uniformly random actions but in the first episodes. Its target networks move
+  a little with every update, as far in forty as ours do in one step after them.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+import stable_baselines3 as sb3
+import torch
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+from scipy import stats
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.noise import NormalActionNoise
+
+from tactilerl import envs, evaluate
+from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
+from tactilerl.algos.mpi import Communicator
+from tactilerl.algos.ppo import PPO, PPOConfig
+from tactilerl.envs.toy import LQREnv, PointReachEnv
+from tactilerl.envs.vector import Envs
+
+SEEDS = range(8)
+LIBRARIES = ("tactilerl", "stable-baselines3")
+PPO_CONFIG = PPOConfig(
+    hidden=(64, 64), actor_lr=1e-3, n_passes=20, n_minibatches=12, gae_lambda=0.9,
+    steps_per_epoch=17 * LQREnv.max_episode_steps, truncation="bootstrap", anneal_lr=True,
+)  # fmt: skip
+DDPG_CONFIG = DDPGHERConfig(hidden=(64, 64), action_l2=0.1, polyak=0.9, batch_size=128)
+
+
+@dataclass
+class Run:
+    """One seed's way to the solution. The clock stands still while the policy is looked at."""
+
+    toy: Toy
+    seconds: float = 0.0
+    steps: int = 0
+    is_solved: bool = False
+    _since: float = field(default_factory=time.perf_counter)
+
+    def look(self, steps: int, player: Any) -> bool:
+        """Is it solved? Called between updates; looks at `player.act` every `toy.every` steps."""
+        if steps - self.steps >= self.toy.every:
+            self.seconds += time.perf_counter() - self._since
+            self.steps, self.is_solved = steps, self.toy.is_solved(player)
+            self._since = time.perf_counter()
+        return self.is_solved
+
+
+class Looks(BaseCallback):
+    """`Run.look` wherever Stable-Baselines3 is about to collect, and at the end."""
+
+    def __init__(self, toy: Toy) -> None:
+        super().__init__()
+        self.toy = toy
+
+    def act(self, obs: Any, deterministic: bool) -> np.ndarray:
+        """Action for one observation."""
+        return self.model.predict(obs, deterministic=deterministic)[0]
+
+    def _on_training_start(self) -> None:
+        self.run = Run(self.toy)
+
+    def _on_rollout_start(self) -> None:
+        self.run.look(self.num_timesteps, self)
+
+    def _on_training_end(self) -> None:
+        self.run.look(self.num_timesteps, self)
+
+    def _on_step(self) -> bool:
+        return not self.run.is_solved
+
+
+def ours(algorithm: Any, config: Any, toy: Toy, seed: int) -> Run:
+    """Our learner until it has solved the toy."""
+    pool = Envs(lambda: envs.make(toy.name), 1)
+    learner = algorithm(config, pool, Communicator(), seed, toy.cap)
+    run = Run(toy)
+    while learner.env_steps < toy.cap and not run.look(learner.env_steps, learner):
+        learner.collect()
+        learner.update()
+    run.look(learner.env_steps, learner)
+    return run
+
+
+def sb3_ppo(env: Any, seed: int) -> Any:
+    """Stable-Baselines3's PPO as PPO_CONFIG."""
+    config = PPO_CONFIG
+    model = sb3.PPO(
+        "MlpPolicy", env, learning_rate=lambda left: left * config.actor_lr,
+        n_steps=config.steps_per_epoch, batch_size=config.steps_per_epoch // config.n_minibatches,
+        n_epochs=config.n_passes, gamma=config.gamma, gae_lambda=config.gae_lambda,
+        clip_range=config.clip_range, vf_coef=1.0, max_grad_norm=config.max_grad_norm,
+        policy_kwargs={
+            "net_arch": list(config.hidden), "activation_fn": torch.nn.ReLU,
+            "log_std_init": float(np.log(config.action_variance) / 2),
+        },
+        seed=seed, device="cpu",
+    )  # fmt: skip
+    model.policy.log_std.requires_grad_(False)
+    return model
+
+
+def sb3_ddpg(env: Any, seed: int) -> Any:
+    """Stable-Baselines3's DDPG with its HER buffer as DDPG_CONFIG."""
+    config = DDPG_CONFIG
+    noise = NormalActionNoise(np.zeros(2), np.full(2, config.noise_eps))
+    return sb3.DDPG(
+        "MultiInputPolicy", env, learning_rate=config.actor_lr, buffer_size=config.buffer_size,
+        batch_size=config.batch_size, tau=1.0 - config.polyak ** (1.0 / config.n_batches),
+        gamma=1.0 - 1.0 / PointReachEnv.max_episode_steps, train_freq=(config.n_rollouts, "episode"),
+        gradient_steps=config.n_batches, action_noise=noise,
+        replay_buffer_class=sb3.HerReplayBuffer, replay_buffer_kwargs={"n_sampled_goal": 4},
+        policy_kwargs={"net_arch": list(config.hidden)}, seed=seed, device="cpu",
+    )  # fmt: skip
+
+
+def theirs(make: Callable[[Any, int], Any], toy: Toy, seed: int) -> Run:
+    """Stable-Baselines3's learner until it has solved the toy."""
+    looks = Looks(toy)
+    make(envs.make(toy.name), seed).learn(toy.cap, callback=looks)
+    return looks.run
+
+
+def is_near_optimal(player: Any, episodes: int = 20) -> bool:
+    """Is the mean return within 5 % of the Riccati optimum?"""
+    played = evaluate.play(envs.make("lqr"), player, episodes)
+    return _within(1.05 * optimal_cost(episodes), (-episode["return"] for episode in played))
+
+
+@cache
+def optimal_cost(episodes: int) -> float:
+    """Sum over the starts of `evaluate.play`."""
+    env = envs.make("lqr")
+    starts = [env.reset(seed=evaluate.SEED + index)[0] for index in range(episodes)]
+    return -sum(LQREnv.optimal_return(start.astype(np.float64)) for start in starts)
+
+
+def reaches(player: Any, goals: int = 100) -> bool:
+    """Are at least 95 % of the goals reached?"""
+    played = evaluate.play(envs.make("point-reach"), player, goals)
+    return _within(0.05 * goals, (1.0 - episode["success"] for episode in played))
+
+
+def _within(budget: float, losses: Iterable[float]) -> bool:
+    """Does the sum stay in the budget? No more episodes are played than it takes to say no."""
+    return all(total <= budget + 1e-9 for total in itertools.accumulate(losses))
+
+
+@dataclass(frozen=True)
+class Toy:
+    """A toy, when it is solved, and who tries."""
+
+    name: str
+    is_solved: Callable[[Any], bool]
+    every: int
+    """Environment steps between two looks at the policy, at least."""
+    cap: int
+    """Environment steps after which a seed counts as not solved."""
+    contenders: tuple[Callable[[Toy, int], Run], ...]
+    """In the order of LIBRARIES: (toy, seed) -> its run."""
+
+
+TOYS = {
+    "LQR, PPO": Toy(
+        "lqr", is_near_optimal, every=1000, cap=40_000,
+        contenders=(partial(ours, PPO, PPO_CONFIG), partial(theirs, sb3_ppo)),
+    ),
+    "point-reach, DDPG+HER": Toy(
+        "point-reach", reaches, every=250, cap=10_000,
+        contenders=(partial(ours, DDPGHER, DDPG_CONFIG), partial(theirs, sb3_ddpg)),
+    ),
+}  # fmt: skip
+
+
+def solve() -> dict[str, Any]:
+    """Every seed of every library, in turn."""
+    result = {}
+    for title, toy in TOYS.items():
+        runs: dict[str, list[Run]] = {name: [] for name in LIBRARIES}
+        for seed in track(SEEDS, title, console=Console(stderr=True)):
+            for name, contender in zip(LIBRARIES, toy.contenders, strict=True):
+                runs[name].append(contender(toy, seed))
+        result[title] = _summary(runs)
+    return result
+
+
+def _summary(runs: dict[str, list[Run]]) -> dict[str, Any]:
+    """Means with intervals. A seed that was not solved counts as if at the cap: a lower bound."""
+    result: dict[str, Any] = {"seeds": len(SEEDS)}
+    for name, of_one in runs.items():
+        result[name] = {
+            "not_solved": sum(not run.is_solved for run in of_one),
+            "seconds": _interval(np.mean, [run.seconds for run in of_one]),
+            "env_steps": _interval(np.mean, [float(run.steps) for run in of_one]),
+        }
+    peer, own = ([run.seconds for run in runs[name]] for name in reversed(LIBRARIES))
+    result["ratio"] = _interval(lambda a, b, axis: a.mean(axis=axis) / b.mean(axis=axis), peer, own)
+    return result
+
+
+def _interval(statistic: Callable[..., Any], *samples: list[float]) -> list[float]:
+    """[value, low, high] of a bootstrap over seeds, 95 %."""
+    data = tuple(np.array(sample) for sample in samples)
+    found = stats.bootstrap(data, statistic, method="percentile", vectorized=True, rng=0)
+    ends = found.confidence_interval
+    return [float(statistic(*data, axis=0)), float(ends.low), float(ends.high)]
+
+
+def show_solve(solved: dict[str, Any]) -> None:
+    """One table."""
+    table = Table("", "seconds", "environment steps", "not solved", title="until the toy is solved")
+    for title, row in solved.items():
+        for name in LIBRARIES:
+            seconds, steps = (
+                "{:,.{n}f} ({:,.{n}f}-{:,.{n}f})".format(*row[name][key], n=n)
+                for key, n in (("seconds", 2), ("env_steps", 0))
+            )
+            table.add_row(
+                f"{title}: {name}", seconds, steps, f"{row[name]['not_solved']} of {row['seeds']}"
+            )
+        table.add_row("ratio", "{:.2f} × ({:.2f}-{:.2f})".format(*row["ratio"]))
+        table.add_section()
+    Console().print(table)

@@ -1,0 +1,157 @@
+"""Contenders in updating: our learners, Stable-Baselines3's, and the matrix products alone."""
+
+from __future__ import annotations
+
+import itertools
+from functools import partial
+from typing import Any
+
+import gymnasium as gym
+import stable_baselines3 as sb3
+import torch
+from random_goals import GOAL, STEPS, RandomGoals
+from stable_baselines3.common.logger import Logger
+from timing import Contender, quotients, rounds
+
+from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
+from tactilerl.algos.mpi import Communicator
+from tactilerl.algos.ppo import PPO, PPOConfig
+from tactilerl.envs.vector import Envs
+
+OURS, THEIRS, BOUND = "tactilerl", "stable-baselines3", "matrix products"
+WIDTHS = [256] * 3
+UPDATES = 40  # of one turn
+# PPO-for-Beginners' minibatch on the paper's PyBullet set-up, layout 2.
+PPO_BATCH, PPO_MINIBATCHES, PPO_OBS, PPO_ACTIONS = 1000, 6, 97, 7
+PASSES = 8
+# DDPG+HER on the Shadow Hand, layout 1; sizes of observations count the goal.
+DDPG_BATCH, DDPG_OBS, DDPG_ACTIONS = 256, 200, 23
+EPISODES = 50  # in the replay
+
+ppo_env = partial(RandomGoals, PPO_OBS - GOAL, PPO_ACTIONS)
+ddpg_env = partial(RandomGoals, DDPG_OBS - GOAL, DDPG_ACTIONS)
+
+
+def our_ppo() -> Contender:
+    """PPO.update on one batch."""
+    config = PPOConfig(n_passes=PASSES, steps_per_epoch=PPO_BATCH)
+    learner = PPO(config, Envs(ppo_env, 1), Communicator(), seed=0, total_timesteps=PPO_BATCH)
+    learner.collect()
+    return lambda: int(learner.update()["updates"])
+
+
+def sb3_ppo() -> Contender:
+    """Stable-Baselines3's PPO.train on a batch of the same shapes and networks."""
+    env = gym.wrappers.FilterObservation(ppo_env(), ["observation", "desired_goal"])
+    model = sb3.PPO(
+        "MlpPolicy", gym.wrappers.FlattenObservation(env), n_steps=PPO_BATCH, n_epochs=PASSES,
+        batch_size=-(-PPO_BATCH // PPO_MINIBATCHES), device="cpu",
+        policy_kwargs={"net_arch": {"pi": WIDTHS, "vf": WIDTHS}, "activation_fn": torch.nn.ReLU},
+    )  # fmt: skip
+    model.set_logger(Logger(None, []))
+    model.learn(PPO_BATCH)
+    model.set_logger(Logger(None, []))
+
+    def run() -> int:
+        model.train()
+        return PPO_MINIBATCHES * PASSES
+
+    return run
+
+
+def our_ddpg() -> DDPGHER:
+    """A learner with a replay of random episodes."""
+    config = DDPGHERConfig(n_rollouts=EPISODES, n_batches=UPDATES, batch_size=DDPG_BATCH)
+    learner = DDPGHER(config, Envs(ddpg_env, 1), Communicator(), seed=0, total_timesteps=1)
+    learner.collect()
+    return learner
+
+
+def sb3_ddpg() -> Any:
+    """Stable-Baselines3's with the same networks, batch and replay contents."""
+    model = sb3.DDPG(
+        "MultiInputPolicy", ddpg_env(), replay_buffer_class=sb3.HerReplayBuffer,
+        replay_buffer_kwargs={"n_sampled_goal": 4}, batch_size=DDPG_BATCH, buffer_size=100_000,
+        learning_starts=EPISODES * STEPS, policy_kwargs={"net_arch": WIDTHS}, device="cpu",
+    )  # fmt: skip
+    model.learn(EPISODES * STEPS + 1)
+    return model
+
+
+def matrix_products(batch: int, *work: tuple[list[int], int, int, int]) -> Contender:
+    """The matrix products that updates cannot do without: what no implementation beats.
+
+    Each network in `work` is its sizes, and how often an update goes through it: forward, for
+    gradients of weights, for gradients of inputs; the last not at the first layer the last time.
+    """
+    tensors = {
+        (i, o): (torch.randn(batch, i), torch.randn(o, i), torch.randn(batch, o))
+        for sizes, *_ in work
+        for i, o in itertools.pairwise(sizes)
+    }
+
+    def run() -> int:
+        for _ in range(UPDATES):
+            for sizes, forward, of_weights, of_inputs in work:
+                for layer, shape in enumerate(itertools.pairwise(sizes)):
+                    x, weight, grad = tensors[shape]
+                    for _ in range(forward):
+                        x @ weight.T
+                    for _ in range(of_weights):
+                        grad.T @ x
+                    for _ in range(of_inputs if layer else of_inputs - 1):
+                        grad @ weight
+        return UPDATES
+
+    return run
+
+
+def ppo_products() -> Contender:
+    """Of one minibatch through actor and critic."""
+    actor, critic = ([PPO_OBS, *WIDTHS, outputs] for outputs in (PPO_ACTIONS, 1))
+    return matrix_products(PPO_BATCH // PPO_MINIBATCHES, (actor, 1, 1, 1), (critic, 1, 1, 1))
+
+
+def ddpg_products() -> Contender:
+    """Of one batch; the actor's loss goes through the critic, the targets through both."""
+    actor = [DDPG_OBS, *WIDTHS, DDPG_ACTIONS]
+    critic = [DDPG_OBS + DDPG_ACTIONS, *WIDTHS, 1]
+    return matrix_products(DDPG_BATCH, (actor, 2, 1, 1), (critic, 3, 1, 2))
+
+
+def updates() -> dict[str, Any]:
+    """PPO's and DDPG+HER's updates of actor and critic, and relabelled transitions, per second."""
+    learner, model = our_ddpg(), sb3_ddpg()
+    drawn = UPDATES * DDPG_BATCH
+
+    def sb3_update() -> int:
+        model.train(UPDATES, DDPG_BATCH)
+        return UPDATES
+
+    def sb3_samples() -> int:
+        for _ in range(UPDATES):
+            model.replay_buffer.sample(DDPG_BATCH)
+        return drawn
+
+    contests: dict[str, dict[str, Contender]] = {
+        f"PPO minibatch updates, {PPO_BATCH // PPO_MINIBATCHES} × {PPO_OBS} → {PPO_ACTIONS}": {
+            OURS: our_ppo(),
+            THEIRS: sb3_ppo(),
+            BOUND: ppo_products(),
+        },
+        f"DDPG+HER updates, {DDPG_BATCH} × {DDPG_OBS} → {DDPG_ACTIONS}": {
+            OURS: lambda: int(learner.update()["updates"]),
+            THEIRS: sb3_update,
+            BOUND: ddpg_products(),
+        },
+        "relabelled transitions": {
+            OURS: lambda: len(learner.replay.sample(drawn, learner.config.replay_p).reward),
+            THEIRS: sb3_samples,
+        },
+    }
+    result = {}
+    for title, contenders in contests.items():
+        rates = rounds(contenders)
+        pairs = [(OURS, name) for name in contenders if name != OURS]
+        result[title] = {"per_s": rates, "ratios": quotients(rates, *pairs)}
+    return result

@@ -1,0 +1,45 @@
+"""A goal environment of random numbers: data of the right shapes for benchmarks of updates."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from tactilerl.algos import Transition
+
+GOAL, STEPS = 3, 100
+
+
+class RandomGoals(gym.Env[Any, Any]):
+    """Episodes of `STEPS` steps; `n_obs` does not count the goals."""
+
+    max_episode_steps, n_boolean = STEPS, 0
+
+    def __init__(self, n_obs: int, n_actions: int) -> None:
+        sizes = {"observation": n_obs, "achieved_goal": GOAL, "desired_goal": GOAL}
+        boxes = {k: gym.spaces.Box(-np.inf, np.inf, (n,), np.float32) for k, n in sizes.items()}
+        self.observation_space = gym.spaces.Dict(boxes)
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (n_actions,), np.float32)
+        self.rng, self.steps = np.random.default_rng(0), 0
+
+    def _obs(self) -> dict[str, Any]:
+        shapes = {key: box.shape for key, box in self.observation_space.items()}
+        return {k: self.rng.standard_normal(shape, dtype=np.float32) for k, shape in shapes.items()}
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        """A random observation."""
+        self.steps = 0
+        return self._obs(), {}
+
+    def step(self, action: Any) -> Any:
+        """Another, with its reward."""
+        self.steps += 1
+        obs = self._obs()
+        reward = float(self.compute_reward(obs["achieved_goal"], obs["desired_goal"], {}))
+        return Transition(obs, reward, False, self.steps >= STEPS, {})
+
+    def compute_reward(self, achieved: Any, desired: Any, info: Any) -> Any:
+        """Sparse."""
+        return (np.linalg.norm(achieved - desired, axis=-1) < 1.0) - 1.0

@@ -1,0 +1,106 @@
+"""What does a second core give, and where does the time of a DDPG+HER run go?
+
+Threads and processes that step environments, and MPI ranks that learn together; the same work
+with one and with two, in turn. Starts mpirun itself. Prints tables and writes JSON:
+
+    python benchmarks/scaling.py --out docs/data/scaling.json
+    python benchmarks/scaling.py --only ranks
+"""
+
+from __future__ import annotations
+
+import json
+import statistics
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from timing import Contender, rounds, run_parts, show
+
+from tactilerl import envs
+from tactilerl.envs import vector
+
+REPEATS = 3  # of each number of ranks
+
+
+# -- stepping --------------------------------------------------------------------------------
+
+
+def several(hand: str, cores: int, n: int = 4) -> Contender:
+    """Steps of `n` environments side by side; the same actions whatever the cores."""
+    pool = vector.start(partial(envs.make, hand, task="reach-goal", layout="2"), n, cores)
+
+    def run() -> int:
+        rng = np.random.default_rng(0)
+        for index in range(n):
+            pool.reset(index, index)
+        for _ in range(20):
+            pool.step(range(n), rng.uniform(-1, 1, (n, *pool.action_space.shape)))
+        return 20 * n
+
+    return run
+
+
+def stepping() -> dict[str, Any]:
+    """What a second core gives: threads in MuJoCo, processes in PyBullet; resets included."""
+    rates, ratios = {}, {}
+    for hand in ("shadow", "mpl"):
+        found = rounds({"1 core": several(hand, 1), "2 cores": several(hand, 2)})
+        rates |= {f"{hand}, {cores}": rate for cores, rate in found.items()}
+        ratios[f"{hand}: 2 cores / 1"] = found["2 cores"] / found["1 core"]
+    return {"per_s": rates, "ratios": ratios}
+
+
+# -- learning --------------------------------------------------------------------------------
+
+
+def ranks() -> dict[str, Any]:
+    """The same work for each of one and two ranks, in turn."""
+    found: dict[int, list[dict[str, Any]]] = {1: [], 2: []}
+    for _ in range(REPEATS):
+        for n, results in found.items():
+            command = [str(Path(sys.executable).with_name("mpirun")), "-n", str(n)]
+            command += [sys.executable, str(Path(__file__).with_name("rank_shares.py"))]
+            output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+            results.append(json.loads(output.strip().splitlines()[-1]))
+    result: dict[str, Any] = {"ratios": {}}
+    for key in ("transitions_per_s", "env_steps_per_s"):
+        rates = {n: statistics.median(r[key] for r in results) for n, results in found.items()}
+        result[key] = {f"{n} ranks" if n > 1 else "1 rank": rate for n, rate in rates.items()}
+        result["ratios"][f"{key}: 2 ranks / 1 rank"] = rates[2] / rates[1]
+    for n, results in found.items():
+        names = results[0]["shares"]
+        result[f"shares at {n}"] = {
+            name: statistics.median(r["shares"][name] for r in results) for name in names
+        }
+    return result
+
+
+# -- report ----------------------------------------------------------------------------------
+
+
+def show_stepping(part: dict[str, Any]) -> None:
+    """One table."""
+    show("four environments, steps", part["per_s"], part["ratios"])
+
+
+def show_ranks(part: dict[str, Any]) -> None:
+    """Rates, and where the time goes."""
+    show("transitions learned from", part["transitions_per_s"], part["ratios"])
+    table = Table("share of time on the Shadow Hand", "1 rank", "2 ranks")
+    for name, share in part["shares at 1"].items():
+        table.add_row(name, f"{share:.3f}", f"{part['shares at 2'][name]:.3f}")
+    Console().print(table)
+
+
+# Part: what measures it, what shows it.
+PARTS = {"stepping": (stepping, show_stepping), "ranks": (ranks, show_ranks)}
+
+
+if __name__ == "__main__":
+    run_parts(__doc__, PARTS, "mujoco", "pybullet", "torch", "numpy", "mpi4py")

@@ -1,0 +1,99 @@
+"""How the benchmarks measure time: contenders in turn on one machine, and what is shown of it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import statistics
+import time
+import warnings
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import torch
+from rich.console import Console
+from rich.table import Table
+
+ROUNDS = 7
+Contender = Callable[[], int]
+"""Does its work once and says how many things it did."""
+Part = tuple[Callable[[], dict[str, Any]], Callable[[dict[str, Any]], None]]
+"""What measures a part of a benchmark, and what shows what came out."""
+
+
+def run_parts(description: str, parts: dict[str, Part], *packages: str) -> None:
+    """A benchmark's command line: all parts or one, on one thread; machine, versions of
+    `packages` and results as JSON where asked for."""
+    parser = argparse.ArgumentParser(description=description.splitlines()[0])
+    parser.add_argument("--only", choices=parts, help="one part instead of all")
+    parser.add_argument("--out", type=Path, help="write JSON here")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    warnings.filterwarnings("ignore")
+    result: dict[str, Any] = {
+        "machine": {"processor": platform.processor() or platform.machine(), "threads": 1},
+        "versions": {name: version(name) for name in packages},
+    }
+    for name in [options.only] if options.only else parts:
+        measure, display = parts[name]
+        result[name] = measure()
+        display(result[name])
+    if options.out:
+        options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+
+
+def per_second(run: Contender) -> float:
+    """Things done per second of one call."""
+    started = time.perf_counter()
+    return run() / (time.perf_counter() - started)
+
+
+def rounds(contenders: dict[str, Contender]) -> dict[str, float]:
+    """Median rate of each contender; they take turns, after one round to warm up."""
+    rates: dict[str, list[float]] = {name: [] for name in contenders}
+    for round_ in range(ROUNDS + 1):
+        for name, run in contenders.items():
+            rate = per_second(run)
+            if round_:
+                rates[name].append(rate)
+    return {name: statistics.median(values) for name, values in rates.items()}
+
+
+def quotients(rates: dict[str, float], *pairs: tuple[str, str]) -> dict[str, float]:
+    """The first's rate over the second's, for pairs of names."""
+    return {f"{a} / {b}": rates[a] / rates[b] for a, b in pairs}
+
+
+def show(title: str, rates: dict[str, float], ratios: dict[str, float]) -> None:
+    """One table."""
+    table = Table("", "per second", title=title)
+    for name, rate in rates.items():
+        table.add_row(name, f"{rate:,.0f}")
+    table.add_section()
+    for name, ratio in ratios.items():
+        table.add_row(name, f"{ratio:.2f} ×")
+    Console().print(table)
+
+
+class Watches:
+    """Seconds spent in some methods; what one of them spends in another counts for both."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    def watch(self, name: str, thing: Any, method: str) -> None:
+        """Count the time of `thing.method` as `name`."""
+        run = getattr(thing, method)
+        self.seconds.setdefault(name, 0.0)
+
+        def timed(*args: Any, **kwargs: Any) -> Any:
+            started = time.perf_counter()
+            try:
+                return run(*args, **kwargs)
+            finally:
+                self.seconds[name] += time.perf_counter() - started
+
+        setattr(thing, method, timed)
