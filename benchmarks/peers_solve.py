@@ -36,7 +36,7 @@ from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.envs.toy import LQREnv, PointReachEnv
 from tactilerl.envs.vector import Envs
 
-SEEDS = range(8)
+SEEDS = range(6)
 LIBRARIES = ("tactilerl", "stable-baselines3")
 PPO_CONFIG = PPOConfig(
     hidden=(64, 64), actor_lr=1e-3, n_passes=20, n_minibatches=12, gae_lambda=0.9,
