@@ -96,7 +96,12 @@ class GraspConfig:
             for value in np.ravel(getattr(self, name)):
                 if not (np.isfinite(value) and value > 0):
                     raise ValueError(f"{name}: found {value}, allowed a finite number above 0")
-        objects.make(self.object, self.object_size)
+        for size, most, where in (
+            (self.shape.width, WIDEST, "across"),
+            (self.shape.height, TALLEST, "in height"),
+        ):
+            if size > most:
+                raise ValueError(f"object_size: found {size:g} m, allowed up to {most} m {where}")
         for name in ("hold_steps", "max_episode_steps"):
             value = getattr(self, name)
             if value is not None and value < 1:
@@ -132,6 +137,7 @@ def setup(hand: str, **choices: Any) -> GraspConfig:
 
 
 REWARDS = {"lift-and-hold": ("staged",), "reach-goal": ("sparse", "dense")}
+WIDEST = 0.08  # m, of an object: a little more than the hands' fingers span
 TALLEST = 0.15  # m, of an object: held at its top, its centre is well above what counts as dropped
 OFF_GROUND = 0.005  # m under the object's lowest point: lift-and-hold's attempt has begun
 JITTER_POSITION = 0.005  # m, of the object along x and y
@@ -162,16 +168,9 @@ class GraspEnv(gym.Env[Any, Array]):
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode: found {render_mode!r}, allowed None or 'rgb_array'")
         self.render_mode = render_mode
-        self.hand = hands.load(hand)
         self.shape = config.shape
-        x, y, height = (2 * half for half in self.shape.half_size)
-        if max(x, y) > self.hand.reach:
-            raise ValueError(
-                f"object_size: found {max(x, y):g} m, allowed up to {self.hand.reach} m across, what "
-                f"lies free under the {self.hand.name} hand at the start"
-            )
-        if height > TALLEST:
-            raise ValueError(f"object_size: found {height:g} m, allowed up to {TALLEST} m in height")
+        width, height = self.shape.width, self.shape.height
+        self.hand = hands.load(hand).over(width, height)
         self.taxels = layouts.load(config.layout).place(self.hand)
         self._placement = touch.TaxelPlacement(self.taxels)
         self.task = _task(config)

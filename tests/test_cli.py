@@ -297,7 +297,7 @@ class TestBadInput:
             (["train", "--n-minibatches", "6", "--minibatch-size", "6"], ["found both"]),
             (["train", "--control-dt", "0.001"], ["control_dt: found 0.001"]),
             (["train", "--entropy-coef", "nan"], ["entropy_coef: found nan"]),
-            (["train", "--object-size", "0.3"], ["object_size: found 0.3", "up to 0.05"]),
+            (["train", "--object-size", "0.3"], ["object_size: found 0.3", "up to 0.08 m across"]),
             (["train", "--object", "sphere", "--object-size", "0.03", "0.04"], ["found 2 numbers"]),
             (["train", "--object", "torus"], ["object", "torus"]),
             (["train", "--resume="], ["--resume: found nothing"]),

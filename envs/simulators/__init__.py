@@ -31,7 +31,7 @@ class Scene:
     timestep: float
     finger_gain: float
     rise: float = 0.0
-    """How much higher than usual the hand starts."""
+    """How much higher than usual the hand hangs."""
     contact_taxels: Taxels | None = None
     """Taxels to read by the simulator's own contact rule."""
     visual: bool = False
