@@ -152,7 +152,8 @@ class GraspEnv(gym.Env[Any, Array]):
     each entry is), ``achieved_goal`` and ``desired_goal`` (see the task). Actions lie in
     [-1, 1]; what is beyond is clipped. ``info`` holds ``is_success``, and ``diverged`` when
     the physics broke: the step is then void, the observation the last good one, and the
-    episode truncated.
+    episode truncated. ``warnings`` is there when the simulator has warned since the last step,
+    and says how often.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 5}
@@ -190,6 +191,7 @@ class GraspEnv(gym.Env[Any, Array]):
                 visual=render_mode is not None,
             ),
         )
+        self._warnings = self.simulator.warnings
         self._hold = HoldTest(steps=config.hold_steps, verdict=config.hold_verdict)
         self._desired_goal = self.task.desired_goal().astype(np.float32)
         self._object_id = np.array([float(objects.KINDS.index(self.shape.kind))])
@@ -241,14 +243,14 @@ class GraspEnv(gym.Env[Any, Array]):
                 held = self._hold.run(self.simulator, self._targets, self.config.timestep)
                 situation = replace(situation, outcome="held" if held else "dropped")
         except simulators.SimulationError as error:
-            info = {"is_success": False, "diverged": True, "error": str(error)}
+            info = self._info(is_success=False, diverged=True, error=str(error))
             last = {key: value.copy() for key, value in self._obs.items()}
             return last, 0.0, False, True, info
         self._obs = obs = self._goal_obs(observation, situation)
         goals = obs["achieved_goal"], obs["desired_goal"]
         terminated = situation.outcome in ("held", "dropped")
         truncated = not terminated and self._steps >= self.max_episode_steps
-        info = {"is_success": bool(self.task.is_success(*goals))}
+        info = self._info(is_success=bool(self.task.is_success(*goals)))
         return obs, float(self.task.reward(*goals)), terminated, truncated, info
 
     def compute_reward(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Array:
@@ -324,6 +326,11 @@ class GraspEnv(gym.Env[Any, Array]):
                 f"an observation is as large as {largest}: the object was ejected or the physics broke"
             )
         return observation
+
+    def _info(self, **info: Any) -> dict[str, Any]:
+        """With the warnings that no step has told of yet: also those of a reset."""
+        told, self._warnings = self._warnings, self.simulator.warnings
+        return info if self._warnings == told else {**info, "warnings": self._warnings - told}
 
     def _situation(self, outcome: tasks.Outcome) -> tasks.Situation:
         points, thing = self.simulator.link_positions(), self.simulator.object_state()

@@ -233,7 +233,9 @@ class TestUpdate:
         learner = trained()
         before = learner.adam.vector.clone(), learner.env_steps, len(learner.replay)
         seen = learner.test()
-        assert set(seen) == {"test_success_rate", "test_mean_return", "test_diverged"}
+        assert set(seen) == {
+            *("test_success_rate", "test_mean_return", "test_diverged", "test_warnings"),
+        }
         assert torch.equal(before[0], learner.adam.vector)
         assert before[1:] == (learner.env_steps, len(learner.replay))
 

@@ -295,6 +295,13 @@ class TestHardCases:
         assert seen["diverged"] == seen["episodes"] > 0
         assert seen["mean_length"] == 3
 
+    def test_warnings_are_counted_also_of_steps_that_diverged(self):
+        faults = {2: {"warnings": 3}, 4: {"warnings": 10, "diverged": True}}
+        ppo = make_ppo(ScriptedPool(length=9, info=lambda step: faults.get(step, {})))
+        for _ in range(2):
+            seen = ppo.collect()
+            assert seen["warnings"] == 13 * seen["diverged"] > 0
+
 
 @pytest.mark.parametrize(
     "choices",

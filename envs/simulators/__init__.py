@@ -63,6 +63,10 @@ class Simulator(Protocol):
     holds_gil: bool
     """Does `step` keep other threads of Python waiting?"""
 
+    @property
+    def warnings(self) -> int:
+        """How often the engine has warned of something since it was made, resets included."""
+
     def reset(self, joint_positions: Array, object_position: Array, yaw: float) -> None:
         """Put everything at rest; afterwards the past has no influence."""
 
