@@ -137,7 +137,7 @@ def setup(hand: str, **choices: Any) -> GraspConfig:
 
 
 REWARDS = {"lift-and-hold": ("staged",), "reach-goal": ("sparse", "dense")}
-WIDEST = 0.08  # m, of an object: a little more than the hands' fingers span
+WIDEST = 0.08  # m, of an object across; benchmarks/hard_cases.py goes up to it
 TALLEST = 0.15  # m, of an object: held at its top, its centre is well above what counts as dropped
 OFF_GROUND = 0.005  # m under the object's lowest point: lift-and-hold's attempt has begun
 JITTER_POSITION = 0.005  # m, of the object along x and y
