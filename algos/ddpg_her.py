@@ -31,7 +31,7 @@ from .mpi import Communicator, same_on_all_ranks
 from .networks import MLP, FlatAdam, flatten, require_finite
 from .normalizer import Normalizer
 from .replay import Batch, GoalObs, Replay, goal_observation
-from .rollout import Rollouts, summary
+from .rollout import FAULTS, Rollouts, summary
 
 CHECK_EVERY = 100  # updates between two looks at whether the ranks' parameters are equal
 SAVED = ("actor", "critic", "target_actor", "target_critic", "adam", "obs_stats", "goal_stats")
@@ -208,7 +208,7 @@ class DDPGHER:
     def collect(self) -> dict[str, float]:
         """One cycle's episodes: into the replay, and relabelled into the normaliser."""
         episodes = self.rollouts.play(self._explore, episodes=self.config.n_rollouts)
-        seen = summary(episodes, self.rollouts.diverged, self.comm)
+        seen = summary(episodes, self.rollouts.faults, self.comm)
         self.env_steps += int(seen.pop("steps"))
         slots = self.replay.store(episodes)
         n = sum(len(episode.rewards) for episode in episodes)
@@ -247,8 +247,8 @@ class DDPGHER:
         if not n:
             return {}
         episodes = self.rollouts.play(self._greedy, episodes=n)
-        seen = summary(episodes, self.rollouts.diverged, self.comm)
-        return {f"test_{name}": seen[name] for name in ("success_rate", "mean_return", "diverged")}
+        seen = summary(episodes, self.rollouts.faults, self.comm)
+        return {f"test_{name}": seen[name] for name in ("success_rate", "mean_return", *FAULTS)}
 
     # -- learning ----------------------------------------------------------------------------
 

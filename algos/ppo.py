@@ -179,7 +179,7 @@ class PPO:
         """Whole episodes, until this rank's share of `steps_per_epoch` is there."""
         wanted = -(-self.config.steps_per_epoch // self.comm.size)
         self._episodes = self.rollouts.play(self._sample, steps=wanted)
-        seen = summary(self._episodes, self.rollouts.diverged, self.comm)
+        seen = summary(self._episodes, self.rollouts.faults, self.comm)
         self.env_steps += int(seen.pop("steps"))
         return seen
 

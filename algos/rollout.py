@@ -13,6 +13,7 @@ from . import Array, DivergenceError, EnvPool, Transition, action_bounds
 from .mpi import Communicator
 
 Obs = TypeVar("Obs")
+FAULTS = ("diverged", "warnings")  # what `info` may say of a step, and is counted
 VOID_LIMIT = 100  # episodes that diverge at their first step before something must be wrong
 
 
@@ -37,8 +38,8 @@ class Rollouts(Generic[Obs]):
 
     def __init__(self, pool: EnvPool, read: Callable[[Any], Obs], rng: np.random.Generator) -> None:
         self.pool, self.read, self.rng = pool, read, rng
-        self.diverged = 0
-        """Void steps of the last call of `play`."""
+        self.faults = dict.fromkeys(FAULTS, 0)
+        """How many in the last call of `play`; a step that diverged is void."""
         self._low, self._high = action_bounds(pool.action_space)
         self.n_actions = int(np.prod(self._low.shape))
 
@@ -61,7 +62,8 @@ class Rollouts(Generic[Obs]):
         """
         played: list[Episode[Obs]] = []
         running: dict[int, Episode[Obs]] = {}
-        steps_begun = episodes_begun = self.diverged = n_void = 0
+        self.faults = dict.fromkeys(FAULTS, 0)
+        steps_begun = episodes_begun = n_void = 0
         while True:
             for index in range(len(self.pool)):
                 if index not in running and (steps_begun < steps or episodes_begun < episodes):
@@ -90,8 +92,9 @@ class Rollouts(Generic[Obs]):
 
     def _record(self, episode: Episode[Obs], action: Array, result: Transition) -> bool:
         """Add one transition; has the episode ended? A diverged step is void, not learned from."""
+        for fault in FAULTS:
+            self.faults[fault] += int(result.info.get(fault, 0))
         if result.info.get("diverged"):
-            self.diverged += 1
             return True
         episode.obs.append(finite(self.read(result.obs), "an observation"))
         episode.actions.append(action)
@@ -101,7 +104,9 @@ class Rollouts(Generic[Obs]):
         return result.terminated or result.truncated
 
 
-def summary(episodes: list[Episode[Any]], diverged: int, comm: Communicator) -> dict[str, float]:
+def summary(
+    episodes: list[Episode[Any]], faults: dict[str, int], comm: Communicator
+) -> dict[str, float]:
     """Counts and means over the episodes of all ranks; each has some."""
     sums = comm.sum(
         np.array(
@@ -110,7 +115,7 @@ def summary(episodes: list[Episode[Any]], diverged: int, comm: Communicator) -> 
                 len(episodes),
                 sum(e.success for e in episodes),
                 sum(sum(e.rewards) for e in episodes),
-                diverged,
+                *faults.values(),
             ],
             dtype=np.float64,
         )
@@ -121,7 +126,7 @@ def summary(episodes: list[Episode[Any]], diverged: int, comm: Communicator) -> 
         "success_rate": sums[2] / sums[1],
         "mean_return": sums[3] / sums[1],
         "mean_length": sums[0] / sums[1],
-        "diverged": sums[4],
+        **dict(zip(faults, sums[4:], strict=True)),
     }
 
 

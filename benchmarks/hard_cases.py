@@ -1,11 +1,14 @@
 """Does the physics survive what it was not made for?
 
 Each case runs one scene for some steps and reports how often it diverged (which must be caught),
-the deepest overlap of hand and object, the fastest object and the worst violation of a joint's
-range. Exits with 1 when a case leaves its limits. Prints tables and writes JSON:
+how often MuJoCo warned, the deepest overlap of hand and object, the fastest object and the worst
+violation of a joint's range; and of the actions that are not finite, how many were refused and how
+many let through. Exits with 1 when a case leaves its limits. Prints tables, and writes JSON as it
+goes, into what is there already:
 
-    python benchmarks/hard_cases.py --steps 1000 --out docs/data/hard_cases.json
-    python benchmarks/hard_cases.py --hand mpl --simulator pybullet --steps 100000
+    python benchmarks/hard_cases.py --steps 100 --out docs/data/hard_cases.json
+    python benchmarks/hard_cases.py --case "random actions" --case "bang-bang actions" \\
+        --case "squeezed without a reset" --steps 100000 --out docs/data/hard_cases_long.json
 """
 
 from __future__ import annotations
@@ -13,7 +16,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,10 +27,11 @@ from rich.console import Console
 from rich.table import Table
 from speed_vs_error import deepest
 
-from tactilerl.envs.grasp import GraspEnv, setup
+from tactilerl.envs.grasp import GraspConfig, GraspEnv, setup
 
 SEED = 50_000
 EPISODE = 50  # steps
+SAVE_EVERY = 1000  # steps
 Policy = Callable[[np.random.Generator, int, int], np.ndarray]
 """(random numbers, step of the episode, number of actions) -> action."""
 
@@ -40,6 +44,19 @@ def noise(rng: np.random.Generator, step: int, n: int) -> np.ndarray:
 def bang_bang(rng: np.random.Generator, step: int, n: int) -> np.ndarray:
     """From one end of the range to the other."""
     return rng.choice([-1.0, 1.0], n)
+
+
+def huge(rng: np.random.Generator, step: int, n: int) -> np.ndarray:
+    """Far beyond the range."""
+    return 1e30 * bang_bang(rng, step, n)
+
+
+def not_finite(rng: np.random.Generator, step: int, n: int) -> np.ndarray:
+    """Every second time with one entry that is no number."""
+    action = noise(rng, step, n)
+    if rng.random() < 0.5:
+        action[rng.integers(n)] = rng.choice([np.nan, np.inf, -np.inf])
+    return action
 
 
 def squeeze(rng: np.random.Generator, step: int, n: int) -> np.ndarray:
@@ -64,6 +81,10 @@ class Limits:
     """rad beyond a joint's range."""
     diverged: int = 0
     """Episodes that ended because the physics broke, and said so."""
+    warnings: int = 0
+    """Of MuJoCo."""
+    let_through: int = 0
+    """Actions that are not finite, and were not refused or moved something."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +95,8 @@ class Case:
     choices: dict[str, Any]
     """Fields of GraspConfig; a density, timestep or friction is a factor on the shipped one."""
     limits: Limits = Limits()
+    episode: int = EPISODE
+    """Steps."""
     start: float | None = None
     """Where the object starts instead, m under the palm's point: deep inside the hand."""
 
@@ -93,46 +116,79 @@ CASES = {
     "friction 3": Case(bang_bang, {"friction": 3}),
     "object of 1 cm": Case(bang_bang, {"object_size": 0.01}),
     "object of 2.5 cm": Case(bang_bang, {"object_size": 0.025}),
+    "cube of 8 cm": Case(bang_bang, {"object_size": 0.08}),
+    "sphere of 8 cm": Case(bang_bang, {"object": "sphere", "object_size": 0.08}),
+    "cylinder of 8 cm": Case(bang_bang, {"object": "cylinder", "object_size": 0.08}),
+    "cube of 8 cm, pressed down": Case(press, {"object_size": 0.08}),
     "timestep x 4": Case(noise, {"timestep": 4}),
     "start in deep overlap": Case(squeeze, {}, start=0.0),
+    "actions of 1e30": Case(huge, {}),
+    "actions that are not finite": Case(not_finite, {}),
+    "squeezed without a reset": Case(squeeze, {}, episode=sys.maxsize),
 }
 FACTORS = ("object_density", "friction", "timestep")
+COUNTS = ("diverged", "warnings", "refused", "let_through")
 
 
-def run(hand: str, simulator: str, case: Case, steps: int) -> dict[str, Any]:
-    """The worst of a case."""
+def run(hand: str, simulator: str, case: Case, steps: int) -> Iterator[dict[str, Any]]:
+    """The worst of a case, so far: after every SAVE_EVERY steps and at the end."""
+    config = scene(hand, simulator, case)
+    rng = np.random.default_rng(SEED)
+    worst: dict[str, float] = dict.fromkeys(("refused", *vars(case.limits)), 0)
+    with closing(GraspEnv(hand, config)) as env:
+        done = True
+        for number in range(1, steps + 1):
+            if done:
+                begin(env, int(rng.integers(2**31)), case.start)
+                step = 0
+            action = case.policy(rng, step, env.action_space.shape[0])
+            done, seen = look(env, action)
+            step += 1
+            for key, value in seen.items():
+                worst[key] = worst[key] + value if key in COUNTS else max(worst[key], value)
+            if number % SAVE_EVERY == 0 or number == steps:
+                is_ok = all(worst[key] <= limit for key, limit in vars(case.limits).items())
+                done_so_far = {"steps": number, "physics_steps": number * config.n_substeps}
+                yield {**done_so_far, **worst, "limits": vars(case.limits), "ok": is_ok}
+
+
+def scene(hand: str, simulator: str, case: Case) -> GraspConfig:
+    """What a case asks for."""
     shipped = setup(hand, simulator=simulator)
     choices = {k: getattr(shipped, k) * v if k in FACTORS else v for k, v in case.choices.items()}
     if "timestep" in choices:
         whole = round(shipped.control_dt / choices["timestep"])
         choices["control_dt"] = whole * choices["timestep"]
-    config = setup(hand, simulator=simulator, task="reach-goal", max_episode_steps=EPISODE, **choices)
-    rng = np.random.default_rng(SEED)
-    worst = {"diverged": 0, "overlap": 0.0, "speed": 0.0, "joint": 0.0}
-    with closing(GraspEnv(hand, config)) as env:
-        joints = env.hand.joints[3:]
-        low, high = np.array([env.simulator.model.joint(joint).range for joint in joints]).T
-        done, step = True, 0
-        for _ in range(steps):
-            if done:
-                begin(env, int(rng.integers(2**31)), case.start)
-                position, step = env.simulator.object_state().position, 0
-            *_, done, info = env.step(case.policy(rng, step, env.action_space.shape[0]))
-            step += 1
-            if info.get("diverged"):
-                worst["diverged"] += 1
-                continue
-            last, position = position, env.simulator.object_state().position
-            angles = env.simulator.joint_state()[0][3:]
-            beyond = np.maximum(low - angles, angles - high).max()
-            seen = {
-                "overlap": deepest(env),
-                "speed": float(np.linalg.norm(position - last)) / config.control_dt,
-                "joint": float(beyond),
-            }
-            worst |= {key: max(worst[key], value) for key, value in seen.items()}
-    limits = {key: getattr(case.limits, key) for key in worst}
-    return worst | {"limits": limits, "ok": all(worst[key] <= limits[key] for key in worst)}
+    choices |= {"task": "reach-goal", "max_episode_steps": case.episode}
+    return setup(hand, simulator=simulator, **choices)
+
+
+def look(env: GraspEnv, action: np.ndarray) -> tuple[bool, dict[str, float]]:
+    """One step: is the episode over, and what was seen."""
+    before = state(env)
+    try:
+        *_, done, info = env.step(action)
+    except ValueError:
+        return False, {"refused": 1, "let_through": float((state(env) != before).any())}
+    faults = {key: float(info.get(key, 0)) for key in ("diverged", "warnings")}
+    faults["let_through"] = float(not np.isfinite(action).all())
+    if info.get("diverged"):
+        return done, faults
+    moved = np.linalg.norm(env.simulator.object_state().position - before[:3])
+    angles = env.simulator.joint_state()[0][3:]
+    low, high = np.array([env.simulator.model.joint(j).range for j in env.hand.joints[3:]]).T
+    return done, {
+        **faults,
+        "overlap": deepest(env),
+        "speed": float(moved) / env.config.control_dt,
+        "joint": float(np.maximum(low - angles, angles - high).max()),
+    }
+
+
+def state(env: GraspEnv) -> np.ndarray:
+    """Position and orientation of the object, positions and velocities of the joints."""
+    thing = env.simulator.object_state()
+    return np.concatenate([thing.position, thing.orientation, *env.simulator.joint_state()])
 
 
 def begin(env: GraspEnv, seed: int, start: float | None) -> None:
@@ -148,32 +204,48 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--hand", choices=("shadow", "mpl"), action="append")
     parser.add_argument("--simulator", choices=("mujoco", "pybullet"), action="append")
+    parser.add_argument("--case", choices=CASES, action="append")
     parser.add_argument("--steps", type=int, default=1000, help="control steps of each case")
-    parser.add_argument("--out", type=Path, help="write JSON here")
+    parser.add_argument("--out", type=Path, help="write JSON here; other cases in it are kept")
     options = parser.parse_args()
-    result: dict[str, Any] = {"steps": options.steps}
+    result: dict[str, dict[str, Any]] = {}
+    if options.out and options.out.exists():
+        result = json.loads(options.out.read_text(encoding="utf-8"))
+    is_ok = True
     for hand in options.hand or ("shadow", "mpl"):
         for simulator in options.simulator or ("mujoco", "pybullet"):
-            rows = {name: run(hand, simulator, case, options.steps) for name, case in CASES.items()}
-            result[f"{hand} in {simulator}"] = rows
-            show(f"{hand} in {simulator}, {options.steps} steps", rows)
-    if options.out:
-        options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    rows = [row for value in result.values() if isinstance(value, dict) for row in value.values()]
-    return 0 if all(row["ok"] for row in rows) else 1
+            pair = f"{hand} in {simulator}"
+            rows = result.setdefault(pair, {})
+            for name in options.case or CASES:
+                for row in run(hand, simulator, CASES[name], options.steps):
+                    rows[name] = row
+                    if options.out:
+                        options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+                is_ok = is_ok and row["ok"]
+            show(pair, rows)
+    return 0 if is_ok else 1
+
+
+COLUMNS = {  # of the tables: title, unit of the figures, format
+    "diverged": ("diverged", 1, ".0f"),
+    "warnings": ("warnings", 1, ".0f"),
+    "refused": ("refused", 1, ".0f"),
+    "let_through": ("let through", 1, ".0f"),
+    "overlap": ("overlap, mm", 1e-3, ".1f"),
+    "speed": ("object, m/s", 1, ".2f"),
+    "joint": ("beyond range, rad", 1, ".3f"),
+}
 
 
 def show(title: str, rows: dict[str, dict[str, Any]]) -> None:
     """One table."""
     table = Table("case", title=title)
-    for column in ("diverged", "overlap, mm", "object, m/s", "beyond a joint's range", ""):
+    for column in ("steps", *(column for column, _, _ in COLUMNS.values()), ""):
         table.add_column(column, justify="right")
     for name, row in rows.items():
-        table.add_row(
-            *(name, str(row["diverged"]), f"{1e3 * row['overlap']:.1f}", f"{row['speed']:.2f}"),
-            *(f"{row['joint']:.3f}", "ok" if row["ok"] else "LEFT ITS LIMITS"),
-        )
-    Console(width=110).print(table)
+        cells = [format(row[key] / unit, style) for key, (_, unit, style) in COLUMNS.items()]
+        table.add_row(name, f"{row['steps']:,}", *cells, "ok" if row["ok"] else "LEFT ITS LIMITS")
+    Console(width=140).print(table)
 
 
 if __name__ == "__main__":

@@ -199,9 +199,7 @@ def perform(env: GraspEnv, grasps: int, dt: float) -> Trace:
             overlap = max(overlap, deepest(env))
             held[index] = is_up
     seconds = time.process_time() - started
-    data = getattr(env.simulator, "data", None)
-    warnings = 0 if data is None else int(sum(w.number for w in data.warning))
-    return Trace(positions, rotations, bits, held, overlap, warnings, seconds)
+    return Trace(positions, rotations, bits, held, overlap, env.simulator.warnings, seconds)
 
 
 def deepest(env: GraspEnv) -> float:

@@ -23,6 +23,16 @@ class Shape:
     """Half extents along its own axes, m."""
 
     @property
+    def width(self) -> float:
+        """The larger of its two measures across, m."""
+        return 2 * max(self.half_size[:2])
+
+    @property
+    def height(self) -> float:
+        """m"""
+        return 2 * self.half_size[2]
+
+    @property
     def volume(self) -> float:
         """m³"""
         x, y, z = self.half_size

@@ -83,5 +83,4 @@ def ramps(env: GraspEnv, grasp: ScriptedGrasp, dt: float) -> Iterator[Array]:
 
 def grasp_for(env: GraspEnv) -> ScriptedGrasp:
     """The hand's scripted grasp nearest to the width of the environment's object."""
-    width = 2 * max(env.shape.half_size[:2])
-    return min(env.hand.grasps, key=lambda g: abs(g.object_size - width))
+    return min(env.hand.grasps, key=lambda g: abs(g.object_size - env.shape.width))

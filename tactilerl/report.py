@@ -23,6 +23,11 @@ from .config import RunConfig
 from .errors import InputError
 from .run_dir import RunDir
 
+FAULTS = {  # columns of the progress table, and what they say of a run
+    "diverged": "simulation diverged {:.0f} times; those steps were dropped",
+    "warnings": "simulator warned {:.0f} times",
+}
+
 
 class Report:
     """Shows each epoch; writes TensorBoard events when asked to."""
@@ -37,7 +42,7 @@ class Report:
         self._events: Any = None
         if config.run.tensorboard and not is_quiet:
             self._events = require_tensorboard()(str(run_dir.path))
-        self._diverged = 0.0
+        self._faults = dict.fromkeys(FAULTS, 0.0)
         self._bar: Progress | None = None
         # mpirun hands its ranks a terminal that is none: plain lines for several processes
         if self.console.is_terminal and not is_quiet and comm.size == 1:
@@ -67,11 +72,10 @@ class Report:
             self._bar.stop()
         if self._events is not None:
             self._events.close()
-        if self._diverged:
-            self.console.print(
-                f"warning: the simulation diverged {self._diverged:.0f} times; those steps were "
-                "dropped (columns `diverged` of progress.csv)"
-            )
+        for fault, times in self._faults.items():
+            if times:
+                said = FAULTS[fault].format(times)
+                self.console.print(f"warning: the {said} (columns `{fault}` of progress.csv)")
 
     def note(self, text: str) -> None:
         """Show a line."""
@@ -79,7 +83,8 @@ class Report:
 
     def epoch(self, row: dict[str, Any]) -> None:
         """Show one row of the progress table."""
-        self._diverged += row.get("diverged", 0.0) + row.get("test_diverged", 0.0)
+        for fault in self._faults:
+            self._faults[fault] += row.get(fault, 0.0) + row.get(f"test_{fault}", 0.0)
         test = f"test {_rate(row['test_success_rate'])}  " if "test_success_rate" in row else ""
         text = (
             f"success {_rate(row['success_rate'])}  {test}return {row['mean_return']:.1f}  "

@@ -72,11 +72,14 @@ class RunDir:
         return dataclasses.replace(from_dict(data), folder=self.path), ranks
 
     def append_progress(self, row: dict[str, Any]) -> None:
-        """Add one row; the first decides the columns."""
-        is_new = not self.progress_file.exists() or self.progress_file.stat().st_size == 0
-        with self.progress_file.open("a", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, row, lineterminator="\n")
-            if is_new:
+        """Add one row; the first decides the columns, also those of a version that had fewer."""
+        with self.progress_file.open("a+", newline="", encoding="utf-8") as file:
+            file.seek(0)
+            columns = next(csv.reader(file), None)
+            writer = csv.DictWriter(
+                file, columns or list(row), extrasaction="ignore", lineterminator="\n"
+            )
+            if columns is None:
                 writer.writeheader()
             writer.writerow(row)
 

@@ -13,6 +13,7 @@ import torch
 
 from . import algos
 from .algos.mpi import Communicator
+from .algos.rollout import FAULTS
 from .checkpoint import Checkpoint
 from .config import RunConfig
 from .envs import vector
@@ -20,7 +21,7 @@ from .errors import InputError, input_errors
 from .report import Report, require_tensorboard
 from .run_dir import RunDir
 
-COUNTS = ("episodes", "diverged", "updates")  # columns of progress.csv that are sums
+COUNTS = ("episodes", *FAULTS, "updates")  # columns of progress.csv that are sums
 
 
 def make_algorithm(config: RunConfig, comm: Communicator) -> tuple[algos.Algorithm, vector.Envs]:

@@ -114,6 +114,16 @@ class TestTrain:
         assert main([*args, "--out", "run"]) == 0
         assert len(progress(Path("run"))) == 2
 
+    @pytest.mark.parametrize("algo", ["ppo", "ddpg_her"])
+    def test_warnings_of_the_simulator_are_counted(self, algo, capsys, little_memory):
+        args = HER if algo == "ddpg_her" else ["train", *FAST]
+        args = [*args, "--env", "shadow", "--simulator", "mujoco", "--task", "reach-goal"]
+        assert main([*args, "--total-timesteps", "150", "--out", "run"]) == 0
+        rows = progress(Path("run"))
+        counted = sum(float(row["warnings"]) + float(row.get("test_warnings", 0)) for row in rows)
+        assert counted > 0
+        assert f"the simulator warned {counted:.0f} times" in capsys.readouterr().out
+
     def test_ddpg_her_means_the_papers_mujoco_set_up(self, capsys):
         assert main([*HER, "--max-episode-steps", "3", "--total-timesteps", "12"]) == 0
         out = capsys.readouterr().out
@@ -211,6 +221,18 @@ class TestResume:
         main(["train", "--resume", "run", "--total-timesteps", "200"])
         assert len(list(Path("run/experience").iterdir())) == 2
 
+    def test_a_table_with_fewer_columns_keeps_them(self):
+        main([*TOY, "--total-timesteps", "120", "--out", "run"])
+        table = Path("run/progress.csv")
+        rows = [line.split(",") for line in table.read_text().splitlines()]
+        at = rows[0].index("warnings")
+        table.write_text("".join(",".join(row[:at] + row[at + 1 :]) + "\n" for row in rows))
+        main(["train", "--resume", "run", "--total-timesteps", "240"])
+        first, second = progress(Path("run"))
+        assert first.keys() == second.keys()
+        assert second["epoch"] == "2"
+        assert None not in second
+
     def test_half_written_progress_row_is_dropped(self):
         main([*TOY, "--total-timesteps", "360", "--out", "whole"])
         main([*TOY, "--total-timesteps", "240", "--out", "cut"])
@@ -297,7 +319,7 @@ class TestBadInput:
             (["train", "--n-minibatches", "6", "--minibatch-size", "6"], ["found both"]),
             (["train", "--control-dt", "0.001"], ["control_dt: found 0.001"]),
             (["train", "--entropy-coef", "nan"], ["entropy_coef: found nan"]),
-            (["train", "--object-size", "0.3"], ["object_size: found 0.3", "up to 0.05"]),
+            (["train", "--object-size", "0.3"], ["object_size: found 0.3", "up to 0.08 m across"]),
             (["train", "--object", "sphere", "--object-size", "0.03", "0.04"], ["found 2 numbers"]),
             (["train", "--object", "torus"], ["object", "torus"]),
             (["train", "--resume="], ["--resume: found nothing"]),

@@ -19,7 +19,9 @@ class GoalPool:
 
     max_episode_steps, n_boolean = 5, 1
 
-    def __init__(self, scale=1.0, offset=0.0, reward=None, length=5, terminated=False):
+    def __init__(
+        self, scale=1.0, offset=0.0, reward=None, length=5, terminated=False, reward_scale=1.0
+    ):
         def box(n):
             return gym.spaces.Box(-np.inf, np.inf, (n,), np.float32)
 
@@ -28,7 +30,7 @@ class GoalPool:
         )
         self.action_space = gym.spaces.Box(-2.0, 2.0, (3,), np.float32)
         self.scale, self.offset, self.bad_reward = scale, offset, reward
-        self.length, self.terminated = length, terminated
+        self.length, self.terminated, self.reward_scale = length, terminated, reward_scale
         self.rng, self.steps, self.seeds, self.actions = np.random.default_rng(0), [0, 0], [], []
 
     def __len__(self):
@@ -59,7 +61,7 @@ class GoalPool:
         return Transition(obs, reward, *flags, {"is_success": reward == 0})
 
     def compute_reward(self, achieved, desired):
-        return (np.linalg.norm(achieved - desired, axis=-1) < 1.0) - 1.0
+        return self.reward_scale * ((np.linalg.norm(achieved - desired, axis=-1) < 1.0) - 1.0)
 
 
 SMALL = dict(hidden=(16, 16), buffer_size=200, batch_size=8, n_cycles=2, n_batches=3)
@@ -233,7 +235,9 @@ class TestUpdate:
         learner = trained()
         before = learner.adam.vector.clone(), learner.env_steps, len(learner.replay)
         seen = learner.test()
-        assert set(seen) == {"test_success_rate", "test_mean_return", "test_diverged"}
+        assert set(seen) == {
+            *("test_success_rate", "test_mean_return", "test_diverged", "test_warnings"),
+        }
         assert torch.equal(before[0], learner.adam.vector)
         assert before[1:] == (learner.env_steps, len(learner.replay))
 
@@ -272,8 +276,17 @@ class TestHardCases:
             (dict(), dict(gamma=1 - 1e-7)),
             (dict(), dict(batch_size=1)),
             (dict(), dict(clip_obs=1e9)),
+            (dict(offset=1e8), dict(clip_obs=1e9)),
+            (dict(scale=1e30), dict(clip_obs=1e38)),
+            (dict(reward_scale=1e6), {}),
+            (dict(reward_scale=1e6), dict(clip_target=False, gamma=1 - 1e-7)),
+            (dict(reward_scale=1e-6), dict(clip_target=False)),
         ],
-        ids=["offset", "constant", "huge", "one step", "gamma to 1", "one transition", "wide clip"],
+        ids=[
+            *("offset", "constant", "huge", "one step", "gamma to 1", "one transition", "wide clip"),
+            *("offset, wide clip", "huge, wide clip"),
+            *("rewards x 1e6, cut", "rewards x 1e6", "rewards x 1e-6"),
+        ],
     )
     def test_stays_finite(self, pool, choices):
         learner = make(GoalPool(**pool), **choices)
@@ -290,6 +303,10 @@ class TestHardCases:
     def test_bad_observation_stops_the_run(self):
         with pytest.raises(DivergenceError, match="an observation"):
             make(GoalPool(offset=math.nan)).collect()
+
+    def test_nothing_collected_is_an_error(self):
+        with pytest.raises(ValueError, match="empty"):
+            make().update()
 
     def test_broken_parameters_stop_the_run(self):
         learner = trained(1)

@@ -4,6 +4,7 @@ import dataclasses
 import warnings
 
 import gymnasium as gym
+import mujoco
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
@@ -220,6 +221,49 @@ class TestFaults:
         assert np.array_equal(obs["observation"], before["observation"])
         assert np.array_equal(env.reset(seed=0)[0]["observation"], before["observation"])
 
+    @pytest.mark.parametrize("poison", ["qpos", "qvel", "qfrc_applied"])
+    @pytest.mark.parametrize("resets_itself", [False, True])
+    def test_a_huge_state_that_no_observation_shows_is_divergence(
+        self, poison, resets_itself, tmp_path, monkeypatch
+    ):
+        """Also where MuJoCo puts everything back to the start of the episode and goes on."""
+        monkeypatch.chdir(tmp_path)  # where MuJoCo writes its log
+        env = envs.make("mpl", simulator="mujoco", task="reach-goal")
+        env.reset(seed=0)
+        model, data = env.simulator.model, env.simulator.data
+        if resets_itself:
+            model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        getattr(data, poison)[model.joint("middle_DIP").dofadr] = 1e11
+        *_, truncated, info = env.step(np.zeros(7))
+        assert truncated
+        assert info["diverged"]
+        assert info["warnings"] >= 1
+        assert env.simulator.data.time < 0.1 or not resets_itself
+
+    def test_warnings_are_told_once_and_outlive_resets(self, little_memory):
+        env = make(task="reach-goal")
+        env.reset(seed=0)
+        up = np.eye(23)[2]
+        assert "warnings" not in env.step(up)[-1]
+        told = [env.step(-up)[-1].get("warnings", 0) for _ in range(8)]
+        assert sum(told) == env.simulator.warnings > 0
+        env.reset(seed=0)
+        env.simulator.step(env.hand.action_map(-up, env._targets), 400)  # the next step tells
+        fresh = env.simulator.warnings - sum(told)
+        assert fresh > 0
+        env.reset(seed=0)
+        assert env.step(up)[-1]["warnings"] == fresh
+        assert "warnings" not in env.step(up)[-1]
+
+    def test_a_step_without_memory_is_divergence_and_the_next_episode_is_whole(self, little_memory):
+        env, rng = make(), np.random.default_rng(0)
+        first, info = rollout(env, 5, 3, scale=0.1), {}
+        while "mj_stackAlloc" not in info.get("error", ""):
+            *_, done, info = env.step(rng.uniform(-1, 1, 23) - 2 * np.eye(23)[2])
+            if done and "diverged" not in info:
+                env.reset()
+        assert np.array_equal(first, rollout(env, 5, 3, scale=0.1))
+
     def test_ejected_object_counts_as_divergence(self):
         env = make()
         env.reset(seed=0)
@@ -239,7 +283,9 @@ class TestFaults:
             dict(control_dt=0.005),
             dict(friction=-1.0),
             dict(timestep=float("nan")),
-            dict(object_size=0.5),
+            dict(object_size=0.0801),
+            dict(object_size=(0.02, 0.09, 0.02)),
+            dict(object_size=(0.02, 0.02, 0.16)),
             dict(layout="9"),
             dict(reward="sparse"),
             dict(hold_steps=0),

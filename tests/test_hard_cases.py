@@ -1,5 +1,6 @@
 """The physics under what it was not made for: benchmarks/hard_cases.py, few steps of each case."""
 
+import importlib
 import json
 import subprocess
 import sys
@@ -20,21 +21,77 @@ def test_every_case_stays_within_its_stated_limits(hand, simulator, tmp_path):
     out = tmp_path / "hard.json"
     command = [sys.executable, str(SCRIPT), "--hand", hand, "--simulator", simulator]
     result = subprocess.run(
-        [*command, "--steps", "40", "--out", str(out)], capture_output=True, text=True
+        [*command, "--steps", "25", "--out", str(out)], capture_output=True, text=True
     )
     assert result.returncode == 0, result.stdout + result.stderr
     rows = json.loads(out.read_text())[f"{hand} in {simulator}"]
-    assert len(rows) >= 15
+    assert len(rows) >= 22
     assert max(row["overlap"] for row in rows.values()) > 1e-3  # the hand did touch something
     assert max(row["speed"] for row in rows.values()) > 0.01
+    assert rows["actions that are not finite"]["refused"] > 5
+    assert {row["steps"] for row in rows.values()} == {25}
 
 
-def test_a_case_beyond_its_limits_is_a_failure(tmp_path, monkeypatch):
+@pytest.fixture
+def hard_cases(monkeypatch):
     monkeypatch.syspath_prepend(SCRIPT.parent)
-    import hard_cases
+    return importlib.import_module("hard_cases")
 
+
+def worst(hard_cases, case, steps=5):
+    return list(hard_cases.run("shadow", "mujoco", case, steps))[-1]
+
+
+def test_a_case_beyond_its_limits_is_a_failure(hard_cases):
     strict = hard_cases.Case(hard_cases.squeeze, {}, hard_cases.Limits(overlap=0.0))
-    assert not hard_cases.run("shadow", "mujoco", strict, 5)["ok"]
+    assert not worst(hard_cases, strict)["ok"]
+
+
+def test_warnings_are_a_failure(hard_cases, little_memory):
+    row = worst(hard_cases, hard_cases.CASES["pressed down"])
+    assert row["warnings"] > 0
+    assert not row["ok"]
+
+
+@pytest.mark.parametrize("harm", ["accepts", "moves"])
+def test_bad_actions_that_are_let_through_are_a_failure(hard_cases, monkeypatch, harm):
+    step = GraspEnv.step
+
+    def careless(env, action):
+        done = step(env, np.nan_to_num(action))
+        if harm == "moves" and not np.isfinite(action).all():
+            raise ValueError("too late")
+        return done
+
+    monkeypatch.setattr(GraspEnv, "step", careless)
+    row = worst(hard_cases, hard_cases.CASES["actions that are not finite"], 10)
+    assert row["let_through"] > 0
+    assert not row["ok"]
+
+
+def test_without_a_reset_there_is_one_episode_and_it_leaves_figures_on_the_way(hard_cases, monkeypatch):
+    begun = []
+    begin = hard_cases.begin
+    monkeypatch.setattr(hard_cases, "begin", lambda *args: begun.append(begin(*args)))
+    monkeypatch.setattr(hard_cases, "SAVE_EVERY", 40)
+    case = hard_cases.CASES["squeezed without a reset"]
+    rows = list(hard_cases.run("mpl", "mujoco", case, 100))
+    assert len(begun) == 1
+    assert [(row["steps"], row["physics_steps"]) for row in rows] == [
+        (40, 960),
+        (80, 1920),
+        (100, 2400),
+    ]
+
+
+def test_cases_already_in_the_file_are_kept(hard_cases, monkeypatch, tmp_path):
+    out = tmp_path / "hard.json"
+    for case, steps in (("full squeeze", "2"), ("pressed down", "3")):
+        flags = ["--hand", "mpl", "--simulator", "mujoco", "--case", case, "--steps", steps]
+        monkeypatch.setattr(sys, "argv", ["hard_cases.py", *flags, "--out", str(out)])
+        assert hard_cases.main() == 0
+    rows = json.loads(out.read_text())["mpl in mujoco"]
+    assert {name: row["steps"] for name, row in rows.items()} == {"full squeeze": 2, "pressed down": 3}
 
 
 @pytest.mark.parametrize(("hand", "simulator"), PAIRS)
@@ -49,6 +106,10 @@ def test_actions_that_are_not_finite_change_nothing(hand, simulator, bad):
         env.step(action)
     np.testing.assert_array_equal(env.simulator.object_state().position, before[0])
     np.testing.assert_array_equal(env.simulator.joint_state()[0], before[1])
+    after = env.step(np.zeros(env.action_space.shape))[0]["observation"]
+    env.reset(seed=0)
+    never = env.step(np.zeros(env.action_space.shape))[0]["observation"]
+    np.testing.assert_array_equal(after, never)
     env.close()
 
 

@@ -42,6 +42,20 @@ def test_constant_columns_do_not_explode():
     assert (stats(torch.tensor([[3.0, 1e8]])) == 0).all()
 
 
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_a_column_that_explodes_spoils_nothing(kind):
+    """Up to the largest float32, beside a calm column; moments as float64 has them."""
+    growth = np.logspace(0, 38, 400)
+    rows = np.random.default_rng(0).standard_normal((400, 2)) * np.stack([growth, np.ones(400)], 1)
+    rows = rows.clip(-3e38, 3e38).astype(kind)
+    stats = Normalizer(2, Communicator(), clip=5.0)
+    for batch in np.array_split(rows, 37):
+        stats.update(batch)
+        assert torch.isfinite(stats(torch.from_numpy(rows.astype(np.float32)))).all()
+    np.testing.assert_allclose(stats.mean, rows.mean(axis=0, dtype=np.float64), rtol=1e-12)
+    np.testing.assert_allclose(stats.std, rows.std(axis=0, dtype=np.float64), rtol=1e-12)
+
+
 def test_normalised_values_keep_their_digits():
     """float32 at 1e8 knows multiples of 8; beyond that nothing is lost."""
     rows = (1e8 + 800.0 * np.random.default_rng(0).standard_normal((5000, 1))).astype(np.float32)

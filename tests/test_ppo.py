@@ -257,10 +257,63 @@ class TestHardCases:
         assert ppo.actor_adam.is_finite()
         assert ppo.critic_adam.is_finite()
 
-    def test_gamma_one(self):
-        ppo = make_ppo(ScriptedPool(length=50), gamma=1.0, gae_lambda=1.0)
+    @pytest.mark.parametrize("gamma", [1 - 1e-6, 1.0])
+    def test_gamma_to_one(self, gamma):
+        rewards = np.random.default_rng(0).standard_normal(10_000)
+        powers = gamma ** np.arange(len(rewards))
+        exact = np.array([rewards[t:] @ powers[: len(rewards) - t] for t in range(0, 10_000, 500)])
+        got = gae(rewards, np.zeros(len(rewards)), 0.0, gamma, 1.0)
+        np.testing.assert_allclose(got[::500], exact, rtol=1e-10, atol=1e-9)
+        ppo = make_ppo(ScriptedPool(length=50), gamma=gamma, gae_lambda=1.0)
         ppo.collect()
         assert math.isfinite(ppo.update()["value_loss"])
+
+    @pytest.mark.parametrize("scale", [1e-6, 1e6])
+    def test_the_actor_learns_the_same_whatever_the_unit_of_the_rewards(self, scale):
+        """Where the critic knows nothing; its own scale does not follow that of the rewards."""
+
+        def actor(scale):
+            ppo = make_ppo(ScriptedPool(reward=lambda rng: scale * float(rng.standard_normal())))
+            with torch.no_grad():
+                ppo.critic_adam.vector.zero_()
+            ppo.collect()
+            before = ppo.actor_adam.vector.detach().clone()
+            ppo.update()
+            return ppo.actor_adam.vector.detach(), before
+
+        (learned, start), (again, _) = actor(1.0), actor(scale)
+        assert (learned - start).abs().max() > 1e-3
+        torch.testing.assert_close(again, learned, atol=1e-5, rtol=0)
+
+    @pytest.mark.parametrize("gap", [1e3, -1e3, 1e30])
+    def test_a_minibatch_far_from_the_old_policy_is_finite(self, gap):
+        ppo = make_ppo(ScriptedPool())
+        ppo.collect()
+        obs, actions, old, advantages, returns = ppo._batch()
+        stats = ppo._minibatch(obs, actions, old + gap, advantages, returns)
+        assert torch.isfinite(stats).all()
+        for adam in (ppo.actor_adam, ppo.critic_adam):
+            assert torch.isfinite(adam.gradient).all()
+            assert adam.is_finite()
+
+    def test_where_all_advantages_are_equal_the_actor_stays(self):
+        obs = np.ones(3, np.float32)
+        ppo = make_ppo(ScriptedPool(obs=lambda rng: obs, reward=lambda rng: 0.1, length=1))
+        before = ppo.actor_adam.vector.clone()
+        ppo.collect()
+        ppo.update()
+        assert torch.equal(ppo.actor_adam.vector, before)
+
+    def test_one_transition_is_a_batch(self):
+        ppo = make_ppo(ScriptedPool(length=1), steps_per_epoch=1)
+        assert ppo.collect()["episodes"] == 1
+        learned = ppo.update()
+        assert learned["updates"] == 5
+        assert all(math.isfinite(value) for value in learned.values())
+
+    def test_nothing_collected_is_an_error(self):
+        with pytest.raises(ValueError, match="at least one"):
+            make_ppo(ScriptedPool()).update()
 
     def test_saturated_actions_reach_the_environment_clipped(self):
         pool = ScriptedPool()
@@ -294,6 +347,13 @@ class TestHardCases:
         seen = ppo.collect()
         assert seen["diverged"] == seen["episodes"] > 0
         assert seen["mean_length"] == 3
+
+    def test_warnings_are_counted_also_of_steps_that_diverged(self):
+        faults = {2: {"warnings": 3}, 4: {"warnings": 10, "diverged": True}}
+        ppo = make_ppo(ScriptedPool(length=9, info=lambda step: faults.get(step, {})))
+        for _ in range(2):
+            seen = ppo.collect()
+            assert seen["warnings"] == 13 * seen["diverged"] > 0
 
 
 @pytest.mark.parametrize(

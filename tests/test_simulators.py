@@ -3,6 +3,7 @@
 import subprocess
 import sys
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -34,6 +35,23 @@ def pair(request):
 
 def bodies(model):
     return tuple(model.body(i).name for i in range(1, model.nbody) if model.body(i).name != "object")
+
+
+def gap(env):
+    """Least distance between hand and object now, m; negative where they overlap."""
+    simulator = env.simulator
+    if env.config.simulator == "pybullet":
+        from tactilerl.envs.simulators.pybullet import pybullet
+
+        points = pybullet.getClosestPoints(
+            simulator.hand, simulator.object, 1.0, physicsClientId=simulator.client
+        )
+        return min(point[8] for point in points)
+    model, data = simulator.model, simulator.data
+    thing, ground = model.geom("object").id, model.geom("ground").id
+    touching = model.geom_contype | model.geom_conaffinity
+    hand = [g for g in range(model.ngeom) if touching[g] and g not in (thing, ground)]
+    return min(mujoco.mj_geomDistance(model, data, g, thing, 1.0, None) for g in hand)
 
 
 class TestKinematics:
@@ -135,6 +153,41 @@ class TestPhysics:
             heights.append(env.simulator.link_positions()[0, 2])
             env.close()
         assert heights[1] - heights[0] == pytest.approx(0.04, abs=1e-3)
+
+    @pytest.mark.parametrize("simulator", BOTH)
+    @pytest.mark.parametrize("hand", HANDS)
+    @pytest.mark.parametrize(
+        ("kind", "size"),
+        [
+            *[(kind, (0.08,)) for kind in objects.KINDS],
+            ("box", (0.0501,)),
+            ("box", (0.08, 0.08, 0.01)),
+            ("cylinder", (0.08, 0.15)),
+        ],
+    )
+    def test_over_a_wider_object_the_hand_starts_free_of_it(self, hand, simulator, kind, size):
+        env = envs.make(hand, simulator=simulator, object=kind, object_size=size)
+        for seed in range(20):
+            env.reset(seed=seed)
+            assert gap(env) > 5e-3
+        env.close()
+
+    @pytest.mark.parametrize("simulator", BOTH)
+    @pytest.mark.parametrize("hand", HANDS)
+    @pytest.mark.parametrize("kind", objects.KINDS)
+    def test_on_a_wide_object_the_hand_comes_down_as_on_a_small_one(self, hand, simulator, kind):
+        lowest = []
+        for size in (0.05, 0.08):
+            env = envs.make(hand, simulator=simulator, object=kind, object_size=size, task="reach-goal")
+            env.reset(seed=0)
+            gaps = []
+            for _ in range(15):
+                env.step(-np.eye(env.action_space.shape[0])[2])
+                gaps.append(gap(env))
+            lowest.append(env._targets[2])
+            env.close()
+        assert min(gaps) < 1e-3
+        assert lowest[0] == pytest.approx(lowest[1])
 
     @pytest.mark.parametrize("simulator", BOTH)
     def test_a_cylinder_can_be_grasped(self, simulator):

@@ -52,6 +52,18 @@ def test_parallel_equals_in_turn(make, kind):
         np.testing.assert_array_equal(play(pool), in_turn)
 
 
+@pytest.mark.parametrize("kind", [vector.ThreadedEnvs, vector.ProcessEnvs])
+def test_faults_and_warnings_arrive(kind, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # where MuJoCo writes its log
+    broken = partial(envs.make, "mpl", simulator="mujoco", task="reach-goal", finger_gain=1e6)
+    pool = kind(broken, 2, 2)
+    for index in range(2):
+        pool.reset(index, 0)
+    infos = [step.info for step in pool.step([0, 1], np.ones((2, 7)))]
+    pool.close()
+    assert all(info["diverged"] and info["warnings"] > 0 for info in infos)
+
+
 def test_one_environment_or_one_core_needs_neither():
     for n, cores in ((1, 4), (2, 1)):
         pool = vector.start(shadow, n, cores)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -141,7 +141,7 @@ class Hand:
     """One hand, palm down above the origin of the world.
 
     The first three joints and actuators are the slides of the whole hand along the world's
-    x, y and z axes, in m, zero where the hand starts.
+    x, y and z axes, in m, zero where the hand starts over an object no wider than ``reach``.
     """
 
     name: str
@@ -172,12 +172,23 @@ class Hand:
     observation: tuple[str, ...] = ()
     """Names of the observation's terms, in order (`GraspEnv.observation_names`)."""
     reach: float = 0.05
-    """Edge of the largest cube that lies free of the hand at the start, m. Nothing may be wider;
-    over what is higher the hand starts higher."""
+    """Edge of the largest cube that lies free of the hand at the start, m. Over what is higher the
+    hand hangs higher; over what is wider it starts further up its slide (`over`)."""
     added_inertia: float = 1e-4
     """Rotational inertia that every link gets in Bullet, kg m²: the solver needs it, and the value
     is the one that comes nearest to small timesteps (docs/accuracy_and_speed.md)."""
     grasps: tuple[ScriptedGrasp, ...] = ()
+
+    def over(self, width: float, height: float) -> Hand:
+        """The hand as it starts over an object of these measures, m.
+
+        What is wider than `reach` does not lie free between the fingers. Nothing of the hand is
+        below the ground at the start, so raised by the object's height it is free of the object.
+        The part of that above `reach` is in how high the hand hangs, whatever the width.
+        """
+        if width <= self.reach:
+            return self
+        return replace(self, start={**self.start, SLIDES[2]: min(height, self.reach)})
 
     def start_positions(self) -> Array:
         """Joint positions at reset in the order of ``joints``, shape (n_joints,)."""

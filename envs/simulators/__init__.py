@@ -31,7 +31,7 @@ class Scene:
     timestep: float
     finger_gain: float
     rise: float = 0.0
-    """How much higher than usual the hand starts."""
+    """How much higher than usual the hand hangs."""
     contact_taxels: Taxels | None = None
     """Taxels to read by the simulator's own contact rule."""
     visual: bool = False
@@ -62,6 +62,10 @@ class Simulator(Protocol):
 
     holds_gil: bool
     """Does `step` keep other threads of Python waiting?"""
+
+    @property
+    def warnings(self) -> int:
+        """How often the engine has warned of something since it was made, resets included."""
 
     def reset(self, joint_positions: Array, object_position: Array, yaw: float) -> None:
         """Put everything at rest; afterwards the past has no influence."""

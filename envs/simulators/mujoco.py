@@ -20,6 +20,15 @@ GEOMS = {
     "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
 }
 SOLVER_ITERATIONS = 20  # enough for the grasps' contacts: docs/environments.md, "Speed and error"
+# Warnings after which the state is not the physics' any more.
+BROKEN = [
+    int(warning)
+    for warning in (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+    )
+]
 
 # Dry friction does not creep, MuJoCo's soft contacts do: with the model's pyramidal cones and
 # ratio 1 a held cube slides out of the fingers within the 20 s of a hold test.
@@ -110,6 +119,7 @@ class MujocoSimulator:
         # A diverged state is reported, not silently replaced by the start of the episode.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self.data = mujoco.MjData(self.model)
+        self._past_warnings = 0
         self._renderer: mujoco.Renderer | None = None
         hand, model = scene.hand, self.model
         joints = [model.joint(name) for name in hand.joints]
@@ -123,7 +133,12 @@ class MujocoSimulator:
         self._points = np.array([point for _, point in points])
         self._bodies: dict[tuple[str, ...], Array] = {}
 
+    @property
+    def warnings(self) -> int:
+        return self._past_warnings + int(self.data.warning.number.sum())
+
     def reset(self, joint_positions: Array, object_position: Array, yaw: float) -> None:
+        self._past_warnings = self.warnings  # MuJoCo forgets them
         mujoco.mj_resetData(self.model, self.data)
         self.place(joint_positions, object_position, np.array([np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]))
 
@@ -136,6 +151,16 @@ class MujocoSimulator:
         mujoco.mj_forward(self.model, self.data)
 
     def step(self, joint_targets: Array, n_substeps: int) -> None:
+        try:
+            self._step(joint_targets, n_substeps)
+        except mujoco.FatalError as error:  # no memory left for a step's constraints
+            raise SimulationError(f"MuJoCo: {' '.join(str(error).split())}") from error
+        data = self.data
+        is_finite = math.isfinite(data.qpos.sum() + data.qvel.sum())
+        if not is_finite or data.warning.number[BROKEN].any():
+            raise SimulationError("MuJoCo's state is not finite, or huge")
+
+    def _step(self, joint_targets: Array, n_substeps: int) -> None:
         model, data = self.model, self.data
         data.ctrl[self._ctrl] = joint_targets
         if self.scene.contact_taxels is None:
@@ -149,8 +174,6 @@ class MujocoSimulator:
             mujoco.mj_step(model, data, 1)
         # mj_step leaves body poses one substep behind qpos.
         mujoco.mj_kinematics(model, data)
-        if not math.isfinite(data.qpos.sum() + data.qvel.sum()):
-            raise SimulationError("MuJoCo's state is not finite")
 
     def joint_state(self) -> tuple[Array, Array]:
         return self.data.qpos[self._qpos], self.data.qvel[self._qvel]
