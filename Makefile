@@ -7,6 +7,7 @@ export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 
 .PHONY: train test test-slow lint bench figures clean
+.NOTPARALLEL:
 
 # PyTorch first and alone: the plain dependency could pull gigabytes of CUDA packages.
 $(VENV)/.installed: setup.cfg pyproject.toml constraints.txt
@@ -34,15 +35,18 @@ lint: $(VENV)/.installed
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-bench: $(VENV)/.installed
-	$(BIN)/python benchmarks/peers.py
-	$(BIN)/python benchmarks/scaling.py
-	$(BIN)/python benchmarks/footprint.py
-	$(BIN)/python benchmarks/exploration.py
-	$(BIN)/python benchmarks/precision.py
-	$(BIN)/python benchmarks/scene_parts.py
-	$(BIN)/python benchmarks/hard_cases.py --steps 200
-	$(BIN)/python benchmarks/speed_vs_error.py --grasps 2
+# About half an hour. `make bench-peers` and so on for a part; `make bench OUT=docs/data` rewrites what
+# the docs show.
+OUT ?= bench
+BENCHMARKS := peers scaling footprint exploration precision scene_parts hard_cases speed_vs_error
+FLAGS_hard_cases := --steps 100
+FLAGS_speed_vs_error := --grasps $(or $(GRASPS),2)
+
+bench: $(BENCHMARKS:%=bench-%)
+
+bench-%: $(VENV)/.installed
+	mkdir -p $(OUT)
+	$(BIN)/python benchmarks/$*.py $(FLAGS_$*) --out $(OUT)/$*.json
 
 figures: $(VENV)/.installed
 	$(BIN)/python benchmarks/figures.py
