@@ -7,8 +7,8 @@ many let through. Exits with 1 when a case leaves its limits. Prints tables, and
 goes, into what is there already:
 
     python benchmarks/hard_cases.py --steps 100 --out docs/data/hard_cases.json
-    python benchmarks/hard_cases.py --case "random actions" --case "bang-bang actions" \\
-        --case "squeezed without a reset" --steps 100000 --out docs/data/hard_cases_long.json
+    python benchmarks/hard_cases.py --hand mpl --simulator mujoco --case "random actions" \\
+        --steps 100000 --out docs/data/hard_cases_long.json
 """
 
 from __future__ import annotations
