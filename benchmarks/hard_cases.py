@@ -73,8 +73,8 @@ def press(rng: np.random.Generator, step: int, n: int) -> np.ndarray:
 class Limits:
     """What a case may do."""
 
-    overlap: float = 0.020
-    """m, of hand and object: a phalanx is about as thick."""
+    overlap: float = 0.025
+    """m, of hand and object: half the shipped cube. From there on a contact pushes the other way."""
     speed: float = 10.0
     """m/s, of the object between two control steps."""
     joint: float = 0.25
