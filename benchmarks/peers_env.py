@@ -151,6 +151,7 @@ def environments() -> dict[str, Any]:
 
 
 def _compared(ours: dict[str, Steps], others: dict[str, Contender]) -> dict[str, Any]:
-    """Rates of all, and ratios of ours to the others'."""
+    """Rates of all, and ratios of ours to the others' and of a layout's to that of the one before."""
     rates = rounds({name: steps.ours for name, steps in ours.items()} | others)
-    return {"per_s": rates, "ratios": quotients(rates, *itertools.product(ours, others))}
+    pairs = (*itertools.product(ours, others), *((b, a) for a, b in itertools.pairwise(ours)))
+    return {"per_s": rates, "ratios": quotients(rates, *pairs)}

@@ -1,7 +1,8 @@
 """What does a second core give, and where does the time of a DDPG+HER run go?
 
-Threads and processes that step environments, and MPI ranks that learn together; the same work
-with one and with two, in turn. Starts mpirun itself. Prints tables and writes JSON:
+Two processes that share nothing, threads and processes that step environments, and MPI ranks that
+learn together; the same work with one and with two, in turn. Starts mpirun itself. Prints tables
+and writes JSON:
 
     python benchmarks/scaling.py --out docs/data/scaling.json
     python benchmarks/scaling.py --only ranks
@@ -10,22 +11,46 @@ with one and with two, in turn. Starts mpirun itself. Prints tables and writes J
 from __future__ import annotations
 
 import json
+import multiprocessing
 import statistics
 import subprocess
 import sys
+from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from peers_env import Steps, mj_step
 from rich.console import Console
 from rich.table import Table
-from timing import Contender, rounds, run_parts, show
+from timing import Contender, per_second, rounds, run_parts, show
 
 from tactilerl import envs
 from tactilerl.envs import vector
 
-REPEATS = 3  # of each number of ranks
+REPEATS = 3  # of each number of processes
+
+
+# -- the machine -----------------------------------------------------------------------------
+
+
+def bare_steps(_: int) -> float:
+    """`mj_step` per second in this process."""
+    run = mj_step(Steps("shadow", "2"))
+    run()
+    return per_second(run)
+
+
+def limit() -> dict[str, Any]:
+    """What two processes that share nothing get done, against one: more is not to be had."""
+    found: dict[int, list[float]] = {1: [], 2: []}
+    with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
+        for _ in range(REPEATS):
+            for n, rates in found.items():
+                rates.append(sum(pool.map(bare_steps, range(n))))
+    one, two = (statistics.median(rates) for rates in found.values())
+    return {"per_s": {"1 process": one, "2 processes": two}, "ratios": {"2 / 1": two / one}}
 
 
 # -- stepping --------------------------------------------------------------------------------
@@ -84,6 +109,11 @@ def ranks() -> dict[str, Any]:
 # -- report ----------------------------------------------------------------------------------
 
 
+def show_limit(part: dict[str, Any]) -> None:
+    """One table."""
+    show("control steps of mj_step alone", part["per_s"], part["ratios"])
+
+
 def show_stepping(part: dict[str, Any]) -> None:
     """One table."""
     show("four environments, steps", part["per_s"], part["ratios"])
@@ -99,7 +129,11 @@ def show_ranks(part: dict[str, Any]) -> None:
 
 
 # Part: what measures it, what shows it.
-PARTS = {"stepping": (stepping, show_stepping), "ranks": (ranks, show_ranks)}
+PARTS = {
+    "limit": (limit, show_limit),
+    "stepping": (stepping, show_stepping),
+    "ranks": (ranks, show_ranks),
+}
 
 
 if __name__ == "__main__":
