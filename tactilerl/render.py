@@ -18,12 +18,13 @@ from .errors import InputError
 
 Pose = Literal["start", "grasp"]
 FPS = 25  # at least: a picture stands for a whole number of timesteps
-FORMATS = (".mp4", ".mkv", ".mov")
+FILMS, PICTURES = (".mp4", ".mkv", ".mov"), (".png", ".jpg")
 END_PICTURES = FPS // 2  # of the last moment, repeated: so one sees how it ended
 
 
 def picture(env_name: str, config: GraspConfig, pose: Pose, camera: Camera, out: Path) -> int:
     """Write a picture of the start or of a scripted grasp; how many taxels fire in it."""
+    _require_writable("--out", out, PICTURES)
     imageio = _imageio("imageio.v2")
     env = GraspEnv(env_name, config, render_mode="rgb_array")
     with closing(env):
@@ -41,10 +42,7 @@ def film(run: Path, episodes: int, camera: Camera, out: Path) -> Iterator[bool]:
     success of each episode. InputError when the run's environment is not a grasping one."""
     from . import evaluate
 
-    if out.suffix.lower() not in FORMATS:
-        raise InputError(f"--video: found {out.name!r}, allowed names that end in {', '.join(FORMATS)}")
-    if not out.parent.is_dir():
-        raise InputError(f"--video: found no folder {out.parent}, allowed one that exists")
+    _require_writable("--video", out, FILMS)
     imageio = _imageio("imageio.v2", "imageio_ffmpeg")
     config, learner, _ = evaluate.load_policy(run)
     if config.scene is None:
@@ -61,6 +59,13 @@ def film(run: Path, episodes: int, camera: Camera, out: Path) -> Iterator[bool]:
             for _ in range(END_PICTURES):
                 writer.append_data(env.picture(camera))
             yield bool(played["success"])
+
+
+def _require_writable(flag: str, out: Path, endings: tuple[str, ...]) -> None:
+    if out.suffix.lower() not in endings:
+        raise InputError(f"{flag}: found {out.name!r}, allowed names that end in {', '.join(endings)}")
+    if not out.parent.is_dir():
+        raise InputError(f"{flag}: found no folder {out.parent}, allowed one that exists")
 
 
 class _Filmed:

@@ -330,6 +330,8 @@ class TestBadInput:
             (["doctor", "--seconds", "0.01"], ["--seconds: found 0.01", "0.05 to 60"]),
             (["render", "none", "--video", "x.gif"], ["--video: found 'x.gif'", ".mp4"]),
             (["render", "none", "--video", "no/x.mp4"], ["--video: found no folder no"]),
+            (["render", "--out", "no/x.png"], ["--out: found no folder no"]),
+            (["render", "--out", "x.foo"], ["--out: found 'x.foo'", ".png"]),
             (["render", "none"], ["none"]),
             (["render", "none", "--layout", "1"], ["found flags of a scene"]),
             (["render", "none", "--pose", "start"], ["--pose", "without RUN"]),
