@@ -35,12 +35,13 @@ lint: $(VENV)/.installed
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# About half an hour. `make bench-peers` and so on for a part; `make bench OUT=docs/data` rewrites what
-# the docs show.
+# Less than half an hour; `make bench-peers` and so on for a part. `make bench OUT=docs/data GRASPS=5` is
+# what the docs show of these.
 OUT ?= bench
-BENCHMARKS := peers scaling footprint exploration precision scene_parts hard_cases speed_vs_error
+GRASPS ?= 2
+BENCHMARKS := peers scaling footprint exploration precision scene_parts speed_vs_error hard_cases
+FLAGS_speed_vs_error := --grasps $(GRASPS)
 FLAGS_hard_cases := --steps 100
-FLAGS_speed_vs_error := --grasps $(or $(GRASPS),2)
 
 bench: $(BENCHMARKS:%=bench-%)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import re
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +60,8 @@ def main() -> None:
     peaks["full"] = peak()
     learner.update()
     peaks["after an update"] = peak()
-    replay.new_experience(everything=True)
+    with tempfile.TemporaryFile() as file:
+        torch.save(replay.new_experience(everything=True), file)
     peaks["after saving all of it"] = peak()
     print(json.dumps({"transitions": len(replay), "replay": replay.nbytes, "peaks": peaks}))
     pool.close()

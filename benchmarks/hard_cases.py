@@ -26,6 +26,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 from speed_vs_error import deepest
+from timing import earlier
 
 from tactilerl.envs.grasp import GraspConfig, GraspEnv, setup
 
@@ -169,6 +170,8 @@ def look(env: GraspEnv, action: np.ndarray) -> tuple[bool, dict[str, float]]:
     try:
         *_, done, info = env.step(action)
     except ValueError:
+        if np.isfinite(action).all():
+            raise
         return False, {"refused": 1, "let_through": float((state(env) != before).any())}
     faults = {key: float(info.get(key, 0)) for key in ("diverged", "warnings")}
     faults["let_through"] = float(not np.isfinite(action).all())
@@ -208,9 +211,7 @@ def main() -> int:
     parser.add_argument("--steps", type=int, default=1000, help="control steps of each case")
     parser.add_argument("--out", type=Path, help="write JSON here; other cases in it are kept")
     options = parser.parse_args()
-    result: dict[str, dict[str, Any]] = {}
-    if options.out and options.out.exists():
-        result = json.loads(options.out.read_text(encoding="utf-8"))
+    result = earlier(options.out)
     is_ok = True
     for hand in options.hand or ("shadow", "mpl"):
         for simulator in options.simulator or ("mujoco", "pybullet"):

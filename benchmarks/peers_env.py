@@ -13,7 +13,6 @@ import numpy as np
 from timing import Contender, quotients, rounds
 
 from tactilerl import envs
-from tactilerl.envs.simulators.pybullet import pybullet
 
 CONTROL_DT = 0.04  # s: gymnasium-robotics' own, 20 steps of 2 ms
 STEPS = 250
@@ -78,22 +77,14 @@ def mj_step(steps: Steps) -> Contender:
     return steps.raw(step)
 
 
-def bullet(steps: Steps, weight_once: bool) -> Contender:
+def bullet(steps: Steps) -> Contender:
     """PyBullet alone: motors, then per timestep the object's weight and `stepSimulation`.
 
     Bullet's own gravity would pull at the hand too, so the weight is a force to be given anew for
-    every timestep. With `weight_once` an action it is left out of all but the first, and what is
-    left is `stepSimulation`.
+    every timestep.
     """
     simulator, n_substeps = steps.env.simulator, steps.env.config.n_substeps
-    n_weighed = 1 if weight_once else n_substeps
-
-    def step(target: np.ndarray) -> None:
-        simulator._step(target, n_weighed)
-        for _ in range(n_substeps - n_weighed):
-            pybullet.stepSimulation(physicsClientId=simulator.client)
-
-    return steps.raw(step)
+    return steps.raw(lambda target: simulator._step(target, n_substeps))
 
 
 def gymnasium_robotics() -> Contender:
@@ -141,10 +132,7 @@ def environments() -> dict[str, Any]:
     result[title] = _compared({"layout 1": air}, {"mj_step": mj_step(air)} | peer)
     layouts = {f"layout {x}": Steps("mpl", x) for x in LAYOUTS}
     first = layouts["layout 1"]
-    alone = {
-        "stepSimulation with weight": bullet(first, weight_once=False),
-        "stepSimulation": bullet(first, weight_once=True),
-    }
+    alone = {"stepSimulation": bullet(first)}
     title = f"MPL hand in PyBullet, control period {first.env.config.control_dt} s"
     result[title] = _compared(layouts, alone)
     return result

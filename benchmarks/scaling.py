@@ -16,6 +16,7 @@ import statistics
 import subprocess
 import sys
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ import numpy as np
 from peers_env import Steps, mj_step
 from rich.console import Console
 from rich.table import Table
-from timing import Contender, per_second, rounds, run_parts, show
+from timing import per_second, rounds, run_parts, show
 
 from tactilerl import envs
 from tactilerl.envs import vector
@@ -46,6 +47,7 @@ def limit() -> dict[str, Any]:
     """What two processes that share nothing get done, against one: more is not to be had."""
     found: dict[int, list[float]] = {1: [], 2: []}
     with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
+        list(pool.map(bare_steps, range(2)))  # both are there
         for _ in range(REPEATS):
             for n, rates in found.items():
                 rates.append(sum(pool.map(bare_steps, range(n))))
@@ -56,26 +58,27 @@ def limit() -> dict[str, Any]:
 # -- stepping --------------------------------------------------------------------------------
 
 
-def several(hand: str, cores: int, n: int = 4) -> Contender:
-    """Steps of `n` environments side by side; the same actions whatever the cores."""
-    pool = vector.start(partial(envs.make, hand, task="reach-goal", layout="2"), n, cores)
+def start(hand: str, cores: int) -> vector.Envs:
+    """Four environments on so many cores."""
+    return vector.start(partial(envs.make, hand, task="reach-goal", layout="2"), 4, cores)
 
-    def run() -> int:
-        rng = np.random.default_rng(0)
-        for index in range(n):
-            pool.reset(index, index)
-        for _ in range(20):
-            pool.step(range(n), rng.uniform(-1, 1, (n, *pool.action_space.shape)))
-        return 20 * n
 
-    return run
+def steps(pool: vector.Envs) -> int:
+    """Steps of all, side by side; the same actions whatever the cores."""
+    rng, n = np.random.default_rng(0), len(pool)
+    for index in range(n):
+        pool.reset(index, index)
+    for _ in range(20):
+        pool.step(range(n), rng.uniform(-1, 1, (n, *pool.action_space.shape)))
+    return 20 * n
 
 
 def stepping() -> dict[str, Any]:
     """What a second core gives: threads in MuJoCo, processes in PyBullet; resets included."""
     rates, ratios = {}, {}
     for hand in ("shadow", "mpl"):
-        found = rounds({"1 core": several(hand, 1), "2 cores": several(hand, 2)})
+        with closing(start(hand, 1)) as one, closing(start(hand, 2)) as two:
+            found = rounds({"1 core": partial(steps, one), "2 cores": partial(steps, two)})
         rates |= {f"{hand}, {cores}": rate for cores, rate in found.items()}
         ratios[f"{hand}: 2 cores / 1"] = found["2 cores"] / found["1 core"]
     return {"per_s": rates, "ratios": ratios}
@@ -91,7 +94,8 @@ def ranks() -> dict[str, Any]:
         for n, results in found.items():
             command = [str(Path(sys.executable).with_name("mpirun")), "-n", str(n)]
             command += [sys.executable, str(Path(__file__).with_name("rank_shares.py"))]
-            output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+            done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
+            output = done.stdout
             results.append(json.loads(output.strip().splitlines()[-1]))
     result: dict[str, Any] = {"ratios": {}}
     for key in ("transitions_per_s", "env_steps_per_s"):

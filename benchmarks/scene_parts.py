@@ -1,8 +1,8 @@
 """What does a scene need? Parts taken out or put back, one at a time, in each simulator.
 
 Five perturbed scripted grasps each, held for 2 s: microseconds of a physics step while holding,
-time and memory to load a scene, and what changes in the grasp against the shipped scene. Prints
-tables and writes JSON:
+taxels read after each control step; time and memory to load a scene; what changes in the grasp
+against the shipped scene. Prints tables and writes JSON:
 
     python benchmarks/scene_parts.py --out docs/data/scene_parts.json
 """
@@ -34,7 +34,7 @@ from tactilerl.envs.hands import shadow
 from tactilerl.envs.simulators import Scene
 
 SECONDS, GRASPS, SEED = 2.0, 5, 60_000
-STEPS = 500  # of physics, timed after each grasp
+STEPS = 20  # of control, timed after each grasp
 COPIES = 8  # of a scene, loaded at once to weigh one
 
 
@@ -50,9 +50,13 @@ def without_pairs(spec: mujoco.MjSpec) -> None:
 
 def without_palm(spec: mujoco.MjSpec) -> None:
     """Palm boxes touch nothing."""
-    for geom in spec.geoms:
-        if geom.parent.name in ("palm", f"{shadow.PREFIX}palm"):
-            geom.contype = geom.conaffinity = 0
+    boxes = [g for g in spec.geoms if g.parent.name in ("palm", f"{shadow.PREFIX}palm")]
+    for geom in boxes:
+        geom.contype = geom.conaffinity = 0
+    names = {geom.name for geom in boxes}
+    for pair in list(spec.pairs):
+        if names & {pair.geomname1, pair.geomname2}:
+            spec.delete(pair)
 
 
 def without_couplings(spec: mujoco.MjSpec) -> None:
@@ -189,8 +193,10 @@ def perform(env: GraspEnv) -> dict[str, Any]:
         ends.append(frame.T @ (env.simulator.object_state().position - palm))
         held.append(up[-1])
         started = time.process_time()
-        env.simulator.step(targets, STEPS)
-        seconds.append((time.process_time() - started) / STEPS)
+        for _ in range(STEPS):
+            env.simulator.step(targets, env.config.n_substeps)
+            env.taxel_readings()
+        seconds.append((time.process_time() - started) / STEPS / env.config.n_substeps)
     return {"us_per_step": 1e6 * float(np.median(seconds)), "held": int(sum(held)), "ends": ends}
 
 

@@ -28,6 +28,7 @@ from free_motion import BRICK, BULLET, fall, swing
 from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
+from timing import earlier
 
 from tactilerl.envs import hands, scripted
 from tactilerl.envs.grasp import GraspEnv, setup
@@ -49,8 +50,8 @@ class Setting:
     """Fields of MuJoCo's options, or parameters of Bullet's engine."""
     constants: dict[str, Any] = field(default_factory=dict)
     """Of our PyBullet module."""
-    added_inertia: float = 1.0
-    """In units of the hand's own."""
+    added_inertia: float | None = None
+    """kg m², instead of the hand's own."""
     self_contact: bool = False
     """Does the hand touch itself in Bullet?"""
     contact_time: float = 1.0
@@ -93,7 +94,6 @@ SETTINGS: dict[str, dict[str, Setting]] = {
         SHIPPED: Setting(),
         "timestep / 2": Setting(1 / 2),
         "timestep x 2": Setting(2),
-        "2 substeps": Setting(options={"numSubSteps": 2}),
         "20 iterations": Setting(options={"numSolverIterations": 20}),
         "30 iterations": Setting(options={"numSolverIterations": 30}),
         "100 iterations": Setting(options={"numSolverIterations": 100}),
@@ -103,8 +103,9 @@ SETTINGS: dict[str, dict[str, Setting]] = {
         "CFM 1e-5": Setting(options={"globalCFM": 1e-5}),
         "no friction anchors": Setting(constants={"FRICTION_ANCHOR": 0}),
         "no spinning friction": Setting(constants={"SPINNING_FRICTION": 0.0}),
-        "added inertia / 10": Setting(added_inertia=0.1),
-        "added inertia x 10": Setting(added_inertia=10),
+        "added inertia 1e-5": Setting(added_inertia=1e-5),
+        "added inertia 1e-4": Setting(added_inertia=1e-4),
+        "added inertia 1e-3": Setting(added_inertia=1e-3),
         "hand touches itself": Setting(self_contact=True),
         "contact rule": Setting(config={"touch": "contact"}),
     },
@@ -128,7 +129,7 @@ class Trace:
     warnings: int
     """Of MuJoCo."""
     seconds: float
-    """Processor time."""
+    """Processor time of the physics."""
 
 
 @contextmanager
@@ -155,8 +156,9 @@ def _change_mujoco(stack: ExitStack, hand: str, config: Any, setting: Setting) -
 
 def _change_bullet(stack: ExitStack, hand: str, config: Any, setting: Setting) -> GraspEnv:
     module, shipped = importlib.import_module(BULLET), hands.load(hand)
-    changed = replace(shipped, added_inertia=setting.added_inertia * shipped.added_inertia)
-    stack.enter_context(patch.object(hands, "load", lambda name: changed))
+    if setting.added_inertia is not None:
+        changed = replace(shipped, added_inertia=setting.added_inertia)
+        stack.enter_context(patch.object(hands, "load", lambda name: changed))
     stack.enter_context(patch.dict(module.ENGINE, setting.options))
     constants = setting.constants | ({"LOADING": self_contact()} if setting.self_contact else {})
     for name, value in constants.items():
@@ -186,11 +188,13 @@ def perform(env: GraspEnv, grasps: int, dt: float) -> Trace:
     n = round(SECONDS / dt)
     positions, rotations = np.empty((grasps, n, 3)), np.empty((grasps, n, 3, 3))
     bits, held = np.empty((grasps, n, len(env.taxels)), bool), np.empty(grasps, bool)
-    overlap = 0.0
-    started = time.process_time()
+    overlap = seconds = 0.0
     for index, start in enumerate(scripted.perturbed_starts(env, SEED, grasps)):
         hold = scripted.hold_steps(env, scripted.grasp_for(env), start, SECONDS, dt)
-        for step, is_up in enumerate(hold):
+        for step in range(n):
+            started = time.process_time()
+            is_up = next(hold)
+            seconds += time.process_time() - started  # looking does not count
             thing = env.simulator.object_state()
             (palm,), (frame,) = env.simulator.link_poses((env.hand.palm,))
             positions[index, step] = frame.T @ (thing.position - palm)
@@ -198,7 +202,6 @@ def perform(env: GraspEnv, grasps: int, dt: float) -> Trace:
             bits[index, step] = env.taxel_readings()
             overlap = max(overlap, deepest(env))
             held[index] = is_up
-    seconds = time.process_time() - started
     return Trace(positions, rotations, bits, held, overlap, env.simulator.warnings, seconds)
 
 
@@ -314,16 +317,15 @@ def main() -> None:
     parser.add_argument("--grasps", type=int, default=5)
     parser.add_argument("--out", type=Path, help="write JSON here; cases already in it are kept")
     options = parser.parse_args()
-    result: dict[str, Any] = {}
-    if options.out and options.out.exists():
-        result = json.loads(options.out.read_text(encoding="utf-8"))
-    result |= {"grasps": options.grasps, "seconds": SECONDS}
+    result = earlier(options.out)
+    result["seconds"] = SECONDS
+    result.setdefault("grasps", {})
     for hand in options.hand or sorted(SIZES):
         for simulator in options.simulator or sorted(SETTINGS):
             for size in SIZES[hand]:
                 rows = measure(hand, simulator, size, options.grasps)
                 title = f"{hand} in {simulator}, {1e3 * size:.0f} mm cube"
-                result[title] = rows
+                result[title], result["grasps"][title] = rows, options.grasps
                 show(f"{title}, {options.grasps} grasps, hold of {SECONDS:.0f} s", rows)
                 if options.out:
                     options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")

@@ -29,11 +29,11 @@ def run_parts(description: str, parts: dict[str, Part], *packages: str) -> None:
     `packages` and results as JSON where asked for."""
     parser = argparse.ArgumentParser(description=description.splitlines()[0])
     parser.add_argument("--only", choices=parts, help="one part instead of all")
-    parser.add_argument("--out", type=Path, help="write JSON here")
+    parser.add_argument("--out", type=Path, help="write JSON here; other parts in it are kept")
     options = parser.parse_args()
     torch.set_num_threads(1)
     warnings.filterwarnings("ignore")
-    result: dict[str, Any] = {
+    result = earlier(options.out) | {
         "machine": {"processor": platform.processor() or platform.machine(), "threads": 1},
         "versions": {name: version(name) for name in packages},
     }
@@ -43,6 +43,11 @@ def run_parts(description: str, parts: dict[str, Part], *packages: str) -> None:
         display(result[name])
     if options.out:
         options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+
+
+def earlier(path: Path | None) -> dict[str, Any]:
+    """What an earlier run wrote there: parts that are not measured anew are kept."""
+    return json.loads(path.read_text(encoding="utf-8")) if path and path.exists() else {}
 
 
 def per_second(run: Contender) -> float:

@@ -222,4 +222,8 @@ def start(make: Make, n: int, cores: int = 1) -> Envs:
         return Envs(make, n)
     first = make()
     holds_gil = getattr(first.unwrapped, "holds_gil", False)
-    return (ProcessEnvs if holds_gil else ThreadedEnvs)(make, n, several, first)
+    try:
+        return (ProcessEnvs if holds_gil else ThreadedEnvs)(make, n, several, first)
+    except BaseException:
+        first.close()
+        raise

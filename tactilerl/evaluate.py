@@ -41,7 +41,11 @@ def restore(
     only where the learner's state does not depend on it."""
     data = checkpoint.read(run_dir, saved)
     learner, pool = make_algorithm(config, Communicator())
-    checkpoint.load_state(learner, data["ranks"][0], run_dir.checkpoint_file)
+    try:
+        checkpoint.load_state(learner, data["ranks"][0], run_dir.checkpoint_file)
+    except BaseException:
+        pool.close()
+        raise
     return learner, pool, int(data["epoch"])
 
 

@@ -19,13 +19,14 @@ from rich.progress import (
 
 from .algos import Algorithm
 from .algos.mpi import Communicator
+from .algos.rollout import FAULTS
 from .config import RunConfig
 from .errors import InputError
 from .run_dir import RunDir
 
-FAULTS = {  # columns of the progress table, and what they say of a run
-    "diverged": "simulation diverged {:.0f} times; those steps were dropped",
-    "warnings": "simulator warned {:.0f} times",
+SAID = {  # of a run that has had such faults
+    "diverged": "the simulation diverged {:.0f} times; those steps were dropped",
+    "warnings": "the simulator warned {:.0f} times",
 }
 
 
@@ -74,8 +75,7 @@ class Report:
             self._events.close()
         for fault, times in self._faults.items():
             if times:
-                said = FAULTS[fault].format(times)
-                self.console.print(f"warning: the {said} (columns `{fault}` of progress.csv)")
+                self.console.print(f"warning: {SAID[fault].format(times)}")
 
     def note(self, text: str) -> None:
         """Show a line."""

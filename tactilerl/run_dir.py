@@ -85,6 +85,8 @@ class RunDir:
 
     def cut_progress(self, epoch: int) -> None:
         """Drop what was written after the checkpoint of `epoch`."""
+        if epoch == 0:
+            self.progress_file.unlink(missing_ok=True)
         if not self.progress_file.exists():
             return
         lines = self.progress_file.read_text(encoding="utf-8").splitlines(keepends=True)

@@ -230,6 +230,7 @@ class TestFaults:
         monkeypatch.chdir(tmp_path)  # where MuJoCo writes its log
         env = envs.make("mpl", simulator="mujoco", task="reach-goal")
         env.reset(seed=0)
+        env.step(np.zeros(7))
         model, data = env.simulator.model, env.simulator.data
         if resets_itself:
             model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
@@ -238,7 +239,7 @@ class TestFaults:
         assert truncated
         assert info["diverged"]
         assert info["warnings"] >= 1
-        assert env.simulator.data.time < 0.1 or not resets_itself
+        assert (data.time < 0.15) == resets_itself  # of 0.2 s
 
     def test_warnings_are_told_once_and_outlive_resets(self, little_memory):
         env = make(task="reach-goal")
@@ -255,14 +256,19 @@ class TestFaults:
         assert env.step(up)[-1]["warnings"] == fresh
         assert "warnings" not in env.step(up)[-1]
 
-    def test_a_step_without_memory_is_divergence_and_the_next_episode_is_whole(self, little_memory):
-        env, rng = make(), np.random.default_rng(0)
+    @pytest.mark.parametrize("touch", ["overlap", "contact"])
+    def test_a_step_without_memory_is_divergence_and_the_next_episode_is_whole(
+        self, touch, little_memory
+    ):
+        env, rng = make(touch=touch), np.random.default_rng(0)
         first, info = rollout(env, 5, 3, scale=0.1), {}
         while "mj_stackAlloc" not in info.get("error", ""):
             *_, done, info = env.step(rng.uniform(-1, 1, 23) - 2 * np.eye(23)[2])
             if done and "diverged" not in info:
                 env.reset()
         assert np.array_equal(first, rollout(env, 5, 3, scale=0.1))
+        if touch == "contact":
+            assert not env.simulator.model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
 
     def test_ejected_object_counts_as_divergence(self):
         env = make()

@@ -133,7 +133,7 @@ class ScriptedGrasp:
     object_size: float
     """Edge of the cube it was found for, m."""
     targets: dict[str, float]
-    """Joint targets by actuator name, rad; of the slides, m from where the hand starts."""
+    """Joint targets by actuator name, rad or m."""
 
 
 @dataclass(frozen=True)

@@ -243,7 +243,6 @@ def mpl_hand() -> Hand:
         first_joints=tuple(f"{digit}_{'ABD' if digit == 'thumb' else 'MCP'}" for digit in DIGITS),
         start={name: value for name, value in zip(names, start, strict=True) if value},
         observation=("object_id", "hand_position", "object_position", "finger_joints"),
-        reach=0.05,
         added_inertia=1e-3,
         grasps=GRASPS,
     )

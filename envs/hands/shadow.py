@@ -259,6 +259,5 @@ def shadow_hand() -> Hand:
             "object_position",
             "object_orientation",
         ),
-        reach=0.05,
         grasps=GRASPS,
     )

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class SimulationError(RuntimeError):
-    """The physics left the finite numbers; the scene must be reset."""
+    """The physics left the finite numbers, or has no memory for them; the scene must be reset."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Simulator(Protocol):
         """Put everything at rest; afterwards the past has no influence."""
 
     def step(self, joint_targets: Array, n_substeps: int) -> None:
-        """Advance by `n_substeps` timesteps; SimulationError when the state is not finite."""
+        """Advance by `n_substeps` timesteps; SimulationError when that broke the state."""
 
     def joint_state(self) -> tuple[Array, Array]:
         """Positions and velocities in the order of ``hand.joints``, each (n_joints,)."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import mujoco
 import numpy as np
@@ -19,7 +21,7 @@ GEOMS = {
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
     "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
 }
-SOLVER_ITERATIONS = 20  # enough for the grasps' contacts: docs/environments.md, "Speed and error"
+SOLVER_ITERATIONS = 20  # enough for the grasps' contacts: docs/accuracy_and_speed.md
 # Warnings after which the state is not the physics' any more.
 BROKEN = [
     int(warning)
@@ -108,6 +110,15 @@ def _add_touch_sensors(spec: mujoco.MjSpec, taxels: Taxels) -> None:
         )
 
 
+@contextmanager
+def _memory_errors() -> Iterator[None]:
+    """SimulationError where MuJoCo has no memory left for a step's constraints."""
+    try:
+        yield
+    except mujoco.FatalError as error:
+        raise SimulationError(f"MuJoCo: {' '.join(str(error).split())}") from error
+
+
 class MujocoSimulator:
     """One scene; the interface is `simulators.Simulator`."""
 
@@ -140,7 +151,9 @@ class MujocoSimulator:
     def reset(self, joint_positions: Array, object_position: Array, yaw: float) -> None:
         self._past_warnings = self.warnings  # MuJoCo forgets them
         mujoco.mj_resetData(self.model, self.data)
-        self.place(joint_positions, object_position, np.array([np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]))
+        with _memory_errors():
+            turn = np.array([np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
+            self.place(joint_positions, object_position, turn)
 
     def place(self, joint_positions: Array, object_position: Array, orientation: Array) -> None:
         """Put hand and object (quaternion wxyz) somewhere, velocities and time as they are."""
@@ -151,10 +164,8 @@ class MujocoSimulator:
         mujoco.mj_forward(self.model, self.data)
 
     def step(self, joint_targets: Array, n_substeps: int) -> None:
-        try:
+        with _memory_errors():
             self._step(joint_targets, n_substeps)
-        except mujoco.FatalError as error:  # no memory left for a step's constraints
-            raise SimulationError(f"MuJoCo: {' '.join(str(error).split())}") from error
         data = self.data
         is_finite = math.isfinite(data.qpos.sum() + data.qvel.sum())
         if not is_finite or data.warning.number[BROKEN].any():
@@ -169,8 +180,10 @@ class MujocoSimulator:
             off = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
             if n_substeps > 1:
                 model.opt.disableflags |= off
-                mujoco.mj_step(model, data, n_substeps - 1)
-                model.opt.disableflags &= ~off
+                try:
+                    mujoco.mj_step(model, data, n_substeps - 1)
+                finally:
+                    model.opt.disableflags &= ~off
             mujoco.mj_step(model, data, 1)
         # mj_step leaves body poses one substep behind qpos.
         mujoco.mj_kinematics(model, data)
