@@ -211,7 +211,7 @@ def _grasp(size: float, palm: tuple[float, float, float], closing: float) -> Scr
 
 
 GRASPS = (
-    _grasp(0.05, (0.0, 0.069, 0.092), 0.8),
+    _grasp(0.05, (-0.005, 0.069, 0.102), 0.8),
     _grasp(0.045, (0.009, 0.072, 0.089), 0.7),
 )
 
