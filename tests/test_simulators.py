@@ -184,9 +184,9 @@ class TestPhysics:
             for _ in range(15):
                 env.step(-np.eye(env.action_space.shape[0])[2])
                 gaps.append(gap(env))
-            assert min(gaps) < 1e-3
             lowest.append(env._targets[2])
             env.close()
+        assert min(gaps) < 1e-3  # of the wide one: a small one has room between the fingers
         assert lowest[0] == pytest.approx(lowest[1])
 
     @pytest.mark.parametrize("simulator", BOTH)
