@@ -24,7 +24,7 @@ from .errors import InputError, input_errors
 console = Console(highlight=False, soft_wrap=True, markup=False)
 SETTLED_NOTE = (  # docs/data/hold_verdict.json, hold_verdict_mpl.json
     "hold_verdict=settled calls a success early; it was wrong in 2 of 150 holds of the Shadow Hand "
-    "in MuJoCo and in 0 of 100 of the MPL hand in PyBullet"
+    "in MuJoCo and in 0 of 150 of the MPL hand in PyBullet"
 )
 
 
