@@ -35,7 +35,7 @@ lint: $(VENV)/.installed
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# Less than half an hour; `make bench-peers` and so on for a part. `make bench OUT=docs/data GRASPS=5` is
+# About half an hour; `make bench-peers` and so on for a part. `make bench OUT=docs/data GRASPS=5` is
 # what the docs show of these. `make bench-exploration` is not among them: it is about the task.
 OUT ?= bench
 GRASPS ?= 2

@@ -1,5 +1,5 @@
 """Is float32 enough? The learners' updates against the same updates in float64, and bootstrap
-intervals, SciPy's and rliable's, against an exact one.
+intervals, ours and rliable's, against an exact one.
 
 100 minibatch updates on identical data, at the sizes of the paper's set-ups; then intervals of a
 mean of five numbers, all of whose 3,125 resamples can be listed. Prints tables and writes JSON:
@@ -20,7 +20,6 @@ import torch
 from random_goals import RandomGoals
 from rich.console import Console
 from rich.table import Table
-from scipy import stats
 from timing import Part, run_parts
 
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
@@ -28,6 +27,7 @@ from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.networks import FlatAdam
 from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.envs.vector import Envs
+from tactilerl.evaluate import mean_interval
 
 UPDATES = 100
 SCORES = np.array([0.31, 0.44, 0.47, 0.66, 0.85])
@@ -126,12 +126,9 @@ def show_learners(found: dict[str, Any]) -> None:
     Console().print(table)
 
 
-def scipy_interval(resamples: int, seed: int) -> Any:
+def our_interval(resamples: int, seed: int) -> Any:
     """What `evaluate` uses."""
-    found = stats.bootstrap(
-        (SCORES,), np.mean, n_resamples=resamples, method="percentile", rng=seed
-    )  # fmt: skip
-    return found.confidence_interval
+    return mean_interval(SCORES, resamples, seed)
 
 
 def rliable_interval(resamples: int, seed: int) -> Any:
@@ -151,7 +148,7 @@ def bootstrap() -> dict[str, Any]:
     means = np.array([np.mean(draw) for draw in itertools.product(SCORES, repeat=len(SCORES))])
     exact = np.percentile(means, [2.5, 97.5])
     rliable_interval(2, 0)  # imports it
-    contenders = {"evaluate": scipy_interval, "rliable": rliable_interval}
+    contenders = {"evaluate": our_interval, "rliable": rliable_interval}
     result: dict[str, Any] = {name: {} for name in contenders}
     for resamples, (name, interval) in itertools.product(RESAMPLES, contenders.items()):
         started = time.perf_counter()

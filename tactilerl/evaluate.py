@@ -74,9 +74,20 @@ def play(
         yield {"success": success, "held": held, "return": total, "length": length}
 
 
+def mean_interval(values: np.ndarray, resamples: int = 9_999, seed: int = 0) -> tuple[float, float]:
+    """Percentile bootstrap interval of the mean of `values` (n,), not all alike."""
+    from scipy import stats  # takes a while
+
+    found = stats.bootstrap(
+        (values,), np.mean, n_resamples=resamples, confidence_level=CONFIDENCE,
+        method="percentile", rng=seed,
+    ).confidence_interval  # fmt: skip
+    return float(found.low), float(found.high)
+
+
 def summarise(played: list[dict[str, float]]) -> dict[str, Any]:
     """Success rate with its Wilson interval, mean return with a bootstrap interval."""
-    from scipy import stats
+    from scipy import stats  # takes a while
 
     returns = np.array([episode["return"] for episode in played])
     successes = np.array([episode["success"] for episode in played])
@@ -86,10 +97,7 @@ def summarise(played: list[dict[str, float]]) -> dict[str, Any]:
         "mean_length": float(np.mean([episode["length"] for episode in played])),
     }
     if len(played) > 1 and np.ptp(returns) > 0:
-        interval = stats.bootstrap(
-            (returns,), np.mean, confidence_level=CONFIDENCE, method="percentile", rng=0
-        ).confidence_interval
-        result["mean_return_ci"] = [float(interval.low), float(interval.high)]
+        result["mean_return_ci"] = list(mean_interval(returns))
     else:
         result["mean_return_ci"] = [result["mean_return"]] * 2
     if not np.isnan(successes).any():

@@ -14,6 +14,7 @@ import pytest
 import torch
 
 from tactilerl.cli import main
+from tactilerl.run_dir import RunDir
 
 FAST = ["--hidden", "16", "--steps-per-epoch", "120", "--n-passes", "2"]
 TOY = ["train", "--env", "lqr", *FAST]
@@ -489,3 +490,11 @@ class TestOtherCommands:
         code = "import sys, tactilerl.cli; tactilerl.cli.main(['--help']); print(len(sys.modules))"
         code += "; assert not {'torch', 'mujoco', 'gymnasium', 'scipy'} & set(sys.modules)"
         assert subprocess.run([sys.executable, "-c", code], capture_output=True).returncode == 0
+
+
+def test_a_table_whose_header_was_cut_off_begins_anew_without_a_checkpoint(tmp_path):
+    folder = RunDir(tmp_path)
+    folder.progress_file.write_text("epoch,env_st", encoding="utf-8")
+    folder.cut_progress(0)
+    folder.append_progress({"epoch": 1, "env_steps": 60})
+    assert folder.progress_file.read_text(encoding="utf-8") == "epoch,env_steps\n1,60\n"
