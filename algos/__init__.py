@@ -46,8 +46,8 @@ class EnvPool(Protocol):
 
     def __len__(self) -> int: ...
 
-    def reset(self, index: int, seed: int) -> Any:
-        """First observation of a new episode of one environment."""
+    def reset(self, indices: Sequence[int], seeds: Sequence[int]) -> list[Any]:
+        """First observations of new episodes of the environments `indices`."""
 
     def step(self, indices: Sequence[int], actions: Array) -> list[Transition]:
         """Step the environments `indices` with actions (len(indices), ...)."""

@@ -221,7 +221,7 @@ class DDPGHER:
 
     def _probe(self) -> None:
         """Can the rewards be relabelled and cut? Asked of one step, before a run begins."""
-        self.pool.reset(0, seed=0)
+        self.pool.reset([0], [0])
         middle = self.rollouts.to_env(np.zeros((1, self.rollouts.n_actions), np.float32))
         result = self.pool.step([0], middle)[0]
         self._check_signs(np.array([result.reward]))

@@ -65,10 +65,11 @@ class Rollouts(Generic[Obs]):
         self.faults = dict.fromkeys(FAULTS, 0)
         steps_begun = episodes_begun = n_void = 0
         while True:
-            for index in range(len(self.pool)):
-                if index not in running and (steps_begun < steps or episodes_begun < episodes):
-                    running[index] = self._reset(index)
-                    episodes_begun += 1
+            idle = [index for index in range(len(self.pool)) if index not in running]
+            if steps_begun >= steps:
+                idle = idle[: max(0, episodes - episodes_begun)]
+            running |= self._begin(idle)
+            episodes_begun += len(idle)
             if not running:
                 return played
             indices = list(running)
@@ -86,9 +87,13 @@ class Rollouts(Generic[Obs]):
                 if n_void == VOID_LIMIT:
                     raise DivergenceError(f"{n_void} episodes diverged at their first step")
 
-    def _reset(self, index: int) -> Episode[Obs]:
-        obs = self.read(self.pool.reset(index, int(self.rng.integers(2**31))))
-        return Episode([finite(obs, "an observation")])
+    def _begin(self, indices: list[int]) -> dict[int, Episode[Obs]]:
+        """New episodes of the environments `indices`."""
+        seeds = self.rng.integers(2**31, size=len(indices)).tolist()
+        first = map(self.read, self.pool.reset(indices, seeds))
+        return {
+            i: Episode([finite(obs, "an observation")]) for i, obs in zip(indices, first, strict=True)
+        }
 
     def _record(self, episode: Episode[Obs], action: Array, result: Transition) -> bool:
         """Add one transition; has the episode ended? A diverged step is void, not learned from."""

@@ -66,8 +66,7 @@ def start(hand: str, cores: int) -> vector.Envs:
 def steps(pool: vector.Envs) -> int:
     """Steps of all, side by side; the same actions whatever the cores."""
     rng, n = np.random.default_rng(0), len(pool)
-    for index in range(n):
-        pool.reset(index, index)
+    pool.reset(range(n), range(n))
     for _ in range(20):
         pool.step(range(n), rng.uniform(-1, 1, (n, *pool.action_space.shape)))
     return 20 * n

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args, get_type_hints
 
@@ -195,7 +194,8 @@ class GraspEnv(gym.Env[Any, Array]):
         self._hold = HoldTest(steps=config.hold_steps, verdict=config.hold_verdict)
         self._desired_goal = self.task.desired_goal().astype(np.float32)
         self._object_id = np.array([float(objects.KINDS.index(self.shape.kind))])
-        self._first_joints = [self.hand.joints.index(joint) for joint in self.hand.first_joints]
+        first = [self.hand.joints.index(joint) for joint in self.hand.first_joints]
+        self._first_joints = np.array(first, dtype=int)
         self._start_positions = self.hand.start_positions()
         self._targets = self.hand.start_targets()
         self._steps, self._is_off_ground = 0, False
@@ -224,7 +224,8 @@ class GraspEnv(gym.Env[Any, Array]):
         self._targets = self.hand.start_targets()
         self._steps, self._is_off_ground = 0, False
         self.simulator.reset(positions, position, yaw)
-        self._obs = self._goal_obs(self._observation(), self._situation("undecided"))
+        seen = self._look()
+        self._obs = self._goal_obs(self._observation(*seen), self._situation(*seen, "undecided"))
         return self._obs, {"is_success": False}
 
     def step(self, action: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
@@ -237,8 +238,9 @@ class GraspEnv(gym.Env[Any, Array]):
         self._steps += 1
         try:
             self.simulator.step(self._targets, self.config.n_substeps)
-            observation = self._observation()
-            situation = self._situation(self._outcome_before_hold())
+            _, thing = seen = self._look()
+            observation = self._observation(*seen)
+            situation = self._situation(*seen, self._outcome_before_hold(thing))
             if situation.outcome == "lifted":
                 held = self._hold.run(self.simulator, self._targets, self.config.timestep)
                 situation = replace(situation, outcome="held" if held else "dropped")
@@ -284,10 +286,7 @@ class GraspEnv(gym.Env[Any, Array]):
 
     def taxel_readings(self) -> Array:
         """bool (n_taxels,): what the taxels feel now by the configured touch rule."""
-        if self._contact:
-            return self.simulator.contact_taxels()
-        poses = self.simulator.link_poses(self._placement.links)
-        return self._placement.overlap(*poses, self.shape, self.simulator.object_state())
+        return self._feel(self.simulator.object_state())
 
     def render(self) -> Array | None:
         """A picture of the scene, taxels that fire lit, when made with "rgb_array"."""
@@ -302,21 +301,30 @@ class GraspEnv(gym.Env[Any, Array]):
     def close(self) -> None:
         self.simulator.close()
 
-    def _observation(self) -> Array:
+    def _look(self) -> tuple[Array, objects.ObjectState]:
+        """Where hand and object are now, asked of the simulator once for all that follows."""
+        return self.simulator.link_positions(), self.simulator.object_state()
+
+    def _feel(self, thing: objects.ObjectState) -> Array:
+        if self._contact:
+            return self.simulator.contact_taxels()
+        poses = self.simulator.link_poses(self._placement.links)
+        return self._placement.overlap(*poses, self.shape, thing)
+
+    def _observation(self, points: Array, thing: objects.ObjectState) -> Array:
         positions, velocities = self.simulator.joint_state()
-        thing = self.simulator.object_state()
-        terms: dict[str, Callable[[], Array]] = {  # only what the hand observes is computed
-            "object_id": lambda: self._object_id,
-            "hand_position": lambda: self.simulator.link_positions()[0],
-            "finger_joints": lambda: positions[self._first_joints],
-            "joint_positions": lambda: positions,
-            "joint_velocities": lambda: velocities,
-            "object_position": lambda: thing.position,
-            "object_orientation": lambda: thing.orientation,
+        terms = {
+            "object_id": self._object_id,
+            "hand_position": points[0],
+            "finger_joints": positions.take(self._first_joints),
+            "joint_positions": positions,
+            "joint_velocities": velocities,
+            "object_position": thing.position,
+            "object_orientation": thing.orientation,
         }
-        parts = [terms[term]() for term in self.hand.observation]
+        parts = [terms[term] for term in self.hand.observation]
         if self.config.run_type == "main":
-            parts.append(self.taxel_readings())
+            parts.append(self._feel(thing))
         elif self.config.run_type == "control":
             parts.append(np.zeros(len(self.taxels)))
         observation = np.concatenate(parts, dtype=np.float32, casting="same_kind")
@@ -332,8 +340,9 @@ class GraspEnv(gym.Env[Any, Array]):
         told, self._warnings = self._warnings, self.simulator.warnings
         return info if self._warnings == told else {**info, "warnings": self._warnings - told}
 
-    def _situation(self, outcome: tasks.Outcome) -> tasks.Situation:
-        points, thing = self.simulator.link_positions(), self.simulator.object_state()
+    def _situation(
+        self, points: Array, thing: objects.ObjectState, outcome: tasks.Outcome
+    ) -> tasks.Situation:
         return tasks.Situation(points[0], points[1:], thing.position, outcome)
 
     def _goal_obs(self, observation: Array, situation: tasks.Situation) -> dict[str, Array]:
@@ -343,10 +352,9 @@ class GraspEnv(gym.Env[Any, Array]):
             "desired_goal": self._desired_goal.copy(),
         }
 
-    def _outcome_before_hold(self) -> tasks.Outcome:
+    def _outcome_before_hold(self, thing: objects.ObjectState) -> tasks.Outcome:
         if not self.task.tests_hold:
             return "undecided"
-        thing = self.simulator.object_state()
         clearance = thing.position[2] - self.shape.half_height(thing.rotation)
         if clearance > self.config.lift_clearance:
             return "lifted"

@@ -10,7 +10,7 @@ from __future__ import annotations
 import multiprocessing
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
@@ -43,6 +43,7 @@ class Envs:
     def __init__(self, make: Make, n: int, *made: gym.Env[Any, Any]) -> None:
         """Those already `made` are among the `n`."""
         self.envs = [*made, *(make() for _ in range(n - len(made)))]
+        self._map: Callable[..., Iterable[Any]] = map
 
     def __len__(self) -> int:
         return len(self.envs)
@@ -77,13 +78,16 @@ class Envs:
             raise ValueError("compute_reward: found none, allowed environments that have it")
         return np.asarray(env.compute_reward(achieved_goal, desired_goal, {}))
 
-    def reset(self, index: int, seed: int) -> Any:
-        """First observation of a new episode of one environment."""
-        return self.envs[index].reset(seed=seed)[0]
+    def reset(self, indices: Sequence[int], seeds: Sequence[int]) -> list[Any]:
+        """First observations of new episodes of the environments `indices`."""
+        return list(self._map(self._reset_one, indices, seeds))
 
     def step(self, indices: Sequence[int], actions: Sequence[Any] | np.ndarray) -> list[Step]:
         """Step the environments `indices` with actions (len(indices), ...)."""
-        return list(map(self._step_one, indices, actions))
+        return list(self._map(self._step_one, indices, actions))
+
+    def _reset_one(self, index: int, seed: int) -> Any:
+        return self.envs[index].reset(seed=seed)[0]
 
     def _step_one(self, index: int, action: np.ndarray) -> Step:
         obs, reward, terminated, truncated, info = self.envs[index].step(action)
@@ -101,9 +105,7 @@ class ThreadedEnvs(Envs):
     def __init__(self, make: Make, n: int, threads: int, *made: gym.Env[Any, Any]) -> None:
         super().__init__(make, n, *made)
         self._threads = ThreadPoolExecutor(threads)
-
-    def step(self, indices: Sequence[int], actions: Sequence[Any] | np.ndarray) -> list[Step]:
-        return list(self._threads.map(self._step_one, indices, actions))
+        self._map = self._threads.map
 
     def close(self) -> None:
         self._threads.shutdown()
@@ -127,7 +129,7 @@ class ProcessEnvs(Envs):
         try:
             for first in range(processes):
                 self._start(make, range(first, n, processes))
-            self._ask({process: [] for process in range(processes)})  # all are there
+            self._exchange({process: [] for process in range(processes)})  # all are there
         except BaseException:
             self.close()
             raise
@@ -146,20 +148,23 @@ class ProcessEnvs(Envs):
     def __len__(self) -> int:
         return self._n
 
-    def reset(self, index: int, seed: int) -> Any:
-        process = index % len(self._processes)
-        return self._ask({process: [(index, "reset", seed)]})[process][0]
+    def reset(self, indices: Sequence[int], seeds: Sequence[int]) -> list[Any]:
+        return self._ask("reset", indices, seeds)
 
     def step(self, indices: Sequence[int], actions: Sequence[Any] | np.ndarray) -> list[Step]:
-        questions: dict[int, list[Question]] = {}
-        for index, action in zip(indices, actions, strict=True):
-            process = index % len(self._processes)
-            questions.setdefault(process, []).append((index, "step", action))
-        answers = self._ask(questions)
-        return [answers[index % len(self._processes)].pop(0) for index in indices]
+        return self._ask("step", indices, actions)
 
-    def _ask(self, questions: dict[int, list[Question]]) -> dict[int, list[Any]]:
-        """Answers of each process to its questions, in their order; all work at once."""
+    def _ask(self, question: str, indices: Sequence[int], arguments: Sequence[Any] | np.ndarray) -> Any:
+        """Answers of environments in their order; all processes work at once."""
+        n = len(self._processes)
+        asked: dict[int, list[Question]] = {}
+        for index, argument in zip(indices, arguments, strict=True):
+            asked.setdefault(index % n, []).append((index, question, argument))
+        answers = self._exchange(asked)
+        return [answers[index % n].pop(0) for index in indices]
+
+    def _exchange(self, questions: dict[int, list[Question]]) -> dict[int, list[Any]]:
+        """Answers of each process to its questions, in their order."""
         try:
             for process, asked in questions.items():
                 self._connections[process].send(asked)
@@ -210,9 +215,8 @@ def _serve(connection: Connection[Any, Any], make: Make, numbers: range) -> None
 
 def _answer(envs: Envs, numbers: range, index: int, question: str, argument: Any) -> Any:
     place = numbers.index(index)
-    if question == "reset":
-        return envs.reset(place, argument)
-    return envs.step([place], [argument])[0]
+    ask = envs.reset if question == "reset" else envs.step
+    return ask([place], [argument])[0]
 
 
 def start(make: Make, n: int, cores: int = 1) -> Envs:

@@ -42,10 +42,11 @@ class GoalPool:
         achieved, desired = self.rng.standard_normal((2, 2))
         return dict(observation=observation, achieved_goal=achieved, desired_goal=desired)
 
-    def reset(self, index, seed):
-        self.steps[index] = 0
-        self.seeds.append(seed)
-        return self._obs()
+    def reset(self, indices, seeds):
+        for index in indices:
+            self.steps[index] = 0
+        self.seeds += seeds
+        return [self._obs() for _ in indices]
 
     def step(self, indices, actions):
         self.actions += list(actions)

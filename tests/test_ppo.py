@@ -29,9 +29,9 @@ class ScriptedPool:
     def __len__(self):
         return 1
 
-    def reset(self, index, seed):
-        self.steps = 0
-        return self.obs(self.rng)
+    def reset(self, indices, seeds):
+        self.steps = 0 if indices else self.steps
+        return [self.obs(self.rng) for _ in indices]
 
     def step(self, indices, actions):
         self.steps += 1

@@ -25,13 +25,13 @@ needs_pybullet = pytest.mark.skipif(find_spec("pybullet") is None, reason="no Py
 def play(pool):
     """Steps of changing subsets, and resets in between."""
     rng = np.random.default_rng(0)
-    seen = [pool.reset(i, 10 + i)["observation"] for i in range(3)]
+    seen = [obs["observation"] for obs in pool.reset([2, 0, 1], [10, 11, 12])]
     for indices in ([0, 1, 2], [2], [0, 2], [1, 0], [0, 1, 2], [1, 2]):
         actions = rng.uniform(-1, 1, (len(indices), *pool.action_space.shape))
         for index, step in zip(indices, pool.step(indices, actions), strict=True):
             seen += [step.obs["observation"], [step.reward]]
             if step.terminated or step.truncated:
-                seen.append(pool.reset(index, 100 + index)["observation"])
+                seen.append(pool.reset([index], [100 + index])[0]["observation"])
     pool.close()
     return np.concatenate(seen)
 
@@ -57,8 +57,7 @@ def test_faults_and_warnings_arrive(kind, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # where MuJoCo writes its log
     broken = partial(envs.make, "mpl", simulator="mujoco", task="reach-goal", finger_gain=1e6)
     pool = kind(broken, 2, 2)
-    for index in range(2):
-        pool.reset(index, 0)
+    pool.reset([0, 1], [0, 0])
     infos = [step.info for step in pool.step([0, 1], np.ones((2, 7)))]
     pool.close()
     assert all(info["diverged"] and info["warnings"] > 0 for info in infos)
@@ -87,8 +86,7 @@ def test_what_a_learner_asks_of_the_pool_is_answered(processes):
 
 
 def test_an_error_in_a_process_is_raised_here_and_the_others_go_on(processes):
-    for index in range(2):
-        processes.reset(index, 0)
+    processes.reset([0, 1], [0, 0])
     bad = np.zeros((2, 7))
     bad[0, 0] = np.nan
     with pytest.raises(ValueError, match="action: found nan"):
@@ -101,7 +99,7 @@ def test_a_killed_process_is_an_error_that_says_so(processes):
     os.kill(process.pid, signal.SIGKILL)
     process.join()
     with pytest.raises(OSError, match="process that steps environments has died"):
-        processes.reset(1, 0)
+        processes.reset([1], [0])
 
 
 @needs_pybullet
@@ -120,7 +118,7 @@ def test_processes_end_quietly_with_their_parent(end):
         "    try:\n"
         "        print('ready', flush=True)\n"
         "        while True:\n"
-        "            for i in range(2): pool.reset(i, 0)\n"
+        "            pool.reset([0, 1], [0, 0])\n"
         "            for _ in range(20): pool.step([0, 1], np.zeros((2, 7)))\n"
         "    except KeyboardInterrupt:\n"
         "        pool.close()\n"
@@ -142,8 +140,7 @@ def test_processes_end_quietly_with_their_parent(end):
 def test_many_environments_in_one_process_do_not_block_each_other():
     """More bytes of questions and answers than a pipe holds."""
     pool = vector.ProcessEnvs(partial(envs.make, "point-reach"), 400, 1)
-    for index in range(400):
-        pool.reset(index, index)
+    assert len(pool.reset(range(400), range(400))) == 400
     assert len(pool.step(range(400), np.zeros((400, *pool.action_space.shape)))) == 400
     pool.close()
 

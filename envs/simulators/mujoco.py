@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 import mujoco
 import numpy as np
@@ -110,13 +108,9 @@ def _add_touch_sensors(spec: mujoco.MjSpec, taxels: Taxels) -> None:
         )
 
 
-@contextmanager
-def _memory_errors() -> Iterator[None]:
-    """SimulationError where MuJoCo has no memory left for a step's constraints."""
-    try:
-        yield
-    except mujoco.FatalError as error:
-        raise SimulationError(f"MuJoCo: {' '.join(str(error).split())}") from error
+def _no_memory(error: mujoco.FatalError) -> SimulationError:
+    """What to raise where MuJoCo has no memory left for a step's constraints."""
+    return SimulationError(f"MuJoCo: {' '.join(str(error).split())}")
 
 
 class MujocoSimulator:
@@ -141,19 +135,25 @@ class MujocoSimulator:
         self._object_body = model.body(OBJECT).id
         points = [(hand.palm, hand.palm_point), *hand.fingertips]
         self._point_bodies = np.array([model.body(body).id for body, _ in points])
-        self._points = np.array([point for _, point in points])
+        self._points = np.array([point for _, point in points])[:, :, None]
+        data = self.data  # views of what every step looks at: the data stay where they are
+        self._positions, self._velocities = data.qpos, data.qvel
+        self._xpos, self._xmat = data.xpos, data.xmat.reshape(-1, 3, 3)
+        self._xquat, self._warned = data.xquat, data.warning.number
         self._bodies: dict[tuple[str, ...], Array] = {}
 
     @property
     def warnings(self) -> int:
-        return self._past_warnings + int(self.data.warning.number.sum())
+        return self._past_warnings + sum(self._warned.tolist())
 
     def reset(self, joint_positions: Array, object_position: Array, yaw: float) -> None:
         self._past_warnings = self.warnings  # MuJoCo forgets them
         mujoco.mj_resetData(self.model, self.data)
-        with _memory_errors():
-            turn = np.array([np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
+        turn = np.array([np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
+        try:
             self.place(joint_positions, object_position, turn)
+        except mujoco.FatalError as error:
+            raise _no_memory(error) from error
 
     def place(self, joint_positions: Array, object_position: Array, orientation: Array) -> None:
         """Put hand and object (quaternion wxyz) somewhere, velocities and time as they are."""
@@ -164,11 +164,12 @@ class MujocoSimulator:
         mujoco.mj_forward(self.model, self.data)
 
     def step(self, joint_targets: Array, n_substeps: int) -> None:
-        with _memory_errors():
+        try:
             self._step(joint_targets, n_substeps)
-        data = self.data
-        is_finite = math.isfinite(data.qpos.sum() + data.qvel.sum())
-        if not is_finite or data.warning.number[BROKEN].any():
+        except mujoco.FatalError as error:
+            raise _no_memory(error) from error
+        q, v, warned = self._positions, self._velocities, self._warned.tolist()
+        if not math.isfinite(q @ q + v @ v) or any(warned[kind] for kind in BROKEN):
             raise SimulationError("MuJoCo's state is not finite, or huge")
 
     def _step(self, joint_targets: Array, n_substeps: int) -> None:
@@ -189,26 +190,22 @@ class MujocoSimulator:
         mujoco.mj_kinematics(model, data)
 
     def joint_state(self) -> tuple[Array, Array]:
-        return self.data.qpos[self._qpos], self.data.qvel[self._qvel]
+        return self._positions.take(self._qpos), self._velocities.take(self._qvel)
 
     def object_state(self) -> ObjectState:
         body = self._object_body
-        return ObjectState(
-            self.data.xpos[body].copy(),
-            self.data.xquat[body].copy(),
-            self.data.xmat[body].reshape(3, 3).copy(),
-        )
+        return ObjectState(self._xpos[body].copy(), self._xquat[body].copy(), self._xmat[body].copy())
 
     def link_positions(self) -> Array:
         bodies = self._point_bodies
-        rotations = self.data.xmat[bodies].reshape(-1, 3, 3)
-        return self.data.xpos[bodies] + np.matmul(rotations, self._points[:, :, None])[:, :, 0]
+        turned = np.matmul(self._xmat.take(bodies, axis=0), self._points)
+        return self._xpos.take(bodies, axis=0) + turned[:, :, 0]
 
     def link_poses(self, links: tuple[str, ...]) -> tuple[Array, Array]:
         if links not in self._bodies:
             self._bodies[links] = np.array([self.model.body(link).id for link in links])
         bodies = self._bodies[links]
-        return self.data.xpos[bodies], self.data.xmat[bodies].reshape(-1, 3, 3)
+        return self._xpos.take(bodies, axis=0), self._xmat.take(bodies, axis=0)
 
     def contact_taxels(self) -> Array:
         return self.data.sensordata > 0.0
