@@ -35,12 +35,12 @@ lint: $(VENV)/.installed
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# About half an hour; `make bench-peers` and so on for a part. `make bench OUT=docs/data GRASPS=5` is
-# what the docs show of these. `make bench-exploration` is not among them: it is about the task.
+# About half an hour on two cores; `make bench-peers` and so on for a part. `make bench OUT=docs/data`
+# is what the docs show of these. `make bench-exploration` is not among them: it is about the task.
 OUT ?= bench
-GRASPS ?= 2
+GRASPS ?= 5
 BENCHMARKS := peers scaling footprint precision scene_parts speed_vs_error hard_cases
-FLAGS_speed_vs_error := --grasps $(GRASPS)
+FLAGS_speed_vs_error := --grasps $(GRASPS) --jobs 2
 FLAGS_hard_cases := --steps 100
 
 bench: $(BENCHMARKS:%=bench-%)

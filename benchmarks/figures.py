@@ -68,18 +68,11 @@ def curve(path: Path) -> tuple[np.ndarray, np.ndarray]:
 def speed_against_error() -> None:
     """Every setting of every hand in every simulator, those on the front filled."""
     data = json.loads((DOCS / "data" / "speed_vs_error.json").read_text(encoding="utf-8"))
-    tables = {name: rows for name, rows in data.items() if name.endswith("cube")}
-    cases = {  # what was not held has no error
-        name: {setting: row for setting, row in rows.items() if "error_median_mm" in row}
-        for name, rows in tables.items()
-    }
-    cases = {name: rows for name, rows in cases.items() if rows}
-    n_rows = -(-len(cases) // 2)
-    figure, grid = plt.subplots(n_rows, 2, figsize=(9, 3.2 * n_rows), squeeze=False)
-    for axes in grid.flat[len(cases) :]:
-        axes.axis("off")
-    for axes, (name, rows) in zip(grid.flat, cases.items(), strict=False):
-        for setting, row in rows.items():
+    figure, grid = plt.subplots(2, 2, figsize=(10, 8))
+    for axes, (name, table) in zip(grid.flat, data.items(), strict=True):
+        for setting, row in table["settings"].items():
+            if "error_median_mm" not in row:
+                continue  # nothing was held
             is_shipped, on_front = setting == "as shipped", row.get("on_front", False)
             axes.plot(
                 row["speed"], row["error_median_mm"], "s" if is_shipped else "o", color="#2b6cb0",

@@ -1,9 +1,9 @@
 """What do the physics settings cost, and what do they get wrong?
 
-Scripted grasps with perturbed starts, held for 5 s, under one setting at a time, for each hand in
-each simulator, against a reference with small, well-solved steps, which is itself compared with
-one of twice its step. Also what is lost where nothing should be (free_motion.py). Prints tables
-and writes JSON:
+Scripted grasps of two cubes with perturbed starts, held for 5 s, under one setting at a time, for
+each hand in each simulator, against a reference with small, well-solved steps, which is itself
+compared with one of twice its step. Also what is lost where nothing should be (free_motion.py).
+Prints tables and writes JSON:
 
     python benchmarks/speed_vs_error.py --out docs/data/speed_vs_error.json
     python benchmarks/speed_vs_error.py --hand mpl --simulator pybullet --grasps 3
@@ -14,10 +14,13 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
+import multiprocessing
 import time
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -82,6 +85,7 @@ SETTINGS: dict[str, dict[str, Setting]] = {
         "6 iterations": Setting(options={"iterations": 6}),
         "10 iterations": Setting(options={"iterations": 10}),
         "50 iterations": Setting(options={"iterations": 50}),
+        "tolerance 1e-5": Setting(options={"tolerance": 1e-5}),
         "solver CG": Setting(options={"solver": SOLVER.mjSOL_CG}),
         "solver PGS": Setting(options={"solver": SOLVER.mjSOL_PGS}),
         "implicitfast": Setting(options={"integrator": INTEGRATOR.mjINT_IMPLICITFAST}),
@@ -118,7 +122,7 @@ SETTINGS: dict[str, dict[str, Setting]] = {
 
 @dataclass(frozen=True)
 class Trace:
-    """What several grasps did during their holds, in the palm's frame."""
+    """What several grasps of one cube did during their holds, in the palm's frame."""
 
     positions: np.ndarray
     """(grasps, steps, 3) of the object, m."""
@@ -181,10 +185,17 @@ def self_contact() -> int:
     )
 
 
-def record(hand: str, simulator: str, size: float, setting: Setting, grasps: int) -> Trace:
-    """Perform the grasps under one setting; a dropped object counts as it falls."""
-    with environment(hand, simulator, size, setting) as env:
-        return perform(env, grasps, scripted.period(setup(hand).timestep))
+Traces = dict[float, Trace]
+"""By the size of the cube, m."""
+
+
+def record(hand: str, simulator: str, setting: Setting, grasps: int) -> Traces:
+    """Perform so many grasps of each cube under one setting; a dropped one counts as it falls."""
+    traces = {}
+    for size in SIZES[hand]:
+        with environment(hand, simulator, size, setting) as env:
+            traces[size] = perform(env, grasps, scripted.period(setup(hand).timestep))
+    return traces
 
 
 def perform(env: GraspEnv, grasps: int, dt: float) -> Trace:
@@ -227,29 +238,51 @@ def deepest(env: GraspEnv) -> float:
     return -min(depths, default=0.0)
 
 
-def compare(trace: Trace, reference: Trace, shipped_seconds: float) -> dict[str, float]:
-    """Errors of one setting over the grasps that hold in it and in the reference."""
-    both = trace.held & reference.held
-    row: dict[str, float] = {
-        "speed": shipped_seconds / trace.seconds,
-        "outcomes_changed": int((trace.held != reference.held).sum()),
-        "overlap_mm": 1e3 * trace.overlap,
-        "warnings": trace.warnings,
+def compare(traces: Traces, references: Traces, shipped: Traces) -> dict[str, Any]:
+    """Errors of one setting over the grasps of all cubes that hold in it and in the reference."""
+    grasps = {size: _errors(trace, references[size]) for size, trace in traces.items()}
+    row: dict[str, Any] = {
+        "speed": _total("seconds", shipped) / _total("seconds", traces),
+        "outcomes_changed": sum(
+            int((trace.held != references[size].held).sum()) for size, trace in traces.items()
+        ),
+        "overlap_mm": 1e3 * max(trace.overlap for trace in traces.values()),
+        "warnings": _total("warnings", traces),
     }
-    if not both.any():
+    of_all = {key: np.concatenate([g[key] for g in grasps.values()]) for key in ERRORS}
+    if not of_all["mm"].size:
         return row
-    offset = trace.positions[both] - reference.positions[both]
-    error = 1e3 * np.linalg.norm(offset, axis=-1).max(axis=1)
-    turned = np.swapaxes(trace.rotations[both], -1, -2) @ reference.rotations[both]
-    angle = Rotation.from_matrix(turned.reshape(-1, 3, 3)).magnitude().reshape(both.sum(), -1)
-    drift = 1e3 * np.linalg.norm(trace.positions[both, -1] - trace.positions[both, 0], axis=-1)
     return row | {
-        "error_median_mm": float(np.median(error)),
-        "error_worst_mm": float(error.max()),
-        "angle_median_rad": float(np.median(angle.max(axis=1))),
-        "slip_5s_mm": float(np.median(drift)),
-        "bits_wrong": float((trace.bits[both] != reference.bits[both]).sum(axis=-1).mean()),
+        "error_median_mm": float(np.median(of_all["mm"])),
+        "error_worst_mm": float(of_all["mm"].max()),
+        "angle_median_rad": float(np.median(of_all["rad"])),
+        "slip_5s_mm": float(np.median(of_all["slip"])),
+        "bits_wrong": float(of_all["bits"].mean()),
+        "error_median_mm_of_cube": {
+            f"{1e3 * size:g} mm": float(np.median(g["mm"]))
+            for size, g in grasps.items()
+            if g["mm"].size
+        },
     }
+
+
+ERRORS = ("mm", "rad", "slip", "bits")
+
+
+def _errors(trace: Trace, reference: Trace) -> dict[str, np.ndarray]:
+    """Of each grasp that holds in both: largest distance and angle, drift, mean of wrong bits."""
+    both = trace.held & reference.held
+    offset = trace.positions[both] - reference.positions[both]
+    turned = np.swapaxes(trace.rotations[both], -1, -2) @ reference.rotations[both]
+    angle = [Rotation.from_matrix(grasp).magnitude().max() for grasp in turned]
+    drift = np.linalg.norm(trace.positions[both, -1] - trace.positions[both, 0], axis=-1)
+    wrong = (trace.bits[both] != reference.bits[both]).sum(axis=-1).mean(axis=-1)
+    largest = np.linalg.norm(offset, axis=-1).max(axis=1)
+    return dict(zip(ERRORS, (1e3 * largest, np.array(angle), 1e3 * drift, wrong), strict=True))
+
+
+def _total(name: str, traces: Traces) -> float:
+    return sum(getattr(trace, name) for trace in traces.values())
 
 
 def free_motion(hand: str, simulator: str, setting: Setting) -> dict[str, float]:
@@ -274,12 +307,12 @@ def mark_front(rows: dict[str, dict[str, Any]]) -> None:
         )
 
 
-def measure(hand: str, simulator: str, size: float, grasps: int) -> dict[str, dict[str, Any]]:
-    """A row for each setting, the first for the finer reference."""
-    coarse, fine = (record(hand, simulator, size, s, grasps) for s in REFERENCES[simulator])
+def measure(hand: str, simulator: str, grasps: int) -> dict[str, dict[str, Any]]:
+    """A row for each setting, the first for the coarser reference."""
+    coarse, fine = (record(hand, simulator, s, grasps) for s in REFERENCES[simulator])
     settings = SETTINGS[simulator]
-    traces = {name: record(hand, simulator, size, s, grasps) for name, s in settings.items()}
-    shipped = traces[SHIPPED].seconds
+    traces = {name: record(hand, simulator, s, grasps) for name, s in settings.items()}
+    shipped = traces[SHIPPED]
     rows = {name: compare(trace, fine, shipped) for name, trace in traces.items()}
     mark_front(rows)
     for name, setting in settings.items():
@@ -319,21 +352,25 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--hand", choices=sorted(SIZES), action="append")
     parser.add_argument("--simulator", choices=sorted(SETTINGS), action="append")
-    parser.add_argument("--grasps", type=int, default=5)
+    parser.add_argument("--grasps", type=int, default=5, help="of each cube")
+    parser.add_argument("--jobs", type=int, default=1, help="hands and simulators side by side")
     parser.add_argument("--out", type=Path, help="write JSON here; cases already in it are kept")
     options = parser.parse_args()
     result = earlier(options.out)
-    result["seconds"] = SECONDS
-    result.setdefault("grasps", {})
-    for hand in options.hand or sorted(SIZES):
-        for simulator in options.simulator or sorted(SETTINGS):
-            for size in SIZES[hand]:
-                rows = measure(hand, simulator, size, options.grasps)
-                title = f"{hand} in {simulator}, {1e3 * size:.0f} mm cube"
-                result[title], result["grasps"][title] = rows, options.grasps
-                show(f"{title}, {options.grasps} grasps, hold of {SECONDS:.0f} s", rows)
-                if options.out:
-                    options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    pairs = [
+        (hand, simulator)
+        for simulator in options.simulator or sorted(SETTINGS, reverse=True)  # the slower first
+        for hand in options.hand or sorted(SIZES)
+    ]
+    with ProcessPoolExecutor(options.jobs, multiprocessing.get_context("spawn")) as pool:
+        found = pool.map(partial(measure, grasps=options.grasps), *zip(*pairs, strict=True))
+        for (hand, simulator), rows in zip(pairs, found, strict=True):
+            title = f"{hand} in {simulator}"
+            result[title] = {"grasps of each cube": options.grasps, "settings": rows}
+            cubes = " and ".join(f"{1e3 * size:g}" for size in SIZES[hand])
+            show(f"{title}, cubes of {cubes} mm, {options.grasps} grasps each, {SECONDS:.0f} s", rows)
+            if options.out:
+                options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 "The hand is moved to a height of 1 meter and kept there for 5000 unrecorded simulation
 steps" (paper, PyBullet set-up). A failure is called as soon as it is certain: an object that
-hangs further below the palm than any finger reaches is in free fall. A success is called at
+is further from the palm than any finger reaches is in free fall. A success is called at
 the end, or, under the verdict "settled", once the object has stopped moving in the hand; how
 often that is wrong was measured: docs/environments.md, "Hold test".
 """
@@ -20,7 +20,7 @@ from .simulators import Simulator
 
 Verdict = Literal["full", "settled"]
 RAISE_SPEED = 0.3  # m/s
-OUT_OF_REACH = 0.25  # m below the palm; the longest finger reaches 0.15 m
+OUT_OF_REACH = 0.25  # m from the palm; the longest finger reaches 0.15 m
 CHECK_EVERY = 25  # simulation steps
 
 
@@ -41,7 +41,7 @@ class HoldTest:
         """Does the object stay in the hand? Leaves the simulator wherever the test ended."""
         history = []
         for is_at_top, position in self.positions(simulator, joint_targets, timestep):
-            if position[2] < -OUT_OF_REACH:
+            if np.linalg.norm(position) > OUT_OF_REACH:
                 return False
             if is_at_top:
                 history.append(position)

@@ -269,11 +269,19 @@ class TestFaults:
         assert not env.simulator.model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
         assert np.array_equal(first, rollout(env, 5, 3, scale=0.1))
 
-    def test_ejected_object_counts_as_divergence(self):
-        env = make()
-        env.reset(seed=0)
-        env.simulator.data.joint("object").qpos[2] = 2e6
-        assert env.step(np.zeros(23))[4]["diverged"]
+    @pytest.mark.parametrize(("speed", "ejected"), [(8.0, False), (12.0, True), (2e6, True)])
+    def test_ejected_object_counts_as_divergence(self, speed, ejected):
+        """A thrown one does not."""
+        env = make(task="reach-goal")
+        before, _ = env.reset(seed=0)
+        env.simulator.data.joint("object").qpos[2] += 0.5
+        env._object_position = env.simulator.data.joint("object").qpos[:3].copy()
+        env.simulator.data.joint("object").qvel[0] = speed
+        obs, _, _, truncated, info = env.step(np.zeros(23))
+        assert info.get("diverged", False) is truncated is ejected
+        assert ejected == ("ejected" in info.get("error", ""))
+        assert ejected == np.array_equal(obs["observation"], before["observation"])
+        assert "diverged" not in (env.reset(seed=1), env.step(np.zeros(23)))[1][-1]
 
     def test_simulation_error_is_raised_by_the_simulator(self):
         env = make()
@@ -384,6 +392,17 @@ class TestHoldTest:
 
     def test_opened_hand_drops_it(self):
         assert not self.verdict(make(), close=False)
+
+    def test_what_was_thrown_up_is_not_held_while_it_flies(self):
+        from tactilerl.envs.hold import HoldTest
+
+        env = make()
+        env.reset(seed=0)
+        thing = env.simulator.data.joint("object")
+        thing.qpos[2], thing.qvel[2] = 0.5, 40.0
+        test = HoldTest(steps=50)
+        assert not test.run(env.simulator, env._targets, env.config.timestep)
+        assert env.simulator.object_state().position[2] > 1.0
 
 
 def test_config_is_frozen():
