@@ -14,6 +14,7 @@ import pytest
 import torch
 
 from tactilerl.cli import main
+from tactilerl.envs.vector import Envs
 from tactilerl.run_dir import RunDir
 
 FAST = ["--hidden", "16", "--steps-per-epoch", "120", "--n-passes", "2"]
@@ -285,6 +286,25 @@ class TestResume:
         Path("small/checkpoint.pt").write_bytes(Path("big/checkpoint.pt").read_bytes())
         fails_with(capsys, ["train", "--resume", "small"], "another configuration")
         fails_with(capsys, ["evaluate", "small"], "another configuration")
+
+    @pytest.mark.parametrize(
+        "args",
+        [
+            pytest.param(["train", "--resume", "run"], id="resume"),
+            pytest.param(["evaluate", "run"], id="evaluate"),
+            pytest.param(["train", *HER[1:], "--env", "lqr"], id="another kind of environment"),
+        ],
+    )
+    def test_environments_are_closed_when_the_run_cannot_begin(self, capsys, args, monkeypatch):
+        main([*TOY, "--total-timesteps", "100", "--out", "run"])
+        (checkpoint,) = Path("run").rglob("*.pt")
+        state = torch.load(checkpoint, weights_only=True)
+        state["ranks"][0]["actor"] = {}
+        torch.save(state, checkpoint)
+        closed, close = [], Envs.close
+        monkeypatch.setattr(Envs, "close", lambda pool: (closed.append(pool), close(pool)))
+        fails_with(capsys, args)
+        assert len(closed) == 1
 
     @pytest.mark.parametrize("keep", [0, 10, 2000])
     def test_truncated_checkpoint_is_refused(self, capsys, keep):

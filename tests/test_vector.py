@@ -1,5 +1,6 @@
 """Environments in turn, in threads and in processes: the same numbers, clean ends."""
 
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -8,6 +9,7 @@ import time
 from functools import partial
 from importlib.util import find_spec
 
+import gymnasium as gym
 import numpy as np
 import psutil
 import pytest
@@ -148,3 +150,38 @@ def test_many_environments_in_one_process_do_not_block_each_other():
 def test_what_cannot_be_made_is_raised_here():
     with pytest.raises(ValueError, match="layout"):
         vector.ProcessEnvs(partial(envs.make, "shadow", layout="none"), 2, 2)
+
+
+class Counted(gym.Env):
+    """Says how many there are that nobody has closed."""
+
+    open = 0
+    holds_gil = False
+
+    def __init__(self, holds_gil=False):
+        Counted.open += 1
+        self.holds_gil, self.is_open = holds_gil, True
+
+    def close(self):
+        Counted.open -= self.is_open
+        self.is_open = False
+
+
+def only_here(process, holds_gil):
+    if os.getpid() != process:
+        raise ValueError("no environment in this process")
+    return Counted(holds_gil)
+
+
+def test_a_pool_that_cannot_start_closes_what_it_has():
+    with pytest.raises(ValueError, match="no environment in this process"):
+        vector.start(partial(only_here, os.getpid(), holds_gil=True), 2, 2)
+    assert Counted.open == 0
+    assert not multiprocessing.active_children()
+
+
+def test_a_pool_that_starts_closes_all_at_the_end():
+    pool = vector.start(partial(only_here, os.getpid(), holds_gil=False), 3, 2)
+    assert Counted.open == 3
+    pool.close()
+    assert Counted.open == 0
