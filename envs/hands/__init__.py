@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -118,12 +119,19 @@ class ClosingAction:
         targets = joint_targets.copy()
         moved = targets[:3] + self.slide_step * action[:3]
         targets[:3] = np.clip(moved, self.slide_limits[:, 0], self.slide_limits[:, 1])
-        for group, step in zip(self.groups, action[3:], strict=True):
-            way = (self.closed - self.open)[group]
-            closing = (targets[group[0]] - self.open[group[0]]) / way[0]
-            closing = np.clip(closing + self.closing_step * step, 0.0, 1.0)
-            targets[group] = self.open[group] + closing * way
+        first, members, group = self._indices
+        way = self.closed - self.open
+        closing = (targets[first] - self.open[first]) / way[first]
+        closing = np.clip(closing + self.closing_step * action[3:], 0.0, 1.0)
+        targets[members] = self.open[members] + closing[group] * way[members]
         return targets
+
+    @cached_property
+    def _indices(self) -> tuple[Array, Array, Array]:
+        """The first actuator of each group; all that are in groups; and the group of each."""
+        sizes = [len(group) for group in self.groups]
+        first = np.array([group[0] for group in self.groups])
+        return first, np.concatenate(self.groups), np.repeat(np.arange(len(sizes)), sizes)
 
 
 @dataclass(frozen=True)
