@@ -10,6 +10,7 @@ and writes JSON:
 
 from __future__ import annotations
 
+import itertools
 import json
 import multiprocessing
 import statistics
@@ -58,9 +59,9 @@ def limit() -> dict[str, Any]:
 # -- stepping --------------------------------------------------------------------------------
 
 
-def start(hand: str, cores: int) -> vector.Envs:
-    """Four environments on so many cores."""
-    return vector.start(partial(envs.make, hand, task="reach-goal", layout="2"), 4, cores)
+def start(hand: str, n: int, cores: int) -> vector.Envs:
+    """So many environments on so many cores."""
+    return vector.start(partial(envs.make, hand, task="reach-goal", layout="2"), n, cores)
 
 
 def steps(pool: vector.Envs) -> int:
@@ -75,11 +76,11 @@ def steps(pool: vector.Envs) -> int:
 def stepping() -> dict[str, Any]:
     """What a second core gives: threads in MuJoCo, processes in PyBullet; resets included."""
     rates, ratios = {}, {}
-    for hand in ("shadow", "mpl"):
-        with closing(start(hand, 1)) as one, closing(start(hand, 2)) as two:
+    for hand, n in itertools.product(("shadow", "mpl"), (4, 8)):
+        with closing(start(hand, n, 1)) as one, closing(start(hand, n, 2)) as two:
             found = rounds({"1 core": partial(steps, one), "2 cores": partial(steps, two)})
-        rates |= {f"{hand}, {cores}": rate for cores, rate in found.items()}
-        ratios[f"{hand}: 2 cores / 1"] = found["2 cores"] / found["1 core"]
+        rates |= {f"{n} x {hand}, {cores}": rate for cores, rate in found.items()}
+        ratios[f"{n} x {hand}: 2 cores / 1"] = found["2 cores"] / found["1 core"]
     return {"per_s": rates, "ratios": ratios}
 
 
@@ -119,7 +120,7 @@ def show_limit(part: dict[str, Any]) -> None:
 
 def show_stepping(part: dict[str, Any]) -> None:
     """One table."""
-    show("four environments, steps", part["per_s"], part["ratios"])
+    show("several environments, steps", part["per_s"], part["ratios"])
 
 
 def show_ranks(part: dict[str, Any]) -> None:
