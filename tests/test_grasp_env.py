@@ -1,5 +1,6 @@
 """GraspEnv: Gymnasium's contract, determinism, rewards, run types, faults."""
 
+import copy
 import dataclasses
 import warnings
 
@@ -403,6 +404,17 @@ class TestHoldTest:
         test = HoldTest(steps=50)
         assert not test.run(env.simulator, env._targets, env.config.timestep)
         assert env.simulator.object_state().position[2] > 1.0
+
+
+def test_a_copy_goes_on_as_the_environment_and_on_its_own():
+    env = make()
+    env.reset(seed=0)
+    env.step(np.zeros(23))
+    twin = copy.deepcopy(env)
+    rng = np.random.default_rng(0)
+    for action in rng.uniform(-1, 1, (3, 23)):
+        there, here = twin.step(action)[0], env.step(action)[0]
+        assert np.array_equal(here["observation"], there["observation"])
 
 
 def test_config_is_frozen():

@@ -136,15 +136,11 @@ class MujocoSimulator:
         points = [(hand.palm, hand.palm_point), *hand.fingertips]
         self._point_bodies = np.array([model.body(body).id for body, _ in points])
         self._points = np.array([point for _, point in points])[:, :, None]
-        data = self.data  # views of what every step looks at: the data stay where they are
-        self._positions, self._velocities = data.qpos, data.qvel
-        self._xpos, self._xmat = data.xpos, data.xmat.reshape(-1, 3, 3)
-        self._xquat, self._warned = data.xquat, data.warning.number
         self._bodies: dict[tuple[str, ...], Array] = {}
 
     @property
     def warnings(self) -> int:
-        return self._past_warnings + sum(self._warned.tolist())
+        return self._past_warnings + sum(self.data.warning.number.tolist())
 
     def reset(self, joint_positions: Array, object_position: Array, yaw: float) -> None:
         self._past_warnings = self.warnings  # MuJoCo forgets them
@@ -168,7 +164,7 @@ class MujocoSimulator:
             self._step(joint_targets, n_substeps)
         except mujoco.FatalError as error:
             raise _no_memory(error) from error
-        q, v, warned = self._positions, self._velocities, self._warned.tolist()
+        q, v, warned = self.data.qpos, self.data.qvel, self.data.warning.number.tolist()
         if not math.isfinite(q @ q + v @ v) or any(warned[kind] for kind in BROKEN):
             raise SimulationError("MuJoCo's state is not finite, or huge")
 
@@ -190,22 +186,25 @@ class MujocoSimulator:
         mujoco.mj_kinematics(model, data)
 
     def joint_state(self) -> tuple[Array, Array]:
-        return self._positions.take(self._qpos), self._velocities.take(self._qvel)
+        return self.data.qpos.take(self._qpos), self.data.qvel.take(self._qvel)
 
     def object_state(self) -> ObjectState:
-        body = self._object_body
-        return ObjectState(self._xpos[body].copy(), self._xquat[body].copy(), self._xmat[body].copy())
+        data, body = self.data, self._object_body
+        rotation = data.xmat[body].reshape(3, 3)
+        return ObjectState(data.xpos[body].copy(), data.xquat[body].copy(), rotation.copy())
 
     def link_positions(self) -> Array:
-        bodies = self._point_bodies
-        turned = np.matmul(self._xmat.take(bodies, axis=0), self._points)
-        return self._xpos.take(bodies, axis=0) + turned[:, :, 0]
+        positions, rotations = self._poses(self._point_bodies)
+        return positions + np.matmul(rotations, self._points)[:, :, 0]
 
     def link_poses(self, links: tuple[str, ...]) -> tuple[Array, Array]:
         if links not in self._bodies:
             self._bodies[links] = np.array([self.model.body(link).id for link in links])
-        bodies = self._bodies[links]
-        return self._xpos.take(bodies, axis=0), self._xmat.take(bodies, axis=0)
+        return self._poses(self._bodies[links])
+
+    def _poses(self, bodies: Array) -> tuple[Array, Array]:
+        data = self.data
+        return data.xpos.take(bodies, axis=0), data.xmat.take(bodies, axis=0).reshape(-1, 3, 3)
 
     def contact_taxels(self) -> Array:
         return self.data.sensordata > 0.0
