@@ -138,6 +138,9 @@ def evaluate(args: list[str]) -> int:
     low, high = result["mean_return_ci"]
     table.add_row("return", f"{result['mean_return']:.2f}", f"{low:.2f} – {high:.2f}")
     table.add_row("length", f"{result['mean_length']:.1f}", "")
+    for fault, what in (("diverged", "diverged episodes"), ("warnings", "warnings")):
+        if result[fault]:
+            table.add_row(what, str(result[fault]), "")
     console.print(table)
     return 0
 

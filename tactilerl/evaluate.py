@@ -13,6 +13,7 @@ import numpy as np
 
 from . import algos, checkpoint
 from .algos.mpi import Communicator
+from .algos.rollout import FAULTS
 from .config import RunConfig
 from .envs import vector
 from .run_dir import RunDir
@@ -61,17 +62,20 @@ def play(
     env: Any, learner: algos.Algorithm, n: int, stochastic: bool = False
 ) -> Iterator[dict[str, float]]:
     """Success at the end of each episode (nan where the environment has none), for how many
-    steps it stood by then, return and length."""
+    steps it stood by then, return, length and faults; one that diverged has no success."""
     for index in range(n):
         obs, _ = env.reset(seed=SEED + index)
         total, length, held, done, info = 0.0, 0, 0, False, {}
+        faults = dict.fromkeys(FAULTS, 0)
         while not done:
             action = learner.act(obs, deterministic=not stochastic)
             obs, reward, terminated, truncated, info = env.step(action)
             total, length, done = total + float(reward), length + 1, terminated or truncated
             held = held + 1 if info.get("is_success") else 0
+            for fault in FAULTS:
+                faults[fault] += int(info.get(fault, 0))
         success = float(info.get("is_success", math.nan))
-        yield {"success": success, "held": held, "return": total, "length": length}
+        yield {"success": success, "held": held, "return": total, "length": length, **faults}
 
 
 def mean_interval(values: np.ndarray, resamples: int = 9_999, seed: int = 0) -> tuple[float, float]:
@@ -86,7 +90,7 @@ def mean_interval(values: np.ndarray, resamples: int = 9_999, seed: int = 0) -> 
 
 
 def summarise(played: list[dict[str, float]]) -> dict[str, Any]:
-    """Success rate with its Wilson interval, mean return with a bootstrap interval."""
+    """Success rate with its Wilson interval, mean return with a bootstrap interval, faults."""
     from scipy import stats  # takes a while
 
     returns = np.array([episode["return"] for episode in played])
@@ -95,6 +99,7 @@ def summarise(played: list[dict[str, float]]) -> dict[str, Any]:
         "episodes": len(played),
         "mean_return": float(returns.mean()),
         "mean_length": float(np.mean([episode["length"] for episode in played])),
+        **{fault: int(sum(episode[fault] for episode in played)) for fault in FAULTS},
     }
     if len(played) > 1 and np.ptp(returns) > 0:
         result["mean_return_ci"] = list(mean_interval(returns))

@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -125,6 +126,13 @@ class TestTrain:
         counted = sum(float(row["warnings"]) + float(row.get("test_warnings", 0)) for row in rows)
         assert counted > 0
         assert f"the simulator warned {counted:.0f} times" in capsys.readouterr().out
+        assert main(["evaluate", "run", "--episodes", "4", "--stochastic", "--json"]) == 0
+        result = json.loads(capsys.readouterr().out)
+        assert result["warnings"] > 0
+        assert main(["evaluate", "run", "--episodes", "4", "--stochastic"]) == 0
+        out = capsys.readouterr().out
+        assert re.search(rf"warnings\W+{result['warnings']}\b", out)
+        assert ("diverged" in out) == (result["diverged"] > 0)
 
     def test_ddpg_her_means_the_papers_mujoco_set_up(self, capsys):
         assert main([*HER, "--max-episode-steps", "3", "--total-timesteps", "12"]) == 0
@@ -439,9 +447,13 @@ class TestOtherCommands:
         from tactilerl.evaluate import summarise
 
         played = [
-            {"success": float(i < 8), "held": 1, "return": float(i), "length": 5} for i in range(10)
+            {"success": float(i < 8), "held": 1, "return": float(i), "length": 5}
+            | {"diverged": int(i == 9), "warnings": 2}
+            for i in range(10)
         ]
-        low, high = summarise(played)["success_rate_ci"]
+        result = summarise(played)
+        assert (result["diverged"], result["warnings"]) == (1, 20)
+        low, high = result["success_rate_ci"]
         assert (low, high) == pytest.approx((0.4902, 0.9433), abs=1e-4)  # Wilson 1927, 8 of 10
 
     def test_env_describe(self, capsys):
