@@ -15,7 +15,7 @@ import pytest
 import torch
 
 from tactilerl.cli import main
-from tactilerl.envs.vector import Envs
+from tactilerl.envs.vector import Workers
 from tactilerl.run_dir import RunDir
 
 FAST = ["--hidden", "16", "--steps-per-epoch", "120", "--n-passes", "2"]
@@ -99,13 +99,40 @@ class TestTrain:
         main([*TOY, "--total-timesteps", "1", "--seed", "7"])
         assert Path("runs/ppo_lqr_s7/checkpoint.pt").is_file()
 
-    def test_same_seed_same_run_whatever_the_number_of_stepping_threads(self):
-        args = [*TOY, "--num-envs", "3", "--total-timesteps", "300"]
+    def test_same_seed_same_run(self):
+        args = [*TOY, "--total-timesteps", "300"]
         main([*args, "--out", "a"])
         main([*args, "--out", "b"])
         main([*args, "--out", "c", "--seed", "1"])
         assert progress(Path("a")) == progress(Path("b")) != progress(Path("c"))
         assert same_checkpoint(Path("a"), Path("b"))
+
+    @pytest.mark.parametrize("algo", ["ppo", "ddpg_her"])
+    @pytest.mark.parametrize(
+        "hand", ["shadow", "mpl", "Pendulum-v1"]
+    )
+    def test_same_run_with_any_number_of_workers(self, algo, hand, capsys):
+        """In threads and in processes, of ours and not; a run may also go on with another number."""
+        args = HER if algo == "ddpg_her" else ["train", *FAST, "--steps-per-epoch", "40"]
+        args = [*args, "--env", hand]
+        if hand == "Pendulum-v1":
+            if algo == "ddpg_her":
+                pytest.skip("has no goals")
+        else:
+            args += ["--max-episode-steps", "8", "--layout", "5"]
+        for workers in ("1", "2", "5"):
+            run = [*args, "--workers", workers, "--out", workers]
+            assert main([*run, "--total-timesteps", "60"]) == 0
+        assert main(["train", "--resume", "1", "--workers", "3", "--total-timesteps", "90"]) == 0
+        assert main(["train", "--resume", "5", "--total-timesteps", "90"]) == 0
+        assert progress(Path("1")) == progress(Path("5"))
+        assert progress(Path("2")) == progress(Path("1"))[: len(progress(Path("2")))]
+        results = []
+        for workers in ("1", "2"):
+            capsys.readouterr()
+            main(["evaluate", "1", "--episodes", "3", "--stochastic", "--json", "--workers", workers])
+            results.append(json.loads(capsys.readouterr().out))
+        assert results[0] == results[1]
 
     def test_goal_environment_and_gymnasium_id(self):
         for name in ("point-reach", "Pendulum-v1"):
@@ -113,7 +140,7 @@ class TestTrain:
 
     def test_shadow_hand_trains(self):
         args = ["train", "--env", "shadow", "--layout", "4", *FAST, "--hold-steps", "50"]
-        args += ["--max-episode-steps", "30", "--num-envs", "2", "--total-timesteps", "200"]
+        args += ["--max-episode-steps", "30", "--total-timesteps", "200"]
         assert main([*args, "--out", "run"]) == 0
         assert len(progress(Path("run"))) == 2
 
@@ -138,13 +165,12 @@ class TestTrain:
         assert main([*HER, "--max-episode-steps", "3", "--total-timesteps", "12"]) == 0
         out = capsys.readouterr().out
         assert "epochs of up to 12 steps and 8 updates in each process, gamma 0.666667" in out
-        assert "replay of 1,000,000 transitions: 0." in out
+        assert "HER probability 0.8, replay of 1,000,000 transitions: 0." in out
         run = Path("runs/ddpg_her_shadow_reach-goal_layout2_main_s0")
         config = json.loads((run / "config.json").read_text())
         assert config["scene"]["task"] == "reach-goal"
-        assert config["run"]["num_envs"] == 2
         learner = config["learner"]
-        assert (learner["polyak"], learner["replay_p"], learner["reduction"]) == (0.95, 0.8, "sum")
+        assert (learner["polyak"], learner["reduction"]) == (0.95, "sum")
         assert progress(run)[0]["updates"] == "8"
         assert 0 <= float(progress(run)[0]["test_success_rate"]) <= 1
         assert main(["evaluate", str(run), "--episodes", "2"]) == 0
@@ -309,8 +335,8 @@ class TestResume:
         state = torch.load(checkpoint, weights_only=True)
         state["ranks"][0]["actor"] = {}
         torch.save(state, checkpoint)
-        closed, close = [], Envs.close
-        monkeypatch.setattr(Envs, "close", lambda pool: (closed.append(pool), close(pool)))
+        closed, close = [], Workers.close
+        monkeypatch.setattr(Workers, "close", lambda self: (closed.append(self), close(self)))
         fails_with(capsys, args)
         assert len(closed) == 1
 
@@ -344,7 +370,8 @@ class TestBadInput:
             (["train", "--gamma", "much"], ["--gamma", "much"]),
             (["train", "--gamma", "nan"], ["gamma", "nan"]),
             (["train", "--device", "cuda:99"], ["device", "cuda:99"]),
-            (["train", "--num-envs", "0"], ["num_envs: found 0"]),
+            (["train", "--workers", "0"], ["workers: found 0, allowed from 1 to 256"]),
+            (["train", "--workers", "2000000"], ["workers: found 2000000"]),
             (["train", "--n-minibatches", "6", "--minibatch-size", "6"], ["found both"]),
             (["train", "--control-dt", "0.001"], ["control_dt: found 0.001"]),
             (["train", "--entropy-coef", "nan"], ["entropy_coef: found nan"]),
@@ -511,7 +538,7 @@ class TestOtherCommands:
         assert stop.value.code == 0
         out = capsys.readouterr().out
         flags = (
-            "algo env simulator task reward layout run-type total-timesteps num-envs seed out resume"
+            "algo env simulator task reward layout run-type total-timesteps workers seed out resume"
         )
         flags += " device gamma gae-lambda clip-range n-passes action-variance"
         for flag in flags.split():
