@@ -473,8 +473,8 @@ class TestOtherCommands:
         assert main(["doctor", "--layout", "3", "--touch", "contact", *few]) == 1
         assert json.loads(capsys.readouterr().out)[0]["is_blind"]
 
+    @pytest.mark.pybullet
     def test_doctor_compares_the_simulators(self, capsys):
-        pytest.importorskip("pybullet")
         few = ["--grasps", "2", "--seconds", "0.4", "--layout", "1"]
         assert main(["doctor", "--env", "mpl", "--compare", "--json", *few]) == 0
         both = json.loads(capsys.readouterr().out)[0]["agreement"]

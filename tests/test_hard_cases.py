@@ -11,7 +11,6 @@ import pytest
 
 from tactilerl.envs.grasp import GraspEnv, setup
 
-pytest.importorskip("pybullet")
 SCRIPT = Path(__file__).resolve().parents[1] / "benchmarks" / "hard_cases.py"
 PAIRS = [(hand, simulator) for hand in ("shadow", "mpl") for simulator in ("mujoco", "pybullet")]
 

@@ -7,7 +7,6 @@ import subprocess
 import sys
 import time
 from functools import partial
-from importlib.util import find_spec
 
 import gymnasium as gym
 import numpy as np
@@ -19,9 +18,6 @@ from tactilerl.envs import vector
 
 shadow = partial(envs.make, "shadow", task="reach-goal")
 mpl = partial(envs.make, "mpl", layout="1", hold_steps=200)
-
-
-needs_pybullet = pytest.mark.skipif(find_spec("pybullet") is None, reason="no PyBullet")
 
 
 def play(pool):
@@ -42,7 +38,7 @@ def play(pool):
     ("make", "kind"),
     [
         pytest.param(shadow, vector.ThreadedEnvs, id="threads"),
-        pytest.param(mpl, vector.ProcessEnvs, id="processes", marks=needs_pybullet),
+        pytest.param(mpl, vector.ProcessEnvs, id="processes", marks=pytest.mark.pybullet),
     ],
 )
 def test_parallel_equals_in_turn(make, kind):
@@ -74,12 +70,12 @@ def test_one_environment_or_one_core_needs_neither():
 
 @pytest.fixture
 def processes():
-    pytest.importorskip("pybullet")
     pool = vector.ProcessEnvs(mpl, 2, 2)
     yield pool
     pool.close()
 
 
+@pytest.mark.pybullet
 def test_what_a_learner_asks_of_the_pool_is_answered(processes):
     goal = np.zeros((2, 7))
     assert processes.max_episode_steps == 100
@@ -87,6 +83,7 @@ def test_what_a_learner_asks_of_the_pool_is_answered(processes):
     assert processes.compute_reward(goal, goal).shape == (2,)
 
 
+@pytest.mark.pybullet
 def test_an_error_in_a_process_is_raised_here_and_the_others_go_on(processes):
     processes.reset([0, 1], [0, 0])
     bad = np.zeros((2, 7))
@@ -96,6 +93,7 @@ def test_an_error_in_a_process_is_raised_here_and_the_others_go_on(processes):
     assert len(processes.step([0, 1], np.zeros((2, 7)))) == 2
 
 
+@pytest.mark.pybullet
 def test_a_killed_process_is_an_error_that_says_so(processes):
     process = processes._processes[1]
     os.kill(process.pid, signal.SIGKILL)
@@ -104,7 +102,7 @@ def test_a_killed_process_is_an_error_that_says_so(processes):
         processes.reset([1], [0])
 
 
-@needs_pybullet
+@pytest.mark.pybullet
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
 def test_processes_end_quietly_with_their_parent(end):
     """In the middle of a step; Ctrl-C goes to the whole group, as a terminal sends it."""
