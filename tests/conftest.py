@@ -16,8 +16,9 @@ NO_PYBULLET = "PyBullet is not installed (it has wheels for Python up to 3.11)"
 
 
 def needs_pybullet(item):
+    """Whether a test has the mark, or "pybullet" among its parameters."""
     parameters = item.callspec.params.values() if hasattr(item, "callspec") else ()
-    return item.get_closest_marker("pybullet") or "pybullet" in {p for p in parameters if isinstance(p, str)}
+    return item.get_closest_marker("pybullet") or any(str(p) == "pybullet" for p in parameters)
 
 
 def pytest_collection_modifyitems(items):

@@ -1,7 +1,7 @@
 """Install PyTorch into this Python, the CPU build unless CUDA is asked for; make runs it first.
 
-On Linux, plain ``pip install torch`` brings gigabytes of CUDA. PyTorch's own index has a CPU build; where
-that cannot be reached, what pip is configured to find will do, as long as no CUDA comes with it.
+On Linux, plain ``pip install torch`` brings gigabytes of CUDA. PyTorch's own index has a CPU build;
+where that cannot be reached, what pip is configured to find will do, if no CUDA comes with it.
 """
 
 import argparse
