@@ -6,6 +6,7 @@ where that cannot be reached, what pip is configured to find will do, if no CUDA
 
 import argparse
 import json
+import re
 import subprocess
 import sys
 import urllib.request
@@ -28,8 +29,8 @@ def cuda_packages(wanted):
     plan = subprocess.run([*PIP, "--dry-run", "--report", "-", *wanted], stdout=subprocess.PIPE)
     if plan.returncode:
         sys.exit(plan.returncode)
-    names = [package["metadata"]["name"] for package in json.loads(plan.stdout)["install"]]
-    return [name for name in names if name.startswith(("nvidia-", "cuda-"))]
+    names = [package["metadata"]["name"].lower() for package in json.loads(plan.stdout)["install"]]
+    return [name for name in names if re.match("(nvidia|cuda)[-_.]", name)]
 
 
 def main():
@@ -45,7 +46,7 @@ def main():
         wanted += ["--extra-index-url", args.index] if found else []
         if cuda := cuda_packages(wanted):
             sys.exit(
-                f"torch: pip found a build that brings {len(cuda)} packages of CUDA (gigabytes), and "
+                f"torch: pip found a build that brings {len(cuda)} package{'s'[: len(cuda) != 1]} of CUDA, and "
                 f"{'no CPU build for this Python at' if found else 'could not reach'} {args.index}; "
                 "name an index with the CPU build (make TORCH_INDEX=URL), a folder with its wheel "
                 "(PIP_FIND_LINKS=FOLDER make), or allow CUDA (make CUDA=1)"
