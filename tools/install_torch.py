@@ -46,7 +46,7 @@ def main():
         wanted += ["--extra-index-url", args.index] if found else []
         if cuda := cuda_packages(wanted):
             sys.exit(
-                f"torch: pip found a build that brings {len(cuda)} package{'s'[: len(cuda) != 1]} of CUDA, and "
+                f"torch: pip found a build that brings CUDA ({len(cuda)} packages), and "
                 f"{'no CPU build for this Python at' if found else 'could not reach'} {args.index}; "
                 "name an index with the CPU build (make TORCH_INDEX=URL), a folder with its wheel "
                 "(PIP_FIND_LINKS=FOLDER make), or allow CUDA (make CUDA=1)"
