@@ -494,15 +494,15 @@ class TestOtherCommands:
     def test_render_films_a_trained_run(self):
         pytest.importorskip("imageio_ffmpeg")
         imageio = pytest.importorskip("imageio.v2")
-        short = ["--max-episode-steps", "2", "--hold-steps", "50", "--n-passes", "1"]
-        epoch = ["--total-timesteps", "2", "--steps-per-epoch", "2", "--out", "run"]
+        short = ["--max-episode-steps", "4", "--hold-steps", "50", "--n-passes", "1"]
+        epoch = ["--total-timesteps", "8", "--steps-per-epoch", "8", "--out", "run"]
         assert main(["train", "--env", "shadow", "--layout", "6", *short, *epoch]) == 0
         result = render("--video", "x.mp4", "--episodes", "1", "run")
         assert result.stdout.count("success") == 1
         with imageio.get_reader("x.mp4") as film:
             pictures = np.array(list(film.iter_data()))
         assert pictures.shape[1:] == (360, 480, 3)
-        assert len(pictures) >= 2 * 5 + 12  # 0.2 s each at 25 a second, and the last moments
+        assert len(pictures) >= 4 * 5 + 12  # 0.2 s each at 25 a second, and the last moments
         assert pictures.std(axis=0).mean() > 0.5  # something moves
 
     def test_help_lists_every_hyperparameter(self, capsys):

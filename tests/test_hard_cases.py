@@ -28,7 +28,7 @@ def test_every_case_stays_within_its_stated_limits(hand, simulator, steps, tmp_p
     assert len(rows) >= 22
     assert max(row["overlap"] for row in rows.values()) > 1e-3  # the hand did touch something
     assert max(row["speed"] for row in rows.values()) > 0.01
-    assert rows["actions that are not finite"]["refused"] > 5
+    assert rows["actions that are not finite"]["refused"] >= steps // 5
     assert {row["steps"] for row in rows.values()} == {steps}
 
 
