@@ -109,7 +109,7 @@ class TestTrain:
 
     @pytest.mark.parametrize("algo", ["ppo", "ddpg_her"])
     @pytest.mark.parametrize(
-        "hand", ["shadow", "mpl", "Pendulum-v1"]
+        "hand", ["shadow", pytest.param("mpl", marks=pytest.mark.pybullet), "Pendulum-v1"]
     )
     def test_same_run_with_any_number_of_workers(self, algo, hand, capsys):
         """In threads and in processes, of ours and not; a run may also go on with another number."""
@@ -500,8 +500,8 @@ class TestOtherCommands:
         assert main(["doctor", "--layout", "3", "--touch", "contact", *few]) == 1
         assert json.loads(capsys.readouterr().out)[0]["is_blind"]
 
+    @pytest.mark.pybullet
     def test_doctor_compares_the_simulators(self, capsys):
-        pytest.importorskip("pybullet")
         few = ["--grasps", "2", "--seconds", "0.4", "--layout", "1"]
         assert main(["doctor", "--env", "mpl", "--compare", "--json", *few]) == 0
         both = json.loads(capsys.readouterr().out)[0]["agreement"]
@@ -524,12 +524,12 @@ class TestOtherCommands:
         short = ["--max-episode-steps", "4", "--hold-steps", "50", "--n-passes", "1"]
         epoch = ["--total-timesteps", "8", "--steps-per-epoch", "8", "--out", "run"]
         assert main(["train", "--env", "shadow", "--layout", "6", *short, *epoch]) == 0
-        result = render("--video", "x.mp4", "--episodes", "2", "run")
-        assert result.stdout.count("success") == 2
+        result = render("--video", "x.mp4", "--episodes", "1", "run")
+        assert result.stdout.count("success") == 1
         with imageio.get_reader("x.mp4") as film:
             pictures = np.array(list(film.iter_data()))
         assert pictures.shape[1:] == (360, 480, 3)
-        assert len(pictures) >= 2 * (4 * 5 + 12)  # 0.2 s each at 25 a second, and the last moments
+        assert len(pictures) >= 4 * 5 + 12  # 0.2 s each at 25 a second, and the last moments
         assert pictures.std(axis=0).mean() > 0.5  # something moves
 
     def test_help_lists_every_hyperparameter(self, capsys):

@@ -10,7 +10,6 @@ import threading
 import time
 from contextlib import closing
 from functools import partial
-from importlib.util import find_spec
 
 import gymnasium as gym
 import numpy as np
@@ -22,7 +21,6 @@ from tactilerl.envs import vector
 
 shadow = partial(envs.make, "shadow", task="reach-goal")
 mpl = partial(envs.make, "mpl", task="reach-goal", layout="1")
-needs_pybullet = pytest.mark.skipif(find_spec("pybullet") is None, reason="no PyBullet")
 
 
 def few_steps(env, number, is_wanted):
@@ -36,7 +34,7 @@ def few_steps(env, number, is_wanted):
 
 
 @pytest.mark.parametrize(
-    "make", [pytest.param(shadow, id="threads"), pytest.param(mpl, id="processes", marks=needs_pybullet)]
+    "make", [pytest.param(shadow, id="threads"), pytest.param(mpl, id="processes", marks=pytest.mark.pybullet)]
 )
 def test_any_number_of_workers_gives_the_same(make, request):
     results = []
@@ -205,7 +203,7 @@ def test_a_process_is_set_up_before_it_plays():
         assert set(workers.play(what_was_set_up, range(4))) == {"yes"}
 
 
-@needs_pybullet
+@pytest.mark.pybullet
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
 def test_processes_end_quietly_with_their_parent(end, tmp_path):
     """In the middle of an episode; Ctrl-C goes to the whole group, as a terminal sends it."""
