@@ -112,7 +112,7 @@ class TestTrain:
             assert main(["train", "--env", name, *FAST, "--total-timesteps", "1", "--out", name]) == 0
 
     def test_shadow_hand_trains(self):
-        args = ["train", "--env", "shadow", "--layout", "4", *FAST, "--hold-steps", "50"]
+        args = ["train", "--env", "shadow", "--layout", "4", *FAST, "--hold-seconds", "0.2"]
         args += ["--max-episode-steps", "30", "--num-envs", "2", "--total-timesteps", "200"]
         assert main([*args, "--out", "run"]) == 0
         assert len(progress(Path("run"))) == 2
@@ -153,7 +153,7 @@ class TestTrain:
     @pytest.mark.parametrize("hand", ["shadow", "mpl"])
     @pytest.mark.parametrize("algo", ["ppo", "ddpg_her"])
     def test_every_algorithm_hand_and_simulator(self, algo, hand, simulator):
-        args = HER if algo == "ddpg_her" else ["train", *FAST, "--hold-steps", "50"]
+        args = HER if algo == "ddpg_her" else ["train", *FAST, "--hold-seconds", "0.2"]
         args = [*args, "--env", hand, "--simulator", simulator, "--max-episode-steps", "6"]
         args += ["--steps-per-epoch", "24"] if algo == "ppo" else []
         assert main([*args, "--total-timesteps", "48", "--out", "run"]) == 0
@@ -162,7 +162,7 @@ class TestTrain:
 
     def test_ddpg_her_on_lift_and_hold(self):
         args = [*HER, "--task", "lift-and-hold", "--no-clip-target", "--termination", "terminal"]
-        args += ["--max-episode-steps", "10", "--hold-steps", "50", "--total-timesteps", "30"]
+        args += ["--max-episode-steps", "10", "--hold-seconds", "0.2", "--total-timesteps", "30"]
         assert main([*args, "--out", "run"]) == 0
 
     def test_tensorboard(self):
@@ -183,7 +183,7 @@ class TestResume:
     @pytest.mark.parametrize("algo", ["ppo", "ddpg_her"])
     def test_killed_run_equals_the_uninterrupted_one(self, algo):
         """kill -9 in the middle of an epoch, several times, on the real hand."""
-        args = ["train", *FAST, "--hold-steps", "50"] if algo == "ppo" else HER
+        args = ["train", *FAST, "--hold-seconds", "0.2"] if algo == "ppo" else HER
         args = [*args, "--env", "shadow", "--layout", "6", "--max-episode-steps", "20"]
         args += ["--total-timesteps", "600"]
         main([*args, "--out", "whole"])
@@ -274,7 +274,7 @@ class TestResume:
         lines = [f"{key} = {json.dumps(value)}" for key, value in patch.items()]
         Path("mine.toml").write_text("\n".join(["[[patch]]", *lines]))
         args = ["train", "--layout", "mine.toml", *FAST, "--max-episode-steps", "5"]
-        main([*args, "--hold-steps", "50", "--total-timesteps", "1", "--out", "run"])
+        main([*args, "--hold-seconds", "0.2", "--total-timesteps", "1", "--out", "run"])
         Path("mine.toml").unlink()
         assert main(["evaluate", "run", "--episodes", "1"]) == 0
         assert main(["train", "--resume", "run"]) == 0
@@ -494,7 +494,7 @@ class TestOtherCommands:
     def test_render_films_a_trained_run(self):
         pytest.importorskip("imageio_ffmpeg")
         imageio = pytest.importorskip("imageio.v2")
-        short = ["--max-episode-steps", "4", "--hold-steps", "50", "--n-passes", "1"]
+        short = ["--max-episode-steps", "4", "--hold-seconds", "0.2", "--n-passes", "1"]
         epoch = ["--total-timesteps", "8", "--steps-per-epoch", "8", "--out", "run"]
         assert main(["train", "--env", "shadow", "--layout", "6", *short, *epoch]) == 0
         result = render("--video", "x.mp4", "--episodes", "2", "run")

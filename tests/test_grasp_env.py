@@ -19,7 +19,7 @@ TASKS = ("lift-and-hold", "reach-goal")
 
 
 def make(**choices):
-    return envs.make("shadow", **{"hold_steps": 100, **choices})
+    return envs.make("shadow", **{"hold_seconds": 0.4, **choices})
 
 
 def rollout(env, seed, n=30, scale=1.0):
@@ -40,7 +40,7 @@ def rollout(env, seed, n=30, scale=1.0):
 @pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
 @pytest.mark.parametrize("hand", ["shadow", "mpl"])
 def test_gymnasium_accepts_it(task, touch, simulator, hand):
-    env = envs.make(hand, hold_steps=100, task=task, touch=touch, simulator=simulator)
+    env = envs.make(hand, hold_seconds=0.4, task=task, touch=touch, simulator=simulator)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.filterwarnings("ignore", message=".*(infinity|render).*")
@@ -302,7 +302,7 @@ class TestFaults:
             dict(object_size=(0.02, 0.02, 0.16)),
             dict(layout="9"),
             dict(reward="sparse"),
-            dict(hold_steps=0),
+            dict(hold_seconds=0.0),
             dict(run_type="half"),
             dict(task="fly"),
             dict(hold_verdict="maybe"),
@@ -345,9 +345,8 @@ def test_friction_is_the_objects_against_everything(friction):
 class TestHoldTest:
     """The verdict of the hold, on a grasp that holds and on one that cannot."""
 
-    def verdict(self, env, close, verdict="full", steps=1000):
+    def verdict(self, env, close, verdict="full"):
         from tactilerl.envs import scripted
-        from tactilerl.envs.hold import HoldTest
 
         grasp = scripted.grasp_for(env)
         start = scripted.Start(np.zeros(2), 0.0, np.zeros(len(env.hand.joints)))
@@ -356,7 +355,8 @@ class TestHoldTest:
         targets = env.simulator.data.ctrl[env.simulator._ctrl].copy()
         if not close:
             targets[3:] = env.hand.start_targets()[3:]
-        return HoldTest(steps=steps, verdict=verdict).run(env.simulator, targets, env.config.timestep)
+        test = dataclasses.replace(env._hold, seconds=4.0, verdict=verdict)
+        return test.run(env.simulator, targets, env.config.timestep)
 
     @pytest.mark.parametrize("verdict", ["full", "settled"])
     def test_grasped_object_is_held_at_one_metre(self, verdict):
@@ -365,28 +365,35 @@ class TestHoldTest:
         assert env.simulator.link_positions()[0, 2] == pytest.approx(1.0, abs=0.02)
         assert env.simulator.object_state().position[2] > 0.85
 
-    @pytest.mark.parametrize("steps", [20, 49, 100])
-    def test_lasts_as_long_as_it_says(self, steps):
-        from tactilerl.envs.hold import HoldTest
-
-        env = make()
+    @pytest.mark.parametrize("timestep", [0.004, 0.002, 0.0031])
+    @pytest.mark.parametrize("seconds", [0.08, 0.196, 0.4])
+    def test_lasts_as_long_as_it_says_and_looks_as_often_at_any_timestep(self, seconds, timestep):
+        env = make(timestep=timestep, control_dt=50 * timestep, hold_seconds=seconds)
         env.reset(seed=0)
         env.step(np.eye(23)[2])  # the hand is on its way up and lags behind its target
-        test = HoldTest(steps=steps)
-        targets, before = env._targets, []
-        for is_at_top, _ in test.positions(env.simulator, targets, env.config.timestep):
-            before.append((is_at_top, env.simulator.data.time))
-        top = [time for is_at_top, time in before if is_at_top]
-        assert (top[-1] - top[0]) / env.config.timestep == pytest.approx(steps)
+        looks = [
+            (is_at_top, env.simulator.data.time)
+            for is_at_top, _ in env._hold.positions(env.simulator, env._targets, timestep)
+        ]
+        top = [time for is_at_top, time in looks if is_at_top]
+        assert top[-1] - top[0] == pytest.approx(seconds, abs=timestep / 2 + 1e-9)
+        gaps = np.diff([time for is_at_top, time in looks if not is_at_top])
+        assert gaps == pytest.approx(0.1, abs=timestep / 2 + 1e-9)
+
+    @pytest.mark.parametrize(("hand", "timestep"), [("shadow", 0.004), ("mpl", 1 / 240)])
+    def test_is_5000_of_the_set_ups_own_timesteps_whatever_the_timestep(self, hand, timestep):
+        """Looked at every 25 and settled over 400 of them."""
+        times = np.array([5000, 25, 400]) * timestep
+        for choice in ({}, {"timestep": timestep / 2}):
+            test = envs.make(hand, simulator="mujoco", **choice)._hold
+            assert [test.seconds, test.look_every, test.settle_seconds] == pytest.approx(times)
 
     def test_palm_ends_at_one_metre_wherever_it_was_going(self):
-        from tactilerl.envs.hold import HoldTest
-
-        env = make()
+        env = make(hold_seconds=2.0)
         for action in (-1.0, 1.0):
             env.reset(seed=0)
             env.step(action * np.eye(23)[2])
-            list(HoldTest(steps=500).positions(env.simulator, env._targets, env.config.timestep))
+            list(env._hold.positions(env.simulator, env._targets, env.config.timestep))
             assert env.simulator.link_positions()[0, 2] == pytest.approx(
                 1.0, abs=0.02
             )  # the wrist may still turn
@@ -395,14 +402,11 @@ class TestHoldTest:
         assert not self.verdict(make(), close=False)
 
     def test_what_was_thrown_up_is_not_held_while_it_flies(self):
-        from tactilerl.envs.hold import HoldTest
-
-        env = make()
+        env = make(hold_seconds=0.2)
         env.reset(seed=0)
         thing = env.simulator.data.joint("object")
         thing.qpos[2], thing.qvel[2] = 0.5, 40.0
-        test = HoldTest(steps=50)
-        assert not test.run(env.simulator, env._targets, env.config.timestep)
+        assert not env._hold.run(env.simulator, env._targets, env.config.timestep)
         assert env.simulator.object_state().position[2] > 1.0
 
 
@@ -424,7 +428,7 @@ def test_config_is_frozen():
 
 def test_stable_baselines3_trains_on_it_unmodified():
     sb3 = pytest.importorskip("stable_baselines3")
-    env = GraspEnv("shadow", GraspConfig(layout="6", max_episode_steps=20, hold_steps=100))
+    env = GraspEnv("shadow", GraspConfig(layout="6", max_episode_steps=20, hold_seconds=0.4))
     model = sb3.PPO("MultiInputPolicy", env, n_steps=64, batch_size=32, n_epochs=1, device="cpu")
     before = [p.clone() for p in model.policy.parameters()]
     model.learn(128)

@@ -18,7 +18,7 @@ from tactilerl import envs
 from tactilerl.envs import vector
 
 shadow = partial(envs.make, "shadow", task="reach-goal")
-mpl = partial(envs.make, "mpl", layout="1", hold_steps=200)
+mpl = partial(envs.make, "mpl", layout="1", hold_seconds=0.8)
 
 
 needs_pybullet = pytest.mark.skipif(find_spec("pybullet") is None, reason="no PyBullet")
