@@ -71,6 +71,7 @@ class GraspConfig:
     def __post_init__(self) -> None:
         size = (self.object_size,) if np.ndim(self.object_size) == 0 else self.object_size
         object.__setattr__(self, "object_size", tuple(size))  # a number, or JSON's list
+        object.__setattr__(self, "layout", str(self.layout))  # 4 is "4"
 
     @property
     def shape(self) -> objects.Shape:
@@ -142,7 +143,7 @@ TALLEST = 0.15  # m, of an object: held at its top, its centre is well above wha
 OFF_GROUND = 0.005  # m under the object's lowest point: lift-and-hold's attempt has begun
 JITTER_POSITION = 0.005  # m, of the object along x and y
 JITTER_YAW = 0.15  # rad, of the object
-JITTER_JOINT = 0.02  # rad, of every finger joint
+JITTER_JOINT = 0.02  # rad, of every finger joint, within its range
 
 
 class GraspEnv(gym.Env[Any, Array]):
@@ -156,7 +157,7 @@ class GraspEnv(gym.Env[Any, Array]):
     and says how often.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 5}
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}
 
     def __init__(
         self,
@@ -169,6 +170,7 @@ class GraspEnv(gym.Env[Any, Array]):
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode: found {render_mode!r}, allowed None or 'rgb_array'")
         self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": max(1, round(1 / config.control_dt))}
         self.shape = config.shape
         width, height = self.shape.width, self.shape.height
         self.hand = hands.load(hand).over(width, height)
@@ -223,12 +225,17 @@ class GraspEnv(gym.Env[Any, Array]):
             position[:2] += rng.uniform(-JITTER_POSITION, JITTER_POSITION, 2)
             yaw = rng.uniform(-JITTER_YAW, JITTER_YAW)
             positions[3:] += rng.uniform(-JITTER_JOINT, JITTER_JOINT, len(positions) - 3)
+            positions = np.clip(positions, *self.simulator.joint_limits.T)
         self._targets = self.hand.start_targets()
         self._steps, self._is_off_ground = 0, False
-        self.simulator.reset(positions, position, yaw)
-        _, thing = seen = self._look()
+        try:
+            self.simulator.reset(positions, position, yaw)
+            _, thing = seen = self._look()
+            observation = self._observation(*seen)
+        except simulators.SimulationError as error:
+            raise simulators.SimulationError(f"an episode cannot begin: {error}") from error
         self._object_position = thing.position
-        self._obs = self._goal_obs(self._observation(*seen), self._situation(*seen, "undecided"))
+        self._obs = self._goal_obs(observation, self._situation(*seen, "undecided"))
         return self._obs, {"is_success": False}
 
     def step(self, action: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:

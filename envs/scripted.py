@@ -30,7 +30,7 @@ class Start:
 
 
 def perturbed_start(rng: np.random.Generator, n_joints: int) -> Start:
-    """A start as the environment's jitter would make it."""
+    """A start as the environment's jitter would make it, but for the joints' ranges."""
     joints = np.concatenate([np.zeros(3), rng.uniform(-JOINT, JOINT, n_joints - 3)])
     return Start(rng.uniform(-OFFSET, OFFSET, 2), float(rng.uniform(-YAW, YAW)), joints)
 

@@ -407,6 +407,13 @@ class TestBadInput:
         assert not list(Path("run").rglob("*.tmp"))
         assert main(["train", "--resume", "run"]) == 0
 
+    def test_a_simulator_that_breaks_in_reset_is_one_line(self, capsys, monkeypatch):
+        monkeypatch.setattr("tactilerl.envs.grasp.JITTER_POSITION", 1e200)
+        assert main(["train", "--env", "shadow", *FAST]) == 1
+        err = capsys.readouterr().err
+        assert err.startswith("tactilerl: stopped: an episode cannot begin: ")
+        assert err.count("\n") == 1
+
     def test_divergence_stops_with_the_last_checkpoint_kept(self, capsys):
         main([*TOY, "--total-timesteps", "1", "--out", "run"])
         data = torch.load("run/checkpoint.pt", weights_only=True)
