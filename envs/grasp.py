@@ -35,9 +35,9 @@ class GraspConfig:
     """Taxels: 1-6 (paper, Fig. 2), a named design, or the path of a .toml file."""
     run_type: Literal["main", "control", "absent"] = "main"
     """main: taxels read; control: all zero, same size (paper); absent: no taxel entries."""
-    touch: Literal["overlap", "contact"] = "overlap"
-    """Touch rule. overlap: the taxel's sphere overlaps the object; contact: the simulator's own
-    contact points (paper). Why overlap: docs/environments.md."""
+    touch: Literal["skin", "contact"] = "skin"
+    """Touch rule. skin: the taxel's sphere overlaps the object, and its skin touches it; contact:
+    the simulator's own contact points (paper). Why skin: docs/environments.md."""
     object: objects.Kind = "box"
     """box, sphere or cylinder."""
     object_size: tuple[float, ...] = (0.05,)
@@ -175,7 +175,7 @@ class GraspEnv(gym.Env[Any, Array]):
         width, height = self.shape.width, self.shape.height
         self.hand = hands.load(hand).over(width, height)
         self.taxels = layouts.load(config.layout).place(self.hand)
-        self._placement = touch.TaxelPlacement(self.taxels)
+        self._touch = touch.SkinTouch(self.taxels, self.hand.surfaces)
         self.task = _task(config)
         self.max_episode_steps = config.max_episode_steps or self.task.max_episode_steps
         self._contact = config.touch == "contact"
@@ -329,8 +329,8 @@ class GraspEnv(gym.Env[Any, Array]):
     def _feel(self, thing: objects.ObjectState) -> Array:
         if self._contact:
             return self.simulator.contact_taxels()
-        poses = self.simulator.link_poses(self._placement.links)
-        return self._placement.overlap(*poses, self.shape, thing)
+        poses = self.simulator.link_poses(self._touch.links)
+        return self._touch.read(*poses, self.shape, thing)
 
     def _observation(self, points: Array, thing: objects.ObjectState) -> Array:
         positions, velocities = self.simulator.joint_state()

@@ -470,7 +470,7 @@ class TestOtherCommands:
         assert "observation[61] taxel thumb.proximal[+0,+0]" in out
         assert out.count("observation[") == 80
 
-    def test_doctor_passes_the_overlap_rule_and_fails_the_contact_rule(self, capsys):
+    def test_doctor_passes_the_skin_rule_and_fails_the_contact_rule(self, capsys):
         few = ["--grasps", "4", "--json"]
         assert main(["doctor", "--env", "shadow", *few]) == 0
         felt = {f["layout"]: f for f in json.loads(capsys.readouterr().out)}

@@ -39,7 +39,7 @@ def rollout(env, seed, n=30, scale=1.0):
 
 
 @pytest.mark.parametrize("task", TASKS)
-@pytest.mark.parametrize("touch", ["overlap", "contact"])
+@pytest.mark.parametrize("touch", ["skin", "contact"])
 @pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
 @pytest.mark.parametrize("hand", ["shadow", "mpl"])
 def test_gymnasium_accepts_it(task, touch, simulator, hand):
@@ -309,7 +309,7 @@ class TestFaults:
         assert env.step(up)[-1]["warnings"] == fresh
         assert "warnings" not in env.step(up)[-1]
 
-    @pytest.mark.parametrize("touch", ["overlap", "contact"])
+    @pytest.mark.parametrize("touch", ["skin", "contact"])
     def test_a_step_without_memory_is_divergence_and_the_next_episode_is_whole(
         self, touch, little_memory
     ):
@@ -340,7 +340,7 @@ class TestFaults:
     def test_an_episode_that_cannot_begin_is_one_clear_error(self, simulator):
         env = envs.make("mpl", simulator=simulator)
         env._start_positions[5] = np.nan
-        with pytest.raises(SimulationError, match="an episode cannot begin: .* is not finite"):
+        with pytest.raises(SimulationError, match=r"an episode cannot begin: .* is not finite"):
             env.reset(seed=0)
         env.close()
 

@@ -10,7 +10,7 @@ import numpy as np
 from ..hands import Array
 from ..layouts import Taxels
 from ..objects import ObjectState, Shape
-from ..touch import TaxelPlacement
+from ..touch import taxel_points
 from . import Camera, Scene, SimulationError, joint_limits
 
 OBJECT = "object"
@@ -237,7 +237,7 @@ class MujocoSimulator:
     def _draw(self, taxels: Taxels, lit: Array) -> None:
         assert self._renderer is not None
         scene = self._renderer.scene
-        points = TaxelPlacement(taxels).world(*self.link_poses(taxels.links))
+        points = taxel_points(taxels).world(*self.link_poses(taxels.links))
         for point, radius, on in zip(points, taxels.radii, lit, strict=True):
             if scene.ngeom >= scene.maxgeom:
                 raise RuntimeError("too many taxels to draw")

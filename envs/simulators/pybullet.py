@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from ..hands import Array
 from ..layouts import Taxels
 from ..objects import ObjectState, Shape
-from ..touch import TaxelPlacement
+from ..touch import taxel_points
 from . import Camera, Scene, SimulationError, joint_limits, urdf
 from .mujoco import MujocoSimulator
 
@@ -74,7 +74,7 @@ class PyBulletSimulator:
         self._point_links = tuple(body for body, _ in points)
         self._points = np.array([point for _, point in points])
         felt = scene.contact_taxels
-        self._taxels = None if felt is None else TaxelPlacement(felt)
+        self._taxels = None if felt is None else taxel_points(felt)
         self._painter: MujocoSimulator | None = None
 
     def __reduce__(self) -> Any:
