@@ -1,4 +1,4 @@
-"""Does a taxel fire whose link does not touch the object? The rule of overlap alone and the rule "skin".
+"""Does a taxel fire whose link does not touch the object? By overlap alone, and by the rule "skin".
 
 Perturbed scripted grasps of every hand in every simulator, read by all six layouts at once. A bit is
 false when it is on and the simulator's own distance between its link and the object is above 0.5 mm.
@@ -76,7 +76,7 @@ def phases(env: GraspEnv, start: scripted.Start) -> Any:
 
 
 def cost(env: GraspEnv, rules: dict[str, Any]) -> dict[str, float]:
-    """CPU time of one reading in layout 1, as a share of a control step's; the better half counts."""
+    """CPU time of one reading in layout 1, as a share of a control step's; lower quartiles."""
     poses, thing = env.simulator.link_poses(rules["skin"].links), env.simulator.object_state()
     n, targets = env.config.n_substeps, env.hand.start_targets()
     work = {name: lambda rule=rule: rule.read(*poses, env.shape, thing) for name, rule in rules.items()}

@@ -74,7 +74,7 @@ def test_a_taxel_feels_what_touches_its_skin_and_not_what_is_only_near(surface, 
 
 
 def test_a_taxel_reaches_as_far_as_its_radius_along_a_link_that_touches():
-    """A face touches the base of a bone and leaves it at 0.1 rad: 1.2 and 1.8 mm off at the last two."""
+    """A face touches the base of a bone and leaves it at 0.1 rad: by 1.2 and 1.8 mm at the last."""
     tilt = Rotation.from_rotvec([0.1, 0.0, 0.0]).as_matrix()
     thing = pose(-(R + 0.05) * tilt[:, 1], tilt)
     rows = np.array([0.0, 0.012, 0.018]) - L / 2
