@@ -139,7 +139,7 @@ class TestTrain:
             assert main(["train", "--env", name, *FAST, "--total-timesteps", "1", "--out", name]) == 0
 
     def test_shadow_hand_trains(self):
-        args = ["train", "--env", "shadow", "--layout", "4", *FAST, "--hold-steps", "50"]
+        args = ["train", "--env", "shadow", "--layout", "4", *FAST, "--hold-seconds", "0.2"]
         args += ["--max-episode-steps", "30", "--total-timesteps", "200"]
         assert main([*args, "--out", "run"]) == 0
         assert len(progress(Path("run"))) == 2
@@ -179,7 +179,7 @@ class TestTrain:
     @pytest.mark.parametrize("hand", ["shadow", "mpl"])
     @pytest.mark.parametrize("algo", ["ppo", "ddpg_her"])
     def test_every_algorithm_hand_and_simulator(self, algo, hand, simulator):
-        args = HER if algo == "ddpg_her" else ["train", *FAST, "--hold-steps", "50"]
+        args = HER if algo == "ddpg_her" else ["train", *FAST, "--hold-seconds", "0.2"]
         args = [*args, "--env", hand, "--simulator", simulator, "--max-episode-steps", "6"]
         args += ["--steps-per-epoch", "24"] if algo == "ppo" else []
         assert main([*args, "--total-timesteps", "48", "--out", "run"]) == 0
@@ -188,7 +188,7 @@ class TestTrain:
 
     def test_ddpg_her_on_lift_and_hold(self):
         args = [*HER, "--task", "lift-and-hold", "--no-clip-target", "--termination", "terminal"]
-        args += ["--max-episode-steps", "10", "--hold-steps", "50", "--total-timesteps", "30"]
+        args += ["--max-episode-steps", "10", "--hold-seconds", "0.2", "--total-timesteps", "30"]
         assert main([*args, "--out", "run"]) == 0
 
     def test_tensorboard(self):
@@ -209,7 +209,7 @@ class TestResume:
     @pytest.mark.parametrize("algo", ["ppo", "ddpg_her"])
     def test_killed_run_equals_the_uninterrupted_one(self, algo):
         """kill -9 in the middle of an epoch, several times, on the real hand."""
-        args = ["train", *FAST, "--hold-steps", "50"] if algo == "ppo" else HER
+        args = ["train", *FAST, "--hold-seconds", "0.2"] if algo == "ppo" else HER
         args = [*args, "--env", "shadow", "--layout", "6", "--max-episode-steps", "20"]
         args += ["--total-timesteps", "600"]
         main([*args, "--out", "whole"])
@@ -300,7 +300,7 @@ class TestResume:
         lines = [f"{key} = {json.dumps(value)}" for key, value in patch.items()]
         Path("mine.toml").write_text("\n".join(["[[patch]]", *lines]))
         args = ["train", "--layout", "mine.toml", *FAST, "--max-episode-steps", "5"]
-        main([*args, "--hold-steps", "50", "--total-timesteps", "1", "--out", "run"])
+        main([*args, "--hold-seconds", "0.2", "--total-timesteps", "1", "--out", "run"])
         Path("mine.toml").unlink()
         assert main(["evaluate", "run", "--episodes", "1"]) == 0
         assert main(["train", "--resume", "run"]) == 0
@@ -434,6 +434,13 @@ class TestBadInput:
         assert not list(Path("run").rglob("*.tmp"))
         assert main(["train", "--resume", "run"]) == 0
 
+    def test_a_simulator_that_breaks_in_reset_is_one_line(self, capsys, monkeypatch):
+        monkeypatch.setattr("tactilerl.envs.grasp.JITTER_POSITION", 1e200)
+        assert main(["train", "--env", "shadow", *FAST]) == 1
+        err = capsys.readouterr().err
+        assert err.startswith("tactilerl: stopped: an episode cannot begin: ")
+        assert err.count("\n") == 1
+
     def test_divergence_stops_with_the_last_checkpoint_kept(self, capsys):
         main([*TOY, "--total-timesteps", "1", "--out", "run"])
         data = torch.load("run/checkpoint.pt", weights_only=True)
@@ -490,7 +497,7 @@ class TestOtherCommands:
         assert "observation[61] taxel thumb.proximal[+0,+0]" in out
         assert out.count("observation[") == 80
 
-    def test_doctor_passes_the_overlap_rule_and_fails_the_contact_rule(self, capsys):
+    def test_doctor_passes_the_skin_rule_and_fails_the_contact_rule(self, capsys):
         few = ["--grasps", "4", "--json"]
         assert main(["doctor", "--env", "shadow", *few]) == 0
         felt = {f["layout"]: f for f in json.loads(capsys.readouterr().out)}
@@ -521,7 +528,7 @@ class TestOtherCommands:
     def test_render_films_a_trained_run(self):
         pytest.importorskip("imageio_ffmpeg")
         imageio = pytest.importorskip("imageio.v2")
-        short = ["--max-episode-steps", "4", "--hold-steps", "50", "--n-passes", "1"]
+        short = ["--max-episode-steps", "4", "--hold-seconds", "0.2", "--n-passes", "1"]
         epoch = ["--total-timesteps", "8", "--steps-per-epoch", "8", "--out", "run"]
         assert main(["train", "--env", "shadow", "--layout", "6", *short, *epoch]) == 0
         result = render("--video", "x.mp4", "--episodes", "1", "run")
