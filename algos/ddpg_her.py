@@ -118,9 +118,7 @@ def targets(rewards: Tensor, next_values: Tensor, terminal: Tensor, gamma: float
     return values.clamp(-1.0 / (1.0 - gamma), 0.0) if clip else values
 
 
-def explore(
-    actions: Array, noise_eps: float, random_eps: float, rng: np.random.Generator
-) -> Array:
+def explore(actions: Array, noise_eps: float, random_eps: float, rng: np.random.Generator) -> Array:
     """Noisy copies of actions (..., d) in [-1, 1]; whole rows are random with `random_eps`."""
     noisy = actions + np.float32(noise_eps) * rng.standard_normal(actions.shape, dtype=np.float32)
     noisy = np.clip(noisy, -1.0, 1.0)
@@ -223,8 +221,9 @@ class DDPGHER:
         epoch = config.n_cycles * config.n_rollouts * replay.max_steps
         return (
             f"epochs of up to {epoch:,} steps and {config.n_cycles * config.n_batches:,} updates in "
-            f"each process, gamma {config.gamma:g}, HER probability {config.replay_p:g}, replay of "
-            f"{config.buffer_size:,} transitions: {replay.nbytes / 1e9:.2f} GB in each process when full"
+            f"each process, gamma {config.gamma:g}, HER probability {config.replay_p:g}, "
+            f"replay of {config.buffer_size:,} transitions: {replay.nbytes / 1e9:.2f} GB in each "
+            "process when full"
         )
 
     # -- acting and collecting ---------------------------------------------------------------

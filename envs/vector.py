@@ -245,32 +245,26 @@ def _serve(connection: Connection[Any, Any], make: Make, set_up: Callable[[], No
     None means that the number in play is not wanted any more; when it comes too late, it means
     nothing.
     """
-    env: gym.Env[Any, Any] | None = None
-    task: Any = None
-
-    def attempt(work: Callable[[], Any]) -> None:
+    with suppress(EOFError, ConnectionError), ExitStack() as opened:
         try:
-            answer = work()
+            set_up()
+            env = make()
+            opened.callback(env.close)
         except Exception as error:
-            answer = _as_sent(error)
-        connection.send(answer)
-
-    def begin() -> None:
-        nonlocal env
-        set_up()
-        env = make()
-
-    with suppress(EOFError, ConnectionError):
-        attempt(begin)
-        while env is not None:
+            connection.send(_as_sent(error))
+            return
+        connection.send(None)
+        task: Any = None
+        while True:
             message = connection.recv()
             if isinstance(message, int):
-                number = message
-                attempt(lambda: task(env, number, lambda: not connection.poll()))
+                try:
+                    answer = task(env, message, lambda: not connection.poll())
+                except Exception as error:
+                    answer = _as_sent(error)
+                connection.send(answer)
             elif message is not None:
                 task = message
-    if env is not None:
-        env.close()
 
 
 def _as_sent(error: Exception) -> Exception:

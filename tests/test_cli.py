@@ -544,9 +544,7 @@ class TestOtherCommands:
             main(["train", "--help"])
         assert stop.value.code == 0
         out = capsys.readouterr().out
-        flags = (
-            "algo env simulator task reward layout run-type total-timesteps workers seed out resume"
-        )
+        flags = "algo env simulator task reward layout run-type total-timesteps workers seed out resume"
         flags += " device gamma gae-lambda clip-range n-passes action-variance"
         for flag in flags.split():
             assert f"--{flag}" in out, flag

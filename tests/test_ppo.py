@@ -226,6 +226,7 @@ class TestLearning:
         for total, part in zip(expected, zip(*parts, strict=True), strict=True):
             torch.testing.assert_close(sum(part), total, atol=1e-5, rtol=1e-4)
 
+
 class TestHardCases:
     @pytest.mark.parametrize(
         "choices",

@@ -34,14 +34,19 @@ def few_steps(env, number, is_wanted):
 
 
 @pytest.mark.parametrize(
-    "make", [pytest.param(shadow, id="threads"), pytest.param(mpl, id="processes", marks=pytest.mark.pybullet)]
+    "make",
+    [pytest.param(shadow, id="threads"), pytest.param(mpl, id="processes", marks=pytest.mark.pybullet)],
 )
 def test_any_number_of_workers_gives_the_same(make, request):
     results = []
     for n in (1, 3):
         with closing(vector.start(make, n)) as workers:
             assert len(workers) == n
-            kind = vector.RemotePlayer if n > 1 and "processes" in request.node.name else vector.LocalPlayer
+            kind = (
+                vector.RemotePlayer
+                if n > 1 and "processes" in request.node.name
+                else vector.LocalPlayer
+            )
             assert all(type(player) is kind for player in workers._players)
             results.append(list(workers.play(few_steps, range(7))))
     for one, three in zip(*results, strict=True):
