@@ -9,8 +9,10 @@ from typing import Any, Literal, get_args, get_type_hints
 import gymnasium as gym
 import numpy as np
 
-from . import hands, layouts, objects, simulators, tasks, touch
+from . import hands, layouts, objects, observations, simulators, tasks, touch
 from .hold import HoldTest, Verdict
+from .observations import ObservationConfig, Observer
+from .snapshot import Snapshot
 
 Array = np.ndarray
 LIMIT = 1e6  # observations beyond this are a broken simulation
@@ -18,7 +20,7 @@ EJECTED = 10.0  # m/s, of the object during an action: twice what random actions
 
 
 @dataclass(frozen=True)
-class GraspConfig:
+class GraspConfig(ObservationConfig):
     """Every choice a grasping scene leaves open. SI units and radians.
 
     The defaults are the Shadow Hand's; `setup` gives those of another hand.
@@ -69,6 +71,7 @@ class GraspConfig:
     """reach-goal: success within this distance, m."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         size = (self.object_size,) if np.ndim(self.object_size) == 0 else self.object_size
         object.__setattr__(self, "object_size", tuple(size))  # a number, or JSON's list
         object.__setattr__(self, "layout", str(self.layout))  # 4 is "4"
@@ -117,6 +120,7 @@ class GraspConfig:
             raise ValueError(
                 f"reward: found {self.reward!r}, allowed for {self.task}: {', '.join(allowed)}"
             )
+        observations.validate(self, self.run_type, is_boolean=True)
 
 
 # What the paper's set-up of a hand says differently from `GraspConfig`'s own defaults.
@@ -196,9 +200,8 @@ class GraspEnv(gym.Env[Any, Array]):
         self._warnings = self.simulator.warnings
         self._hold = HoldTest.of_setup(setup(hand).timestep, config.hold_seconds, config.hold_verdict)
         self._desired_goal = self.task.desired_goal().astype(np.float32)
-        self._object_id = np.array([float(objects.KINDS.index(self.shape.kind))])
-        first = [self.hand.joints.index(joint) for joint in self.hand.first_joints]
-        self._first_joints = np.array(first, dtype=int)
+        told = () if config.run_type == "absent" else self.taxels.names
+        self._observer = Observer(config, self.hand, told, is_boolean=True)
         self._start_positions = self.hand.start_positions()
         self._targets = self.hand.start_targets()
         self._steps, self._is_off_ground = 0, False
@@ -209,14 +212,14 @@ class GraspEnv(gym.Env[Any, Array]):
 
     def _spaces(self) -> gym.spaces.Dict:
         """Taxels lie between 0 and 1; a task with a single goal has it as its only one."""
-        n_obs, goal = len(self.observation_names()), self._desired_goal
+        goal = self._desired_goal
         unbounded = np.full_like(goal, np.inf)
-        low, high = np.full(n_obs, -np.inf, np.float32), np.full(n_obs, np.inf, np.float32)
-        low[n_obs - self.n_boolean :], high[n_obs - self.n_boolean :] = 0.0, 1.0
         lowest, highest = (goal, goal) if self.task.has_single_goal else (-unbounded, unbounded)
         return gym.spaces.Dict(
             {
-                "observation": gym.spaces.Box(low, high, dtype=np.float32),
+                "observation": gym.spaces.Box(
+                    self._observer.low, self._observer.high, dtype=np.float32
+                ),
                 "achieved_goal": gym.spaces.Box(-unbounded, unbounded, dtype=np.float32),
                 "desired_goal": gym.spaces.Box(lowest, highest, dtype=np.float32),
             }
@@ -236,14 +239,15 @@ class GraspEnv(gym.Env[Any, Array]):
             positions = np.clip(positions, *self.simulator.joint_limits.T)
         self._targets = self.hand.start_targets()
         self._steps, self._is_off_ground = 0, False
+        self._observer.begin(self.np_random.spawn(1)[0])
         try:
             self.simulator.reset(positions, position, yaw)
-            _, thing = seen = self._look()
-            observation = self._observation(*seen)
+            seen = self._look()
+            observation = self._observation(seen)
         except simulators.SimulationError as error:
             raise simulators.SimulationError(f"an episode cannot begin: {error}") from error
-        self._object_position = thing.position
-        self._obs = self._goal_obs(observation, self._situation(*seen, "undecided"))
+        self._object_position = seen.thing.position
+        self._obs = self._goal_obs(observation, self._situation(seen, "undecided"))
         return self._obs, {"is_success": False}
 
     def step(self, action: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
@@ -256,10 +260,10 @@ class GraspEnv(gym.Env[Any, Array]):
         self._steps += 1
         try:
             self.simulator.step(self._targets, self.config.n_substeps)
-            _, thing = seen = self._look()
-            self._follow(thing.position)
-            observation = self._observation(*seen)
-            situation = self._situation(*seen, self._outcome_before_hold(thing))
+            seen = self._look()
+            self._follow(seen.thing.position)
+            observation = self._observation(seen)
+            situation = self._situation(seen, self._outcome_before_hold(seen.thing))
             if situation.outcome == "lifted":
                 held = self._hold.run(self.simulator, self._targets, self.config.timestep)
                 situation = replace(situation, outcome="held" if held else "dropped")
@@ -280,28 +284,12 @@ class GraspEnv(gym.Env[Any, Array]):
 
     def observation_names(self) -> list[str]:
         """What each entry of ``observation`` is, in order."""
-        names = {
-            "object_id": ["object kind: " + ", ".join(objects.KINDS)],
-            "hand_position": [f"hand {axis}" for axis in "xyz"],
-            "finger_joints": [f"position of {joint}" for joint in self.hand.first_joints],
-            "joint_positions": [f"position of {joint}" for joint in self.hand.joints],
-            "joint_velocities": [f"velocity of {joint}" for joint in self.hand.joints],
-            "object_position": [f"object {axis}" for axis in "xyz"],
-            "object_orientation": [f"object quaternion {axis}" for axis in "wxyz"],
-        }
-        entries = [name for term in self.hand.observation for name in names[term]]
-        entries += [f"taxel {name}" for name in self.taxels.names][: self.n_boolean]
-        return entries
+        return list(self._observer.names)
 
     @property
     def side_by_side(self) -> str:
         """How several of these may be played in at once (`vector.start`)."""
         return "processes" if self.simulator.holds_gil else "threads"
-
-    @property
-    def n_boolean(self) -> int:
-        """How many entries at the end of ``observation`` are 0 or 1: the taxels."""
-        return 0 if self.config.run_type == "absent" else len(self.taxels)
 
     def taxel_readings(self) -> Array:
         """bool (n_taxels,): what the taxels feel now by the configured touch rule."""
@@ -320,9 +308,11 @@ class GraspEnv(gym.Env[Any, Array]):
     def close(self) -> None:
         self.simulator.close()
 
-    def _look(self) -> tuple[Array, objects.ObjectState]:
-        """Where hand and object are now, asked of the simulator once for all that follows."""
-        return self.simulator.link_positions(), self.simulator.object_state()
+    def _look(self) -> Snapshot:
+        """What is true now, asked of the simulator once for all that follows."""
+        palm, *fingertips = self.simulator.link_positions()
+        joints, thing = self.simulator.joint_state(), self.simulator.object_state()
+        return Snapshot(palm, np.array(fingertips), *joints, thing, self.shape)
 
     def _follow(self, position: Array) -> None:
         """Where is the object after this action? SimulationError when it got there too fast: the
@@ -340,23 +330,14 @@ class GraspEnv(gym.Env[Any, Array]):
         poses = self.simulator.link_poses(self._touch.links)
         return self._touch.read(*poses, self.shape, thing)
 
-    def _observation(self, points: Array, thing: objects.ObjectState) -> Array:
-        positions, velocities = self.simulator.joint_state()
-        terms = {
-            "object_id": self._object_id,
-            "hand_position": points[0],
-            "finger_joints": positions.take(self._first_joints),
-            "joint_positions": positions,
-            "joint_velocities": velocities,
-            "object_position": thing.position,
-            "object_orientation": thing.orientation,
-        }
-        parts = [terms[term] for term in self.hand.observation]
-        if self.config.run_type == "main":
-            parts.append(self._feel(thing))
-        elif self.config.run_type == "control":
-            parts.append(np.zeros(len(self.taxels)))
-        observation = np.concatenate(parts, dtype=np.float32, casting="same_kind")
+    def _observation(self, seen: Snapshot) -> Array:
+        """What the policy is told; SimulationError when the physics broke."""
+        run_type = self.config.run_type
+        if run_type == "main":
+            taxels = self._feel(seen.thing)
+        else:
+            taxels = np.zeros(len(self.taxels) if run_type == "control" else 0)
+        observation = self._observer.observe(seen, taxels)
         largest = np.abs(observation).max()
         if not largest < LIMIT:
             raise simulators.SimulationError(
@@ -369,10 +350,8 @@ class GraspEnv(gym.Env[Any, Array]):
         told, self._warnings = self._warnings, self.simulator.warnings
         return info if self._warnings == told else {**info, "warnings": self._warnings - told}
 
-    def _situation(
-        self, points: Array, thing: objects.ObjectState, outcome: tasks.Outcome
-    ) -> tasks.Situation:
-        return tasks.Situation(points[0], points[1:], thing.position, outcome)
+    def _situation(self, seen: Snapshot, outcome: tasks.Outcome) -> tasks.Situation:
+        return tasks.Situation(seen.hand, seen.fingertips, seen.thing.position, outcome)
 
     def _goal_obs(self, observation: Array, situation: tasks.Situation) -> dict[str, Array]:
         return {

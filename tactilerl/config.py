@@ -87,6 +87,8 @@ class RunConfig:
     def make_env(self) -> Callable[..., Any]:
         """Makes one environment; can be pickled."""
         choices = dataclasses.asdict(self.scene) if self.scene is not None else {}
+        if choices.get("hand_seed", 0) is None:
+            choices["hand_seed"] = self.run.seed
         if self.layout_file and self.folder and (self.folder / LAYOUT_COPY).is_file():
             choices["layout"] = str(self.folder / LAYOUT_COPY)
         return partial(envs.make, self.run.env, **choices)

@@ -1,0 +1,389 @@
+"""What the policy is told: terms, sight of the object, joint angles, taxels with their faults, history.
+
+One small object a concern. Each is a `Stage` that a reading passes on its way: it is begun with every
+episode and a generator of its own, so that what one draws moves nothing that another draws. Goals
+and rewards never pass here: they keep the truth.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from typing import Literal, Protocol
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from . import objects
+from .hands import SLIDES, Array, Hand
+from .snapshot import Snapshot
+
+SIGHT_NOISE = (0.01, 0.1)  # m and rad, where noise is asked for without saying how much
+LONGEST = 100  # control steps of history or delay: more is a slip
+
+
+@dataclass(frozen=True)
+class SensorConfig:
+    """How well the hand knows itself, its object and what it touches. Perfectly, by default."""
+
+    object_seen: Literal["exact", "noisy", "start", "hidden"] = "exact"
+    """How the policy sees the object's position and orientation: exact (paper), noisy (--sight-noise),
+    start (as they were when the episode began), hidden (zero)."""
+    sight_noise: tuple[float, float] | None = None
+    """Standard deviation of each coordinate, m, and about each axis, rad, with --object-seen noisy;
+    default: 0.01 0.1."""
+    sight_noise_kind: Literal["white", "held"] = "white"
+    """white: drawn anew at every step; held: once an episode."""
+    joint_noise: float = 0.0
+    """Standard deviation of each joint angle that the policy is told, rad, drawn at every step."""
+    taxel_false_on: float = 0.0
+    """Probability at every step that a taxel that is off reads on."""
+    taxel_false_off: float = 0.0
+    """Probability at every step that a taxel that is on reads off."""
+    taxel_dead: float = 0.0
+    """Share of the taxels that never fire; which ones follows from --hand-seed."""
+    taxel_stuck: float = 0.0
+    """Share of the taxels that always fire; which ones follows from --hand-seed."""
+    taxel_delay: int = 0
+    """Control steps by which the taxels' readings are late."""
+    hand_seed: int | None = None
+    """Which taxels are broken follows from this; default: the run's seed."""
+
+    def __post_init__(self) -> None:
+        if self.sight_noise is not None:
+            object.__setattr__(self, "sight_noise", tuple(self.sight_noise))  # JSON's list
+
+
+@dataclass(frozen=True)
+class ObservationConfig(SensorConfig):
+    """What the policy is told."""
+
+    history: int = 1
+    """The last so many observations side by side."""
+
+
+SHARES = ("taxel_false_on", "taxel_false_off", "taxel_dead", "taxel_stuck")
+
+
+def validate(config: ObservationConfig, run_type: str, is_boolean: bool) -> None:
+    """ValueError naming the first field that cannot be, or does nothing in a run of this type."""
+    _validate_values(config)
+    if config.object_seen != "noisy":
+        _require_defaults(config, ("sight_noise", "sight_noise_kind"), "object_seen noisy")
+    if run_type != "main":
+        only_with = "run_type main (in others no taxel is read)"
+        _require_defaults(config, (*SHARES, "taxel_delay"), only_with)
+    if not is_boolean:
+        only_with = "Boolean taxels (touch skin or contact)"
+        _require_defaults(config, ("taxel_false_on", "taxel_stuck"), only_with)
+
+
+def _validate_values(config: ObservationConfig) -> None:
+    for name in SHARES:
+        if not 0 <= getattr(config, name) <= 1:
+            raise ValueError(f"{name}: found {getattr(config, name)}, allowed from 0 to 1")
+    if (together := config.taxel_dead + config.taxel_stuck) > 1:
+        raise ValueError(f"taxel_stuck: found {together:g} with taxel_dead, allowed together up to 1")
+    for name in ("joint_noise", "sight_noise"):
+        for value in np.ravel(getattr(config, name) or 0.0):
+            if not (np.isfinite(value) and value >= 0):
+                raise ValueError(f"{name}: found {value}, allowed a finite number from 0")
+    for name, least, most in (
+        *(("history", 1, LONGEST), ("taxel_delay", 0, LONGEST)),
+        ("hand_seed", 0, 2**32 - 1),
+    ):
+        found = getattr(config, name)
+        if found is not None and not least <= found <= most:
+            raise ValueError(f"{name}: found {found}, allowed from {least} to {most}")
+
+
+def _require_defaults(config: ObservationConfig, names: tuple[str, ...], only_with: str) -> None:
+    """ValueError for a field that was set where it does nothing."""
+    defaults = {field.name: field.default for field in fields(config)}
+    for name in names:
+        if (found := getattr(config, name)) != defaults[name]:
+            raise ValueError(f"{name}: found {found}, allowed only with {only_with}")
+
+
+# -- terms -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Term:
+    """A few entries of the observation; a hand's ``observation`` says which terms it has."""
+
+    names: Callable[[Hand], list[str]]
+    """What each entry is."""
+    read: Callable[[Hand, Snapshot], Array]
+    """(n,) from what the policy may know."""
+
+
+def _first_joints(hand: Hand) -> list[int]:
+    return [hand.joints.index(joint) for joint in hand.first_joints]
+
+
+TERMS = {
+    "object_id": Term(
+        lambda hand: ["object kind: " + ", ".join(objects.KINDS)],
+        lambda hand, seen: np.array([float(objects.KINDS.index(seen.shape.kind))]),
+    ),
+    "hand_position": Term(
+        lambda hand: [f"hand {axis}" for axis in "xyz"], lambda hand, seen: seen.hand
+    ),
+    "finger_joints": Term(
+        lambda hand: [f"position of {joint}" for joint in hand.first_joints],
+        lambda hand, seen: seen.joint_positions.take(_first_joints(hand)),
+    ),
+    "joint_positions": Term(
+        lambda hand: [f"position of {joint}" for joint in hand.joints],
+        lambda hand, seen: seen.joint_positions,
+    ),
+    "joint_velocities": Term(
+        lambda hand: [f"velocity of {joint}" for joint in hand.joints],
+        lambda hand, seen: seen.joint_velocities,
+    ),
+    "object_position": Term(
+        lambda hand: [f"object {axis}" for axis in "xyz"], lambda hand, seen: seen.thing.position
+    ),
+    "object_orientation": Term(
+        lambda hand: [f"object quaternion {axis}" for axis in "wxyz"],
+        lambda hand, seen: seen.thing.orientation,
+    ),
+}
+
+
+# -- stages ----------------------------------------------------------------------------------
+
+
+class Stage(Protocol):
+    """What happens to a reading (n,) on its way to the policy."""
+
+    def begin(self, rng: np.random.Generator) -> None:
+        """A new episode, whose draws come from `rng`."""
+
+    def __call__(self, reading: Array) -> Array:
+        """What comes out of one control step's reading; the first is the episode's start."""
+
+
+class White:
+    """Gaussian noise of standard deviation `scale` (n,), drawn anew at every step."""
+
+    def __init__(self, scale: Array) -> None:
+        self.scale = scale
+
+    def begin(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+
+    def __call__(self, reading: Array) -> Array:
+        return reading + self.scale * self._rng.standard_normal(reading.shape)
+
+
+class FalseReadings:
+    """Bits that flip at random."""
+
+    def __init__(self, false_on: float, false_off: float) -> None:
+        self.false_on, self.false_off = false_on, false_off
+
+    def begin(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+
+    def __call__(self, reading: Array) -> Array:
+        draws = self._rng.random(reading.shape)
+        off = draws < self.false_on
+        return np.where(reading > 0, np.where(draws < self.false_off, 0, reading), off)
+
+
+class Broken:
+    """Sensors that always read the same: some are dead and read 0, some are stuck and read 1.
+
+    Which ones follows from `seed` alone, and those of a smaller share are among those of a larger.
+    """
+
+    def __init__(self, n: int, dead: float, stuck: float, seed: int) -> None:
+        order = np.random.default_rng(seed).permutation(n)
+        n_dead = round(dead * n)
+        self.dead = order[:n_dead]
+        self.stuck = order[max(n_dead, n - round(stuck * n)) :]
+
+    def begin(self, rng: np.random.Generator) -> None:
+        """A hand's life is longer than an episode."""
+
+    def __call__(self, reading: Array) -> Array:
+        reading = reading.copy()
+        reading[self.dead], reading[self.stuck] = 0, 1
+        return reading
+
+
+class Past:
+    """The readings of the last `n` control steps; before an episode, all was as at its start."""
+
+    def __init__(self, n: int) -> None:
+        self._readings: deque[Array] = deque(maxlen=n)
+
+    def begin(self, rng: np.random.Generator) -> None:
+        self._readings.clear()
+
+    def add(self, reading: Array) -> deque[Array]:
+        """With this one, the oldest first."""
+        n_missing = 1 if self._readings else (self._readings.maxlen or 1)
+        self._readings.extend([reading] * n_missing)
+        return self._readings
+
+
+class Delay(Past):
+    """What was read `steps` control steps ago."""
+
+    def __init__(self, steps: int) -> None:
+        super().__init__(steps + 1)
+
+    def __call__(self, reading: Array) -> Array:
+        return self.add(reading)[0]
+
+
+class History(Past):
+    """The last `n` readings side by side, the newest first."""
+
+    def __call__(self, reading: Array) -> Array:
+        return np.concatenate(list(reversed(self.add(reading))))
+
+
+# -- sight -----------------------------------------------------------------------------------
+
+
+class Sight:
+    """How the object's pose is seen; this is how it is."""
+
+    def begin(self, rng: np.random.Generator) -> None:
+        """A new episode."""
+
+    def __call__(self, thing: objects.ObjectState) -> objects.ObjectState:
+        """What is seen of it; only position and orientation count."""
+        return thing
+
+
+class NoisySight(Sight):
+    """Off by a random offset and a turn about a random axis, at every step or for an episode."""
+
+    def __init__(self, metres: float, radians: float, is_held: bool) -> None:
+        self.scale, self.is_held = np.repeat([metres, radians], 3), is_held
+
+    def begin(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self._error = self._draw()
+
+    def _draw(self) -> Array:
+        return self.scale * self._rng.standard_normal(6)
+
+    def __call__(self, thing: objects.ObjectState) -> objects.ObjectState:
+        error = self._error if self.is_held else self._draw()
+        turn = Rotation.from_rotvec(error[3:])
+        seen = (turn * Rotation.from_quat(thing.orientation, scalar_first=True)).as_quat(
+            scalar_first=True
+        )
+        return objects.ObjectState(thing.position + error[:3], seen, thing.rotation)
+
+
+class FirstSight(Sight):
+    """As it was when the episode began."""
+
+    def begin(self, rng: np.random.Generator) -> None:
+        self._first: objects.ObjectState | None = None
+
+    def __call__(self, thing: objects.ObjectState) -> objects.ObjectState:
+        self._first = self._first or thing
+        return self._first
+
+
+class NoSight(Sight):
+    """Zeros."""
+
+    def __call__(self, thing: objects.ObjectState) -> objects.ObjectState:
+        return objects.ObjectState(np.zeros(3), np.zeros(4), thing.rotation)
+
+
+def sight(config: SensorConfig) -> Sight:
+    """The one that was chosen."""
+    if config.object_seen == "noisy":
+        metres, radians = config.sight_noise or SIGHT_NOISE
+        return NoisySight(metres, radians, config.sight_noise_kind == "held")
+    return {"exact": Sight, "start": FirstSight, "hidden": NoSight}[config.object_seen]()
+
+
+# -- all of it -------------------------------------------------------------------------------
+
+
+class Observer:
+    """Turns snapshots into the observation of one hand with its sensors.
+
+    The taxels, of the oldest to be remembered too, stand at the end.
+    """
+
+    def __init__(
+        self, config: ObservationConfig, hand: Hand, taxel_names: tuple[str, ...], is_boolean: bool
+    ) -> None:
+        """`taxel_names` are those in the observation; `is_boolean` says whether they read 0 or 1."""
+        self.hand, self._terms = hand, [TERMS[name] for name in hand.observation]
+        self._sight = sight(config)
+        is_angle = np.array([joint not in SLIDES for joint in hand.joints], float)
+        self._joints: list[Stage] = []
+        if config.joint_noise:
+            self._joints = [White(config.joint_noise * is_angle)]
+        self._taxels = taxel_stages(config, len(taxel_names))
+        self._history: list[tuple[History, History]] = []
+        if config.history > 1:
+            self._history = [(History(config.history), History(config.history))]
+        entries = [name for term in self._terms for name in term.names(hand)]
+        taxels = [f"taxel {name}" for name in taxel_names]
+        self.names = [*_remembered(entries, config.history), *_remembered(taxels, config.history)]
+        n_taxels, size = config.history * len(taxels), len(self.names)
+        self.low, self.high = np.full(size, -np.inf, np.float32), np.full(size, np.inf, np.float32)
+        self.low[size - n_taxels :] = 0.0
+        if is_boolean:
+            self.high[size - n_taxels :] = 1.0
+
+    def begin(self, rng: np.random.Generator) -> None:
+        """A new episode, which the next snapshot starts."""
+        sight, joints, taxels, history = rng.spawn(4)
+        self._sight.begin(sight)
+        for stages, child in ((self._joints, joints), (self._taxels, taxels)):
+            for stage in stages:
+                stage.begin(child)
+        for pair in self._history:
+            for past in pair:
+                past.begin(history)
+
+    def observe(self, truth: Snapshot, taxels: Array) -> Array:
+        """(n,) float32 from what is true and what the taxels feel; once a control step."""
+        positions = _through(self._joints, truth.joint_positions)
+        told = replace(truth, thing=self._sight(truth.thing), joint_positions=positions)
+        parts = [np.concatenate([term.read(self.hand, told) for term in self._terms])]
+        parts.append(_through(self._taxels, taxels))
+        for pair in self._history:
+            parts = [past(part) for past, part in zip(pair, parts, strict=True)]
+        return np.concatenate(parts, dtype=np.float32, casting="same_kind")
+
+
+def taxel_stages(config: SensorConfig, n: int) -> list[Stage]:
+    """What happens to the readings (n,) of taxels: they flip at random, a sensor that is broken
+    says the same whatever it feels, and all of it is late."""
+    stages: list[Stage] = []
+    if config.taxel_false_on or config.taxel_false_off:
+        stages.append(FalseReadings(config.taxel_false_on, config.taxel_false_off))
+    if config.taxel_dead or config.taxel_stuck:
+        stages.append(Broken(n, config.taxel_dead, config.taxel_stuck, config.hand_seed or 0))
+    if config.taxel_delay:
+        stages.append(Delay(config.taxel_delay))
+    return stages
+
+
+def _through(stages: list[Stage], reading: Array) -> Array:
+    for stage in stages:
+        reading = stage(reading)
+    return reading
+
+
+def _remembered(names: list[str], history: int) -> list[str]:
+    """Names of the entries of the last `history` observations, the newest first."""
+    older = [f"{name} (t-{age})" for age in range(1, history) for name in names]
+    return [*names, *older]

@@ -1,0 +1,210 @@
+"""What the policy is told: sight, joint noise, faulty taxels, history; and what stays true."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tactilerl import envs
+from tactilerl.envs import observations
+from tactilerl.envs.observations import Broken, Delay, FalseReadings
+
+BOTH = [
+    pytest.param("shadow", "mujoco"),
+    pytest.param("mpl", "pybullet"),
+]
+
+
+def make(hand="shadow", simulator="mujoco", **choices):
+    return envs.make(hand, **{"simulator": simulator, "task": "reach-goal", **choices})
+
+
+def episode(env, seed=3, n=8):
+    """(observations by name, achieved goals, rewards) of a seeded episode of closing the hand."""
+    obs, _ = env.reset(seed=seed)
+    rng, size = np.random.default_rng(seed), env.action_space.shape[0]
+    seen, achieved, rewards = [obs["observation"]], [obs["achieved_goal"]], []
+    for _ in range(n):
+        fingers = rng.uniform(-0.5, 1, size - 3)
+        obs, reward, *_ = env.step(np.concatenate([[0, 0, -0.1], fingers]))
+        seen.append(obs["observation"])
+        achieved.append(obs["achieved_goal"])
+        rewards.append(reward)
+    assert env.observation_space.contains(obs)
+    env.close()
+    names = env.observation_names()
+    return dict(zip(names, np.array(seen).T, strict=True)), np.array(achieved), np.array(rewards)
+
+
+def entries(told, start):
+    return np.array([values for name, values in told.items() if name.startswith(start)]).T
+
+
+@pytest.mark.parametrize(("hand", "simulator"), BOTH)
+@pytest.mark.parametrize(
+    "choices",
+    [
+        {"object_seen": "hidden"},
+        {"object_seen": "start"},
+        {"object_seen": "noisy"},
+        {"object_seen": "noisy", "sight_noise": (0.02, 0.3), "sight_noise_kind": "held"},
+        {"joint_noise": 0.1},
+        {"taxel_false_on": 0.2, "taxel_false_off": 0.3, "taxel_dead": 0.1, "taxel_stuck": 0.1},
+        {"taxel_delay": 2, "history": 3},
+    ],
+    ids=str,
+)
+def test_only_what_is_told_changes_and_a_seed_repeats_it(hand, simulator, choices):
+    plain, told = (episode(make(hand, simulator, **c)) for c in ({}, choices))
+    again = episode(make(hand, simulator, **choices))
+    np.testing.assert_array_equal(plain[1], told[1])  # achieved goals and rewards keep the truth
+    np.testing.assert_array_equal(plain[2], told[2])
+    changed = {name for name in plain[0] if not np.array_equal(plain[0][name], told[0][name])}
+    concerns = {"object_seen": "object ", "joint_noise": "position of ", "taxel": "taxel "}
+    concern = next(what for key, what in concerns.items() if next(iter(choices)).startswith(key))
+    assert changed
+    assert all(name.startswith(concern) for name in changed)
+    for name, values in told[0].items():
+        np.testing.assert_array_equal(values, again[0][name])
+
+
+class TestSight:
+    def test_hidden_is_zero_and_start_is_the_start(self):
+        plain, _, _ = episode(make())
+        hidden, _, _ = episode(make(object_seen="hidden"))
+        start, _, _ = episode(make(object_seen="start"))
+        assert list(hidden) == list(plain)
+        assert not entries(hidden, "object ").any()
+        pose = entries(plain, "object ")
+        assert np.ptp(pose, axis=0).max() > 1e-4
+        np.testing.assert_array_equal(entries(start, "object "), np.tile(pose[0], (len(pose), 1)))
+
+    @pytest.mark.parametrize("kind", ["white", "held"])
+    def test_noise_has_the_size_that_was_asked_for(self, kind):
+        exact = observations.sight(observations.SensorConfig())
+        noise = observations.SensorConfig(
+            object_seen="noisy", sight_noise=(0.02, 0.3), sight_noise_kind=kind
+        )
+        noisy = observations.sight(noise)
+        turn = Rotation.from_rotvec([0.4, -0.2, 1.0])
+        thing = observations.objects.ObjectState(
+            np.array([1.0, 2.0, 3.0]), turn.as_quat(scalar_first=True), turn.as_matrix()
+        )
+        assert exact(thing) is thing
+        offsets, angles = [], []
+        for number in range(300):
+            noisy.begin(np.random.default_rng(number))
+            seen = [noisy(thing) for _ in range(3)]
+            offsets.append([s.position - thing.position for s in seen])
+            turned = [Rotation.from_quat(s.orientation, scalar_first=True) * turn.inv() for s in seen]
+            angles.append([t.as_rotvec() for t in turned])
+        for errors, size in ((np.array(offsets), 0.02), (np.array(angles), 0.3)):
+            assert errors.std() == pytest.approx(size, rel=0.1)
+            assert abs(errors.mean()) < 0.2 * size
+            assert (np.ptp(errors, axis=1).max() < 1e-9) == (kind == "held")
+
+
+class TestJoints:
+    def test_noise_is_on_the_angles_and_not_on_the_slides(self):
+        plain, _, _ = episode(make(), n=15)
+        noisy, _, _ = episode(make(joint_noise=0.1), n=15)
+        error = entries(noisy, "position of ") - entries(plain, "position of ")
+        assert not error[:, :3].any()
+        assert error[:, 3:].std() == pytest.approx(0.1, rel=0.15)
+        np.testing.assert_array_equal(entries(noisy, "velocity"), entries(plain, "velocity"))
+
+
+class TestTaxels:
+    bits = np.random.default_rng(0).integers(0, 2, 40_000).astype(float)
+
+    def test_false_readings_come_as_often_as_asked_for(self):
+        stage = FalseReadings(0.1, 0.3)
+        stage.begin(np.random.default_rng(1))
+        read = stage(self.bits)
+        assert set(read) == {0.0, 1.0}
+        assert read[self.bits == 0].mean() == pytest.approx(0.1, abs=0.01)
+        assert read[self.bits == 1].mean() == pytest.approx(0.7, abs=0.01)
+
+    def test_broken_ones_are_the_hands_and_a_larger_share_has_the_smaller(self):
+        few, many, other = Broken(79, 0.1, 0.1, 5), Broken(79, 0.4, 0.3, 5), Broken(79, 0.1, 0.1, 6)
+        assert [len(few.dead), len(few.stuck)] == [8, 8]
+        assert set(few.dead) < set(many.dead)
+        assert set(few.stuck) < set(many.stuck)
+        assert not set(many.dead) & set(many.stuck)
+        assert set(few.dead) != set(other.dead)
+        read = few(np.ones(79))
+        assert read.sum() == 71
+        assert few(np.zeros(79)).sum() == 8
+        assert len(Broken(79, 1.0, 0.0, 0).dead) == 79
+
+    def test_late_by_whole_control_steps_and_as_at_the_start_before(self):
+        stage = Delay(2)
+        for _ in range(2):  # the second episode knows nothing of the first
+            stage.begin(np.random.default_rng(0))
+            assert [stage(np.array([i]))[0] for i in range(5)] == [0, 0, 0, 1, 2]
+
+    def test_the_seed_of_the_hand_says_which_are_dead(self):
+        dead = []
+        for seed in (None, 0, 1):
+            env = make(taxel_dead=0.5, taxel_false_on=1.0, hand_seed=seed)
+            told, _, _ = episode(env)
+            dead.append(~entries(told, "taxel ").any(axis=0))
+            assert dead[-1].sum() == 40
+        assert np.array_equal(dead[0], dead[1])
+        assert not np.array_equal(dead[0], dead[2])
+
+
+class TestHistory:
+    def test_side_by_side_newest_first_taxels_last(self):
+        plain, _, _ = episode(make())
+        told, _, _ = episode(make(history=3))
+        names = [name for name in plain if not name.startswith("taxel")]
+        assert list(told)[: len(names)] == names
+        assert all(name.startswith("taxel ") for name in list(told)[3 * len(names) :])
+        assert len(told) == 3 * len(plain)
+        for name, values in plain.items():
+            np.testing.assert_array_equal(told[name], values)
+            for age in (1, 2):
+                past = np.concatenate([np.repeat(values[0], age), values[:-age]])
+                np.testing.assert_array_equal(told[f"{name} (t-{age})"], past)
+
+    def test_taxels_of_all_steps_can_be_stored_as_bytes(self):
+        space = make(history=2).observation_space["observation"]
+        is_bit = (space.low == 0) & (space.high == 1)
+        assert is_bit.sum() == 2 * 79
+        assert is_bit[-2 * 79 :].all()
+
+    def test_an_episode_begins_without_a_past(self):
+        env = make(history=2)
+        env.reset(seed=0)
+        env.step(np.ones(23))
+        first = env.reset(seed=1)[0]["observation"]
+        again = make(history=2).reset(seed=1)[0]["observation"]
+        np.testing.assert_array_equal(first, again)
+
+
+@pytest.mark.parametrize(
+    ("choices", "named"),
+    [
+        (
+            {"object_seen": "blurred"},
+            "object_seen: found 'blurred', allowed: exact, noisy, start",
+        ),
+        ({"sight_noise": (0.01, 0.1)}, "sight_noise: found .* allowed only with object_seen noisy"),
+        ({"object_seen": "hidden", "sight_noise_kind": "held"}, "sight_noise_kind: found held"),
+        ({"object_seen": "noisy", "sight_noise": (-0.01, 0.1)}, "sight_noise: found -0.01"),
+        ({"joint_noise": float("nan")}, "joint_noise: found nan"),
+        ({"taxel_false_on": 1.1}, "taxel_false_on: found 1.1, allowed from 0 to 1"),
+        ({"taxel_dead": 0.6, "taxel_stuck": 0.6}, "taxel_stuck: found 1.2 with taxel_dead"),
+        ({"taxel_delay": -1}, "taxel_delay: found -1"),
+        ({"history": 0}, "history: found 0, allowed from 1 to 100"),
+        ({"hand_seed": -1}, "hand_seed: found -1"),
+        (
+            {"run_type": "control", "taxel_dead": 0.1},
+            "taxel_dead: found 0.1, allowed only with run",
+        ),
+        ({"run_type": "absent", "taxel_delay": 1}, "taxel_delay: found 1, allowed only with run_type"),
+    ],
+)
+def test_what_cannot_be_is_named(choices, named):
+    with pytest.raises(ValueError, match=named):
+        make(**choices)
