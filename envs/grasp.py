@@ -37,9 +37,9 @@ class GraspConfig(ObservationConfig):
     """Taxels: 1-6 (paper, Fig. 2), a named design, or the path of a .toml file."""
     run_type: Literal["main", "control", "absent"] = "main"
     """main: taxels read; control: all zero, same size (paper); absent: no taxel entries."""
-    touch: Literal["skin", "contact"] = "skin"
-    """Touch rule. skin: the taxel's sphere overlaps the object, and its skin touches it; contact:
-    the simulator's own contact points (paper). Why skin: docs/environments.md."""
+    touch: str = "skin"
+    """Touch rule. skin: the taxel's sphere overlaps the object, and its skin touches it; contact: the
+    simulator's own contact points (paper); force: normal force in N. Why skin: docs/environments.md."""
     object: objects.Kind = "box"
     """box, sphere or cylinder."""
     object_size: tuple[float, ...] = (0.05,)
@@ -88,6 +88,10 @@ class GraspConfig(ObservationConfig):
 
     def validate(self) -> None:
         """Raise ValueError naming the first field that cannot be."""
+        for name, registered in (("touch", touch.RULES),):
+            if getattr(self, name) not in registered:
+                found, allowed = getattr(self, name), ", ".join(registered)
+                raise ValueError(f"{name}: found {found!r}, allowed: {allowed}")
         for name, kind in get_type_hints(type(self)).items():
             options = (c for part in (kind, *get_args(kind)) for c in get_args(part))
             choices = [choice for choice in options if isinstance(choice, str)]
@@ -120,7 +124,7 @@ class GraspConfig(ObservationConfig):
             raise ValueError(
                 f"reward: found {self.reward!r}, allowed for {self.task}: {', '.join(allowed)}"
             )
-        observations.validate(self, self.run_type, is_boolean=True)
+        observations.validate(self, self.run_type, touch.RULES[self.touch].is_boolean)
 
 
 # What the paper's set-up of a hand says differently from `GraspConfig`'s own defaults.
@@ -179,10 +183,9 @@ class GraspEnv(gym.Env[Any, Array]):
         width, height = self.shape.width, self.shape.height
         self.hand = hands.load(hand).over(width, height)
         self.taxels = layouts.load(config.layout).place(self.hand)
-        self._touch = touch.SkinTouch(self.taxels, self.hand.surfaces)
+        self._touch = touch.RULES[config.touch](self.taxels, self.hand)
         self.task = _task(config)
         self.max_episode_steps = config.max_episode_steps or self.task.max_episode_steps
-        self._contact = config.touch == "contact"
         self.simulator = simulators.load(
             config.simulator,
             simulators.Scene(
@@ -193,7 +196,7 @@ class GraspEnv(gym.Env[Any, Array]):
                 timestep=config.timestep,
                 finger_gain=config.finger_gain,
                 rise=max(0.0, height - self.hand.reach),
-                contact_taxels=self.taxels if self._contact else None,
+                contact_taxels=self._touch.sensed,
                 visual=render_mode is not None,
             ),
         )
@@ -201,7 +204,7 @@ class GraspEnv(gym.Env[Any, Array]):
         self._hold = HoldTest.of_setup(setup(hand).timestep, config.hold_seconds, config.hold_verdict)
         self._desired_goal = self.task.desired_goal().astype(np.float32)
         told = () if config.run_type == "absent" else self.taxels.names
-        self._observer = Observer(config, self.hand, told, is_boolean=True)
+        self._observer = Observer(config, self.hand, told, self._touch.is_boolean)
         self._start_positions = self.hand.start_positions()
         self._targets = self.hand.start_targets()
         self._steps, self._is_off_ground = 0, False
@@ -292,7 +295,8 @@ class GraspEnv(gym.Env[Any, Array]):
         return "processes" if self.simulator.holds_gil else "threads"
 
     def taxel_readings(self) -> Array:
-        """bool (n_taxels,): what the taxels feel now by the configured touch rule."""
+        """(n_taxels,) what the taxels feel now by the configured touch rule, without their faults:
+        bool, or by rule "force" N."""
         return self._feel(self.simulator.object_state())
 
     def render(self) -> Array | None:
@@ -301,7 +305,7 @@ class GraspEnv(gym.Env[Any, Array]):
 
     def picture(self, camera: simulators.Camera) -> Array:
         """The scene as `camera` sees it, RGB (height, width, 3) uint8."""
-        lit = self.taxel_readings() if self.config.run_type == "main" else None
+        lit = self.taxel_readings() > 0 if self.config.run_type == "main" else None
         taxels = None if self.config.run_type == "absent" else self.taxels
         return self.simulator.render(camera, taxels, lit)
 
@@ -325,10 +329,7 @@ class GraspEnv(gym.Env[Any, Array]):
             )
 
     def _feel(self, thing: objects.ObjectState) -> Array:
-        if self._contact:
-            return self.simulator.contact_taxels()
-        poses = self.simulator.link_poses(self._touch.links)
-        return self._touch.read(*poses, self.shape, thing)
+        return self._touch.read(self.simulator, self.shape, thing)
 
     def _observation(self, seen: Snapshot) -> Array:
         """What the policy is told; SimulationError when the physics broke."""

@@ -1,4 +1,4 @@
-"""From geometry to Boolean taxel readings.
+"""What taxels feel: the touch rules.
 
 Rule "skin": a taxel is on when its sensing sphere overlaps the object and the skin that carries
 it is no further than `SKIN` from the object. A rigid capsule meets a flat face in one or two
@@ -7,17 +7,26 @@ with the object is that patch. The sphere alone would also feel what is near and
 Ground and self-contact cannot fire a taxel, and the rule is the same in every simulator.
 
 Rule "contact" (the paper's) depends on the simulator and lives there.
+
+Rule "force": the taxels that are on by rule "skin" carry the normal forces between their link and the
+object. Each contact's force is shared among those of its link, the near ones taking more, so that
+nothing is felt twice.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from .hands import Array, Surface
+from .hands import Array, Hand, Surface
 from .layouts import Taxels
 from .objects import ObjectState, Shape
+
+if TYPE_CHECKING:
+    from .simulators import Simulator
 
 SKIN = 5e-4  # m, how thick the skin is: what is further from a link's surface does not touch it
 SLACK = 5e-5  # m, by how much the distance of a bone from the object may be taken too large
@@ -126,3 +135,76 @@ def _cap(position: Array, radius: float, palm: Surface) -> tuple[Array, float]:
     """Centre (1, 3) and radius of the sphere whose cap stands `SKIN` proud of a disc."""
     sphere = (radius**2 + SKIN**2) / (2 * SKIN)
     return (position - (sphere - SKIN) * np.array(palm.palmar))[None], sphere
+
+
+class Rule(Protocol):
+    """A touch rule for the taxels of one layout on one hand."""
+
+    is_boolean: bool
+    """Are its readings 0 or 1?"""
+    sensed: Taxels | None
+    """Taxels that the simulator itself has to sense."""
+
+    def read(self, simulator: Simulator, shape: Shape, thing: ObjectState) -> Array:
+        """(n_taxels,) what the taxels feel now of the object with this shape and state."""
+
+
+class SkinRule:
+    """Rule "skin": Boolean, by geometry."""
+
+    is_boolean = True
+    sensed: Taxels | None = None
+
+    def __init__(self, taxels: Taxels, hand: Hand) -> None:
+        self._skin = SkinTouch(taxels, hand.surfaces)
+
+    def read(self, simulator: Simulator, shape: Shape, thing: ObjectState) -> Array:
+        return self._skin.read(*simulator.link_poses(self._skin.links), shape, thing)
+
+
+class ContactRule:
+    """Rule "contact": Boolean, by what the simulator calls a contact."""
+
+    is_boolean = True
+
+    def __init__(self, taxels: Taxels, hand: Hand) -> None:
+        self.sensed: Taxels | None = taxels
+
+    def read(self, simulator: Simulator, shape: Shape, thing: ObjectState) -> Array:
+        return simulator.contact_taxels()
+
+
+class ForceRule:
+    """Rule "force": normal force in N. A contact's force goes to the taxels of its link that are on
+    by rule "skin", in the proportion 1 / (d² + r²), d being a taxel's distance from the contact and r
+    its radius; where none is on, it is felt by none."""
+
+    is_boolean = False
+    sensed: Taxels | None = None
+
+    def __init__(self, taxels: Taxels, hand: Hand) -> None:
+        self._taxels, self._points = taxels, taxel_points(taxels)
+        self._skin = SkinTouch(taxels, hand.surfaces)
+
+    def read(self, simulator: Simulator, shape: Shape, thing: ObjectState) -> Array:
+        taxels, contacts = self._taxels, simulator.contacts()
+        poses = simulator.link_poses(taxels.links)
+        is_on = self._skin.read(*poses, shape, thing)
+        felt = np.array([link in taxels.links for link in contacts.links], bool)
+        if not (is_on.any() and felt.any()):
+            return np.zeros(len(taxels))
+        link = np.array([taxels.links.index(link) for link in contacts.links if link in taxels.links])
+        offsets = self._points.world(*poses)[:, None] - contacts.points[felt]
+        weights = is_on[:, None] / (np.square(offsets).sum(axis=-1) + taxels.radii[:, None] ** 2)
+        weights *= taxels.link_index[:, None] == link
+        total = weights.sum(axis=0)
+        return weights @ np.divide(
+            contacts.forces[felt], total, out=np.zeros_like(total), where=total > 0
+        )
+
+
+RULES: dict[str, Callable[[Taxels, Hand], Rule]] = {
+    "skin": SkinRule,
+    "contact": ContactRule,
+    "force": ForceRule,
+}

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tactilerl.envs import hands, layouts, objects, touch
+from tactilerl import envs
+from tactilerl.envs import hands, layouts, objects, scripted, touch
 from tactilerl.envs.hands import Surface
+from tactilerl.envs.simulators import Contacts
 
 
 def brute_force_distance(shape, point, n=60):
@@ -174,3 +176,80 @@ def test_half_height_is_that_of_the_lowest_point(solid):
         lowest = -(inside @ rotation.T)[:, 2].min()
         assert lowest <= shape.half_height(rotation) + 1e-12
         assert shape.half_height(rotation) - lowest < 3e-3
+
+
+class TestForce:
+    """Rule "force": what the object is pressed with, shared and felt once."""
+
+    @pytest.mark.parametrize("hand", ["shadow", "mpl"])
+    @pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
+    def test_taxels_that_touch_share_the_forces_on_their_links(self, hand, simulator):
+        env, skin = (
+            envs.make(hand, simulator=simulator, layout="1", touch=rule) for rule in ("force", "skin")
+        )
+        starts = scripted.perturbed_starts(env, 0, 1)
+        n_felt = 0
+        for _ in scripted.hold_steps(env, scripted.grasp_for(env), next(starts), 0.3):
+            force = env.taxel_readings()
+            on = skin._touch.read(env.simulator, env.shape, env.simulator.object_state())
+            contacts = env.simulator.contacts()
+            links = np.array(env.taxels.links)[env.taxels.link_index]
+            assert (on[force > 0]).all()
+            for link in set(links):
+                pressed = sum(
+                    f for f, name in zip(contacts.forces, contacts.links, strict=True) if name == link
+                )
+                expected = pressed if on[links == link].any() else 0.0
+                assert force[links == link].sum() == pytest.approx(expected, rel=1e-6)
+                n_felt += expected > 0
+        assert n_felt >= 4
+        env.close(), skin.close()
+
+    def test_the_near_taxel_takes_more(self):
+        env = envs.make("shadow", simulator="mujoco", layout="2", touch="force")
+        link = env.taxels.links[0]
+        mine = np.flatnonzero(env.taxels.link_index == 0)
+        at = touch.taxel_points(env.taxels).world(*env.simulator.link_poses(env.taxels.links))[mine]
+
+        class Pressed:
+            def contacts(self):
+                return Contacts(at[:1], (link,), np.array([2.0]))
+
+            link_poses = env.simulator.link_poses
+
+        around = objects.ObjectState(at.mean(axis=0), np.array([1.0, 0, 0, 0]), np.eye(3))
+        force = env._touch.read(Pressed(), objects.cube(0.3), around)
+        assert force.sum() == pytest.approx(2.0)
+        assert not np.delete(force, mine).any()
+        assert np.argmax(force) == mine[0]
+        assert (force[mine] > 0).all()
+
+    @pytest.mark.pybullet
+    def test_both_simulators_press_as_hard_and_twice_the_gain_twice_as_hard(self):
+        pressed, in_bullet, stronger = (
+            total_force(**choices) for choices in ({}, {"simulator": "pybullet"}, {"finger_gain": 2.0})
+        )
+        assert in_bullet == pytest.approx(pressed, rel=0.05)
+        assert stronger == pytest.approx(2 * pressed, rel=0.35)
+
+    def test_forces_have_no_upper_bound(self):
+        env = envs.make("mpl", simulator="mujoco", touch="force", layout="1")
+        space = env.observation_space["observation"]
+        assert np.isinf(space.high[-139:]).all()
+        assert not space.low[-139:].any()
+
+    @pytest.mark.parametrize("fault", ["taxel_stuck", "taxel_false_on"])
+    def test_a_force_has_no_on(self, fault):
+        with pytest.raises(ValueError, match=f"{fault}: found 0.1, allowed only with Boolean taxels"):
+            envs.make("mpl", touch="force", **{fault: 0.1})
+
+
+def total_force(simulator="mujoco", **choices):
+    """All normal forces on the object in a scripted grasp of the MPL hand, N."""
+    env = envs.make("mpl", simulator=simulator, **choices)
+    start = next(iter(scripted.perturbed_starts(env, 0, 1)))
+    for _ in scripted.hold_steps(env, scripted.grasp_for(env), start, 0.3):
+        pass
+    force = env.simulator.contacts().forces.sum()
+    env.close()
+    return force

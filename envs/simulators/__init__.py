@@ -46,6 +46,18 @@ class Scene:
 
 
 @dataclass(frozen=True)
+class Contacts:
+    """Where the hand presses on the object."""
+
+    points: Array
+    """(k, 3), world frame, m."""
+    links: tuple[str, ...]
+    """The body of the hand in each."""
+    forces: Array
+    """(k,) normal force, above 0, N."""
+
+
+@dataclass(frozen=True)
 class Camera:
     """Where a picture is taken from: around the palm and the object, degrees and m."""
 
@@ -87,6 +99,9 @@ class Simulator(Protocol):
 
     def link_poses(self, links: tuple[str, ...]) -> tuple[Array, Array]:
         """Positions (k, 3) and rotations (k, 3, 3) of bodies."""
+
+    def contacts(self) -> Contacts:
+        """Between hand and object, of the last timestep."""
 
     def contact_taxels(self) -> Array:
         """bool (n,): the scene's ``contact_taxels`` by this simulator's own rule."""

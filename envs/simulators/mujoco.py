@@ -11,7 +11,7 @@ from ..hands import Array
 from ..layouts import Taxels
 from ..objects import ObjectState, Shape
 from ..touch import taxel_points
-from . import Camera, Scene, SimulationError, joint_limits
+from . import Camera, Contacts, Scene, SimulationError, joint_limits
 
 OBJECT = "object"
 GEOMS = {
@@ -134,6 +134,7 @@ class MujocoSimulator:
         self._ctrl = np.array([model.actuator(name).id for name in hand.actuators])
         self._object_qpos = int(model.joint(OBJECT).qposadr[0])
         self._object_body = model.body(OBJECT).id
+        self._object_geom = model.geom(OBJECT).id
         points = [(hand.palm, hand.palm_point), *hand.fingertips]
         self._point_bodies = np.array([model.body(body).id for body, _ in points])
         self._points = np.array([point for _, point in points])[:, :, None]
@@ -210,6 +211,22 @@ class MujocoSimulator:
     def _poses(self, bodies: Array) -> tuple[Array, Array]:
         data = self.data
         return data.xpos.take(bodies, axis=0), data.xmat.take(bodies, axis=0).reshape(-1, 3, 3)
+
+    def contacts(self) -> Contacts:
+        model, data = self.model, self.data
+        points, links, forces = [], [], []
+        for index, contact in enumerate(data.contact):
+            if self._object_geom not in contact.geom:
+                continue
+            first, second = contact.geom
+            body = model.geom_bodyid[second if first == self._object_geom else first]
+            force = np.zeros(6)
+            mujoco.mj_contactForce(model, data, index, force)
+            if body > 0 and force[0] > 0.0:
+                points.append(contact.pos.copy())
+                links.append(model.body(body).name)
+                forces.append(force[0])
+        return Contacts(np.array(points).reshape(-1, 3), tuple(links), np.array(forces))
 
     def contact_taxels(self) -> Array:
         return self.data.sensordata > 0.0

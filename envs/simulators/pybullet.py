@@ -24,7 +24,7 @@ from ..hands import Array
 from ..layouts import Taxels
 from ..objects import ObjectState, Shape
 from ..touch import taxel_points
-from . import Camera, Scene, SimulationError, joint_limits, urdf
+from . import Camera, Contacts, Scene, SimulationError, joint_limits, urdf
 from .mujoco import MujocoSimulator
 
 
@@ -223,14 +223,22 @@ class PyBulletSimulator:
         positions = np.array([state[4] for state in states])
         return positions, Rotation.from_quat([state[5] for state in states]).as_matrix()
 
+    def contacts(self) -> Contacts:
+        found = pybullet.getContactPoints(self.hand, self.object, physicsClientId=self.client)
+        pressing = [contact for contact in found if contact[9] > 0.0]
+        names = {index: name for name, index in self._links.items()}
+        return Contacts(
+            np.array([contact[5] for contact in pressing]).reshape(-1, 3),
+            tuple(names[contact[3]] for contact in pressing),
+            np.array([contact[9] for contact in pressing]),
+        )
+
     def contact_taxels(self) -> Array:
         """A taxel is on when a contact with the object that carries force lies in its sphere."""
         assert self.scene.contact_taxels is not None
         assert self._taxels is not None
-        contacts = pybullet.getContactPoints(self.hand, self.object, physicsClientId=self.client)
-        points = np.array([contact[5] for contact in contacts if contact[9] > 0.0]).reshape(-1, 3)
         centres = self._taxels.world(*self.link_poses(self._taxels.links))
-        gaps = np.square(points[None] - centres[:, None]).sum(axis=2)
+        gaps = np.square(self.contacts().points[None] - centres[:, None]).sum(axis=2)
         return (gaps <= np.square(self.scene.contact_taxels.radii)[:, None]).any(axis=1)
 
     def render(self, camera: Camera, taxels: Taxels | None = None, lit: Array | None = None) -> Array:
