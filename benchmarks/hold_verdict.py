@@ -58,7 +58,7 @@ def collect(name: str, run: Path | None, holds: int) -> RecordedHold:
     if run is not None:
         config, policy, _ = load_policy(run)
         env = config.make_env()
-    env._hold = recorder = RecordedHold(**vars(env._hold))
+    env.task.hold = recorder = RecordedHold(**vars(env.task.hold))
     rng, episode = np.random.default_rng(SEED), 0
     while len(recorder.holds) < holds:
         obs, _ = env.reset(seed=SEED + episode)

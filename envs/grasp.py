@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal, get_args, get_type_hints
 
 import gymnasium as gym
 import numpy as np
 
 from . import hands, layouts, objects, observations, simulators, tasks, touch
-from .hold import HoldTest, Verdict
+from .hold import HoldTest
 from .observations import ObservationConfig, Observer
 from .snapshot import Snapshot
+from .tasks import TaskConfig
 
 Array = np.ndarray
 LIMIT = 1e6  # observations beyond this are a broken simulation
@@ -20,7 +21,7 @@ EJECTED = 10.0  # m/s, of the object during an action: twice what random actions
 
 
 @dataclass(frozen=True)
-class GraspConfig(ObservationConfig):
+class GraspConfig(ObservationConfig, TaskConfig):
     """Every choice a grasping scene leaves open. SI units and radians.
 
     The defaults are the Shadow Hand's; `setup` gives those of another hand.
@@ -28,11 +29,6 @@ class GraspConfig(ObservationConfig):
 
     simulator: Literal["mujoco", "pybullet"] = "mujoco"
     """The physics engine (mpl: pybullet, an extra)."""
-    task: Literal["lift-and-hold", "reach-goal"] = "lift-and-hold"
-    """lift-and-hold: the paper's PPO task; reach-goal: its DDPG+HER task."""
-    reward: Literal["staged", "sparse", "dense"] | None = None
-    """staged (lift-and-hold), sparse 0/-1 or dense -10 x distance (reach-goal); default: the
-    task's first."""
     layout: str = "2"
     """Taxels: 1-6 (paper, Fig. 2), a named design, or the path of a .toml file."""
     run_type: Literal["main", "control", "absent"] = "main"
@@ -59,16 +55,6 @@ class GraspConfig(ObservationConfig):
     """Actions per episode; default: the task's (lift-and-hold 100, as in the paper)."""
     jitter: bool = True
     """Move the start a little in every episode, seeded (the paper does not)."""
-    lift_clearance: float = 0.03
-    """lift-and-hold: the object counts as lifted when its lowest point is this high, m."""
-    hold_seconds: float = 20.0
-    """lift-and-hold: length of the hold test, s (5,000 timesteps, paper; mpl: 20.83)."""
-    hold_verdict: Verdict = "full"
-    """lift-and-hold: full, or settled (a success is called once the object rests in the hand)."""
-    goal_height: float = 0.08
-    """reach-goal: the goal is this far above the object's start, m."""
-    goal_tolerance: float = 0.03
-    """reach-goal: success within this distance, m."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -88,19 +74,9 @@ class GraspConfig(ObservationConfig):
 
     def validate(self) -> None:
         """Raise ValueError naming the first field that cannot be."""
-        for name, registered in (("touch", touch.RULES),):
-            if getattr(self, name) not in registered:
-                found, allowed = getattr(self, name), ", ".join(registered)
-                raise ValueError(f"{name}: found {found!r}, allowed: {allowed}")
-        for name, kind in get_type_hints(type(self)).items():
-            options = (c for part in (kind, *get_args(kind)) for c in get_args(part))
-            choices = [choice for choice in options if isinstance(choice, str)]
-            value = getattr(self, name)
-            if choices and value not in (*choices, getattr(type(self), name)):
-                raise ValueError(f"{name}: found {value!r}, allowed: {', '.join(choices)}")
+        self._validate_choices()
         for name in (
             *("object_size", "object_density", "friction", "finger_gain", "timestep", "control_dt"),
-            *("lift_clearance", "hold_seconds", "goal_height", "goal_tolerance"),
         ):
             for value in np.ravel(getattr(self, name)):
                 if not (np.isfinite(value) and value > 0):
@@ -119,12 +95,18 @@ class GraspConfig(ObservationConfig):
                 f"control_dt: found {self.control_dt} s, allowed a whole number of timesteps "
                 f"of {self.timestep} s"
             )
-        allowed = REWARDS[self.task]
-        if self.reward is not None and self.reward not in allowed:
-            raise ValueError(
-                f"reward: found {self.reward!r}, allowed for {self.task}: {', '.join(allowed)}"
-            )
+        tasks.validate(self)
         observations.validate(self, self.run_type, touch.RULES[self.touch].is_boolean)
+
+    def _validate_choices(self) -> None:
+        for name, kind in get_type_hints(type(self)).items():
+            options = (c for part in (kind, *get_args(kind)) for c in get_args(part))
+            choices = [choice for choice in options if isinstance(choice, str)]
+            value = getattr(self, name)
+            if choices and value not in (*choices, getattr(type(self), name)):
+                raise ValueError(f"{name}: found {value!r}, allowed: {', '.join(choices)}")
+        if self.touch not in touch.RULES:
+            raise ValueError(f"touch: found {self.touch!r}, allowed: {', '.join(touch.RULES)}")
 
 
 # What the paper's set-up of a hand says differently from `GraspConfig`'s own defaults.
@@ -145,10 +127,8 @@ def setup(hand: str, **choices: Any) -> GraspConfig:
     return GraspConfig(**{**SETUPS[hand], **choices})
 
 
-REWARDS = {"lift-and-hold": ("staged",), "reach-goal": ("sparse", "dense")}
 WIDEST = 0.08  # m, of an object across; benchmarks/hard_cases.py goes up to it
 TALLEST = 0.15  # m, of an object: held at its top, its centre is well above what counts as dropped
-OFF_GROUND = 0.005  # m under the object's lowest point: lift-and-hold's attempt has begun
 JITTER_POSITION = 0.005  # m, of the object along x and y
 JITTER_YAW = 0.15  # rad, of the object
 JITTER_JOINT = 0.02  # rad, of every finger joint, within its range
@@ -184,7 +164,9 @@ class GraspEnv(gym.Env[Any, Array]):
         self.hand = hands.load(hand).over(width, height)
         self.taxels = layouts.load(config.layout).place(self.hand)
         self._touch = touch.RULES[config.touch](self.taxels, self.hand)
-        self.task = _task(config)
+        self.task: tasks.Task = tasks.TASKS[config.task].of(
+            config, len(self.hand.fingertips), setup(hand).timestep
+        )
         self.max_episode_steps = config.max_episode_steps or self.task.max_episode_steps
         self.simulator = simulators.load(
             config.simulator,
@@ -201,30 +183,25 @@ class GraspEnv(gym.Env[Any, Array]):
             ),
         )
         self._warnings = self.simulator.warnings
-        self._hold = HoldTest.of_setup(setup(hand).timestep, config.hold_seconds, config.hold_verdict)
-        self._desired_goal = self.task.desired_goal().astype(np.float32)
         told = () if config.run_type == "absent" else self.taxels.names
         self._observer = Observer(config, self.hand, told, self._touch.is_boolean)
         self._start_positions = self.hand.start_positions()
         self._targets = self.hand.start_targets()
-        self._steps, self._is_off_ground = 0, False
-        self._object_position = np.zeros(3)
+        self._steps, self._object_position = 0, np.zeros(3)
         self._obs: dict[str, Array] = {}
+        self._desired_goal = np.zeros(self.task.goal_size, np.float32)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (len(self.hand.action_names),), np.float32)
         self.observation_space = self._spaces()
 
     def _spaces(self) -> gym.spaces.Dict:
         """Taxels lie between 0 and 1; a task with a single goal has it as its only one."""
-        goal = self._desired_goal
-        unbounded = np.full_like(goal, np.inf)
-        lowest, highest = (goal, goal) if self.task.has_single_goal else (-unbounded, unbounded)
+        unbounded, goal = np.full(self.task.goal_size, np.inf), self.task.only_goal
+        lowest, highest = (-unbounded, unbounded) if goal is None else (goal, goal)
         return gym.spaces.Dict(
             {
-                "observation": gym.spaces.Box(
-                    self._observer.low, self._observer.high, dtype=np.float32
-                ),
-                "achieved_goal": gym.spaces.Box(-unbounded, unbounded, dtype=np.float32),
-                "desired_goal": gym.spaces.Box(lowest, highest, dtype=np.float32),
+                "observation": _float_box(self._observer.low, self._observer.high),
+                "achieved_goal": _float_box(-unbounded, unbounded),
+                "desired_goal": _float_box(lowest, highest),
             }
         )
 
@@ -241,8 +218,9 @@ class GraspEnv(gym.Env[Any, Array]):
             positions[3:] += rng.uniform(-JITTER_JOINT, JITTER_JOINT, len(positions) - 3)
             positions = np.clip(positions, *self.simulator.joint_limits.T)
         self._targets = self.hand.start_targets()
-        self._steps, self._is_off_ground = 0, False
-        self._observer.begin(self.np_random.spawn(1)[0])
+        self._steps = 0
+        told, goals = self.np_random.spawn(2)  # draws nothing from the generator itself
+        self._observer.begin(told)
         try:
             self.simulator.reset(positions, position, yaw)
             seen = self._look()
@@ -250,7 +228,9 @@ class GraspEnv(gym.Env[Any, Array]):
         except simulators.SimulationError as error:
             raise simulators.SimulationError(f"an episode cannot begin: {error}") from error
         self._object_position = seen.thing.position
-        self._obs = self._goal_obs(observation, self._situation(seen, "undecided"))
+        achieved, desired = self.task.begin(seen, goals)
+        self._desired_goal = desired.astype(np.float32)
+        self._obs = self._goal_obs(observation, achieved)
         return self._obs, {"is_success": False}
 
     def step(self, action: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
@@ -266,17 +246,14 @@ class GraspEnv(gym.Env[Any, Array]):
             seen = self._look()
             self._follow(seen.thing.position)
             observation = self._observation(seen)
-            situation = self._situation(seen, self._outcome_before_hold(seen.thing))
-            if situation.outcome == "lifted":
-                held = self._hold.run(self.simulator, self._targets, self.config.timestep)
-                situation = replace(situation, outcome="held" if held else "dropped")
+            judged = self.task.judge(seen, self._steps >= self.max_episode_steps, self._hold)
         except simulators.SimulationError as error:
             info = self._info(is_success=False, diverged=True, error=str(error))
             last = {key: value.copy() for key, value in self._obs.items()}
             return last, 0.0, False, True, info
-        self._obs = obs = self._goal_obs(observation, situation)
+        self._obs = obs = self._goal_obs(observation, judged.achieved_goal)
         goals = obs["achieved_goal"], obs["desired_goal"]
-        terminated = situation.outcome in tasks.FINAL
+        terminated = judged.is_over
         truncated = not terminated and self._steps >= self.max_episode_steps
         info = self._info(is_success=bool(self.task.is_success(*goals)))
         return obs, float(self.task.reward(*goals)), terminated, truncated, info
@@ -351,32 +328,17 @@ class GraspEnv(gym.Env[Any, Array]):
         told, self._warnings = self._warnings, self.simulator.warnings
         return info if self._warnings == told else {**info, "warnings": self._warnings - told}
 
-    def _situation(self, seen: Snapshot, outcome: tasks.Outcome) -> tasks.Situation:
-        return tasks.Situation(seen.hand, seen.fingertips, seen.thing.position, outcome)
+    def _hold(self, test: HoldTest) -> bool:
+        """A hold test from here on, with the joint targets of the last action."""
+        return test.run(self.simulator, self._targets, self.config.timestep)
 
-    def _goal_obs(self, observation: Array, situation: tasks.Situation) -> dict[str, Array]:
+    def _goal_obs(self, observation: Array, achieved_goal: Array) -> dict[str, Array]:
         return {
             "observation": observation,
-            "achieved_goal": self.task.achieved_goal(situation).astype(np.float32),
+            "achieved_goal": achieved_goal.astype(np.float32),
             "desired_goal": self._desired_goal.copy(),
         }
 
-    def _outcome_before_hold(self, thing: objects.ObjectState) -> tasks.Outcome:
-        if not self.task.tests_hold:
-            return "undecided"
-        clearance = thing.position[2] - self.shape.half_height(thing.rotation)
-        if clearance > self.config.lift_clearance:
-            return "lifted"
-        was_off, self._is_off_ground = self._is_off_ground, clearance > OFF_GROUND
-        if self._steps >= self.max_episode_steps:
-            return "timed_out"
-        return "fell_back" if was_off and not self._is_off_ground else "undecided"
 
-
-def _task(config: GraspConfig) -> tasks.Task:
-    if config.task == "lift-and-hold":
-        return tasks.LiftAndHold()
-    goal = (0.0, 0.0, config.shape.half_size[2] + config.goal_height)
-    reward = config.reward or "sparse"
-    assert reward != "staged"
-    return tasks.ReachGoal(goal, config.goal_tolerance, reward)
+def _float_box(low: Array, high: Array) -> gym.spaces.Box:
+    return gym.spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)

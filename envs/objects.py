@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, get_args
 
 import numpy as np
@@ -71,6 +71,10 @@ class ObjectState:
     """(4,) quaternion wxyz."""
     rotation: Array
     """(3, 3), the same orientation as a matrix."""
+    velocity: Array = field(default_factory=lambda: np.zeros(3))
+    """(3,) of its centre, m/s."""
+    angular_velocity: Array = field(default_factory=lambda: np.zeros(3))
+    """(3,) rad/s."""
 
 
 def make(kind: Kind, size: tuple[float, ...]) -> Shape:

@@ -1,64 +1,106 @@
-"""The two tasks of the paper: what is achieved, what is rewarded, what is success.
+"""The two tasks of the paper: which goal, what is achieved, what is rewarded, what is success.
 
-A task is pure: it looks at a `Situation`, never at a simulator. Rewards are functions of the
-achieved and the desired goal alone, so that hindsight relabelling can recompute them.
+A task owns all of that, its thresholds and its hold test; the environment tells it what is true after
+each action. Rewards are pure functions of the achieved and the desired goal, so that hindsight
+relabelling can recompute them.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
 import numpy as np
 
 from .hands import Array
-
-Outcome = Literal["undecided", "fell_back", "lifted", "dropped", "held", "timed_out"]
-# How the outcome of a step of lift-and-hold stands in its achieved goal.
-OUTCOMES: dict[Outcome, float] = {
-    "timed_out": -1.0,
-    "undecided": 0.0,
-    "fell_back": 0.25,  # had left the ground, and lies on it again
-    "lifted": 0.4,  # the hold test decides between the next two
-    "dropped": 0.5,  # was lifted, and did not survive the hold test
-    "held": 1.0,
-}
-FINAL = ("held", "dropped", "timed_out")  # the paper's time-out is a verdict too, with its -100
+from .hold import HoldTest, Verdict
+from .snapshot import Snapshot
 
 
 @dataclass(frozen=True)
-class Situation:
-    """What a task may look at after a control step, world frame, SI units."""
+class TaskConfig:
+    """Which task, and its thresholds."""
 
-    hand: Array
-    """(3,) palm point."""
-    fingertips: Array
-    """(5, 3)"""
-    object_position: Array
-    """(3,)"""
-    outcome: Outcome
+    task: str = "lift-and-hold"
+    """lift-and-hold: the paper's PPO task; reach-goal: its DDPG+HER task."""
+    reward: Literal["staged", "sparse", "dense"] | None = None
+    """staged (lift-and-hold), sparse 0/-1 or dense -10 x distance (reach-goal); default: the
+    task's first."""
+    lift_clearance: float = 0.03
+    """lift-and-hold: the object counts as lifted when its lowest point is this high, m."""
+    hold_seconds: float = 20.0
+    """lift-and-hold: length of the hold test, s (5,000 timesteps, paper; mpl: 20.83)."""
+    hold_verdict: Verdict = "full"
+    """lift-and-hold: full, or settled (a success is called once the object rests in the hand)."""
+    goal_height: float = 0.08
+    """reach-goal: the goal is this far above the object's start, m."""
+    goal_range: float = 0.0
+    """reach-goal: each episode's goal is drawn up to this far from there along x, y and z, m."""
+    goal_tolerance: float = 0.03
+    """reach-goal: success within this distance, m."""
+
+
+def validate(config: TaskConfig) -> None:
+    """ValueError naming the first field that cannot be."""
+    if config.task not in TASKS:
+        raise ValueError(f"task: found {config.task!r}, allowed: {', '.join(TASKS)}")
+    for name in ("lift_clearance", "hold_seconds", "goal_height", "goal_tolerance"):
+        value = getattr(config, name)
+        if not (np.isfinite(value) and value > 0):
+            raise ValueError(f"{name}: found {value}, allowed a finite number above 0")
+    if not 0 <= config.goal_range <= config.goal_height:
+        allowed = f"from 0 to goal_height, {config.goal_height:g} m"
+        raise ValueError(f"goal_range: found {config.goal_range} m, allowed {allowed}")
+    if config.goal_range and config.task != "reach-goal":
+        raise ValueError(f"goal_range: found {config.goal_range}, allowed only with task reach-goal")
+    rewards = TASKS[config.task].rewards
+    if config.reward is not None and config.reward not in rewards:
+        allowed = ", ".join(rewards)
+        raise ValueError(f"reward: found {config.reward!r}, allowed for {config.task}: {allowed}")
+
+
+class Judgement(NamedTuple):
+    """What a task says after an action."""
+
+    achieved_goal: Array
+    """(goal_size,) float64"""
+    is_over: bool = False
+    """Does the episode end here by the task's own rules?"""
+
+
+Hold = Callable[[HoldTest], bool]
+"""Performs a hold test on the scene as it is: did the object stay?"""
 
 
 class Task(Protocol):
-    """A goal, a reward and a verdict."""
+    """Goals, rewards and verdicts of one environment's episodes."""
+
+    rewards: ClassVar[tuple[str, ...]]
+    """The kinds of reward it has; the first is the default."""
 
     @property
-    def tests_hold(self) -> bool:
-        """Does lifting the object end the episode with a hold test?"""
+    def goal_size(self) -> int:
+        """Length of achieved and desired goals."""
 
     @property
-    def has_single_goal(self) -> bool:
-        """Is one goal the only one that is ever asked for, or could be?"""
+    def only_goal(self) -> Array | None:
+        """The goal (goal_size,) of every episode, where no other is ever asked for or could be."""
 
     @property
     def max_episode_steps(self) -> int:
         """Length of an episode unless the configuration says otherwise."""
 
-    def desired_goal(self) -> Array:
-        """(goal_size,) float64"""
+    @classmethod
+    def of(cls, config: TaskConfig, n_digits: int, own_timestep: float) -> Task:
+        """The task as configured, for a hand of `n_digits` whose own timestep is that, s."""
 
-    def achieved_goal(self, situation: Situation) -> Array:
-        """(goal_size,) float64"""
+    def begin(self, start: Snapshot, rng: np.random.Generator) -> tuple[Array, Array]:
+        """(achieved, desired goal) of a new episode, each (goal_size,)."""
+
+    def judge(self, now: Snapshot, is_last: bool, hold: Hold) -> Judgement:
+        """What was achieved with an action, the episode's last one or not. `hold` ends what the
+        scene was: it may be called where the episode is over."""
 
     def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """Rewards (...) from goals (..., goal_size)."""
@@ -71,18 +113,31 @@ class Task(Protocol):
 class ReachGoal:
     """Bring the object to a place above the ground and keep it there (paper, MuJoCo set-up)."""
 
-    goal: tuple[float, float, float]
+    rewards: ClassVar[tuple[str, ...]] = ("sparse", "dense")
+    goal_size: ClassVar[int] = 3
+    only_goal: ClassVar[Array | None] = None
+    max_episode_steps: ClassVar[int] = 20
+
+    height: float
+    """Of the goal over the object at rest, m."""
     tolerance: float
-    kind: Literal["sparse", "dense"]
-    max_episode_steps: int = 20
-    tests_hold: bool = False
-    has_single_goal: bool = False
+    kind: str = "sparse"
+    spread: float = 0.0
+    """How far the goal may be drawn from there along each axis, m."""
 
-    def desired_goal(self) -> Array:
-        return np.array(self.goal)
+    @classmethod
+    def of(cls, config: TaskConfig, n_digits: int, own_timestep: float) -> ReachGoal:
+        kind = config.reward or cls.rewards[0]
+        return cls(config.goal_height, config.goal_tolerance, kind, config.goal_range)
 
-    def achieved_goal(self, situation: Situation) -> Array:
-        return situation.object_position
+    def begin(self, start: Snapshot, rng: np.random.Generator) -> tuple[Array, Array]:
+        goal = np.array([0.0, 0.0, start.shape.half_size[2] + self.height])
+        if self.spread:
+            goal += rng.uniform(-self.spread, self.spread, 3)
+        return start.thing.position, goal
+
+    def judge(self, now: Snapshot, is_last: bool, hold: Hold) -> Judgement:
+        return Judgement(now.thing.position)
 
     def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """sparse: 0 within the tolerance, else -1; dense: -10 x distance in m. Both readings
@@ -95,44 +150,108 @@ class ReachGoal:
         return _distance(achieved_goal, desired_goal) <= self.tolerance
 
 
-@dataclass(frozen=True)
+Outcome = Literal["undecided", "fell_back", "lifted", "dropped", "held", "timed_out"]
+# How the outcome of a step of lift-and-hold stands at the end of its achieved goal.
+OUTCOMES: dict[Outcome, float] = {
+    "timed_out": -1.0,
+    "undecided": 0.0,
+    "fell_back": 0.25,  # had left the ground, and lies on it again
+    "lifted": 0.4,  # the hold test decides between the next two
+    "dropped": 0.5,  # was lifted, and did not survive the hold test
+    "held": 1.0,
+}
+FINAL = ("held", "dropped", "timed_out")  # the paper's time-out is a verdict too, with its -100
+OFF_GROUND = 0.005  # m under the object's lowest point: an attempt has begun
+
+
+@dataclass
 class LiftAndHold:
     """Grasp, lift, and survive a long unrecorded hold at 1 m (paper, PyBullet set-up).
 
-    The achieved goal holds the six distances the reward is made of (palm, then fingertips,
-    to the object's centre, m) and the outcome; the desired goal is the outcome "held". There
-    is one goal only, so relabelling an episode leaves its rewards as they are.
+    The achieved goal holds the distances the reward is made of (palm, then fingertips, to the
+    object's centre, m) and the outcome; the desired goal is the outcome "held". There is one goal
+    only, so relabelling an episode leaves its rewards as they are.
     """
 
-    finger_weight: float = 0.2
+    rewards: ClassVar[tuple[str, ...]] = ("staged",)
+    max_episode_steps: ClassVar[int] = 100
+    finger_weight: ClassVar[float] = 0.2
     """alpha of the paper's reward."""
-    max_episode_steps: int = 100
-    tests_hold: bool = True
-    has_single_goal: bool = True
 
-    def desired_goal(self) -> Array:
-        return np.array([0.0] * 6 + [OUTCOMES["held"]])
+    clearance: float
+    """Under a lifted object, m."""
+    hold: HoldTest
+    n_digits: int = 5
+    _is_off_ground: bool = field(default=False, repr=False)
 
-    def achieved_goal(self, situation: Situation) -> Array:
-        points = np.vstack([situation.hand, situation.fingertips])
-        distances = _distance(points, situation.object_position)
-        return np.append(distances, OUTCOMES[situation.outcome])
+    @classmethod
+    def of(cls, config: TaskConfig, n_digits: int, own_timestep: float) -> LiftAndHold:
+        test = HoldTest.of_setup(own_timestep, config.hold_seconds, config.hold_verdict)
+        return cls(config.lift_clearance, test, n_digits)
+
+    @property
+    def goal_size(self) -> int:
+        return 1 + self.n_digits + 1
+
+    @property
+    def only_goal(self) -> Array:
+        return _with_outcome(np.zeros(1 + self.n_digits), "held")
+
+    def begin(self, start: Snapshot, rng: np.random.Generator) -> tuple[Array, Array]:
+        self._is_off_ground = False
+        return self._achieved(start, "undecided"), self.only_goal
+
+    def judge(self, now: Snapshot, is_last: bool, hold: Hold) -> Judgement:
+        outcome = self._before_hold(now, is_last)
+        if outcome == "lifted":
+            outcome = "held" if hold(self.hold) else "dropped"
+        return Judgement(self._achieved(now, outcome), outcome in FINAL)
+
+    def _before_hold(self, now: Snapshot, is_last: bool) -> Outcome:
+        clearance = now.thing.position[2] - now.shape.half_height(now.thing.rotation)
+        if clearance > self.clearance:
+            return "lifted"
+        was_off, self._is_off_ground = self._is_off_ground, clearance > OFF_GROUND
+        if is_last:
+            return "timed_out"
+        return "fell_back" if was_off and not self._is_off_ground else "undecided"
+
+    def _achieved(self, now: Snapshot, outcome: Outcome) -> Array:
+        points = np.vstack([now.hand, now.fingertips])
+        return _with_outcome(_distance(points, now.thing.position), outcome)
 
     def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """Closeness of palm and fingertips until a lift; 5 more for a failed attempt, whether
         the object fell back before it was lifted or was dropped in the hold test; 1000 for a
         lift that held; -100 at time-out. Squares are of metres, as the paper has them."""
-        closeness = np.exp(-(achieved_goal[..., :6] ** 2))
+        distances, outcome = _split(achieved_goal)
+        closeness = np.exp(-(distances**2))
         reward = closeness[..., 0] + self.finger_weight * closeness[..., 1:].sum(axis=-1)
-        outcome = achieved_goal[..., 6]
         failed = (outcome == OUTCOMES["fell_back"]) | (outcome == OUTCOMES["dropped"])
         reward = np.where(failed, reward + 5.0, reward)
         reward = np.where(outcome == OUTCOMES["timed_out"], -100.0, reward)
         return np.where(self.is_success(achieved_goal, desired_goal), 1000.0, reward)
 
     def is_success(self, achieved_goal: Array, desired_goal: Array) -> Array:
-        return np.asarray(achieved_goal)[..., 6] == OUTCOMES["held"]
+        return _split(achieved_goal)[1] == OUTCOMES["held"]
+
+
+def _with_outcome(distances: Array, outcome: Outcome) -> Array:
+    """A goal of lift-and-hold."""
+    return np.append(distances, OUTCOMES[outcome])
+
+
+def _split(goal: Any) -> tuple[Array, Array]:
+    """Distances (..., 1 + n_digits) and outcomes (...) of goals of lift-and-hold."""
+    goal = np.asarray(goal)
+    return goal[..., :-1], goal[..., -1]
 
 
 def _distance(a: Any, b: Any) -> Array:
     return np.linalg.norm(np.asarray(a) - np.asarray(b), axis=-1)
+
+
+TASKS: dict[str, type[LiftAndHold] | type[ReachGoal]] = {
+    "lift-and-hold": LiftAndHold,
+    "reach-goal": ReachGoal,
+}

@@ -16,7 +16,6 @@ nothing is felt twice.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -203,7 +202,7 @@ class ForceRule:
         )
 
 
-RULES: dict[str, Callable[[Taxels, Hand], Rule]] = {
+RULES: dict[str, type[SkinRule] | type[ContactRule] | type[ForceRule]] = {
     "skin": SkinRule,
     "contact": ContactRule,
     "force": ForceRule,

@@ -190,14 +190,14 @@ class TestRewards:
     def test_reach_goal(self):
         goal = np.array([0.0, 0.0, 0.1])
         achieved = np.array([[0.0, 0.0, 0.1], [0.0, 0.03, 0.1], [0.0, 0.04, 0.1]])
-        sparse = tasks.ReachGoal(tuple(goal), 0.03, "sparse")
+        sparse = tasks.ReachGoal(0.08, 0.03, "sparse")
         assert sparse.reward(achieved, goal).tolist() == [0.0, 0.0, -1.0]
-        dense = tasks.ReachGoal(tuple(goal), 0.03, "dense")
+        dense = tasks.ReachGoal(0.08, 0.03, "dense")
         np.testing.assert_allclose(dense.reward(achieved, goal), [0.0, -0.3, -0.4])
         assert sparse.is_success(achieved, goal).tolist() == [True, True, False]
 
     def test_lift_and_hold_stages(self):
-        task = tasks.LiftAndHold()
+        task = make().task
         distances = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
         closeness = np.exp(-0.01) + 0.2 * np.exp(-(distances[1:] ** 2)).sum()
         goals = np.stack([np.append(distances, value) for value in tasks.OUTCOMES.values()])
@@ -209,7 +209,7 @@ class TestRewards:
             "dropped": closeness + 5,
             "held": 1000.0,
         }
-        assert task.reward(goals, task.desired_goal()) == pytest.approx(
+        assert task.reward(goals, task.only_goal) == pytest.approx(
             [expected[k] for k in tasks.OUTCOMES]
         )
 
@@ -415,7 +415,7 @@ class TestHoldTest:
         targets = env.simulator.data.ctrl[env.simulator._ctrl].copy()
         if not close:
             targets[3:] = env.hand.start_targets()[3:]
-        test = dataclasses.replace(env._hold, seconds=4.0, verdict=verdict)
+        test = dataclasses.replace(env.task.hold, seconds=4.0, verdict=verdict)
         return test.run(env.simulator, targets, env.config.timestep)
 
     @pytest.mark.parametrize("verdict", ["full", "settled"])
@@ -433,7 +433,7 @@ class TestHoldTest:
         env.step(np.eye(23)[2])  # the hand is on its way up and lags behind its target
         looks = [
             (is_at_top, env.simulator.data.time)
-            for is_at_top, _ in env._hold.positions(env.simulator, env._targets, timestep)
+            for is_at_top, _ in env.task.hold.positions(env.simulator, env._targets, timestep)
         ]
         top = [time for is_at_top, time in looks if is_at_top]
         assert top[-1] - top[0] == pytest.approx(seconds, abs=timestep / 2 + 1e-9)
@@ -445,7 +445,7 @@ class TestHoldTest:
         """Looked at every 25 and settled over 400 of them."""
         times = np.array([5000, 25, 400]) * timestep
         for choice in ({}, {"timestep": timestep / 2}):
-            test = envs.make(hand, simulator="mujoco", **choice)._hold
+            test = envs.make(hand, simulator="mujoco", **choice).task.hold
             assert [test.seconds, test.look_every, test.settle_seconds] == pytest.approx(times)
 
     def test_palm_ends_at_one_metre_wherever_it_was_going(self):
@@ -453,7 +453,7 @@ class TestHoldTest:
         for action in (-1.0, 1.0):
             env.reset(seed=0)
             env.step(action * np.eye(23)[2])
-            list(env._hold.positions(env.simulator, env._targets, env.config.timestep))
+            list(env.task.hold.positions(env.simulator, env._targets, env.config.timestep))
             assert env.simulator.link_positions()[0, 2] == pytest.approx(
                 1.0, abs=0.02
             )  # the wrist may still turn
@@ -466,7 +466,7 @@ class TestHoldTest:
         env.reset(seed=0)
         thing = env.simulator.data.joint("object")
         thing.qpos[2], thing.qvel[2] = 0.5, 40.0
-        assert not env._hold.run(env.simulator, env._targets, env.config.timestep)
+        assert not env.task.hold.run(env.simulator, env._targets, env.config.timestep)
         assert env.simulator.object_state().position[2] > 1.0
 
 

@@ -133,6 +133,7 @@ class MujocoSimulator:
         self._qvel = np.array([joint.dofadr[0] for joint in joints])
         self._ctrl = np.array([model.actuator(name).id for name in hand.actuators])
         self._object_qpos = int(model.joint(OBJECT).qposadr[0])
+        self._object_qvel = int(model.joint(OBJECT).dofadr[0])
         self._object_body = model.body(OBJECT).id
         self._object_geom = model.geom(OBJECT).id
         points = [(hand.palm, hand.palm_point), *hand.fingertips]
@@ -196,8 +197,11 @@ class MujocoSimulator:
 
     def object_state(self) -> ObjectState:
         data, body = self.data, self._object_body
-        rotation = data.xmat[body].reshape(3, 3)
-        return ObjectState(data.xpos[body].copy(), data.xquat[body].copy(), rotation.copy())
+        rotation, start = data.xmat[body].reshape(3, 3).copy(), self._object_qvel
+        velocity, spin = data.qvel[start : start + 3], data.qvel[start + 3 : start + 6]
+        return ObjectState(
+            data.xpos[body].copy(), data.xquat[body].copy(), rotation, velocity.copy(), rotation @ spin
+        )
 
     def link_positions(self) -> Array:
         positions, rotations = self._poses(self._point_bodies)

@@ -208,8 +208,12 @@ class PyBulletSimulator:
         position, xyzw = pybullet.getBasePositionAndOrientation(
             self.object, physicsClientId=self.client
         )
+        velocity, spin = pybullet.getBaseVelocity(self.object, physicsClientId=self.client)
         rotation = np.array(pybullet.getMatrixFromQuaternion(xyzw)).reshape(3, 3)
-        return ObjectState(np.array(position), np.array([xyzw[3], *xyzw[:3]]), rotation)
+        orientation = np.array([xyzw[3], *xyzw[:3]])
+        return ObjectState(
+            np.array(position), orientation, rotation, np.array(velocity), np.array(spin)
+        )
 
     def link_positions(self) -> Array:
         positions, rotations = self.link_poses(self._point_links)

@@ -1,0 +1,72 @@
+"""Goals that are drawn, and what a task may look at."""
+
+import numpy as np
+import pytest
+
+from tactilerl import envs
+from tactilerl.envs import objects
+
+BOTH = [("shadow", "mujoco"), ("mpl", "pybullet")]
+
+
+@pytest.mark.parametrize(("hand", "simulator"), BOTH)
+def test_goals_are_drawn_within_their_range_and_starts_stay(hand, simulator):
+    choices = {"simulator": simulator, "task": "reach-goal", "goal_height": 0.1}
+    fixed, drawn = envs.make(hand, **choices), envs.make(hand, **choices, goal_range=0.05)
+    goals = []
+    for seed in range(20):
+        a, b = (env.reset(seed=seed)[0] for env in (fixed, drawn))
+        np.testing.assert_array_equal(a["observation"], b["observation"])
+        goals.append(b["desired_goal"] - a["desired_goal"])
+        assert drawn.step(np.zeros(drawn.action_space.shape))[0]["desired_goal"] in b["desired_goal"]
+    again = drawn.reset(seed=0)[0]["desired_goal"] - a["desired_goal"]
+    np.testing.assert_array_equal(again, goals[0])
+    assert np.abs(goals).max() <= 0.05 + 1e-6
+    assert (np.ptp(goals, axis=0) > 0.05).all()
+    assert not np.array_equal(drawn.reset()[0]["desired_goal"], drawn.reset()[0]["desired_goal"])
+    fixed.close(), drawn.close()
+
+
+@pytest.mark.parametrize(
+    ("choices", "named"),
+    [
+        ({"goal_range": 0.09}, "goal_range: found 0.09 m, allowed from 0 to goal_height, 0.08 m"),
+        ({"goal_range": -0.01}, "goal_range: found -0.01 m"),
+        ({"goal_range": 0.01, "task": "lift-and-hold"}, "goal_range: .* only with task reach-goal"),
+    ],
+)
+def test_goals_that_cannot_be_are_named(choices, named):
+    with pytest.raises(ValueError, match=named):
+        envs.make("shadow", **{"task": "reach-goal", **choices})
+
+
+@pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
+def test_the_objects_velocity_is_what_its_poses_say(simulator):
+    """Of a turned box that falls and spins in free space."""
+    env = envs.make("mpl", simulator=simulator, object_size=(0.02, 0.03, 0.05))
+    sim, dt = env.simulator, env.config.timestep
+    assert not sim.object_state().velocity.any()
+    sim.reset(env.hand.start_positions(), np.array([0.4, 0.4, 1.0]), 0.7)
+    if simulator == "mujoco":
+        sim.data.joint("object").qvel[3:] = [2.0, 1.0, 3.0]
+    else:
+        from tactilerl.envs.simulators.pybullet import pybullet
+
+        pybullet.resetBaseVelocity(sim.object, [0, 0, 0], [1.5, 1.0, 3.0], physicsClientId=sim.client)
+    targets, states = env.hand.start_targets(), []
+    for _ in range(12):
+        sim.step(targets, 1)
+        states.append(sim.object_state())
+    before, last = states[-2], states[-1]
+    moved = (last.position - before.position) / dt
+    np.testing.assert_allclose(last.velocity, moved, atol=1e-6)
+    assert last.velocity[2] == pytest.approx(-9.81 * 12 * dt, rel=0.05)
+    turned = last.rotation @ before.rotation.T
+    spin = np.array([turned[2, 1], turned[0, 2], turned[1, 0]]) / dt
+    np.testing.assert_allclose(last.angular_velocity, spin, rtol=0.02, atol=0.02)
+    env.close()
+
+
+def test_a_state_without_a_velocity_is_at_rest():
+    state = objects.ObjectState(np.zeros(3), np.array([1.0, 0, 0, 0]), np.eye(3))
+    assert not np.concatenate([state.velocity, state.angular_velocity]).any()
