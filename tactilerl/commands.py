@@ -294,7 +294,8 @@ class RenderFlags:
     video: Path = Path("episodes.mp4")
     """The film of a run's policy to write."""
     episodes: int = 1
-    """Episodes in the film, those that `evaluate` plays first."""
+    """Episodes in the film, those that `evaluate` plays first. Its hold tests last 2 s unless
+    --hold-seconds says otherwise."""
     env: str = "shadow"
     """Which environment (picture)."""
     out: Path = Path("grasp.png")
@@ -327,18 +328,42 @@ def render(args: list[str]) -> int:
             needed = "with" if read.run is None else "without"
             raise InputError(f"--{flag}: found it, allowed only {needed} RUN; see --help")
     if read.run is not None:
-        if scene != setup(name):
-            raise InputError("render RUN: found flags of a scene, allowed none: a run has its own")
-        _at_least("--episodes", read.episodes, 1)
-        with input_errors():
-            for success in pictures.film(read.run, read.episodes, read.camera, read.video):
-                console.print(f"{read.video}: {'success' if success else 'no success'}")
-        return 0
+        return _film(args, read, scene)
     if scene is None:
         raise InputError(f"--env: found {name!r}, allowed: {', '.join(GRASP_ENVS)}")
     with input_errors():
         lit = pictures.picture(name, scene, read.pose, read.camera, read.out)
     console.print(f"{read.out}: {lit} taxels fire")
+    return 0
+
+
+def _film(args: list[str], read: RenderFlags, scene: GraspConfig | None) -> int:
+    """The film of a run: of a scene's flags, only the length of the hold test has a meaning."""
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    from . import render as pictures
+
+    assert read.run is not None
+    hold_seconds = pictures.HOLD_SECONDS
+    if scene is not None and flags.peek(args, "--hold-seconds", ""):
+        hold_seconds = scene.hold_seconds
+        scene = dataclasses.replace(scene, hold_seconds=setup(read.env).hold_seconds)
+    if scene != setup(read.env):
+        raise InputError(
+            "render RUN: found flags of a scene, allowed only --hold-seconds: a run has its own"
+        )
+    _at_least("--episodes", read.episodes, 1)
+    columns = SpinnerColumn(), TextColumn("{task.completed:.0f} pictures"), TimeElapsedColumn()
+    bar = Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty())
+    with input_errors(), bar:
+        drawn = bar.add_task("")
+        film = pictures.film(
+            *(read.run, read.episodes, hold_seconds, read.camera, read.video),
+            tick=lambda: bar.advance(drawn),
+        )
+        for success in film:
+            verdict = "success" if success else "no success"
+            console.print(f"{read.video}: {verdict} (hold tests of {hold_seconds:g} s)")
     return 0
 
 
