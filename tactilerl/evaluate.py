@@ -23,10 +23,13 @@ SEED = 10_000_000  # evaluation starts are not those of training
 CONFIDENCE = 0.95
 
 
-def load_policy(path: Path) -> tuple[RunConfig, algos.Algorithm, int]:
-    """(configuration, learner, epoch) of a run folder, on the CPU, with the full hold test."""
+def load_policy(
+    path: Path, env: str = "", trust: bool = False
+) -> tuple[RunConfig, algos.Algorithm, int]:
+    """(configuration, learner, epoch) of a run folder, on the CPU, with the full hold test; for
+    `env` and `trust` see `RunDir.read_config`."""
     run_dir = RunDir(path)
-    saved, _ = run_dir.read_config()
+    saved, _ = run_dir.read_config(env, trust)
     run = dataclasses.replace(saved.run, num_envs=1, device="cpu")
     scene = saved.scene and dataclasses.replace(saved.scene, hold_verdict="full")
     config = dataclasses.replace(saved, run=run, scene=scene)
