@@ -32,7 +32,8 @@ def give(learner: Any, state: dict[str, Any], parts: Sequence[str], counters: Se
     """
     own = take(learner, parts, counters)
     rng = own.pop("rng")
-    require_like({name: value for name, value in state.items() if name != "rng"}, own)
+    is_dict = isinstance(state, dict)
+    require_like({k: v for k, v in state.items() if k != "rng"} if is_dict else state, own)
     if "rng" in state:
         _require_random_state(learner.rng.bit_generator, state["rng"], rng)
     for name in parts:

@@ -72,11 +72,11 @@ def _run(args: list[str]) -> int:
 
 def _say(what: str, error: BaseException) -> None:
     """One line about the end of a command: the error, and what was noted on its way here."""
-    parts = [" ".join(str(part).split()) for part in (error, *getattr(error, "__notes__", ()))]
-    line = "; ".join(filter(None, parts))
+    first = f"{what}: {error}" if str(error) else what
+    line = " ".join("; ".join([first, *getattr(error, "__notes__", ())]).split())
     if len(line) > LONGEST:
         line = f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
-    print("tactilerl: " + ": ".join(filter(None, (what, line))), file=sys.stderr)
+    print(f"tactilerl: {line}", file=sys.stderr)
 
 
 def _usage() -> str:

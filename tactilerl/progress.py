@@ -94,4 +94,3 @@ def _require_row(number: int, row: list[str], columns: list[str]) -> None:
     int(row[0])
     for field in row:
         float(field or 0)
-

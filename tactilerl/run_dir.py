@@ -127,7 +127,10 @@ class RunDir:
         except FileNotFoundError:
             raise InputError(f"{str(self.path)!r} is not a run folder: no config.json in it") from None
         except RecursionError:
-            raise InputError(f"{self.config_file}: not a run's configuration: nested too deeply") from None
+            raise InputError(
+                f"{self.config_file}: not a run's configuration: nested too deeply"
+            ) from None
         except (OSError, ValueError) as error:
-            raise InputError(f"{self.config_file}: not a run's configuration: {error}") from error
+            reason = getattr(error, "strerror", error)
+            raise InputError(f"{self.config_file}: not a run's configuration: {reason}") from error
         return data

@@ -32,9 +32,9 @@ def write(path: Path, content: dict[str, Any]) -> None:
     """Write tensors and plain values, and their checksum."""
     with replacing(path) as file:
         torch.save(content, file)
+        size = file.tell()
         file.seek(0)
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
-        file.seek(0, os.SEEK_END)
+        digest = _digest(file, size)
         file.write(MARK + digest.encode())
 
 

@@ -55,5 +55,5 @@ def _allows_bool(hint: Any) -> bool:
 
 def _short(value: Any) -> str:
     """A value, or its type when it has many parts."""
-    is_plain = value is None or isinstance(value, str | bool | float)
+    is_plain = value is None or isinstance(value, str | int | float)
     return repr(value)[:50] if is_plain else type(value).__name__
