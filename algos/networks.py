@@ -66,10 +66,8 @@ class FlatAdam:
         self.gradient = self.vector.grad
         self._moments = {name: torch.zeros_like(self.vector.data) for name in ("exp_avg", "exp_avg_sq")}
         self._steps = torch.zeros(len(modules), device=self.vector.device)
-        ends = itertools.accumulate(
-            sum(p.numel() for p in module.parameters()) for module, _ in modules
-        )
-        slices = [slice(*pair) for pair in itertools.pairwise((0, *ends))]
+        sizes = [sum(p.numel() for p in module.parameters()) for module, _ in modules]
+        slices = [slice(*ends) for ends in itertools.pairwise((0, *itertools.accumulate(sizes)))]
         parts = [nn.Parameter(self.vector.data[part]) for part in slices]
         groups = [{"params": [p], "lr": lr} for p, (_, lr) in zip(parts, modules, strict=True)]
         self._adam = torch.optim.Adam(groups, eps=eps, fused=True)

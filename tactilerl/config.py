@@ -86,12 +86,13 @@ class RunConfig:
 
     @property
     def make_env(self) -> Callable[..., Any]:
-        """Makes one environment; can be pickled. InputError when it would import what is not trusted."""
+        """Makes one environment; can be pickled. InputError when that would import a module that is
+        not trusted."""
         module, colon, _ = self.run.env.partition(":")
         if colon and not self.is_trusted:
             raise InputError(
-                f"{self.folder}: this run's environment imports the module {module!r}; if you trust it, "
-                f"give --env {self.run.env} once more, or --trust"
+                f"{self.folder}: this run's environment imports the module {module!r}; "
+                f"if you trust it, give --env {self.run.env} once more, or --trust"
             )
         choices = dataclasses.asdict(self.scene) if self.scene is not None else {}
         if self.layout_file and self.folder and (self.folder / LAYOUT_COPY).is_file():

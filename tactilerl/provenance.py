@@ -11,6 +11,7 @@ from typing import TypedDict
 
 from . import __version__
 
+HERE = Path(__file__).resolve().parent
 PACKAGES = ("torch", "numpy", "mujoco", "pybullet", "gymnasium", "gymnasium-robotics", "mpi4py")
 
 
@@ -33,7 +34,7 @@ def record(epoch: int = 0, env_steps: int = 0) -> Record:
             versions[package] = version(package)
         except PackageNotFoundError:
             continue
-    return {"epoch": epoch, "env_steps": env_steps, "versions": versions, "commit": commit()}
+    return {"epoch": epoch, "env_steps": env_steps, "versions": versions, "commit": commit(HERE)}
 
 
 def difference(before: Record, now: Record) -> str:
@@ -49,7 +50,7 @@ def difference(before: Record, now: Record) -> str:
     return ", ".join(changed)
 
 
-def commit(folder: Path = Path(__file__).resolve().parent) -> str | None:
+def commit(folder: Path) -> str | None:
     """The commit of the repository that tracks this package in `folder`.
 
     None where none does: a virtual environment may lie inside somebody else's repository.

@@ -340,7 +340,7 @@ class TestBadInput:
             (["train", "--layout", "9"], ["unknown layout '9'", "1, 2, 3, 4, 5, 6"]),
             (["train", "--layout", "no.toml"], ["no.toml", "does not exist"]),
             (["train", "--run-type", "half"], ["'half'", "--run-type", "main"]),
-            (["train", "--total-timesteps", "-5"], ["total_timesteps: found -5", "1 or more"]),
+            (["train", "--total-timesteps", "-5"], ["total_timesteps: found -5", "from 1 to"]),
             (["train", "--gama", "0.9"], ["--gama"]),
             (["train", "--gamma", "much"], ["--gamma", "much"]),
             (["train", "--gamma", "nan"], ["gamma", "nan"]),

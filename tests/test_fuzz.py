@@ -17,9 +17,10 @@ from tactilerl.cli import main
 pytestmark = pytest.mark.slow
 TRAIN = ["train", "--env", "lqr", "--hidden", "8", "--steps-per-epoch", "60", "--n-passes", "1"]
 TRAIN += ["--total-timesteps", "1"]
-FLAGS = """algo env total-timesteps num-envs seed out device threads hidden actor-lr critic-lr
-action-variance gamma gae-lambda clip-range steps-per-epoch n-passes n-minibatches minibatch-size
-entropy-coef max-grad-norm truncation target-kl resume layout task object-size timestep""".split()
+FLAGS = ["algo", "env", "total-timesteps", "num-envs", "seed", "out", "device", "threads", "hidden"]
+FLAGS += ["actor-lr", "critic-lr", "action-variance", "gamma", "gae-lambda", "clip-range", "n-passes"]
+FLAGS += ["steps-per-epoch", "n-minibatches", "minibatch-size", "entropy-coef", "max-grad-norm"]
+FLAGS += ["truncation", "target-kl", "resume", "layout", "task", "object-size", "timestep"]
 WORDS = ["", "-1", "0", "1", "0.5", "nan", "-inf", "1e400", "9" * 400, "9" * 5000, "x", "None", "[]"]
 WORDS += ["../x:Id", "no.module:Id", ":", "é", "\udcff", "x" * 5000, "../..", "true", "0x10", "meta"]
 VALUES = [None, True, -1, 0, 1.5, 10**400, 2**63, float("inf"), float("nan"), "", "x", "../x:Id"]
