@@ -49,7 +49,8 @@ def require_like(found: Any, own: Any, name: str = "state") -> None:
 
     The same keys, lengths and types all the way down; tensors of the same shape and dtype, whole and
     on the CPU or the same device; texts of any content; numbers finite and not negative, for they
-    count something. Only what `own` has is looked at, so a state that is nested without end costs nothing.
+    count something. Only what `own` has is looked at, so a state that is nested without end costs
+    nothing.
     """
     if isinstance(own, torch.Tensor):
         _require_tensor(found, own, name)

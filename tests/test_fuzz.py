@@ -82,6 +82,8 @@ def test_flags(run, tried):
 
 def test_layouts(run, tried):
     rng = random.Random(1)
+    Path("mine.toml").write_text(LAYOUT, encoding="utf-8")
+    assert tried(["env", "--layout", "mine.toml"], LAYOUT) == 0
     for _ in range(150):
         Path("mine.toml").write_text(mutated(LAYOUT, rng), encoding="utf-8")
         tried(["env", "--layout", "mine.toml"], Path("mine.toml").read_text(encoding="utf-8"))
