@@ -131,6 +131,8 @@ def test_checkpoints(run, tried):
     rng, path = random.Random(5), run / "checkpoint.pt"
     good = path.read_bytes()
     values = [*VALUES, torch.zeros(3), torch.zeros(0), torch.zeros(2, 2, dtype=torch.int64)]
+    sealed.write(path, torch.load(path, weights_only=True))
+    assert tried(["evaluate", "run", "--episodes", "1"], "the same, sealed again") == 0
     for _ in range(150):
         path.write_bytes(good)
         content = torch.load(path, weights_only=True)
