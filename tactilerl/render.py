@@ -15,6 +15,7 @@ from .envs import scripted
 from .envs.grasp import GraspConfig, GraspEnv
 from .envs.simulators import Camera, Simulator
 from .errors import InputError
+from .run_dir import RunDir
 
 Pose = Literal["start", "grasp"]
 FPS = 25  # at least: a picture stands for a whole number of timesteps
@@ -53,10 +54,13 @@ def film(
 
     _require_writable("--video", out, FILMS)
     imageio = _imageio("imageio.v2", "imageio_ffmpeg")
+    saved, _ = RunDir(run).read_config()
+    if saved.scene is None:
+        raise InputError(f"{run}: found a run on {saved.run.env!r}, allowed one of a grasping scene")
     config, policy, *_ = evaluate.load_policy(run)
-    if config.scene is None:
-        raise InputError(f"{run}: found a run on {config.run.env!r}, allowed one of a grasping scene")
+    assert config.scene is not None
     config = replace(config, scene=replace(config.scene, hold_seconds=hold_seconds))
+    assert config.scene is not None
     camera = replace(camera, width=480, height=360)
     every = max(1, int(1 / FPS / config.scene.timestep + 1e-6))
     fps = 1 / (every * config.scene.timestep)
