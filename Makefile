@@ -32,12 +32,12 @@ $(DEVELOPMENT): $(TRAINING)
 		echo "PyBullet: found no wheel for this Python; going on without it"
 	touch $@
 
-# About ten minutes on two cores. The early hold verdict and two environments are for speed.
+# The early hold verdict is for speed.
 # Goes on with the run when it is there already.
 train: $(TRAINING)
 	if [ -e $(RUN)/config.json ]; then $(BIN)/tactilerl train --resume $(RUN); else \
 		$(BIN)/tactilerl train --algo ppo --env shadow --layout 4 --total-timesteps 50000 \
-			--num-envs 2 --hold-verdict settled --out $(RUN); fi
+			--hold-verdict settled --out $(RUN); fi
 	$(BIN)/tactilerl evaluate $(RUN) --episodes 50
 
 # Several tests at a time, each with one thread: `make test JOBS=8` on more cores.

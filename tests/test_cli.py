@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 import torch
 
+from tactilerl import sealed
 from tactilerl.cli import main
 from tactilerl.envs.vector import Workers
-from tactilerl.run_dir import RunDir
 
 FAST = ["--hidden", "16", "--steps-per-epoch", "120", "--n-passes", "2"]
 TOY = ["train", "--env", "lqr", *FAST]
@@ -91,7 +91,7 @@ class TestTrain:
         assert "tactilerl evaluate run" in out
         config = json.loads(Path("run/config.json").read_text())
         assert config["learner"]["gae_lambda"] == 0.97
-        assert config["versions"]["torch"]
+        assert config["provenance"][0]["versions"]["torch"]
         assert config["ranks"] == 1
         assert [row["epoch"] for row in progress(Path("run"))] == ["1", "2"]
 
@@ -280,7 +280,8 @@ class TestResume:
     def test_run_cut_off_before_its_first_checkpoint_starts_anew(self):
         main([*TOY, "--total-timesteps", "240", "--out", "whole"])
         main([*TOY, "--total-timesteps", "240", "--out", "cut"])
-        Path("cut/checkpoint.pt").unlink()
+        for name in ("checkpoint.pt", "progress.csv"):
+            Path("cut", name).unlink()
         assert main(["train", "--resume", "cut"]) == 0
         assert progress(Path("whole")) == progress(Path("cut"))
         assert same_checkpoint(Path("whole"), Path("cut"))
@@ -334,7 +335,7 @@ class TestResume:
         (checkpoint,) = Path("run").rglob("*.pt")
         state = torch.load(checkpoint, weights_only=True)
         state["ranks"][0]["actor"] = {}
-        torch.save(state, checkpoint)
+        sealed.write(checkpoint, state)
         closed, close = [], Workers.close
         monkeypatch.setattr(Workers, "close", lambda self: (closed.append(self), close(self)))
         fails_with(capsys, args)
@@ -365,7 +366,7 @@ class TestBadInput:
             (["train", "--layout", "9"], ["unknown layout '9'", "1, 2, 3, 4, 5, 6"]),
             (["train", "--layout", "no.toml"], ["no.toml", "does not exist"]),
             (["train", "--run-type", "half"], ["'half'", "--run-type", "main"]),
-            (["train", "--total-timesteps", "-5"], ["total_timesteps: found -5", "1 or more"]),
+            (["train", "--total-timesteps", "-5"], ["total_timesteps: found -5", "from 1 to"]),
             (["train", "--gama", "0.9"], ["--gama"]),
             (["train", "--gamma", "much"], ["--gamma", "much"]),
             (["train", "--gamma", "nan"], ["gamma", "nan"]),
@@ -445,7 +446,7 @@ class TestBadInput:
         main([*TOY, "--total-timesteps", "1", "--out", "run"])
         data = torch.load("run/checkpoint.pt", weights_only=True)
         data["ranks"][0]["critic"]["0.weight"][0, 0] = float("nan")
-        torch.save(data, "run/checkpoint.pt")
+        sealed.write(Path("run/checkpoint.pt"), data)
         before = Path("run/checkpoint.pt").read_bytes()
         assert main(["train", "--resume", "run", "--total-timesteps", "600"]) == 1
         err = capsys.readouterr().err
@@ -554,11 +555,3 @@ class TestOtherCommands:
         code = "import sys, tactilerl.cli; tactilerl.cli.main(['--help']); print(len(sys.modules))"
         code += "; assert not {'torch', 'mujoco', 'gymnasium', 'scipy'} & set(sys.modules)"
         assert subprocess.run([sys.executable, "-c", code], capture_output=True).returncode == 0
-
-
-def test_a_table_whose_header_was_cut_off_begins_anew_without_a_checkpoint(tmp_path):
-    folder = RunDir(tmp_path)
-    folder.progress_file.write_text("epoch,env_st", encoding="utf-8")
-    folder.cut_progress(0)
-    folder.append_progress({"epoch": 1, "env_steps": 60})
-    assert folder.progress_file.read_text(encoding="utf-8") == "epoch,env_steps\n1,60\n"
