@@ -40,6 +40,8 @@ class Episode(Generic[Obs]):
     held: int = 0
     """Steps for which success had stood by the end."""
     faults: dict[str, int] = field(default_factory=lambda: dict.fromkeys(FAULTS, 0))
+    info: dict[str, Any] = field(default_factory=dict)
+    """What the environment said with the last step."""
 
     def __len__(self) -> int:
         """Transitions."""
@@ -74,6 +76,7 @@ class PlayEpisode(Generic[Obs]):
 def _step(env: gym.Env[Any, Any], policy: Policy, action: Array, episode: Episode[Any]) -> bool:
     """Take one step and add it to the episode; has that ended?"""
     obs, reward, terminated, truncated, info = env.step(policy.to_env(action))
+    episode.info = info
     for fault in FAULTS:
         episode.faults[fault] += int(info.get(fault, 0))
     episode.success = float(info.get("is_success", math.nan))

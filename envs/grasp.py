@@ -11,6 +11,7 @@ import numpy as np
 
 from . import hands, layouts, objects, observations, simulators, tasks, touch
 from .hold import HoldTest
+from .objects import ObjectConfig
 from .observations import ObservationConfig, Observer
 from .snapshot import Snapshot
 from .tasks import TaskConfig
@@ -21,7 +22,7 @@ EJECTED = 10.0  # m/s, of the object during an action: twice what random actions
 
 
 @dataclass(frozen=True)
-class GraspConfig(ObservationConfig, TaskConfig):
+class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
     """Every choice a grasping scene leaves open. SI units and radians.
 
     The defaults are the Shadow Hand's; `setup` gives those of another hand.
@@ -36,15 +37,6 @@ class GraspConfig(ObservationConfig, TaskConfig):
     touch: str = "skin"
     """Touch rule. skin: the taxel's sphere overlaps the object, and its skin touches it; contact: the
     simulator's own contact points (paper); force: normal force in N. Why skin: docs/environments.md."""
-    object: objects.Kind = "box"
-    """box, sphere or cylinder."""
-    object_size: tuple[float, ...] = (0.05,)
-    """Edge of the cube or three edges of a box, diameter of a sphere, diameter and height of a
-    standing cylinder, m."""
-    object_density: float = 567.0
-    """kg/m^3 (manipulate_block.xml of the Shadow Hand's model; mpl: 800, a cube of 0.1 kg)."""
-    friction: float = 1.0
-    """Sliding friction of the object (the models' own value)."""
     finger_gain: float = 1.0
     """Position gain and force limit of the fingers, relative to the hand model's."""
     timestep: float = 0.004
@@ -53,19 +45,11 @@ class GraspConfig(ObservationConfig, TaskConfig):
     """Time between actions, s; a whole number of timesteps (mpl: 0.1)."""
     max_episode_steps: int | None = None
     """Actions per episode; default: the task's (lift-and-hold 100, as in the paper)."""
-    jitter: bool = True
-    """Move the start a little in every episode, seeded (the paper does not)."""
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        size = (self.object_size,) if np.ndim(self.object_size) == 0 else self.object_size
-        object.__setattr__(self, "object_size", tuple(size))  # a number, or JSON's list
+        ObservationConfig.__post_init__(self)
+        ObjectConfig.__post_init__(self)
         object.__setattr__(self, "layout", str(self.layout))  # 4 is "4"
-
-    @property
-    def shape(self) -> objects.Shape:
-        """The object's."""
-        return objects.make(self.object, self.object_size)
 
     @property
     def n_substeps(self) -> int:
@@ -75,18 +59,10 @@ class GraspConfig(ObservationConfig, TaskConfig):
     def validate(self) -> None:
         """Raise ValueError naming the first field that cannot be."""
         self._validate_choices()
-        for name in (
-            *("object_size", "object_density", "friction", "finger_gain", "timestep", "control_dt"),
-        ):
-            for value in np.ravel(getattr(self, name)):
-                if not (np.isfinite(value) and value > 0):
-                    raise ValueError(f"{name}: found {value}, allowed a finite number above 0")
-        for size, most, where in (
-            (self.shape.width, WIDEST, "across"),
-            (self.shape.height, TALLEST, "in height"),
-        ):
-            if size > most:
-                raise ValueError(f"object_size: found {size:g} m, allowed up to {most} m {where}")
+        for name in ("finger_gain", "timestep", "control_dt"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise ValueError(f"{name}: found {value}, allowed a finite number above 0")
         if self.max_episode_steps is not None and self.max_episode_steps < 1:
             raise ValueError(f"max_episode_steps: found {self.max_episode_steps}, allowed 1 or more")
         ratio = self.control_dt / self.timestep
@@ -95,6 +71,7 @@ class GraspConfig(ObservationConfig, TaskConfig):
                 f"control_dt: found {self.control_dt} s, allowed a whole number of timesteps "
                 f"of {self.timestep} s"
             )
+        objects.validate(self)
         tasks.validate(self)
         observations.validate(self, self.run_type, touch.RULES[self.touch].is_boolean)
 
@@ -127,10 +104,6 @@ def setup(hand: str, **choices: Any) -> GraspConfig:
     return GraspConfig(**{**SETUPS[hand], **choices})
 
 
-WIDEST = 0.08  # m, of an object across; benchmarks/hard_cases.py goes up to it
-TALLEST = 0.15  # m, of an object: held at its top, its centre is well above what counts as dropped
-JITTER_POSITION = 0.005  # m, of the object along x and y
-JITTER_YAW = 0.15  # rad, of the object
 JITTER_JOINT = 0.02  # rad, of every finger joint, within its range
 
 
@@ -141,8 +114,8 @@ class GraspEnv(gym.Env[Any, Array]):
     each entry is), ``achieved_goal`` and ``desired_goal`` (see the task). Actions lie in
     [-1, 1]; what is beyond is clipped. ``info`` holds ``is_success``, and ``diverged`` when
     the physics broke: the step is then void, the observation the last good one, and the
-    episode truncated. ``warnings`` is there when the simulator has warned since the last step,
-    and says how often.
+    episode truncated. At reset and at the end of an episode it says which ``object`` that had.
+    ``warnings`` is there when the simulator has warned since the last step, and says how often.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}
@@ -159,9 +132,10 @@ class GraspEnv(gym.Env[Any, Array]):
             raise ValueError(f"render_mode: found {render_mode!r}, allowed None or 'rgb_array'")
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": max(1, round(1 / config.control_dt))}
-        self.shape = config.shape
-        width, height = self.shape.width, self.shape.height
-        self.hand = hands.load(hand).over(width, height)
+        self._items = items = objects.Items(config)
+        self._item = items.first
+        width = items.width if config.is_near else math.inf
+        self.hand = hands.load(hand).over(width, items.height)
         self.taxels = layouts.load(config.layout).place(self.hand)
         self._touch = touch.RULES[config.touch](self.taxels, self.hand)
         self.task: tasks.Task = tasks.TASKS[config.task].of(
@@ -173,11 +147,11 @@ class GraspEnv(gym.Env[Any, Array]):
             simulators.Scene(
                 hand=self.hand,
                 shape=self.shape,
-                mass=config.object_density * self.shape.volume,
-                friction=config.friction,
+                mass=self._item.mass,
+                friction=self._item.friction,
                 timestep=config.timestep,
                 finger_gain=config.finger_gain,
-                rise=max(0.0, height - self.hand.reach),
+                rise=max(0.0, items.height - self.hand.reach),
                 contact_taxels=self._touch.sensed,
                 visual=render_mode is not None,
             ),
@@ -209,19 +183,22 @@ class GraspEnv(gym.Env[Any, Array]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Array], dict[str, Any]]:
         super().reset(seed=seed)
+        told, goals, things = self.np_random.spawn(3)  # draws nothing from the generator itself
+        self._item = item = self._items.draw(things)
         positions = self._start_positions.copy()
         position, yaw = np.array([0.0, 0.0, self.shape.half_size[2]]), 0.0
         if self.config.jitter:
             rng = self.np_random
-            position[:2] += rng.uniform(-JITTER_POSITION, JITTER_POSITION, 2)
-            yaw = rng.uniform(-JITTER_YAW, JITTER_YAW)
+            offset, turn = self.config.start_offset, self.config.start_yaw
+            position[:2] += rng.uniform(-offset, offset, 2)
+            yaw = rng.uniform(-turn, turn)
             positions[3:] += rng.uniform(-JITTER_JOINT, JITTER_JOINT, len(positions) - 3)
             positions = np.clip(positions, *self.simulator.joint_limits.T)
         self._targets = self.hand.start_targets()
         self._steps = 0
-        told, goals = self.np_random.spawn(2)  # draws nothing from the generator itself
         self._observer.begin(told)
         try:
+            self.simulator.change_object(item.shape, item.mass, item.friction)
             self.simulator.reset(positions, position, yaw)
             seen = self._look()
             observation = self._observation(seen)
@@ -231,7 +208,7 @@ class GraspEnv(gym.Env[Any, Array]):
         achieved, desired = self.task.begin(seen, goals)
         self._desired_goal = desired.astype(np.float32)
         self._obs = self._goal_obs(observation, achieved)
-        return self._obs, {"is_success": False}
+        return self._obs, {"is_success": False, "object": item.describe()}
 
     def step(self, action: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
         action = np.asarray(action, dtype=np.float64)
@@ -248,19 +225,24 @@ class GraspEnv(gym.Env[Any, Array]):
             observation = self._observation(seen)
             judged = self.task.judge(seen, self._steps >= self.max_episode_steps, self._hold)
         except simulators.SimulationError as error:
-            info = self._info(is_success=False, diverged=True, error=str(error))
+            info = self._info(True, is_success=False, diverged=True, error=str(error))
             last = {key: value.copy() for key, value in self._obs.items()}
             return last, 0.0, False, True, info
         self._obs = obs = self._goal_obs(observation, judged.achieved_goal)
         goals = obs["achieved_goal"], obs["desired_goal"]
         terminated = judged.is_over
         truncated = not terminated and self._steps >= self.max_episode_steps
-        info = self._info(is_success=bool(self.task.is_success(*goals)))
+        info = self._info(terminated or truncated, is_success=bool(self.task.is_success(*goals)))
         return obs, float(self.task.reward(*goals)), terminated, truncated, info
 
     def compute_reward(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Array:
         """Rewards (...) of goals (..., goal_size); pure, `info` is not looked at."""
         return self.task.reward(np.asarray(achieved_goal), np.asarray(desired_goal))
+
+    @property
+    def shape(self) -> objects.Shape:
+        """The object's, in this episode."""
+        return self._item.shape
 
     def observation_names(self) -> list[str]:
         """What each entry of ``observation`` is, in order."""
@@ -323,8 +305,11 @@ class GraspEnv(gym.Env[Any, Array]):
             )
         return observation
 
-    def _info(self, **info: Any) -> dict[str, Any]:
-        """With the warnings that no step has told of yet: also those of a reset."""
+    def _info(self, is_end: bool, **info: Any) -> dict[str, Any]:
+        """With the warnings that no step has told of yet, also those of a reset; at the end of an
+        episode with its object."""
+        if is_end:
+            info["object"] = self._item.describe()
         told, self._warnings = self._warnings, self.simulator.warnings
         return info if self._warnings == told else {**info, "warnings": self._warnings - told}
 

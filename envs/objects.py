@@ -1,10 +1,10 @@
-"""The object to grasp: its shape, and where its surface is."""
+"""The object to grasp: its shape, where its surface is, and how it differs between episodes."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -12,6 +12,42 @@ from .hands import Array
 
 Kind = Literal["box", "sphere", "cylinder"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
+Number = float | str
+"""A value, or LOW..HIGH: drawn uniformly from there in every episode."""
+WIDEST = 0.08  # m, of an object across; benchmarks/hard_cases.py goes up to it
+TALLEST = 0.15  # m, of an object: held at its top, its centre is well above what counts as dropped
+OFFSET, YAW = 0.005, 0.15  # m and rad: where the hand leaves room for what is 5 cm across
+FURTHEST = 0.1  # m: at 5 cm, half of a hand's width, a hand's slides hardly get there
+
+
+@dataclass(frozen=True)
+class ObjectConfig:
+    """Which objects there are, and where they start."""
+
+    object: str = "box"
+    """box, sphere or cylinder; several, as in box,sphere: another in every episode."""
+    object_size: tuple[Number, ...] = (0.05,)
+    """Edge of the cube or three edges of a box, diameter of a sphere, diameter and height of a
+    standing cylinder, m; each may be a range such as 0.04..0.05, as may the two that follow."""
+    object_density: Number = 567.0
+    """kg/m^3 (manipulate_block.xml of the Shadow Hand's model; mpl: 800, a cube of 0.1 kg)."""
+    friction: Number = 1.0
+    """Sliding friction of the object (the models' own value)."""
+    jitter: bool = True
+    """Move the start a little in every episode, seeded (the paper does not)."""
+    start_offset: float = OFFSET
+    """With jitter: the object is moved by up to this along x and y, m."""
+    start_yaw: float = YAW
+    """With jitter: the object is turned by up to this, rad."""
+
+    def __post_init__(self) -> None:
+        size = (self.object_size,) if np.ndim(self.object_size) == 0 else self.object_size
+        object.__setattr__(self, "object_size", tuple(size))  # a number, or JSON's list
+
+    @property
+    def is_near(self) -> bool:
+        """Does the object start where the hand leaves room for it?"""
+        return not self.jitter or (self.start_offset <= OFFSET and self.start_yaw <= YAW)
 
 
 @dataclass(frozen=True)
@@ -94,3 +130,100 @@ def make(kind: Kind, size: tuple[float, ...]) -> Shape:
 def cube(size: float) -> Shape:
     """A cube with edges of `size` m."""
     return make("box", (size,))
+
+
+@dataclass(frozen=True)
+class Item:
+    """One object."""
+
+    shape: Shape
+    density: float
+    """kg/m³"""
+    friction: float
+
+    @property
+    def mass(self) -> float:
+        """kg"""
+        return self.density * self.shape.volume
+
+    def describe(self) -> dict[str, Any]:
+        """Plain values, for ``info``: edges (of a sphere or cylinder: of the box around it) in m."""
+        size = [2 * half for half in self.shape.half_size]
+        values = {"density": self.density, "mass": self.mass, "friction": self.friction}
+        return {"kind": self.shape.kind, "size": size, **values}
+
+
+class Items:
+    """The objects that a configuration allows."""
+
+    def __init__(self, config: ObjectConfig) -> None:
+        self._kinds = _kinds(config.object)
+        self._sizes = [bounds("object_size", size) for size in config.object_size]
+        self._density = bounds("object_density", config.object_density)
+        self._friction = bounds("friction", config.friction)
+        ranges = (*self._sizes, self._density, self._friction)
+        self.vary = len(self._kinds) > 1 or any(low < high for low, high in ranges)
+        largest = [self._make(kind, [high for _, high in self._sizes]) for kind in self._kinds]
+        self.width = max(shape.width for shape in largest)
+        """Of the widest, m."""
+        self.height = max(shape.height for shape in largest)
+        """Of the highest, m."""
+        self.first = Item(largest[0], self._density[1], self._friction[1])
+        """The largest of the first kind; the only one where they do not vary."""
+
+    def draw(self, rng: np.random.Generator) -> Item:
+        """An episode's."""
+        if not self.vary:
+            return self.first
+        kind = self._kinds[rng.integers(len(self._kinds))]
+        shape = self._make(kind, [rng.uniform(*size) for size in self._sizes])
+        return Item(shape, rng.uniform(*self._density), rng.uniform(*self._friction))
+
+    def _make(self, kind: Kind, size: list[float]) -> Shape:
+        return make(kind, tuple(size))
+
+
+def _kinds(names: str) -> tuple[Kind, ...]:
+    found = names.split(",")
+    if unknown := [name for name in found if name not in KINDS]:
+        raise ValueError(f"object: found {unknown[0]!r}, allowed: {', '.join(KINDS)}")
+    if len(set(found)) < len(found):
+        raise ValueError(f"object: found {names!r}, allowed each kind once")
+    return tuple(kind for name in found for kind in KINDS if kind == name)
+
+
+def bounds(name: str, value: Number) -> tuple[float, float]:
+    """Lowest and highest of a number or of "LOW..HIGH"; ValueError, calling it `name`."""
+    parts = value.split("..") if isinstance(value, str) else [value]
+    try:
+        low, high = float(parts[0]), float(parts[-1])
+    except ValueError:
+        low = high = math.nan
+    if len(parts) > 2 or math.isnan(low) or math.isnan(high):
+        raise ValueError(f"{name}: found {value!r}, allowed a number or LOW..HIGH")
+    for number in (low, high):
+        if not (math.isfinite(number) and number > 0):
+            raise ValueError(f"{name}: found {number}, allowed a finite number above 0")
+    if low > high:
+        raise ValueError(f"{name}: found {value!r}, allowed LOW..HIGH with LOW up to HIGH")
+    return low, high
+
+
+def validate(config: ObjectConfig) -> None:
+    """ValueError naming the first field that cannot be."""
+    items = Items(config)
+    for size, most, where in (
+        (items.width, WIDEST, "across"),
+        (items.height, TALLEST, "in height"),
+    ):
+        if size > most:
+            raise ValueError(f"object_size: found {size:g} m, allowed up to {most} m {where}")
+    for name, most, usual in (
+        ("start_offset", FURTHEST, OFFSET),
+        ("start_yaw", math.pi, YAW),
+    ):
+        value = getattr(config, name)
+        if not 0 <= value <= most:
+            raise ValueError(f"{name}: found {value}, allowed from 0 to {most:.4g}")
+        if value != usual and not config.jitter:
+            raise ValueError(f"{name}: found {value}, allowed only with jitter")

@@ -157,6 +157,10 @@ def evaluate(args: list[str]) -> int:
         low, high = result["success_rate_ci"]
         table.add_row("success rate", f"{result['success_rate']:.3f}", f"{low:.3f} – {high:.3f}")
         table.add_row("steps in success at the end", f"{result['mean_held_steps']:.1f}", "")
+    for part in result.get("by_object", ()):
+        low, high = part["success_rate_ci"]
+        what = f"success rate, {part['object']} ({part['episodes']})"
+        table.add_row(what, f"{part['success_rate']:.3f}", f"{low:.3f} – {high:.3f}")
     low, high = result["mean_return_ci"]
     table.add_row("return", f"{result['mean_return']:.2f}", f"{low:.2f} – {high:.2f}")
     table.add_row("length", f"{result['mean_length']:.1f}", "")

@@ -64,14 +64,16 @@ def task(policy: Policy, stochastic: bool = False) -> PlayEpisode[Any]:
     return PlayEpisode(policy, (SEED, 0, EVALUATE, 0), explores=stochastic)
 
 
-def row(episode: Episode[Any]) -> dict[str, float]:
+def row(episode: Episode[Any]) -> dict[str, Any]:
     """Success at the end of an episode (nan where the environment has none), for how many steps
-    it had stood by then, return, length and faults; one that diverged has no success."""
+    it had stood by then, return, length, object (if any) and faults; one that diverged has no
+    success."""
     return {
         "success": episode.success,
         "held": episode.held,
         "return": sum(episode.rewards),
         "length": len(episode),
+        "object": episode.info.get("object"),
         **episode.faults,
     }
 
@@ -87,9 +89,8 @@ def mean_interval(values: np.ndarray, resamples: int = 9_999, seed: int = 0) -> 
     return float(found.low), float(found.high)
 
 
-def summarise(played: list[dict[str, float]]) -> dict[str, Any]:
+def summarise(played: list[dict[str, Any]]) -> dict[str, Any]:
     """Success rate with its Wilson interval, mean return with a bootstrap interval, faults."""
-    from scipy import stats  # takes a while
 
     returns = np.array([episode["return"] for episode in played])
     successes = np.array([episode["success"] for episode in played])
@@ -104,10 +105,49 @@ def summarise(played: list[dict[str, float]]) -> dict[str, Any]:
     else:
         result["mean_return_ci"] = [result["mean_return"]] * 2
     if not np.isnan(successes).any():
-        count = int(successes.sum())
-        test = stats.binomtest(count, len(played))
-        interval = test.proportion_ci(CONFIDENCE, method="wilson")
-        result["success_rate"] = count / len(played)
-        result["success_rate_ci"] = [float(interval.low), float(interval.high)]
+        result |= success_rate(successes)
         result["mean_held_steps"] = float(np.mean([episode["held"] for episode in played]))
+        if groups := by_object(played):
+            result["by_object"] = groups
     return result
+
+
+def success_rate(successes: np.ndarray) -> dict[str, Any]:
+    """Rate of successes (n,) of 0 or 1, with its Wilson interval."""
+    from scipy import stats  # takes a while
+
+    count, n = int(successes.sum()), len(successes)
+    interval = stats.binomtest(count, n).proportion_ci(CONFIDENCE, method="wilson")
+    return {"success_rate": count / n, "success_rate_ci": [float(interval.low), float(interval.high)]}
+
+
+PARTS = 3  # into which the range of what differs between objects is cut
+UNITS = {"width": " m", "height": " m", "density": " kg/m³", "friction": ""}
+
+
+def by_object(played: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Success rates by kind and by thirds of each measure in which the episodes' objects differ."""
+    objects = [episode["object"] for episode in played]
+    if any(thing is None for thing in objects):
+        return []
+    successes = np.array([episode["success"] for episode in played])
+    kinds = np.array([thing["kind"] for thing in objects])
+    parts = [(f"{kind}", kinds == kind) for kind in sorted(set(kinds)) if len(set(kinds)) > 1]
+    measures = {
+        "width": [max(thing["size"][:2]) for thing in objects],
+        "height": [thing["size"][2] for thing in objects],
+        **{name: [thing[name] for thing in objects] for name in ("density", "friction")},
+    }
+    for name, values in measures.items():
+        parts += _thirds(name, np.array(values))
+    rows = ((what, successes[chosen]) for what, chosen in parts)
+    return [{"object": w, "episodes": len(s), **success_rate(s)} for w, s in rows if len(s)]
+
+
+def _thirds(name: str, values: np.ndarray) -> list[tuple[str, np.ndarray]]:
+    """(what it is, which of `values` (n,) are in it) for each part of their range."""
+    edges = np.linspace(values.min(), values.max(), PARTS + 1)
+    if np.ptp(values) <= 1e-9 * abs(edges[-1]):
+        return []
+    part = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, PARTS - 1)
+    return [(f"{name} {edges[k]:.3g}–{edges[k + 1]:.3g}{UNITS[name]}", part == k) for k in range(PARTS)]

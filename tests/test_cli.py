@@ -436,8 +436,8 @@ class TestBadInput:
         assert main(["train", "--resume", "run"]) == 0
 
     def test_a_simulator_that_breaks_in_reset_is_one_line(self, capsys, monkeypatch):
-        monkeypatch.setattr("tactilerl.envs.grasp.JITTER_POSITION", 1e200)
-        assert main(["train", "--env", "shadow", *FAST]) == 1
+        monkeypatch.setattr("tactilerl.envs.objects.FURTHEST", 1e300)
+        assert main(["train", "--env", "shadow", *FAST, "--start-offset", "1e200"]) == 1
         err = capsys.readouterr().err
         assert err.startswith("tactilerl: stopped: an episode cannot begin: ")
         assert err.count("\n") == 1

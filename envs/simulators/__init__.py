@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -36,6 +36,12 @@ class Scene:
     """Taxels to read by the simulator's own contact rule."""
     visual: bool = False
     """Keep the meshes, for pictures."""
+
+    def with_object(self, shape: Shape, mass: float, friction: float) -> Scene | None:
+        """The scene with another object; None where it is the same."""
+        if (shape, mass, friction) == (self.shape, self.mass, self.friction):
+            return None
+        return replace(self, shape=shape, mass=mass, friction=friction)
 
     def build_hand(self, visual: bool) -> mujoco.MjSpec:
         """The hand alone, where it starts."""
@@ -80,6 +86,9 @@ class Simulator(Protocol):
     @property
     def warnings(self) -> int:
         """How often the engine has warned of something since it was made, resets included."""
+
+    def change_object(self, shape: Shape, mass: float, friction: float) -> None:
+        """Have another object in the scene, of which a reset must follow."""
 
     def reset(self, joint_positions: Array, object_position: Array, yaw: float) -> None:
         """Put everything at rest; afterwards the past has no influence. SimulationError when the

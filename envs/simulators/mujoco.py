@@ -19,6 +19,11 @@ GEOMS = {
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
     "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
 }
+# What depends on the object in a compiled model, besides what `mj_setConst` derives.
+OBJECT_FIGURES = {
+    "body": ("body_pos", "body_ipos", "body_iquat", "body_mass", "body_inertia"),
+    "geom": ("geom_type", "geom_size", "geom_rbound", "geom_aabb", "geom_friction"),
+}
 SOLVER_ITERATIONS = 20  # enough for the grasps' contacts: docs/accuracy_and_speed.md
 # Warnings after which the state is not the physics' any more.
 BROKEN = [
@@ -51,6 +56,13 @@ def build_spec(scene: Scene) -> mujoco.MjSpec:
         _add_sky(spec)
     spec.worldbody.add_light(pos=[0.1, -0.2, -0.6], dir=[-0.1, 0.2, 0.6], diffuse=[0.5] * 3)
     spec.worldbody.add_light(pos=[0.3, -0.5, 1.0], dir=[-0.3, 0.5, -1.0], diffuse=[0.8] * 3)
+    _add_object(spec, scene)
+    if scene.contact_taxels is not None:
+        _add_touch_sensors(spec, scene.contact_taxels)
+    return spec
+
+
+def _add_object(spec: mujoco.MjSpec, scene: Scene) -> None:
     body = spec.worldbody.add_body(name=OBJECT, pos=[0, 0, scene.shape.half_size[2]])
     body.add_freejoint(name=OBJECT)
     body.add_geom(
@@ -63,9 +75,6 @@ def build_spec(scene: Scene) -> mujoco.MjSpec:
         priority=1,  # else MuJoCo takes the larger friction of the two in contact
         rgba=[0.9, 0.5, 0.2, 0.45 if scene.visual else 1.0],
     )
-    if scene.contact_taxels is not None:
-        _add_touch_sensors(spec, scene.contact_taxels)
-    return spec
 
 
 def _geom_size(shape: Shape) -> tuple[float, ...]:
@@ -144,6 +153,27 @@ class MujocoSimulator:
     @property
     def warnings(self) -> int:
         return self._past_warnings + sum(self.data.warning.number.tolist())
+
+    def change_object(self, shape: Shape, mass: float, friction: float) -> None:
+        """Writes into the compiled model what another object would have been compiled to."""
+        scene = self.scene.with_object(shape, mass, friction)
+        if scene is None:
+            return
+        self.scene, model = scene, self.model
+        alone = mujoco.MjSpec()
+        _add_object(alone, scene)
+        compiled = alone.compile()
+        for part in ("body", "geom"):
+            here, there = (getattr(m, part)(OBJECT).id for m in (model, compiled))
+            for name in OBJECT_FIGURES[part]:
+                getattr(model, name)[here] = getattr(compiled, name)[there]
+        first = self._object_qpos
+        for values in ("qpos0", "qpos_spring"):
+            getattr(model, values)[first : first + 7] = getattr(compiled, values)
+        leaf = model.body_bvhadr[self._object_body]
+        model.bvh_aabb[leaf] = compiled.bvh_aabb[compiled.body_bvhadr[compiled.body(OBJECT).id]]
+        mujoco.mj_setConst(model, self.data)
+        model.stat.meaninertia = sum(model.dof_M0.tolist()) / model.nv  # the solver's unit
 
     def reset(self, joint_positions: Array, object_position: Array, yaw: float) -> None:
         self._past_warnings = self.warnings  # MuJoCo forgets them

@@ -68,7 +68,6 @@ class PyBulletSimulator:
         self._release = weakref.finalize(self, _disconnect, self.client, self._folder)
         self._build()
         self._joints = [self._joint_index[name] for name in hand.joints]
-        self._weight = (0.0, 0.0, -GRAVITY * scene.mass)
         self._motors, self._gains, self._forces = self._motor_figures()
         points = [(hand.palm, hand.palm_point), *hand.fingertips]
         self._point_links = tuple(body for body, _ in points)
@@ -86,6 +85,7 @@ class PyBulletSimulator:
     def _build(self) -> None:
         """The scene in an empty world."""
         scene, client = self.scene, self.client
+        self._weight = (0.0, 0.0, -GRAVITY * scene.mass)
         pybullet.resetSimulation(physicsClientId=client)
         pybullet.setPhysicsEngineParameter(
             fixedTimeStep=scene.timestep, physicsClientId=client, **ENGINE
@@ -153,6 +153,9 @@ class PyBulletSimulator:
         return motors, gains, limits
 
     # -- running -----------------------------------------------------------------------------
+
+    def change_object(self, shape: Shape, mass: float, friction: float) -> None:
+        self.scene = self.scene.with_object(shape, mass, friction) or self.scene
 
     def reset(self, joint_positions: Array, object_position: Array, yaw: float) -> None:
         if not pybullet.isConnected(self.client):
@@ -249,7 +252,8 @@ class PyBulletSimulator:
         """Drawn by MuJoCo's renderer: one look for both simulators."""
         if self._painter is None:
             self._painter = MujocoSimulator(self.scene)
-        thing = self.object_state()
+        scene, thing = self.scene, self.object_state()
+        self._painter.change_object(scene.shape, scene.mass, scene.friction)
         self._painter.place(self.joint_state()[0], thing.position, thing.orientation)
         return self._painter.render(camera, taxels, lit)
 

@@ -1,0 +1,134 @@
+"""Objects that differ between episodes: drawn, told, and simulated as if compiled for them."""
+
+import numpy as np
+import pytest
+
+from tactilerl import envs
+from tactilerl.envs.objects import Items, ObjectConfig, make
+
+VARIED = {
+    "object": "box,sphere,cylinder",
+    "object_size": "0.04..0.05",
+    "object_density": "400..800",
+    "friction": "0.5..1",
+}
+BOTH = [("shadow", "mujoco"), ("mpl", "pybullet"), ("mpl", "mujoco")]
+
+
+def rollout(env, seed, n=6):
+    """What is observed in a seeded episode of closing the hand, and the last info."""
+    obs, _ = env.reset(seed=seed)
+    rng, seen, size = np.random.default_rng(0), [obs["observation"]], env.action_space.shape[0]
+    for _ in range(n):
+        action = np.concatenate([[0, 0, -0.1], rng.uniform(-0.5, 1, size - 3)])
+        obs, _, terminated, truncated, info = env.step(action)
+        seen.append(obs["observation"])
+        if terminated or truncated:
+            break
+    return np.array(seen), info
+
+
+@pytest.mark.parametrize(("hand", "simulator"), BOTH)
+def test_an_episode_is_that_of_an_environment_made_for_its_object(hand, simulator):
+    """Bit for bit, whatever was in the scene before."""
+    choices = {"simulator": simulator, "task": "reach-goal", "max_episode_steps": 6, "layout": "1"}
+    varied = envs.make(hand, **choices, **VARIED)
+    kinds = set()
+    for seed in range(6):
+        told = varied.reset(seed=seed)[1]["object"]
+        kinds.add(told["kind"])
+        seen, info = rollout(varied, seed)
+        assert info["object"] == told
+        size = told["size"][:1] if told["kind"] != "cylinder" else told["size"][1:]
+        alike = envs.make(
+            hand, **choices, object=told["kind"], object_size=tuple(size),
+            object_density=told["density"], friction=told["friction"],
+        )  # fmt: skip
+        assert alike.reset(seed=seed)[1]["object"] == told
+        np.testing.assert_array_equal(seen, rollout(alike, seed)[0])
+        alike.close()
+    assert kinds == {"box", "sphere", "cylinder"}
+    varied.close()
+
+
+@pytest.mark.parametrize("hand", ["shadow", "mpl"])
+def test_every_figure_of_the_model_is_as_compiled(hand):
+    changed = envs.make(hand, simulator="mujoco", object_size=(0.05,)).simulator
+    for kind, size in (("sphere", (0.03,)), ("box", (0.03, 0.05, 0.04)), ("cylinder", (0.02, 0.045))):
+        fresh = envs.make(hand, simulator="mujoco", object=kind, object_size=size, friction=0.7)
+        scene = fresh.simulator.scene
+        changed.change_object(scene.shape, scene.mass, scene.friction)
+        ours, theirs = changed.model, fresh.simulator.model
+        for name in dir(theirs):
+            value = getattr(theirs, name)
+            if isinstance(value, np.ndarray):
+                np.testing.assert_array_equal(getattr(ours, name), value, err_msg=name)
+        assert ours.stat.meaninertia == theirs.stat.meaninertia
+        assert ours.opt.timestep == theirs.opt.timestep
+
+
+@pytest.mark.parametrize(("hand", "simulator"), BOTH)
+def test_objects_are_drawn_within_what_was_asked_for_and_starts_stay(hand, simulator):
+    varied = envs.make(hand, simulator=simulator, **VARIED)
+    seen = [varied.reset(seed=seed)[1]["object"] for seed in range(40)]
+    assert varied.reset(seed=7)[1]["object"] == seen[7]
+    assert {item["kind"] for item in seen} == {"box", "sphere", "cylinder"}
+    for name, low, high in (("density", 400, 800), ("friction", 0.5, 1)):
+        values = [item[name] for item in seen]
+        assert low <= min(values) < low + 0.2 * (high - low) < high - 0.2 * (high - low) < max(values)
+    edges = np.array([item["size"] for item in seen])
+    assert 0.04 <= edges.min() < 0.042 < 0.048 < edges.max() <= 0.05
+    for item in seen:
+        shape = make(item["kind"], tuple(item["size"][:1]))
+        assert item["mass"] == pytest.approx(item["density"] * shape.volume)
+    varied.reset(seed=3)
+    height = varied.simulator.object_state().position[2]
+    assert height == pytest.approx(seen[3]["size"][2] / 2)
+    varied.close()
+
+
+@pytest.mark.parametrize(("hand", "simulator"), BOTH)
+def test_starts_further_off_are_drawn_and_free_of_the_hand(hand, simulator):
+    env = envs.make(hand, simulator=simulator, start_offset=0.02, start_yaw=1.5)
+    places = []
+    for seed in range(30):
+        env.reset(seed=seed)
+        assert not len(env.simulator.contacts().links)
+        thing = env.simulator.object_state()
+        places.append([*thing.position[:2], np.arctan2(thing.rotation[1, 0], thing.rotation[0, 0])])
+        env.simulator.step(env._targets, 5)
+        assert np.abs(env.simulator.object_state().velocity).max() < 0.05
+    reached = np.abs(places).max(axis=0)
+    assert (reached <= [0.02, 0.02, 1.5]).all()
+    assert (reached > [0.015, 0.015, 1.2]).all()
+    env.close()
+
+
+def test_a_fixed_object_draws_nothing():
+    items = Items(ObjectConfig(object_size=(0.03,), friction=0.4))
+    assert not items.vary
+    assert items.draw(None) is items.first
+
+
+@pytest.mark.parametrize(
+    ("choices", "named"),
+    [
+        ({"object": "box,torus"}, "object: found 'torus', allowed: box, sphere, cylinder"),
+        ({"object": "box,box"}, "object: found 'box,box', allowed each kind once"),
+        ({"object_size": "0.05..0.04"}, r"object_size: found '0.05..0.04', allowed LOW..HIGH with LOW"),
+        ({"object_size": "0.04..0.09"}, "object_size: found 0.09 m, allowed up to 0.08 m across"),
+        (
+            {"object_size": ("0.04..0.05", 0.05), "object": "box,cylinder"},
+            "object_size: found 2 numbers",
+        ),
+        ({"friction": "low"}, "friction: found 'low', allowed a number or LOW..HIGH"),
+        ({"friction": "0..1"}, "friction: found 0.0, allowed a finite number above 0"),
+        ({"object_density": "1..2..3"}, "object_density: found '1..2..3'"),
+        ({"start_offset": -0.1}, "start_offset: found -0.1, allowed from 0 to 0.1"),
+        ({"start_yaw": 4.0}, "start_yaw: found 4.0, allowed from 0 to 3.142"),
+        ({"start_offset": 0.02, "jitter": False}, "start_offset: found 0.02, allowed only with jitter"),
+    ],
+)
+def test_objects_that_cannot_be_are_named(choices, named):
+    with pytest.raises(ValueError, match=named):
+        envs.make("shadow", **choices)
