@@ -11,7 +11,7 @@ ALLOWED = {
     "mujoco": ("envs/simulators/", "envs/hands/"),
     "pybullet": ("envs/simulators/pybullet.py",),
     "mpi4py": ("algos/mpi.py",),
-    "matplotlib": ("benchmarks/",),
+    "matplotlib": ("benchmarks/", "tactilerl/sweep.py"),
     "torch": ("algos/", "tactilerl/", "benchmarks/"),
     "tyro": ("tactilerl/flags.py", "tactilerl/commands.py"),
 }

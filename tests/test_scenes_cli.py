@@ -93,3 +93,67 @@ def test_bad_values_are_one_line(flags, named, capsys):
     assert err.count("\n") == 1
     assert named in err
     assert not Path("run").exists()
+
+
+class TestEvaluateWithOtherSensors:
+    @pytest.fixture
+    def trained(self, capsys):
+        scene = ["--env", "shadow", *COMMON, "--layout", "5", "--reward", "dense"]
+        main(["train", *HER, *scene, "--total-timesteps", "12", "--out", "run"])
+        capsys.readouterr()
+
+    def evaluated(self, capsys, *given):
+        assert main(["evaluate", "run", "--episodes", "2", "--workers", "1", "--json", *given]) == 0
+        return json.loads(capsys.readouterr().out)
+
+    def test_flags_override_the_saved_scene_for_once(self, trained, capsys):
+        before = Path("run/config.json").read_text()
+        plain = self.evaluated(capsys)
+        same = self.evaluated(capsys, "--taxel-dead", "0", "--object-seen", "exact")
+        blind = self.evaluated(capsys, "--object-seen", "hidden", "--taxel-stuck", "1")
+        assert plain == same
+        assert blind["mean_return"] != plain["mean_return"]
+        assert Path("run/config.json").read_text() == before
+
+    def test_sweep(self, trained, capsys):
+        given = ["--sweep", "taxel-stuck", "0", "0.5", "1", "--out", "sweep.png"]
+        swept = self.evaluated(capsys, *given)
+        assert swept["sweep"] == "taxel_stuck"
+        assert [point["taxel_stuck"] for point in swept["points"]] == [0, 0.5, 1]
+        plain = self.evaluated(capsys)
+        assert swept["points"][0]["mean_return"] == plain["mean_return"]
+        assert Path("sweep.png").read_bytes().startswith(b"\x89PNG")
+        assert main(["evaluate", "run", "--episodes", "1", "--workers", "1", *given[:3]]) == 0
+        assert "taxel-stuck" in capsys.readouterr().out
+
+    @pytest.mark.parametrize(
+        ("given", "named"),
+        [
+            (["--sweep", "layout", "1", "2"], "--sweep: found 'layout', allowed: object-seen"),
+            (["--sweep", "taxel-dead"], "--sweep taxel-dead: found no values"),
+            (["--sweep", "taxel-dead", "some"], "--sweep taxel-dead: could not convert"),
+            (["--sweep", "taxel-dead", "0", "2"], "taxel_dead: found 2.0, allowed from 0 to 1"),
+            (["--sweep", "taxel-dead", "0", "--out", "a.bmp"], "--out: found 'a.bmp'"),
+            (["--sweep", "taxel-dead", "0", "--out", "no/a.png"], "--out: the folder 'no'"),
+            (["--out", "a.png"], "--out: found it, allowed only with --sweep"),
+            (["--taxel-dead", "-1"], "taxel_dead: found -1.0, allowed from 0 to 1"),
+            (["--history", "2"], "--history"),
+        ],
+    )
+    def test_bad_values_are_one_line(self, given, named, trained, capsys):
+        assert main(["evaluate", "run", "--episodes", "1", *given]) == 2
+        err = capsys.readouterr().err
+        assert err.startswith("tactilerl: error: ")
+        assert err.count("\n") == 1
+        assert named in err
+        assert not list(Path().glob("*.png"))
+
+    def test_a_run_without_a_hand_has_no_sensors(self, capsys):
+        learner = ["--algo", "ppo", "--hidden", "8", "--steps-per-epoch", "16", "--n-passes", "1"]
+        main(["train", *learner, "--env", "lqr", "--total-timesteps", "16", "--out", "run"])
+        capsys.readouterr()
+        assert main(["evaluate", "run", "--taxel-dead", "0.1"]) == 2
+        assert "--taxel-dead" in capsys.readouterr().err
+        assert main(["evaluate", "run", "--sweep", "taxel-dead", "0.1"]) == 2
+        assert "found a run on 'lqr'" in capsys.readouterr().err
+        assert main(["evaluate", "run", "--episodes", "1", "--json"]) == 0
