@@ -1,10 +1,10 @@
 """Tactile grasping environments behind Gymnasium's interface.
 
 `make("shadow", layout="4")` is the Shadow Hand in MuJoCo, `make("mpl")` the MPL hand in PyBullet,
-and `simulator=` swaps; `make` also takes the id of any registered Gymnasium environment. The same
-environments are registered as tactilerl/Shadow-v0, tactilerl/MPL-v0, tactilerl/LQR-v0 and
-tactilerl/PointReach-v0. A simulator is imported
-when an environment that uses it is made.
+`make("allegro")` a hand with four fingers, and `simulator=` swaps; `make` also takes the id of any
+registered Gymnasium environment. The same
+environments are registered as tactilerl/Shadow-v0, tactilerl/MPL-v0 and so on. A simulator is
+imported when an environment that uses it is made.
 """
 
 from __future__ import annotations
@@ -13,8 +13,10 @@ from typing import Any
 
 import gymnasium as gym
 
+from .hands import HANDS
+
 # By the name of the hand.
-GRASP_ENVS = {"shadow": "tactilerl/Shadow-v0", "mpl": "tactilerl/MPL-v0"}
+GRASP_ENVS = {name: registered.id for name, registered in HANDS.items()}
 TOYS = {"lqr": "tactilerl/LQR-v0", "point-reach": "tactilerl/PointReach-v0"}
 
 

@@ -28,8 +28,8 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
     The defaults are the Shadow Hand's; `setup` gives those of another hand.
     """
 
-    simulator: Literal["mujoco", "pybullet"] = "mujoco"
-    """The physics engine (mpl: pybullet, an extra)."""
+    simulator: str = "mujoco"
+    """The physics engine: mujoco or pybullet (mpl: pybullet, an extra)."""
     layout: str = "2"
     """Taxels: 1-6 (paper, Fig. 2), a named design, or the path of a .toml file."""
     run_type: Literal["main", "control", "absent"] = "main"
@@ -82,26 +82,17 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
             value = getattr(self, name)
             if choices and value not in (*choices, getattr(type(self), name)):
                 raise ValueError(f"{name}: found {value!r}, allowed: {', '.join(choices)}")
-        if self.touch not in touch.RULES:
-            raise ValueError(f"touch: found {self.touch!r}, allowed: {', '.join(touch.RULES)}")
-
-
-# What the paper's set-up of a hand says differently from `GraspConfig`'s own defaults.
-SETUPS: dict[str, dict[str, Any]] = {
-    "shadow": {},
-    "mpl": {
-        "simulator": "pybullet",
-        "object_density": 800.0,
-        "timestep": 1 / 240,
-        "control_dt": 0.1,
-        "hold_seconds": 5000 / 240,
-    },
-}
+        for name, allowed in (
+            ("simulator", tuple(simulators.SIMULATORS)),
+            ("touch", tuple(touch.RULES)),
+        ):
+            if (found := getattr(self, name)) not in allowed:
+                raise ValueError(f"{name}: found {found!r}, allowed: {', '.join(allowed)}")
 
 
 def setup(hand: str, **choices: Any) -> GraspConfig:
     """The configuration of a hand's set-up, with some fields chosen otherwise."""
-    return GraspConfig(**{**SETUPS[hand], **choices})
+    return GraspConfig(**{**hands.HANDS[hand].scene, **choices})
 
 
 JITTER_JOINT = 0.02  # rad, of every finger joint, within its range

@@ -52,10 +52,24 @@ def test_gymnasium_accepts_it(task, touch, simulator, hand):
 
 
 def test_registered():
-    for name, size in (("Shadow", 61 + 19), ("MPL", 12 + 19)):
+    for name, size in (("Shadow", 61 + 19), ("MPL", 12 + 19), ("Allegro", 45 + 15)):
         env = gym.make(f"tactilerl/{name}-v0", layout="5")
         assert env.reset(seed=0)[0]["observation"].shape == (size,)
         env.close()
+
+
+@pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
+@pytest.mark.parametrize("task", TASKS)
+def test_a_hand_with_four_fingers(task, simulator):
+    env = envs.make("allegro", task=task, simulator=simulator, hold_seconds=0.4)
+    obs, _ = env.reset(seed=0)
+    assert len(obs["achieved_goal"]) == {"reach-goal": 3, "lift-and-hold": 1 + 4 + 1}[task]
+    assert env.action_space.shape == (3 + 16,)
+    obs, reward, *_, info = env.step(np.zeros(19))
+    assert env.observation_space.contains(obs)
+    assert reward == pytest.approx(env.compute_reward(obs["achieved_goal"], obs["desired_goal"], {}))
+    assert "diverged" not in info
+    env.close()
 
 
 @pytest.mark.parametrize("layout", ["1", "6"])

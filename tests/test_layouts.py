@@ -14,6 +14,21 @@ def test_paper_counts(name, count):
     assert len(layouts.load(name).place(HAND)) == count
 
 
+def test_a_hand_carries_taxels_on_the_fingers_it_has():
+    """Three phalanges on each of four fingers, and three bases of fingers on the palm."""
+    hand = hands.load("allegro")
+    assert len(hand.fingertips) == 4
+    per_phalanx = {"1": 9, "2": 5, "3": 4, "4": 5, "5": 1, "6": 1}
+    for name, n in per_phalanx.items():
+        taxels = layouts.load(name).place(hand)
+        assert len(taxels) == 12 * n + 3
+        assert not [name for name in taxels.names if name.startswith("little")]
+    little = {"digits": ["little"], "segments": ["distal"], "offsets_mm": [[0, 0]], "radius_mm": 2}
+    layout = layouts.parse({"patch": [little]}, "little")
+    with pytest.raises(ValueError, match="puts no taxel on the allegro hand"):
+        layout.place(hand)
+
+
 @pytest.mark.parametrize(("name", "count"), {"smarthand": 4, "zhang": 13, "abbass": 15}.items())
 def test_designs_from_the_literature(name, count):
     assert len(layouts.load(name).place(HAND)) == count

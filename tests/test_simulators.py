@@ -11,7 +11,7 @@ from tactilerl import envs
 from tactilerl.envs import hands, objects, scripted, simulators
 from tactilerl.envs.grasp import GraspEnv, setup
 
-HANDS = ("shadow", "mpl")
+HANDS = ("shadow", "mpl", "allegro")
 BOTH = ("mujoco", "pybullet")
 pytestmark = pytest.mark.pybullet
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,6 +18,7 @@ Array = np.ndarray
 SLIDES = ("slide_x", "slide_y", "slide_z")
 """Joints and actuators that carry the whole hand along the world's axes."""
 DIGITS = ("thumb", "index", "middle", "ring", "little")
+"""What digits are called, in order; a hand has those that its ``fingertips`` have."""
 SEGMENTS = ("proximal", "middle", "distal")
 
 
@@ -167,7 +169,7 @@ class Hand:
     """Body whose ``palm_point`` is "the hand" in rewards."""
     palm_point: tuple[float, float, float]
     fingertips: tuple[tuple[str, tuple[float, float, float]], ...]
-    """Body and point (m, body frame) of each fingertip, in the order of DIGITS."""
+    """Body and point (m, body frame) of the tip of each digit it has, in the order of DIGITS."""
     surfaces: tuple[Surface, ...]
     pitch: Pitch
     action_map: LinearAction | ClosingAction
@@ -209,17 +211,35 @@ class Hand:
         return np.array([self.start.get(joint, 0.0) for joint in self.actuated])
 
 
+@dataclass(frozen=True)
+class Registration:
+    """A hand that can be asked for by name; its module of that name has a function ``hand``."""
+
+    id: str
+    """Of its environment in Gymnasium's registry."""
+    scene: dict[str, Any] = field(default_factory=dict)
+    """What its scene says differently from the defaults of `GraspConfig`."""
+
+
+HANDS = {
+    "shadow": Registration("tactilerl/Shadow-v0"),
+    "mpl": Registration(
+        "tactilerl/MPL-v0",
+        {
+            "simulator": "pybullet",
+            "object_density": 800.0,
+            "timestep": 1 / 240,
+            "control_dt": 0.1,
+            "hold_seconds": 5000 / 240,
+        },
+    ),
+    "allegro": Registration("tactilerl/Allegro-v0"),
+}
+
+
 def load(name: str) -> Hand:
     """The hand called `name`; its model is read from disk only when it is built."""
-    if name == "shadow":
-        from . import shadow
-
-        return shadow.shadow_hand()
-    if name == "mpl":
-        from . import mpl
-
-        return mpl.mpl_hand()
-    raise ValueError(f"unknown hand {name!r}; allowed: {', '.join(HANDS)}")
-
-
-HANDS = ("shadow", "mpl")
+    if name not in HANDS:
+        raise ValueError(f"unknown hand {name!r}; allowed: {', '.join(HANDS)}")
+    hand: Hand = importlib.import_module(f".{name}", __name__).hand()
+    return hand

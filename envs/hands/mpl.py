@@ -11,18 +11,18 @@ finger share theirs (paper, PyBullet set-up).
 
 from __future__ import annotations
 
-import tomllib
-from functools import cache
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
 
 from . import DIGITS, SEGMENTS, SLIDES, ClosingAction, Hand, Pitch, ScriptedGrasp, Surface
+from .figures import LOOKS, add_bodies, phalanx, read
+from .figures import joints as hinges
 from .servos import add_servo, add_slides
 
-FIGURES = Path(__file__).with_name("mpl.toml")
+FIGURES = read(Path(__file__).with_name("mpl.toml"))
+JOINTS = hinges(FIGURES)
 FINGERS = DIGITS[1:]
 GROUPS = (("thumb", "little"), ("index",), ("middle",), ("ring",))
 # Joint angles at the open and the closed end of the trajectories, rad; other joints stay at 0.
@@ -54,9 +54,6 @@ PALM_TAXELS = {
 }
 PALM_POINT = (-0.0215, -0.0395, -0.0226)  # middle of the palmar face
 
-# contype without conaffinity: touches the object and the ground, not the hand itself.
-LOOKS = {"contype": 1, "conaffinity": 0, "rgba": [0.75, 0.76, 0.8, 1.0]}
-
 # The palm's frame where the hand starts, m (world; the object rests at the origin).
 START = (0.0, 0.069, 0.100)
 # How far each group is closed there; the thumb would reach into the ground if it were closed more.
@@ -68,18 +65,6 @@ SLIDE_LIMITS = ((-0.02, 0.02), (-0.02, 0.02), (-0.03, 0.06))
 SLIDE_GAIN, SLIDE_DAMPING, SLIDE_FORCE = 1000.0, 79.0, 100.0  # N/m, N s/m, N
 
 
-@cache
-def figures() -> dict[str, dict[str, Any]]:
-    """The bodies of mpl.toml by name, parents first."""
-    bodies = tomllib.loads(FIGURES.read_text(encoding="utf-8"))["body"]
-    return {body["name"]: body for body in bodies}
-
-
-def joints() -> tuple[str, ...]:
-    """The hinges, in the order of the bodies."""
-    return tuple(body["joint"] for body in figures().values() if "joint" in body)
-
-
 def build(visual: bool = False, finger_gain: float = 1.0) -> mujoco.MjSpec:
     """The hand alone as an editable model; `visual` changes nothing, its shapes are its looks.
 
@@ -89,50 +74,15 @@ def build(visual: bool = False, finger_gain: float = 1.0) -> mujoco.MjSpec:
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.modelname = "mpl"
-    bodies = {"": spec.worldbody}
-    for figure in figures().values():
-        bodies[figure["name"]] = _add_body(bodies[figure.get("parent", "")], figure)
-    palm = bodies["palm"]
+    palm = add_bodies(spec, FIGURES, FINGER_DAMPING, FINGER_ARMATURE)
     palm.pos = START
     add_slides(spec, palm, np.eye(3).tolist(), SLIDE_GAIN, SLIDE_DAMPING, SLIDE_FORCE)
     for centre, half_size in PALM_BOXES:
         palm.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, pos=centre, size=half_size, **LOOKS)
-    for joint in joints():
+    for joint in JOINTS:
         limit = FINGER_FORCE * _lever(joint)
         add_servo(spec, joint, FINGER_GAIN * finger_gain, limit * finger_gain)
     return spec
-
-
-def _add_body(parent: mujoco.MjsBody, figure: dict[str, Any]) -> mujoco.MjsBody:
-    body = parent.add_body(
-        name=figure["name"],
-        pos=figure["pos"],
-        quat=figure["quat"],
-        mass=figure["mass"],
-        ipos=figure["com"],
-        iquat=figure["inertia_quat"],
-        inertia=figure["inertia"],
-        explicitinertial=True,
-        gravcomp=1.0,
-    )
-    if "joint" in figure:
-        body.add_joint(
-            name=figure["joint"],
-            type=mujoco.mjtJoint.mjJNT_HINGE,
-            axis=figure["axis"],
-            range=figure["range"],
-            limited=True,
-            damping=[FINGER_DAMPING, 0, 0],
-            armature=FINGER_ARMATURE,
-        )
-    if "capsule" in figure:
-        body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-            fromto=figure["capsule"],
-            size=[figure["radius"], 0, 0],
-            **LOOKS,
-        )
-    return body
 
 
 def _lever(joint: str) -> float:
@@ -150,7 +100,7 @@ def _trajectory(end: int) -> dict[str, float]:
 
 
 def _action() -> ClosingAction:
-    actuators = (*SLIDES, *joints())
+    actuators = (*SLIDES, *JOINTS)
     opened, closed = _trajectory(0), _trajectory(1)
     groups = tuple(
         np.array(
@@ -176,28 +126,16 @@ DISTAL_SHIFT = 0.0075  # m towards the tip
 
 
 def _surfaces() -> tuple[Surface, ...]:
-    surfaces = []
-    for digit in DIGITS:
-        for number, segment in enumerate(SEGMENTS, start=1):
-            figure = figures()[f"{digit}{number}"]
-            ends = np.array(figure["capsule"]).reshape(2, 3)
-            along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
-            # Flexion turns the bone towards the palmar side.
-            palmar = np.cross(figure["axis"], along)
-            palmar /= np.linalg.norm(palmar)
-            shift = DISTAL_SHIFT if segment == "distal" else 0.0
-            surfaces.append(
-                Surface(
-                    digit=digit,
-                    segment=segment,
-                    link=figure["name"],
-                    centre=tuple(ends.mean(axis=0) + shift * along),
-                    along=tuple(along),
-                    palmar=tuple(palmar),
-                    radius=figure["radius"],
-                    bone=(tuple(ends[0]), tuple(ends[1])),
-                )
-            )
+    surfaces = [
+        phalanx(
+            digit,
+            segment,
+            FIGURES[f"{digit}{number}"],
+            shift=DISTAL_SHIFT if segment == "distal" else 0.0,
+        )
+        for digit in DIGITS
+        for number, segment in enumerate(SEGMENTS, start=1)
+    ]
     for finger, centre in PALM_TAXELS.items():
         surfaces.append(Surface(finger, "palm", "palm", centre, (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)))
     return tuple(surfaces)
@@ -217,9 +155,9 @@ GRASPS = (
 )
 
 
-def mpl_hand() -> Hand:
+def hand() -> Hand:
     """The MPL hand with 3 slides, 19 hinges and 7 actions (paper, PyBullet set-up)."""
-    names = (*SLIDES, *joints())
+    names = (*SLIDES, *JOINTS)
     action = _action()
     start = action.open.copy()
     for group, closing in zip(action.groups, START_CLOSING, strict=True):
@@ -232,9 +170,7 @@ def mpl_hand() -> Hand:
         actuated=names,
         palm="palm",
         palm_point=PALM_POINT,
-        fingertips=tuple(
-            (f"{digit}3", tuple(figures()[f"{digit}3"]["capsule"][3:])) for digit in DIGITS
-        ),
+        fingertips=tuple((f"{digit}3", tuple(FIGURES[f"{digit}3"]["capsule"][3:])) for digit in DIGITS),
         surfaces=_surfaces(),
         pitch=Pitch(
             rows=dict.fromkeys(SEGMENTS, 4.5e-3), column=6.5e-3, radius=2e-3, large_radius=3.8e-3

@@ -221,7 +221,7 @@ GRASPS = (
 )
 
 
-def shadow_hand() -> Hand:
+def hand() -> Hand:
     """The Shadow Hand with 3 slides, 24 joints and 23 actuators (paper, MuJoCo set-up)."""
     ranges = np.array([ACTUATOR_RANGES[joint] for joint in ACTUATED])
     actuators = (*SLIDES, *(f"{PREFIX}A_{joint}" for joint in ACTUATED))

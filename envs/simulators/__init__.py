@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Protocol
 
@@ -104,7 +105,7 @@ class Simulator(Protocol):
         """Where the object is."""
 
     def link_positions(self) -> Array:
-        """(6, 3): the palm point, then the fingertips in the order of DIGITS."""
+        """(1 + n_digits, 3): the palm point, then the hand's fingertips."""
 
     def link_poses(self, links: tuple[str, ...]) -> tuple[Array, Array]:
         """Positions (k, 3) and rotations (k, 3, 3) of bodies."""
@@ -129,23 +130,34 @@ def joint_limits(model: mujoco.MjModel, hand: Hand) -> Array:
     return np.where(limited[:, None], model.jnt_range[joints], (-np.inf, np.inf))
 
 
-SIMULATORS = ("mujoco", "pybullet")
+@dataclass(frozen=True)
+class Registration:
+    """A simulator that can be asked for by name, in a module of that name."""
+
+    simulator: str
+    """Name of the class there."""
+    missing: str = ""
+    """What to say where the module cannot be imported."""
+
+
+SIMULATORS = {
+    "mujoco": Registration("MujocoSimulator"),
+    "pybullet": Registration(
+        "PyBulletSimulator",
+        "simulator pybullet: found no PyBullet; install the extra: pip install "
+        "'tactilerl[pybullet]' (wheels for Python up to 3.11)",
+    ),
+}
 
 
 def load(name: str, scene: Scene) -> Simulator:
     """A running scene; the simulator's package is imported here and not before."""
-    if name == "mujoco":
-        from .mujoco import MujocoSimulator
-
-        return MujocoSimulator(scene)
-    if name == "pybullet":
-        try:
-            from .pybullet import PyBulletSimulator
-        except ModuleNotFoundError as error:
-            raise ImportError(
-                "simulator pybullet: found no PyBullet; install the extra: pip install "
-                "'tactilerl[pybullet]' (wheels for Python up to 3.11)"
-            ) from error
-
-        return PyBulletSimulator(scene)
-    raise ValueError(f"unknown simulator {name!r}; allowed: {', '.join(SIMULATORS)}")
+    if name not in SIMULATORS:
+        raise ValueError(f"unknown simulator {name!r}; allowed: {', '.join(SIMULATORS)}")
+    registered = SIMULATORS[name]
+    try:
+        module = importlib.import_module(f".{name}", __name__)
+    except ModuleNotFoundError as error:
+        raise ImportError(registered.missing or str(error)) from error
+    simulator: Simulator = getattr(module, registered.simulator)(scene)
+    return simulator

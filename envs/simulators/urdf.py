@@ -8,6 +8,7 @@ tendons, armature, actuators, friction, contact filters.
 
 from __future__ import annotations
 
+import warnings
 from xml.etree import ElementTree
 
 import mujoco
@@ -112,7 +113,9 @@ def _joint(
 
 
 def _origin(parent: ElementTree.Element, position: Array, quaternion: Array) -> None:
-    angles = Rotation.from_quat(quaternion, scalar_first=True).as_euler("xyz")
+    with warnings.catch_warnings():  # where other angles would say the same (gimbal lock)
+        warnings.simplefilter("ignore", UserWarning)
+        angles = Rotation.from_quat(quaternion, scalar_first=True).as_euler("xyz")
     ElementTree.SubElement(parent, "origin", xyz=_text(position), rpy=_text(angles))
 
 
