@@ -41,7 +41,7 @@ def train(args: list[str]) -> int:
     saved = RunDir(Path(resume)).read_config()[0] if resume else None
     algo = flags.peek(args, "--algo", RunOptions.algo)
     env = flags.peek(args, "--env", RunOptions.env)
-    config, any_ranks = _read_config(args, saved or configuration.defaults(algo, env))
+    config, any_ranks = read_config(args, saved or configuration.defaults(algo, env))
     if any_ranks and not resume:
         raise InputError("--any-ranks: found without --resume, allowed with it")
     if resume and any(arg.partition("=")[0] == "--out" for arg in args):
@@ -62,7 +62,7 @@ def train(args: list[str]) -> int:
     return 0
 
 
-def _read_config(args: list[str], base: RunConfig) -> tuple[RunConfig, bool]:
+def read_config(args: list[str], base: RunConfig) -> tuple[RunConfig, bool]:
     """All flags of `train`, over the defaults `base`; and may the number of ranks change?"""
     parts = {"run": base.run, "scene": base.scene, "learner": base.learner}
     parts = {name: part for name, part in parts.items() if part is not None}
