@@ -35,6 +35,19 @@ class MLP(nn.Sequential):
             layers += [linear, nn.ReLU()]
         layers[-1:] = [nn.Tanh()] if tanh else []
         super().__init__(*layers)
+        self._shape = tuple(sizes), tanh
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickles and copies as sizes and numbers: the parameters may be views of much more."""
+        values = [parameter.detach().cpu().numpy() for parameter in self.parameters()]
+        return _with_parameters, (*self._shape, values)
+
+
+def _with_parameters(sizes: Sequence[int], tanh: bool, values: Sequence[Any]) -> MLP:
+    network = MLP(sizes, torch.Generator(), tanh)
+    for parameter, value in zip(network.parameters(), values, strict=True):
+        parameter.data = torch.from_numpy(value.copy())
+    return network
 
 
 def flatten(*modules: nn.Module) -> nn.Parameter:
@@ -82,8 +95,8 @@ class FlatAdam:
         """Set the gradient to zero, in place: the parameters' gradients are views of it."""
         self.gradient.zero_()
 
-    def reduce(self, comm: Communicator, how: Literal["mean", "sum"] = "mean") -> None:
-        """Replace the gradient by its mean or sum over ranks: one message."""
+    def reduce(self, comm: Communicator, how: Literal["mean", "sum"] = "sum") -> None:
+        """Replace the gradient by its sum or mean over ranks: one message."""
         comm.sum_(self.gradient)
         if how == "mean" and comm.size > 1:
             self.gradient.div_(comm.size)

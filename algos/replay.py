@@ -61,8 +61,8 @@ class Replay:
     """Episodes in slots of equal size, filled in order; a full buffer overwrites random slots.
 
     A slot has room for `max_steps` transitions and the last observation. The last `n_boolean`
-    entries of an observation are 0 or 1 and are kept as bytes, everything else as float32.
-    Memory is taken when the first episode is stored, and filled as episodes come.
+    entries of an observation are kept as bytes as long as all of them are 0 or 1, everything else
+    as float32. Memory is taken when the first episode is stored, and filled as episodes come.
     """
 
     def __init__(
@@ -143,19 +143,15 @@ class Replay:
     def _as_columns(self, episode: Episode[GoalObs]) -> dict[str, Array]:
         """Rows of one episode: one more than it has transitions."""
         obs, achieved, desired = (np.stack(part) for part in zip(*episode.obs, strict=True))
-        n_steps, n_float = len(episode.actions), obs.shape[1] - self.n_boolean
+        n_steps = len(episode)
         if n_steps > self.max_steps:
             raise ValueError(f"max_episode_steps: {self.max_steps}, but found {n_steps} steps")
-        boolean = obs[:, n_float:].astype(np.uint8)
-        if (boolean != obs[:, n_float:]).any() or (boolean > 1).any():
-            raise ValueError(f"the last {self.n_boolean} entries of an observation are not 0 or 1")
         action = np.zeros((n_steps + 1, self.sizes[2]), np.float32)
         action[:-1] = np.stack(episode.actions)
         terminal = np.zeros((n_steps + 1, 1), np.uint8)
         terminal[n_steps - 1] = episode.terminated
         return {
-            "obs": obs[:, :n_float],
-            "boolean": boolean,
+            "obs": obs,
             "achieved": achieved,
             "desired": desired,
             "action": action,
@@ -167,10 +163,25 @@ class Replay:
             self._columns = {k: np.zeros(shape, dtype) for k, (shape, dtype) in self._shapes().items()}
             self._lengths = np.zeros(self.n_slots, np.int64)
         first, n_rows = slot * self._rows, len(columns["obs"])
-        for name, values in columns.items():
+        for name, values in {**columns, **self._split(columns["obs"])}.items():
             self._columns[name][first : first + n_rows] = values
         self._lengths[slot] = n_rows - 1
         self.n_episodes = max(self.n_episodes, slot + 1)
+
+    def _split(self, obs: Array) -> dict[str, Array]:
+        """Observations (n, size) as they are stored: floats, and bytes at their end."""
+        last = obs[:, self.sizes[0] - self.n_boolean :]
+        if not ((last == 0) | (last == 1)).all():
+            self._keep_floats()
+        n_float = self.sizes[0] - self.n_boolean
+        return {"obs": obs[:, :n_float], "boolean": obs[:, n_float:]}
+
+    def _keep_floats(self) -> None:
+        """What was kept as bytes turns out to be something else, as under a wrapper's noise."""
+        obs, boolean = self._columns["obs"], self._columns["boolean"]
+        self._columns["obs"] = np.concatenate([obs, boolean.astype(np.float32)], axis=1)
+        self._columns["boolean"] = boolean[:, :0]
+        self.n_boolean = 0
 
     # -- sampling ----------------------------------------------------------------------------
 
@@ -234,9 +245,11 @@ class Replay:
         if not saved:
             return
         parts = {name: values.numpy() for name, values in saved.items()}
-        for i, slot in enumerate(parts["slots"]):
-            rows = slice(i * self._rows, i * self._rows + int(parts["lengths"][i]) + 1)
-            columns = {name: parts[name][rows] for name in self._shapes()}
+        slots, lengths = parts.pop("slots"), parts.pop("lengths")
+        for i, slot in enumerate(slots):
+            rows = slice(i * self._rows, i * self._rows + int(lengths[i]) + 1)
+            columns = {name: values[rows] for name, values in parts.items()}
+            columns["obs"] = np.concatenate([columns["obs"], columns.pop("boolean")], axis=1)
             if is_foreign:
                 self._add(columns)
             else:

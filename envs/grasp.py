@@ -203,13 +203,21 @@ class GraspEnv(gym.Env[Any, Array]):
         self._steps, self._is_off_ground = 0, False
         self._object_position = np.zeros(3)
         self._obs: dict[str, Array] = {}
-        n_obs, n_goal = len(self.observation_names()), len(self._desired_goal)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (len(self.hand.action_names),), np.float32)
-        self.observation_space = gym.spaces.Dict(
+        self.observation_space = self._spaces()
+
+    def _spaces(self) -> gym.spaces.Dict:
+        """Taxels lie between 0 and 1; a task with a single goal has it as its only one."""
+        n_obs, goal = len(self.observation_names()), self._desired_goal
+        unbounded = np.full_like(goal, np.inf)
+        low, high = np.full(n_obs, -np.inf, np.float32), np.full(n_obs, np.inf, np.float32)
+        low[n_obs - self.n_boolean :], high[n_obs - self.n_boolean :] = 0.0, 1.0
+        lowest, highest = (goal, goal) if self.task.has_single_goal else (-unbounded, unbounded)
+        return gym.spaces.Dict(
             {
-                "observation": gym.spaces.Box(-np.inf, np.inf, (n_obs,), np.float32),
-                "achieved_goal": gym.spaces.Box(-np.inf, np.inf, (n_goal,), np.float32),
-                "desired_goal": gym.spaces.Box(-np.inf, np.inf, (n_goal,), np.float32),
+                "observation": gym.spaces.Box(low, high, dtype=np.float32),
+                "achieved_goal": gym.spaces.Box(-unbounded, unbounded, dtype=np.float32),
+                "desired_goal": gym.spaces.Box(lowest, highest, dtype=np.float32),
             }
         )
 
@@ -255,7 +263,7 @@ class GraspEnv(gym.Env[Any, Array]):
             return last, 0.0, False, True, info
         self._obs = obs = self._goal_obs(observation, situation)
         goals = obs["achieved_goal"], obs["desired_goal"]
-        terminated = situation.outcome in ("held", "dropped")
+        terminated = situation.outcome in tasks.FINAL
         truncated = not terminated and self._steps >= self.max_episode_steps
         info = self._info(is_success=bool(self.task.is_success(*goals)))
         return obs, float(self.task.reward(*goals)), terminated, truncated, info
@@ -280,9 +288,9 @@ class GraspEnv(gym.Env[Any, Array]):
         return entries
 
     @property
-    def holds_gil(self) -> bool:
-        """Does stepping keep other threads of Python waiting?"""
-        return self.simulator.holds_gil
+    def side_by_side(self) -> str:
+        """How several of these may be played in at once (`vector.start`)."""
+        return "processes" if self.simulator.holds_gil else "threads"
 
     @property
     def n_boolean(self) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -107,6 +108,8 @@ class EvaluateFlags:
     """Episodes to play; their starts are not those of training."""
     stochastic: bool = False
     """Keep the exploration noise."""
+    workers: int | None = None
+    """Episodes played side by side; default: the free cores."""
     json: bool = False
     """Print JSON instead of a table."""
 
@@ -116,15 +119,24 @@ def evaluate(args: list[str]) -> int:
     from rich.progress import track
 
     from . import evaluate as evaluation
+    from .algos.mpi import Communicator
+    from .train import start_workers
 
     read = flags.parse(EvaluateFlags, args, "tactilerl evaluate")
     _at_least("--episodes", read.episodes, 1)
-    config, learner, epoch = evaluation.load_policy(read.run)
-    played = evaluation.episodes(config, learner, read.episodes, read.stochastic)
+    with input_errors():
+        configuration.require_workers(read.workers)
+    run, policy, epoch, env_steps = evaluation.load_policy(read.run)
+    with input_errors():
+        workers = start_workers(run, Communicator(), read.workers)
     is_shown = sys.stderr.isatty() and not read.json
-    listed = track(played, "playing", read.episodes, console=Console(stderr=True), disable=not is_shown)
-    result: dict[str, Any] = {"run": str(read.run), "epoch": epoch, "env_steps": learner.env_steps}
-    result |= evaluation.summarise(list(listed))
+    screen = Console(stderr=True)
+    with closing(workers):
+        played = workers.play(evaluation.task(policy, read.stochastic), range(read.episodes))
+        shown = track(played, "playing", read.episodes, console=screen, disable=not is_shown)
+        rows = [evaluation.row(episode) for episode in shown]
+    result: dict[str, Any] = {"run": str(read.run), "epoch": epoch, "env_steps": env_steps}
+    result |= evaluation.summarise(rows)
     if read.json:
         print(json.dumps(result))
         return 0

@@ -44,7 +44,7 @@ def film(run: Path, episodes: int, camera: Camera, out: Path) -> Iterator[bool]:
 
     _require_writable("--video", out, FILMS)
     imageio = _imageio("imageio.v2", "imageio_ffmpeg")
-    config, learner, _ = evaluate.load_policy(run)
+    config, policy, *_ = evaluate.load_policy(run)
     if config.scene is None:
         raise InputError(f"{run}: found a run on {config.run.env!r}, allowed one of a grasping scene")
     camera = replace(camera, width=480, height=360)
@@ -55,10 +55,12 @@ def film(run: Path, episodes: int, camera: Camera, out: Path) -> Iterator[bool]:
         env.simulator = _Filmed(
             env.simulator, every, show=lambda: writer.append_data(env.picture(camera))
         )
-        for played in evaluate.play(env, learner, episodes):
+        play = evaluate.task(policy)
+        for number in range(episodes):
+            played = play(env, number, lambda: True)
             for _ in range(END_PICTURES):
                 writer.append_data(env.picture(camera))
-            yield bool(played["success"])
+            yield played.success == 1.0
 
 
 def _require_writable(flag: str, out: Path, endings: tuple[str, ...]) -> None:

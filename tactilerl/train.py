@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,21 +25,27 @@ from .run_dir import RunDir
 COUNTS = ("episodes", *FAULTS, "updates")  # columns of progress.csv that are sums
 
 
-def make_algorithm(config: RunConfig, comm: Communicator) -> tuple[algos.Algorithm, vector.Envs]:
-    """The learner and its environments; InputError when they do not go together."""
+def make_algorithm(config: RunConfig, comm: Communicator) -> tuple[algos.Algorithm, vector.Workers]:
+    """The learner and its workers; InputError when they do not go together."""
     run = config.run
     _, algorithm = algos.load(run.algo)
     with input_errors():
         config.validate()
         torch.set_num_threads(run.threads)
         device = _device(run.device)
-        pool = vector.start(config.make_env, run.num_envs, cores=_free_cores(comm))
+        workers = start_workers(config, comm, run.workers)
         try:
-            learner = algorithm(config.learner, pool, comm, run.seed, run.total_timesteps, device)
+            learner = algorithm(config.learner, workers, comm, run.seed, run.total_timesteps, device)
         except BaseException:
-            pool.close()
+            workers.close()
             raise
-    return learner, pool
+    return learner, workers
+
+
+def start_workers(config: RunConfig, comm: Communicator, n: int | None) -> vector.Workers:
+    """`n` environments and who plays in them; by default as many as there are free cores."""
+    set_up = partial(torch.set_num_threads, config.run.threads)
+    return vector.start(config.make_env, n or _free_cores(comm), set_up)
 
 
 def train(
@@ -53,7 +60,7 @@ def train(
     """
     path = resume or Path(config.run.out or Path("runs") / config.name())
     config = dataclasses.replace(config, folder=path)
-    learner, pool = make_algorithm(config, comm)
+    learner, workers = make_algorithm(config, comm)
     try:
         if config.run.tensorboard:
             require_tensorboard()
@@ -77,7 +84,7 @@ def train(
     except algos.RewardError as error:
         raise InputError(str(error)) from error
     finally:
-        pool.close()
+        workers.close()
     return path
 
 
