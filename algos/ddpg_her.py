@@ -118,9 +118,7 @@ def targets(rewards: Tensor, next_values: Tensor, terminal: Tensor, gamma: float
     return values.clamp(-1.0 / (1.0 - gamma), 0.0) if clip else values
 
 
-def explore(
-    actions: Array, noise_eps: float, random_eps: float, rng: np.random.Generator
-) -> Array:
+def explore(actions: Array, noise_eps: float, random_eps: float, rng: np.random.Generator) -> Array:
     """Noisy copies of actions (..., d) in [-1, 1]; whole rows are random with `random_eps`."""
     noisy = actions + np.float32(noise_eps) * rng.standard_normal(actions.shape, dtype=np.float32)
     noisy = np.clip(noisy, -1.0, 1.0)

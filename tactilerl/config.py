@@ -18,7 +18,6 @@ from . import algos, envs
 from .envs.grasp import GraspConfig, setup
 from .errors import InputError, input_errors
 
-
 MOST_WORKERS = 256  # more than any machine's cores: a slip, and a process each
 
 

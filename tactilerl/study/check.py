@@ -13,9 +13,7 @@ from ..train import make_algorithm
 from .folder import StudyFolder
 from .grid import Run
 
-# A run of a study has one core to itself.
-_OPTIONS = {field.name for field in dataclasses.fields(RunOptions)}
-SERIAL = ["--workers", "1"] if "workers" in _OPTIONS else ["--num-envs", "1"]
+SERIAL = ["--workers", "1"]  # a run of a study has one core to itself
 
 
 def arguments(run: Run) -> list[str]:

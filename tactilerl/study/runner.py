@@ -116,13 +116,12 @@ def executor(jobs: int) -> Iterator[concurrent.futures.Executor | None]:
             yield pool
         return
     _stopping.clear()
-    with concurrent.futures.ThreadPoolExecutor(jobs) as pool:
-        with _stopped_by_signals():
-            try:
-                yield pool
-            except BaseException:
-                _stop(pool)
-                raise
+    with concurrent.futures.ThreadPoolExecutor(jobs) as pool, _stopped_by_signals():
+        try:
+            yield pool
+        except BaseException:
+            _stop(pool)
+            raise
 
 
 @contextmanager
