@@ -12,7 +12,7 @@ from . import published, statistics
 from .grid import Setup, Study
 from .published import Published
 from .records import Record
-from .statistics import METRICS, Estimate, Metric, Term
+from .statistics import Estimate, Metric, Term
 
 Array = np.ndarray
 SEED = 20_210_830  # of all resampling: the same records give the same report
@@ -34,6 +34,10 @@ class Group:
     seeds: list[int]
     curves: Array
     """(runs, points) at the set-up's common steps."""
+    iqm_curve: Array
+    """(points,)"""
+    iqm_bounds: Array
+    """(points, 2): its pointwise intervals."""
     scores: dict[str, Array]
     """By name in SCORES, (runs,)."""
     counts: Array
@@ -103,9 +107,7 @@ class Analysis:
         return min((len(group) for one in self.setups for group in one.groups.values()), default=0)
 
 
-def analyse(
-    study: Study, records: list[Record], n_resamples: int = statistics.N_RESAMPLES
-) -> Analysis:
+def analyse(study: Study, records: list[Record], n_resamples: int = statistics.N_RESAMPLES) -> Analysis:
     """All numbers of a report."""
     setups = []
     for index, setup in enumerate(study.setups):
@@ -155,7 +157,9 @@ def _group(
         scores[f"steps to {threshold:g}"] = np.array(
             [statistics.steps_to_threshold(s, rates[None], threshold)[0] for s, rates in raw]
         )
-    return Group(cell, arm, [record.run.seed for record in records], curves, scores, counts)
+    seeds = [record.run.seed for record in records]
+    aggregated = statistics.sample_efficiency(curves, "iqm", counts)
+    return Group(cell, arm, seeds, curves, *aggregated, scores, counts)
 
 
 def _comparisons(
@@ -253,6 +257,3 @@ def _mixed(setups: list[SetupResult]) -> list[Term] | str:
         return statistics.mixed_model(np.array(scores), np.array(treated), axes, cells)
     except ValueError as error:
         return str(error)
-
-
-__all__ = ["METRICS", "Analysis", "Comparison", "Group", "SetupResult", "analyse"]

@@ -5,18 +5,24 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import tyro
 from rich.console import Console
+from rich.table import Table
 
 from .. import flags
 from ..errors import InputError
 from . import display, grid
 from .folder import StudyFolder
+
+if TYPE_CHECKING:
+    from .records import Record
 
 console = Console(highlight=False, soft_wrap=True, markup=False)
 PARTS = {
@@ -148,3 +154,124 @@ def status(args: list[str]) -> int:
         if outcome is not None and outcome.state == "failed":
             console.print(f"failed: {one.name}: {outcome.reason}")
     return 0
+
+
+@dataclass(frozen=True)
+class CollectFlags:
+    """Flags of `tactilerl study collect`."""
+
+    folder: tyro.conf.Positional[Path]
+    """Folder of the study."""
+    out: Path | None = None
+    """The file; default: collected.csv.gz in the folder."""
+
+
+def collect(args: list[str]) -> int:
+    """`tactilerl study collect FOLDER`"""
+    from . import records
+
+    read = flags.parse(CollectFlags, args, "tactilerl study collect")
+    path = records.collect(read.folder, read.out)
+    console.print(f"{path}: {path.stat().st_size / 1e6:.2f} MB")
+    return 0
+
+
+@dataclass(frozen=True)
+class ReportFlags:
+    """Flags of `tactilerl study report`."""
+
+    study: tyro.conf.Positional[Path]
+    """Folder of the study, or what `collect` made of it."""
+    out: Path | None = None
+    """Folder for the report; default: report/ beside the runs or the collected file."""
+    resamples: int = 50_000
+    """Of every bootstrap and permutation test; fewer are faster and less exact."""
+
+
+def report(args: list[str]) -> int:
+    """`tactilerl study report FOLDER`"""
+    read = flags.parse(ReportFlags, args, "tactilerl study report")
+    if read.resamples < 100:
+        raise InputError(f"--resamples: found {read.resamples}, allowed 100 or more")
+    with _needs_extra("report"):
+        from . import report as page
+        from . import tables
+        from .analysis import analyse
+    analysis = analyse(*_load(read.study), read.resamples)
+    out = read.out or (read.study if read.study.is_dir() else read.study.parent) / "report"
+    try:
+        path = page.write(analysis, out)
+    except OSError as error:
+        raise InputError(f"cannot write the report into {str(out)!r}: {error.strerror}") from error
+    for warning in tables.warnings(analysis, page.FEW_RUNS):
+        console.print(f"note: {warning}")
+    console.print(f"{path} (tables and figures beside it)")
+    return 0
+
+
+@dataclass(frozen=True)
+class PlanFlags:
+    """Flags of `tactilerl study plan`."""
+
+    study: tyro.conf.Positional[Path]
+    """Folder of a pilot study, or what `collect` made of it."""
+    effect: float = 0.05
+    """Difference of converged success rates that is to be found."""
+    power: float = 0.8
+    """How likely it is to be found."""
+    alpha: float = 0.05
+    """Level of the test."""
+    json: bool = False
+    """Print JSON instead of a table."""
+
+
+def plan(args: list[str]) -> int:
+    """`tactilerl study plan FOLDER`"""
+    read = flags.parse(PlanFlags, args, "tactilerl study plan")
+    for name in ("effect", "power", "alpha"):
+        if not 0 < getattr(read, name) < 1:
+            raise InputError(f"--{name}: found {getattr(read, name)}, allowed between 0 and 1")
+    with _needs_extra("plan"):
+        import statsmodels  # noqa: F401
+
+        from .analysis import analyse
+        from .planning import AT
+        from .planning import plan as needs_of
+    analysis = analyse(*_load(read.study), n_resamples=1000)
+    needs = needs_of(analysis, read.effect, read.power, read.alpha)
+    if not needs:
+        raise InputError(f"{read.study}: no comparison with finished runs of both arms to plan from")
+    if read.json:
+        print(json.dumps([dataclasses.asdict(need) for need in needs]))
+        return 0
+    title = f"seeds per group for a difference of {read.effect:g} with power {read.power:g}"
+    table = Table("set-up", "cell", "pilot", "sd", "seeds", "after Holm", title=title)
+    for n in AT:
+        table.add_column(f"power at {n}", justify="right")
+    table.add_column("permutation test, simulated", justify="right")
+    for need in needs:
+        seeds = [str(n) if n else "–" for n in (need.seeds, need.seeds_holm)]
+        powers = [f"{need.power[n]:.2f}" if need.power else "–" for n in AT]
+        sizes = f"{need.runs[0]} / {need.runs[1]}"
+        table.add_row(
+            *(need.setup, need.cell, sizes, f"{need.sd:.3f}", *seeds, *powers, f"{need.simulated:.2f}")
+        )
+    console.print(table)
+    return 0
+
+
+def _load(path: Path) -> tuple[grid.Study, list[Record]]:
+    from . import records
+
+    return records.load(path)
+
+
+@contextmanager
+def _needs_extra(part: str) -> Iterator[None]:
+    """InputError naming the extra when a package of it is missing."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"study {part} needs {error.name}, which is not installed: pip install 'tactilerl[study]'"
+        ) from error

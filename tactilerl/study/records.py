@@ -1,4 +1,5 @@
-"""What a study has recorded, from its run folders or from the one file that `collect` makes of them.
+"""What a study has recorded, from its run folders or from the one file that `collect` makes of
+them.
 
 The collected file is a compressed CSV. Its first row is the study itself: no run, and study.json as
 its `record`. Then come the epochs of every run, at least one row a run:
