@@ -56,7 +56,9 @@ def write_progress(files, run, rng, epochs, total):
     level += rng.normal(0, 0.05)
     with files.run_dir.progress_file.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["epoch", "env_steps", "success_rate", "test_success_rate", "diverged", "steps_per_s"])
+        writer.writerow(
+            ["epoch", "env_steps", "success_rate", "test_success_rate", "diverged", "steps_per_s"]
+        )
         for epoch in range(1, epochs + 1):
             rate = level * (1 - np.exp(-epoch / 5)) + rng.normal(0, 0.03)
             rate = float(np.clip(rate, 0, 1))

@@ -248,7 +248,7 @@ def plan(args: list[str]) -> int:
     table = Table("set-up", "cell", "pilot", "sd", "seeds", "after Holm", title=title)
     for n in AT:
         table.add_column(f"power at {n}", justify="right")
-    table.add_column("permutation test, simulated", justify="right")
+    table.add_column("simulated", justify="right")
     for need in needs:
         seeds = [str(n) if n else "–" for n in (need.seeds, need.seeds_holm)]
         powers = [f"{need.power[n]:.2f}" if need.power else "–" for n in AT]

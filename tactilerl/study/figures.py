@@ -38,6 +38,7 @@ PAGE_COLOURS = {INK: "currentColor", FAINT: "var(--faint)"} | {
     colour: f"var(--arm{index})" for index, colour in enumerate(ARMS)
 }
 DPI = 130
+LABELS = {"median": "median of runs", "iqm": "IQM", "mean": "mean"}
 Draw = Callable[[Axes], None]
 
 
@@ -136,7 +137,7 @@ def _curves_of(one: SetupResult, cell: str, axes: Axes) -> None:
         group = one.groups.get((cell, arm))
         if group is None:
             continue
-        axes.plot(one.steps, group.curves.T, color=colour, linewidth=0.5, alpha=0.35)
+        axes.plot(one.steps, group.curves.T, color=colour, linewidth=0.7, alpha=0.55)
         axes.fill_between(one.steps, *group.iqm_bounds.T, color=colour, alpha=0.25, linewidth=0)
         marker = "o" if len(one.steps) == 1 else None
         label = f"{arm or 'all'}, {len(group)} runs"
@@ -169,7 +170,7 @@ def _converged_of(one: SetupResult, arm: str, axes: Axes) -> None:
         axes.plot(group.scores["converged"], np.full(len(group), row - 0.36), ".", color=FAINT, ms=4)
         for place, metric in enumerate(reversed(METRICS)):
             estimate = group.estimate(metric)
-            label = {"median": "median of runs"}.get(metric, metric) if row == 0 else None
+            label = LABELS[metric] if row == 0 else None
             _bar(axes, row - 0.15 + 0.15 * place, estimate, colour, "Dos"[place], label)
         theirs = one.published and one.published.estimates.get((cell, arm))
         if theirs:

@@ -118,7 +118,7 @@ def converged(one: SetupResult) -> Table:
         columns,
         rows,
         "Median, IQM and mean as the paper has them: its library's median over one task is the mean. "
-        "The median of the runs stands beside it. Intervals: stratified bootstrap, 50,000 resamples.",
+        "The median of the runs stands beside it. Intervals: percentiles of a stratified bootstrap.",
     )
 
 
@@ -159,10 +159,10 @@ def comparisons(one: SetupResult) -> Table:
         rows.append(row)
     treatment, control = one.setup.compare.treatment, one.setup.compare.control
     note = (
-        "Of converged rates. Overlap: share of the control's interval, as in the paper. P(improvement): "
-        f"a run of {treatment} beats one of {control}. p: permutation test of the difference of IQMs; "
-        "Holm over the rows. Paper's power: how likely another study of its size finds its difference "
-        "of means at 0.05."
+        "Of converged rates. Overlap: share of the control's interval, as in the paper. "
+        f"P(improvement): a run of {treatment} beats one of {control}. p: permutation test of the "
+        "difference of IQMs; Holm over the rows. Paper's power: how likely another study of its size "
+        "finds its difference of means at 0.05."
     )
     title = f"{treatment} against {control}, {one.setup.name}"
     return Table(f"{one.setup.name}_comparisons", title, columns, rows, note)
@@ -300,7 +300,7 @@ def warnings(analysis: Analysis, few: int) -> list[str]:
     """What a reader must know before he believes the numbers."""
     found = []
     states = Counter(record.state for record in analysis.records)
-    unfinished = [f"{states[s]} {s}" for s in ("failed", "running", "interrupted", "left") if states[s]]
+    unfinished = [f"{n} {state}" for state, n in sorted(states.items()) if state != "done"]
     if unfinished:
         found.append(f"Of {len(analysis.records)} runs {', '.join(unfinished)}: they are in no figure.")
     if 0 < analysis.fewest < few:
