@@ -100,7 +100,7 @@ class TestBadFiles:
             ("polyak = [0.95, 0.9]", "polyak = 0.9", ["compare", "run_type"]),
             ('algo = "ddpg_her"', 'algo = "sac"', ["sac", "ppo, ddpg_her"]),
             ('algo = "ddpg_her"', 'algo = "ddpg_her"\nseed = 3', ["setups.reach.seed", "grid"]),
-            ('algo = "ddpg_her"', 'algo = "ddpg_her"\npolyak = 0.5', ["setups.reach.polyak", "allowed in one"]),
+            ('algo = "ddpg_her"', "polyak = 0.5", ["setups.reach.polyak", "allowed in one"]),
             ('"test_success_rate"', '"mean_return"', ["measure", "mean_return", "success_rate"]),
             ("[setups.reach]", "[setups.'a b']", ["setups.a b", "word"]),
         ],

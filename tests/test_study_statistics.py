@@ -40,9 +40,9 @@ class TestRates:
         assert_allclose(s.converged_rate(np.array([[0.9, 0.9, 0.1, 0.1]])), [0.1])
         assert_allclose(s.converged_rate(np.array([[0.1, 0.1, 0.9, 0.9]])), [0.9])
 
-    @pytest.mark.parametrize("rate", [i / 100 for i in range(101)])
-    def test_a_level_curve_converges_to_its_level_on_any_edge(self, rate):
-        assert_allclose(s.converged_rate(np.full((1, 5), rate)), [rate])
+    def test_a_level_curve_converges_to_its_level_on_any_edge(self):
+        levels = np.arange(101) / 100
+        assert_allclose(s.converged_rate(np.repeat(levels[:, None], 5, axis=1)), levels)
 
     def test_a_rate_on_an_edge_belongs_to_the_bin_above(self):
         assert_allclose(s.converged_rate(np.array([[0.58, 0.5999, 0.57]])), [np.mean([0.58, 0.5999])])
@@ -192,7 +192,11 @@ class TestComparisons:
 
     def test_holm(self):
         assert_allclose(s.holm([0.01, 0.04, 0.03]), [0.03, 0.06, 0.06])
+        assert_allclose(s.holm([0.01, np.nan, 0.04]), [0.02, np.nan, 0.04])
         assert len(s.holm([])) == 0
+
+    def test_a_single_run_has_no_p_value(self, rng):
+        assert math.isnan(s.permutation_p(np.array([0.5]), np.array([0.1, 0.2]), "iqm", rng))
 
 
 class TestOverSetups:

@@ -22,6 +22,7 @@ from . import display, grid
 from .folder import StudyFolder
 
 if TYPE_CHECKING:
+    from .planning import Need
     from .records import Record
 
 console = Console(highlight=False, soft_wrap=True, markup=False)
@@ -235,29 +236,32 @@ def plan(args: list[str]) -> int:
         import statsmodels  # noqa: F401
 
         from .analysis import analyse
-        from .planning import AT
         from .planning import plan as needs_of
     analysis = analyse(*_load(read.study), n_resamples=1000)
     needs = needs_of(analysis, read.effect, read.power, read.alpha)
     if not needs:
-        raise InputError(f"{read.study}: no comparison with finished runs of both arms to plan from")
+        raise InputError(f"{read.study}: no comparison with two or more finished runs to plan from")
     if read.json:
         print(json.dumps([dataclasses.asdict(need) for need in needs]))
         return 0
     title = f"seeds per group for a difference of {read.effect:g} with power {read.power:g}"
-    table = Table("set-up", "cell", "pilot", "sd", "seeds", "after Holm", title=title)
-    for n in AT:
-        table.add_column(f"power at {n}", justify="right")
-    table.add_column("simulated", justify="right")
+    console.print(_plan_table(title, needs))
+    return 0
+
+
+def _plan_table(title: str, needs: list[Need]) -> Table:
+    at = list(needs[0].power)
+    table = Table(title=title)
+    for column in ("set-up", "cell", "runs", "sd", "seeds", "Holm"):
+        table.add_column(column, no_wrap=True)
+    for column in (*(f"power at {n}" for n in at), "simulated"):
+        table.add_column(column, justify="right")
     for need in needs:
         seeds = [str(n) if n else "–" for n in (need.seeds, need.seeds_holm)]
-        powers = [f"{need.power[n]:.2f}" if need.power else "–" for n in AT]
-        sizes = f"{need.runs[0]} / {need.runs[1]}"
-        table.add_row(
-            *(need.setup, need.cell, sizes, f"{need.sd:.3f}", *seeds, *powers, f"{need.simulated:.2f}")
-        )
-    console.print(table)
-    return 0
+        powers = [f"{need.power[n]:.2f}" for n in at]
+        row = [need.setup, need.cell, f"{need.runs[0]}/{need.runs[1]}", f"{need.sd:.3f}", *seeds]
+        table.add_row(*row, *powers, f"{need.simulated:.2f}")
+    return table
 
 
 def _load(path: Path) -> tuple[grid.Study, list[Record]]:

@@ -34,7 +34,7 @@ AT = (5, 10, 20)  # seeds per group
 
 
 def plan(analysis: Analysis, effect: float, power: float, alpha: float) -> list[Need]:
-    """What every comparison of a study needs to find a difference of `effect` in converged rates."""
+    """What each comparison needs to find a difference of `effect` in converged rates."""
     rng = np.random.default_rng(SEED)
     return [
         _need(one, cell, effect, power, alpha, rng)
@@ -51,10 +51,9 @@ def _need(
     scores = [group.scores["converged"] for group in groups]
     freedom = sum(len(group) - 1 for group in groups)
     squares = sum(float(((s - s.mean()) ** 2).sum()) for s in scores)
-    sd = (squares / freedom) ** 0.5 if freedom else float("nan")
-    sizes = len(groups[0]), len(groups[1])
     if not freedom:
-        return Need(one.setup.name, cell, sizes, sd, None, None, {}, float("nan"))
+        return None  # single runs have no spread
+    sd, sizes = (squares / freedom) ** 0.5, (len(groups[0]), len(groups[1]))
     seeds = statistics.runs_needed(effect, sd, power, alpha)
     seeds_holm = statistics.runs_needed(effect, sd, power, alpha / len(one.comparisons))
     at = {n: statistics.power_of_t_test(effect, sd, n, alpha) for n in AT}

@@ -246,8 +246,10 @@ def permutation_p(
     """Two-sided p-value of a difference of aggregates when the labels are exchanged (scipy).
 
     Exact where there are no more than `n_resamples` ways to deal out the labels; with three runs
-    against three it cannot fall below 0.1.
+    against three it cannot fall below 0.1. NaN where a group is a single run.
     """
+    if min(len(treatment), len(control)) < 2:
+        return math.nan
 
     def statistic(a: Array, b: Array, axis: int) -> Array:
         a, b = np.moveaxis(a, axis, 0), np.moveaxis(b, axis, 0)
@@ -263,11 +265,15 @@ def permutation_p(
 
 def holm(p_values: Sequence[float]) -> Array:
     """p-values of several comparisons, corrected so that the family keeps its level (Holm 1979,
-    statsmodels).
+    statsmodels). NaN stays NaN and does not count as a comparison.
     """
     from statsmodels.stats.multitest import multipletests
 
-    return np.asarray(multipletests(p_values, method="holm")[1]) if len(p_values) else np.empty(0)
+    corrected = np.array(p_values, float)
+    known = ~np.isnan(corrected)
+    if known.any():
+        corrected[known] = multipletests(corrected[known], method="holm")[1]
+    return corrected
 
 
 # -- over set-ups ----------------------------------------------------------------------------

@@ -305,8 +305,8 @@ def warnings(analysis: Analysis, few: int) -> list[str]:
         found.append(f"Of {len(analysis.records)} runs {', '.join(unfinished)}: they are in no figure.")
     if 0 < analysis.fewest < few:
         found.append(
-            f"The smallest group has {analysis.fewest} runs. Intervals of fewer than {few} runs are too "
-            "narrow: they contain the truth less often than they say."
+            f"The smallest group has {analysis.fewest} runs. Intervals of fewer than {few} runs are "
+            "too narrow: they contain the truth less often than they say."
         )
     for one in analysis.setups:
         if not one.groups:
