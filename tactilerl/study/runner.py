@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 from ..algos import mpi
 from .folder import Outcome, RunFiles
@@ -42,6 +42,10 @@ class Job:
     arguments: list[str]
     total_timesteps: int
     ranks: int = 1
+
+
+Watch = Callable[[list[Job], dict[Path, Ending]], None]
+"""Is told the jobs that run, and how the others ended."""
 
 
 def run_job(job: Job) -> Ending:
@@ -112,8 +116,8 @@ def executor(jobs: int) -> Iterator[concurrent.futures.Executor | None]:
     if any(name in os.environ for name in mpi.LAUNCHERS) and mpi.world().size > 1:
         from mpi4py.futures import MPICommExecutor
 
-        with MPICommExecutor() as pool:
-            yield pool
+        with MPICommExecutor() as ranks:
+            yield cast(concurrent.futures.Executor | None, ranks)
         return
     _stopping.clear()
     with concurrent.futures.ThreadPoolExecutor(jobs) as pool, _stopped_by_signals():
@@ -149,7 +153,7 @@ def _stop(pool: concurrent.futures.Executor) -> None:
 def run_all(
     jobs: list[Job],
     pool: concurrent.futures.Executor,
-    watch: Callable[[list[Job], dict[Path, Ending]], None],
+    watch: Watch,
     every: float = 1.0,
 ) -> dict[Path, Ending]:
     """Run the jobs in order; the endings by `Job.base`.
@@ -158,13 +162,24 @@ def run_all(
     endings so far. Jobs that somebody else was training are asked for once more at the end.
     """
     endings: dict[Path, Ending] = {}
-    for jobs_now in (lambda: jobs, lambda: [job for job in jobs if endings[job.base] == "busy"]):
-        waiting = {pool.submit(run_job, job): job for job in jobs_now()}
-        while waiting:
-            ended, _ = concurrent.futures.wait(
-                waiting, every, return_when=concurrent.futures.FIRST_COMPLETED
-            )
-            for future in ended:
-                endings[waiting.pop(future).base] = future.result()
-            watch([job for future, job in waiting.items() if future.running()], endings)
+    _run_batch(jobs, pool, watch, every, endings)
+    busy = [job for job in jobs if endings[job.base] == "busy"]
+    _run_batch(busy, pool, watch, every, endings)
     return endings
+
+
+def _run_batch(
+    jobs: list[Job],
+    pool: concurrent.futures.Executor,
+    watch: Watch,
+    every: float,
+    endings: dict[Path, Ending],
+) -> None:
+    waiting = {pool.submit(run_job, job): job for job in jobs}
+    while waiting:
+        ended, _ = concurrent.futures.wait(
+            waiting, every, return_when=concurrent.futures.FIRST_COMPLETED
+        )
+        for future in ended:
+            endings[waiting.pop(future).base] = future.result()
+        watch([job for future, job in waiting.items() if future.running()], endings)
