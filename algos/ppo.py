@@ -197,7 +197,7 @@ class PPO:
 
     def update(self) -> dict[str, float]:
         """`n_passes` over the batch in shuffled minibatches; each rank computes its share of each."""
-        config, comm = self.config, self.comm
+        config = self.config
         if config.anneal_lr:
             left = max(0.0, 1.0 - self.env_steps / self.total_timesteps)
             self.actor_adam.set_lr(config.actor_lr * left)

@@ -6,27 +6,15 @@ from collections.abc import Callable, Sequence
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
-import psutil
 import torch
 
-from . import Array
+from . import Array, memory
+from .policy import GoalObs
 from .rollout import Episode
+from .state import require_like
 
 Reward = Callable[[Array, Array], Array]
 Values = TypeVar("Values")
-
-
-class GoalObs(NamedTuple):
-    """What a goal environment returns, flat float32 copies."""
-
-    observation: Array
-    achieved_goal: Array
-    desired_goal: Array
-
-
-def goal_observation(obs: Any) -> GoalObs:
-    """A goal environment's Dict as a `GoalObs`."""
-    return GoalObs(*(np.array(obs[key], np.float32).ravel() for key in GoalObs._fields))
 
 
 class Batch(NamedTuple, Generic[Values]):
@@ -101,22 +89,23 @@ class Replay:
         return sum(int(np.prod(shape)) * dtype().itemsize for shape, dtype in self._shapes().values())
 
     def require_memory(self, n_buffers: int = 1) -> None:
-        """ValueError when this machine has not got what `n_buffers` like this one take."""
-        available = psutil.virtual_memory().available
+        """ValueError when there is not as much memory as `n_buffers` like this one take."""
+        available = memory.available()
         if self.nbytes * n_buffers > available:
             raise ValueError(
                 f"buffer_size: found {self.n_slots * self.max_steps:,} transitions, which take "
                 f"{n_buffers} x {self.nbytes / 1e9:.2f} GB; allowed are the {available / 1e9:.2f} GB "
-                "free on this machine"
+                "that are free here"
             )
 
-    def _shapes(self) -> dict[str, tuple[tuple[int, int], type]]:
+    def _shapes(self, n_boolean: int | None = None) -> dict[str, tuple[tuple[int, int], type]]:
         """Shape and type of every column; a row is one step of one slot."""
+        n_boolean = self.n_boolean if n_boolean is None else n_boolean
         n_obs, n_goal, n_action = self.sizes
         rows = self.n_slots * self._rows
         return {
-            "obs": ((rows, n_obs - self.n_boolean), np.float32),
-            "boolean": ((rows, self.n_boolean), np.uint8),
+            "obs": ((rows, n_obs - n_boolean), np.float32),
+            "boolean": ((rows, n_boolean), np.uint8),
             "achieved": ((rows, n_goal), np.float32),
             "desired": ((rows, n_goal), np.float32),
             "action": ((rows, n_action), np.float32),
@@ -241,9 +230,10 @@ class Replay:
 
     def add_experience(self, saved: dict[str, Any], is_foreign: bool = False) -> None:
         """Put back what `new_experience` returned: in the same slots, or, when it is another
-        buffer's, as episodes that were not there yet."""
+        buffer's, as episodes that were not there yet. ValueError when it is none of that shape."""
         if not saved:
             return
+        self._require_experience(saved)
         parts = {name: values.numpy() for name, values in saved.items()}
         slots, lengths = parts.pop("slots"), parts.pop("lengths")
         for i, slot in enumerate(slots):
@@ -254,3 +244,21 @@ class Replay:
                 self._add(columns)
             else:
                 self._put(int(slot), columns)
+
+    def _require_experience(self, saved: dict[str, Any]) -> None:
+        slots = saved.get("slots") if isinstance(saved, dict) else None
+        n = len(slots) if isinstance(slots, torch.Tensor) and slots.ndim == 1 else 0
+        whole = {"slots": torch.empty(n, dtype=torch.int64, device="meta")}
+        whole["lengths"] = torch.empty_like(whole["slots"])
+        # What was saved as bytes before it turned out not to be Boolean stays right.
+        boolean = saved.get("boolean") if isinstance(saved, dict) else None
+        n_boolean = self.n_boolean
+        if isinstance(boolean, torch.Tensor) and boolean.ndim == 2:
+            n_boolean = min(boolean.shape[1], self.sizes[0])
+        for name, ((_, width), dtype) in self._shapes(n_boolean).items():
+            values = torch.from_numpy(np.empty((0, width), dtype)).to("meta")
+            whole[name] = values.new_empty((n * self._rows, width))
+        require_like(saved, whole, "experience")
+        for name, least, end in (("slots", 0, self.n_slots), ("lengths", 1, self._rows)):
+            if n and not (least <= int(saved[name].min()) and int(saved[name].max()) < end):
+                raise ValueError(f"experience.{name}: found others than from {least} to {end - 1}")

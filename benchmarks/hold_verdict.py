@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from rich.table import Table
 from scipy import stats
 
 from tactilerl import envs
-from tactilerl.envs.hold import CHECK_EVERY, OUT_OF_REACH, HoldTest
+from tactilerl.envs.hold import LOOK_STEPS, OUT_OF_REACH, SETTLE_STEPS, HoldTest
 from tactilerl.evaluate import load_policy
 
 SEED = 40_000
@@ -51,14 +51,14 @@ def judge(rule: HoldTest, history: list[np.ndarray]) -> int | None:
     return next((k for k in range(len(history)) if rule.is_settled(history[: k + 1])), None)
 
 
-def collect(name: str, run: Path | None, holds: int) -> list[tuple[bool, list[np.ndarray]]]:
+def collect(name: str, run: Path | None, holds: int) -> RecordedHold:
     """Lift by policy or at random until there are `holds` holds."""
     env: Any = envs.make(name)
     policy = None
     if run is not None:
         config, policy, _ = load_policy(run)
         env = config.make_env()
-    env._hold = recorder = RecordedHold()
+    env._hold = recorder = RecordedHold(**vars(env._hold))
     rng, episode = np.random.default_rng(SEED), 0
     while len(recorder.holds) < holds:
         obs, _ = env.reset(seed=SEED + episode)
@@ -68,7 +68,7 @@ def collect(name: str, run: Path | None, holds: int) -> list[tuple[bool, list[np
             action = policy.act(obs) if policy else np.clip(noise, -1, 1)
             obs, _, terminated, truncated, _ = env.step(action)
             done = terminated or truncated
-    return recorder.holds
+    return recorder
 
 
 def main() -> None:
@@ -79,10 +79,12 @@ def main() -> None:
     parser.add_argument("--holds", type=int, default=150)
     parser.add_argument("--out", type=Path, help="write JSON here")
     options = parser.parse_args()
-    holds = collect(options.env, options.run, options.holds)
+    test = collect(options.env, options.run, options.holds)
+    holds = test.holds
     rows = []
     for steps, distance in RULES:
-        rule = HoldTest(verdict="settled", settle_steps=steps, settle_distance=distance)
+        window = test.settle_seconds * steps / SETTLE_STEPS
+        rule = replace(test, settle_seconds=window, settle_distance=distance)
         calls = [judge(rule, history) for _, history in holds]
         wrong = sum(call is not None and not held for call, (held, _) in zip(calls, holds, strict=True))
         full = sum(len(history) for _, history in holds)
@@ -98,7 +100,7 @@ def main() -> None:
                 "speed": full / short,
             }
         )
-    drops = [CHECK_EVERY * len(history) for held, history in holds if not held]
+    drops = [LOOK_STEPS * len(history) for held, history in holds if not held]
     result = {"holds": len(holds), "held": sum(h for h, _ in holds), "drops_at": sorted(drops)}
     result["rules"] = rows
     table = Table(

@@ -35,9 +35,9 @@ class GraspConfig:
     """Taxels: 1-6 (paper, Fig. 2), a named design, or the path of a .toml file."""
     run_type: Literal["main", "control", "absent"] = "main"
     """main: taxels read; control: all zero, same size (paper); absent: no taxel entries."""
-    touch: Literal["overlap", "contact"] = "overlap"
-    """Touch rule. overlap: the taxel's sphere overlaps the object; contact: the simulator's own
-    contact points (paper). Why overlap: docs/environments.md."""
+    touch: Literal["skin", "contact"] = "skin"
+    """Touch rule. skin: the taxel's sphere overlaps the object, and its skin touches it; contact:
+    the simulator's own contact points (paper). Why skin: docs/environments.md."""
     object: objects.Kind = "box"
     """box, sphere or cylinder."""
     object_size: tuple[float, ...] = (0.05,)
@@ -59,8 +59,8 @@ class GraspConfig:
     """Move the start a little in every episode, seeded (the paper does not)."""
     lift_clearance: float = 0.03
     """lift-and-hold: the object counts as lifted when its lowest point is this high, m."""
-    hold_steps: int = 5000
-    """lift-and-hold: simulation steps of the hold test (paper)."""
+    hold_seconds: float = 20.0
+    """lift-and-hold: length of the hold test, s (5,000 timesteps, paper; mpl: 20.83)."""
     hold_verdict: Verdict = "full"
     """lift-and-hold: full, or settled (a success is called once the object rests in the hand)."""
     goal_height: float = 0.08
@@ -71,6 +71,7 @@ class GraspConfig:
     def __post_init__(self) -> None:
         size = (self.object_size,) if np.ndim(self.object_size) == 0 else self.object_size
         object.__setattr__(self, "object_size", tuple(size))  # a number, or JSON's list
+        object.__setattr__(self, "layout", str(self.layout))  # 4 is "4"
 
     @property
     def shape(self) -> objects.Shape:
@@ -92,7 +93,7 @@ class GraspConfig:
                 raise ValueError(f"{name}: found {value!r}, allowed: {', '.join(choices)}")
         for name in (
             *("object_size", "object_density", "friction", "finger_gain", "timestep", "control_dt"),
-            *("lift_clearance", "goal_height", "goal_tolerance"),
+            *("lift_clearance", "hold_seconds", "goal_height", "goal_tolerance"),
         ):
             for value in np.ravel(getattr(self, name)):
                 if not (np.isfinite(value) and value > 0):
@@ -103,10 +104,8 @@ class GraspConfig:
         ):
             if size > most:
                 raise ValueError(f"object_size: found {size:g} m, allowed up to {most} m {where}")
-        for name in ("hold_steps", "max_episode_steps"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise ValueError(f"{name}: found {value}, allowed 1 or more")
+        if self.max_episode_steps is not None and self.max_episode_steps < 1:
+            raise ValueError(f"max_episode_steps: found {self.max_episode_steps}, allowed 1 or more")
         ratio = self.control_dt / self.timestep
         if self.n_substeps < 1 or abs(ratio - self.n_substeps) > 1e-6 * ratio:
             raise ValueError(
@@ -128,6 +127,7 @@ SETUPS: dict[str, dict[str, Any]] = {
         "object_density": 800.0,
         "timestep": 1 / 240,
         "control_dt": 0.1,
+        "hold_seconds": 5000 / 240,
     },
 }
 
@@ -143,7 +143,7 @@ TALLEST = 0.15  # m, of an object: held at its top, its centre is well above wha
 OFF_GROUND = 0.005  # m under the object's lowest point: lift-and-hold's attempt has begun
 JITTER_POSITION = 0.005  # m, of the object along x and y
 JITTER_YAW = 0.15  # rad, of the object
-JITTER_JOINT = 0.02  # rad, of every finger joint
+JITTER_JOINT = 0.02  # rad, of every finger joint, within its range
 
 
 class GraspEnv(gym.Env[Any, Array]):
@@ -157,7 +157,7 @@ class GraspEnv(gym.Env[Any, Array]):
     and says how often.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 5}
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}
 
     def __init__(
         self,
@@ -170,11 +170,12 @@ class GraspEnv(gym.Env[Any, Array]):
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode: found {render_mode!r}, allowed None or 'rgb_array'")
         self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": max(1, round(1 / config.control_dt))}
         self.shape = config.shape
         width, height = self.shape.width, self.shape.height
         self.hand = hands.load(hand).over(width, height)
         self.taxels = layouts.load(config.layout).place(self.hand)
-        self._placement = touch.TaxelPlacement(self.taxels)
+        self._touch = touch.SkinTouch(self.taxels, self.hand.surfaces)
         self.task = _task(config)
         self.max_episode_steps = config.max_episode_steps or self.task.max_episode_steps
         self._contact = config.touch == "contact"
@@ -193,7 +194,7 @@ class GraspEnv(gym.Env[Any, Array]):
             ),
         )
         self._warnings = self.simulator.warnings
-        self._hold = HoldTest(steps=config.hold_steps, verdict=config.hold_verdict)
+        self._hold = HoldTest.of_setup(setup(hand).timestep, config.hold_seconds, config.hold_verdict)
         self._desired_goal = self.task.desired_goal().astype(np.float32)
         self._object_id = np.array([float(objects.KINDS.index(self.shape.kind))])
         first = [self.hand.joints.index(joint) for joint in self.hand.first_joints]
@@ -232,12 +233,17 @@ class GraspEnv(gym.Env[Any, Array]):
             position[:2] += rng.uniform(-JITTER_POSITION, JITTER_POSITION, 2)
             yaw = rng.uniform(-JITTER_YAW, JITTER_YAW)
             positions[3:] += rng.uniform(-JITTER_JOINT, JITTER_JOINT, len(positions) - 3)
+            positions = np.clip(positions, *self.simulator.joint_limits.T)
         self._targets = self.hand.start_targets()
         self._steps, self._is_off_ground = 0, False
-        self.simulator.reset(positions, position, yaw)
-        _, thing = seen = self._look()
+        try:
+            self.simulator.reset(positions, position, yaw)
+            _, thing = seen = self._look()
+            observation = self._observation(*seen)
+        except simulators.SimulationError as error:
+            raise simulators.SimulationError(f"an episode cannot begin: {error}") from error
         self._object_position = thing.position
-        self._obs = self._goal_obs(self._observation(*seen), self._situation(*seen, "undecided"))
+        self._obs = self._goal_obs(observation, self._situation(*seen, "undecided"))
         return self._obs, {"is_success": False}
 
     def step(self, action: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
@@ -331,8 +337,8 @@ class GraspEnv(gym.Env[Any, Array]):
     def _feel(self, thing: objects.ObjectState) -> Array:
         if self._contact:
             return self.simulator.contact_taxels()
-        poses = self.simulator.link_poses(self._placement.links)
-        return self._placement.overlap(*poses, self.shape, thing)
+        poses = self.simulator.link_poses(self._touch.links)
+        return self._touch.read(*poses, self.shape, thing)
 
     def _observation(self, points: Array, thing: objects.ObjectState) -> Array:
         positions, velocities = self.simulator.joint_state()

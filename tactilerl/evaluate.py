@@ -31,10 +31,11 @@ class Trained(NamedTuple):
     env_steps: int
 
 
-def load_policy(path: Path) -> Trained:
-    """The policy of a run folder at its last checkpoint."""
+def load_policy(path: Path, env: str = "", trust: bool = False) -> Trained:
+    """The policy of a run folder at its last checkpoint; for `env` and `trust` see
+    `RunDir.read_config`."""
     run_dir = RunDir(path)
-    saved, _ = run_dir.read_config()
+    saved, _ = run_dir.read_config(env, trust)
     run = dataclasses.replace(saved.run, workers=1, device="cpu")
     scene = saved.scene and dataclasses.replace(saved.scene, hold_verdict="full")
     config = dataclasses.replace(saved, run=run, scene=scene)

@@ -2,6 +2,9 @@
 
 import copy
 import dataclasses
+import pickle
+import subprocess
+import sys
 import warnings
 
 import gymnasium as gym
@@ -19,7 +22,7 @@ TASKS = ("lift-and-hold", "reach-goal")
 
 
 def make(**choices):
-    return envs.make("shadow", **{"hold_steps": 100, **choices})
+    return envs.make("shadow", **{"hold_seconds": 0.4, **choices})
 
 
 def rollout(env, seed, n=30, scale=1.0):
@@ -36,11 +39,11 @@ def rollout(env, seed, n=30, scale=1.0):
 
 
 @pytest.mark.parametrize("task", TASKS)
-@pytest.mark.parametrize("touch", ["overlap", "contact"])
+@pytest.mark.parametrize("touch", ["skin", "contact"])
 @pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
 @pytest.mark.parametrize("hand", ["shadow", "mpl"])
 def test_gymnasium_accepts_it(task, touch, simulator, hand):
-    env = envs.make(hand, hold_steps=100, task=task, touch=touch, simulator=simulator)
+    env = envs.make(hand, hold_seconds=0.4, task=task, touch=touch, simulator=simulator)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.filterwarnings("ignore", message=".*(infinity|render).*")
@@ -64,6 +67,55 @@ def test_same_seed_same_trajectory_after_every_reset(task, layout):
     assert np.array_equal(first, rollout(env, 5))
     assert np.array_equal(first, rollout(make(task=task, layout=layout), 5))
     assert not np.array_equal(first[:50], rollout(env, 6)[:50])
+
+
+@pytest.mark.parametrize("hand", ["shadow", "mpl"])
+@pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
+def test_jitter_stays_within_the_joints_ranges(hand, simulator):
+    env, starts = envs.make(hand, simulator=simulator), []
+    model = env.simulator.model
+    for seed in range(10):
+        env.reset(seed=seed)
+        starts.append(env.simulator.joint_state()[0])
+    n_at_limit = 0
+    for joint, seen in zip(env.hand.joints[3:], np.array(starts).T[3:], strict=True):
+        low, high = model.joint(joint).range
+        assert low <= seen.min() <= seen.max() <= high
+        assert np.ptp(seen) > 0.005
+        n_at_limit += (seen == low).any() or (seen == high).any()
+    assert n_at_limit == 3  # there are starts at a limit
+    env.close()
+
+
+def test_pictures_come_as_often_as_actions():
+    assert make().metadata["render_fps"] == 5
+    assert envs.make("mpl", simulator="mujoco").metadata["render_fps"] == 10
+    assert make(control_dt=0.04).metadata["render_fps"] == 25
+
+
+@pytest.mark.parametrize("layout", [5, np.int64(5), "5"])
+def test_a_layouts_number_is_its_name(layout):
+    for env in (make(layout=layout), gym.make("tactilerl/Shadow-v0", layout=layout)):
+        assert env.unwrapped.config.layout == "5"
+        assert len(env.unwrapped.taxels) == 19
+
+
+@pytest.mark.parametrize("first", ["tactilerl", "gymnasium"])
+def test_importing_tactilerl_is_enough_for_gymnasium_and_imports_nothing_else(first):
+    second = "gymnasium" if first == "tactilerl" else "tactilerl"
+    code = f"""
+import sys
+before = set(sys.modules)
+import {first}
+if {first!r} == "tactilerl":
+    heavy = {{name.partition(".")[0] for name in set(sys.modules) - before}}
+    assert not heavy & {{"gymnasium", "numpy", "mujoco", "torch"}}, heavy
+import {second}
+env = gymnasium.make("tactilerl/LQR-v0")
+assert "tactilerl/Shadow-v0" in gymnasium.registry
+assert "mujoco" not in sys.modules
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_jitter_can_be_turned_off():
@@ -257,7 +309,7 @@ class TestFaults:
         assert env.step(up)[-1]["warnings"] == fresh
         assert "warnings" not in env.step(up)[-1]
 
-    @pytest.mark.parametrize("touch", ["overlap", "contact"])
+    @pytest.mark.parametrize("touch", ["skin", "contact"])
     def test_a_step_without_memory_is_divergence_and_the_next_episode_is_whole(
         self, touch, little_memory
     ):
@@ -284,6 +336,14 @@ class TestFaults:
         assert ejected == np.array_equal(obs["observation"], before["observation"])
         assert "diverged" not in (env.reset(seed=1), env.step(np.zeros(23)))[1][-1]
 
+    @pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
+    def test_an_episode_that_cannot_begin_is_one_clear_error(self, simulator):
+        env = envs.make("mpl", simulator=simulator)
+        env._start_positions[5] = np.nan
+        with pytest.raises(SimulationError, match=r"an episode cannot begin: .* is not finite"):
+            env.reset(seed=0)
+        env.close()
+
     def test_simulation_error_is_raised_by_the_simulator(self):
         env = make()
         env.reset(seed=0)
@@ -302,7 +362,7 @@ class TestFaults:
             dict(object_size=(0.02, 0.02, 0.16)),
             dict(layout="9"),
             dict(reward="sparse"),
-            dict(hold_steps=0),
+            dict(hold_seconds=0.0),
             dict(run_type="half"),
             dict(task="fly"),
             dict(hold_verdict="maybe"),
@@ -345,9 +405,8 @@ def test_friction_is_the_objects_against_everything(friction):
 class TestHoldTest:
     """The verdict of the hold, on a grasp that holds and on one that cannot."""
 
-    def verdict(self, env, close, verdict="full", steps=1000):
+    def verdict(self, env, close, verdict="full"):
         from tactilerl.envs import scripted
-        from tactilerl.envs.hold import HoldTest
 
         grasp = scripted.grasp_for(env)
         start = scripted.Start(np.zeros(2), 0.0, np.zeros(len(env.hand.joints)))
@@ -356,7 +415,8 @@ class TestHoldTest:
         targets = env.simulator.data.ctrl[env.simulator._ctrl].copy()
         if not close:
             targets[3:] = env.hand.start_targets()[3:]
-        return HoldTest(steps=steps, verdict=verdict).run(env.simulator, targets, env.config.timestep)
+        test = dataclasses.replace(env._hold, seconds=4.0, verdict=verdict)
+        return test.run(env.simulator, targets, env.config.timestep)
 
     @pytest.mark.parametrize("verdict", ["full", "settled"])
     def test_grasped_object_is_held_at_one_metre(self, verdict):
@@ -365,28 +425,35 @@ class TestHoldTest:
         assert env.simulator.link_positions()[0, 2] == pytest.approx(1.0, abs=0.02)
         assert env.simulator.object_state().position[2] > 0.85
 
-    @pytest.mark.parametrize("steps", [20, 49, 100])
-    def test_lasts_as_long_as_it_says(self, steps):
-        from tactilerl.envs.hold import HoldTest
-
-        env = make()
+    @pytest.mark.parametrize("timestep", [0.004, 0.002, 0.0031])
+    @pytest.mark.parametrize("seconds", [0.08, 0.196, 0.4])
+    def test_lasts_as_long_as_it_says_and_looks_as_often_at_any_timestep(self, seconds, timestep):
+        env = make(timestep=timestep, control_dt=50 * timestep, hold_seconds=seconds)
         env.reset(seed=0)
         env.step(np.eye(23)[2])  # the hand is on its way up and lags behind its target
-        test = HoldTest(steps=steps)
-        targets, before = env._targets, []
-        for is_at_top, _ in test.positions(env.simulator, targets, env.config.timestep):
-            before.append((is_at_top, env.simulator.data.time))
-        top = [time for is_at_top, time in before if is_at_top]
-        assert (top[-1] - top[0]) / env.config.timestep == pytest.approx(steps)
+        looks = [
+            (is_at_top, env.simulator.data.time)
+            for is_at_top, _ in env._hold.positions(env.simulator, env._targets, timestep)
+        ]
+        top = [time for is_at_top, time in looks if is_at_top]
+        assert top[-1] - top[0] == pytest.approx(seconds, abs=timestep / 2 + 1e-9)
+        gaps = np.diff([time for is_at_top, time in looks if not is_at_top])
+        assert gaps == pytest.approx(0.1, abs=timestep / 2 + 1e-9)
+
+    @pytest.mark.parametrize(("hand", "timestep"), [("shadow", 0.004), ("mpl", 1 / 240)])
+    def test_is_5000_of_the_set_ups_own_timesteps_whatever_the_timestep(self, hand, timestep):
+        """Looked at every 25 and settled over 400 of them."""
+        times = np.array([5000, 25, 400]) * timestep
+        for choice in ({}, {"timestep": timestep / 2}):
+            test = envs.make(hand, simulator="mujoco", **choice)._hold
+            assert [test.seconds, test.look_every, test.settle_seconds] == pytest.approx(times)
 
     def test_palm_ends_at_one_metre_wherever_it_was_going(self):
-        from tactilerl.envs.hold import HoldTest
-
-        env = make()
+        env = make(hold_seconds=2.0)
         for action in (-1.0, 1.0):
             env.reset(seed=0)
             env.step(action * np.eye(23)[2])
-            list(HoldTest(steps=500).positions(env.simulator, env._targets, env.config.timestep))
+            list(env._hold.positions(env.simulator, env._targets, env.config.timestep))
             assert env.simulator.link_positions()[0, 2] == pytest.approx(
                 1.0, abs=0.02
             )  # the wrist may still turn
@@ -395,14 +462,11 @@ class TestHoldTest:
         assert not self.verdict(make(), close=False)
 
     def test_what_was_thrown_up_is_not_held_while_it_flies(self):
-        from tactilerl.envs.hold import HoldTest
-
-        env = make()
+        env = make(hold_seconds=0.2)
         env.reset(seed=0)
         thing = env.simulator.data.joint("object")
         thing.qpos[2], thing.qvel[2] = 0.5, 40.0
-        test = HoldTest(steps=50)
-        assert not test.run(env.simulator, env._targets, env.config.timestep)
+        assert not env._hold.run(env.simulator, env._targets, env.config.timestep)
         assert env.simulator.object_state().position[2] > 1.0
 
 
@@ -417,6 +481,17 @@ def test_a_copy_goes_on_as_the_environment_and_on_its_own():
         assert np.array_equal(here["observation"], there["observation"])
 
 
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_pybullet_environment_says_that_it_cannot_be_copied(copied):
+    """A copy would step the original's world."""
+    pytest.importorskip("pybullet")
+    env = envs.make("mpl")
+    with pytest.raises(TypeError, match="cannot be copied or pickled: make another"):
+        copied(env)
+    env.reset(seed=0)
+    env.close()
+
+
 def test_config_is_frozen():
     with pytest.raises(dataclasses.FrozenInstanceError):
         GraspConfig().layout = "3"
@@ -424,7 +499,7 @@ def test_config_is_frozen():
 
 def test_stable_baselines3_trains_on_it_unmodified():
     sb3 = pytest.importorskip("stable_baselines3")
-    env = GraspEnv("shadow", GraspConfig(layout="6", max_episode_steps=20, hold_steps=100))
+    env = GraspEnv("shadow", GraspConfig(layout="6", max_episode_steps=20, hold_seconds=0.4))
     model = sb3.PPO("MultiInputPolicy", env, n_steps=64, batch_size=32, n_epochs=1, device="cpu")
     before = [p.clone() for p in model.policy.parameters()]
     model.learn(128)
