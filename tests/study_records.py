@@ -1,9 +1,12 @@
 """Studies whose runs were never trained: what they left behind is made up, for tests of reports."""
 
 import csv
+import json
 
 import numpy as np
 
+from tactilerl import provenance
+from tactilerl.run_dir import FORMAT
 from tactilerl.study import check, grid
 from tactilerl.study.folder import Outcome, StudyFolder
 
@@ -41,10 +44,12 @@ def make_study(path, text=PAPER_LIKE, n_seeds=4, epochs=25, total=30_000):
     runs = study.runs()
     configs = check.configure(runs)
     folder.create(study)
+    made_with = [provenance.record()]
     for index, run in enumerate(runs):
         files = folder.files(run)
         files.base.mkdir()
-        files.run_dir.write_config(configs[run.name], 1)
+        content = {"format": FORMAT, **configs[run.name].as_dict(), "ranks": 1, "provenance": made_with}
+        files.run_dir.config_file.write_text(json.dumps(content))
         write_progress(files, run, np.random.default_rng(index), epochs, total)
         files.write_outcome(Outcome("done", total))
     return folder
@@ -54,7 +59,7 @@ def write_progress(files, run, rng, epochs, total):
     """A curve that rises to its level, with noise."""
     level = LEVEL.get(run.cell, 0.6) if run.arm in ("main", "0.95") else 0.55
     level += rng.normal(0, 0.05)
-    with files.run_dir.progress_file.open("w", newline="") as file:
+    with files.run_dir.progress.path.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(
             ["epoch", "env_steps", "success_rate", "test_success_rate", "diverged", "steps_per_s"]

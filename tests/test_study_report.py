@@ -175,7 +175,7 @@ class TestWarnings:
         folder.files(runs[1]).outcome_file.unlink()
         config = folder.files(runs[2]).run_dir.config_file
         config.write_text(config.read_text().replace('"torch": "', '"torch": "0.'))
-        progress = folder.files(runs[3]).run_dir.progress_file
+        progress = folder.files(runs[3]).run_dir.progress.path
         progress.write_text(progress.read_text().replace(",0.0,100.0", ",1.0,100.0"))
         folder.files(runs[4]).run_dir.config_file.write_text("{")
         assert main(["study", "report", str(folder.path), "--resamples", "100"]) == 0

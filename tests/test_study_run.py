@@ -160,7 +160,7 @@ class TestFailures:
         assert "exists; choose another" in out
         assert "2 runs, 1 to do" in out
         assert first.run_dir.checkpoint_file.exists()
-        assert second.run_dir.progress_file.exists()
+        assert second.run_dir.progress.path.exists()
         assert folder.files(folder.study().runs()[0]).state() == "failed"
 
     def test_a_killed_run_is_taken_up_once_more(self, undisturbed, tmp_path):

@@ -198,13 +198,14 @@ def report(args: list[str]) -> int:
         from . import report as page
         from . import tables
         from .analysis import analyse
+        from .statistics import FEW_RUNS
     analysis = analyse(*_load(read.study), read.resamples)
     out = read.out or (read.study if read.study.is_dir() else read.study.parent) / "report"
     try:
         path = page.write(analysis, out)
     except OSError as error:
         raise InputError(f"cannot write the report into {str(out)!r}: {error.strerror}") from error
-    for warning in tables.warnings(analysis, page.FEW_RUNS):
+    for warning in tables.warnings(analysis, FEW_RUNS):
         console.print(f"note: {warning}")
     console.print(f"{path} (tables and figures beside it)")
     return 0

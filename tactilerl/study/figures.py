@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -18,7 +19,7 @@ from .statistics import METRICS, Estimate
 
 INK, FAINT = "#010203", "#b0b0b1"  # become colours of the page in report.html
 ARMS = ("#e0a800", "#2b6cb0", "#8a5a9e", "#4d8f5b")  # treatment and control as in the paper
-STYLE = {
+STYLE: dict[Any, Any] = {
     "svg.hashsalt": "tactilerl",
     "svg.fonttype": "none",
     "font.family": "sans-serif",

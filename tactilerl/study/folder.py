@@ -18,7 +18,8 @@ from typing import Any, Literal
 import filelock
 
 from ..errors import InputError
-from ..run_dir import RunDir, replacing
+from ..run_dir import RunDir
+from ..sealed import replacing
 from .grid import Run, Study, from_dict
 
 State = Literal["done", "failed", "running", "interrupted", "left"]
@@ -92,7 +93,7 @@ class RunFiles:
     def rows(self) -> list[dict[str, str]]:
         """The progress table as it stands in the file, without a last line that was cut off."""
         try:
-            text = self.run_dir.progress_file.read_text(encoding="utf-8")
+            text = self.run_dir.progress.path.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError):
             return []
         return list(csv.DictReader(text[: text.rfind("\n") + 1].splitlines()))

@@ -36,16 +36,17 @@ AT = (5, 10, 20)  # seeds per group
 def plan(analysis: Analysis, effect: float, power: float, alpha: float) -> list[Need]:
     """What each comparison needs to find a difference of `effect` in converged rates."""
     rng = np.random.default_rng(SEED)
-    return [
+    needs = [
         _need(one, cell, effect, power, alpha, rng)
         for one in analysis.setups
         for cell in one.comparisons
     ]
+    return [need for need in needs if need is not None]
 
 
 def _need(
     one: SetupResult, cell: str, effect: float, power: float, alpha: float, rng: np.random.Generator
-) -> Need:
+) -> Need | None:
     assert one.setup.compare is not None
     groups = [one.groups[cell, arm] for arm in (one.setup.compare.treatment, one.setup.compare.control)]
     scores = [group.scores["converged"] for group in groups]

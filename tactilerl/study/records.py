@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..run_dir import replacing
+from ..sealed import replacing
 from .folder import RunFiles, StudyFolder, study_of
 from .grid import Run, Study
 

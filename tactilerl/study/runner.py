@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, cast
 
+from .. import interrupts
 from ..algos import mpi
 from .folder import Outcome, RunFiles
 from .worker import BUSY
@@ -130,14 +131,17 @@ def executor(jobs: int) -> Iterator[concurrent.futures.Executor | None]:
 
 @contextmanager
 def _stopped_by_signals() -> Iterator[None]:
-    """SIGTERM, which batch systems send before they kill, is like Ctrl-C."""
+    """Ctrl-C ends the runs in order, and so does SIGTERM, which batch systems send before they
+    kill.
+    """
 
     def interrupt(*_: Any) -> None:
         raise KeyboardInterrupt
 
     before = signal.signal(signal.SIGTERM, interrupt)
     try:
-        yield
+        with interrupts.in_order():
+            yield
     finally:
         signal.signal(signal.SIGTERM, before)
 

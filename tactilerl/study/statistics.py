@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
 from typing import Literal, NamedTuple
 
@@ -315,7 +315,7 @@ class Term(NamedTuple):
 
 
 def mixed_model(
-    scores: Array, is_treatment: Array, factors: dict[str, Sequence[str]], cells: Sequence[str]
+    scores: Array, is_treatment: Array, factors: Mapping[str, Sequence[str]], cells: Sequence[str]
 ) -> list[Term]:
     """Is the treatment's effect the same over hands, simulators and algorithms? (statsmodels'
     MixedLM)
@@ -403,9 +403,13 @@ def simulated_power(
     pilot's.
 
     Runs are drawn from the pilot's deviations from each group's mean, the treatment's shifted by
-    `effect`.
+    `effect`. Deviations from the mean of n runs are too small by a factor of sqrt(1 - 1/n): they
+    are stretched.
     """
-    spreads = [scores - scores.mean() for scores in (treatment, control)]
+    spreads = [
+        (scores - scores.mean()) / math.sqrt(max(1 - 1 / len(scores), 0.5))
+        for scores in (treatment, control)
+    ]
     labels = np.array([rng.permutation(2 * n_runs) for _ in range(n_permutations + 1)])
     labels[0] = np.arange(2 * n_runs)
     found = 0

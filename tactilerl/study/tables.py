@@ -263,11 +263,17 @@ def versions(analysis: Analysis) -> Table:
     """Software that the runs were made with, and by how many runs."""
     found: Counter[tuple[str, str]] = Counter()
     for record in analysis.records:
-        if record.config:
-            found.update(record.config.get("versions", {}).items())
-            found["commit", str(record.config.get("commit"))] += 1
+        found.update(_made_with(record.config or {}))
     rows = [[name, version, str(n)] for (name, version), n in sorted(found.items())]
     return Table("versions", "Versions", ["Package", "Version", "Runs"], rows)
+
+
+def _made_with(config: dict[str, Any]) -> set[tuple[str, str]]:
+    """(package, version) of all that a run was made with; several of one where it went on with
+    others."""
+    made = config.get("provenance", [])
+    commits = {("commit", str(one["commit"])) for one in made}
+    return commits.union(*(one["versions"].items() for one in made))
 
 
 def runs(analysis: Analysis) -> Table:
@@ -311,12 +317,7 @@ def warnings(analysis: Analysis, few: int) -> list[str]:
     for one in analysis.setups:
         if not one.groups:
             found.append(f"{one.setup.name}: no finished run with a {one.setup.measure}.")
-    kinds = {
-        str(r.config.get("versions")) + str(r.config.get("commit"))
-        for r in analysis.records
-        if r.config
-    }
-    if len(kinds) > 1:
+    if len({frozenset(_made_with(one.config)) for one in analysis.records if one.config}) > 1:
         found.append("The runs were made with different versions or commits: see Versions.")
     diverged = [
         r.run.name

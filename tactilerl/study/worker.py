@@ -47,7 +47,7 @@ def _train(files: RunFiles, ranks: int, flags: list[str]) -> int:
 def _drop_stillborn(files: RunFiles) -> None:
     """Remove a folder whose process died before it had written anything to keep."""
     if files.base.is_dir() and all(
-        path.name == LAYOUT_COPY or path.suffix in (".tmp", ".lock") for path in files.base.iterdir()
+        path.name in (LAYOUT_COPY, ".lock") or path.suffix == ".tmp" for path in files.base.iterdir()
     ):
         shutil.rmtree(files.base)
 
