@@ -87,10 +87,9 @@ def all_tables(analysis: Analysis) -> list[Table]:
 
 
 def learning_tables(analysis: Analysis) -> list[Table]:
-    """Those that depend on nothing but what was learned: the same wherever and however often it
-    ran.
-    """
-    return [table for table in all_tables(analysis) if table.name != "cost"]
+    """Those that depend on nothing but what was learned: the same however often the study was cut
+    off, on any machine of the kind."""
+    return [table for table in all_tables(analysis) if table.name not in ("cost", "versions")]
 
 
 def converged(one: SetupResult) -> Table:
