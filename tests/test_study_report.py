@@ -189,6 +189,15 @@ class TestWarnings:
         assert "interrupted" in rows[2]
         assert "not a run's configuration" in rows[5]
 
+    @pytest.mark.parametrize("tail", ["26,30000,0.5", "26,30000,0.5,0.5,0,100,7\n", '"', "\0\n"])
+    def test_a_damaged_end_of_a_progress_table_is_left_out(self, tmp_path, tail):
+        folder = make_study(tmp_path / "s", n_seeds=1)
+        file = folder.files(folder.study().runs()[0]).run_dir.progress.path
+        file.write_text(file.read_text() + tail)
+        _, all_records = records.load(folder.path)
+        assert [len(record.rows) for record in all_records] == [25] * 12
+        assert records.load(records.collect(folder.path))[1] == all_records
+
     def test_a_measure_that_no_run_has(self, tmp_path, capsys):
         folder = make_study(tmp_path / "s", n_seeds=1)
         for file in folder.path.rglob("progress.csv"):

@@ -91,12 +91,14 @@ class RunFiles:
         return "interrupted" if self.exists else "left"
 
     def rows(self) -> list[dict[str, str]]:
-        """The progress table as it stands in the file, without a last line that was cut off."""
+        """The progress table as it stands in the file, without a last line that was cut off and
+        without rows that do not fit its columns."""
         try:
             text = self.run_dir.progress.path.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError):
             return []
-        return list(csv.DictReader(text[: text.rfind("\n") + 1].splitlines()))
+        table = csv.DictReader(text[: text.rfind("\n") + 1].splitlines())
+        return [row for row in table if None not in row and None not in row.values()]
 
     def progress(self) -> Progress:
         """Steps and seconds so far, from the progress table."""
