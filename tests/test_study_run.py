@@ -2,9 +2,11 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -13,9 +15,8 @@ import numpy as np
 import pytest
 
 from tactilerl.cli import main
-from tactilerl.study import analysis, display, records, report, tables
+from tactilerl.study import analysis, check, display, records, report, runner, tables
 from tactilerl.study.folder import Outcome, StudyFolder
-from tactilerl.study.runner import Job, run_job
 
 TINY = """
 name = "tiny"
@@ -102,7 +103,7 @@ class TestRun:
             np.testing.assert_array_equal(ours.column(column), theirs.column(column))
 
     def test_a_longer_study_goes_on_and_more_seeds_join(self, undisturbed, tmp_path, capsys):
-        subprocess.run(["cp", "-r", str(undisturbed), str(tmp_path / "out")], check=True)
+        shutil.copytree(undisturbed, tmp_path / "out")
         text = TINY.replace("= 200", "= 300") + "grid = {polyak = [0.9, 0.95, 0.99], seed = 0}\n"
         assert main(["study", "run", str(write(tmp_path, text)), "--out", str(tmp_path / "out")]) == 0
         assert "3 to do" in capsys.readouterr().out
@@ -146,7 +147,7 @@ class TestFailures:
     def test_damaged_run_folders_cost_a_line_each_and_nothing_is_lost(
         self, undisturbed, tmp_path, capsys
     ):
-        subprocess.run(["cp", "-r", str(undisturbed), str(tmp_path / "out")], check=True)
+        shutil.copytree(undisturbed, tmp_path / "out")
         folder = StudyFolder(tmp_path / "out")
         first, second, *_ = (folder.files(run) for run in folder.study().runs())
         first.run_dir.config_file.write_text("{")
@@ -164,33 +165,26 @@ class TestFailures:
         assert folder.files(folder.study().runs()[0]).state() == "failed"
 
     def test_a_killed_run_is_taken_up_once_more(self, undisturbed, tmp_path):
-        subprocess.run(["cp", "-r", str(undisturbed), str(tmp_path / "out")], check=True)
+        shutil.copytree(undisturbed, tmp_path / "out")
         folder = StudyFolder(tmp_path / "out")
         files = folder.files(folder.study().runs()[0])
         files.outcome_file.unlink()
-        import threading
-
-        def kill():
-            """The first process of the run, as soon as it is there."""
-            while True:
-                from tactilerl.study import runner
-
-                for child in list(runner._children):
-                    child.kill()
-                    return
-                time.sleep(0.01)
-
-        threading.Thread(target=kill, daemon=True).start()
-        from tactilerl.study import check
-
+        threading.Thread(target=kill_first_child, daemon=True).start()
         run = folder.study().runs()[0]
-        assert run_job(Job(files.base, check.arguments(run), 200)) == "done"
+        assert runner.run_job(runner.Job(files.base, check.arguments(run), 200)) == "done"
         assert files.outcome() == Outcome("done", 200)
+
+
+def kill_first_child():
+    """Kill the process of a run as soon as there is one."""
+    while not (children := list(runner._children)):
+        time.sleep(0.01)
+    children[0].kill()
 
 
 class TestSharing:
     def test_a_run_that_somebody_else_trains_is_left_to_them(self, undisturbed, tmp_path, capsys):
-        subprocess.run(["cp", "-r", str(undisturbed), str(tmp_path / "out")], check=True)
+        shutil.copytree(undisturbed, tmp_path / "out")
         folder = StudyFolder(tmp_path / "out")
         files = folder.files(folder.study().runs()[0])
         files.outcome_file.unlink()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -184,7 +184,7 @@ def _comparisons(
         )
     corrected = statistics.holm([one.p_value for one in found.values()])
     return {
-        cell: Comparison(**{**one.__dict__, "p_holm": float(p)})
+        cell: replace(one, p_holm=float(p))
         for (cell, one), p in zip(found.items(), corrected, strict=True)
     }
 

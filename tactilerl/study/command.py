@@ -26,25 +26,6 @@ if TYPE_CHECKING:
     from .records import Record
 
 console = Console(highlight=False, soft_wrap=True, markup=False)
-PARTS = {
-    "run": "run a study file's runs, or go on with them",
-    "status": "done, running, failed, left, ETA",
-    "plan": "how many seeds an effect needs, from the spread of a pilot",
-    "collect": "pack all that a study has recorded into one file",
-    "report": "tables, figures and report.html",
-}
-
-
-def study(args: list[str]) -> int:
-    """`tactilerl study PART`"""
-    if not args or args[0] in ("-h", "--help"):
-        lines = [f"  {name:9}{about}" for name, about in PARTS.items()]
-        print("\n".join(["usage: tactilerl study PART [OPTIONS]", "", "parts:", *lines]))
-        return 0 if args else 2
-    if args[0] not in PARTS:
-        raise InputError(f"study: found {args[0]!r}, allowed: {', '.join(PARTS)}")
-    part: Callable[[list[str]], int] = globals()[args[0]]
-    return part(args[1:])
 
 
 @dataclass(frozen=True)
@@ -280,3 +261,23 @@ def _needs_extra(part: str) -> Iterator[None]:
         raise InputError(
             f"study {part} needs {error.name}, which is not installed: pip install 'tactilerl[study]'"
         ) from error
+
+
+PARTS: dict[str, tuple[Callable[[list[str]], int], str]] = {
+    "run": (run, "run a study file's runs, or go on with them"),
+    "status": (status, "done, running, failed, left, ETA"),
+    "plan": (plan, "how many seeds an effect needs, from the spread of a pilot"),
+    "collect": (collect, "pack all that a study has recorded into one file"),
+    "report": (report, "tables, figures and report.html"),
+}
+
+
+def study(args: list[str]) -> int:
+    """`tactilerl study PART`"""
+    if not args or args[0] in ("-h", "--help"):
+        lines = [f"  {name:9}{about}" for name, (_, about) in PARTS.items()]
+        print("\n".join(["usage: tactilerl study PART [OPTIONS]", "", "parts:", *lines]))
+        return 0 if args else 2
+    if args[0] not in PARTS:
+        raise InputError(f"study: found {args[0]!r}, allowed: {', '.join(PARTS)}")
+    return PARTS[args[0]][0](args[1:])

@@ -120,13 +120,15 @@ def executor(jobs: int) -> Iterator[concurrent.futures.Executor | None]:
         with MPICommExecutor() as ranks:
             yield cast(concurrent.futures.Executor | None, ranks)
         return
-    _stopping.clear()
-    with concurrent.futures.ThreadPoolExecutor(jobs) as pool, _stopped_by_signals():
-        try:
-            yield pool
-        except BaseException:
-            _stop(pool)
-            raise
+    try:
+        with concurrent.futures.ThreadPoolExecutor(jobs) as pool, _stopped_by_signals():
+            try:
+                yield pool
+            except BaseException:
+                _stop(pool)
+                raise
+    finally:
+        _stopping.clear()
 
 
 @contextmanager
