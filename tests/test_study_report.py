@@ -205,6 +205,16 @@ class TestWarnings:
         assert main(["study", "report", str(folder.path), "--resamples", "100"]) == 0
         assert "mujoco: no finished run with a test_success_rate" in capsys.readouterr().out
 
+    def test_runs_that_still_rise_are_said(self, tmp_path, result):
+        assert "final rates" not in " ".join(tables.warnings(result, 10))
+        folder = make_study(tmp_path / "s", n_seeds=2)
+        for file in folder.path.rglob("progress.csv"):
+            header, *rows = file.read_text().splitlines()
+            flat = [",".join([*row.split(",")[:2], "0.0", "0.0", "0.0", "100"]) for row in rows[:-6]]
+            file.write_text("\n".join([header, *flat, *rows[-6:]]) + "\n")
+        late = analysis.analyse(*records.load(folder.path), 100)
+        assert "In 12 groups" in " ".join(tables.warnings(late, 10))
+
     @pytest.mark.parametrize("part", ["status", "report", "collect", "plan"])
     def test_no_study_there(self, tmp_path, capsys, part):
         assert main(["study", part, str(tmp_path)]) == 2

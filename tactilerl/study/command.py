@@ -10,7 +10,7 @@ from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import tyro
 from rich.console import Console
@@ -199,11 +199,13 @@ class PlanFlags:
     study: tyro.conf.Positional[Path]
     """Folder of a pilot study, or what `collect` made of it."""
     effect: float = 0.05
-    """Difference of converged success rates that is to be found."""
+    """Difference of success rates that is to be found."""
     power: float = 0.8
     """How likely it is to be found."""
     alpha: float = 0.05
     """Level of the test."""
+    score: Literal["converged", "final", "area"] = "converged"
+    """Of each run: its converged rate, the mean of its last tenth, or the area under its curve."""
     json: bool = False
     """Print JSON instead of a table."""
 
@@ -220,24 +222,23 @@ def plan(args: list[str]) -> int:
         from .analysis import analyse
         from .planning import plan as needs_of
     analysis = analyse(*_load(read.study), n_resamples=1000)
-    needs = needs_of(analysis, read.effect, read.power, read.alpha)
+    needs = needs_of(analysis, read.effect, read.power, read.alpha, read.score)
     if not needs:
         raise InputError(f"{read.study}: no comparison with two or more finished runs to plan from")
     if read.json:
         print(json.dumps([dataclasses.asdict(need) for need in needs]))
         return 0
-    title = f"seeds per group for a difference of {read.effect:g} with power {read.power:g}"
+    title = f"Seeds per group for a difference of {read.effect:g} with power {read.power:g}"
     console.print(_plan_table(title, needs))
     return 0
 
 
 def _plan_table(title: str, needs: list[Need]) -> Table:
     at = list(needs[0].power)
-    table = Table(title=title)
-    for column in ("set-up", "cell", "runs", "sd", "seeds", "Holm"):
+    caption = "at: power with so many seeds; test: power of the permutation test, simulated"
+    table = Table(title=title, caption=caption)
+    for column in ("set-up", "cell", "runs", "sd", "seeds", "Holm", *(f"at {n}" for n in at), "test"):
         table.add_column(column, no_wrap=True)
-    for column in (*(f"power at {n}" for n in at), "simulated"):
-        table.add_column(column, justify="right")
     for need in needs:
         seeds = [str(n) if n else "–" for n in (need.seeds, need.seeds_holm)]
         powers = [f"{need.power[n]:.2f}" for n in at]

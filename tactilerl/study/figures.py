@@ -138,8 +138,9 @@ def _curves_of(one: SetupResult, cell: str, axes: Axes) -> None:
         group = one.groups.get((cell, arm))
         if group is None:
             continue
-        axes.plot(one.steps, group.curves.T, color=colour, linewidth=0.7, alpha=0.55)
-        axes.fill_between(one.steps, *group.iqm_bounds.T, color=colour, alpha=0.25, linewidth=0)
+        faintness = min(0.55, 2 / len(group))  # many runs must not bury their aggregate
+        axes.plot(one.steps, group.curves.T, color=colour, lw=0.6, alpha=faintness, zorder=1)
+        axes.fill_between(one.steps, *group.iqm_bounds.T, color=colour, alpha=0.4, lw=0, zorder=2)
         marker = "o" if len(one.steps) == 1 else None
         label = f"{arm or 'all'}, {len(group)} runs"
         axes.plot(one.steps, group.iqm_curve, color=colour, lw=1.8, label=label, marker=marker)

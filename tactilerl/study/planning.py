@@ -19,7 +19,7 @@ class Need:
     runs: tuple[int, int]
     """Of the pilot, treatment and control."""
     sd: float
-    """Of converged rates within the groups, pooled."""
+    """Of the score within the groups, pooled."""
     seeds: int | None
     """Per group, for the wanted power at `alpha`."""
     seeds_holm: int | None
@@ -33,11 +33,13 @@ class Need:
 AT = (5, 10, 20)  # seeds per group
 
 
-def plan(analysis: Analysis, effect: float, power: float, alpha: float) -> list[Need]:
-    """What each comparison needs to find a difference of `effect` in converged rates."""
+def plan(
+    analysis: Analysis, effect: float, power: float, alpha: float, score: str = "converged"
+) -> list[Need]:
+    """What each comparison needs to find a difference of `effect` in a score (`analysis.SCORES`)."""
     rng = np.random.default_rng(SEED)
     needs = [
-        _need(one, cell, effect, power, alpha, rng)
+        _need(one, cell, effect, power, alpha, score, rng)
         for one in analysis.setups
         for cell in one.comparisons
     ]
@@ -45,11 +47,17 @@ def plan(analysis: Analysis, effect: float, power: float, alpha: float) -> list[
 
 
 def _need(
-    one: SetupResult, cell: str, effect: float, power: float, alpha: float, rng: np.random.Generator
+    one: SetupResult,
+    cell: str,
+    effect: float,
+    power: float,
+    alpha: float,
+    score: str,
+    rng: np.random.Generator,
 ) -> Need | None:
     assert one.setup.compare is not None
     groups = [one.groups[cell, arm] for arm in (one.setup.compare.treatment, one.setup.compare.control)]
-    scores = [group.scores["converged"] for group in groups]
+    scores = [group.scores[score] for group in groups]
     freedom = sum(len(group) - 1 for group in groups)
     squares = sum(float(((s - s.mean()) ** 2).sum()) for s in scores)
     if not freedom:

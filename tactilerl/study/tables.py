@@ -14,10 +14,11 @@ import numpy as np
 
 from .. import config as configuration
 from ..errors import InputError
-from .analysis import SCORES, THRESHOLDS, Analysis, SetupResult
+from .analysis import SCORES, THRESHOLDS, Analysis, Group, SetupResult
 from .statistics import Estimate, bca_interval, power_from_intervals
 
 NAMES = {"median": "Median", "iqm": "IQM", "mean": "Mean"}
+STILL_RISING = 0.1  # final over converged rate
 UNTOLD = ("seed", "out", "workers", "threads", "tensorboard", "device", "algo", "env")
 
 
@@ -301,6 +302,11 @@ def runs(analysis: Analysis) -> Table:
     return Table("runs", "Runs", columns, rows, note)
 
 
+def _still_rises(group: Group) -> bool:
+    """Does the converged rate miss what the runs can do at their end?"""
+    return group.estimate("iqm", "final").value - group.estimate("iqm").value > STILL_RISING
+
+
 def warnings(analysis: Analysis, few: int) -> list[str]:
     """What a reader must know before he believes the numbers."""
     found = []
@@ -312,6 +318,12 @@ def warnings(analysis: Analysis, few: int) -> list[str]:
         found.append(
             f"The smallest group has {analysis.fewest} runs. Intervals of fewer than {few} runs are "
             "too narrow: they contain the truth less often than they say."
+        )
+    rising = sum(_still_rises(group) for one in analysis.setups for group in one.groups.values())
+    if rising:
+        found.append(
+            f"In {rising} groups the runs end well above the level at which they spent most epochs: "
+            "they were too short for converged rates to mean much; look at final rates."
         )
     for one in analysis.setups:
         if not one.groups:
