@@ -230,6 +230,7 @@ class MujocoSimulator:
         view.distance, view.azimuth = camera.distance, camera.azimuth
         view.elevation = camera.elevation
         self._renderer.update_scene(self.data, view)
+        self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = camera.shadows
         if taxels is not None:
             self._draw(taxels, np.zeros(len(taxels), bool) if lit is None else lit)
         return self._renderer.render()
