@@ -16,7 +16,7 @@ import argparse
 import json
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -111,25 +111,25 @@ def measure(
     choices: dict[str, Any],
     policy: Callable[[Any, int], Act],
     holds: int,
-    tests: dict[str, tuple[str, float]],
+    tests: dict[str, tuple[dict[str, Any], float]],
 ) -> dict[str, Any]:
-    """Verdicts and times of `holds` lifts by `tests`, of which each has a verdict and a push."""
-    world: list[Any] = [
-        envs.make(hand, **{**choices, "hold_verdict": verdict}) for verdict, _ in tests.values()
-    ]
-    for env, (_, push) in zip(world, tests.values(), strict=True):
-        env._hold = Watched(env._hold, push)
+    """Verdicts and times of `holds` lifts by `tests`: each has fields of HoldTest and a push."""
+    world: list[Any] = [envs.make(hand, **choices) for _ in tests]
+    for env, (fields, push) in zip(world, tests.values(), strict=True):
+        env._hold = Watched(replace(env._hold, **fields), push)
     rows: list[dict[str, Any]] = []
     playing, episode = 0.0, 0
     while len(rows) < holds:
-        obs = [env.reset(seed=SEED + episode)[0] for env in world][0]
-        first, others = world[0], world[1:]
+        first, *others = world
+        obs, _ = first.reset(seed=SEED + episode)
+        for other in others:
+            other.reset(seed=SEED + episode)
         act, done, first._hold.held = policy(first, episode), False, None
         episode += 1
         while not done:
             started = time.process_time()
             action = act(obs)
-            obs, _, terminated, truncated, info = first.step(action)
+            obs, _, terminated, truncated, _ = first.step(action)
             playing += time.process_time() - started
             for other in others:
                 other.step(action)
@@ -173,7 +173,10 @@ def show(results: dict[str, dict[str, Any]]) -> None:
         table.add_row(
             *(name, str(row["holds"]), str(row["held"])),
             *(f"{row['changed']} ({low:.1f}–{high:.1f} %)", str(row["called_held"])),
-            *(str(row["changed_by_push"] if row["changed_by_push"] is not None else "–"), f"{100 * row['hold_ratio']:.1f} %"),
+            *(
+                str(row["changed_by_push"] if row["changed_by_push"] is not None else "–"),
+                f"{100 * row['hold_ratio']:.1f} %",
+            ),
             *(f"{row['share_full']:.2f}", f"{row['share_early']:.2f}"),
         )
     Console(width=160).print(table)
@@ -187,11 +190,16 @@ def main() -> None:
     parser.add_argument("--scripted", nargs="*", default=pairs, choices=pairs, metavar="HAND/SIMULATOR")
     parser.add_argument("--holds", type=int, default=150)
     parser.add_argument("--push", action="store_true", help="hold a third time, 1 µm aside")
+    parser.add_argument("--early", nargs="*", default=[], metavar="FIELD=VALUE", help="of HoldTest")
     parser.add_argument("--out", type=Path, help="write JSON here")
     options = parser.parse_args()
-    tests = {"full": ("full", 0.0), "early": ("settled", 0.0)}
+    fields = {name: float(value) for name, value in (pair.split("=") for pair in options.early)}
+    tests: dict[str, tuple[dict[str, Any], float]] = {
+        "full": ({"verdict": "full"}, 0.0),
+        "early": ({"verdict": "settled", **fields}, 0.0),
+    }
     if options.push:
-        tests["pushed"] = ("full", PUSH)
+        tests["pushed"] = ({"verdict": "full"}, PUSH)
     sources = {f"run {run.name}": lambda run=run: trained(run) for run in options.run}
     for pair in options.scripted:
         sources[f"scripted {pair}"] = lambda pair=pair: disturbed(*pair.split("/"))
