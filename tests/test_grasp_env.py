@@ -429,6 +429,7 @@ class TestHoldTest:
         test = dataclasses.replace(env._hold, settle_distance=0.0)
         assert self.verdict(env, close=True, verdict="settled", test=test)
         assert env.simulator.link_positions()[0, 2] > 0.9
+        assert env.simulator.data.time < 7.0  # 2.7 s to grasp, 2.9 s up, and not the 4 s there
 
     def test_what_was_thrown_up_is_not_held_while_it_flies(self):
         env = make(hold_seconds=0.2)
