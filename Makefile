@@ -2,35 +2,55 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt
+# Where the CPU build of PyTorch is. `make CUDA=1` takes what pip finds by itself, on Linux with CUDA.
+TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
+CUDA ?=
 RUN ?= runs/shadow_layout4
+JOBS ?= 2
 export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 
 .PHONY: train test test-slow lint bench figures clean
 .NOTPARALLEL:
 
-# PyTorch first and alone: the plain dependency could pull gigabytes of CUDA packages.
-$(VENV)/.installed: setup.cfg pyproject.toml constraints.txt
+# What training needs: no PyBullet, no MPI, nothing for tests.
+TRAINING := $(VENV)/.installed-train
+$(TRAINING): setup.cfg pyproject.toml constraints.txt tools/install_torch.py
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "$(PYTHON): needs Python 3.11 or newer (make PYTHON=python3.12)" >&2; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --constraint constraints.txt torch
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable ".[dev]"
+	$(BIN)/python tools/install_torch.py --constraint constraints.txt --index $(TORCH_INDEX) $(CUDA:%=--cuda)
+	$(INSTALL) --editable .
 	touch $@
 
-# About ten minutes on two cores. The early hold verdict and two environments are for speed.
+# PyBullet only where it has a wheel: without it, the tests that need it are skipped and say so.
+DEVELOPMENT := $(VENV)/.installed-dev
+$(DEVELOPMENT): $(TRAINING)
+	$(INSTALL) --editable ".[dev]"
+	$(INSTALL) -qq --only-binary pybullet pybullet || \
+		echo "PyBullet: found no wheel for this Python; going on without it"
+	touch $@
+
+# The early hold verdict is for speed.
 # Goes on with the run when it is there already.
-train: $(VENV)/.installed
+train: $(TRAINING)
 	if [ -e $(RUN)/config.json ]; then $(BIN)/tactilerl train --resume $(RUN); else \
 		$(BIN)/tactilerl train --algo ppo --env shadow --layout 4 --total-timesteps 50000 \
-			--num-envs 2 --hold-verdict settled --out $(RUN); fi
+			--hold-verdict settled --out $(RUN); fi
 	$(BIN)/tactilerl evaluate $(RUN) --episodes 50
 
-test: $(VENV)/.installed
-	$(BIN)/python -m pytest -m "not slow"
+# Several tests at a time, each with one thread: `make test JOBS=8` on more cores.
+test test-slow: export OMP_NUM_THREADS := 1
+test test-slow: export OPENBLAS_NUM_THREADS := 1
+test test-slow: export MKL_NUM_THREADS := 1
+test: $(DEVELOPMENT)
+	$(BIN)/python -m pytest -n $(JOBS) -m "not slow"
 
-test-slow: $(VENV)/.installed
-	$(BIN)/python -m pytest -m slow
+test-slow: $(DEVELOPMENT)
+	$(BIN)/python -m pytest -n $(JOBS) -m slow
 
-lint: $(VENV)/.installed
+lint: $(DEVELOPMENT)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -45,11 +65,11 @@ FLAGS_hard_cases := --steps 100
 
 bench: $(BENCHMARKS:%=bench-%)
 
-bench-%: $(VENV)/.installed
+bench-%: $(DEVELOPMENT)
 	mkdir -p $(OUT)
 	$(BIN)/python benchmarks/$*.py $(FLAGS_$*) --out $(OUT)/$*.json
 
-figures: $(VENV)/.installed
+figures: $(DEVELOPMENT)
 	$(BIN)/python benchmarks/figures.py
 
 clean:

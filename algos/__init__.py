@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import gymnasium as gym
 import numpy as np
 
+if TYPE_CHECKING:
+    from .policy import Policy
+
 Array = np.ndarray
+IsWanted = Callable[[], bool]
+T = TypeVar("T")
 ALGORITHMS = ("ppo", "ddpg_her")
 
 
@@ -20,40 +25,28 @@ class RewardError(ValueError):
     """Rewards are not what the configuration takes for granted."""
 
 
-class Transition(NamedTuple):
-    """What `gymnasium.Env.step` returns."""
+class Workers(Protocol):
+    """Environments of one kind, and who plays in them side by side."""
 
-    obs: Any
-    reward: float
-    terminated: bool
-    truncated: bool
-    info: dict[str, Any]
+    @property
+    def observation_space(self) -> gym.Space[Any]:
+        """Of each environment."""
 
-
-class EnvPool(Protocol):
-    """Several environments of one kind that step side by side."""
-
-    observation_space: gym.Space[Any]
-    action_space: gym.Space[Any]
+    @property
+    def action_space(self) -> gym.Space[Any]:
+        """Of each environment."""
 
     @property
     def max_episode_steps(self) -> int | None:
         """Steps after which an episode is cut off; None where the environment does not say."""
 
-    @property
-    def n_boolean(self) -> int:
-        """How many entries at the end of a goal environment's observation are 0 or 1."""
-
-    def __len__(self) -> int: ...
-
-    def reset(self, indices: Sequence[int], seeds: Sequence[int]) -> list[Any]:
-        """First observations of new episodes of the environments `indices`."""
-
-    def step(self, indices: Sequence[int], actions: Array) -> list[Transition]:
-        """Step the environments `indices` with actions (len(indices), ...)."""
-
     def compute_reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """A goal environment's rewards (n,) of goals (n, goal_size)."""
+
+    def play(
+        self, task: Callable[[gym.Env[Any, Any], int, IsWanted], T], numbers: Iterable[int]
+    ) -> Iterator[T]:
+        """`task(env, number, is_wanted)` for `numbers`, in order; who has enough stops iterating."""
 
 
 class Algorithm(Protocol):
@@ -80,8 +73,8 @@ class Algorithm(Protocol):
     def test(self) -> dict[str, float]:
         """How good is it without exploration, at the end of an epoch? Empty where not asked."""
 
-    def act(self, obs: Any, deterministic: bool = False) -> Array:
-        """Action for one observation."""
+    def policy(self) -> Policy:
+        """What acts now; good until the next update."""
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that the rest of the run depends on, except the experience."""
@@ -155,6 +148,11 @@ def action_bounds(space: gym.Space[Any]) -> tuple[Array, Array]:
     raise ValueError(f"action space: found {space}, allowed Box with finite bounds")
 
 
+def action_size(space: gym.Space[Any]) -> int:
+    """Number of entries of an action; ValueError when the space is not a bounded Box."""
+    return int(action_bounds(space)[0].size)
+
+
 def flat_size(space: gym.Space[Any]) -> int:
     """Length of `flat_observation`; ValueError for spaces no algorithm here can read."""
     if isinstance(space, gym.spaces.Dict) and {"observation", "desired_goal"} <= set(space.spaces):
@@ -178,3 +176,19 @@ def goal_size(space: gym.Space[Any]) -> int:
         f"observation space: found {space}, allowed a goal environment's: Dict with observation, "
         "achieved_goal and desired_goal"
     )
+
+
+def has_single_goal(space: gym.Space[Any]) -> bool:
+    """Does the space of desired goals hold one goal only?"""
+    desired = space["desired_goal"] if isinstance(space, gym.spaces.Dict) else None
+    return isinstance(desired, gym.spaces.Box) and np.array_equal(desired.low, desired.high)
+
+
+def n_boolean(space: gym.Space[Any]) -> int:
+    """How many entries at the end of a goal environment's observation lie between 0 and 1, and so
+    may be Boolean."""
+    box = space["observation"] if isinstance(space, gym.spaces.Dict) else None
+    if not isinstance(box, gym.spaces.Box):
+        return 0
+    within = (np.ravel(box.low) == 0.0) & (np.ravel(box.high) == 1.0)
+    return len(within) - 1 - int(np.max(np.flatnonzero(~within), initial=-1))

@@ -11,6 +11,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -20,22 +21,27 @@ from torch import Tensor
 from . import (
     Array,
     DivergenceError,
-    EnvPool,
     RewardError,
+    Workers,
+    action_size,
     check_ranges,
     flat_size,
     goal_size,
+    has_single_goal,
+    n_boolean,
     state,
 )
 from .mpi import Communicator, same_on_all_ranks
 from .networks import MLP, FlatAdam, flatten, require_finite
 from .normalizer import Normalizer
-from .replay import Batch, GoalObs, Replay, goal_observation
-from .rollout import FAULTS, Rollouts, summary
+from .policy import GoalInputs, GoalObs, Policy, on_cpu
+from .replay import Batch, Replay
+from .rollout import FAULTS, PROBE, TEST, TRAIN, Episode, PlayEpisode, require_transitions, summary
 
 CHECK_EVERY = 100  # updates between two looks at whether the ranks' parameters are equal
 SAVED = ("actor", "critic", "target_actor", "target_critic", "adam", "obs_stats", "goal_stats")
-COUNTERS = ("env_steps", "updates")
+REPLAY_P = 0.8  # paper
+COUNTERS = ("env_steps", "updates", "cycles")
 
 
 @dataclass(frozen=True)
@@ -74,8 +80,9 @@ class DDPGHERConfig:
     """Probability of a uniformly random action."""
     noise_eps: float = 0.2
     """Standard deviation of the noise on the others, relative to half the action range."""
-    replay_p: float = 0.8
-    """Probability that a sampled transition is relabelled (HER)."""
+    replay_p: float | None = None
+    """Probability that a sampled transition is relabelled (HER); default: 0.8 (paper), or 0 where
+    a task has a single goal, for then the others are never asked for."""
     reduction: Literal["sum", "mean"] = "sum"
     """Gradients over processes (source: sum)."""
     clip_target: bool = True
@@ -111,12 +118,27 @@ def targets(rewards: Tensor, next_values: Tensor, terminal: Tensor, gamma: float
 
 
 def explore(actions: Array, noise_eps: float, random_eps: float, rng: np.random.Generator) -> Array:
-    """Noisy copies of actions (n, d) in [-1, 1]; whole rows are random with `random_eps`."""
+    """Noisy copies of actions (..., d) in [-1, 1]; whole rows are random with `random_eps`."""
     noisy = actions + np.float32(noise_eps) * rng.standard_normal(actions.shape, dtype=np.float32)
     noisy = np.clip(noisy, -1.0, 1.0)
-    is_random = rng.random(len(actions)) < random_eps
+    is_random = rng.random(actions.shape[:-1]) < random_eps
     uniform = rng.uniform(-1.0, 1.0, actions.shape).astype(np.float32)
-    return np.where(is_random[:, None], uniform, noisy)
+    return np.where(is_random[..., None], uniform, noisy)
+
+
+def _resolved(config: DDPGHERConfig, workers: Workers) -> DDPGHERConfig:
+    """With the defaults that depend on the environment; ValueError when its episodes are endless."""
+    max_steps = workers.max_episode_steps
+    if not max_steps:
+        raise ValueError(
+            "max_episode_steps: found none, allowed environments whose episodes are limited"
+        )
+    gamma, replay_p = config.gamma, config.replay_p
+    if gamma is None:
+        gamma = 1.0 - 1.0 / max_steps
+    if replay_p is None:
+        replay_p = 0.0 if has_single_goal(workers.observation_space) else REPLAY_P
+    return dataclasses.replace(config, gamma=gamma, replay_p=replay_p)
 
 
 class DDPGHER:
@@ -125,26 +147,19 @@ class DDPGHER:
     def __init__(
         self,
         config: DDPGHERConfig,
-        pool: EnvPool,
+        workers: Workers,
         comm: Communicator,
         seed: int,
         total_timesteps: int,
         device: str = "cpu",
     ) -> None:
         config.validate()
-        self.pool, self.comm, self.device = pool, comm, torch.device(device)
-        n_goal, n_obs = goal_size(pool.observation_space), flat_size(pool.observation_space)
-        max_steps = pool.max_episode_steps
-        if not max_steps:
-            raise ValueError(
-                "max_episode_steps: found none, allowed environments whose episodes are limited"
-            )
-        gamma = config.gamma if config.gamma is not None else 1.0 - 1.0 / max_steps
-        self.config = config = dataclasses.replace(config, gamma=gamma)
-        self.total_timesteps = total_timesteps * comm.size  # the source's are per worker
+        self.workers, self.comm, self.device = workers, comm, torch.device(device)
+        space, n_actions = workers.observation_space, action_size(workers.action_space)
+        n_goal, n_obs = goal_size(space), flat_size(space)
+        self.config = config = _resolved(config, workers)
+        self.total_timesteps, self.seed = total_timesteps, seed
         self.rng = np.random.default_rng([seed, comm.rank])
-        self.rollouts = Rollouts(pool, goal_observation, self.rng)
-        n_actions = self.rollouts.n_actions
         weights = torch.Generator().manual_seed(seed)
         self.actor = MLP((n_obs, *config.hidden, n_actions), weights, tanh=True).to(self.device)
         self.critic = MLP((n_obs + n_actions, *config.hidden, 1), weights).to(self.device)
@@ -155,12 +170,17 @@ class DDPGHER:
         self.comm.broadcast_(self._target_vector)
         self.obs_stats = Normalizer(n_obs - n_goal, comm, config.norm_clip)
         self.goal_stats = Normalizer(n_goal, comm, config.norm_clip)
-        sizes = (n_obs - n_goal, n_goal, n_actions)
+        assert workers.max_episode_steps is not None
         self.replay = Replay(
-            config.buffer_size, max_steps, sizes, pool.n_boolean, pool.compute_reward, self.rng
+            config.buffer_size,
+            workers.max_episode_steps,
+            (n_obs - n_goal, n_goal, n_actions),
+            n_boolean(space),
+            workers.compute_reward,
+            self.rng,
         )
         self.cycles_per_epoch = config.n_cycles
-        self.env_steps = self.updates = 0
+        self.env_steps = self.updates = self.cycles = 0
 
     def prepare(self) -> str:
         """What the configuration amounts to, in words.
@@ -173,64 +193,57 @@ class DDPGHER:
         epoch = config.n_cycles * config.n_rollouts * replay.max_steps
         return (
             f"epochs of up to {epoch:,} steps and {config.n_cycles * config.n_batches:,} updates in "
-            f"each process, gamma {config.gamma:g}, replay of {config.buffer_size:,} transitions: "
-            f"{replay.nbytes / 1e9:.2f} GB in each process when full"
+            f"each process, gamma {config.gamma:g}, HER probability {config.replay_p:g}, "
+            f"replay of {config.buffer_size:,} transitions: {replay.nbytes / 1e9:.2f} GB in each "
+            "process when full"
         )
 
-    # -- acting ------------------------------------------------------------------------------
+    # -- acting and collecting ---------------------------------------------------------------
 
-    def act(self, obs: Any, deterministic: bool = False) -> Array:
-        """Action for one observation, in the environment's own range."""
-        policy = self._greedy if deterministic else self._explore
-        return self.rollouts.to_env(policy([goal_observation(obs)]))[0]
-
-    @torch.no_grad()
-    def _greedy(self, obs: list[GoalObs]) -> Array:
-        """Actions (n, d) of the policy itself, in [-1, 1]."""
-        observations, _, goals = (self._tensor(np.stack(part)) for part in zip(*obs, strict=True))
-        return self.actor(self._inputs(observations, goals)).cpu().numpy()
-
-    def _explore(self, obs: list[GoalObs]) -> Array:
+    def policy(self) -> Policy:
+        """What acts now; good until the next update."""
         config = self.config
-        return explore(self._greedy(obs), config.noise_eps, config.random_eps, self.rng)
+        noise = partial(explore, noise_eps=config.noise_eps, random_eps=config.random_eps)
+        return Policy(on_cpu(self.actor), self._inputs(), noise, self.workers.action_space)
 
-    def _inputs(self, obs: Tensor, goals: Tensor) -> Tensor:
-        """What both networks see of observations (n, obs) and goals (n, goal): normalised."""
+    def _inputs(self) -> GoalInputs:
         limit = self.config.clip_obs
-        parts = (self.obs_stats, obs), (self.goal_stats, goals)
-        return torch.cat([stats(part.clamp(-limit, limit)) for stats, part in parts], dim=1)
+        return GoalInputs(self.obs_stats.scaling(), self.goal_stats.scaling(), limit)
 
-    def _tensor(self, values: Array) -> Tensor:
-        return torch.from_numpy(values).to(self.device)
-
-    # -- collecting --------------------------------------------------------------------------
+    def _play(self, n: int, purpose: int) -> list[Episode[GoalObs]]:
+        """`n` episodes of this rank's own."""
+        key = (self.seed, self.comm.rank, purpose, self.cycles)
+        task = PlayEpisode[GoalObs](self.policy(), key, explores=purpose != TEST)
+        return list(self.workers.play(task, range(n)))
 
     def collect(self) -> dict[str, float]:
         """One cycle's episodes: into the replay, and relabelled into the normaliser."""
-        episodes = self.rollouts.play(self._explore, episodes=self.config.n_rollouts)
-        seen = summary(episodes, self.rollouts.faults, self.comm)
+        config = self.config
+        episodes = self._play(config.n_rollouts, TRAIN)
+        self.cycles += 1
+        seen = summary(episodes, self.comm)
         self.env_steps += int(seen.pop("steps"))
-        slots = self.replay.store(episodes)
-        n = sum(len(episode.rewards) for episode in episodes)
-        batch = self.replay.sample(n, self.config.replay_p, slots)
+        usable = require_transitions(episodes)
+        slots = self.replay.store(usable)
+        assert config.replay_p is not None
+        batch = self.replay.sample(sum(map(len, usable)), config.replay_p, slots)
         self._check_signs(batch.reward)
-        limit = self.config.clip_obs
+        limit = config.clip_obs
         self.obs_stats.update(batch.obs.clip(-limit, limit))
         self.goal_stats.update(batch.goal.clip(-limit, limit))
         return seen
 
     def _probe(self) -> None:
-        """Can the rewards be relabelled and cut? Asked of one step, before a run begins."""
-        self.pool.reset([0], [0])
-        middle = self.rollouts.to_env(np.zeros((1, self.rollouts.n_actions), np.float32))
-        result = self.pool.step([0], middle)[0]
-        self._check_signs(np.array([result.reward]))
-        obs = goal_observation(result.obs)
-        again = self.pool.compute_reward(obs.achieved_goal[None], obs.desired_goal[None])
-        if np.shape(again) != (1,) or not np.allclose(again, result.reward, 1e-3, 1e-4):
+        """Can the rewards be relabelled and cut? Asked of one episode, before a run begins."""
+        (episode,) = require_transitions(self._play(1, PROBE))
+        rewards = np.array(episode.rewards)
+        self._check_signs(rewards)
+        _, achieved, desired = (np.stack(part[1:]) for part in zip(*episode.obs, strict=True))
+        again = self.workers.compute_reward(achieved, desired)
+        if np.shape(again) != rewards.shape or not np.allclose(again, rewards, 1e-3, 1e-4):
             raise ValueError(
-                f"compute_reward: found {again} where the step gave {result.reward}, allowed "
-                "environments whose reward follows from achieved and desired goal, row by row"
+                f"compute_reward: found {str(again)[:40]} where steps gave {str(rewards)[:40]}, "
+                "allowed environments whose rewards follow from achieved and desired goals"
             )
 
     def _check_signs(self, rewards: Array) -> None:
@@ -246,9 +259,11 @@ class DDPGHER:
         n = self.config.n_test_rollouts * self.config.n_rollouts
         if not n:
             return {}
-        episodes = self.rollouts.play(self._greedy, episodes=n)
-        seen = summary(episodes, self.rollouts.faults, self.comm)
+        seen = summary(self._play(n, TEST), self.comm)
         return {f"test_{name}": seen[name] for name in ("success_rate", "mean_return", *FAULTS)}
+
+    def _tensor(self, values: Array) -> Tensor:
+        return torch.from_numpy(values).to(self.device)
 
     # -- learning ----------------------------------------------------------------------------
 
@@ -258,6 +273,7 @@ class DDPGHER:
         The replay does not change in between, so all batches are drawn at once.
         """
         config = self.config
+        assert config.replay_p is not None
         drawn = self.replay.sample(config.n_batches * config.batch_size, config.replay_p)
         sums = torch.zeros(3, device=self.device)
         parts = (torch.split(self._tensor(part), config.batch_size) for part in drawn)
@@ -277,8 +293,8 @@ class DDPGHER:
     @torch.no_grad()
     def _prepared(self, batch: Batch[Tensor]) -> tuple[Tensor, Tensor, Tensor]:
         """What both networks see (n, obs + goal), actions (n, d) and the critic's targets (n,)."""
-        config = self.config
-        inputs, next_inputs = (self._inputs(o, batch.goal) for o in (batch.obs, batch.next_obs))
+        config, see = self.config, self._inputs()
+        inputs, next_inputs = (see(obs, batch.goal) for obs in (batch.obs, batch.next_obs))
         next_actions = self.target_actor(next_inputs)
         next_values = self.target_critic(torch.cat([next_inputs, next_actions], dim=1)).squeeze(-1)
         terminal = batch.terminal * (config.termination == "terminal")

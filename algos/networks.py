@@ -35,6 +35,19 @@ class MLP(nn.Sequential):
             layers += [linear, nn.ReLU()]
         layers[-1:] = [nn.Tanh()] if tanh else []
         super().__init__(*layers)
+        self._shape = tuple(sizes), tanh
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickles and copies as sizes and numbers: the parameters may be views of much more."""
+        values = [parameter.detach().cpu().numpy() for parameter in self.parameters()]
+        return _with_parameters, (*self._shape, values)
+
+
+def _with_parameters(sizes: Sequence[int], tanh: bool, values: Sequence[Any]) -> MLP:
+    network = MLP(sizes, torch.Generator(), tanh)
+    for parameter, value in zip(network.parameters(), values, strict=True):
+        parameter.data = torch.from_numpy(value.copy())
+    return network
 
 
 def flatten(*modules: nn.Module) -> nn.Parameter:
@@ -64,14 +77,17 @@ class FlatAdam:
         self.vector = flatten(*(module for module, _ in modules))
         assert self.vector.grad is not None
         self.gradient = self.vector.grad
-        groups, start = [], 0
-        for module, lr in modules:
-            end = start + sum(parameter.numel() for parameter in module.parameters())
-            part = nn.Parameter(self.vector.data[start:end])
-            part.grad = self.gradient[start:end]
-            groups.append({"params": [part], "lr": lr})
-            start = end
+        self._moments = {name: torch.zeros_like(self.vector.data) for name in ("exp_avg", "exp_avg_sq")}
+        self._steps = torch.zeros(len(modules), device=self.vector.device)
+        sizes = [sum(p.numel() for p in module.parameters()) for module, _ in modules]
+        slices = [slice(*ends) for ends in itertools.pairwise((0, *itertools.accumulate(sizes)))]
+        parts = [nn.Parameter(self.vector.data[part]) for part in slices]
+        groups = [{"params": [p], "lr": lr} for p, (_, lr) in zip(parts, modules, strict=True)]
         self._adam = torch.optim.Adam(groups, eps=eps, fused=True)
+        for i, (parameter, part) in enumerate(zip(parts, slices, strict=True)):
+            parameter.grad = self.gradient[part]
+            moments = {name: values[part] for name, values in self._moments.items()}
+            self._adam.state[parameter] = {"step": self._steps[i], **moments}
 
     def set_lr(self, lr: float) -> None:
         """Change the step size of all modules."""
@@ -82,8 +98,8 @@ class FlatAdam:
         """Set the gradient to zero, in place: the parameters' gradients are views of it."""
         self.gradient.zero_()
 
-    def reduce(self, comm: Communicator, how: Literal["mean", "sum"] = "mean") -> None:
-        """Replace the gradient by its mean or sum over ranks: one message."""
+    def reduce(self, comm: Communicator, how: Literal["mean", "sum"] = "sum") -> None:
+        """Replace the gradient by its sum or mean over ranks: one message."""
         comm.sum_(self.gradient)
         if how == "mean" and comm.size > 1:
             self.gradient.div_(comm.size)
@@ -102,12 +118,14 @@ class FlatAdam:
         return bool(torch.isfinite(self.vector).all())
 
     def state_dict(self) -> dict[str, Any]:
-        """Moments and step count; the parameters themselves belong to the modules."""
-        return self._adam.state_dict()
+        """Moments (n,) and steps (modules,). The parameters belong to the modules, step sizes and
+        eps to the configuration."""
+        return {"steps": self._steps, **self._moments}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what `state_dict` returned."""
-        self._adam.load_state_dict(state)
+        for name, values in self.state_dict().items():
+            values.copy_(state[name])
 
 
 def require_finite(adams: Sequence[FlatAdam], losses: Tensor, env_steps: int) -> None:

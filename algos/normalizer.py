@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -12,6 +12,24 @@ from . import Array
 from .mpi import Communicator
 
 MIN_STD = 0.01  # OpenAI baselines' floor: constant columns stay near zero instead of exploding
+
+
+class Scaling(NamedTuple):
+    """(values - mean) / std, within ±`clip`.
+
+    The mean is subtracted in two parts, so that float32 keeps the digits of values that lie far
+    from zero.
+    """
+
+    high: Tensor
+    low: Tensor
+    scale: Tensor
+    clip: float
+
+    def __call__(self, values: Tensor) -> Tensor:
+        """Normalised float32 (..., size) of `values`, float32."""
+        high, low, scale = (part.to(values.device) for part in self[:3])
+        return (values - high).sub_(low).mul_(scale).clamp_(-self.clip, self.clip)
 
 
 class Normalizer:
@@ -26,7 +44,7 @@ class Normalizer:
         self.count = 0.0
         self.mean = np.zeros(size)
         self._squares = np.zeros(size)  # sum of squared deviations from the mean
-        self._parts: list[Tensor] | None = None  # mean in two parts and 1/std, until the next update
+        self._scaling: Scaling | None = None  # until the next update
 
     @property
     def std(self) -> Array:
@@ -48,21 +66,21 @@ class Normalizer:
         self._squares += squares + np.square(gap) * (self.count * count / all_count)
         self.mean += gap * (count / all_count)
         self.count = all_count
-        self._parts = None
+        self._scaling = None
 
-    def __call__(self, values: Tensor) -> Tensor:
-        """Normalised float32 (..., size) of `values`, float32.
-
-        The mean is subtracted in two parts, so that float32 keeps the digits of values that
-        lie far from zero.
-        """
-        if self._parts is None:
+    def scaling(self) -> Scaling:
+        """What it does to values now; later updates do not change what was returned."""
+        if self._scaling is None:
             high = self.mean.astype(np.float32)
             low = (self.mean - high).astype(np.float32)
             scale = (1.0 / self.std).astype(np.float32)
-            self._parts = [torch.from_numpy(x).to(values.device) for x in (high, low, scale)]
-        high_, low_, scale_ = self._parts
-        return (values - high_).sub_(low_).mul_(scale_).clamp_(-self.clip, self.clip)
+            high_, low_, scale_ = map(torch.from_numpy, (high, low, scale))
+            self._scaling = Scaling(high_, low_, scale_, self.clip)
+        return self._scaling
+
+    def __call__(self, values: Tensor) -> Tensor:
+        """Normalised float32 (..., size) of `values`, float32."""
+        return self.scaling()(values)
 
     def state_dict(self) -> dict[str, Any]:
         """The moments."""
@@ -74,4 +92,4 @@ class Normalizer:
         self.count = float(state["count"])
         self.mean = state["mean"].numpy().copy()
         self._squares = state["squares"].numpy().copy()
-        self._parts = None
+        self._scaling = None

@@ -8,19 +8,21 @@ returns = advantage + value, advantages normalised over the batch, separate Adam
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from . import Array, DivergenceError, EnvPool, check_ranges, flat_observation, flat_size, state
+from . import Array, DivergenceError, Workers, action_size, check_ranges, flat_size, state
 from .mpi import Communicator, same_on_all_ranks
 from .networks import MLP, FlatAdam, require_finite
-from .rollout import Episode, Rollouts, finite, summary
+from .policy import FlatInputs, Policy, on_cpu
+from .rollout import TRAIN, Episode, PlayEpisode, finite, play_steps, require_transitions, summary
 
 SAVED = ("actor", "critic", "actor_adam", "critic_adam")
-COUNTERS = ("env_steps",)
+COUNTERS = ("env_steps", "epochs")
 MAX_LOG_RATIO = 20.0  # exp(20) = 5e8: far outside any clip range, far inside float32
 
 
@@ -43,7 +45,7 @@ class PPOConfig:
     clip_range: float = 0.2
     """Clip range of the probability ratio."""
     steps_per_epoch: int = 1000
-    """Environment steps per epoch over all ranks, at least: episodes are finished."""
+    """Environment steps per epoch over all processes, at least: episodes are finished."""
     n_passes: int = 80
     """Passes over the batch per epoch ("Updates per epoch")."""
     n_minibatches: int | None = None
@@ -51,13 +53,11 @@ class PPOConfig:
     "Minibatch size: 6" read as its source reads it."""
     minibatch_size: int | None = None
     """Transitions per minibatch: the other reading. Not together with --n-minibatches."""
-    entropy_coef: float = 0.0
-    """Only 0 (paper): with a fixed variance the entropy is constant and cannot teach anything."""
     max_grad_norm: float = 0.5
     """Gradient norm is clipped to this, actor and critic separately."""
-    truncation: Literal["terminal", "bootstrap"] = "terminal"
-    """What follows the last step before a time limit: nothing (the source, and the paper's -100
-    at time-out), or the critic's value of the last observation."""
+    truncation: Literal["bootstrap", "terminal"] = "bootstrap"
+    """What follows the last step before a time limit: the critic's value of the last observation,
+    or nothing. In the paper's task a time-out ends the task itself, with -100."""
     anneal_lr: bool = False
     """Let both step sizes fall linearly to zero over the run (in the source, not in the paper)."""
     target_kl: float | None = None
@@ -81,8 +81,6 @@ class PPOConfig:
         )
         if self.n_minibatches is not None and self.minibatch_size is not None:
             raise ValueError("n_minibatches and minibatch_size: found both, allowed one of them")
-        if self.entropy_coef != 0:
-            raise ValueError(f"entropy_coef: found {self.entropy_coef}, allowed 0")
 
     def minibatches(self, n: int) -> int:
         """Minibatches per pass over a batch of `n` transitions."""
@@ -114,14 +112,26 @@ def log_prob(actions: Tensor, mean: Tensor, variance: float) -> Tensor:
     return -0.5 * (squared / variance + dimensions * float(np.log(2 * np.pi * variance)))
 
 
+def normalise(advantages: Array) -> Array:
+    """Advantages (n,) with mean 0 and standard deviation 1; zeros where all are alike."""
+    centred = advantages - advantages.mean()
+    std = np.sqrt(np.square(centred).mean())
+    return centred / std if std > 1e-10 * np.abs(advantages).max() else np.zeros_like(centred)
+
+
 def clipped_loss(log_ratio: Tensor, advantages: Tensor, clip_range: float) -> Tensor:
-    """The clipped surrogate objective, negated (Schulman et al. 2017, eq. 7): a scalar.
+    """The clipped surrogate objective, negated (Schulman et al. 2017, eq. 7): (n,).
 
     Log ratios are cut at ±20 first: no minimum changes, and an overflow cannot happen.
     """
     ratio = log_ratio.clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO).exp()
     clipped = ratio.clamp(1 - clip_range, 1 + clip_range)
-    return -torch.min(ratio * advantages, clipped * advantages).mean()
+    return -torch.min(ratio * advantages, clipped * advantages)
+
+
+def gaussian(actions: Array, variance: float, rng: np.random.Generator) -> Array:
+    """Actions (..., d) with independent normal noise."""
+    return actions + np.float32(variance**0.5) * rng.standard_normal(actions.shape, dtype=np.float32)
 
 
 class PPO:
@@ -130,56 +140,52 @@ class PPO:
     def __init__(
         self,
         config: PPOConfig,
-        pool: EnvPool,
+        workers: Workers,
         comm: Communicator,
         seed: int,
         total_timesteps: int,
         device: str = "cpu",
     ) -> None:
         config.validate()
-        self.config, self.pool, self.comm = config, pool, comm
+        self.config, self.workers, self.comm = config, workers, comm
         self.total_timesteps, self.device = total_timesteps, torch.device(device)
-        self.rng = np.random.default_rng([seed, comm.rank])
-        self.rollouts = Rollouts(pool, flat_observation, self.rng)
-        n_obs, n_actions = flat_size(pool.observation_space), self.rollouts.n_actions
+        self.seed = seed
+        self.rng = np.random.default_rng(seed)  # the same on all ranks: they share every minibatch
+        n_obs, n_actions = flat_size(workers.observation_space), action_size(workers.action_space)
         weights = torch.Generator().manual_seed(seed)
         self.actor = MLP((n_obs, *config.hidden, n_actions), weights, tanh=True).to(self.device)
         self.critic = MLP((n_obs, *config.hidden, 1), weights).to(self.device)
         self.actor_adam = FlatAdam((self.actor, config.actor_lr))
         self.critic_adam = FlatAdam((self.critic, config.critic_lr))
-        self.env_steps, self.cycles_per_epoch = 0, 1
+        comm.broadcast_(self.actor_adam.vector)
+        comm.broadcast_(self.critic_adam.vector)
+        self.env_steps = self.epochs = 0
+        self.cycles_per_epoch = 1
         self._episodes: list[Episode[Array]] = []
 
     def prepare(self) -> str:
         """What the configuration amounts to, in words."""
         config = self.config
-        steps = -(-config.steps_per_epoch // self.comm.size)
-        n = config.minibatches(steps)
+        n = config.minibatches(config.steps_per_epoch)
         return (
-            f"{n} minibatches of about {steps // n} transitions, {config.n_passes} "
+            f"{n} minibatches of about {config.steps_per_epoch // n} transitions, {config.n_passes} "
             f"passes: {n * config.n_passes} updates of actor and critic per epoch"
         )
 
     # -- acting and collecting ---------------------------------------------------------------
 
-    def act(self, obs: Any, deterministic: bool = False) -> Array:
-        """Action for one observation, in the environment's own range."""
-        return self.rollouts.to_env(self._sample([flat_observation(obs)], deterministic))[0]
-
-    @torch.no_grad()
-    def _sample(self, obs: list[Array], deterministic: bool = False) -> Array:
-        """Actions (n, d) in units of the policy, where the bounds are ±1."""
-        mean = self.actor(torch.from_numpy(np.stack(obs)).to(self.device)).cpu().numpy()
-        if deterministic:
-            return mean
-        noise = self.rng.standard_normal(mean.shape, dtype=np.float32)
-        return mean + np.float32(self.config.action_variance**0.5) * noise
+    def policy(self) -> Policy:
+        """What acts now; good until the next update."""
+        noise = partial(gaussian, variance=self.config.action_variance)
+        return Policy(on_cpu(self.actor), FlatInputs(), noise, self.workers.action_space)
 
     def collect(self) -> dict[str, float]:
-        """Whole episodes, until this rank's share of `steps_per_epoch` is there."""
-        wanted = -(-self.config.steps_per_epoch // self.comm.size)
-        self._episodes = self.rollouts.play(self._sample, steps=wanted)
-        seen = summary(self._episodes, self.rollouts.faults, self.comm)
+        """Whole episodes, until `steps_per_epoch` are there: the same ones on all ranks."""
+        task = PlayEpisode[Array](self.policy(), (self.seed, 0, TRAIN, self.epochs))
+        episodes = play_steps(self.workers, task, self.config.steps_per_epoch, self.comm)
+        self._episodes = require_transitions(episodes)
+        self.epochs += 1
+        seen = summary(episodes)
         self.env_steps += int(seen.pop("steps"))
         return seen
 
@@ -190,28 +196,29 @@ class PPO:
     # -- learning ----------------------------------------------------------------------------
 
     def update(self) -> dict[str, float]:
-        """`n_passes` over the batch in shuffled minibatches."""
-        config, comm = self.config, self.comm
+        """`n_passes` over the batch in shuffled minibatches; each rank computes its share of each."""
+        config = self.config
         if config.anneal_lr:
             left = max(0.0, 1.0 - self.env_steps / self.total_timesteps)
             self.actor_adam.set_lr(config.actor_lr * left)
             self.critic_adam.set_lr(config.critic_lr * left)
         batch = self._batch()
         n = len(batch[0])
-        n_minibatches = comm.min(config.minibatches(n))
+        n_minibatches = config.minibatches(n)
         sums, n_updates = torch.zeros(4, device=self.device), 0
         for _ in range(config.n_passes):
             order = torch.from_numpy(self.rng.permutation(n)).to(self.device)
             shuffled = (torch.tensor_split(t[order], n_minibatches) for t in batch)
-            kl = 0.0
+            stats = torch.zeros(4)
             for minibatch in zip(*shuffled, strict=True):
                 stats = self._minibatch(*minibatch)
                 sums += stats
-                kl, n_updates = float(stats[2]), n_updates + 1
-            if config.target_kl is not None and comm.average(kl) > config.target_kl:
+                n_updates += 1
+            if config.target_kl is not None and self._total(stats)[2] > config.target_kl:
                 break
-        self._check(sums)
-        policy_loss, value_loss, kl, clip_fraction = (sums / n_updates).tolist()
+        means = self._total(sums / n_updates)
+        self._check(torch.from_numpy(means))
+        policy_loss, value_loss, kl, clip_fraction = means.tolist()
         return {
             "policy_loss": policy_loss,
             "value_loss": value_loss,
@@ -220,18 +227,21 @@ class PPO:
             "updates": n_updates,
         }
 
+    def _total(self, stats: Tensor) -> Array:
+        """The shares of all ranks together."""
+        return self.comm.sum(stats.double().cpu().numpy())
+
     @torch.no_grad()
     def _batch(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """The epoch as tensors: obs, actions, old log-probabilities, advantages, returns."""
         config, episodes = self.config, self._episodes
         all_obs = torch.from_numpy(np.concatenate([np.stack(e.obs) for e in episodes])).to(self.device)
         all_values = self.critic(all_obs).squeeze(-1).double().cpu().numpy()
-        is_last = np.concatenate([[False] * len(e.rewards) + [True] for e in episodes])
+        is_last = np.concatenate([[False] * len(e) + [True] for e in episodes])
         advantages, start = [], 0
         for episode in episodes:
-            end = start + len(episode.rewards)
-            follows = config.truncation == "bootstrap" and not episode.terminated
-            last_value = all_values[end] if follows else 0.0
+            end = start + len(episode)
+            last_value = all_values[end] if self._goes_on(episode) else 0.0
             rewards = np.array(episode.rewards)
             advantages.append(
                 gae(rewards, all_values[start:end], last_value, config.gamma, config.gae_lambda)
@@ -245,26 +255,32 @@ class PPO:
         old_log_prob = log_prob(actions, self.actor(obs), config.action_variance)
         normalised, target = (
             torch.from_numpy(x.astype(np.float32)).to(self.device)
-            for x in (self._normalise(advantage), returns)
+            for x in (normalise(advantage), returns)
         )
         return obs, actions, old_log_prob, normalised, target
 
-    def _normalise(self, advantage: Array) -> Array:
-        """Mean 0 and standard deviation 1 over all ranks; zero where all are alike."""
-        n, total = self.comm.sum(np.array([advantage.size, advantage.sum()]))
-        centred = advantage - total / n
-        squares, largest = self.comm.sum(np.array([np.square(centred).sum(), np.abs(advantage).max()]))
-        std = np.sqrt(squares / n)
-        return centred / std if std > 1e-10 * largest else np.zeros_like(centred)
+    def _goes_on(self, episode: Episode[Array]) -> bool:
+        """Would more have followed its last transition? What diverged did not end by itself."""
+        if episode.faults["diverged"]:
+            return True
+        return self.config.truncation == "bootstrap" and not episode.terminated
 
     def _minibatch(
         self, obs: Tensor, actions: Tensor, old: Tensor, advantages: Tensor, returns: Tensor
     ) -> Tensor:
-        """One step of both networks; policy loss, value loss, KL estimate, clipped share."""
-        config = self.config
+        """One step of both networks along the gradient of the whole minibatch.
+
+        This rank's shares of policy loss, value loss, KL estimate and clipped share.
+        """
+        config, n = self.config, len(obs)
+        if self.comm.size > 1:
+            obs, actions, old, advantages, returns = (
+                torch.tensor_split(t, self.comm.size)[self.comm.rank]
+                for t in (obs, actions, old, advantages, returns)
+            )
         log_ratio = log_prob(actions, self.actor(obs), config.action_variance) - old
-        policy_loss = clipped_loss(log_ratio, advantages, config.clip_range)
-        value_loss = (self.critic(obs).squeeze(-1) - returns).square().mean()
+        policy_loss = clipped_loss(log_ratio, advantages, config.clip_range).sum() / n
+        value_loss = (self.critic(obs).squeeze(-1) - returns).square().sum() / n
         self.actor_adam.zero_grad()
         self.critic_adam.zero_grad()
         (policy_loss + value_loss).backward()
@@ -274,8 +290,8 @@ class PPO:
             adam.step()
         with torch.no_grad():
             ratio = log_ratio.clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO).exp()
-            kl = (ratio - 1 - log_ratio).mean()
-            clipped = ((ratio - 1).abs() > config.clip_range).float().mean()
+            kl = (ratio - 1 - log_ratio).sum() / n
+            clipped = ((ratio - 1).abs() > config.clip_range).sum() / n
             return torch.stack([policy_loss, value_loss, kl, clipped])
 
     def _check(self, sums: Tensor) -> None:

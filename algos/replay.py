@@ -6,27 +6,15 @@ from collections.abc import Callable, Sequence
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
-import psutil
 import torch
 
-from . import Array
+from . import Array, memory
+from .policy import GoalObs
 from .rollout import Episode
+from .state import require_like
 
 Reward = Callable[[Array, Array], Array]
 Values = TypeVar("Values")
-
-
-class GoalObs(NamedTuple):
-    """What a goal environment returns, flat float32 copies."""
-
-    observation: Array
-    achieved_goal: Array
-    desired_goal: Array
-
-
-def goal_observation(obs: Any) -> GoalObs:
-    """A goal environment's Dict as a `GoalObs`."""
-    return GoalObs(*(np.array(obs[key], np.float32).ravel() for key in GoalObs._fields))
 
 
 class Batch(NamedTuple, Generic[Values]):
@@ -61,8 +49,8 @@ class Replay:
     """Episodes in slots of equal size, filled in order; a full buffer overwrites random slots.
 
     A slot has room for `max_steps` transitions and the last observation. The last `n_boolean`
-    entries of an observation are 0 or 1 and are kept as bytes, everything else as float32.
-    Memory is taken when the first episode is stored, and filled as episodes come.
+    entries of an observation are kept as bytes as long as all of them are 0 or 1, everything else
+    as float32. Memory is taken when the first episode is stored, and filled as episodes come.
     """
 
     def __init__(
@@ -101,22 +89,23 @@ class Replay:
         return sum(int(np.prod(shape)) * dtype().itemsize for shape, dtype in self._shapes().values())
 
     def require_memory(self, n_buffers: int = 1) -> None:
-        """ValueError when this machine has not got what `n_buffers` like this one take."""
-        available = psutil.virtual_memory().available
+        """ValueError when there is not as much memory as `n_buffers` like this one take."""
+        available = memory.available()
         if self.nbytes * n_buffers > available:
             raise ValueError(
                 f"buffer_size: found {self.n_slots * self.max_steps:,} transitions, which take "
                 f"{n_buffers} x {self.nbytes / 1e9:.2f} GB; allowed are the {available / 1e9:.2f} GB "
-                "free on this machine"
+                "that are free here"
             )
 
-    def _shapes(self) -> dict[str, tuple[tuple[int, int], type]]:
+    def _shapes(self, n_boolean: int | None = None) -> dict[str, tuple[tuple[int, int], type]]:
         """Shape and type of every column; a row is one step of one slot."""
+        n_boolean = self.n_boolean if n_boolean is None else n_boolean
         n_obs, n_goal, n_action = self.sizes
         rows = self.n_slots * self._rows
         return {
-            "obs": ((rows, n_obs - self.n_boolean), np.float32),
-            "boolean": ((rows, self.n_boolean), np.uint8),
+            "obs": ((rows, n_obs - n_boolean), np.float32),
+            "boolean": ((rows, n_boolean), np.uint8),
             "achieved": ((rows, n_goal), np.float32),
             "desired": ((rows, n_goal), np.float32),
             "action": ((rows, n_action), np.float32),
@@ -143,19 +132,15 @@ class Replay:
     def _as_columns(self, episode: Episode[GoalObs]) -> dict[str, Array]:
         """Rows of one episode: one more than it has transitions."""
         obs, achieved, desired = (np.stack(part) for part in zip(*episode.obs, strict=True))
-        n_steps, n_float = len(episode.actions), obs.shape[1] - self.n_boolean
+        n_steps = len(episode)
         if n_steps > self.max_steps:
             raise ValueError(f"max_episode_steps: {self.max_steps}, but found {n_steps} steps")
-        boolean = obs[:, n_float:].astype(np.uint8)
-        if (boolean != obs[:, n_float:]).any() or (boolean > 1).any():
-            raise ValueError(f"the last {self.n_boolean} entries of an observation are not 0 or 1")
         action = np.zeros((n_steps + 1, self.sizes[2]), np.float32)
         action[:-1] = np.stack(episode.actions)
         terminal = np.zeros((n_steps + 1, 1), np.uint8)
         terminal[n_steps - 1] = episode.terminated
         return {
-            "obs": obs[:, :n_float],
-            "boolean": boolean,
+            "obs": obs,
             "achieved": achieved,
             "desired": desired,
             "action": action,
@@ -167,10 +152,25 @@ class Replay:
             self._columns = {k: np.zeros(shape, dtype) for k, (shape, dtype) in self._shapes().items()}
             self._lengths = np.zeros(self.n_slots, np.int64)
         first, n_rows = slot * self._rows, len(columns["obs"])
-        for name, values in columns.items():
+        for name, values in {**columns, **self._split(columns["obs"])}.items():
             self._columns[name][first : first + n_rows] = values
         self._lengths[slot] = n_rows - 1
         self.n_episodes = max(self.n_episodes, slot + 1)
+
+    def _split(self, obs: Array) -> dict[str, Array]:
+        """Observations (n, size) as they are stored: floats, and bytes at their end."""
+        last = obs[:, self.sizes[0] - self.n_boolean :]
+        if not ((last == 0) | (last == 1)).all():
+            self._keep_floats()
+        n_float = self.sizes[0] - self.n_boolean
+        return {"obs": obs[:, :n_float], "boolean": obs[:, n_float:]}
+
+    def _keep_floats(self) -> None:
+        """What was kept as bytes turns out to be something else, as under a wrapper's noise."""
+        obs, boolean = self._columns["obs"], self._columns["boolean"]
+        self._columns["obs"] = np.concatenate([obs, boolean.astype(np.float32)], axis=1)
+        self._columns["boolean"] = boolean[:, :0]
+        self.n_boolean = 0
 
     # -- sampling ----------------------------------------------------------------------------
 
@@ -230,14 +230,35 @@ class Replay:
 
     def add_experience(self, saved: dict[str, Any], is_foreign: bool = False) -> None:
         """Put back what `new_experience` returned: in the same slots, or, when it is another
-        buffer's, as episodes that were not there yet."""
+        buffer's, as episodes that were not there yet. ValueError when it is none of that shape."""
         if not saved:
             return
+        self._require_experience(saved)
         parts = {name: values.numpy() for name, values in saved.items()}
-        for i, slot in enumerate(parts["slots"]):
-            rows = slice(i * self._rows, i * self._rows + int(parts["lengths"][i]) + 1)
-            columns = {name: parts[name][rows] for name in self._shapes()}
+        slots, lengths = parts.pop("slots"), parts.pop("lengths")
+        for i, slot in enumerate(slots):
+            rows = slice(i * self._rows, i * self._rows + int(lengths[i]) + 1)
+            columns = {name: values[rows] for name, values in parts.items()}
+            columns["obs"] = np.concatenate([columns["obs"], columns.pop("boolean")], axis=1)
             if is_foreign:
                 self._add(columns)
             else:
                 self._put(int(slot), columns)
+
+    def _require_experience(self, saved: dict[str, Any]) -> None:
+        slots = saved.get("slots") if isinstance(saved, dict) else None
+        n = len(slots) if isinstance(slots, torch.Tensor) and slots.ndim == 1 else 0
+        whole = {"slots": torch.empty(n, dtype=torch.int64, device="meta")}
+        whole["lengths"] = torch.empty_like(whole["slots"])
+        # What was saved as bytes before it turned out not to be Boolean stays right.
+        boolean = saved.get("boolean") if isinstance(saved, dict) else None
+        n_boolean = self.n_boolean
+        if isinstance(boolean, torch.Tensor) and boolean.ndim == 2:
+            n_boolean = min(boolean.shape[1], self.sizes[0])
+        for name, ((_, width), dtype) in self._shapes(n_boolean).items():
+            values = torch.from_numpy(np.empty((0, width), dtype)).to("meta")
+            whole[name] = values.new_empty((n * self._rows, width))
+        require_like(saved, whole, "experience")
+        for name, least, end in (("slots", 0, self.n_slots), ("lengths", 1, self._rows)):
+            if n and not (least <= int(saved[name].min()) and int(saved[name].max()) < end):
+                raise ValueError(f"experience.{name}: found others than from {least} to {end - 1}")

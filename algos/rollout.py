@@ -1,126 +1,139 @@
-"""Whole episodes from several environments: what every learner here learns from."""
+"""Whole episodes: what every learner here learns from.
+
+An episode is a pure function of a policy, a key and its number, so episodes can be played
+anywhere, in any order, side by side.
+"""
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
+import gymnasium as gym
 import numpy as np
 
-from . import Array, DivergenceError, EnvPool, Transition, action_bounds
+from . import Array, DivergenceError, IsWanted, Workers
 from .mpi import Communicator
+from .policy import Policy
 
 Obs = TypeVar("Obs")
 FAULTS = ("diverged", "warnings")  # what `info` may say of a step, and is counted
-VOID_LIMIT = 100  # episodes that diverge at their first step before something must be wrong
+TRAIN, TEST, EVALUATE, PROBE = 1, 2, 3, 4  # what episodes are for: each has random numbers of its own
 
 
 @dataclass
 class Episode(Generic[Obs]):
-    """One episode as it was lived; the observations include the last."""
+    """One episode as it was lived; the observations include the last.
+
+    A step that diverged is void: its observation, action and reward are not here.
+    """
 
     obs: list[Obs]
     actions: list[Array] = field(default_factory=list)
     rewards: list[float] = field(default_factory=list)
     terminated: bool = False
     success: float = math.nan
-    """1 or 0 at the end; nan where the environment does not say."""
+    """1 or 0 at the end; nan where the environment does not say. 0 where it diverged."""
+    held: int = 0
+    """Steps for which success had stood by the end."""
+    faults: dict[str, int] = field(default_factory=lambda: dict.fromkeys(FAULTS, 0))
+
+    def __len__(self) -> int:
+        """Transitions."""
+        return len(self.rewards)
 
 
-class Rollouts(Generic[Obs]):
-    """Plays episodes in a pool of environments.
+@dataclass(frozen=True)
+class PlayEpisode(Generic[Obs]):
+    """Plays the episode of a number: its start and its noise follow from `key` and the number."""
 
-    Actions are in units of the policy, where the bounds are ±1. `read` makes the learner's
-    view of what an environment returns, always a copy: an environment may reuse its buffer.
-    """
+    policy: Policy
+    key: tuple[int, int, int, int]
+    """(seed, rank, purpose, batch), which differ wherever episodes should."""
+    explores: bool = True
 
-    def __init__(self, pool: EnvPool, read: Callable[[Any], Obs], rng: np.random.Generator) -> None:
-        self.pool, self.read, self.rng = pool, read, rng
-        self.faults = dict.fromkeys(FAULTS, 0)
-        """How many in the last call of `play`; a step that diverged is void."""
-        self._low, self._high = action_bounds(pool.action_space)
-        self.n_actions = int(np.prod(self._low.shape))
+    def __call__(self, env: gym.Env[Any, Any], number: int, is_wanted: IsWanted) -> Episode[Obs]:
+        """The episode; cut short when it is not wanted any more.
 
-    def to_env(self, actions: Array) -> Array:
-        """Policy units to the environment's: [-1, 1] to [low, high], clipped."""
-        half = (self._high - self._low) / 2
-        actions = actions.reshape(-1, *self._low.shape)
-        return self._low + half * (np.clip(actions, -1.0, 1.0) + 1.0)
-
-    def play(
-        self, policy: Callable[[list[Obs]], Array], *, steps: int = 0, episodes: int = 0
-    ) -> list[Episode[Obs]]:
-        """Whole episodes: `episodes` of them, or until `steps` have begun.
-
-        `policy` gives actions (n, d) for a list of n observations. An environment whose
-        episode ends starts another only while something is missing, so what comes out does
-        not depend on how fast the environments are. An episode whose first step diverged is
-        played again. Raises DivergenceError when that happens `VOID_LIMIT` times, or when an
-        observation or a reward is not finite.
+        Raises DivergenceError when an observation or a reward is not finite.
         """
-        played: list[Episode[Obs]] = []
-        running: dict[int, Episode[Obs]] = {}
-        self.faults = dict.fromkeys(FAULTS, 0)
-        steps_begun = episodes_begun = n_void = 0
-        while True:
-            idle = [index for index in range(len(self.pool)) if index not in running]
-            if steps_begun >= steps:
-                idle = idle[: max(0, episodes - episodes_begun)]
-            running |= self._begin(idle)
-            episodes_begun += len(idle)
-            if not running:
-                return played
-            indices = list(running)
-            actions = policy([running[i].obs[-1] for i in indices])
-            steps_begun += len(indices)
-            results = self.pool.step(indices, self.to_env(actions))
-            for index, action, result in zip(indices, actions, results, strict=True):
-                if self._record(running[index], action, result):
-                    episode = running.pop(index)
-                    if episode.rewards:
-                        played.append(episode)
-                    else:  # diverged at its first step: play another
-                        steps_begun, episodes_begun = steps_begun - 1, episodes_begun - 1
-                        n_void += 1
-                if n_void == VOID_LIMIT:
-                    raise DivergenceError(f"{n_void} episodes diverged at their first step")
-
-    def _begin(self, indices: list[int]) -> dict[int, Episode[Obs]]:
-        """New episodes of the environments `indices`."""
-        seeds = self.rng.integers(2**31, size=len(indices)).tolist()
-        first = map(self.read, self.pool.reset(indices, seeds))
-        return {
-            i: Episode([finite(obs, "an observation")]) for i, obs in zip(indices, first, strict=True)
-        }
-
-    def _record(self, episode: Episode[Obs], action: Array, result: Transition) -> bool:
-        """Add one transition; has the episode ended? A diverged step is void, not learned from."""
-        for fault in FAULTS:
-            self.faults[fault] += int(result.info.get(fault, 0))
-        if result.info.get("diverged"):
-            return True
-        episode.obs.append(finite(self.read(result.obs), "an observation"))
-        episode.actions.append(action)
-        episode.rewards.append(float(finite(result.reward, "a reward")))
-        episode.terminated = result.terminated
-        episode.success = float(result.info.get("is_success", math.nan))
-        return result.terminated or result.truncated
+        policy, rng = self.policy, np.random.default_rng([*self.key, number])
+        noise = rng if self.explores else None
+        first, _ = env.reset(seed=int(rng.integers(2**31)))
+        episode = Episode([finite(policy.inputs.read(first), "an observation")])
+        is_done = False
+        while not is_done and is_wanted():
+            action = policy.choose(episode.obs[-1], noise)
+            is_done = _step(env, policy, action, episode)
+        return episode
 
 
-def summary(
-    episodes: list[Episode[Any]], faults: dict[str, int], comm: Communicator
-) -> dict[str, float]:
-    """Counts and means over the episodes of all ranks; each has some."""
-    sums = comm.sum(
+def _step(env: gym.Env[Any, Any], policy: Policy, action: Array, episode: Episode[Any]) -> bool:
+    """Take one step and add it to the episode; has that ended?"""
+    obs, reward, terminated, truncated, info = env.step(policy.to_env(action))
+    for fault in FAULTS:
+        episode.faults[fault] += int(info.get(fault, 0))
+    episode.success = float(info.get("is_success", math.nan))
+    episode.held = episode.held + 1 if episode.success == 1.0 else 0
+    if info.get("diverged"):
+        return True
+    episode.obs.append(finite(policy.inputs.read(obs), "an observation"))
+    episode.actions.append(action)
+    episode.rewards.append(float(finite(reward, "a reward")))
+    episode.terminated = terminated
+    return bool(terminated or truncated)
+
+
+def play_steps(
+    workers: Workers, task: PlayEpisode[Obs], steps: int, comm: Communicator
+) -> list[Episode[Obs]]:
+    """Episodes 0, 1, 2, ... in order of number until they have `steps` transitions: the same
+    list on every rank, and on any number of ranks.
+
+    An episode that diverged at once counts as a step, so this ends.
+    """
+    if comm.size == 1:
+        return _first(workers.play(task, itertools.count()), steps)
+    episodes: list[Episode[Obs]] = []
+    while (missing := steps - sum(map(_weight, episodes))) > 0:
+        done = len(episodes)
+        length = sum(map(_weight, episodes)) / done if done else steps
+        last = done + math.ceil(missing / length / comm.size) * comm.size
+        mine = list(workers.play(task, range(done + comm.rank, last, comm.size)))
+        by_rank = comm.all_gather(mine)
+        episodes += [by_rank[i % comm.size][i // comm.size] for i in range(last - done)]
+    return _first(episodes, steps)
+
+
+def _first(episodes: Iterable[Episode[Obs]], steps: int) -> list[Episode[Obs]]:
+    """The first of them that have `steps` together."""
+    taken: list[Episode[Obs]] = []
+    for episode in episodes:
+        taken.append(episode)
+        steps -= _weight(episode)
+        if steps <= 0:
+            break
+    return taken
+
+
+def _weight(episode: Episode[Any]) -> int:
+    return max(1, len(episode))
+
+
+def summary(episodes: list[Episode[Any]], comm: Communicator | None = None) -> dict[str, float]:
+    """Counts and means over episodes, also those that diverged; with `comm`, over those of all
+    ranks. Each has some."""
+    sums = (comm or Communicator()).sum(
         np.array(
             [
-                sum(len(e.rewards) for e in episodes),
+                sum(len(e) for e in episodes),
                 len(episodes),
                 sum(e.success for e in episodes),
                 sum(sum(e.rewards) for e in episodes),
-                *faults.values(),
+                *(sum(e.faults[fault] for e in episodes) for fault in FAULTS),
             ],
             dtype=np.float64,
         )
@@ -131,8 +144,16 @@ def summary(
         "success_rate": sums[2] / sums[1],
         "mean_return": sums[3] / sums[1],
         "mean_length": sums[0] / sums[1],
-        **dict(zip(faults, sums[4:], strict=True)),
+        **dict(zip(FAULTS, sums[4:], strict=True)),
     }
+
+
+def require_transitions(episodes: list[Episode[Any]]) -> list[Episode[Any]]:
+    """The episodes from which something can be learned; DivergenceError when there is none."""
+    usable = [episode for episode in episodes if len(episode)]
+    if not usable:
+        raise DivergenceError(f"all of {len(episodes)} episodes diverged at their first step")
+    return usable
 
 
 def finite(values: Any, what: str) -> Any:

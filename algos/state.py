@@ -1,9 +1,18 @@
-"""What a learner's checkpoint holds: the states of its parts, its counters, its random state."""
+"""What a learner's checkpoint holds: the states of its parts, its counters, its random state.
+
+A state that comes from a file is compared with the learner's own before any of it is used: a
+tensor of another shape would make PyTorch write where nothing of it is.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
+
+import torch
+
+LARGEST = 2**63  # counters stay below
 
 
 def take(learner: Any, parts: Sequence[str], counters: Sequence[str]) -> dict[str, Any]:
@@ -17,10 +26,80 @@ def take(learner: Any, parts: Sequence[str], counters: Sequence[str]) -> dict[st
 
 def give(learner: Any, state: dict[str, Any], parts: Sequence[str], counters: Sequence[str]) -> None:
     """Put back what `take` returned; a state without "rng" leaves the learner its own, as a rank
-    that is new needs it."""
+    that is new needs it.
+
+    Raises ValueError, before anything is changed, when the learner's own state is another kind.
+    """
+    own = take(learner, parts, counters)
+    rng = own.pop("rng")
+    is_dict = isinstance(state, dict)
+    require_like({k: v for k, v in state.items() if k != "rng"} if is_dict else state, own)
+    if "rng" in state:
+        _require_random_state(learner.rng.bit_generator, state["rng"], rng)
     for name in parts:
         getattr(learner, name).load_state_dict(state[name])
     for name in counters:
         setattr(learner, name, state[name])
     if "rng" in state:
         learner.rng.bit_generator.state = state["rng"]
+
+
+def require_like(found: Any, own: Any, name: str = "state") -> None:
+    """ValueError naming the first place where `found` is not of the kind that `own` is.
+
+    The same keys, lengths and types all the way down; tensors of the same shape and dtype, whole and
+    on the CPU or the same device; texts of any content; numbers finite and not negative, for they
+    count something. Only what `own` has is looked at, so a state that is nested without end costs
+    nothing.
+    """
+    if isinstance(own, torch.Tensor):
+        _require_tensor(found, own, name)
+    elif isinstance(own, dict):
+        if not isinstance(found, dict) or found.keys() != own.keys():
+            raise ValueError(f"{name}: found {_short(found)}, expected {_short(own)}")
+        for key, value in own.items():
+            require_like(found[key], value, f"{name}.{key}")
+    elif isinstance(own, list | tuple):
+        if type(found) is not type(own) or len(found) != len(own):
+            raise ValueError(f"{name}: found {_short(found)}, expected {_short(own)}")
+        for i, value in enumerate(own):
+            require_like(found[i], value, f"{name}[{i}]")
+    elif type(found) is not type(own):
+        raise ValueError(f"{name}: found {_short(found)}, expected {_short(own)}")
+    elif isinstance(own, int | float) and not 0 <= found < (math.inf, LARGEST)[isinstance(own, int)]:
+        raise ValueError(f"{name}: found a number out of range, allowed from 0 to below 2**63")
+
+
+def _require_tensor(found: Any, own: torch.Tensor, name: str) -> None:
+    is_alike = (
+        isinstance(found, torch.Tensor)
+        and (found.dtype, found.shape) == (own.dtype, own.shape)
+        and found.device in (torch.device("cpu"), own.device)
+        and found.layout == torch.strided
+        and found.is_contiguous()
+    )
+    if not is_alike:
+        raise ValueError(f"{name}: found {_short(found)}, expected {_short(own)}")
+
+
+def _require_random_state(generator: Any, found: Any, own: Any) -> None:
+    """What a generator takes and gives back unchanged is a state of its own."""
+    probe = type(generator)()
+    try:
+        probe.state = found
+    except (TypeError, ValueError, KeyError, OverflowError):
+        raise ValueError(f"rng: found {_short(found)}, expected {_short(own)}") from None
+    if probe.state != found:
+        raise ValueError(f"rng: found what is not a state of {type(generator).__name__}")
+
+
+def _short(value: Any) -> str:
+    """A value in a few words."""
+    if isinstance(value, torch.Tensor):
+        return f"{value.dtype} {tuple(value.shape)}".removeprefix("torch.")
+    if isinstance(value, dict):
+        names = ", ".join(str(key)[:30] for key in list(value)[:8])
+        return f"a dict of {len(value)} ({names})"
+    if isinstance(value, list | tuple):
+        return f"a {type(value).__name__} of {len(value)}"
+    return type(value).__name__

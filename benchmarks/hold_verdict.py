@@ -17,6 +17,7 @@ import json
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -93,8 +94,12 @@ class ScriptedPolicy:
 
 def trained(run: Path) -> tuple[str, dict[str, Any], Callable[[Any, int], Act]]:
     """(hand, its scene's choices, policy of an episode) of a run folder."""
-    config, learner, _ = load_policy(run)
-    return config.run.env, asdict(config.scene), lambda env, episode: learner.act
+    found = load_policy(run)
+
+    def policy(env: Any, episode: int) -> Act:
+        return partial(found.policy.act, rng=np.random.default_rng([SEED, episode]))
+
+    return found.config.run.env, asdict(found.config.scene), policy
 
 
 def disturbed(hand: str, simulator: str) -> tuple[str, dict[str, Any], Callable[[Any, int], Act]]:

@@ -35,9 +35,9 @@ class GraspConfig:
     """Taxels: 1-6 (paper, Fig. 2), a named design, or the path of a .toml file."""
     run_type: Literal["main", "control", "absent"] = "main"
     """main: taxels read; control: all zero, same size (paper); absent: no taxel entries."""
-    touch: Literal["overlap", "contact"] = "overlap"
-    """Touch rule. overlap: the taxel's sphere overlaps the object; contact: the simulator's own
-    contact points (paper). Why overlap: docs/environments.md."""
+    touch: Literal["skin", "contact"] = "skin"
+    """Touch rule. skin: the taxel's sphere overlaps the object, and its skin touches it; contact:
+    the simulator's own contact points (paper). Why skin: docs/environments.md."""
     object: objects.Kind = "box"
     """box, sphere or cylinder."""
     object_size: tuple[float, ...] = (0.05,)
@@ -72,6 +72,7 @@ class GraspConfig:
     def __post_init__(self) -> None:
         size = (self.object_size,) if np.ndim(self.object_size) == 0 else self.object_size
         object.__setattr__(self, "object_size", tuple(size))  # a number, or JSON's list
+        object.__setattr__(self, "layout", str(self.layout))  # 4 is "4"
 
     @property
     def shape(self) -> objects.Shape:
@@ -143,7 +144,7 @@ TALLEST = 0.15  # m, of an object: held at its top, its centre is well above wha
 OFF_GROUND = 0.005  # m under the object's lowest point: lift-and-hold's attempt has begun
 JITTER_POSITION = 0.005  # m, of the object along x and y
 JITTER_YAW = 0.15  # rad, of the object
-JITTER_JOINT = 0.02  # rad, of every finger joint
+JITTER_JOINT = 0.02  # rad, of every finger joint, within its range
 
 
 class GraspEnv(gym.Env[Any, Array]):
@@ -157,7 +158,7 @@ class GraspEnv(gym.Env[Any, Array]):
     and says how often.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 5}
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}
 
     def __init__(
         self,
@@ -170,11 +171,12 @@ class GraspEnv(gym.Env[Any, Array]):
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode: found {render_mode!r}, allowed None or 'rgb_array'")
         self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": max(1, round(1 / config.control_dt))}
         self.shape = config.shape
         width, height = self.shape.width, self.shape.height
         self.hand = hands.load(hand).over(width, height)
         self.taxels = layouts.load(config.layout).place(self.hand)
-        self._placement = touch.TaxelPlacement(self.taxels)
+        self._touch = touch.SkinTouch(self.taxels, self.hand.surfaces)
         self.task = _task(config)
         self.max_episode_steps = config.max_episode_steps or self.task.max_episode_steps
         self._contact = config.touch == "contact"
@@ -205,13 +207,21 @@ class GraspEnv(gym.Env[Any, Array]):
         self._steps, self._is_off_ground = 0, False
         self._object_position = np.zeros(3)
         self._obs: dict[str, Array] = {}
-        n_obs, n_goal = len(self.observation_names()), len(self._desired_goal)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (len(self.hand.action_names),), np.float32)
-        self.observation_space = gym.spaces.Dict(
+        self.observation_space = self._spaces()
+
+    def _spaces(self) -> gym.spaces.Dict:
+        """Taxels lie between 0 and 1; a task with a single goal has it as its only one."""
+        n_obs, goal = len(self.observation_names()), self._desired_goal
+        unbounded = np.full_like(goal, np.inf)
+        low, high = np.full(n_obs, -np.inf, np.float32), np.full(n_obs, np.inf, np.float32)
+        low[n_obs - self.n_boolean :], high[n_obs - self.n_boolean :] = 0.0, 1.0
+        lowest, highest = (goal, goal) if self.task.has_single_goal else (-unbounded, unbounded)
+        return gym.spaces.Dict(
             {
-                "observation": gym.spaces.Box(-np.inf, np.inf, (n_obs,), np.float32),
-                "achieved_goal": gym.spaces.Box(-np.inf, np.inf, (n_goal,), np.float32),
-                "desired_goal": gym.spaces.Box(-np.inf, np.inf, (n_goal,), np.float32),
+                "observation": gym.spaces.Box(low, high, dtype=np.float32),
+                "achieved_goal": gym.spaces.Box(-unbounded, unbounded, dtype=np.float32),
+                "desired_goal": gym.spaces.Box(lowest, highest, dtype=np.float32),
             }
         )
 
@@ -226,12 +236,17 @@ class GraspEnv(gym.Env[Any, Array]):
             position[:2] += rng.uniform(-JITTER_POSITION, JITTER_POSITION, 2)
             yaw = rng.uniform(-JITTER_YAW, JITTER_YAW)
             positions[3:] += rng.uniform(-JITTER_JOINT, JITTER_JOINT, len(positions) - 3)
+            positions = np.clip(positions, *self.simulator.joint_limits.T)
         self._targets = self.hand.start_targets()
         self._steps, self._is_off_ground = 0, False
-        self.simulator.reset(positions, position, yaw)
-        _, thing = seen = self._look()
+        try:
+            self.simulator.reset(positions, position, yaw)
+            _, thing = seen = self._look()
+            observation = self._observation(*seen)
+        except simulators.SimulationError as error:
+            raise simulators.SimulationError(f"an episode cannot begin: {error}") from error
         self._object_position = thing.position
-        self._obs = self._goal_obs(self._observation(*seen), self._situation(*seen, "undecided"))
+        self._obs = self._goal_obs(observation, self._situation(*seen, "undecided"))
         return self._obs, {"is_success": False}
 
     def step(self, action: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
@@ -257,7 +272,7 @@ class GraspEnv(gym.Env[Any, Array]):
             return last, 0.0, False, True, info
         self._obs = obs = self._goal_obs(observation, situation)
         goals = obs["achieved_goal"], obs["desired_goal"]
-        terminated = situation.outcome in ("held", "dropped")
+        terminated = situation.outcome in tasks.FINAL
         truncated = not terminated and self._steps >= self.max_episode_steps
         info = self._info(is_success=bool(self.task.is_success(*goals)))
         return obs, float(self.task.reward(*goals)), terminated, truncated, info
@@ -282,9 +297,9 @@ class GraspEnv(gym.Env[Any, Array]):
         return entries
 
     @property
-    def holds_gil(self) -> bool:
-        """Does stepping keep other threads of Python waiting?"""
-        return self.simulator.holds_gil
+    def side_by_side(self) -> str:
+        """How several of these may be played in at once (`vector.start`)."""
+        return "processes" if self.simulator.holds_gil else "threads"
 
     @property
     def n_boolean(self) -> int:
@@ -325,8 +340,8 @@ class GraspEnv(gym.Env[Any, Array]):
     def _feel(self, thing: objects.ObjectState) -> Array:
         if self._contact:
             return self.simulator.contact_taxels()
-        poses = self.simulator.link_poses(self._placement.links)
-        return self._placement.overlap(*poses, self.shape, thing)
+        poses = self.simulator.link_poses(self._touch.links)
+        return self._touch.read(*poses, self.shape, thing)
 
     def _observation(self, points: Array, thing: objects.ObjectState) -> Array:
         positions, velocities = self.simulator.joint_state()

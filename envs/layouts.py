@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import tomllib
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import numpy as np
 from .hands import DIGITS, SEGMENTS, Array, Hand, Surface
 
 FINGERS = DIGITS[1:]
+LARGEST = 1_000_000  # bytes of a layout file
 NAMED = Path(__file__).with_name("layout_files")
 
 
@@ -142,8 +144,11 @@ def load(name: str) -> Layout:
 
 def _read(path: Path) -> Layout:
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        with path.open("rb") as file:
+            data = tomllib.loads(file.read(LARGEST).decode("utf-8"))
+    except RecursionError:
+        raise ValueError(f"layout file {path}: nested too deeply") from None
+    except ValueError as error:
         raise ValueError(f"layout file {path}: not valid TOML: {error}") from None
     try:
         return parse(data, path.stem)
@@ -158,7 +163,22 @@ def parse(data: dict[str, Any], name: str) -> Layout:
     if not isinstance(patches, list) or not patches:
         raise ValueError("needs at least one [[patch]] table")
     parsed = tuple(_patch(patch, f"patch {i + 1}") for i, patch in enumerate(patches))
+    _require_distinct(parsed)
     return Layout(name, str(data.get("description", "")), parsed)
+
+
+def _require_distinct(patches: tuple[Patch, ...]) -> None:
+    """ValueError when two patches put a taxel in the same place."""
+    seen: dict[tuple[str, str, tuple[float, float]], int] = {}
+    for number, patch in enumerate(patches, 1):
+        for place in product(set(patch.digits), set(patch.segments), patch.offsets):
+            if place in seen:
+                digit, segment, (row, column) = place
+                raise ValueError(
+                    f"patch {number}: {digit}.{segment} has a taxel at "
+                    f"[{1e3 * row:g}, {1e3 * column:g}] mm already, from patch {seen[place]}"
+                )
+            seen[place] = number
 
 
 def _patch(data: Any, where: str) -> Patch:
@@ -185,7 +205,7 @@ def _patch(data: Any, where: str) -> Patch:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and np.isfinite(value)
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e9
 
 
 def _only(data: dict[str, Any], allowed: set[str], where: str) -> None:

@@ -40,15 +40,15 @@ class Shape:
         return factor[self.kind] * x * y * z
 
     def squared_distance(self, points: Array) -> Array:
-        """Squared distance (n,) in m² from points (n, 3) to the solid, 0 inside."""
+        """Squared distance (...) in m² from points (..., 3) to the solid, 0 inside."""
         if self.kind == "sphere":
-            return np.square(np.maximum(np.linalg.norm(points, axis=1) - self.half_size[0], 0.0))
+            return np.square(np.maximum(np.linalg.norm(points, axis=-1) - self.half_size[0], 0.0))
         if self.kind == "cylinder":
-            points = np.stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]], axis=1)
+            points = np.stack([np.hypot(points[..., 0], points[..., 1]), points[..., 2]], axis=-1)
         beyond = np.abs(points)
-        beyond -= self.half_size[-points.shape[1] :]
+        beyond -= self.half_size[-points.shape[-1] :]
         np.maximum(beyond, 0.0, out=beyond)
-        return np.einsum("ij,ij->i", beyond, beyond)
+        return np.einsum("...i,...i->...", beyond, beyond)
 
     def half_height(self, rotation: Array) -> float:
         """How far the shape reaches below its centre when turned by `rotation` (3, 3), m."""

@@ -30,7 +30,7 @@ class Start:
 
 
 def perturbed_start(rng: np.random.Generator, n_joints: int) -> Start:
-    """A start as the environment's jitter would make it."""
+    """A start as the environment's jitter would make it, but for the joints' ranges."""
     joints = np.concatenate([np.zeros(3), rng.uniform(-JOINT, JOINT, n_joints - 3)])
     return Start(rng.uniform(-OFFSET, OFFSET, 2), float(rng.uniform(-YAW, YAW)), joints)
 
@@ -46,11 +46,10 @@ def hold_steps(
 ) -> Iterator[bool]:
     """Perform `grasp` on the environment's simulator and yield once per control step of the
     hold: is the object still up? The environment's own episode is not involved."""
-    hand, simulator = env.hand, env.simulator
+    simulator = env.simulator
     dt = dt or period(env.config.timestep)
     n_substeps = round(dt / env.config.timestep)
-    position = np.array([*start.object_offset, env.shape.half_size[2]])
-    simulator.reset(hand.start_positions() + start.joint_offsets, position, start.yaw)
+    place(env, start)
     for targets in ramps(env, grasp, dt):
         simulator.step(targets, n_substeps)
     floor = simulator.object_state().position[2] - FALLEN
@@ -58,6 +57,13 @@ def hold_steps(
         simulator.step(targets, n_substeps)
         height = simulator.object_state().position[2]
         yield bool(height > max(floor, env.shape.half_size[2] + 0.02))
+
+
+def place(env: GraspEnv, start: Start) -> None:
+    """Put hand and object of the environment's simulator there."""
+    position = np.array([*start.object_offset, env.shape.half_size[2]])
+    joints = env.hand.start_positions() + start.joint_offsets
+    env.simulator.reset(joints, position, start.yaw)
 
 
 def period(timestep: float) -> float:

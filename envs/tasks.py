@@ -23,6 +23,7 @@ OUTCOMES: dict[Outcome, float] = {
     "dropped": 0.5,  # was lifted, and did not survive the hold test
     "held": 1.0,
 }
+FINAL = ("held", "dropped", "timed_out")  # the paper's time-out is a verdict too, with its -100
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,10 @@ class Task(Protocol):
     @property
     def tests_hold(self) -> bool:
         """Does lifting the object end the episode with a hold test?"""
+
+    @property
+    def has_single_goal(self) -> bool:
+        """Is one goal the only one that is ever asked for, or could be?"""
 
     @property
     def max_episode_steps(self) -> int:
@@ -71,6 +76,7 @@ class ReachGoal:
     kind: Literal["sparse", "dense"]
     max_episode_steps: int = 20
     tests_hold: bool = False
+    has_single_goal: bool = False
 
     def desired_goal(self) -> Array:
         return np.array(self.goal)
@@ -102,6 +108,7 @@ class LiftAndHold:
     """alpha of the paper's reward."""
     max_episode_steps: int = 100
     tests_hold: bool = True
+    has_single_goal: bool = True
 
     def desired_goal(self) -> Array:
         return np.array([0.0] * 6 + [OUTCOMES["held"]])

@@ -1,50 +1,128 @@
 """From geometry to Boolean taxel readings.
 
-Rule "overlap": a taxel is on when its sensing sphere overlaps the object. A rigid capsule
-meets a flat face in one or two contact points, where skin would meet it in a patch; the
-overlap of a small sphere on the skin with the object is that patch. Ground and self-contact
-cannot fire it, and it is the same rule in every simulator.
+Rule "skin": a taxel is on when its sensing sphere overlaps the object and the skin that carries
+it is no further than `SKIN` from the object. A rigid capsule meets a flat face in one or two
+contact points, where skin would meet it in a patch; the overlap of a small sphere on the skin
+with the object is that patch. The sphere alone would also feel what is near and touches nothing.
+Ground and self-contact cannot fire a taxel, and the rule is the same in every simulator.
 
 Rule "contact" (the paper's) depends on the simulator and lives there.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from .hands import Array
+from .hands import Array, Surface
 from .layouts import Taxels
 from .objects import ObjectState, Shape
 
+SKIN = 5e-4  # m, how thick the skin is: what is further from a link's surface does not touch it
+SLACK = 5e-5  # m, by how much the distance of a bone from the object may be taken too large
 
-class TaxelPlacement:
-    """Positions of taxels from the poses of their links, in one matrix product.
 
-    Row i of `blocks` (n, 4k) holds taxel i's homogeneous coordinates in the four columns of
-    its link; the poses stack to (4k, 3).
+class LinkPoints:
+    """Points that ride on links; where they are follows from the links' poses in one product.
+
+    Row i of the blocks (n, 4k) holds point i's homogeneous coordinates in the four columns of its
+    link; the poses stack to (4k, 3). Poses and points may have leading batch axes (...).
     """
 
-    def __init__(self, taxels: Taxels) -> None:
-        n, k = len(taxels), len(taxels.links)
+    def __init__(self, links: tuple[str, ...], link_index: Array, points: Array) -> None:
+        """`points` (n, 3), each in the frame of the link that `link_index` (n,) says, m."""
+        n, k = len(points), len(links)
         blocks = np.zeros((n, k, 4))
-        blocks[np.arange(n), taxels.link_index, :3] = taxels.positions
-        blocks[np.arange(n), taxels.link_index, 3] = 1.0
-        self.links = taxels.links
+        blocks[np.arange(n), link_index, :3] = points
+        blocks[np.arange(n), link_index, 3] = 1.0
+        self.links = links
         self._blocks = blocks.reshape(n, 4 * k)
-        self._poses = np.empty((k, 4, 3))
-        self._squared_radii = taxels.radii**2
 
     def world(self, link_positions: Array, link_rotations: Array) -> Array:
-        """(n, 3), m, from poses of ``links``: (k, 3) and (k, 3, 3)."""
-        self._poses[:, :3] = link_rotations.transpose(0, 2, 1)
-        self._poses[:, 3] = link_positions
-        return self._blocks @ self._poses.reshape(-1, 3)
+        """(..., n, 3), m, from poses of ``links``: (..., k, 3) and (..., k, 3, 3)."""
+        return self._blocks @ _stacked(link_positions, link_rotations)
 
-    def overlap(
+    def local(self, link_positions: Array, link_rotations: Array, thing: ObjectState) -> Array:
+        """The same points in the frame of `thing`."""
+        from_thing = link_positions - thing.position[..., None, :]
+        return self._blocks @ (_stacked(from_thing, link_rotations) @ thing.rotation)
+
+
+def _stacked(positions: Array, rotations: Array) -> Array:
+    """Poses (..., k, 3), (..., k, 3, 3) as the factor (..., 4k, 3) of `LinkPoints`."""
+    poses = np.concatenate([rotations.swapaxes(-1, -2), positions[..., None, :]], axis=-2)
+    return poses.reshape(*positions.shape[:-2], -1, 3)
+
+
+def taxel_points(taxels: Taxels) -> LinkPoints:
+    """The centres of taxels."""
+    return LinkPoints(taxels.links, taxels.link_index, taxels.positions)
+
+
+class SkinTouch:
+    """Rule "skin" for the taxels of one layout on one hand. It keeps nothing of what it reads.
+
+    The skin of a phalanx is a capsule around its bone, so it is within `SKIN` of the object when
+    one of many points along the bone is within radius + `SKIN`. The skin of a palm taxel is the
+    disc in which its sphere meets the plane; what lies above that and up to `SKIN` from it is the
+    cap of a larger sphere, whose centre is then the one point of a "bone".
+    """
+
+    def __init__(self, taxels: Taxels, surfaces: tuple[Surface, ...]) -> None:
+        self.links = taxels.links
+        carriers = {surface.link: surface for surface in surfaces}
+        bones: list[tuple[int, Array, float]] = []  # link, points (m, 3), reach
+        bone_of_link: dict[int, int] = {}
+        bone = np.arange(len(taxels))  # of each taxel
+        places = zip(taxels.link_index.tolist(), taxels.positions, taxels.radii, strict=True)
+        for taxel, (link, position, radius) in enumerate(places):
+            carrier = carriers[taxels.links[link]]
+            bone[taxel] = bone_of_link.get(link, len(bones))
+            if bone[taxel] < len(bones):
+                continue
+            if carrier.bone is None:
+                bones.append((link, *_cap(position, radius, carrier)))
+            else:
+                bones.append((link, *_along(carrier)))
+                bone_of_link[link] = int(bone[taxel])
+        sizes = [len(points) for _, points, _ in bones]
+        self._bone, self._first = bone, np.cumsum([0, *sizes[:-1]])
+        self._points = LinkPoints(
+            taxels.links,
+            np.concatenate([taxels.link_index, np.repeat([link for link, _, _ in bones], sizes)]),
+            np.concatenate([taxels.positions, *(points for _, points, _ in bones)]),
+        )
+        reaches = np.repeat([reach for _, _, reach in bones], sizes)
+        self._squared_reaches = np.concatenate([taxels.radii, reaches]) ** 2
+
+    def read(
         self, link_positions: Array, link_rotations: Array, shape: Shape, thing: ObjectState
     ) -> Array:
-        """Which taxels' spheres overlap the object: bool (n,)."""
-        self._poses[:, :3] = link_rotations.transpose(0, 2, 1)
-        np.subtract(link_positions, thing.position, out=self._poses[:, 3])
-        local = self._blocks @ (self._poses.reshape(-1, 3) @ thing.rotation)
-        return shape.squared_distance(local) <= self._squared_radii
+        """Which taxels are on: bool (..., n), from poses (..., k, 3) and (..., k, 3, 3) of `links`
+        and an object whose state has the same leading axes."""
+        points = self._points.local(link_positions, link_rotations, thing)
+        in_reach = shape.squared_distance(points) <= self._squared_reaches
+        n = len(self._bone)
+        touches = np.logical_or.reduceat(in_reach[..., n:], self._first, axis=-1)
+        return in_reach[..., :n] & touches[..., self._bone]
+
+
+def _along(phalanx: Surface) -> tuple[Array, float]:
+    """Points (m, 3) along a bone, and how near the object must be to one of them.
+
+    From a convex body at least `radius` away, a line's distance grows by no more than
+    s² / (2 radius) within s of where it is least.
+    """
+    assert phalanx.bone is not None
+    assert phalanx.radius is not None
+    begin, end = np.array(phalanx.bone)
+    spacing = 2 * math.sqrt(2 * phalanx.radius * SLACK)
+    shares = np.linspace(0.0, 1.0, math.ceil(np.linalg.norm(end - begin) / spacing) + 1)
+    return begin + shares[:, None] * (end - begin), phalanx.radius + SKIN
+
+
+def _cap(position: Array, radius: float, palm: Surface) -> tuple[Array, float]:
+    """Centre (1, 3) and radius of the sphere whose cap stands `SKIN` proud of a disc."""
+    sphere = (radius**2 + SKIN**2) / (2 * SKIN)
+    return (position - (sphere - SKIN) * np.array(palm.palmar))[None], sphere

@@ -25,6 +25,7 @@ class LQREnv(gym.Env[Array, Array]):
     start = 0.3
     """Starts are uniform in the box ±start."""
     max_episode_steps = 60
+    side_by_side = "in turn"
 
     def __init__(self) -> None:
         self.observation_space = gym.spaces.Box(-np.inf, np.inf, (2,), np.float32)
@@ -78,6 +79,7 @@ class PointReachEnv(gym.Env[Any, Array]):
     speed = 0.1
     tolerance = 0.08
     max_episode_steps = 25
+    side_by_side = "in turn"
 
     def __init__(self) -> None:
         box = gym.spaces.Box(-np.inf, np.inf, (2,), np.float32)

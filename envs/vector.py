@@ -1,187 +1,231 @@
-"""Several environments side by side, stepped by threads or by processes.
+"""Workers: environments of one kind in which whole episodes, or anything else, are played side by side.
 
-Threads suffice where the simulator releases the GIL while it steps, as MuJoCo does. Where it
-holds the GIL, as PyBullet does, each process has a share of the environments. What comes out
-does not depend on how many threads or processes there are.
+A task is a function of an environment and a number. What comes out is the tasks' results in the
+order of their numbers, whoever played them and however long each took: the same on one core and
+on sixteen, as long as a task depends on nothing but its number. Threads suffice where the
+simulator frees the GIL while it steps, as MuJoCo does; elsewhere each worker is a process.
 """
 
 from __future__ import annotations
 
+import itertools
 import multiprocessing
+import pickle
 import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
-from typing import Any, NamedTuple
+from typing import Any, Generic, Protocol, TypeVar
 
 import gymnasium as gym
 import numpy as np
 
 Make = Callable[[], gym.Env[Any, Any]]
-Question = tuple[int, str, Any]
-"""(environment, "reset" or "step", seed or action)"""
+IsWanted = Callable[[], bool]
+T = TypeVar("T")
+T_co = TypeVar("T_co", covariant=True)
 
 
-class Step(NamedTuple):
-    """What `gymnasium.Env.step` returns; `algos.Transition` by structure, for neither layer
-    imports the other."""
+class Task(Protocol[T_co]):
+    """What a worker does; picklable, where workers are processes."""
 
-    obs: Any
-    reward: float
-    terminated: bool
-    truncated: bool
-    info: dict[str, Any]
+    def __call__(self, env: gym.Env[Any, Any], number: int, is_wanted: IsWanted) -> T_co:
+        """The result for `number`. When `is_wanted` turns false it may stop and return anything."""
 
 
-class Envs:
-    """`n` environments made by `make()`; any of them can be stepped in any combination. Here they
-    are stepped in turn."""
+class Batch(Generic[T]):
+    """Numbers that are begun in order, and results that arrive in any."""
 
-    def __init__(self, make: Make, n: int, *made: gym.Env[Any, Any]) -> None:
-        """Those already `made` are among the `n`."""
-        self.envs = [*made, *(make() for _ in range(n - len(made)))]
-        self._map: Callable[..., Iterable[Any]] = map
+    def __init__(self, numbers: Iterable[int]) -> None:
+        self._numbers, self._n_begun, self._is_exhausted = iter(numbers), 0, False
+        self._done: dict[int, T | Exception] = {}
+        self._changed = threading.Condition()
+        self.is_over = False
+
+    def begin(self) -> tuple[int, int] | None:
+        """(place, number) of what to do next; None when there is nothing more to do."""
+        with self._changed:
+            number = None if self.is_over else next(self._numbers, None)
+            if number is None:
+                self._is_exhausted = True
+                self._changed.notify()
+                return None
+            self._n_begun += 1
+            return self._n_begun - 1, number
+
+    def finish(self, place: int, result: T | Exception) -> None:
+        """Take a result, or what was raised in its stead."""
+        with self._changed:
+            self._done[place] = result
+            self._changed.notify()
+
+    def results(self) -> Iterator[T]:
+        """In order, each as soon as it and all before it are there."""
+        for place in itertools.count():
+            with self._changed:
+                self._changed.wait_for(partial(self._is_settled, place))
+                if place not in self._done:
+                    return
+                result = self._done.pop(place)
+            if isinstance(result, Exception):
+                raise result
+            yield result
+
+    def _is_settled(self, place: int) -> bool:
+        """Is its result there, or will there never be one?"""
+        return place in self._done or (self._is_exhausted and place >= self._n_begun)
+
+
+class Workers:
+    """Environments and who plays in them. Closing them closes all environments."""
+
+    def __init__(
+        self, players: Sequence[Player], env: gym.Env[Any, Any], opened: ExitStack | None = None
+    ) -> None:
+        """`env` answers what does not depend on an episode; a player may play in it. `opened` is
+        what has to be closed in the end."""
+        self.env = env
+        self._players, self._opened = players, opened or ExitStack()
+        # One thread each, so that a player ends what it is at before it begins anything else.
+        self._threads = [ThreadPoolExecutor(1) for _ in players]
 
     def __len__(self) -> int:
-        return len(self.envs)
+        return len(self._players)
 
     @property
     def observation_space(self) -> gym.Space[Any]:
         """Of each environment."""
-        return self.envs[0].observation_space
+        return self.env.observation_space
 
     @property
     def action_space(self) -> gym.Space[Any]:
         """Of each environment."""
-        return self.envs[0].action_space
+        return self.env.action_space
 
     @property
     def max_episode_steps(self) -> int | None:
         """Steps after which an episode is cut off; None where the environment does not say."""
-        env = self.envs[0]
-        limits = [getattr(env.unwrapped, "max_episode_steps", None)]
-        limits += [env.spec.max_episode_steps] if env.spec else []
+        limits = [getattr(self.env.unwrapped, "max_episode_steps", None)]
+        limits += [self.env.spec.max_episode_steps] if self.env.spec else []
         return min((limit for limit in limits if limit), default=None)
 
-    @property
-    def n_boolean(self) -> int:
-        """How many entries at the end of a goal environment's observation are 0 or 1."""
-        return int(getattr(self.envs[0].unwrapped, "n_boolean", 0))
-
     def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray) -> np.ndarray:
-        """Rewards (n,) of goals (n, goal_size); ValueError where the environment has no such."""
-        env: Any = self.envs[0].unwrapped
-        if not hasattr(env, "compute_reward"):
+        """Rewards (n,) of goals (n, goal_size), by the outermost wrapper that has an opinion;
+        ValueError where there is none."""
+        if not self.env.has_wrapper_attr("compute_reward"):
             raise ValueError("compute_reward: found none, allowed environments that have it")
-        return np.asarray(env.compute_reward(achieved_goal, desired_goal, {}))
+        reward = self.env.get_wrapper_attr("compute_reward")
+        return np.asarray(reward(achieved_goal, desired_goal, {}))
 
-    def reset(self, indices: Sequence[int], seeds: Sequence[int]) -> list[Any]:
-        """First observations of new episodes of the environments `indices`."""
-        return list(self._map(self._reset_one, indices, seeds))
+    def play(self, task: Task[T], numbers: Iterable[int]) -> Iterator[T]:
+        """Results of `task` for `numbers`, in that order, each as soon as it can be had.
 
-    def step(self, indices: Sequence[int], actions: Sequence[Any] | np.ndarray) -> list[Step]:
-        """Step the environments `indices` with actions (len(indices), ...)."""
-        return list(self._map(self._step_one, indices, actions))
-
-    def _reset_one(self, index: int, seed: int) -> Any:
-        return self.envs[index].reset(seed=seed)[0]
-
-    def _step_one(self, index: int, action: np.ndarray) -> Step:
-        obs, reward, terminated, truncated, info = self.envs[index].step(action)
-        return Step(obs, float(reward), terminated, truncated, info)
-
-    def close(self) -> None:
-        """Close every environment."""
-        for env in self.envs:
-            env.close()
-
-
-class ThreadedEnvs(Envs):
-    """Stepped by `threads` threads."""
-
-    def __init__(self, make: Make, n: int, threads: int, *made: gym.Env[Any, Any]) -> None:
-        super().__init__(make, n, *made)
-        self._threads = ThreadPoolExecutor(threads)
-        self._map = self._threads.map
+        The workers run ahead. Who has enough stops iterating: what was begun beyond is not wanted
+        any more then, and nobody waits for it.
+        """
+        if len(self._players) == 1 and isinstance(self._players[0], LocalPlayer):
+            for number in numbers:
+                yield self._players[0].play(task, number, lambda: True)
+            return
+        batch = Batch[T](numbers)
+        for player, thread in zip(self._players, self._threads, strict=True):
+            thread.submit(_work, player, task, batch)
+        try:
+            yield from batch.results()
+        finally:
+            batch.is_over = True
 
     def close(self) -> None:
-        self._threads.shutdown()
-        super().close()
+        """End the workers and close every environment."""
+        for thread in self._threads:
+            thread.shutdown()
+        self._opened.close()
 
 
-class ProcessEnvs(Envs):
-    """Stepped by `processes` processes, which end when this one does.
+class Player(Protocol):
+    """One worker's hands: an environment here, or a process with one."""
 
-    One more environment lives here and answers what does not depend on an episode. `make` is
-    pickled: a function of a module, or a `functools.partial` of one; a script that uses this needs
-    its ``if __name__ == "__main__"``. What an environment raises is raised here; a process that
-    dies is an OSError.
+    def play(self, task: Task[T], number: int, is_wanted: IsWanted) -> T:
+        """The task's result."""
+
+
+def _work(player: Player, task: Task[T], batch: Batch[T]) -> None:
+    """One worker's share of a batch."""
+    while (following := batch.begin()) is not None:
+        place, number = following
+        try:
+            result: T | Exception = player.play(task, number, lambda: not batch.is_over)
+        except Exception as error:
+            result = error
+        batch.finish(place, result)
+
+
+class LocalPlayer:
+    """Plays in an environment of this process."""
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        self.env = env
+
+    def play(self, task: Task[T], number: int, is_wanted: IsWanted) -> T:
+        return task(self.env, number, is_wanted)
+
+
+class RemotePlayer:
+    """Plays in an environment of a process of its own, which ends when this one does.
+
+    `make` and `set_up`, which the process calls first, are pickled: functions of a module, or
+    `functools.partial` of them; a script that uses this needs its ``if __name__ == "__main__"``.
+    What is raised there is raised here; a process that dies is an OSError.
     """
 
-    def __init__(self, make: Make, n: int, processes: int, *made: gym.Env[Any, Any]) -> None:
-        super().__init__(make, 1, *made)
-        self._n = n
-        self._processes: list[BaseProcess] = []
-        self._connections: list[Connection[Any, Any]] = []
-        try:
-            for first in range(processes):
-                self._start(make, range(first, n, processes))
-            self._exchange({process: [] for process in range(processes)})  # all are there
-        except BaseException:
-            self.close()
-            raise
-
-    def _start(self, make: Make, numbers: range) -> None:
+    def __init__(self, make: Make, set_up: Callable[[], None]) -> None:
         # A fork would copy threads' locks and an MPI process's connections.
         context = multiprocessing.get_context("spawn")
-        here, there = context.Pipe()
-        process = context.Process(target=_serve, args=(there, make, numbers), daemon=True)
+        self._connection, there = context.Pipe()
+        self._process = context.Process(target=_serve, args=(there, make, set_up), daemon=True)
         with _ignore_interrupts():  # Ctrl-C reaches the whole group: this process ends the others
-            process.start()
+            self._process.start()
         there.close()  # so that the end of the process is an end of file here
-        self._processes.append(process)
-        self._connections.append(here)
+        self._task: Any = None
 
-    def __len__(self) -> int:
-        return self._n
+    def wait_until_ready(self) -> None:
+        """Return when the environment is made; raises what kept it from being made."""
+        self._answer()
 
-    def reset(self, indices: Sequence[int], seeds: Sequence[int]) -> list[Any]:
-        return self._ask("reset", indices, seeds)
+    def play(self, task: Task[T], number: int, is_wanted: IsWanted) -> T:
+        with self._death_named():
+            if task is not self._task:
+                self._connection.send(task)
+                self._task = task
+            self._connection.send(number)
+            while not self._connection.poll(0.05):
+                if not is_wanted():
+                    self._connection.send(None)
+                    break
+        result: T = self._answer()
+        return result
 
-    def step(self, indices: Sequence[int], actions: Sequence[Any] | np.ndarray) -> list[Step]:
-        return self._ask("step", indices, actions)
+    def _answer(self) -> Any:
+        with self._death_named():
+            answer = self._connection.recv()
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
 
-    def _ask(self, question: str, indices: Sequence[int], arguments: Sequence[Any] | np.ndarray) -> Any:
-        """Answers of environments in their order; all processes work at once."""
-        n = len(self._processes)
-        asked: dict[int, list[Question]] = {}
-        for index, argument in zip(indices, arguments, strict=True):
-            asked.setdefault(index % n, []).append((index, question, argument))
-        answers = self._exchange(asked)
-        return [answers[index % n].pop(0) for index in indices]
-
-    def _exchange(self, questions: dict[int, list[Question]]) -> dict[int, list[Any]]:
-        """Answers of each process to its questions, in their order."""
+    @contextmanager
+    def _death_named(self) -> Iterator[None]:
         try:
-            for process, asked in questions.items():
-                self._connections[process].send(asked)
-            answers = {process: self._connections[process].recv() for process in questions}
+            yield
         except (EOFError, ConnectionError) as error:
-            raise OSError("a process that steps environments has died") from error
-        for answer in answers.values():
-            if isinstance(answer, Exception):
-                raise answer
-        return answers
+            raise OSError("a worker's process has died") from error
 
     def close(self) -> None:
-        for connection in self._connections:
-            connection.close()
-        for process in self._processes:
-            process.join()
-        super().close()
+        """End the process."""
+        self._connection.close()
+        self._process.join()
 
 
 @contextmanager
@@ -197,37 +241,72 @@ def _ignore_interrupts() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def _serve(connection: Connection[Any, Any], make: Make, numbers: range) -> None:
-    """A process's life: answer questions about its environments until nobody asks."""
-    envs: Envs | None = None
-    with suppress(EOFError, ConnectionError):
+def _serve(connection: Connection[Any, Any], make: Make, set_up: Callable[[], None]) -> None:
+    """A process's life: play the numbers it is sent, by the task it was sent last.
+
+    None means that the number in play is not wanted any more; when it comes too late, it means
+    nothing.
+    """
+    with suppress(EOFError, ConnectionError), ExitStack() as opened:
+        try:
+            set_up()
+            env = make()
+            opened.callback(env.close)
+        except Exception as error:
+            connection.send(_as_sent(error))
+            return
+        connection.send(None)
+        task: Any = None
         while True:
-            questions = connection.recv()
-            try:
-                envs = envs or Envs(make, len(numbers))
-                answer: Any = [_answer(envs, numbers, *question) for question in questions]
-            except Exception as error:
-                answer = error
-            connection.send(answer)
-    if envs is not None:
-        envs.close()
+            message = connection.recv()
+            if isinstance(message, int):
+                try:
+                    answer = task(env, message, lambda: not connection.poll())
+                except Exception as error:
+                    answer = _as_sent(error)
+                connection.send(answer)
+            elif message is not None:
+                task = message
 
 
-def _answer(envs: Envs, numbers: range, index: int, question: str, argument: Any) -> Any:
-    place = numbers.index(index)
-    ask = envs.reset if question == "reset" else envs.step
-    return ask([place], [argument])[0]
-
-
-def start(make: Make, n: int, cores: int = 1) -> Envs:
-    """`n` environments on up to `cores` cores."""
-    several = min(n, cores)
-    if several == 1:
-        return Envs(make, n)
-    first = make()
-    holds_gil = getattr(first.unwrapped, "holds_gil", False)
+def _as_sent(error: Exception) -> Exception:
+    """An exception that survives the way to the other process."""
     try:
-        return (ProcessEnvs if holds_gil else ThreadedEnvs)(make, n, several, first)
-    except BaseException:
-        first.close()
-        raise
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return RuntimeError(f"{type(error).__name__}: {error}")
+    return error
+
+
+def _nothing() -> None:
+    """What most processes have to set up."""
+
+
+def start(make: Make, workers: int = 1, set_up: Callable[[], None] = _nothing) -> Workers:
+    """Up to `workers` workers with an environment each.
+
+    An environment's ``side_by_side`` says how it may be played in: "threads", "processes", or
+    "in turn" where more workers would cost more than they bring. One that does not say gets
+    processes, for it may share state with its likes.
+    """
+    with ExitStack() as opened:
+
+        def made() -> gym.Env[Any, Any]:
+            env = make()
+            opened.callback(env.close)
+            return env
+
+        env = made()
+        kind = getattr(env.unwrapped, "side_by_side", "processes")
+        players: list[Player] = [LocalPlayer(env)]
+        if workers > 1 and kind == "threads":
+            players += [LocalPlayer(made()) for _ in range(workers - 1)]
+        elif workers > 1 and kind == "processes":
+            remote = []
+            for _ in range(workers):
+                remote.append(RemotePlayer(make, set_up))
+                opened.callback(remote[-1].close)
+            for player in remote:  # they start side by side
+                player.wait_until_ready()
+            players = [*remote]
+        return Workers(players, env, opened.pop_all())

@@ -4,4 +4,8 @@ Hand-written PPO in PyTorch, and tactile grasping environments behind Gymnasium'
 `tactilerl.envs.make` makes an environment; the command `tactilerl` trains on it.
 """
 
+from .registration import with_gymnasium
+
 __version__ = "0.1.0"
+
+with_gymnasium()

@@ -7,6 +7,7 @@ file of its own, and the checkpoint names the epochs that belong to it.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,13 +15,13 @@ from typing import Any
 
 import torch
 
+from . import sealed
 from .algos import Algorithm
 from .algos.mpi import Communicator
 from .config import RunConfig
 from .errors import InputError
-from .run_dir import RunDir, replacing
+from .run_dir import FORMAT, RunDir
 
-FORMAT = 2
 REWRITE = 2.0  # the parts are written anew as one when they take this many times a full memory
 
 
@@ -38,7 +39,7 @@ class Checkpoint:
         for rank, part in enumerate(self.comm.receive(experience)):
             if part:
                 self.run_dir.experience_folder.mkdir(exist_ok=True)
-                _write(self._part(epoch, rank), {"format": FORMAT, "experience": part})
+                sealed.write(self._part(epoch, rank), {"format": FORMAT, "experience": part})
         states = list(self.comm.receive(_compact(self.learner.state_dict())))
         if experience:
             self._parts = [*([] if is_anew else self._parts), epoch]
@@ -46,11 +47,11 @@ class Checkpoint:
             content = {
                 "format": FORMAT,
                 "epoch": epoch,
-                "config": self.config.identity(),
+                "config": json.dumps(self.config.identity()),
                 "ranks": states,
                 "experience": self._parts,
             }
-            _write(self.run_dir.checkpoint_file, content)
+            sealed.write(self.run_dir.checkpoint_file, content)
             self._drop_others()
 
     def restore(self, any_ranks: bool = False) -> int:
@@ -69,15 +70,16 @@ class Checkpoint:
                 f"ranks: found {comm.size}, the run was made with {n_old}; start it with "
                 f"mpirun -n {n_old}, or give --any-ranks to go on all the same"
             )
-        state = dict(data["ranks"][comm.rank % n_old])
-        if comm.rank >= n_old:
-            del state["rng"]
+        state = data["ranks"][comm.rank % n_old]
+        if comm.rank >= n_old and isinstance(state, dict):
+            state = {name: value for name, value in state.items() if name != "rng"}
         load_state(self.learner, state, self.run_dir.checkpoint_file)
         for epoch in data["experience"]:
             for rank in range(comm.rank, n_old, comm.size):
                 path = self._part(epoch, rank)
                 with _damage_named(path):
-                    self.learner.add_experience(_read(path)["experience"], is_foreign=is_other)
+                    part = _read(path)["experience"]
+                    self.learner.add_experience(part, is_foreign=is_other)
         # What came from elsewhere counts as new: the next checkpoint writes all of it.
         self._parts = [] if is_other else list(data["experience"])
         return int(data["epoch"])
@@ -109,13 +111,24 @@ def _compact(value: Any) -> Any:
 
 
 def read(run_dir: RunDir, config: RunConfig) -> dict[str, Any]:
-    """The content of checkpoint.pt; InputError when damaged or of another configuration."""
+    """The content of checkpoint.pt; InputError when damaged or of another configuration.
+
+    The states of the ranks are for their learners to judge.
+    """
     path = run_dir.checkpoint_file
     data = _read(path)
     with _damage_named(path):
-        difference = config.difference(data["config"])
-        if not data["ranks"] or data["epoch"] < 0 or data["experience"] is None:
-            raise ValueError("incomplete")
+        types = {name: type(value) for name, value in data.items()}
+        if types != {"format": int, "epoch": int, "config": str, "ranks": list, "experience": list}:
+            raise ValueError(f"found {', '.join(map(str, types))}")
+        epoch, parts = data["epoch"], data["experience"]
+        if not 0 <= epoch < 2**63 or not data["ranks"]:
+            raise ValueError(f"epoch {epoch}, {len(data['ranks'])} ranks")
+        if any(type(part) is not int for part in parts):
+            raise ValueError("experience of epochs that are no numbers")
+        if parts != sorted(set(parts)) or (parts and not 1 <= parts[0] <= parts[-1] <= epoch):
+            raise ValueError("experience of epochs that the run has not had")
+        difference = config.difference(json.loads(data["config"]))
     if difference:
         raise InputError(f"{path}: from another configuration than config.json ({difference})")
     return data
@@ -132,24 +145,13 @@ def _damage_named(path: Path) -> Iterator[None]:
     """What a file's content breaks is an InputError that names the file."""
     try:
         yield
-    except (KeyError, IndexError, AttributeError, RuntimeError, ValueError, TypeError) as error:
+    except (LookupError, AttributeError, RuntimeError, ValueError, TypeError, OverflowError) as error:
         reason = " ".join(str(error).split())[:200]
         raise InputError(f"{path}: damaged ({reason})") from error
 
 
-def _write(path: Path, content: dict[str, Any]) -> None:
-    with replacing(path) as file:
-        torch.save(content, file)
-
-
 def _read(path: Path) -> dict[str, Any]:
-    try:
-        data = torch.load(path, weights_only=True, map_location="cpu")
-    except FileNotFoundError:
-        raise InputError(f"{path}: missing; there is no checkpoint yet, or it was removed") from None
-    except Exception as error:  # torch.load answers garbage with errors of any kind
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"{path}: damaged or not a checkpoint ({reason})") from error
+    data = sealed.read(path)
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise InputError(f"{path}: not a checkpoint of format {FORMAT}")
     return data

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
+import os
 import sys
 import traceback
 from collections.abc import Callable, Sequence
 
-from . import __version__
+from . import __version__, interrupts
 from .errors import InputError, let_rank_0_speak
 
 COMMANDS = {
@@ -16,12 +18,22 @@ COMMANDS = {
     "doctor": "do the taxels feel? scripted grasps, figures per layout",
     "render": "a picture of a grasp with its taxels, or a film of a run",
 }
+LONGEST = 600  # characters of an error's line: a path may have 5,000
 
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run one command; the exit code: 0 done, 1 stopped or failed a check, 2 bad input."""
+    for stream in (sys.stdout, sys.stderr):  # a terminal that cannot show a character shows "?"
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
     try:
-        code = _run(list(sys.argv[1:] if args is None else args))
+        with interrupts.leaving_at_once():
+            try:
+                code = _run(list(sys.argv[1:] if args is None else args))
+            finally:
+                sys.stdout.flush()
+    except BrokenPipeError:  # who read our output has gone, such as `head`
+        code = _closed_output()
     except Exception:
         traceback.print_exc()
         code = 1
@@ -46,17 +58,25 @@ def _run(args: list[str]) -> int:
         return _command(name)(rest)
     except InputError as error:
         let_rank_0_speak()
-        print(f"tactilerl: error: {error}", file=sys.stderr)
+        _say("error", error)
         return 2
-    except FloatingPointError as error:  # DivergenceError, without importing PyTorch for it
-        print(f"tactilerl: stopped: {error}; the last checkpoint is kept", file=sys.stderr)
+    except BrokenPipeError:
+        raise
+    except (FloatingPointError, OSError) as error:  # DivergenceError, without importing PyTorch for it
+        _say("stopped", error)
         return 1
-    except OSError as error:
-        print(f"tactilerl: stopped: {error}; the last checkpoint is kept", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("tactilerl: interrupted; the last checkpoint is kept", file=sys.stderr)
+    except KeyboardInterrupt as error:
+        _say("interrupted", error)
         return 130
+
+
+def _say(what: str, error: BaseException) -> None:
+    """One line about the end of a command: the error, and what was noted on its way here."""
+    first = f"{what}: {error}" if str(error) else what
+    line = " ".join("; ".join([first, *getattr(error, "__notes__", ())]).split())
+    if len(line) > LONGEST:
+        line = f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
+    print(f"tactilerl: {line}", file=sys.stderr)
 
 
 def _usage() -> str:
@@ -70,6 +90,14 @@ def _command(name: str) -> Callable[[list[str]], int]:
 
     function: Callable[[list[str]], int] = getattr(commands, name)
     return function
+
+
+def _closed_output() -> int:
+    """Let nothing more be written to an output that is closed, not even at the end."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (sys.stdout, sys.stderr):
+        os.dup2(nowhere, stream.fileno())
+    return 1
 
 
 if __name__ == "__main__":

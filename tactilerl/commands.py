@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -37,12 +38,13 @@ def train(args: list[str]) -> int:
     from .train import train as run
 
     resume = flags.peek(args, "--resume", "")
-    saved = RunDir(Path(resume)).read_config()[0] if resume else None
     algo = flags.peek(args, "--algo", RunOptions.algo)
-    env = flags.peek(args, "--env", RunOptions.env)
-    config, any_ranks = _read_config(args, saved or configuration.defaults(algo, env))
-    if any_ranks and not resume:
-        raise InputError("--any-ranks: found without --resume, allowed with it")
+    env = flags.peek(args, "--env", RunOptions.env if not resume else "")
+    saved = RunDir(Path(resume)).read_config(env, "--trust" in args)[0] if resume else None
+    config, options = _read_config(args, saved or configuration.defaults(algo, env))
+    for flag in ("any_ranks", "trust"):
+        if getattr(options, flag) and not resume:
+            raise InputError(f"--{flag.replace('_', '-')}: found without --resume, allowed with it")
     if resume and any(arg.partition("=")[0] == "--out" for arg in args):
         raise InputError("--out: a resumed run stays in its folder; leave it out")
     with input_errors():
@@ -52,7 +54,7 @@ def train(args: list[str]) -> int:
         raise InputError(f"--resume {resume}: {difference}; a run goes on as it began")
     if comm.rank == 0:
         console.print(_summary(config, comm.size))
-    path = run(config, comm, Path(resume) if resume else None, any_ranks)
+    path = run(config, comm, Path(resume) if resume else None, options.any_ranks)
     if comm.rank == 0:
         console.print(
             f"\nThe run is in {path}: progress.csv (learning curve), checkpoint.pt, config.json.\n"
@@ -61,16 +63,20 @@ def train(args: list[str]) -> int:
     return 0
 
 
-def _read_config(args: list[str], base: RunConfig) -> tuple[RunConfig, bool]:
-    """All flags of `train`, over the defaults `base`; and may the number of ranks change?"""
+TRUST = "the run's environment may import the module that its id names"
+
+
+def _read_config(args: list[str], base: RunConfig) -> tuple[RunConfig, Any]:
+    """All flags of `train`, over the defaults `base`; and those that are not of the configuration."""
     parts = {"run": base.run, "scene": base.scene, "learner": base.learner}
     parts = {name: part for name, part in parts.items() if part is not None}
     about = "go on with the run in this folder, exactly where its last epoch ended"
     resume = ("resume", Annotated[str, tyro.conf.arg(help=about, metavar="RUN")], "")
     about = "with --resume: go on with another number of processes, no longer bit for bit"
     any_ranks = ("any_ranks", Annotated[bool, tyro.conf.arg(help=about)], False)
+    trust = ("trust", Annotated[bool, tyro.conf.arg(help=f"with --resume: {TRUST}")], False)
     kinds = [(name, type(part)) for name, part in parts.items()]
-    options = dataclasses.make_dataclass("Options", [*kinds, resume, any_ranks])
+    options = dataclasses.make_dataclass("Options", [*kinds, resume, any_ranks, trust])
     read: Any = flags.parse(
         options,
         args,
@@ -78,7 +84,8 @@ def _read_config(args: list[str], base: RunConfig) -> tuple[RunConfig, bool]:
         options(**parts),
         "Train a policy. Defaults are the paper's; --algo and --env decide which flags there are.",
     )
-    return RunConfig(read.run, getattr(read, "scene", None), read.learner), read.any_ranks
+    config = RunConfig(read.run, getattr(read, "scene", None), read.learner, None, base.is_trusted)
+    return config, read
 
 
 def _summary(config: RunConfig, ranks: int) -> str:
@@ -106,6 +113,12 @@ class EvaluateFlags:
     """Episodes to play; their starts are not those of training."""
     stochastic: bool = False
     """Keep the exploration noise."""
+    workers: int | None = None
+    """Episodes played side by side; default: the free cores."""
+    env: str = ""
+    """The run's environment once more, when its id names a module that is to be imported."""
+    trust: bool = False
+    """The same without its name: the run's environment may import the module that its id names."""
     json: bool = False
     """Print JSON instead of a table."""
 
@@ -115,15 +128,24 @@ def evaluate(args: list[str]) -> int:
     from rich.progress import track
 
     from . import evaluate as evaluation
+    from .algos.mpi import Communicator
+    from .train import start_workers
 
     read = flags.parse(EvaluateFlags, args, "tactilerl evaluate")
     _at_least("--episodes", read.episodes, 1)
-    config, learner, epoch = evaluation.load_policy(read.run)
-    played = evaluation.episodes(config, learner, read.episodes, read.stochastic)
+    with input_errors():
+        configuration.require_workers(read.workers)
+    run, policy, epoch, env_steps = evaluation.load_policy(read.run, read.env, read.trust)
+    with input_errors():
+        workers = start_workers(run, Communicator(), read.workers)
     is_shown = sys.stderr.isatty() and not read.json
-    listed = track(played, "playing", read.episodes, console=Console(stderr=True), disable=not is_shown)
-    result: dict[str, Any] = {"run": str(read.run), "epoch": epoch, "env_steps": learner.env_steps}
-    result |= evaluation.summarise(list(listed))
+    screen = Console(stderr=True)
+    with closing(workers):
+        played = workers.play(evaluation.task(policy, read.stochastic), range(read.episodes))
+        shown = track(played, "playing", read.episodes, console=screen, disable=not is_shown)
+        rows = [evaluation.row(episode) for episode in shown]
+    result: dict[str, Any] = {"run": str(read.run), "epoch": epoch, "env_steps": env_steps}
+    result |= evaluation.summarise(rows)
     if read.json:
         print(json.dumps(result))
         return 0
@@ -281,7 +303,8 @@ class RenderFlags:
     video: Path = Path("episodes.mp4")
     """The film of a run's policy to write."""
     episodes: int = 1
-    """Episodes in the film, those that `evaluate` plays first."""
+    """Episodes in the film, those that `evaluate` plays first. Its hold tests last 2 s unless
+    --hold-seconds says otherwise."""
     env: str = "shadow"
     """Which environment (picture)."""
     out: Path = Path("grasp.png")
@@ -314,18 +337,42 @@ def render(args: list[str]) -> int:
             needed = "with" if read.run is None else "without"
             raise InputError(f"--{flag}: found it, allowed only {needed} RUN; see --help")
     if read.run is not None:
-        if scene != setup(name):
-            raise InputError("render RUN: found flags of a scene, allowed none: a run has its own")
-        _at_least("--episodes", read.episodes, 1)
-        with input_errors():
-            for success in pictures.film(read.run, read.episodes, read.camera, read.video):
-                console.print(f"{read.video}: {'success' if success else 'no success'}")
-        return 0
+        return _film(args, read, scene)
     if scene is None:
         raise InputError(f"--env: found {name!r}, allowed: {', '.join(GRASP_ENVS)}")
     with input_errors():
         lit = pictures.picture(name, scene, read.pose, read.camera, read.out)
     console.print(f"{read.out}: {lit} taxels fire")
+    return 0
+
+
+def _film(args: list[str], read: RenderFlags, scene: GraspConfig | None) -> int:
+    """The film of a run: of a scene's flags, only the length of the hold test has a meaning."""
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    from . import render as pictures
+
+    assert read.run is not None
+    hold_seconds = pictures.HOLD_SECONDS
+    if scene is not None and flags.peek(args, "--hold-seconds", ""):
+        hold_seconds = scene.hold_seconds
+        scene = dataclasses.replace(scene, hold_seconds=setup(read.env).hold_seconds)
+    if scene != setup(read.env):
+        raise InputError(
+            "render RUN: found flags of a scene, allowed only --hold-seconds: a run has its own"
+        )
+    _at_least("--episodes", read.episodes, 1)
+    columns = SpinnerColumn(), TextColumn("{task.completed:.0f} pictures"), TimeElapsedColumn()
+    bar = Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty())
+    with input_errors(), bar:
+        drawn = bar.add_task("")
+        film = pictures.film(
+            *(read.run, read.episodes, hold_seconds, read.camera, read.video),
+            tick=lambda: bar.advance(drawn),
+        )
+        for success in film:
+            verdict = "success" if success else "no success"
+            console.print(f"{read.video}: {verdict} (hold tests of {hold_seconds:g} s)")
     return 0
 
 

@@ -8,15 +8,18 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from . import algos, envs
+from . import algos, envs, typed
 from .envs.grasp import GraspConfig, setup
 from .errors import InputError, input_errors
+
+MOST_WORKERS = 256  # more than any machine's cores: a slip, and a process each
 
 
 @dataclass(frozen=True)
@@ -29,10 +32,10 @@ class RunOptions:
     """shadow (Shadow Hand in MuJoCo), mpl (MPL hand in PyBullet), a toy (lqr, point-reach), or any
     registered Gymnasium id with Box or goal-Dict observations and Box actions."""
     total_timesteps: int = 500_000
-    """Environment steps: of the whole run (ppo), of each process (ddpg_her); the paper's by
-    default."""
-    num_envs: int = 1
-    """Environments per rank, stepped in parallel where cores are free."""
+    """Environment steps of the whole run, over all processes; the paper's by default."""
+    workers: int | None = None
+    """Episodes that each process plays side by side; default: the free cores. The results are the
+    same with any number."""
     seed: int = 0
     """Everything random follows from this."""
     out: str | None = None
@@ -46,15 +49,25 @@ class RunOptions:
 
     def validate(self) -> None:
         """Raise ValueError naming the first field that cannot be."""
-        for name in ("total_timesteps", "num_envs", "threads"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name}: found {getattr(self, name)}, allowed 1 or more")
+        for name, most in (("total_timesteps", 10**15), ("threads", 1000)):
+            if not 1 <= getattr(self, name) <= most:
+                raise ValueError(f"{name}: found {getattr(self, name)}, allowed from 1 to {most}")
+        require_workers(self.workers)
+        if not ENV_ID.fullmatch(self.env):
+            raise ValueError(f"env: found {self.env!r}, allowed a name, an id or module:id")
         if not 0 <= self.seed < 2**32:
             raise ValueError(f"seed: found {self.seed}, allowed from 0 to 2**32 - 1")
 
 
+def require_workers(n: int | None) -> None:
+    """ValueError for a number of workers that no machine has a use for."""
+    if n is not None and not 1 <= n <= MOST_WORKERS:
+        raise ValueError(f"workers: found {n}, allowed from 1 to {MOST_WORKERS}")
+
+
+ENV_ID = re.compile(r"(([^\W\d]\w*)(\.[^\W\d]\w*)*:)?[\w/.-]+")  # that of Gymnasium, [module:]id
 # Fields that may differ between a run and its continuation: they do not change its course.
-FREE_ON_RESUME = {"total_timesteps", "out", "tensorboard"}
+FREE_ON_RESUME = {"total_timesteps", "workers", "out", "tensorboard"}
 LAYOUT_COPY = "layout.toml"  # in the run folder, when the layout is a file
 
 
@@ -67,16 +80,29 @@ class RunConfig:
     learner: Any
     folder: Path | None = None
     """The run's folder, once it exists: its copy of a layout file counts, not the original."""
+    is_trusted: bool = True
+    """May a module that the environment's id names be imported?"""
 
     def validate(self) -> None:
         """Raise ValueError naming the first field that cannot be."""
         for part in (self.run, self.scene, self.learner):
             if part is not None:
+                typed.require(type(part), vars(part))
                 part.validate()
+        if (self.scene is None) == (self.run.env in envs.GRASP_ENVS):
+            found = "no scene" if self.scene is None else "a scene"
+            raise ValueError(f"env: found {self.run.env!r} with {found}")
 
     @property
     def make_env(self) -> Callable[..., Any]:
-        """Makes one environment; can be pickled."""
+        """Makes one environment; can be pickled. InputError when that would import a module that is
+        not trusted."""
+        module, colon, _ = self.run.env.partition(":")
+        if colon and not self.is_trusted:
+            raise InputError(
+                f"{self.folder}: this run's environment imports the module {module!r}; "
+                f"if you trust it, give --env {self.run.env} once more, or --trust"
+            )
         choices = dataclasses.asdict(self.scene) if self.scene is not None else {}
         if self.layout_file and self.folder and (self.folder / LAYOUT_COPY).is_file():
             choices["layout"] = str(self.folder / LAYOUT_COPY)
@@ -124,10 +150,10 @@ def _anneals(learner: Any) -> bool:
     return bool(getattr(learner, "anneal_lr", False))
 
 
-# The paper's task, length and environments per process with each algorithm.
+# The paper's task and length with each algorithm: 19 workers took 5,000,000 steps each.
 PAPER: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "ppo": ({"total_timesteps": 500_000}, {"task": "lift-and-hold"}),
-    "ddpg_her": ({"total_timesteps": 5_000_000, "num_envs": 2}, {"task": "reach-goal"}),
+    "ddpg_her": ({"total_timesteps": 19 * 5_000_000}, {"task": "reach-goal"}),
 }
 
 
@@ -146,11 +172,11 @@ def defaults(algo: str, env: str) -> RunConfig:
 def from_dict(data: dict[str, Any]) -> RunConfig:
     """The configuration that `as_dict` wrote; InputError when it is not one."""
     try:
-        config_type, _ = algos.load(data["run"]["algo"])
-        learner = {k: tuple(v) if isinstance(v, list) else v for k, v in data["learner"].items()}
-        scene = None if data["scene"] is None else GraspConfig(**data["scene"])
-        config = RunConfig(RunOptions(**data["run"]), scene, config_type(**learner))
+        run = typed.make(RunOptions, data["run"], "run")
+        config_type, _ = algos.load(run.algo)
+        scene = None if data["scene"] is None else typed.make(GraspConfig, data["scene"], "scene")
+        config = RunConfig(run, scene, typed.make(config_type, data["learner"], "learner"))
         config.validate()
         return config
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"the configuration is not one of this version: {error}") from error
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise InputError(f"not a configuration of this version: {error}") from error

@@ -19,7 +19,7 @@ def input_errors(where: str = "") -> Iterator[None]:
     """Turn what library code raises over bad input into an InputError."""
     try:
         yield
-    except (ValueError, OSError, ImportError, RuntimeError) as error:
+    except (ValueError, OSError, ImportError, RuntimeError, OverflowError, MemoryError) as error:
         line = " ".join(str(error).split())
         raise InputError(f"{where}: {line}" if where else line) from error
 

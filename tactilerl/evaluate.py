@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-import math
-from collections.abc import Iterator
-from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from . import algos, checkpoint
 from .algos.mpi import Communicator
-from .algos.rollout import FAULTS
+from .algos.policy import Policy
+from .algos.rollout import EVALUATE, FAULTS, Episode, PlayEpisode
 from .config import RunConfig
 from .envs import vector
 from .run_dir import RunDir
@@ -23,59 +21,59 @@ SEED = 10_000_000  # evaluation starts are not those of training
 CONFIDENCE = 0.95
 
 
-def load_policy(path: Path) -> tuple[RunConfig, algos.Algorithm, int]:
-    """(configuration, learner, epoch) of a run folder, on the CPU, with the full hold test."""
+class Trained(NamedTuple):
+    """What a run has come to."""
+
+    config: RunConfig
+    """As it was trained, but on the CPU and with the full hold test."""
+    policy: Policy
+    epoch: int
+    env_steps: int
+
+
+def load_policy(path: Path, env: str = "", trust: bool = False) -> Trained:
+    """The policy of a run folder at its last checkpoint; for `env` and `trust` see
+    `RunDir.read_config`."""
     run_dir = RunDir(path)
-    saved, _ = run_dir.read_config()
-    run = dataclasses.replace(saved.run, num_envs=1, device="cpu")
+    saved, _ = run_dir.read_config(env, trust)
+    run = dataclasses.replace(saved.run, workers=1, device="cpu")
     scene = saved.scene and dataclasses.replace(saved.scene, hold_verdict="full")
     config = dataclasses.replace(saved, run=run, scene=scene)
-    learner, pool, epoch = restore(run_dir, saved, config)
-    pool.close()
-    return config, learner, epoch
+    learner, workers, epoch = restore(run_dir, saved, config)
+    workers.close()
+    return Trained(config, learner.policy(), epoch, learner.env_steps)
 
 
 def restore(
     run_dir: RunDir, saved: RunConfig, config: RunConfig
-) -> tuple[algos.Algorithm, vector.Envs, int]:
-    """(learner, its environments, epoch) of the run `saved`, under a configuration that differs
-    only where the learner's state does not depend on it."""
+) -> tuple[algos.Algorithm, vector.Workers, int]:
+    """(learner, its workers, epoch) of the run `saved`, under a configuration that differs only
+    where the learner's state does not depend on it."""
     data = checkpoint.read(run_dir, saved)
-    learner, pool = make_algorithm(config, Communicator())
+    learner, workers = make_algorithm(config, Communicator())
     try:
         checkpoint.load_state(learner, data["ranks"][0], run_dir.checkpoint_file)
     except BaseException:
-        pool.close()
+        workers.close()
         raise
-    return learner, pool, int(data["epoch"])
+    return learner, workers, int(data["epoch"])
 
 
-def episodes(
-    config: RunConfig, learner: algos.Algorithm, n: int, stochastic: bool = False
-) -> Iterator[dict[str, float]]:
-    """Play `n` episodes in an environment of their own; see `play`."""
-    with closing(config.make_env()) as env:
-        yield from play(env, learner, n, stochastic)
+def task(policy: Policy, stochastic: bool = False) -> PlayEpisode[Any]:
+    """Plays episode 0, 1, 2, ... of an evaluation: the same starts for every policy."""
+    return PlayEpisode(policy, (SEED, 0, EVALUATE, 0), explores=stochastic)
 
 
-def play(
-    env: Any, learner: algos.Algorithm, n: int, stochastic: bool = False
-) -> Iterator[dict[str, float]]:
-    """Success at the end of each episode (nan where the environment has none), for how many
-    steps it stood by then, return, length and faults; one that diverged has no success."""
-    for index in range(n):
-        obs, _ = env.reset(seed=SEED + index)
-        total, length, held, done, info = 0.0, 0, 0, False, {}
-        faults = dict.fromkeys(FAULTS, 0)
-        while not done:
-            action = learner.act(obs, deterministic=not stochastic)
-            obs, reward, terminated, truncated, info = env.step(action)
-            total, length, done = total + float(reward), length + 1, terminated or truncated
-            held = held + 1 if info.get("is_success") else 0
-            for fault in FAULTS:
-                faults[fault] += int(info.get(fault, 0))
-        success = float(info.get("is_success", math.nan))
-        yield {"success": success, "held": held, "return": total, "length": length, **faults}
+def row(episode: Episode[Any]) -> dict[str, float]:
+    """Success at the end of an episode (nan where the environment has none), for how many steps
+    it had stood by then, return, length and faults; one that diverged has no success."""
+    return {
+        "success": episode.success,
+        "held": episode.held,
+        "return": sum(episode.rewards),
+        "length": len(episode),
+        **episode.faults,
+    }
 
 
 def mean_interval(values: np.ndarray, resamples: int = 9_999, seed: int = 0) -> tuple[float, float]:

@@ -15,10 +15,14 @@ from .envs import scripted
 from .envs.grasp import GraspConfig, GraspEnv
 from .envs.simulators import Camera, Simulator
 from .errors import InputError
+from .run_dir import RunDir
 
 Pose = Literal["start", "grasp"]
 FPS = 25  # at least: a picture stands for a whole number of timesteps
 FILMS, PICTURES = (".mp4", ".mkv", ".mov"), (".png", ".jpg")
+HOLD_SECONDS = 2.0  # of a hold test in a film: all there is to see in the whole
+# Fragments of a second, each whole in itself: what is there can be played at any time.
+PLAYABLE = ("-g", str(FPS), "-movflags", "frag_keyframe+empty_moov+default_base_moof")
 END_PICTURES = FPS // 2  # of the last moment, repeated: so one sees how it ended
 
 
@@ -37,28 +41,44 @@ def picture(env_name: str, config: GraspConfig, pose: Pose, camera: Camera, out:
         return int(env.taxel_readings().sum())
 
 
-def film(run: Path, episodes: int, camera: Camera, out: Path) -> Iterator[bool]:
-    """Write a film of a trained run's policy, in real time, hold tests included; yields the
-    success of each episode. InputError when the run's environment is not a grasping one."""
+def film(
+    run: Path, episodes: int, hold_seconds: float, camera: Camera, out: Path, tick: Callable[[], None]
+) -> Iterator[bool]:
+    """Write a film of a trained run's policy, in real time; yields the success of each episode.
+
+    A hold test is as long as `hold_seconds`, also for its verdict. `tick` is called after every
+    picture. A film that is cut off can be played as far as it got. InputError when the run's
+    environment is not a grasping one.
+    """
     from . import evaluate
 
     _require_writable("--video", out, FILMS)
     imageio = _imageio("imageio.v2", "imageio_ffmpeg")
-    config, learner, _ = evaluate.load_policy(run)
-    if config.scene is None:
-        raise InputError(f"{run}: found a run on {config.run.env!r}, allowed one of a grasping scene")
+    saved, _ = RunDir(run).read_config()
+    if saved.scene is None:
+        raise InputError(f"{run}: found a run on {saved.run.env!r}, allowed one of a grasping scene")
+    config, policy, *_ = evaluate.load_policy(run)
+    assert config.scene is not None
+    config = replace(config, scene=replace(config.scene, hold_seconds=hold_seconds))
+    assert config.scene is not None
     camera = replace(camera, width=480, height=360)
     every = max(1, int(1 / FPS / config.scene.timestep + 1e-6))
     fps = 1 / (every * config.scene.timestep)
+    options = dict(fps=fps, macro_block_size=2, output_params=PLAYABLE)
     env = config.make_env(render_mode="rgb_array")
-    with closing(env), imageio.get_writer(out, fps=fps, macro_block_size=2) as writer:
-        env.simulator = _Filmed(
-            env.simulator, every, show=lambda: writer.append_data(env.picture(camera))
-        )
-        for played in evaluate.play(env, learner, episodes):
+    with closing(env), imageio.get_writer(out, **options) as writer:
+
+        def show() -> None:
+            writer.append_data(env.picture(camera))
+            tick()
+
+        env.simulator = _Filmed(env.simulator, every, show)
+        play = evaluate.task(policy)
+        for number in range(episodes):
+            played = play(env, number, lambda: True)
             for _ in range(END_PICTURES):
-                writer.append_data(env.picture(camera))
-            yield bool(played["success"])
+                show()
+            yield played.success == 1.0
 
 
 def _require_writable(flag: str, out: Path, endings: tuple[str, ...]) -> None:

@@ -1,29 +1,33 @@
 """The run folder: config.json, progress.csv, checkpoint.pt, and what a learner remembers.
 
 A folder can be cut off at any moment (`kill -9`, a full disk) and stays readable: files are
-replaced whole, and the progress table is cut back to the checkpoint when a run goes on.
+replaced whole, and the progress table is cut back to the checkpoint when a run goes on. One
+process writes to it: who makes it or goes on with it holds its lock.
 """
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import json
 import os
 import platform
 import shutil
-import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
-from . import __version__
+import filelock
+
+from . import provenance
 from .config import LAYOUT_COPY, RunConfig, from_dict
 from .errors import InputError
+from .progress import Progress
+from .sealed import replacing
+from .typed import require_type
 
-PACKAGES = ("torch", "numpy", "mujoco", "pybullet", "gymnasium", "gymnasium-robotics", "mpi4py")
+FORMAT = 3  # of all files in a run folder; 1 and 2 are those of 0.1
+MAX_CONFIG = 1_000_000  # bytes
 
 
 class RunDir:
@@ -32,96 +36,101 @@ class RunDir:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.config_file = path / "config.json"
-        self.progress_file = path / "progress.csv"
+        self.progress = Progress(path / "progress.csv")
         self.checkpoint_file = path / "checkpoint.pt"
         self.experience_folder = path / "experience"
 
-    @classmethod
-    def create(cls, path: Path, config: RunConfig, ranks: int) -> RunDir:
-        """A new folder with its config.json; InputError when it exists."""
-        if path.exists():
-            raise InputError(
-                f"run folder {str(path)!r} exists; choose another with --out, "
-                f"or go on with it: --resume {path}"
-            )
+    def create(self, config: RunConfig) -> None:
+        """Make the folder; InputError when it exists."""
         try:
-            path.mkdir(parents=True)
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self.path.mkdir()
+            if config.layout_file:
+                shutil.copyfile(config.layout_file, self.path / LAYOUT_COPY)
+        except FileExistsError:
+            raise InputError(
+                f"run folder {str(self.path)!r} exists; choose another with --out, "
+                f"or go on with it: --resume {self.path}"
+            ) from None
         except OSError as error:
-            raise InputError(f"cannot make the run folder {str(path)!r}: {error.strerror}") from error
-        run_dir = cls(path)
-        if config.layout_file:
-            shutil.copyfile(config.layout_file, path / LAYOUT_COPY)
-        run_dir.write_config(config, ranks)
-        return run_dir
+            raise InputError(
+                f"cannot make the run folder {str(self.path)!r}: {error.strerror}"
+            ) from error
 
-    def write_config(self, config: RunConfig, ranks: int) -> None:
-        """Write config.json: every value, the number of ranks, versions and commit."""
-        content = {**config.as_dict(), "ranks": ranks, **_provenance()}
+    @contextmanager
+    def lock(self) -> Iterator[None]:
+        """Keep other processes from writing here; InputError naming the one that does.
+
+        The system releases the lock when the process ends, however it ends.
+        """
+        path = self.path / ".lock"
+        try:
+            with filelock.FileLock(path, blocking=False):
+                path.write_text(f"process {os.getpid()} on {platform.node()}", encoding="utf-8")
+                yield
+        except filelock.Timeout:
+            holder = path.read_text(encoding="utf-8", errors="replace")[:200] or "another process"
+            raise InputError(f"{self.path}: {holder} is writing to this run folder") from None
+
+    def is_begun(self) -> bool:
+        """Has the run got further than its first checkpoint?"""
+        return self.progress.n_rows() > 0 or any(self.experience_folder.glob("*.pt"))
+
+    def write_config(self, config: RunConfig, ranks: int, epoch: int = 0, env_steps: int = 0) -> str:
+        """Write config.json: every value, the number of ranks, and with what it was made.
+
+        A run that goes on after `epoch` with other versions keeps the record of those before;
+        returns in words what changed.
+        """
+        records = self._content()["provenance"] if self.config_file.exists() else []
+        now = provenance.record(epoch, env_steps)
+        changed = provenance.difference(records[-1], now) if records else ""
+        if changed or not records:
+            records.append(now)
+        content = {"format": FORMAT, **config.as_dict(), "ranks": ranks, "provenance": records}
         with replacing(self.config_file) as file:
             file.write((json.dumps(content, indent=1) + "\n").encode())
+        return changed
 
-    def read_config(self) -> tuple[RunConfig, int]:
-        """The run's configuration and number of ranks; InputError when there is none."""
+    def read_config(self, env: str = "", trust: bool = False) -> tuple[RunConfig, int]:
+        """The run's configuration and number of ranks; InputError when there is none.
+
+        A module that its environment's id names is imported only when the caller named the same
+        (`env`) or trusts the folder: the folder may be somebody else's.
+        """
+        data = self._content()
         try:
-            data = json.loads(self.config_file.read_text(encoding="utf-8"))
-            ranks = int(data["ranks"])
+            config = from_dict({name: data[name] for name in ("run", "scene", "learner")})
+        except InputError as error:
+            raise InputError(f"{self.config_file}: {error}") from error
+        if env not in ("", config.run.env):
+            raise InputError(f"env: found {env!r}, the run was made with {config.run.env!r}")
+        is_trusted = trust or env == config.run.env
+        return dataclasses.replace(config, folder=self.path, is_trusted=is_trusted), data["ranks"]
+
+    def _content(self) -> dict[str, Any]:
+        """What config.json holds, of this format."""
+        try:
+            with self.config_file.open("rb") as file:
+                data = json.loads(file.read(MAX_CONFIG))
+            if not isinstance(data, dict) or data.get("format") != FORMAT:
+                raise ValueError(
+                    f"not of format {FORMAT}; a run of version 0.1 goes on with that version only"
+                )
+            for name in ("run", "scene", "learner"):
+                if name not in data:
+                    raise ValueError(f"no {name!r} in it")
+            require_type(data.get("ranks"), int, "ranks")
+            if data["ranks"] < 1:
+                raise ValueError(f"ranks: found {data['ranks']}, allowed 1 or more")
+            require_type(data.get("provenance"), list[provenance.Record], "provenance")
         except FileNotFoundError:
             raise InputError(f"{str(self.path)!r} is not a run folder: no config.json in it") from None
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise InputError(f"{self.config_file}: not a run's configuration: {error}") from error
-        return dataclasses.replace(from_dict(data), folder=self.path), ranks
-
-    def append_progress(self, row: dict[str, Any]) -> None:
-        """Add one row; the first decides the columns, also those of a version that had fewer."""
-        with self.progress_file.open("a+", newline="", encoding="utf-8") as file:
-            file.seek(0)
-            columns = next(csv.reader(file), None)
-            writer = csv.DictWriter(
-                file, columns or list(row), extrasaction="ignore", lineterminator="\n"
-            )
-            if columns is None:
-                writer.writeheader()
-            writer.writerow(row)
-
-    def cut_progress(self, epoch: int) -> None:
-        """Drop what was written after the checkpoint of `epoch`."""
-        if epoch == 0:
-            self.progress_file.unlink(missing_ok=True)
-        if not self.progress_file.exists():
-            return
-        lines = self.progress_file.read_text(encoding="utf-8").splitlines(keepends=True)
-        with replacing(self.progress_file) as file:
-            file.write("".join(lines[: epoch + 1]).encode())
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[BinaryIO]:
-    """A file to write to that takes the place of `path` when it is whole, or not at all."""
-    temporary = path.with_name(path.name + ".tmp")
-    try:
-        with temporary.open("wb") as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def _provenance() -> dict[str, Any]:
-    versions = {"tactilerl": __version__, "python": platform.python_version()}
-    for package in PACKAGES:
-        try:
-            versions[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    return {"versions": versions, "commit": _commit()}
-
-
-def _commit() -> str | None:
-    command = ["git", "-C", str(Path(__file__).resolve().parent), "rev-parse", "HEAD"]
-    try:
-        result = subprocess.run(command, capture_output=True, text=True, timeout=5, check=True)
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return result.stdout.strip()
+        except RecursionError:
+            raise InputError(
+                f"{self.config_file}: not a run's configuration: nested too deeply"
+            ) from None
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", error)
+            raise InputError(f"{self.config_file}: not a run's configuration: {reason}") from error
+        return data

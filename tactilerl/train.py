@@ -5,13 +5,16 @@ from __future__ import annotations
 import dataclasses
 import os
 import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from . import algos
+from . import algos, interrupts
 from .algos.mpi import Communicator
 from .algos.rollout import FAULTS
 from .checkpoint import Checkpoint
@@ -24,21 +27,27 @@ from .run_dir import RunDir
 COUNTS = ("episodes", *FAULTS, "updates")  # columns of progress.csv that are sums
 
 
-def make_algorithm(config: RunConfig, comm: Communicator) -> tuple[algos.Algorithm, vector.Envs]:
-    """The learner and its environments; InputError when they do not go together."""
+def make_algorithm(config: RunConfig, comm: Communicator) -> tuple[algos.Algorithm, vector.Workers]:
+    """The learner and its workers; InputError when they do not go together."""
     run = config.run
     _, algorithm = algos.load(run.algo)
     with input_errors():
         config.validate()
         torch.set_num_threads(run.threads)
         device = _device(run.device)
-        pool = vector.start(config.make_env, run.num_envs, cores=_free_cores(comm))
+        workers = start_workers(config, comm, run.workers)
         try:
-            learner = algorithm(config.learner, pool, comm, run.seed, run.total_timesteps, device)
+            learner = algorithm(config.learner, workers, comm, run.seed, run.total_timesteps, device)
         except BaseException:
-            pool.close()
+            workers.close()
             raise
-    return learner, pool
+    return learner, workers
+
+
+def start_workers(config: RunConfig, comm: Communicator, n: int | None) -> vector.Workers:
+    """`n` environments and who plays in them; by default as many as there are free cores."""
+    set_up = partial(torch.set_num_threads, config.run.threads)
+    return vector.start(config.make_env, n or _free_cores(comm), set_up)
 
 
 def train(
@@ -47,38 +56,70 @@ def train(
     """Train until the learner's `total_timesteps`; returns the run folder.
 
     With `resume`, goes on from that folder's checkpoint, bit for bit as if the run had never
-    been cut off; from the start when it was cut off before its first. `any_ranks` allows
-    another number of processes, which ends that equality. Raises InputError over bad input and
-    DivergenceError when the learner or every episode breaks; the last checkpoint stays.
+    been cut off. `any_ranks` allows another number of processes, which ends that equality.
+    Raises InputError over bad input and DivergenceError when the learner or every episode
+    breaks; the last checkpoint stays.
     """
     path = resume or Path(config.run.out or Path("runs") / config.name())
     config = dataclasses.replace(config, folder=path)
-    learner, pool = make_algorithm(config, comm)
+    learner, workers = make_algorithm(config, comm)
     try:
         if config.run.tensorboard:
             require_tensorboard()
         with input_errors():
             resolved = learner.prepare()
-        run_dir, epoch = RunDir(path), 0
+        run_dir = RunDir(path)
         checkpoint = Checkpoint(run_dir, config, learner, comm)
-        if resume is not None and run_dir.checkpoint_file.exists():
-            epoch = checkpoint.restore(any_ranks)
-        if comm.rank == 0 and resume is None:
-            RunDir.create(path, config, comm.size)
-        elif comm.rank == 0:  # the length of the run may be another
-            run_dir.write_config(config, comm.size)
-            run_dir.cut_progress(epoch)
-        with Report(config, run_dir, learner, comm) as report:
-            report.note(f"  resolved {resolved}")
-            if learner.env_steps >= learner.total_timesteps:
-                done = f"{learner.env_steps:,} of {learner.total_timesteps:,}"
-                report.note(f"  nothing to do: {done} steps are done; --total-timesteps goes on")
-            _loop(learner, comm, run_dir, epoch, checkpoint, report)
+        with _writing(run_dir, config, comm, is_new=resume is None):
+            epoch = _begun(checkpoint, any_ranks) if resume else 0
+            changed = ""
+            if comm.rank == 0:
+                run_dir.progress.cut(epoch)
+                changed = run_dir.write_config(config, comm.size, epoch, learner.env_steps)
+            if epoch == 0:
+                checkpoint.save(0)
+            with Report(config, run_dir, learner, comm) as report:
+                report.note(f"  resolved {resolved}")
+                if changed:
+                    report.note(f"  versions {changed}; from epoch {epoch + 1} on")
+                if learner.env_steps >= learner.total_timesteps:
+                    done = f"{learner.env_steps:,} of {learner.total_timesteps:,}"
+                    report.note(f"  nothing to do: {done} steps are done; --total-timesteps goes on")
+                _loop(learner, comm, run_dir, epoch, checkpoint, report)
     except algos.RewardError as error:
         raise InputError(str(error)) from error
     finally:
-        pool.close()
+        workers.close()
     return path
+
+
+@contextmanager
+def _writing(run_dir: RunDir, config: RunConfig, comm: Communicator, is_new: bool) -> Iterator[None]:
+    """Rank 0 holds the run folder; what ends the run says that its last checkpoint stays."""
+    with ExitStack() as held:
+        if comm.rank == 0:
+            if is_new:
+                run_dir.create(config)
+            held.enter_context(run_dir.lock())
+        held.enter_context(interrupts.in_order())
+        try:
+            yield
+        except (FloatingPointError, OSError, KeyboardInterrupt) as error:
+            error.add_note(f"the last checkpoint is kept: --resume {run_dir.path}")
+            raise
+
+
+def _begun(checkpoint: Checkpoint, any_ranks: bool) -> int:
+    """The epoch after which a run goes on, its state restored; 0 when it has none yet."""
+    run_dir = checkpoint.run_dir
+    if run_dir.checkpoint_file.exists():
+        return checkpoint.restore(any_ranks)
+    if run_dir.is_begun():
+        raise InputError(
+            f"{run_dir.checkpoint_file}: missing, but the run has made progress; put it back, or "
+            "begin another run with another --out"
+        )
+    return 0
 
 
 def _loop(
@@ -93,7 +134,7 @@ def _loop(
         epoch += 1
         row = {"epoch": epoch, **_epoch(learner)}
         if comm.rank == 0:
-            run_dir.append_progress(row)
+            run_dir.progress.append(row)
         checkpoint.save(epoch)
         report.epoch(row)
 
@@ -143,8 +184,8 @@ def _free_cores(comm: Communicator) -> int:
 
 def _device(name: str) -> str:
     try:
-        torch.empty(0, device=name)
-    except (RuntimeError, AssertionError) as error:
-        reason = str(error).splitlines()[0]
+        torch.zeros(1, device=name).cpu()  # "meta" holds no numbers
+    except Exception as error:  # each device answers with errors of its own
+        reason = (str(error) or type(error).__name__).splitlines()[0]
         raise ValueError(f"device: found {name!r}, which PyTorch cannot use here ({reason})") from None
     return name

@@ -1,6 +1,8 @@
-"""Shared by all tests: one thread of PyTorch, MPI allowed for root, a MuJoCo that warns."""
+"""Shared by all tests: what is skipped without PyBullet, one thread of PyTorch, MPI allowed for root,
+a MuJoCo that warns."""
 
 import os
+from importlib.util import find_spec
 
 import pytest
 import torch
@@ -9,6 +11,29 @@ from tactilerl.envs.simulators import mujoco
 
 os.environ.setdefault("OMPI_ALLOW_RUN_AS_ROOT", "1")
 os.environ.setdefault("OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "1")
+
+NO_PYBULLET = "PyBullet is not installed (it has wheels for Python up to 3.11)"
+
+
+def needs_pybullet(item):
+    """Whether a test has the mark, or "pybullet" among its parameters."""
+    parameters = item.callspec.params.values() if hasattr(item, "callspec") else ()
+    return item.get_closest_marker("pybullet") or any(str(p) == "pybullet" for p in parameters)
+
+
+def pytest_collection_modifyitems(items):
+    if find_spec("pybullet") is None:
+        for item in filter(needs_pybullet, items):
+            item.add_marker(pytest.mark.skip(reason=NO_PYBULLET))
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_terminal_summary(terminalreporter):
+    """The last line but one says how many tests were skipped without PyBullet."""
+    yield
+    skipped = [r for r in terminalreporter.getreports("skipped") if NO_PYBULLET in str(r.longrepr)]
+    if skipped:
+        terminalreporter.write_line(f"{NO_PYBULLET}: {len(skipped)} tests that need it were skipped")
 
 
 @pytest.fixture(autouse=True)

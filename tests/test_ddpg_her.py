@@ -2,22 +2,24 @@
 
 import copy
 import math
+import pickle
 
 import gymnasium as gym
 import numpy as np
 import pytest
 import torch
 
-from tactilerl.algos import DivergenceError, Transition
+from tactilerl.algos import DivergenceError
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig, explore, targets
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.networks import FlatAdam
+from tactilerl.envs import vector
 
 
-class GoalPool:
+class GoalEnv(gym.Env):
     """A goal environment that goes nowhere: random observations, sparse rewards."""
 
-    max_episode_steps, n_boolean = 5, 1
+    max_episode_steps = 5
 
     def __init__(
         self, scale=1.0, offset=0.0, reward=None, length=5, terminated=False, reward_scale=1.0
@@ -25,52 +27,48 @@ class GoalPool:
         def box(n):
             return gym.spaces.Box(-np.inf, np.inf, (n,), np.float32)
 
+        low, high = np.array([[-np.inf] * 3 + [0.0], [np.inf] * 3 + [1.0]], np.float32)
         self.observation_space = gym.spaces.Dict(
-            observation=box(4), achieved_goal=box(2), desired_goal=box(2)
+            observation=gym.spaces.Box(low, high), achieved_goal=box(2), desired_goal=box(2)
         )
         self.action_space = gym.spaces.Box(-2.0, 2.0, (3,), np.float32)
         self.scale, self.offset, self.bad_reward = scale, offset, reward
         self.length, self.terminated, self.reward_scale = length, terminated, reward_scale
-        self.rng, self.steps, self.seeds, self.actions = np.random.default_rng(0), [0, 0], [], []
-
-    def __len__(self):
-        return 2
+        self.steps, self.seeds, self.actions = 0, [], []
 
     def _obs(self):
-        observation = self.offset + self.scale * self.rng.standard_normal(4)
-        observation[-1] = self.rng.random() < 0.5
-        achieved, desired = self.rng.standard_normal((2, 2))
+        observation = self.offset + self.scale * self.np_random.standard_normal(4)
+        observation[-1] = self.np_random.random() < 0.5
+        achieved, desired = self.np_random.standard_normal((2, 2))
         return dict(observation=observation, achieved_goal=achieved, desired_goal=desired)
 
-    def reset(self, indices, seeds):
-        for index in indices:
-            self.steps[index] = 0
-        self.seeds += seeds
-        return [self._obs() for _ in indices]
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.steps = 0
+        self.seeds.append(seed)
+        return self._obs(), {}
 
-    def step(self, indices, actions):
-        self.actions += list(actions)
-        return [self._step(index) for index in indices]
-
-    def _step(self, index):
-        self.steps[index] += 1
-        obs, ended = self._obs(), self.steps[index] >= self.length
+    def step(self, action):
+        self.actions.append(action)
+        self.steps += 1
+        obs, ended = self._obs(), self.steps >= self.length
         achieved, desired = (obs[k].astype(np.float32) for k in ("achieved_goal", "desired_goal"))
-        reward = float(self.compute_reward(achieved, desired))
+        reward = float(self.compute_reward(achieved, desired, {}))
         reward = reward if self.bad_reward is None else self.bad_reward
         flags = (ended and self.terminated, ended and not self.terminated)
-        return Transition(obs, reward, *flags, {"is_success": reward == 0})
+        return obs, reward, *flags, {"is_success": reward == 0}
 
-    def compute_reward(self, achieved, desired):
+    def compute_reward(self, achieved, desired, info):
         return self.reward_scale * ((np.linalg.norm(achieved - desired, axis=-1) < 1.0) - 1.0)
 
 
 SMALL = dict(hidden=(16, 16), buffer_size=200, batch_size=8, n_cycles=2, n_batches=3)
 
 
-def make(pool=None, seed=0, comm=None, **choices):
+def make(env=None, seed=0, comm=None, **choices):
     config = DDPGHERConfig(**{**SMALL, **choices})
-    return DDPGHER(config, pool or GoalPool(), comm or Communicator(), seed, total_timesteps=100)
+    workers = vector.start(lambda: env or GoalEnv())
+    return DDPGHER(config, workers, comm or Communicator(), seed, total_timesteps=100)
 
 
 def trained(cycles=3, learner=None, **choices):
@@ -99,8 +97,8 @@ class TestTargets:
 
     def test_terminal_transitions_bootstrap_unless_told_otherwise(self):
         for termination, is_cut in (("bootstrap", False), ("terminal", True)):
-            pool = GoalPool(length=1, terminated=True)
-            learner = make(pool, termination=termination, clip_target=False, gamma=0.5)
+            env = GoalEnv(length=1, terminated=True)
+            learner = make(env, termination=termination, clip_target=False, gamma=0.5)
             learner.collect()
             batch = learner.replay.sample(8, 0.8)
             tensors = type(batch)(*map(torch.from_numpy, batch))
@@ -129,7 +127,7 @@ class TestExploration:
     def test_actions_reach_the_environment_in_its_own_range(self):
         learner = make(random_eps=1.0)
         learner.collect()
-        actions = np.stack(learner.pool.actions)
+        actions = np.stack(learner.workers.env.actions)
         assert np.abs(actions).max() <= 2.0
         assert np.abs(actions).max() > 1.2
         stored = learner.replay.sample(500, 0.8).action
@@ -137,10 +135,19 @@ class TestExploration:
 
     def test_deterministic_action_is_the_policy(self):
         learner = trained()
-        obs = learner.pool._obs()
-        first, again = (learner.act(obs, deterministic=True) for _ in range(2))
+        obs, policy = learner.workers.env._obs(), learner.policy()
+        first, again = policy.act(obs), policy.act(obs)
         np.testing.assert_array_equal(first, again)
-        assert not np.array_equal(first, learner.act(obs))
+        assert not np.array_equal(first, policy.act(obs, np.random.default_rng(0)))
+
+    def test_a_policy_survives_pickling_and_the_next_update(self):
+        learner = trained()
+        obs, policy = learner.workers.env._obs(), pickle.loads(pickle.dumps(learner.policy()))
+        assert len(pickle.dumps(policy)) < 20_000  # not the optimiser's vector for every layer
+        before = learner.policy().act(obs)
+        trained(1, learner)
+        np.testing.assert_array_equal(policy.act(obs), before)
+        assert not np.array_equal(learner.policy().act(obs), before)
 
 
 class TestUpdate:
@@ -227,10 +234,13 @@ class TestUpdate:
         assert learner.env_steps == 3 * 2 * 5
         assert learner.updates == 9
 
-    def test_total_timesteps_count_per_worker(self):
-        comm = Communicator()
-        comm.size = 4
-        assert make(comm=comm).total_timesteps == 400
+    def test_one_goal_is_never_relabelled(self):
+        env = GoalEnv()
+        assert make(env).config.replay_p == 0.8
+        goal = np.ones(2, np.float32)
+        env.observation_space["desired_goal"] = gym.spaces.Box(goal, goal)
+        assert make(env).config.replay_p == 0.0
+        assert make(env, replay_p=0.5).config.replay_p == 0.5
 
     def test_test_episodes_learn_nothing(self):
         learner = trained()
@@ -249,7 +259,8 @@ class TestUpdate:
         assert torch.equal(first.adam.vector, second.adam.vector)
         for learner in (first, second):
             learner.collect()
-        assert not set(first.pool.seeds) & set(second.pool.seeds)
+        seeds = [set(learner.workers.env.seeds) for learner in (first, second)]
+        assert not seeds[0] & seeds[1]
 
 
 class TestSaving:
@@ -257,7 +268,7 @@ class TestSaving:
         whole = trained(6)
         half = trained(3)
         state, kept = copy.deepcopy(half.state_dict()), half.new_experience()
-        again = make(half.pool)
+        again = make()
         again.load_state_dict(state)
         again.add_experience(kept)
         trained(3, again)
@@ -266,9 +277,37 @@ class TestSaving:
         assert whole.env_steps == again.env_steps
 
 
+class Noisy(gym.ObservationWrapper):
+    """Taxels that are not Boolean any more."""
+
+    def observation(self, observation):
+        observation["observation"][-1] += 0.25
+        return observation
+
+
+class TestWrappers:
+    def test_noise_on_boolean_entries_is_learned_from(self):
+        learner = trained(2, make(Noisy(GoalEnv())))
+        last = learner.replay.sample(50, 0.5).obs[:, -1]
+        assert set(np.unique(last)) == {0.25, 1.25}
+
+    def test_the_outermost_reward_counts(self):
+        class Doubled(gym.Wrapper):
+            def step(self, action):
+                obs, reward, *rest = super().step(action)
+                return obs, 2 * reward, *rest
+
+            def compute_reward(self, achieved, desired, info):
+                return 2 * self.unwrapped.compute_reward(achieved, desired, info)
+
+        learner = make(Doubled(GoalEnv()))
+        learner.prepare()
+        assert set(np.unique(trained(2, learner).replay.sample(50, 0.5).reward)) == {-2.0, 0.0}
+
+
 class TestHardCases:
     @pytest.mark.parametrize(
-        ("pool", "choices"),
+        ("env", "choices"),
         [
             (dict(offset=1e8), {}),
             (dict(scale=0.0), {}),
@@ -289,8 +328,8 @@ class TestHardCases:
             *("rewards x 1e6, cut", "rewards x 1e6", "rewards x 1e-6"),
         ],
     )
-    def test_stays_finite(self, pool, choices):
-        learner = make(GoalPool(**pool), **choices)
+    def test_stays_finite(self, env, choices):
+        learner = make(GoalEnv(**env), **choices)
         for _ in range(4):
             learner.collect()
             assert all(math.isfinite(value) for value in learner.update().values())
@@ -299,11 +338,11 @@ class TestHardCases:
     @pytest.mark.parametrize("bad", [math.nan, math.inf])
     def test_bad_reward_stops_the_run(self, bad):
         with pytest.raises(DivergenceError, match="a reward"):
-            make(GoalPool(reward=bad)).collect()
+            make(GoalEnv(reward=bad)).collect()
 
     def test_bad_observation_stops_the_run(self):
         with pytest.raises(DivergenceError, match="an observation"):
-            make(GoalPool(offset=math.nan)).collect()
+            make(GoalEnv(offset=math.nan)).collect()
 
     def test_nothing_collected_is_an_error(self):
         with pytest.raises(ValueError, match="empty"):
@@ -326,28 +365,28 @@ class TestHardCases:
 
     def test_rewards_that_the_clip_would_spoil_are_refused(self):
         with pytest.raises(ValueError, match="--no-clip-target"):
-            make(GoalPool(reward=1.8)).prepare()
+            make(GoalEnv(reward=1.8)).prepare()
 
     def test_relabelled_rewards_count_too(self):
         """0 at the goal's absence, +1 at the goal: none lived, but hindsight finds some."""
-        pool = GoalPool(reward=0.0)
-        pool.compute_reward = lambda achieved, desired: (achieved == desired).all(axis=-1) * 1.0
+        env = GoalEnv(reward=0.0)
+        env.compute_reward = lambda achieved, desired, info: (achieved == desired).all(-1) * 1.0
         with pytest.raises(ValueError, match="found a reward of 1"):
-            trained(5, make(pool, replay_p=1.0))
+            trained(5, make(env, replay_p=1.0))
 
     def test_rewards_that_cannot_be_recomputed_are_refused(self):
         with pytest.raises(ValueError, match="compute_reward"):
-            make(GoalPool(reward=-0.37)).prepare()
+            make(GoalEnv(reward=-0.37)).prepare()
 
     def test_environments_without_goals_or_time_limit_are_refused(self):
-        pool = GoalPool()
-        pool.max_episode_steps = None
+        env = GoalEnv()
+        env.max_episode_steps = None
         with pytest.raises(ValueError, match="max_episode_steps"):
-            make(pool)
-        pool = GoalPool()
-        pool.observation_space = gym.spaces.Box(-1, 1, (3,), np.float32)
+            make(env)
+        env = GoalEnv()
+        env.observation_space = gym.spaces.Box(-1, 1, (3,), np.float32)
         with pytest.raises(ValueError, match="goal environment"):
-            make(pool)
+            make(env)
 
     @pytest.mark.parametrize(
         ("choices", "words"),

@@ -2,6 +2,9 @@
 
 import copy
 import dataclasses
+import pickle
+import subprocess
+import sys
 import warnings
 
 import gymnasium as gym
@@ -37,7 +40,7 @@ def rollout(env, seed, n=30, scale=1.0):
 
 
 @pytest.mark.parametrize("task", TASKS)
-@pytest.mark.parametrize("touch", ["overlap", "contact"])
+@pytest.mark.parametrize("touch", ["skin", "contact"])
 @pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
 @pytest.mark.parametrize("hand", ["shadow", "mpl"])
 def test_gymnasium_accepts_it(task, touch, simulator, hand):
@@ -65,6 +68,55 @@ def test_same_seed_same_trajectory_after_every_reset(task, layout):
     assert np.array_equal(first, rollout(env, 5))
     assert np.array_equal(first, rollout(make(task=task, layout=layout), 5))
     assert not np.array_equal(first[:50], rollout(env, 6)[:50])
+
+
+@pytest.mark.parametrize("hand", ["shadow", "mpl"])
+@pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
+def test_jitter_stays_within_the_joints_ranges(hand, simulator):
+    env, starts = envs.make(hand, simulator=simulator), []
+    model = env.simulator.model
+    for seed in range(10):
+        env.reset(seed=seed)
+        starts.append(env.simulator.joint_state()[0])
+    n_at_limit = 0
+    for joint, seen in zip(env.hand.joints[3:], np.array(starts).T[3:], strict=True):
+        low, high = model.joint(joint).range
+        assert low <= seen.min() <= seen.max() <= high
+        assert np.ptp(seen) > 0.005
+        n_at_limit += (seen == low).any() or (seen == high).any()
+    assert n_at_limit == 3  # there are starts at a limit
+    env.close()
+
+
+def test_pictures_come_as_often_as_actions():
+    assert make().metadata["render_fps"] == 5
+    assert envs.make("mpl", simulator="mujoco").metadata["render_fps"] == 10
+    assert make(control_dt=0.04).metadata["render_fps"] == 25
+
+
+@pytest.mark.parametrize("layout", [5, np.int64(5), "5"])
+def test_a_layouts_number_is_its_name(layout):
+    for env in (make(layout=layout), gym.make("tactilerl/Shadow-v0", layout=layout)):
+        assert env.unwrapped.config.layout == "5"
+        assert len(env.unwrapped.taxels) == 19
+
+
+@pytest.mark.parametrize("first", ["tactilerl", "gymnasium"])
+def test_importing_tactilerl_is_enough_for_gymnasium_and_imports_nothing_else(first):
+    second = "gymnasium" if first == "tactilerl" else "tactilerl"
+    code = f"""
+import sys
+before = set(sys.modules)
+import {first}
+if {first!r} == "tactilerl":
+    heavy = {{name.partition(".")[0] for name in set(sys.modules) - before}}
+    assert not heavy & {{"gymnasium", "numpy", "mujoco", "torch"}}, heavy
+import {second}
+env = gymnasium.make("tactilerl/LQR-v0")
+assert "tactilerl/Shadow-v0" in gymnasium.registry
+assert "mujoco" not in sys.modules
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_jitter_can_be_turned_off():
@@ -258,7 +310,7 @@ class TestFaults:
         assert env.step(up)[-1]["warnings"] == fresh
         assert "warnings" not in env.step(up)[-1]
 
-    @pytest.mark.parametrize("touch", ["overlap", "contact"])
+    @pytest.mark.parametrize("touch", ["skin", "contact"])
     def test_a_step_without_memory_is_divergence_and_the_next_episode_is_whole(
         self, touch, little_memory
     ):
@@ -284,6 +336,14 @@ class TestFaults:
         assert ejected == ("ejected" in info.get("error", ""))
         assert ejected == np.array_equal(obs["observation"], before["observation"])
         assert "diverged" not in (env.reset(seed=1), env.step(np.zeros(23)))[1][-1]
+
+    @pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
+    def test_an_episode_that_cannot_begin_is_one_clear_error(self, simulator):
+        env = envs.make("mpl", simulator=simulator)
+        env._start_positions[5] = np.nan
+        with pytest.raises(SimulationError, match=r"an episode cannot begin: .* is not finite"):
+            env.reset(seed=0)
+        env.close()
 
     def test_simulation_error_is_raised_by_the_simulator(self):
         env = make()
@@ -449,6 +509,17 @@ def test_a_copy_goes_on_as_the_environment_and_on_its_own():
     for action in rng.uniform(-1, 1, (3, 23)):
         there, here = twin.step(action)[0], env.step(action)[0]
         assert np.array_equal(here["observation"], there["observation"])
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_pybullet_environment_says_that_it_cannot_be_copied(copied):
+    """A copy would step the original's world."""
+    pytest.importorskip("pybullet")
+    env = envs.make("mpl")
+    with pytest.raises(TypeError, match="cannot be copied or pickled: make another"):
+        copied(env)
+    env.reset(seed=0)
+    env.close()
 
 
 def test_config_is_frozen():

@@ -11,25 +11,25 @@ import pytest
 
 from tactilerl.envs.grasp import GraspEnv, setup
 
-pytest.importorskip("pybullet")
 SCRIPT = Path(__file__).resolve().parents[1] / "benchmarks" / "hard_cases.py"
 PAIRS = [(hand, simulator) for hand in ("shadow", "mpl") for simulator in ("mujoco", "pybullet")]
 
 
+@pytest.mark.parametrize("steps", [8, pytest.param(25, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("hand", "simulator"), PAIRS)
-def test_every_case_stays_within_its_stated_limits(hand, simulator, tmp_path):
+def test_every_case_stays_within_its_stated_limits(hand, simulator, steps, tmp_path):
     out = tmp_path / "hard.json"
     command = [sys.executable, str(SCRIPT), "--hand", hand, "--simulator", simulator]
     result = subprocess.run(
-        [*command, "--steps", "25", "--out", str(out)], capture_output=True, text=True
+        [*command, "--steps", str(steps), "--out", str(out)], capture_output=True, text=True
     )
     assert result.returncode == 0, result.stdout + result.stderr
     rows = json.loads(out.read_text())[f"{hand} in {simulator}"]
     assert len(rows) >= 22
     assert max(row["overlap"] for row in rows.values()) > 1e-3  # the hand did touch something
     assert max(row["speed"] for row in rows.values()) > 0.01
-    assert rows["actions that are not finite"]["refused"] > 5
-    assert {row["steps"] for row in rows.values()} == {25}
+    assert rows["actions that are not finite"]["refused"] >= steps // 5
+    assert {row["steps"] for row in rows.values()} == {steps}
 
 
 @pytest.fixture

@@ -85,6 +85,8 @@ GOOD = 'digits = ["thumb"]\nsegments = ["distal"]\noffsets_mm = [[0, 0]]\nradius
         ("[[patch]]\n" + GOOD.replace("[[0, 0]]", "[[0, 80]]"), "up to 50 mm"),
         ("[[patch]]\n" + GOOD.replace("[[0, 0]]", "[[0, 0], [0, 0]]"), "stands twice"),
         ("[[patch]]\n" + GOOD.replace("[[0, 0]]", '"centre"'), "offsets_mm"),
+        (2 * ("[[patch]]\n" + GOOD), "patch 2: thumb.distal has a taxel at [0, 0] mm already"),
+        ("[[patch]]\n" + GOOD.replace("2.0", "9" * 400), "radius_mm: found 9"),
     ],
 )
 def test_malformed_file_says_what_is_wrong(tmp_path, content, complaint):

@@ -1,5 +1,6 @@
 """Several processes: equal parameters on all ranks, one writer, and no rank left waiting."""
 
+import csv
 import json
 import signal
 import subprocess
@@ -7,6 +8,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import psutil
 import pytest
 import torch
@@ -57,19 +59,37 @@ def test_two_ranks_train_one_writes_and_resume_is_exact():
         "    for k in x['actor']: assert torch.equal(x['actor'][k], y['actor'][k])\n"
         "    assert x['rng'] == y['rng']\n"
         "assert all(torch.equal(a[0]['actor'][k], a[1]['actor'][k]) for k in a[0]['actor'])\n"
-        "assert a[0]['rng'] != a[1]['rng']\n"
     )
     checked = subprocess.run([sys.executable, "-c", code, *states], capture_output=True, text=True)
     assert checked.returncode == 0, checked.stderr
 
 
+def test_ppo_learns_the_same_on_any_number_of_ranks():
+    """The same episodes, and the same steps up to rounding; an epoch is not longer for it."""
+    args = ["train", "--env", "lqr", "--hidden", "16", "--steps-per-epoch", "300", "--n-passes", "3"]
+    args += ["--total-timesteps", "600"]
+    tables = []
+    for ranks in (1, 2, 3):
+        mpirun(["-m", "tactilerl.cli", *args, "--out", str(ranks)], ranks=ranks)
+        with open(f"{ranks}/progress.csv", newline="") as file:
+            tables.append([{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)])
+    one, *others = tables
+    assert [row["env_steps"] for row in one] == [300, 600]
+    for table in others:
+        for key in ("env_steps", "episodes", "mean_return", "policy_loss", "value_loss", "kl"):
+            np.testing.assert_allclose(
+                [row[key] for row in table], [row[key] for row in one], rtol=1e-3, atol=1e-4
+            )
+        assert table[0]["mean_return"] == one[0]["mean_return"]  # before anything was learned
+
+
 def test_ddpg_trains_on_two_ranks_and_resumes_exactly():
-    args = [*REACH, "--total-timesteps", "300"]
+    args = [*REACH, "--total-timesteps", "600"]
     whole = tactilerl(*args, "--out", "whole")
     assert whole.returncode == 0, whole.stderr
     assert whole.stdout.count("The run is in whole") == 1
-    tactilerl(*REACH, "--total-timesteps", "100", "--out", "parts")
-    resumed = tactilerl("train", "--resume", "parts", "--total-timesteps", "300")
+    tactilerl(*REACH, "--total-timesteps", "200", "--out", "parts")
+    resumed = tactilerl("train", "--resume", "parts", "--total-timesteps", "600")
     assert resumed.returncode == 0, resumed.stderr
     whole, parts = (torch.load(Path(run, "checkpoint.pt"), weights_only=True) for run in PARTS)
     assert [rank["env_steps"] for rank in whole["ranks"]] == [600, 600]
@@ -83,7 +103,7 @@ def test_ddpg_trains_on_two_ranks_and_resumes_exactly():
 def test_ddpg_reaches_points_from_sparse_rewards_on_two_ranks():
     args = ["train", "--algo", "ddpg_her", "--env", "point-reach", "--hidden", "64", "64"]
     args += ["--action-l2", "0.1", "--polyak", "0.9", "--batch-size", "128", "--n-cycles", "10"]
-    result = tactilerl(*args, "--n-test-rollouts", "5", "--total-timesteps", "3500", "--out", "run")
+    result = tactilerl(*args, "--n-test-rollouts", "5", "--total-timesteps", "7000", "--out", "run")
     assert result.returncode == 0, result.stderr
     command = [sys.executable, "-m", "tactilerl.cli", "evaluate", "run", "--episodes", "200", "--json"]
     evaluated = subprocess.run(command, capture_output=True, text=True, check=True)
@@ -200,9 +220,9 @@ import numpy as np, torch
 from tactilerl.algos import mpi
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl import envs
-from tactilerl.envs.vector import Envs
+from tactilerl.envs import vector
 world, alone = mpi.world(), mpi.Communicator()
-pool = Envs(lambda: envs.make("point-reach"), 1)
+pool = vector.start(lambda: envs.make("point-reach"))
 config = DDPGHERConfig(hidden=(32, 32), reduction="mean")
 halves, both = (DDPGHER(config, pool, comm, 0, 1) for comm in (world, alone))
 rng = np.random.default_rng(0)

@@ -1,20 +1,21 @@
 """PPO against numbers derived by hand, and on inputs that break careless code."""
 
 import math
-from types import SimpleNamespace
+from functools import partial
 
 import gymnasium as gym
 import numpy as np
 import pytest
 import torch
 
-from tactilerl.algos import DivergenceError, Transition
+from tactilerl.algos import DivergenceError
 from tactilerl.algos.mpi import Communicator
-from tactilerl.algos.ppo import PPO, PPOConfig, clipped_loss, gae, log_prob
+from tactilerl.algos.ppo import PPO, PPOConfig, clipped_loss, gae, log_prob, normalise
+from tactilerl.envs import vector
 
 
-class ScriptedPool:
-    """One environment whose rewards, observations and episode ends are given."""
+class ScriptedEnv(gym.Env):
+    """Rewards, observations and ends of episodes are given; random ones follow from the seed."""
 
     def __init__(self, obs=None, reward=None, length=5, terminated=True, n_actions=2, info=None):
         self.observation_space = gym.spaces.Box(-np.inf, np.inf, (3,), np.float32)
@@ -23,28 +24,30 @@ class ScriptedPool:
         self.reward = reward or (lambda rng: float(rng.standard_normal()))
         self.info = info or (lambda step: {})
         self.length, self.terminated = length, terminated
-        self.rng, self.steps = np.random.default_rng(0), 0
+        self.steps = 0
         self.seen_actions = []
 
-    def __len__(self):
-        return 1
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.steps = 0
+        return self.obs(self.np_random), {}
 
-    def reset(self, indices, seeds):
-        self.steps = 0 if indices else self.steps
-        return [self.obs(self.rng) for _ in indices]
-
-    def step(self, indices, actions):
+    def step(self, action):
         self.steps += 1
-        self.seen_actions.append(actions.copy())
+        self.seen_actions.append(action.copy())
         ended = self.steps >= self.length
         flags = (ended and self.terminated, ended and not self.terminated)
-        return [Transition(self.obs(self.rng), self.reward(self.rng), *flags, self.info(self.steps))]
+        return self.obs(self.np_random), self.reward(self.np_random), *flags, self.info(self.steps)
 
 
-def make_ppo(pool, seed=0, comm=None, **choices):
+def scripted(**choices):
+    return vector.start(partial(ScriptedEnv, **choices))
+
+
+def make_ppo(workers, seed=0, comm=None, **choices):
     defaults = dict(hidden=(32, 32), steps_per_epoch=60, n_passes=5)
     config = PPOConfig(**{**defaults, **choices})
-    return PPO(config, pool, comm or Communicator(), seed, total_timesteps=1000)
+    return PPO(config, workers, comm or Communicator(), seed, total_timesteps=1000)
 
 
 class TestGAE:
@@ -82,11 +85,11 @@ class TestDensityAndLoss:
         # min(1.5, 1.2) = 1.2; min(-1.5, -1.2) = -1.5; min(.5, .8) = .5; min(-.5, -.8) = -.8
         log_ratio = torch.tensor([1.5, 1.5, 0.5, 0.5]).log()
         loss = clipped_loss(log_ratio, torch.tensor([1.0, -1.0, 1.0, -1.0]), 0.2)
-        assert loss.item() == pytest.approx(-(1.2 - 1.5 + 0.5 - 0.8) / 4, rel=1e-6)
+        assert loss.tolist() == pytest.approx([-1.2, 1.5, -0.5, 0.8], rel=1e-6)
 
     def test_gradient_is_zero_where_the_clip_binds(self):
         log_ratio = torch.tensor([0.5, -0.5, 0.5, -0.5], requires_grad=True)
-        clipped_loss(log_ratio, torch.tensor([1.0, -1.0, -1.0, 1.0]), 0.2).backward()
+        clipped_loss(log_ratio, torch.tensor([1.0, -1.0, -1.0, 1.0]), 0.2).sum().backward()
         assert (log_ratio.grad != 0).tolist() == [False, False, True, True]
 
     @pytest.mark.parametrize("gap", [1e3, -1e3])
@@ -101,7 +104,7 @@ class TestDensityAndLoss:
 
 class TestBatch:
     def test_returns_and_normalised_advantages(self):
-        ppo = make_ppo(ScriptedPool(length=7))
+        ppo = make_ppo(scripted(length=7))
         ppo.collect()
         obs, actions, old, advantages, returns = ppo._batch()
         assert len(obs) == len(actions) == len(old) == len(advantages) == len(returns) == 63
@@ -112,8 +115,7 @@ class TestBatch:
         np.testing.assert_allclose(advantages.numpy(), (raw - raw.mean()) / raw.std(), atol=1e-4)
 
     def test_all_equal_advantages_become_zero(self):
-        ppo = make_ppo(ScriptedPool())
-        assert ppo._normalise(np.full(50, 1e6 + 0.1)).tolist() == [0.0] * 50
+        assert normalise(np.full(50, 1e6 + 0.1)).tolist() == [0.0] * 50
 
     def test_observations_are_copied(self):
         """An environment may hand out the same buffer again and again."""
@@ -123,14 +125,14 @@ class TestBatch:
             buffer[:] = next(count)
             return buffer
 
-        ppo = make_ppo(ScriptedPool(obs=obs), steps_per_epoch=5)
+        ppo = make_ppo(scripted(obs=obs), steps_per_epoch=5)
         ppo.collect()
         assert [o[0] for o in ppo._episodes[0].obs] == [0, 1, 2, 3, 4, 5]
 
     def test_truncation_switch(self):
         def returns(truncation, terminated):
-            pool = ScriptedPool(length=1, terminated=terminated, reward=lambda rng: 1.0)
-            ppo = make_ppo(pool, truncation=truncation)
+            workers = scripted(length=1, terminated=terminated, reward=lambda rng: 1.0)
+            ppo = make_ppo(workers, truncation=truncation)
             ppo.collect()
             return ppo._batch()[4].numpy()
 
@@ -139,7 +141,7 @@ class TestBatch:
         assert (returns("bootstrap", False) != 1.0).all()
 
     def test_whole_episodes_until_enough_steps(self):
-        ppo = make_ppo(ScriptedPool(length=7), steps_per_epoch=15)
+        ppo = make_ppo(scripted(length=7), steps_per_epoch=15)
         seen = ppo.collect()
         assert (seen["episodes"], seen["mean_length"], ppo.env_steps) == (3, 7, 21)
 
@@ -154,7 +156,7 @@ class TestBatch:
 class TestLearning:
     def test_update_is_adam_on_the_clipped_gradient(self):
         """One minibatch, one pass, against a plain PyTorch implementation."""
-        ppo = make_ppo(ScriptedPool(), n_passes=1, n_minibatches=1, max_grad_norm=0.5)
+        ppo = make_ppo(scripted(), n_passes=1, n_minibatches=1, max_grad_norm=0.5)
         ppo.collect()
         obs, actions, old, advantages, returns = ppo._batch()
         reference = []
@@ -183,59 +185,60 @@ class TestLearning:
 
     def test_same_seed_same_run_and_resume(self):
         def run(epochs, state=None):
-            ppo = make_ppo(ScriptedPool(), seed=3)
+            ppo = make_ppo(scripted(), seed=3)
             if state is not None:
                 ppo.load_state_dict(state)
-                ppo.pool.rng.bit_generator.state = pool_state
             for _ in range(epochs):
                 ppo.collect()
                 ppo.update()
             return ppo
 
-        whole, half = run(4), run(2)
-        pool_state = half.pool.rng.bit_generator.state
-        resumed = run(2, half.state_dict())
+        whole, resumed = run(4), run(2, run(2).state_dict())
         for a, b in zip(whole.actor.parameters(), resumed.actor.parameters(), strict=True):
             assert torch.equal(a, b)
 
     def test_target_kl_ends_the_passes(self):
-        ppo = make_ppo(ScriptedPool(), n_passes=50, target_kl=1e-6)
+        ppo = make_ppo(scripted(), n_passes=50, target_kl=1e-6)
         ppo.collect()
         assert ppo.update()["updates"] < 50 * 6
 
     def test_annealing_reaches_zero(self):
-        ppo = make_ppo(ScriptedPool(), anneal_lr=True)
+        ppo = make_ppo(scripted(), anneal_lr=True)
         ppo.collect()
         ppo.env_steps = 1000
         before = ppo.actor_adam.vector.clone()
         ppo.update()
         assert torch.equal(before, ppo.actor_adam.vector)
 
-    def test_two_ranks_average_their_gradients(self):
-        """A rank whose partner reports a zero gradient takes a step from half of its own."""
-        alone, halved = (
-            make_ppo(ScriptedPool(), n_passes=1, n_minibatches=1, max_grad_norm=1e9) for _ in range(2)
-        )
-        for ppo in (alone, halved):
-            ppo.collect()
-        halved.comm.size = 2
-        for ppo in (alone, halved):
-            ppo.update()
-        torch.testing.assert_close(halved.actor_adam.gradient, alone.actor_adam.gradient / 2)
+    def test_a_rank_takes_its_share_of_every_minibatch(self):
+        """The gradients of all shares add up to that of the whole."""
+        whole = make_ppo(scripted(), n_passes=1, n_minibatches=1, max_grad_norm=1e9)
+        whole.collect()
+        batch = whole._batch()
+        parts = []
+        for rank in range(3):
+            ppo = make_ppo(scripted(), n_passes=1, n_minibatches=1, max_grad_norm=1e9)
+            ppo.comm.rank, ppo.comm.size = rank, 3
+            stats = ppo._minibatch(*batch)
+            parts.append((ppo.actor_adam.gradient, ppo.critic_adam.gradient, stats))
+        stats = whole._minibatch(*batch)
+        expected = whole.actor_adam.gradient, whole.critic_adam.gradient, stats
+        for total, part in zip(expected, zip(*parts, strict=True), strict=True):
+            torch.testing.assert_close(sum(part), total, atol=1e-5, rtol=1e-4)
 
 
 class TestHardCases:
     @pytest.mark.parametrize(
-        "pool",
+        "choices",
         [
-            SimpleNamespace(reward=lambda rng: 1e6),
-            SimpleNamespace(reward=lambda rng: -1e6),
-            SimpleNamespace(reward=lambda rng: float(rng.choice([-1e6, 1e6]))),
-            SimpleNamespace(reward=lambda rng: 1e-6 * float(rng.standard_normal())),
-            SimpleNamespace(obs=lambda rng: np.ones(3, np.float32)),
-            SimpleNamespace(obs=lambda rng: (1e8 + rng.standard_normal(3)).astype(np.float32)),
-            SimpleNamespace(length=1),
-            SimpleNamespace(length=1, terminated=False),
+            dict(reward=lambda rng: 1e6),
+            dict(reward=lambda rng: -1e6),
+            dict(reward=lambda rng: float(rng.choice([-1e6, 1e6]))),
+            dict(reward=lambda rng: 1e-6 * float(rng.standard_normal())),
+            dict(obs=lambda rng: np.ones(3, np.float32)),
+            dict(obs=lambda rng: (1e8 + rng.standard_normal(3)).astype(np.float32)),
+            dict(length=1),
+            dict(length=1, terminated=False),
         ],
         ids=[
             "+1e6",
@@ -248,8 +251,8 @@ class TestHardCases:
             "truncated at once",
         ],
     )
-    def test_stays_finite(self, pool):
-        ppo = make_ppo(ScriptedPool(**vars(pool)))
+    def test_stays_finite(self, choices):
+        ppo = make_ppo(scripted(**choices))
         for _ in range(3):
             ppo.collect()
             learned = ppo.update()
@@ -264,7 +267,7 @@ class TestHardCases:
         exact = np.array([rewards[t:] @ powers[: len(rewards) - t] for t in range(0, 10_000, 500)])
         got = gae(rewards, np.zeros(len(rewards)), 0.0, gamma, 1.0)
         np.testing.assert_allclose(got[::500], exact, rtol=1e-10, atol=1e-9)
-        ppo = make_ppo(ScriptedPool(length=50), gamma=gamma, gae_lambda=1.0)
+        ppo = make_ppo(scripted(length=50), gamma=gamma, gae_lambda=1.0)
         ppo.collect()
         assert math.isfinite(ppo.update()["value_loss"])
 
@@ -273,7 +276,7 @@ class TestHardCases:
         """Where the critic knows nothing; its own scale does not follow that of the rewards."""
 
         def actor(scale):
-            ppo = make_ppo(ScriptedPool(reward=lambda rng: scale * float(rng.standard_normal())))
+            ppo = make_ppo(scripted(reward=lambda rng: scale * float(rng.standard_normal())))
             with torch.no_grad():
                 ppo.critic_adam.vector.zero_()
             ppo.collect()
@@ -287,7 +290,7 @@ class TestHardCases:
 
     @pytest.mark.parametrize("gap", [1e3, -1e3, 1e30])
     def test_a_minibatch_far_from_the_old_policy_is_finite(self, gap):
-        ppo = make_ppo(ScriptedPool())
+        ppo = make_ppo(scripted())
         ppo.collect()
         obs, actions, old, advantages, returns = ppo._batch()
         stats = ppo._minibatch(obs, actions, old + gap, advantages, returns)
@@ -298,14 +301,14 @@ class TestHardCases:
 
     def test_where_all_advantages_are_equal_the_actor_stays(self):
         obs = np.ones(3, np.float32)
-        ppo = make_ppo(ScriptedPool(obs=lambda rng: obs, reward=lambda rng: 0.1, length=1))
+        ppo = make_ppo(scripted(obs=lambda rng: obs, reward=lambda rng: 0.1, length=1))
         before = ppo.actor_adam.vector.clone()
         ppo.collect()
         ppo.update()
         assert torch.equal(ppo.actor_adam.vector, before)
 
     def test_one_transition_is_a_batch(self):
-        ppo = make_ppo(ScriptedPool(length=1), steps_per_epoch=1)
+        ppo = make_ppo(scripted(length=1), steps_per_epoch=1)
         assert ppo.collect()["episodes"] == 1
         learned = ppo.update()
         assert learned["updates"] == 5
@@ -313,28 +316,27 @@ class TestHardCases:
 
     def test_nothing_collected_is_an_error(self):
         with pytest.raises(ValueError, match="at least one"):
-            make_ppo(ScriptedPool()).update()
+            make_ppo(scripted()).update()
 
     def test_saturated_actions_reach_the_environment_clipped(self):
-        pool = ScriptedPool()
-        ppo = make_ppo(pool)
+        ppo = make_ppo(scripted())
         with torch.no_grad():
             ppo.actor[-2].bias.fill_(50.0)
         ppo.collect()
-        assert np.abs(np.concatenate(pool.seen_actions)).max() <= 1.0
+        assert np.abs(np.concatenate(ppo.workers.env.seen_actions)).max() <= 1.0
         assert math.isfinite(ppo.update()["policy_loss"])
 
     @pytest.mark.parametrize("bad", [math.nan, math.inf])
     def test_reward_that_is_not_finite_stops_the_run(self, bad):
         with pytest.raises(DivergenceError, match="reward"):
-            make_ppo(ScriptedPool(reward=lambda rng: bad)).collect()
+            make_ppo(scripted(reward=lambda rng: bad)).collect()
 
     def test_observation_that_is_not_finite_stops_the_run(self):
         with pytest.raises(DivergenceError, match="observation"):
-            make_ppo(ScriptedPool(obs=lambda rng: np.full(3, np.nan, np.float32))).collect()
+            make_ppo(scripted(obs=lambda rng: np.full(3, np.nan, np.float32))).collect()
 
     def test_broken_parameters_stop_the_run(self):
-        ppo = make_ppo(ScriptedPool())
+        ppo = make_ppo(scripted())
         ppo.collect()
         with torch.no_grad():
             ppo.critic_adam.vector[0] = math.nan
@@ -342,15 +344,54 @@ class TestHardCases:
             ppo.update()
 
     def test_a_diverged_step_is_counted_and_not_learned_from(self):
-        pool = ScriptedPool(length=9, info=lambda step: {"diverged": True} if step == 4 else {})
-        ppo = make_ppo(pool, steps_per_epoch=30)
+        info = {"diverged": True, "is_success": False}
+        workers = scripted(length=9, info=lambda step: info if step == 4 else {"is_success": True})
+        ppo = make_ppo(workers, steps_per_epoch=30)
         seen = ppo.collect()
         assert seen["diverged"] == seen["episodes"] > 0
         assert seen["mean_length"] == 3
+        assert seen["success_rate"] == 0.0  # and counts as a failure
+
+    @pytest.mark.parametrize("truncation", ["terminal", "bootstrap"])
+    def test_what_diverged_is_not_taken_for_an_end(self, truncation):
+        """Its last transition has a value after it, whatever time limits are taken for."""
+        workers = scripted(
+            reward=lambda rng: 1.0, info=lambda step: {"diverged": True} if step == 2 else {}
+        )
+        ppo = make_ppo(workers, truncation=truncation)
+        ppo.collect()
+        assert all(len(episode) == 1 for episode in ppo._episodes)
+        assert (ppo._batch()[4].numpy() != 1.0).all()
+
+    def test_episodes_that_diverge_at_once_are_failures_and_nothing_else(self):
+        workers = scripted(
+            obs=lambda rng: np.full(3, rng.random(), np.float32),
+            info=lambda step: {"is_success": True},
+        )
+        env = workers.env
+        start = env.reset
+
+        def reset(*, seed=None, options=None):
+            first = start(seed=seed)
+            broken = {"diverged": True, "is_success": False}
+            env.info = lambda step: broken if first[0][0] < 0.5 else {"is_success": True}
+            return first
+
+        env.reset = reset
+        ppo = make_ppo(workers)
+        seen = ppo.collect()
+        assert 0 < seen["diverged"] < seen["episodes"]
+        assert seen["success_rate"] == 1 - seen["diverged"] / seen["episodes"]
+        assert len(ppo._episodes) == seen["episodes"] - seen["diverged"]
+        assert math.isfinite(ppo.update()["policy_loss"])
+
+    def test_nothing_but_divergence_stops_the_run(self):
+        with pytest.raises(DivergenceError, match="all of 60 episodes"):
+            make_ppo(scripted(info=lambda step: {"diverged": True})).collect()
 
     def test_warnings_are_counted_also_of_steps_that_diverged(self):
         faults = {2: {"warnings": 3}, 4: {"warnings": 10, "diverged": True}}
-        ppo = make_ppo(ScriptedPool(length=9, info=lambda step: faults.get(step, {})))
+        ppo = make_ppo(scripted(length=9, info=lambda step: faults.get(step, {})))
         for _ in range(2):
             seen = ppo.collect()
             assert seen["warnings"] == 13 * seen["diverged"] > 0

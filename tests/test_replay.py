@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tactilerl.algos.replay import GoalObs, Replay, future_goal_steps, goal_observation
+from tactilerl.algos.policy import GoalObs, goal_observation
+from tactilerl.algos.replay import Replay, future_goal_steps
 from tactilerl.algos.rollout import Episode
 
 MAX_STEPS = 8
@@ -134,11 +135,21 @@ class TestStoring:
         n_rows = 10 * (MAX_STEPS + 1)
         assert replay.nbytes == n_rows * (2 * 4 + 1 + 3 * 4 + 3 * 4 + 2 * 4 + 1)
 
-    def test_what_is_not_boolean_is_refused(self):
-        odd = episode(1)
+    def test_what_turns_out_not_to_be_boolean_is_kept_as_it_is(self):
+        """Also what came before it, and what was saved before it."""
+        odd = episode(3)
         odd.obs[2].observation[2] = 0.5
-        with pytest.raises(ValueError, match="last 1 entries"):
-            make_replay().store([odd])
+        replay = filled([1, 2])
+        before = replay.new_experience()
+        replay.store([odd])
+        again = make_replay()
+        for part in (before, replay.new_experience()):
+            again.add_experience(part)
+        again.rng.bit_generator.state = replay.rng.bit_generator.state
+        for one in (replay, again):
+            batch = one.sample(900, 0.0)
+            assert set(batch.obs[batch.obs[:, 0] < 3][:, 2]) == {0.0, 1.0}
+            assert set(batch.obs[batch.obs[:, 0] == 3][:, 2]) == {0.0, 0.5, 1.0}
 
     def test_a_million_transitions_of_layout_1_take_half_a_gigabyte(self):
         replay = Replay(10**6, 20, (61 + 139, 3, 23), 139, reward, np.random.default_rng(0))

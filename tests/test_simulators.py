@@ -13,7 +13,7 @@ from tactilerl.envs.grasp import GraspEnv, setup
 
 HANDS = ("shadow", "mpl")
 BOTH = ("mujoco", "pybullet")
-pytest.importorskip("pybullet")
+pytestmark = pytest.mark.pybullet
 
 
 def make_scene(hand, **choices):

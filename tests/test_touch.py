@@ -1,10 +1,14 @@
-"""The overlap rule against distances known by construction."""
+"""The skin rule against distances known by construction."""
 
+import dataclasses
+
+import mujoco
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tactilerl.envs import layouts, objects, touch
+from tactilerl.envs import hands, layouts, objects, touch
+from tactilerl.envs.hands import Surface
 
 
 def brute_force_distance(shape, point, n=60):
@@ -37,26 +41,97 @@ def pose(position, rotation):
     return objects.ObjectState(np.array(position), np.full(4, np.nan), np.array(rotation))
 
 
-def test_overlap_turns_with_object_and_links():
-    """Two taxels 1 mm off the edge of a cube turned by 45 degrees, one a little too small."""
-    c = np.cos(np.pi / 4)
-    turn = np.array([[c, -c, 0], [c, c, 0], [0, 0, 1]])
-    cube, thing = objects.cube(0.04), pose([1.0, 2.0, 3.0], turn)
-    edge = 0.02 * np.sqrt(2) + 0.001
-    # Taxels on two links: one turned by 45 degrees about z, one not, both at the cube's centre.
-    on_turned = turn.T @ [edge, 0, 0]
+R, L = 0.01, 0.04  # of the one phalanx of a hand made for these tests: its bone along z
+PHALANX = Surface(
+    "index", "distal", "a", (0.0, 0.0, L / 2), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0), R,
+    bone=((0.0, 0.0, 0.0), (0.0, 0.0, L)),
+)  # fmt: skip
+PALM = Surface("index", "palm", "b", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))
+
+
+def taxels_on(surface, rows, radius=1.5e-3):
+    """Taxels in the middle of a surface, `rows` m along."""
+    positions = np.array([surface.place(row, 0.0) for row in rows])
+    n = len(rows)
+    return layouts.Taxels((surface.link,), np.zeros(n, int), positions, np.full(n, radius), ("",) * n)
+
+
+def read(surface, rows, shape, thing, radius=1.5e-3):
+    """What the taxels feel, their link turned anyhow in the world, the object as seen from it."""
+    turn, place = Rotation.random(rng=3).as_matrix(), np.array([0.3, 0.1, 0.2])
+    moved = pose(turn @ thing.position + place, turn @ thing.rotation)
+    rule = touch.SkinTouch(taxels_on(surface, rows, radius), (surface,))
+    return rule.read(place[None], turn[None], shape, moved).tolist()
+
+
+@pytest.mark.parametrize("surface", [PHALANX, PALM])
+@pytest.mark.parametrize(("gap", "on"), [(-5e-4, True), (4e-4, True), (6e-4, False), (1.4e-3, False)])
+def test_a_taxel_feels_what_touches_its_skin_and_not_what_is_only_near(surface, gap, on):
+    """A cube with its face to the palmar side; taxels in the middle of it and 5 mm beyond."""
+    y = -(surface.radius or 0.0) - gap - 0.02
+    middle = pose([0.0, y, surface.centre[2]], np.eye(3))
+    assert read(surface, [0.0, 0.025], objects.cube(0.04), middle) == [on, False]
+
+
+def test_a_taxel_reaches_as_far_as_its_radius_along_a_link_that_touches():
+    """A face touches the base of a bone and leaves it at 0.1 rad: by 1.2 and 1.8 mm at the last."""
+    tilt = Rotation.from_rotvec([0.1, 0.0, 0.0]).as_matrix()
+    thing = pose(-(R + 0.05) * tilt[:, 1], tilt)
+    rows = np.array([0.0, 0.012, 0.018]) - L / 2
+    assert read(PHALANX, rows, objects.cube(0.1), thing) == [True, True, False]
+
+
+def test_a_link_that_does_not_touch_is_silent_whatever_another_feels():
     taxels = layouts.Taxels(
         links=("a", "b"),
-        link_index=np.array([0, 0, 1, 1]),
-        positions=np.array([on_turned, on_turned, [edge, 0, 0], [edge, 0, 0]]),
-        radii=np.array([0.0009, 0.0011, 0.0009, 0.0011]),
-        names=("", "", "", ""),
+        link_index=np.array([0, 1]),
+        positions=np.array([PHALANX.place(0.0, 0.0)] * 2),
+        radii=np.full(2, 1.5e-3),
+        names=("", ""),
     )
-    placement = touch.TaxelPlacement(taxels)
-    links = np.tile(thing.position, (2, 1)), np.stack([turn, np.eye(3)])
-    np.testing.assert_allclose(placement.world(*links), np.tile([1 + edge, 2, 3], (4, 1)))
-    assert placement.overlap(*links, cube, thing).tolist() == [False, True, False, True]
-    assert not placement.overlap(*links, cube, pose([1.0, 2.0, 3.0], np.eye(3))).any()
+    twin = dataclasses.replace(PHALANX, link="b")
+    rule = touch.SkinTouch(taxels, (PHALANX, twin))
+    poses = np.array([[0.0, 0.0, 0.0], [0.0, 1e-3, 0.0]]), np.tile(np.eye(3), (2, 1, 1))
+    thing = pose([0.0, -R - 0.02, L / 2], np.eye(3))
+    assert rule.read(*poses, objects.cube(0.04), thing).tolist() == [True, False]
+
+
+@pytest.mark.parametrize("hand", hands.HANDS)
+def test_skin_is_the_shape_that_the_simulators_collide(hand):
+    """A phalanx is one capsule around its bone; the disc of a palm taxel lies on a box's face."""
+    hand = hands.load(hand)
+    model = hand.build(False, 1.0).compile()
+    for surface in hand.surfaces:
+        geoms = np.flatnonzero(model.geom_bodyid == model.body(surface.link).id)
+        if surface.bone is not None:
+            (geom,) = geoms
+            assert model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE
+            assert model.geom_size[geom, 0] == pytest.approx(surface.radius)
+            axis = Rotation.from_quat(model.geom_quat[geom], scalar_first=True).as_matrix()[:, 2]
+            ends = model.geom_pos[geom] + np.outer([-1, 1], model.geom_size[geom, 1] * axis)
+            ends = ends[np.argsort(ends @ surface.along)]
+            np.testing.assert_allclose(ends, surface.bone, atol=1e-8)
+        else:
+            across = np.array(surface.palmar) == 0
+            room = model.geom_size[geoms] - np.abs(model.geom_pos[geoms] - surface.centre)
+            on_face = np.abs(room[:, ~across]).ravel() < 1e-9
+            assert (on_face & (room[:, across] >= hand.pitch.radius).all(axis=1)).any()
+
+
+@pytest.mark.parametrize("kind", objects.KINDS)
+def test_many_readings_at_once_are_those_one_by_one(kind):
+    rule = touch.SkinTouch(taxels_on(PHALANX, [-0.01, 0.0, 0.01]), (PHALANX,))
+    turns = Rotation.random(50, rng=4).as_matrix()
+    places = np.random.default_rng(5).uniform(-0.04, 0.04, (50, 3))
+    poses, shape = (
+        (np.zeros((50, 1, 3)), np.tile(np.eye(3), (50, 1, 1, 1))),
+        objects.make(kind, (0.04,)),
+    )
+    many = rule.read(*poses, shape, objects.ObjectState(places, np.empty((50, 4)), turns))
+    each = [rule.read(poses[0][i], poses[1][i], shape, pose(places[i], turns[i])) for i in range(50)]
+    assert many.shape == (50, 3)
+    np.testing.assert_array_equal(many, each)
+    assert 0 < many.sum() < many.size
 
 
 def test_half_height():

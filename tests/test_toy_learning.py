@@ -1,5 +1,7 @@
 """Algorithms on environments whose optimum is known: do they get there, for three seeds?"""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -7,43 +9,37 @@ from tactilerl import envs
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
+from tactilerl.algos.rollout import EVALUATE, PlayEpisode
+from tactilerl.envs import vector
 from tactilerl.envs.toy import LQREnv, PointReachEnv
-from tactilerl.envs.vector import Envs
 
 SEEDS = (0, 1, 2)
 
 
 def train(algorithm, name, config, steps, seed):
-    pool = Envs(lambda: envs.make(name), 1)
-    learner = algorithm(config, pool, Communicator(), seed, total_timesteps=steps)
+    workers = vector.start(partial(envs.make, name))
+    learner = algorithm(config, workers, Communicator(), seed, total_timesteps=steps)
     while learner.env_steps < steps:
         learner.collect()
         learner.update()
     return learner
 
 
-def play(name, learner, episodes=20):
-    """Returns of deterministic episodes, and the first observation of each."""
-    env, returns, starts = envs.make(name), [], []
-    for index in range(episodes):
-        obs, _ = env.reset(seed=10_000 + index)
-        starts.append(obs)
-        total, done = 0.0, False
-        while not done:
-            obs, reward, terminated, truncated, _ = env.step(learner.act(obs, deterministic=True))
-            total, done = total + float(reward), terminated or truncated
-        returns.append(total)
-    return np.array(returns), starts
+def play(learner, episodes=20):
+    """Episodes without exploration."""
+    task = PlayEpisode(learner.policy(), (10_000, 0, EVALUATE, 0), explores=False)
+    return list(learner.workers.play(task, range(episodes)))
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_ppo_comes_within_5_percent_of_the_riccati_optimum(seed):
     config = PPOConfig(
         hidden=(64, 64), actor_lr=1e-3, n_passes=20, n_minibatches=12, gae_lambda=0.9,
-        truncation="bootstrap", anneal_lr=True,
+        anneal_lr=True,
     )  # fmt: skip
-    returns, starts = play("lqr", train(PPO, "lqr", config, 40_000, seed))
-    optimal = np.array([LQREnv.optimal_return(start.astype(np.float64)) for start in starts])
+    episodes = play(train(PPO, "lqr", config, 40_000, seed))
+    returns = np.array([sum(episode.rewards) for episode in episodes])
+    optimal = np.array([LQREnv.optimal_return(e.obs[0].astype(np.float64)) for e in episodes])
     assert (returns <= optimal + 1e-6).all()  # nothing beats the optimum
     assert returns.mean() / optimal.mean() < 1.05
 
@@ -52,25 +48,17 @@ def test_ppo_comes_within_5_percent_of_the_riccati_optimum(seed):
 def test_ppo_swings_up_the_pendulum(seed):
     config = PPOConfig(
         hidden=(64, 64), actor_lr=1e-3, n_passes=20, n_minibatches=16, action_variance=0.2,
-        gamma=0.9, gae_lambda=0.95, truncation="bootstrap", anneal_lr=True,
+        gamma=0.9, gae_lambda=0.95, anneal_lr=True,
     )  # fmt: skip
-    returns, _ = play("Pendulum-v1", train(PPO, "Pendulum-v1", config, 40_000, seed))
-    assert returns.mean() > -250
+    episodes = play(train(PPO, "Pendulum-v1", config, 40_000, seed))
+    assert np.mean([sum(episode.rewards) for episode in episodes]) > -250
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_ddpg_her_reaches_points_from_sparse_rewards(seed):
     """Of 200 goals at least 95 %; the same under mpirun in test_mpi.py."""
     config = DDPGHERConfig(hidden=(64, 64), action_l2=0.1, polyak=0.9, batch_size=128)
-    learner = train(DDPGHER, "point-reach", config, 7000, seed)
-    env, reached = envs.make("point-reach"), []
-    for index in range(200):
-        obs, _ = env.reset(seed=10_000 + index)
-        done = False
-        while not done:
-            obs, _, terminated, truncated, info = env.step(learner.act(obs, deterministic=True))
-            done = terminated or truncated
-        reached.append(info["is_success"])
+    reached = [e.success for e in play(train(DDPGHER, "point-reach", config, 7000, seed), 200)]
     assert np.mean(reached) >= 0.95
 
 

@@ -1,13 +1,15 @@
-"""Environments in turn, in threads and in processes: the same numbers, clean ends."""
+"""Workers in turn, in threads and in processes: the same results in the same order, clean ends."""
 
+import itertools
 import multiprocessing
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+from contextlib import closing
 from functools import partial
-from importlib.util import find_spec
 
 import gymnasium as gym
 import numpy as np
@@ -18,119 +20,222 @@ from tactilerl import envs
 from tactilerl.envs import vector
 
 shadow = partial(envs.make, "shadow", task="reach-goal")
-mpl = partial(envs.make, "mpl", layout="1", hold_seconds=0.8)
+mpl = partial(envs.make, "mpl", task="reach-goal", layout="1")
 
 
-needs_pybullet = pytest.mark.skipif(find_spec("pybullet") is None, reason="no PyBullet")
-
-
-def play(pool):
-    """Steps of changing subsets, and resets in between."""
-    rng = np.random.default_rng(0)
-    seen = [obs["observation"] for obs in pool.reset([2, 0, 1], [10, 11, 12])]
-    for indices in ([0, 1, 2], [2], [0, 2], [1, 0], [0, 1, 2], [1, 2]):
-        actions = rng.uniform(-1, 1, (len(indices), *pool.action_space.shape))
-        for index, step in zip(indices, pool.step(indices, actions), strict=True):
-            seen += [step.obs["observation"], [step.reward]]
-            if step.terminated or step.truncated:
-                seen.append(pool.reset([index], [100 + index])[0]["observation"])
-    pool.close()
+def few_steps(env, number, is_wanted):
+    """Observations and rewards of an episode that follows from its number."""
+    rng = np.random.default_rng(number)
+    seen = [env.reset(seed=number)[0]["observation"]]
+    for _ in range(2 + number % 3):
+        obs, reward, *_ = env.step(rng.uniform(-1, 1, env.action_space.shape))
+        seen += [obs["observation"], [reward]]
     return np.concatenate(seen)
 
 
 @pytest.mark.parametrize(
-    ("make", "kind"),
+    "make",
+    [pytest.param(shadow, id="threads"), pytest.param(mpl, id="processes", marks=pytest.mark.pybullet)],
+)
+def test_any_number_of_workers_gives_the_same(make, request):
+    results = []
+    for n in (1, 3):
+        with closing(vector.start(make, n)) as workers:
+            assert len(workers) == n
+            kind = (
+                vector.RemotePlayer
+                if n > 1 and "processes" in request.node.name
+                else vector.LocalPlayer
+            )
+            assert all(type(player) is kind for player in workers._players)
+            results.append(list(workers.play(few_steps, range(7))))
+    for one, three in zip(*results, strict=True):
+        np.testing.assert_array_equal(one, three)
+
+
+class Plain(gym.Env):
+    """An environment that says nothing of itself but, if asked to, how it may be played in."""
+
+    open = 0
+
+    def __init__(self, side_by_side=None):
+        Plain.open += 1
+        self.is_open = True
+        self.observation_space = self.action_space = gym.spaces.Box(-1, 1, (1,))
+        if side_by_side:
+            self.side_by_side = side_by_side
+
+    def close(self):
+        Plain.open -= self.is_open
+        self.is_open = False
+
+
+@pytest.mark.parametrize(
+    ("side_by_side", "workers", "kind", "n"),
     [
-        pytest.param(shadow, vector.ThreadedEnvs, id="threads"),
-        pytest.param(mpl, vector.ProcessEnvs, id="processes", marks=needs_pybullet),
+        (None, 2, vector.RemotePlayer, 2),
+        (None, 1, vector.LocalPlayer, 1),
+        ("threads", 3, vector.LocalPlayer, 3),
+        ("in turn", 3, vector.LocalPlayer, 1),
     ],
 )
-def test_parallel_equals_in_turn(make, kind):
-    in_turn = play(vector.start(make, 3))
-    for cores in (2, 3):
-        pool = vector.start(make, 3, cores)
-        assert type(pool) is kind
-        assert len(pool) == 3
-        np.testing.assert_array_equal(play(pool), in_turn)
+def test_an_environment_says_how_it_may_be_played_in(side_by_side, workers, kind, n):
+    with closing(vector.start(partial(Plain, side_by_side), workers)) as started:
+        assert len(started) == n
+        assert all(type(player) is kind for player in started._players)
 
 
-@pytest.mark.parametrize("kind", [vector.ThreadedEnvs, vector.ProcessEnvs])
-def test_faults_and_warnings_arrive(kind, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)  # where MuJoCo writes its log
-    broken = partial(envs.make, "mpl", simulator="mujoco", task="reach-goal", finger_gain=1e6)
-    pool = kind(broken, 2, 2)
-    pool.reset([0, 1], [0, 0])
-    infos = [step.info for step in pool.step([0, 1], np.ones((2, 7)))]
-    pool.close()
-    assert all(info["diverged"] and info["warnings"] > 0 for info in infos)
+def where(env, number, is_wanted):
+    return os.getpid()
 
 
-def test_one_environment_or_one_core_needs_neither():
-    for n, cores in ((1, 4), (2, 1)):
-        pool = vector.start(shadow, n, cores)
-        assert type(pool) is vector.Envs
-        pool.close()
+def test_environments_that_say_nothing_are_not_shared_by_threads():
+    with closing(vector.start(Plain, 2)) as workers:
+        assert os.getpid() not in set(workers.play(where, range(4)))
 
 
-@pytest.fixture
-def processes():
-    pytest.importorskip("pybullet")
-    pool = vector.ProcessEnvs(mpl, 2, 2)
-    yield pool
-    pool.close()
+def slow_first(env, number, is_wanted):
+    time.sleep(0.3 if number == 0 else 0.0)
+    return number
 
 
-def test_what_a_learner_asks_of_the_pool_is_answered(processes):
-    goal = np.zeros((2, 7))
-    assert processes.max_episode_steps == 100
-    assert processes.n_boolean == 139
-    assert processes.compute_reward(goal, goal).shape == (2,)
+def test_nobody_waits_and_the_order_stays():
+    """While number 0 takes long, the other worker does all the rest."""
+    done = []
+
+    def noted(env, number, is_wanted):
+        slow_first(env, number, is_wanted)
+        done.append(number)
+        return number
+
+    with closing(vector.start(partial(Plain, "threads"), 2)) as workers:
+        assert list(workers.play(noted, range(6))) == list(range(6))
+    assert done == [1, 2, 3, 4, 5, 0]
 
 
-def test_an_error_in_a_process_is_raised_here_and_the_others_go_on(processes):
-    processes.reset([0, 1], [0, 0])
-    bad = np.zeros((2, 7))
-    bad[0, 0] = np.nan
-    with pytest.raises(ValueError, match="action: found nan"):
-        processes.step([0, 1], bad)
-    assert len(processes.step([0, 1], np.zeros((2, 7)))) == 2
+def test_what_is_begun_beyond_is_not_wanted_any_more():
+    """Who stops iterating gets the workers back at once, and nothing of the rest."""
+    stopped = threading.Event()
+
+    def until_unwanted(env, number, is_wanted):
+        if number:
+            while is_wanted():
+                time.sleep(0.01)
+            stopped.set()
+        return number
+
+    with closing(vector.start(partial(Plain, "threads"), 2)) as workers:
+        played = workers.play(until_unwanted, itertools.count())
+        assert next(played) == 0
+        played.close()
+        assert stopped.wait(5)
+        assert list(workers.play(slow_first, range(3))) == [0, 1, 2]
 
 
-def test_a_killed_process_is_an_error_that_says_so(processes):
-    process = processes._processes[1]
-    os.kill(process.pid, signal.SIGKILL)
-    process.join()
-    with pytest.raises(OSError, match="process that steps environments has died"):
-        processes.reset([1], [0])
+def until_unwanted_or_late(env, number, is_wanted):
+    start = time.monotonic()
+    while number and is_wanted() and time.monotonic() < start + 20:
+        time.sleep(0.01)
+    return number, time.monotonic() - start
 
 
-@needs_pybullet
+def test_processes_stop_what_is_not_wanted():
+    with closing(vector.start(Plain, 2)) as workers:
+        for _ in range(3):  # what is said too late is not taken for the next
+            played = workers.play(until_unwanted_or_late, itertools.count())
+            assert next(played)[0] == 0
+            played.close()
+        begun = time.monotonic()
+        assert [n for n, _ in workers.play(until_unwanted_or_late, [0, 0])] == [0, 0]
+        assert time.monotonic() - begun < 10
+
+
+def fails_at_three(env, number, is_wanted):
+    if number == 3:
+        raise ValueError("three")
+    return number
+
+
+@pytest.mark.parametrize("side_by_side", ["in turn", "threads", "processes"])
+def test_an_error_comes_at_its_place_and_the_workers_go_on(side_by_side):
+    with closing(vector.start(partial(Plain, side_by_side), 2)) as workers:
+        for _ in range(2):
+            played, seen = workers.play(fails_at_three, range(6)), []
+            with pytest.raises(ValueError, match="three"):
+                seen.extend(iter(played.__next__, None)) or seen.append(next(played))
+        assert list(workers.play(fails_at_three, [5, 4])) == [5, 4]
+
+
+class Unpicklable(Exception):
+    def __init__(self, one, two):
+        super().__init__(one)
+
+
+def fails_strangely(env, number, is_wanted):
+    raise Unpicklable(1, 2)
+
+
+def test_an_error_that_cannot_travel_is_told_all_the_same():
+    with (
+        closing(vector.start(Plain, 2)) as workers,
+        pytest.raises(RuntimeError, match="Unpicklable: 1"),
+    ):
+        list(workers.play(fails_strangely, range(2)))
+
+
+def kill_itself(env, number, is_wanted):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_killed_process_is_an_error_that_says_so():
+    with (
+        closing(vector.start(Plain, 2)) as workers,
+        pytest.raises(OSError, match="worker's process has died"),
+    ):
+        list(workers.play(kill_itself, range(2)))
+
+
+def count_threads():
+    os.environ["SET_UP"] = "yes"
+
+
+def what_was_set_up(env, number, is_wanted):
+    return os.environ.get("SET_UP")
+
+
+def test_a_process_is_set_up_before_it_plays():
+    with closing(vector.start(Plain, 2, count_threads)) as workers:
+        assert set(workers.play(what_was_set_up, range(4))) == {"yes"}
+
+
+@pytest.mark.pybullet
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
-def test_processes_end_quietly_with_their_parent(end):
-    """In the middle of a step; Ctrl-C goes to the whole group, as a terminal sends it."""
-    code = (
-        "import signal\n"
-        "import numpy as np\n"
+def test_processes_end_quietly_with_their_parent(end, tmp_path):
+    """In the middle of an episode; Ctrl-C goes to the whole group, as a terminal sends it."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import itertools, signal\n"
         "from functools import partial\n"
         "from tactilerl import envs\n"
         "from tactilerl.envs import vector\n"
+        "def play(env, number, is_wanted):\n"
+        "    env.reset(seed=number)\n"
+        "    while is_wanted(): env.step(env.action_space.sample())\n"
         "if __name__ == '__main__':\n"
         "    signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # CI may have it ignored
-        "    pool = vector.ProcessEnvs(partial(envs.make, 'mpl', task='reach-goal'), 2, 2)\n"
+        "    workers = vector.start(partial(envs.make, 'mpl', task='reach-goal'), 2)\n"
+        "    print('ready', flush=True)\n"
         "    try:\n"
-        "        print('ready', flush=True)\n"
-        "        while True:\n"
-        "            pool.reset([0, 1], [0, 0])\n"
-        "            for _ in range(20): pool.step([0, 1], np.zeros((2, 7)))\n"
+        "        list(workers.play(play, itertools.count()))\n"
         "    except KeyboardInterrupt:\n"
-        "        pool.close()\n"
+        "        workers.close()\n"
     )
     parent = subprocess.Popen(
-        [sys.executable, "-c", code],
+        [sys.executable, str(script)],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
     )  # fmt: skip
     assert parent.stdout.readline() == "ready\n"
-    time.sleep(0.5)  # it is stepping
+    time.sleep(0.5)  # it is playing
     children = psutil.Process(parent.pid).children(recursive=True)
     assert len(children) >= 2
     os.killpg(parent.pid, end) if end == signal.SIGINT else parent.kill()
@@ -139,49 +244,47 @@ def test_processes_end_quietly_with_their_parent(end):
     assert "Traceback" not in errors, errors
 
 
-def test_many_environments_in_one_process_do_not_block_each_other():
-    """More bytes of questions and answers than a pipe holds."""
-    pool = vector.ProcessEnvs(partial(envs.make, "point-reach"), 400, 1)
-    assert len(pool.reset(range(400), range(400))) == 400
-    assert len(pool.step(range(400), np.zeros((400, *pool.action_space.shape)))) == 400
-    pool.close()
+def only_here(process, side_by_side):
+    if os.getpid() != process:
+        raise ValueError("no environment in this process")
+    return Plain(side_by_side)
+
+
+def test_workers_that_cannot_start_close_what_they_have():
+    with pytest.raises(ValueError, match="no environment in this process"):
+        vector.start(partial(only_here, os.getpid(), "processes"), 2)
+    assert Plain.open == 0
+    assert not multiprocessing.active_children()
+
+
+def test_all_is_closed_at_the_end():
+    with closing(vector.start(partial(Plain, "threads"), 3)):
+        assert Plain.open == 3
+    assert Plain.open == 0
 
 
 def test_what_cannot_be_made_is_raised_here():
     with pytest.raises(ValueError, match="layout"):
-        vector.ProcessEnvs(partial(envs.make, "shadow", layout="none"), 2, 2)
+        vector.start(partial(envs.make, "shadow", layout="none"), 2)
 
 
-class Counted(gym.Env):
-    """Says how many there are that nobody has closed."""
+class TestWhatALearnerAsks:
+    def test_of_a_grasping_environment(self):
+        with closing(vector.start(partial(envs.make, "shadow"))) as workers:
+            assert workers.max_episode_steps == 100
+            assert workers.compute_reward(np.zeros((2, 7)), np.zeros((2, 7))).shape == (2,)
 
-    open = 0
-    holds_gil = False
+    def test_of_a_wrapped_one(self):
+        class Shifted(gym.Wrapper):
+            def compute_reward(self, achieved, desired, info):
+                return np.full(len(achieved), 5.0)
 
-    def __init__(self, holds_gil=False):
-        Counted.open += 1
-        self.holds_gil, self.is_open = holds_gil, True
+        with closing(vector.start(lambda: Shifted(envs.make("point-reach")))) as workers:
+            assert workers.compute_reward(np.zeros((2, 2)), np.zeros((2, 2))).tolist() == [5.0, 5.0]
 
-    def close(self):
-        Counted.open -= self.is_open
-        self.is_open = False
-
-
-def only_here(process, holds_gil):
-    if os.getpid() != process:
-        raise ValueError("no environment in this process")
-    return Counted(holds_gil)
-
-
-def test_a_pool_that_cannot_start_closes_what_it_has():
-    with pytest.raises(ValueError, match="no environment in this process"):
-        vector.start(partial(only_here, os.getpid(), holds_gil=True), 2, 2)
-    assert Counted.open == 0
-    assert not multiprocessing.active_children()
-
-
-def test_a_pool_that_starts_closes_all_at_the_end():
-    pool = vector.start(partial(only_here, os.getpid(), holds_gil=False), 3, 2)
-    assert Counted.open == 3
-    pool.close()
-    assert Counted.open == 0
+    def test_of_one_without_goals(self):
+        with (
+            closing(vector.start(Plain)) as workers,
+            pytest.raises(ValueError, match="compute_reward"),
+        ):
+            workers.compute_reward(np.zeros((1, 1)), np.zeros((1, 1)))

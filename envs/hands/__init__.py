@@ -42,6 +42,8 @@ class Surface:
     """Unit outward normal of the palmar side."""
     radius: float | None = None
     """Cylinder radius in m; None for a flat surface."""
+    bone: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    """Both ends of the axis of the capsule that is the link's shape, m; None for a flat surface."""
 
     def place(self, row: float, column: float) -> Array:
         """Position in the link frame, shape (3,), of a taxel `row` and `column` metres off centre.

@@ -195,6 +195,7 @@ def _surfaces() -> tuple[Surface, ...]:
                     along=tuple(along),
                     palmar=tuple(palmar),
                     radius=figure["radius"],
+                    bone=(tuple(ends[0]), tuple(ends[1])),
                 )
             )
     for finger, centre in PALM_TAXELS.items():

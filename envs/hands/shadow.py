@@ -174,6 +174,7 @@ def _surfaces() -> tuple[Surface, ...]:
                     along=(0.0, 0.0, 1.0),
                     palmar=palmar,
                     radius=radius,
+                    bone=((0.0, 0.0, 0.0), (0.0, 0.0, 2 * half_length)),
                 )
             )
     for digit, link, centre in PALM_TAXELS:

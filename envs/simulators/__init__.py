@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import mujoco
 
 
-class SimulationError(RuntimeError):
+class SimulationError(FloatingPointError):
     """The physics left the finite numbers, or has no memory for them; the scene must be reset."""
 
 
@@ -62,13 +62,16 @@ class Simulator(Protocol):
 
     holds_gil: bool
     """Does `step` keep other threads of Python waiting?"""
+    joint_limits: Array
+    """(n_joints, 2) lowest and highest position of each of ``hand.joints``, ±inf without one."""
 
     @property
     def warnings(self) -> int:
         """How often the engine has warned of something since it was made, resets included."""
 
     def reset(self, joint_positions: Array, object_position: Array, yaw: float) -> None:
-        """Put everything at rest; afterwards the past has no influence."""
+        """Put everything at rest; afterwards the past has no influence. SimulationError when the
+        physics cannot begin there."""
 
     def step(self, joint_targets: Array, n_substeps: int) -> None:
         """Advance by `n_substeps` timesteps; SimulationError when that broke the state."""
@@ -97,6 +100,13 @@ class Simulator(Protocol):
 
     def close(self) -> None:
         """Release what is held outside Python."""
+
+
+def joint_limits(model: mujoco.MjModel, hand: Hand) -> Array:
+    """Of a compiled model: see `Simulator.joint_limits`."""
+    joints = [model.joint(name).id for name in hand.joints]
+    limited = model.jnt_limited[joints].astype(bool)
+    return np.where(limited[:, None], model.jnt_range[joints], (-np.inf, np.inf))
 
 
 SIMULATORS = ("mujoco", "pybullet")

@@ -10,8 +10,8 @@ import numpy as np
 from ..hands import Array
 from ..layouts import Taxels
 from ..objects import ObjectState, Shape
-from ..touch import TaxelPlacement
-from . import Camera, Scene, SimulationError
+from ..touch import taxel_points
+from . import Camera, Scene, SimulationError, joint_limits
 
 OBJECT = "object"
 GEOMS = {
@@ -127,6 +127,7 @@ class MujocoSimulator:
         self._past_warnings = 0
         self._renderer: mujoco.Renderer | None = None
         hand, model = scene.hand, self.model
+        self.joint_limits = joint_limits(model, hand)
         joints = [model.joint(name) for name in hand.joints]
         self._qpos = np.array([joint.qposadr[0] for joint in joints])
         self._qvel = np.array([joint.dofadr[0] for joint in joints])
@@ -150,6 +151,7 @@ class MujocoSimulator:
             self.place(joint_positions, object_position, turn)
         except mujoco.FatalError as error:
             raise _no_memory(error) from error
+        self._check()
 
     def place(self, joint_positions: Array, object_position: Array, orientation: Array) -> None:
         """Put hand and object (quaternion wxyz) somewhere, velocities and time as they are."""
@@ -164,6 +166,9 @@ class MujocoSimulator:
             self._step(joint_targets, n_substeps)
         except mujoco.FatalError as error:
             raise _no_memory(error) from error
+        self._check()
+
+    def _check(self) -> None:
         q, v, warned = self.data.qpos, self.data.qvel, self.data.warning.number.tolist()
         if not math.isfinite(q @ q + v @ v) or any(warned[kind] for kind in BROKEN):
             raise SimulationError("MuJoCo's state is not finite, or huge")
@@ -236,7 +241,7 @@ class MujocoSimulator:
     def _draw(self, taxels: Taxels, lit: Array) -> None:
         assert self._renderer is not None
         scene = self._renderer.scene
-        points = TaxelPlacement(taxels).world(*self.link_poses(taxels.links))
+        points = taxel_points(taxels).world(*self.link_poses(taxels.links))
         for point, radius, on in zip(points, taxels.radii, lit, strict=True):
             if scene.ngeom >= scene.maxgeom:
                 raise RuntimeError("too many taxels to draw")

@@ -23,8 +23,8 @@ from scipy.spatial.transform import Rotation
 from ..hands import Array
 from ..layouts import Taxels
 from ..objects import ObjectState, Shape
-from ..touch import TaxelPlacement
-from . import Camera, Scene, SimulationError, urdf
+from ..touch import taxel_points
+from . import Camera, Scene, SimulationError, joint_limits, urdf
 from .mujoco import MujocoSimulator
 
 
@@ -58,6 +58,7 @@ class PyBulletSimulator:
     def __init__(self, scene: Scene) -> None:
         self.scene, hand = scene, scene.hand
         self.model = scene.build_hand(visual=False).compile()
+        self.joint_limits = joint_limits(self.model, hand)
         self.client = pybullet.connect(pybullet.DIRECT)
         if self.client < 0:
             raise OSError("PyBullet gave no client")
@@ -73,8 +74,12 @@ class PyBulletSimulator:
         self._point_links = tuple(body for body, _ in points)
         self._points = np.array([point for _, point in points])
         felt = scene.contact_taxels
-        self._taxels = None if felt is None else TaxelPlacement(felt)
+        self._taxels = None if felt is None else taxel_points(felt)
         self._painter: MujocoSimulator | None = None
+
+    def __reduce__(self) -> Any:
+        """Bullet's worlds cannot be copied whole: a copy would share this one's."""
+        raise TypeError("a PyBullet environment cannot be copied or pickled: make another")
 
     # -- building ----------------------------------------------------------------------------
 
@@ -150,9 +155,16 @@ class PyBulletSimulator:
     # -- running -----------------------------------------------------------------------------
 
     def reset(self, joint_positions: Array, object_position: Array, yaw: float) -> None:
-        client = self.client
-        if not pybullet.isConnected(client):
+        if not pybullet.isConnected(self.client):
             raise OSError("PyBullet's client is gone: make the environment anew")
+        try:
+            self._put(joint_positions, object_position, yaw)
+        except pybullet.error as error:
+            raise SimulationError(f"PyBullet: {error}") from error
+        self._check()
+
+    def _put(self, joint_positions: Array, object_position: Array, yaw: float) -> None:
+        client = self.client
         self._build()  # a world that has been stepped keeps pairs and contacts of its past
         for index, position in zip(self._joints, joint_positions, strict=True):
             pybullet.resetJointState(self.hand, index, position, physicsClientId=client)
@@ -166,6 +178,9 @@ class PyBulletSimulator:
             self._step(joint_targets, n_substeps)
         except pybullet.error as error:
             raise SimulationError(f"PyBullet: {error}") from error
+        self._check()
+
+    def _check(self) -> None:
         thing, (positions, velocities) = self.object_state(), self.joint_state()
         if not math.isfinite(thing.position.sum() + positions.sum() + velocities.sum()):
             raise SimulationError("PyBullet's state is not finite")

@@ -1,0 +1,161 @@
+"""Does a taxel fire whose link does not touch the object? By overlap alone, and by the rule "skin".
+
+Perturbed scripted grasps of every hand in every simulator, read by all six layouts at once. A bit is
+false when it is on and the simulator's own distance between its link and the object is above 0.5 mm.
+
+    python benchmarks/touch_rules.py --out docs/data/touch_rules.json
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections import defaultdict
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from tactilerl import envs
+from tactilerl.envs import layouts, scripted, simulators, touch
+from tactilerl.envs.grasp import GraspEnv
+
+SEED = 60_000
+HOLD = 1.0  # s
+PHASES = ("approach", "closing", "lift", "hold")
+REPEATS = 20  # readings in a row when they are timed
+
+
+class Overlap:
+    """The rule before: on when the taxel's sphere overlaps the object."""
+
+    def __init__(self, taxels: layouts.Taxels) -> None:
+        self.points, self.squared_radii = touch.taxel_points(taxels), taxels.radii**2
+
+    def read(self, positions: Any, rotations: Any, shape: Any, thing: Any) -> np.ndarray:
+        """bool (n,), as `SkinTouch.read`."""
+        points = self.points.local(positions, rotations, thing)
+        return shape.squared_distance(points) <= self.squared_radii
+
+
+def distances(env: GraspEnv, links: tuple[str, ...]) -> np.ndarray:
+    """The simulator's own distance (k,) of each link from the object, m, at most 1 cm."""
+    sim: Any = env.simulator
+    if env.config.simulator == "mujoco":
+        thing = sim.model.geom("object").id
+        bodies = [sim.model.body(link).id for link in links]
+        geoms = [np.flatnonzero(sim.model.geom_bodyid == body) for body in bodies]
+        ask = mujoco.mj_geomDistance
+        return np.array(
+            [min(ask(sim.model, sim.data, g, thing, 0.01, None) for g in of) for of in geoms]
+        )
+    from tactilerl.envs.simulators.pybullet import pybullet
+
+    found = pybullet.getClosestPoints(sim.hand, sim.object, 0.01, physicsClientId=sim.client)
+    nearest = defaultdict(lambda: 0.01)
+    for point in found:
+        nearest[point[3]] = min(nearest[point[3]], point[8])
+    return np.array([nearest[sim._links[link]] for link in links])
+
+
+def phases(env: GraspEnv, start: scripted.Start) -> Any:
+    """Perform a grasp; the name of its phase after each step."""
+    dt = scripted.period(env.config.timestep)
+    n = [round(seconds / dt) for seconds in (scripted.APPROACH, scripted.CLOSE, scripted.LIFT, HOLD)]
+    targets = list(scripted.ramps(env, scripted.grasp_for(env), dt))
+    targets += [targets[-1]] * n[-1]
+    scripted.place(env, start)
+    for phase, target in zip(np.repeat(PHASES, n), targets, strict=True):
+        env.simulator.step(target, round(dt / env.config.timestep))
+        yield str(phase)
+
+
+def cost(env: GraspEnv, rules: dict[str, Any]) -> dict[str, float]:
+    """CPU time of one reading in layout 1, as a share of a control step's; lower quartiles."""
+    poses, thing = env.simulator.link_poses(rules["skin"].links), env.simulator.object_state()
+    n, targets = env.config.n_substeps, env.hand.start_targets()
+    work = {name: lambda rule=rule: rule.read(*poses, env.shape, thing) for name, rule in rules.items()}
+    spent: dict[str, list[float]] = defaultdict(list)
+    for _ in range(REPEATS):
+        for name, do in work.items():
+            begin = time.process_time()
+            for _ in range(REPEATS):
+                do()
+            spent[name].append((time.process_time() - begin) / REPEATS)
+        begin = time.process_time()
+        env.simulator.step(targets, n)
+        spent["step"].append(time.process_time() - begin)
+    quartile = {name: float(np.percentile(values, 25)) for name, values in spent.items()}
+    return {name: quartile[name] / quartile["step"] for name in rules}
+
+
+def examine(hand: str, simulator: str, grasps: int) -> dict[str, Any]:
+    """Bits on, false bits and steps by layout, rule and phase; and what reading costs."""
+    with closing(envs.make(hand, simulator=simulator, layout="1")) as env:
+        assert isinstance(env, GraspEnv)
+        rules: dict[tuple[str, str], Any] = {}
+        taxels = {name: layouts.load(name).place(env.hand) for name in layouts.PAPER}
+        for name, placed in taxels.items():
+            rules[name, "overlap"] = Overlap(placed)
+            rules[name, "skin"] = touch.SkinTouch(placed, env.hand.surfaces)
+        counts = {key: {phase: np.zeros(3, int) for phase in PHASES} for key in rules}
+        for start in scripted.perturbed_starts(env, SEED, grasps):
+            for phase in phases(env, start):
+                links = env.taxels.links  # the same in all six
+                poses, thing = env.simulator.link_poses(links), env.simulator.object_state()
+                far = distances(env, links) > touch.SKIN
+                for (name, rule), reader in rules.items():
+                    on = reader.read(*poses, env.shape, thing)
+                    false = on & far[taxels[name].link_index]
+                    counts[name, rule][phase] += (on.sum(), false.sum(), 1)
+        share = cost(env, {rule: rules["1", rule] for rule in ("overlap", "skin")})
+    rows = [
+        {"layout": name, "rule": rule, "phase": phase}
+        | dict(zip(("bits", "false", "steps"), numbers.tolist(), strict=True))
+        for (name, rule), phases_ in counts.items()
+        for phase, numbers in phases_.items()
+    ]
+    return {"grasps": grasps, "cost_of_control_step": share, "rows": rows}
+
+
+def cell(rows: list[dict[str, Any]], layout: str, rule: str, phase: str) -> str:
+    """Mean bits and the share of false ones, in %."""
+    found = (r for r in rows if (r["layout"], r["rule"], r["phase"]) == (layout, rule, phase))
+    row = next(found)
+    false = f"{100 * row['false'] / row['bits']:.1f}" if row["bits"] else "–"
+    return f"{row['bits'] / row['steps']:.2f}, {false}"
+
+
+def main() -> None:
+    """All hands in all simulators."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--grasps", type=int, default=20)
+    parser.add_argument("--out", type=Path, help="write JSON here")
+    options = parser.parse_args()
+    results, console = {}, Console(width=150)
+    for hand in envs.GRASP_ENVS:
+        for simulator in simulators.SIMULATORS:
+            result = results[f"{hand} in {simulator}"] = examine(hand, simulator, options.grasps)
+            shares = {k: f"{100 * v:.2f} %" for k, v in result["cost_of_control_step"].items()}
+            table = Table(
+                title=f"{hand} in {simulator}: mean bits, % of them false; a reading {shares}"
+            )
+            for column in ("layout", *(f"{p}: {r}" for p in PHASES for r in ("overlap", "skin"))):
+                table.add_column(column, justify="right")
+            for layout in layouts.PAPER:
+                cells = [
+                    cell(result["rows"], layout, r, p) for p in PHASES for r in ("overlap", "skin")
+                ]
+                table.add_row(layout, *cells)
+            console.print(table)
+    if options.out:
+        options.out.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,57 @@
+"""What Ctrl-C does: end the process on the spot, or let it put things in order first."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import NoReturn
+
+
+def leave_at_once() -> None:
+    """From now on; for a program that has just started."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _leave)
+
+
+@contextmanager
+def leaving_at_once() -> Iterator[None]:
+    """Ctrl-C ends the process with one line, wherever it is; of no effect in a program that said
+    so from its start.
+
+    For commands that leave nothing behind, and while modules are imported: a KeyboardInterrupt in
+    the middle of an import comes out as all kinds of errors.
+    """
+    with _handling(signal.default_int_handler, _leave):
+        yield
+
+
+@contextmanager
+def in_order() -> Iterator[None]:
+    """Inside of `leaving_at_once`: Ctrl-C is a KeyboardInterrupt again."""
+    with _handling(_leave, signal.default_int_handler):
+        yield
+
+
+@contextmanager
+def _handling(before: Callable[..., object], now: Callable[..., object]) -> Iterator[None]:
+    """Handle Ctrl-C by `now`, if it is handled by `before`: not another's way, nor none at all, as
+    in the background of a shell."""
+    is_ours = signal.getsignal(signal.SIGINT) is before
+    try:
+        if is_ours:
+            signal.signal(signal.SIGINT, now)
+    except ValueError:  # not the main thread: Ctrl-C does not come here
+        is_ours = False
+    try:
+        yield
+    finally:
+        if is_ours:
+            signal.signal(signal.SIGINT, before)
+
+
+def _leave(number: int, frame: FrameType | None) -> NoReturn:
+    os.write(2, b"tactilerl: interrupted\n")
+    os._exit(130)

@@ -1,0 +1,69 @@
+"""With which versions was this made? Those of the packages, and the commit of our own source."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TypedDict
+
+from . import __version__
+
+HERE = Path(__file__).resolve().parent
+PACKAGES = ("torch", "numpy", "mujoco", "pybullet", "gymnasium", "gymnasium-robotics", "mpi4py")
+
+
+class Record(TypedDict):
+    """From where on a run was made with what."""
+
+    epoch: int
+    """The last one that was made with something else."""
+    env_steps: int
+    versions: dict[str, str]
+    commit: str | None
+    """Of the repository that our source belongs to; None when it is installed from a wheel."""
+
+
+def record(epoch: int = 0, env_steps: int = 0) -> Record:
+    """What is here now."""
+    versions = {"tactilerl": __version__, "python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            versions[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return {"epoch": epoch, "env_steps": env_steps, "versions": versions, "commit": commit(HERE)}
+
+
+def difference(before: Record, now: Record) -> str:
+    """What changed, in words; nothing when nothing did."""
+    a, b = before["versions"], now["versions"]
+    changed = [
+        f"{name} {a.get(name, 'none')} -> {b.get(name, 'none')}"
+        for name in {**a, **b}
+        if a.get(name) != b.get(name)
+    ]
+    if before["commit"] != now["commit"]:
+        changed.append("commit {} -> {}".format(*((r["commit"] or "none")[:10] for r in (before, now))))
+    return ", ".join(changed)
+
+
+def commit(folder: Path) -> str | None:
+    """The commit of the repository that tracks this package in `folder`.
+
+    None where none does: a virtual environment may lie inside somebody else's repository.
+    """
+    env = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
+    found = ""
+    for command in (["ls-files", "--error-unmatch", "__init__.py"], ["rev-parse", "HEAD"]):
+        try:
+            result = subprocess.run(
+                ["git", "-C", str(folder), *command],
+                env=env, capture_output=True, text=True, timeout=5, check=True,
+            )  # fmt: skip
+        except (OSError, subprocess.SubprocessError):
+            return None
+        found = result.stdout.strip()
+    return found

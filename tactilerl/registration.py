@@ -1,0 +1,50 @@
+"""`import tactilerl` is enough for `gymnasium.make("tactilerl/Shadow-v0")`, and imports nothing.
+
+The environments are registered by `tactilerl.envs`, which imports Gymnasium. Here that waits
+until somebody imports Gymnasium anyway, before or after this package. (Gymnasium 1.x loads no
+entry points.)
+"""
+
+from __future__ import annotations
+
+import sys
+
+TYPE_CHECKING = False  # typing's own would be most of what `import tactilerl` costs
+if TYPE_CHECKING:
+    from importlib.machinery import ModuleSpec
+    from types import ModuleType
+    from typing import Any
+
+
+def with_gymnasium() -> None:
+    """Register the environments now if Gymnasium is imported, else as soon as it is."""
+    if "gymnasium" in sys.modules:
+        _register()
+    else:
+        sys.meta_path.insert(0, _WhenGymnasiumIsImported())
+
+
+def _register() -> None:
+    from . import envs  # noqa: F401
+
+
+class _WhenGymnasiumIsImported:
+    """A finder that leaves finding to the others and has `_register` called afterwards."""
+
+    def find_spec(self, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
+        if name != "gymnasium":
+            return None
+        others = (finder for finder in sys.meta_path if finder is not self)
+        found = (finder.find_spec(name, path, target) for finder in others)
+        spec = next((spec for spec in found if spec is not None), None)
+        if spec is not None and spec.loader is not None:
+            execute = spec.loader.exec_module
+
+            def execute_and_register(module: ModuleType) -> None:
+                execute(module)
+                if self in sys.meta_path:
+                    sys.meta_path.remove(self)
+                _register()
+
+            spec.loader.exec_module = execute_and_register  # type: ignore[method-assign]
+        return spec

@@ -1,0 +1,59 @@
+"""Are values of the types that a dataclass says? For files that anybody may have written."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, TypeVar, get_args, get_type_hints
+
+from typeguard import CollectionCheckStrategy, TypeCheckError, check_type
+
+T = TypeVar("T")
+LARGEST = 2**63  # whole numbers stay below, so that they have a place in an array
+
+
+def make(kind: type[T], values: Any, where: str) -> T:
+    """A dataclass from JSON's values: all of its fields, none besides; lists are its tuples.
+
+    ValueError naming the first field that is missing, unknown or of another type.
+    """
+    if not isinstance(values, dict):
+        raise ValueError(f"{where}: found {_short(values)}, expected an object")
+    names = {field.name for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    if values.keys() != names:
+        different = sorted(values.keys() ^ names)[0]
+        found = "an unknown" if different in values else "no"
+        raise ValueError(f"{where}: found {found} field {different[:50]!r}")
+    values = {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
+    require(kind, values)
+    return kind(**values)
+
+
+def require(kind: type, values: Mapping[str, Any]) -> None:
+    """ValueError naming the first of `values` that is not what the field of that name says."""
+    for name, hint in get_type_hints(kind).items():
+        require_type(values[name], hint, name)
+
+
+def require_type(value: Any, hint: Any, name: str) -> None:
+    """ValueError when `value` is not of the type `hint`; True is no number, nor is 10**400."""
+    try:
+        check_type(value, hint, collection_check_strategy=CollectionCheckStrategy.ALL_ITEMS)
+    except TypeCheckError as error:
+        reason = " ".join(str(error).split())
+        raise ValueError(f"{name}: found {_short(value)}: {reason[:200]}") from None
+    for item in value if isinstance(value, tuple) else (value,):
+        if isinstance(item, bool) and not _allows_bool(hint):
+            raise ValueError(f"{name}: found {item}, expected a number")
+        if isinstance(item, int) and abs(item) >= LARGEST:
+            raise ValueError(f"{name}: found a number of {item.bit_length()} bits, allowed up to 63")
+
+
+def _allows_bool(hint: Any) -> bool:
+    return hint is bool or any(_allows_bool(part) for part in get_args(hint))
+
+
+def _short(value: Any) -> str:
+    """A value, or its type when it has many parts."""
+    is_plain = value is None or isinstance(value, str | int | float)
+    return repr(value)[:50] if is_plain else type(value).__name__

@@ -1,0 +1,498 @@
+"""Damaged and hostile files: each is refused with one line, before any of it is used."""
+
+import hashlib
+import json
+import os
+import pickle
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import zipfile
+from pathlib import Path
+
+import filelock
+import pytest
+import torch
+
+from tactilerl import interrupts, provenance, sealed
+from tactilerl.algos import memory
+from tactilerl.cli import main
+from tactilerl.errors import InputError
+from tactilerl.progress import Progress
+from tactilerl.run_dir import RunDir
+
+PPO = ["train", "--env", "lqr", "--hidden", "8", "--steps-per-epoch", "60", "--n-passes", "1"]
+HER = ["train", "--algo", "ddpg_her", "--env", "point-reach", "--hidden", "8", "--n-cycles", "1"]
+HER += ["--n-batches", "1", "--n-test-rollouts", "0", "--batch-size", "8"]
+RESUME = ["train", "--resume", "run"]
+PART = Path("run/experience/00000001-0000.pt")
+CHECKPOINT, TABLE, CONFIG = Path("run/checkpoint.pt"), Path("run/progress.csv"), Path("run/config.json")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A run of each algorithm, of three epochs and of one."""
+    folder = tmp_path_factory.mktemp("made")
+    assert main([*PPO, "--total-timesteps", "180", "--out", str(folder / "ppo")]) == 0
+    assert main([*HER, "--total-timesteps", "50", "--out", str(folder / "her")]) == 0
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def _in_tmp(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def ppo(made):
+    shutil.copytree(made / "ppo", "run")
+
+
+@pytest.fixture
+def her(made):
+    shutil.copytree(made / "her", "run")
+
+
+def fails_with(capsys, args, *words):
+    capsys.readouterr()
+    assert main(args) == 2
+    out, err = capsys.readouterr()
+    assert err.startswith("tactilerl: error: ")
+    assert err.count("\n") == 1
+    assert len(err) < 800
+    assert "Traceback" not in out + err
+    for word in words:
+        assert word in err, err
+
+
+def edit(path, change):
+    """Change what a sealed file holds, and seal it again."""
+    content = torch.load(path, weights_only=True)
+    change(content)
+    sealed.write(path, content)
+
+
+def seal(path):
+    """Give any file a checksum that fits."""
+    content = path.read_bytes()
+    path.write_bytes(content + sealed.MARK + hashlib.sha256(content).hexdigest().encode())
+
+
+def put(*keys, value):
+    """Replace a part of the first rank's state."""
+
+    def change(content):
+        part = content["ranks"][0]
+        for key in keys[:-1]:
+            part = part[key]
+        part[keys[-1]] = value
+
+    return change
+
+
+class TestCheckpoint:
+    @pytest.mark.parametrize(
+        ("change", "words"),
+        [
+            (put("actor_adam", "exp_avg", value=torch.zeros(3)), "exp_avg: found float32 (3,)"),
+            (put("actor_adam", "lr", value=1.0), "actor_adam: found a dict of 4"),
+            (put("critic_adam", "exp_avg_sq", value=[1.0]), "exp_avg_sq: found a list of 1"),
+            (put("actor_adam", "steps", value=torch.zeros(1).double()), "steps: found float64"),
+            (put("actor", "0.weight", value=torch.zeros(1).expand(8, 2)), "0.weight"),
+            (put("actor", value={}), "actor: found a dict of 0"),
+            (put("actor", value=None), "actor: found NoneType"),
+            (put("env_steps", value=1.5), "env_steps: found float"),
+            (put("env_steps", value=True), "env_steps: found bool"),
+            (put("env_steps", value=-1), "env_steps: found a number out of range"),
+            (put("env_steps", value=2**63), "env_steps: found a number out of range"),
+            (put("more", value=1), "state: found a dict"),
+            (put("rng", value={"bit_generator": "PCG64"}), "rng: found"),
+            (put("rng", "bit_generator", value="MT19937"), "rng: found"),
+            (put("rng", "state", "inc", value=2**200), "rng: found"),
+            (put("rng", "uinteger", value=-1), "rng: found"),
+            (lambda content: content.update(ranks=[]), "0 ranks"),
+            (lambda content: content.update(ranks=[3]), "state: found int"),
+            (lambda content: content.update(epoch=-1), "epoch -1"),
+            (lambda content: content.update(epoch="3"), "found"),
+            (lambda content: content.update(experience=["../x"]), "experience"),
+            (lambda content: content.update(experience=[7]), "experience"),
+            (lambda content: content.update(config="[" * 100_000), "damaged"),
+            (lambda content: content.update(config="{}"), "from another configuration"),
+            (lambda content: content.update(format=2), "not a checkpoint of format"),
+        ],
+    )
+    def test_another_kind_of_content_is_refused(self, ppo, capsys, change, words):
+        edit(CHECKPOINT, change)
+        before = TABLE.read_bytes()
+        fails_with(capsys, RESUME, "checkpoint.pt", words)
+        fails_with(capsys, ["evaluate", "run"], "checkpoint.pt", words)
+        assert TABLE.read_bytes() == before
+
+    @pytest.mark.parametrize(
+        ("name", "value"),
+        [
+            ("slots", torch.tensor([10**6, 1])),
+            ("slots", torch.tensor([-1, 1])),
+            ("slots", torch.zeros(0, dtype=torch.int64)),
+            ("slots", 3),
+            ("lengths", torch.tensor([25, 26])),
+            ("lengths", torch.tensor([0, 25])),
+            ("action", torch.zeros(52, 5)),
+            ("obs", torch.zeros(52, 2).double()),
+            ("terminal", torch.zeros(51, 1, dtype=torch.uint8)),
+        ],
+    )
+    def test_another_kind_of_experience_is_refused(self, her, capsys, name, value):
+        edit(PART, lambda content: content["experience"].update({name: value}))
+        fails_with(capsys, RESUME, PART.name, "experience")
+
+    def test_step_sizes_come_from_the_configuration(self, ppo):
+        state = torch.load(CHECKPOINT, weights_only=True)["ranks"][0]
+        assert set(state["actor_adam"]) == {"steps", "exp_avg", "exp_avg_sq"}
+
+    def test_every_flipped_bit_is_found(self, her):
+        rng = random.Random(0)
+        for path in (CHECKPOINT, PART):
+            good = path.read_bytes()
+            for _ in range(60):
+                bad, at = bytearray(good), rng.randrange(8 * len(good))
+                bad[at // 8] ^= 1 << at % 8
+                path.write_bytes(bad)
+                with pytest.raises(InputError, match=path.name):
+                    sealed.read(path)
+            path.write_bytes(good)
+            sealed.read(path)
+
+    def test_file_of_an_earlier_version(self, ppo, capsys):
+        torch.save(torch.load(CHECKPOINT, weights_only=True), CHECKPOINT)
+        fails_with(capsys, RESUME, "checkpoint.pt", "no checksum", "before 0.2")
+
+    def test_bombs(self, ppo, capsys):
+        """Files with a fitting checksum that are small and would become large, or run code."""
+        good, deep = Path("good.pt"), b"\x80\x02" + b"]" * 10**6 + b"a" * (10**6 - 1) + b"."
+        torch.save({"format": 3, "x": torch.zeros(1000)}, good)
+        zeros = pickle.dumps({"format": 3}, 2)[:-1] + b"0" * 30_000_000
+        evil = {
+            "deflated": (zeros, zipfile.ZIP_DEFLATED, "compressed"),
+            "deep": (deep, zipfile.ZIP_STORED, "not a checkpoint"),
+            "long": (zeros, zipfile.ZIP_STORED, "bytes of plain values"),
+            "bytes": (b"\x80\x02c__builtin__\nbytearray\nJ\xff\xff\xff\x7f\x85R.", 0, "bytearray"),
+            "code": (b"\x80\x02cos\nsystem\nU\x0ctouch hackedq\x85R.", 0, "os system"),
+        }
+        for content, how, words in evil.values():
+            with zipfile.ZipFile(good) as old, zipfile.ZipFile(CHECKPOINT, "w", how) as new:
+                for name in old.namelist():
+                    new.writestr(name, content if name.endswith("data.pkl") else old.read(name))
+            seal(CHECKPOINT)
+            fails_with(capsys, RESUME, "checkpoint.pt", words)
+        assert not Path("hacked").exists()
+
+    def test_tensor_that_claims_more_than_its_file_holds(self, ppo, capsys):
+        """`weights_only` alone would read the memory behind it."""
+        torch.save({"x": torch.zeros(1000)}, CHECKPOINT)
+        content = CHECKPOINT.read_bytes()
+        size = (1000).to_bytes(2, "little")
+        assert content.count(b"M" + size) >= 2  # of the storage, and of the shape
+        CHECKPOINT.write_bytes(content.replace(b"M" + size, b"M" + (60_000).to_bytes(2, "little")))
+        with zipfile.ZipFile(CHECKPOINT) as old, zipfile.ZipFile("new", "w") as new:
+            for entry in old.infolist():
+                entry_bytes = content[entry.header_offset :]
+                start = 30 + int.from_bytes(entry_bytes[26:28], "little")
+                start += int.from_bytes(entry_bytes[28:30], "little")
+                patched = CHECKPOINT.read_bytes()[entry.header_offset + start :][: entry.file_size]
+                new.writestr(entry.filename, patched)
+        shutil.move("new", CHECKPOINT)
+        seal(CHECKPOINT)
+        fails_with(capsys, RESUME, "checkpoint.pt", "damaged")
+
+    def test_missing_checkpoint_of_a_run_with_progress(self, ppo, her_copy, capsys):
+        for run in ("run", "her"):
+            Path(run, "checkpoint.pt").unlink()
+            before = Path(run, "progress.csv").read_bytes()
+            fails_with(capsys, ["train", "--resume", run], "checkpoint.pt: missing, but")
+            assert Path(run, "progress.csv").read_bytes() == before
+
+
+@pytest.fixture
+def her_copy(made):
+    """A run whose progress is its experience."""
+    shutil.copytree(made / "her", "her")
+    Path("her/progress.csv").write_bytes(b"")
+
+
+class TestProgress:
+    @pytest.mark.parametrize(
+        ("damage", "words"),
+        [
+            (lambda rows: b"", "found epochs up to 0, the checkpoint's is 3"),
+            (lambda rows: b"".join(rows)[:-9], "found epochs up to 2"),
+            (lambda rows: b"".join(rows[:-1]), "found epochs up to 2"),
+            (lambda rows: b"a,b,c\n" + b"".join(rows[1:]), "header"),
+            (lambda rows: b"".join(rows[1:]), "header"),
+            (lambda rows: b"".join([*rows[:-1], b"\xff\xfe", rows[-1]]), "utf-8"),
+            (lambda rows: b"".join([*rows[:-1], b"9" * 200_000, rows[-1]]), "field larger"),
+            (lambda rows: b"".join([*rows[:-1], b'"', rows[-1]]), "damaged"),
+            (lambda rows: b"".join([rows[0], rows[2], rows[1], rows[3]]), "do not follow"),
+            (lambda rows: b"".join([*rows[:-1], rows[2][:-1], rows[-1]]), "line 4 has"),
+            (lambda rows: b"".join([*rows, rows[-1].replace(b"3,", b"4,", 1)] * 2), "damaged"),
+        ],
+    )
+    def test_a_damaged_table_is_refused_and_kept(self, ppo, capsys, damage, words):
+        bad = damage(TABLE.read_bytes().splitlines(keepends=True))
+        TABLE.write_bytes(bad)
+        before = CHECKPOINT.read_bytes(), CONFIG.read_bytes()
+        fails_with(capsys, [*RESUME, "--total-timesteps", "240"], "progress.csv", words)
+        assert TABLE.read_bytes() == bad
+        assert (CHECKPOINT.read_bytes(), CONFIG.read_bytes()) == before
+
+    def test_a_table_that_was_moved_away_begins_anew(self, ppo):
+        TABLE.unlink()
+        assert main([*RESUME, "--total-timesteps", "240"]) == 0
+        assert main([*RESUME, "--total-timesteps", "300"]) == 0
+        assert [line.split(",")[0] for line in TABLE.read_text().splitlines()] == ["epoch", "4", "5"]
+
+    def test_a_row_of_another_tables_columns_is_not_written(self, tmp_path):
+        table = Progress(tmp_path / "progress.csv")
+        table.append({"epoch": 1, "env_steps": 60})
+        before = table.path.read_bytes()
+        with pytest.raises(InputError, match="column 'env_steps'"):
+            table.append({"epoch": 2, "steps": 60})
+        assert table.path.read_bytes() == before
+
+    def test_a_header_that_was_cut_off_before_the_first_checkpoint(self, tmp_path):
+        table = Progress(tmp_path / "progress.csv")
+        table.path.write_text("epoch,env_st", encoding="utf-8")
+        table.cut(0)
+        table.append({"epoch": 1, "env_steps": 60})
+        assert table.path.read_text(encoding="utf-8") == "epoch,env_steps\n1,60\n"
+
+
+class TestLock:
+    def test_a_second_process_is_refused_and_a_killed_one_lets_go(self, ppo, capsys):
+        code = "import sys, time; from pathlib import Path; from tactilerl.run_dir import RunDir\n"
+        code += "with RunDir(Path('run')).lock(): print(flush=True); time.sleep(60)"
+        first = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
+        first.stdout.readline()
+        more = [*RESUME, "--total-timesteps", "240"]
+        before = TABLE.read_bytes()
+        fails_with(capsys, more, f"process {first.pid} on ", "is writing to this run folder")
+        fails_with(capsys, more, f"process {first.pid} on ")  # which has not changed the name
+        assert TABLE.read_bytes() == before
+        first.send_signal(signal.SIGKILL)
+        first.communicate()
+        assert main(more) == 0
+
+    def test_a_new_run_holds_its_folder(self, monkeypatch):
+        seen = []
+
+        def append(table, row):
+            with (
+                pytest.raises(InputError, match=f"process {os.getpid()} on "),
+                RunDir(Path("new")).lock(),
+            ):
+                pass
+            seen.append(row)
+
+        monkeypatch.setattr(Progress, "append", append)
+        main([*PPO, "--total-timesteps", "1", "--out", "new"])
+        assert len(seen) == 1
+        with filelock.FileLock("new/.lock", blocking=False):
+            pass
+
+
+class TestTrust:
+    @pytest.fixture
+    def foreign(self, tmp_path, monkeypatch):
+        """Somebody's run in an environment of their own module, which tells when it is imported."""
+        Path("theirs.py").write_text(
+            "import pathlib, gymnasium\npathlib.Path('imported').touch()\n"
+            "from tactilerl.envs.toy import LQREnv\ngymnasium.register('Id-v0', entry_point=LQREnv)\n"
+        )
+        monkeypatch.syspath_prepend(tmp_path)
+        monkeypatch.delitem(sys.modules, "theirs", raising=False)
+        args = [*PPO, "--total-timesteps", "60", "--out", "run"]
+        args[args.index("lqr")] = "theirs:Id-v0"
+        assert main(args) == 0
+        Path("imported").unlink()
+        monkeypatch.delitem(sys.modules, "theirs")
+
+    @pytest.mark.parametrize(
+        "args", [["evaluate", "run", "--episodes", "1"], RESUME, ["render", "run"]]
+    )
+    def test_a_module_of_a_saved_run_is_imported_only_when_asked_for(self, foreign, capsys, args):
+        words = "grasping scene" if args[0] == "render" else "imports the module 'theirs'"
+        fails_with(capsys, args, words)
+        fails_with(capsys, [*args, "--env", "others:Id-v0"], "env")
+        assert not Path("imported").exists()
+        for more in (["--env", "theirs:Id-v0"], ["--trust"]) if args[0] != "render" else ():
+            assert main([*args, *more]) == 0
+            assert Path("imported").exists()
+            Path("imported").unlink()
+            del sys.modules["theirs"]
+
+
+class TestConfig:
+    @pytest.mark.parametrize(
+        ("part", "name", "value", "words"),
+        [
+            ("run", "total_timesteps", "x", "total_timesteps: found 'x'"),
+            ("run", "total_timesteps", True, "total_timesteps: found True"),
+            ("run", "seed", 10**400, "seed: found a number of 1329 bits"),
+            ("run", "seed", 1.5, "seed: found 1.5"),
+            ("run", "env", None, "env: found None"),
+            ("run", "env", "../x:Id", "env: found '../x:Id'"),
+            ("run", "env", "shadow", "env: found 'shadow' with no scene"),
+            ("run", "algo", "os", "unknown algorithm 'os'"),
+            ("run", "more", 1, "run: found an unknown field 'more'"),
+            ("learner", "hidden", [8, "8"], "hidden: found tuple"),
+            ("learner", "hidden", 8, "hidden: found 8"),
+            ("learner", "hidden", [10**30], "hidden: found a number"),
+            ("learner", "gamma", "0.9", "gamma: found '0.9'"),
+            ("learner", "gamma", float("nan"), "gamma: found nan"),
+            ("learner", "truncation", "never", "truncation: found 'never'"),
+            ("learner", "anneal_lr", 1, "anneal_lr: found 1"),
+            (None, "ranks", float("inf"), "ranks: found inf"),
+            (None, "ranks", 0, "ranks: found 0"),
+            (None, "ranks", "2", "ranks: found '2'"),
+            (None, "scene", [], "scene: found list"),
+            (None, "run", 3, "run: found 3"),
+            (None, "learner", {}, "learner: found no field"),
+            (None, "provenance", [{"epoch": 0}], "provenance"),
+            (None, "format", 2, "a run of version 0.1 goes on with that version"),
+        ],
+    )
+    def test_another_type_in_any_field(self, ppo, capsys, part, name, value, words):
+        data = json.loads(CONFIG.read_text())
+        (data[part] if part else data)[name] = value
+        CONFIG.write_text(json.dumps(data))
+        fails_with(capsys, ["evaluate", "run"], "config.json", words)
+        fails_with(capsys, RESUME, "config.json", words)
+
+    @pytest.mark.parametrize("text", ["", "[" * 200_000, "9" * 5000, "{}", "[]", "\0", "\ufeff{}"])
+    def test_what_is_no_configuration(self, ppo, capsys, text):
+        CONFIG.write_text(text, encoding="utf-8")
+        fails_with(capsys, RESUME, "config.json: not a run's configuration")
+
+
+class TestProvenance:
+    def test_a_run_that_goes_on_with_other_versions_keeps_both(self, ppo, capsys):
+        data = json.loads(CONFIG.read_text())
+        data["provenance"][0]["versions"]["torch"] = "1.0"
+        CONFIG.write_text(json.dumps(data))
+        capsys.readouterr()
+        assert main([*RESUME, "--total-timesteps", "240"]) == 0
+        assert f"versions torch 1.0 -> {torch.__version__}; from epoch 4 on" in capsys.readouterr().out
+        first, second = json.loads(CONFIG.read_text())["provenance"]
+        assert first == data["provenance"][0]
+        assert (second["epoch"], second["env_steps"]) == (3, 180)
+        assert second["versions"]["torch"] == torch.__version__
+        assert main([*RESUME, "--total-timesteps", "300"]) == 0
+        assert "versions torch" not in capsys.readouterr().out
+        assert json.loads(CONFIG.read_text())["provenance"] == [first, second]
+
+    def test_the_commit_is_of_the_repository_that_tracks_the_package(self, tmp_path, monkeypatch):
+        def git(*args):
+            command = ["git", "-c", "user.name=x", "-c", "user.email=x@x", "-C", str(tmp_path), *args]
+            result = subprocess.run(command, check=True, capture_output=True, text=True)
+            return result.stdout.strip()
+
+        package = tmp_path / "venv/lib/tactilerl"
+        package.mkdir(parents=True)
+        (package / "__init__.py").touch()
+        git("init")
+        git("commit", "--allow-empty", "-m", "theirs")
+        monkeypatch.setenv("GIT_DIR", str(tmp_path / ".git"))
+        assert provenance.commit(package) is None
+        git("add", "venv")
+        git("commit", "-m", "ours")
+        assert provenance.commit(package) == git("rev-parse", "HEAD")
+
+
+class TestFlags:
+    @pytest.mark.parametrize(
+        ("args", "words"),
+        [
+            (["train", "--env", "../x:Id"], "env: found '../x:Id'"),
+            (["train", "--env", "no_such_module:Id"], "no_such_module"),
+            ([*PPO, "--device", "meta"], "device: found 'meta'"),
+            ([*PPO, "--workers", "2000000"], "workers: found 2000000"),
+            ([*PPO, "--total-timesteps", "9" * 400], "total_timesteps: found"),
+            ([*PPO, "--seed", "9" * 400], "seed: found"),
+            ([*PPO, "--seed", "9" * 5000], "seed"),
+            ([*PPO, "--out", "x" * 5000], "name too long"),
+            (["train", "--resume", "x" * 5000], "name too long"),
+            (["evaluate", "x" * 5000], "name too long"),
+            (["train", "--layout", "x" * 5000], "layout"),
+            (["train", "--layout", "x" * 5000 + ".toml"], "layout"),
+            ([*PPO, "--trust"], "--trust: found without --resume"),
+        ],
+    )
+    def test_one_clear_line(self, capsys, args, words):
+        fails_with(capsys, args, words)
+        assert not list(Path().iterdir())
+
+
+class TestTerminal:
+    def test_output_that_nobody_reads_and_that_cannot_show_every_character(self, ppo):
+        command = (
+            "$0 -m tactilerl evaluate run --episodes 2 | cat; $0 -m tactilerl evaluate --help | head -1"
+        )
+        env = os.environ | {"PYTHONIOENCODING": "ascii"}
+        result = subprocess.run(["bash", "-c", command, sys.executable], env=env, capture_output=True)
+        assert result.stderr == b""
+        assert result.stdout.isascii()
+        assert b" ? " in result.stdout
+
+    def test_an_interrupt_ends_the_process_at_once_with_one_line(self):
+        code = (
+            "import os, signal\nfrom tactilerl import interrupts\nfrom tactilerl.cli import main\n{}\n"
+        )
+        code += "with interrupts.leaving_at_once():\n    {}os.kill(os.getpid(), signal.SIGINT)"
+        for start, inside in (("", ""), ("interrupts.leave_at_once()", "")):
+            run = [sys.executable, "-c", code.format(start, inside)]
+            result = subprocess.run(run, capture_output=True, text=True)
+            assert (result.returncode, result.stderr) == (130, "tactilerl: interrupted\n")
+
+    def test_an_interrupt_of_training_is_put_in_order(self, monkeypatch, capsys):
+        def append(table, row):
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(5)
+
+        monkeypatch.setattr(Progress, "append", append)
+        assert main([*PPO, "--out", "new"]) == 130
+        assert capsys.readouterr().err == (
+            "tactilerl: interrupted; the last checkpoint is kept: --resume new\n"
+        )
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        with interrupts.leaving_at_once():
+            assert signal.getsignal(signal.SIGINT) is not signal.default_int_handler
+
+
+class TestMemory:
+    def tree(self, root, group, files):
+        (root / "proc/self").mkdir(parents=True)
+        (root / "proc/self/cgroup").write_text(group)
+        for name, text in files.items():
+            path = root / "sys/fs/cgroup" / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)
+
+    def test_version_2(self, tmp_path):
+        files = {"a/b/memory.max": "max", "a/b/memory.current": "5", "a/b/memory.stat": "anon 5"}
+        files |= {"a/memory.max": "1000", "a/memory.current": "700"}
+        files |= {"a/memory.stat": "anon 400\ninactive_file 300\n"}
+        self.tree(tmp_path, "0::/a/b\n", files)
+        assert memory.available(tmp_path) == 600
+
+    def test_version_1_in_a_container(self, tmp_path):
+        """The group has a name outside of the container, and is the top inside of it."""
+        files = {"memory/memory.limit_in_bytes": "1000", "memory/memory.usage_in_bytes": "900"}
+        files |= {"memory/memory.stat": "inactive_file 1\ntotal_inactive_file 50\n"}
+        self.tree(tmp_path, "5:cpu:/docker/x\n4:memory:/docker/x\n", files)
+        assert memory.available(tmp_path) == 150
+
+    def test_no_groups(self, tmp_path):
+        assert memory.available(tmp_path) > 10**6
