@@ -190,6 +190,10 @@ class MujocoSimulator:
         # mj_step leaves body poses one substep behind qpos.
         mujoco.mj_kinematics(model, data)
 
+    def set_creep(self, factor: float) -> None:
+        """A soft contact that sticks moves at (friction force) / (friction impedance)."""
+        self.model.opt.impratio = FRICTION_TO_NORMAL_IMPEDANCE / factor
+
     def joint_state(self) -> tuple[Array, Array]:
         return self.data.qpos.take(self._qpos), self.data.qvel.take(self._qvel)
 
