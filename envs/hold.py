@@ -46,15 +46,14 @@ class HoldTest:
     height: float = 1.0
     """Height of the palm, m."""
     creep: float = 20.0
-    """"settled": by how much creep is sped up and time compressed. Chosen, as are the next two, on
-    replays of 150 lifts by an early policy of the Shadow Hand in MuJoCo, of which 2 verdicts
-    changed; at 40 it was 11, and 10 takes twice as long."""
+    """"settled": by how much creep is sped up and time compressed. What this and the next two cost
+    is measured by ``benchmarks/hold_verdict.py --early creep=40`` and so on."""
     shake_seconds: float = 0.2
     """"settled": the jolt of setting off is over after this time, and creep is sped up from then
-    on, s. From the start on, twice as many verdicts changed."""
+    on, s."""
     settle_distance: float = 2e-3
     """"settled": the object is at rest when no point of it will move by more than this, m, before
-    the compressed test ends and for one look more. At 4 mm, 5 of the 150 verdicts changed."""
+    the compressed test ends and for one look more."""
 
     @classmethod
     def of_setup(
