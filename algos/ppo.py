@@ -278,12 +278,15 @@ class PPO:
                 torch.tensor_split(t, self.comm.size)[self.comm.rank]
                 for t in (obs, actions, old, advantages, returns)
             )
-        log_ratio = log_prob(actions, self.actor(obs), config.action_variance) - old
+        seen, judged = self.actor.run(obs), self.critic.run(obs)
+        away, error = actions - seen[-1], judged[-1] - returns[:, None]
+        log_ratio = log_prob(actions, seen[-1], config.action_variance) - old
+        log_ratio.requires_grad_()
         policy_loss = clipped_loss(log_ratio, advantages, config.clip_range).sum() / n
-        value_loss = (self.critic(obs).squeeze(-1) - returns).square().sum() / n
-        self.actor_adam.zero_grad()
-        self.critic_adam.zero_grad()
-        (policy_loss + value_loss).backward()
+        (slope,) = torch.autograd.grad(policy_loss, log_ratio)
+        self.actor.backward(seen, slope[:, None] * away / config.action_variance)
+        self.critic.backward(judged, 2 * error / n)
+        value_loss = error.square().sum() / n
         for adam in (self.actor_adam, self.critic_adam):
             adam.reduce(self.comm)
             adam.clip(config.max_grad_norm)

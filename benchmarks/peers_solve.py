@@ -34,7 +34,7 @@ from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.envs.toy import LQREnv, PointReachEnv
-from tactilerl.envs.vector import Envs
+from tactilerl.envs import vector
 
 SEEDS = range(6)
 LIBRARIES = ("tactilerl", "stable-baselines3")
@@ -90,8 +90,8 @@ class Looks(BaseCallback):
 
 def ours(algorithm: Any, config: Any, toy: Toy, seed: int) -> Run:
     """Our learner until it has solved the toy."""
-    pool = Envs(lambda: envs.make(toy.name), 1)
-    learner = algorithm(config, pool, Communicator(), seed, toy.cap)
+    workers = vector.start(lambda: envs.make(toy.name))
+    learner = algorithm(config, workers, Communicator(), seed, toy.cap)
     run = Run(toy)
     while learner.env_steps < toy.cap and not run.look(learner.env_steps, learner):
         learner.collect()

@@ -16,7 +16,7 @@ from timing import Contender, quotients, rounds
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
-from tactilerl.envs.vector import Envs
+from tactilerl.envs import vector
 
 OURS, THEIRS, BOUND = "tactilerl", "stable-baselines3", "matrix products"
 WIDTHS = [256] * 3
@@ -35,7 +35,7 @@ ddpg_env = partial(RandomGoals, DDPG_OBS - GOAL, DDPG_ACTIONS)
 def our_ppo() -> Contender:
     """PPO.update on one batch."""
     config = PPOConfig(n_passes=PASSES, steps_per_epoch=PPO_BATCH)
-    learner = PPO(config, Envs(ppo_env, 1), Communicator(), seed=0, total_timesteps=PPO_BATCH)
+    learner = PPO(config, vector.start(ppo_env), Communicator(), seed=0, total_timesteps=PPO_BATCH)
     learner.collect()
     return lambda: int(learner.update()["updates"])
 
@@ -62,7 +62,7 @@ def sb3_ppo() -> Contender:
 def our_ddpg() -> DDPGHER:
     """A learner with a replay of random episodes."""
     config = DDPGHERConfig(n_rollouts=EPISODES, n_batches=UPDATES, batch_size=DDPG_BATCH)
-    learner = DDPGHER(config, Envs(ddpg_env, 1), Communicator(), seed=0, total_timesteps=1)
+    learner = DDPGHER(config, vector.start(ddpg_env), Communicator(), seed=0, total_timesteps=1)
     learner.collect()
     return learner
 

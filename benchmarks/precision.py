@@ -26,7 +26,7 @@ from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.networks import FlatAdam
 from tactilerl.algos.ppo import PPO, PPOConfig
-from tactilerl.envs.vector import Envs
+from tactilerl.envs import vector
 from tactilerl.evaluate import mean_interval
 
 UPDATES = 100
@@ -41,8 +41,8 @@ Updates = tuple[Any, list[tuple[torch.Tensor, ...]], Callable[[Any], list[FlatAd
 
 def ppo(seed: int) -> Updates:
     """At the sizes of the MPL hand, layout 2."""
-    pool = Envs(lambda: RandomGoals(n_obs=94, n_actions=7), 1)
-    learner: Any = PPO(PPOConfig(), pool, Communicator(), seed, 10**6)
+    workers = vector.start(lambda: RandomGoals(n_obs=94, n_actions=7))
+    learner: Any = PPO(PPOConfig(), workers, Communicator(), seed, 10**6)
     learner.collect()
     batch, rng = learner._batch(), np.random.default_rng(seed)
     n = len(batch[0])
@@ -61,8 +61,8 @@ def ppo(seed: int) -> Updates:
 
 def ddpg(seed: int) -> Updates:
     """At the sizes of the Shadow Hand, layout 2."""
-    pool = Envs(lambda: RandomGoals(n_obs=140, n_actions=23), 2)
-    learner: Any = DDPGHER(DDPGHERConfig(buffer_size=4000), pool, Communicator(), seed, 10**6)
+    workers = vector.start(lambda: RandomGoals(n_obs=140, n_actions=23))
+    learner: Any = DDPGHER(DDPGHERConfig(buffer_size=4000), workers, Communicator(), seed, 10**6)
     for _ in range(20):
         learner.collect()
     minibatches = []
