@@ -37,12 +37,9 @@ class MLP(nn.Sequential):
         layers[-1:] = [nn.Tanh()] if tanh else []
         super().__init__(*layers)
         self._shape = tuple(sizes), tanh
+        self._linears = [layer for layer in layers if isinstance(layer, nn.Linear)]
 
     # -- learning, by hand: small batches leave autograd's bookkeeping no time to hide in --------
-
-    @property
-    def _linears(self) -> list[nn.Linear]:
-        return [module for module in self if isinstance(module, nn.Linear)]
 
     @torch.no_grad()
     def run(self, inputs: Tensor) -> list[Tensor]:
@@ -140,7 +137,8 @@ class FlatAdam:
 
     def clip(self, max_norm: float) -> None:
         """Scale the gradient down to `max_norm` where it is longer."""
-        scale = max_norm / (torch.linalg.vector_norm(self.gradient) + 1e-6)
+        norm = torch.dot(self.gradient, self.gradient).sqrt()
+        scale = max_norm / (norm + 1e-6)
         self.gradient.mul_(scale.clamp(max=1.0))
 
     def step(self) -> None:
