@@ -185,8 +185,10 @@ def has_single_goal(space: gym.Space[Any]) -> bool:
 
 
 def n_boolean(space: gym.Space[Any]) -> int:
-    """How many entries at the end of a Box lie between 0 and 1: they may be Boolean."""
-    if not isinstance(space, gym.spaces.Box):
+    """How many entries at the end of a goal environment's observation lie between 0 and 1, and so
+    may be Boolean."""
+    box = space["observation"] if isinstance(space, gym.spaces.Dict) else None
+    if not isinstance(box, gym.spaces.Box):
         return 0
-    within = (np.ravel(space.low) == 0.0) & (np.ravel(space.high) == 1.0)
+    within = (np.ravel(box.low) == 0.0) & (np.ravel(box.high) == 1.0)
     return len(within) - 1 - int(np.max(np.flatnonzero(~within), initial=-1))

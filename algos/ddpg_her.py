@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal
@@ -34,9 +33,9 @@ from . import (
 )
 from .mpi import Communicator, same_on_all_ranks
 from .networks import MLP, FlatAdam, flatten, require_finite
-from .normalizer import Normalizer, Scaling
-from .policy import Policy, on_cpu
-from .replay import Batch, GoalObs, Replay, goal_observation
+from .normalizer import Normalizer
+from .policy import GoalInputs, GoalObs, Policy, on_cpu
+from .replay import Batch, Replay
 from .rollout import FAULTS, PROBE, TEST, TRAIN, Episode, PlayEpisode, require_transitions, summary
 
 CHECK_EVERY = 100  # updates between two looks at whether the ranks' parameters are equal
@@ -127,28 +126,6 @@ def explore(actions: Array, noise_eps: float, random_eps: float, rng: np.random.
     return np.where(is_random[..., None], uniform, noisy)
 
 
-@dataclass(frozen=True)
-class GoalInputs:
-    """What both networks see: observation and goal, cut and normalised."""
-
-    obs_scaling: Scaling
-    goal_scaling: Scaling
-    limit: float
-
-    def read(self, obs: Any) -> GoalObs:
-        return goal_observation(obs)
-
-    def stack(self, views: Sequence[GoalObs]) -> Tensor:
-        parts = (torch.from_numpy(np.stack(part)) for part in zip(*views, strict=True))
-        observations, _, goals = parts
-        return self(observations, goals)
-
-    def __call__(self, obs: Tensor, goals: Tensor) -> Tensor:
-        """Of observations (n, obs) and goals (n, goal): (n, obs + goal)."""
-        parts = (self.obs_scaling, obs), (self.goal_scaling, goals)
-        return torch.cat([scale(part.clamp(-self.limit, self.limit)) for scale, part in parts], dim=1)
-
-
 def _resolved(config: DDPGHERConfig, workers: Workers) -> DDPGHERConfig:
     """With the defaults that depend on the environment; ValueError when its episodes are endless."""
     max_steps = workers.max_episode_steps
@@ -162,11 +139,6 @@ def _resolved(config: DDPGHERConfig, workers: Workers) -> DDPGHERConfig:
     if replay_p is None:
         replay_p = 0.0 if has_single_goal(workers.observation_space) else REPLAY_P
     return dataclasses.replace(config, gamma=gamma, replay_p=replay_p)
-
-
-def _first(values: Any) -> str:
-    """The first of some numbers, for a message."""
-    return f"{np.ravel(values)[0]:g}" if np.size(values) else "nothing"
 
 
 class DDPGHER:
@@ -203,7 +175,7 @@ class DDPGHER:
             config.buffer_size,
             workers.max_episode_steps,
             (n_obs - n_goal, n_goal, n_actions),
-            n_boolean(space["observation"]),
+            n_boolean(space),
             workers.compute_reward,
             self.rng,
         )
@@ -270,8 +242,8 @@ class DDPGHER:
         again = self.workers.compute_reward(achieved, desired)
         if np.shape(again) != rewards.shape or not np.allclose(again, rewards, 1e-3, 1e-4):
             raise ValueError(
-                f"compute_reward: found {_first(again)} where a step gave {rewards[0]:g}, allowed "
-                "environments whose rewards follow from achieved and desired goals, row by row"
+                f"compute_reward: found {str(again)[:40]} where steps gave {str(rewards)[:40]}, "
+                "allowed environments whose rewards follow from achieved and desired goals"
             )
 
     def _check_signs(self, rewards: Array) -> None:

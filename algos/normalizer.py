@@ -73,8 +73,9 @@ class Normalizer:
         if self._scaling is None:
             high = self.mean.astype(np.float32)
             low = (self.mean - high).astype(np.float32)
-            parts = high, low, (1.0 / self.std).astype(np.float32)
-            self._scaling = Scaling(*map(torch.from_numpy, parts), self.clip)
+            scale = (1.0 / self.std).astype(np.float32)
+            high_, low_, scale_ = map(torch.from_numpy, (high, low, scale))
+            self._scaling = Scaling(high_, low_, scale_, self.clip)
         return self._scaling
 
     def __call__(self, values: Tensor) -> Tensor:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
 
 import gymnasium as gym
 import numpy as np
@@ -13,6 +14,7 @@ from torch import Tensor
 
 from . import Array, action_bounds, flat_observation
 from .networks import MLP
+from .normalizer import Scaling
 
 Noise = Callable[..., Array]
 """(actions (..., d) in [-1, 1], rng=) -> noisy ones, which may lie beyond."""
@@ -36,6 +38,41 @@ class FlatInputs:
 
     def stack(self, views: Sequence[Array]) -> Tensor:
         return torch.from_numpy(np.stack(views))
+
+
+class GoalObs(NamedTuple):
+    """What a goal environment returns, flat float32 copies."""
+
+    observation: Array
+    achieved_goal: Array
+    desired_goal: Array
+
+
+def goal_observation(obs: Any) -> GoalObs:
+    """A goal environment's Dict as a `GoalObs`."""
+    return GoalObs(*(np.array(obs[key], np.float32).ravel() for key in GoalObs._fields))
+
+
+@dataclass(frozen=True)
+class GoalInputs:
+    """What both networks see: observation and goal, cut and normalised."""
+
+    obs_scaling: Scaling
+    goal_scaling: Scaling
+    limit: float
+
+    def read(self, obs: Any) -> GoalObs:
+        return goal_observation(obs)
+
+    def stack(self, views: Sequence[GoalObs]) -> Tensor:
+        parts = (torch.from_numpy(np.stack(part)) for part in zip(*views, strict=True))
+        observations, _, goals = parts
+        return self(observations, goals)
+
+    def __call__(self, obs: Tensor, goals: Tensor) -> Tensor:
+        """Of observations (n, obs) and goals (n, goal): (n, obs + goal)."""
+        parts = (self.obs_scaling, obs), (self.goal_scaling, goals)
+        return torch.cat([scale(part.clamp(-self.limit, self.limit)) for scale, part in parts], dim=1)
 
 
 class Policy:

@@ -9,24 +9,12 @@ import numpy as np
 import torch
 
 from . import Array, memory
+from .policy import GoalObs
 from .rollout import Episode
 from .state import require_like
 
 Reward = Callable[[Array, Array], Array]
 Values = TypeVar("Values")
-
-
-class GoalObs(NamedTuple):
-    """What a goal environment returns, flat float32 copies."""
-
-    observation: Array
-    achieved_goal: Array
-    desired_goal: Array
-
-
-def goal_observation(obs: Any) -> GoalObs:
-    """A goal environment's Dict as a `GoalObs`."""
-    return GoalObs(*(np.array(obs[key], np.float32).ravel() for key in GoalObs._fields))
 
 
 class Batch(NamedTuple, Generic[Values]):
@@ -264,8 +252,9 @@ class Replay:
         whole["lengths"] = torch.empty_like(whole["slots"])
         # What was saved as bytes before it turned out not to be Boolean stays right.
         boolean = saved.get("boolean") if isinstance(saved, dict) else None
-        is_table = isinstance(boolean, torch.Tensor) and boolean.ndim == 2
-        n_boolean = min(boolean.shape[1], self.sizes[0]) if is_table else self.n_boolean
+        n_boolean = self.n_boolean
+        if isinstance(boolean, torch.Tensor) and boolean.ndim == 2:
+            n_boolean = min(boolean.shape[1], self.sizes[0])
         for name, ((_, width), dtype) in self._shapes(n_boolean).items():
             values = torch.from_numpy(np.empty((0, width), dtype)).to("meta")
             whole[name] = values.new_empty((n * self._rows, width))

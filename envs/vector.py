@@ -16,6 +16,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -65,7 +66,7 @@ class Batch(Generic[T]):
         """In order, each as soon as it and all before it are there."""
         for place in itertools.count():
             with self._changed:
-                self._changed.wait_for(lambda p=place: p in self._done or self._is_past(p))
+                self._changed.wait_for(partial(self._is_settled, place))
                 if place not in self._done:
                     return
                 result = self._done.pop(place)
@@ -73,8 +74,9 @@ class Batch(Generic[T]):
                 raise result
             yield result
 
-    def _is_past(self, place: int) -> bool:
-        return self._is_exhausted and place >= self._n_begun
+    def _is_settled(self, place: int) -> bool:
+        """Is its result there, or will there never be one?"""
+        return place in self._done or (self._is_exhausted and place >= self._n_begun)
 
 
 class Workers:

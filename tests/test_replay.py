@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tactilerl.algos.replay import GoalObs, Replay, future_goal_steps, goal_observation
+from tactilerl.algos.policy import GoalObs, goal_observation
+from tactilerl.algos.replay import Replay, future_goal_steps
 from tactilerl.algos.rollout import Episode
 
 MAX_STEPS = 8
