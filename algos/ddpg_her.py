@@ -278,7 +278,7 @@ class DDPGHER:
         drawn = self.replay.sample(config.n_batches * config.batch_size, config.replay_p)
         sums = torch.zeros(3, device=self.device)
         prepared = self._prepared(Batch(*map(self._tensor, drawn)))
-        for batch in zip(*(part.split(config.batch_size) for part in prepared), strict=True):
+        for batch in zip(*(torch.split(part, config.batch_size) for part in prepared), strict=True):
             sums += self._minibatch(*batch)
         self._target_vector.lerp_(self.adam.vector.detach(), 1.0 - config.polyak)
         self.updates += config.n_batches
@@ -312,12 +312,12 @@ class DDPGHER:
         # The critic judges the actions that were taken and the actor's own in one pass.
         pairs = torch.cat([inputs, actions], dim=1), torch.cat([inputs, own], dim=1)
         judged = self.critic.run(torch.cat(pairs))
-        q, own_q = judged[-1].squeeze(-1).split(n)
+        q, own_q = torch.split(judged[-1].squeeze(-1), n)
         error, value = q - target, own_q.mean()
         by_q = torch.cat([2 * error / n, torch.full_like(own_q, -1 / n)])
         deltas = self.critic.deltas(judged, by_q[:, None])
         self.critic.write_gradient([x[:n] for x in judged], [x[:n] for x in deltas])
-        by_own = deltas[0][n:] @ self.critic[0].weight[:, n_seen:]
+        by_own = deltas[0][n:] @ self.critic.linears[0].weight[:, n_seen:]
         self.actor.backward(seen, by_own + 2 * self.config.action_l2 / own.numel() * own)
         self.adam.reduce(self.comm, self.config.reduction)
         self.adam.step()

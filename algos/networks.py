@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, Literal
 
 import torch
@@ -17,6 +18,26 @@ from torch.nn import functional
 
 from . import DivergenceError
 from .mpi import Communicator
+
+Precision = Literal["float32", "bfloat16"]
+
+
+@contextmanager
+def matrix_products(precision: Precision) -> Iterator[None]:
+    """Matrix products of float32 numbers multiply them in float32 or rounded to bfloat16 (8 bits
+    of precision instead of 24); sums and results are float32 all the same. Of the whole process."""
+    before = torch.get_float32_matmul_precision()
+    torch.set_float32_matmul_precision("medium" if precision == "bfloat16" else "highest")
+    try:
+        yield
+    finally:
+        torch.set_float32_matmul_precision(before)
+
+
+def has_bfloat16() -> bool:
+    """Does this processor multiply bfloat16 itself, so that it is worth it?"""
+    names = ("_is_amx_tile_supported", "_is_avx512_bf16_supported")  # there is no public question
+    return any(getattr(torch.cpu, name, bool)() for name in names)
 
 
 class MLP(nn.Sequential):
@@ -37,15 +58,15 @@ class MLP(nn.Sequential):
         layers[-1:] = [nn.Tanh()] if tanh else []
         super().__init__(*layers)
         self._shape = tuple(sizes), tanh
-        self._linears = [layer for layer in layers if isinstance(layer, nn.Linear)]
+        self.linears = [layer for layer in layers if isinstance(layer, nn.Linear)]
 
     # -- learning, by hand: small batches leave autograd's bookkeeping no time to hide in --------
 
     @torch.no_grad()
     def run(self, inputs: Tensor) -> list[Tensor]:
         """What each linear layer sees (n, size), the inputs first, and the outputs (n, sizes[-1])."""
-        (*_, last), (_, tanh), values = self._linears, self._shape, [inputs]
-        for linear in self._linears:
+        (*_, last), (_, tanh), values = self.linears, self._shape, [inputs]
+        for linear in self.linears:
             values.append(functional.linear(values[-1], linear.weight, linear.bias))
             if linear is not last:
                 values[-1].relu_()
@@ -61,17 +82,17 @@ class MLP(nn.Sequential):
         """
         _, tanh = self._shape
         found = [gradient * (1.0 - values[-1].square()) if tanh else gradient]
-        for linear, hidden in zip(self._linears[:0:-1], values[-2:0:-1], strict=True):
+        for linear, hidden in zip(self.linears[:0:-1], values[-2:0:-1], strict=True):
             found.append(torch.ops.aten.threshold_backward(found[-1] @ linear.weight, hidden, 0.0))
         return found[::-1]
 
     @torch.no_grad()
     def write_gradient(self, values: Sequence[Tensor], deltas: Sequence[Tensor]) -> None:
         """The loss's gradient by the parameters, into their `grad`; of the rows that are given."""
-        for linear, inputs, delta in zip(self._linears, values, deltas, strict=False):
-            assert linear.weight.grad is not None and linear.bias.grad is not None
-            torch.mm(delta.t(), inputs, out=linear.weight.grad)
-            torch.sum(delta, dim=0, out=linear.bias.grad)
+        for linear, inputs, delta in zip(self.linears, values, deltas, strict=False):
+            weight, bias = linear.weight.grad, linear.bias.grad
+            torch.mm(delta.t(), inputs, out=weight)
+            torch.sum(delta, dim=0, out=bias)
 
     def backward(self, values: Sequence[Tensor], gradient: Tensor) -> None:
         """Write a loss's gradient by the parameters into their `grad`; arguments as of `deltas`."""
@@ -122,8 +143,10 @@ class FlatAdam:
         self._lrs, self._eps = [lr for _, lr in modules], eps
         sizes = [sum(p.numel() for p in module.parameters()) for module, _ in modules]
         whole = (self.vector.data, self.gradient, *self._moments.values())
-        parts = (*(values.split(sizes) for values in whole), self._steps.unbind())
-        self._parts = [tuple([part] for part in one) for one in zip(*parts, strict=True)]
+        parts = (*(torch.split(values, sizes) for values in whole), self._steps.unbind())
+        self._parts: list[tuple[list[Tensor], ...]] = [
+            tuple([part] for part in one) for one in zip(*parts, strict=True)
+        ]
 
     def set_lr(self, lr: float) -> None:
         """Change the step size of all modules."""
@@ -145,10 +168,10 @@ class FlatAdam:
         """One step along the gradient, by the kernel of torch.optim.Adam(fused=True): through the
         optimiser a step takes twice as long."""
         self._steps += 1
-        for (*four, steps), lr in zip(self._parts, self._lrs, strict=True):
+        for (vector, gradient, mean, square, steps), lr in zip(self._parts, self._lrs, strict=True):
             torch._fused_adam_(
-                *four, [], steps, lr=lr, beta1=0.9, beta2=0.999, weight_decay=0.0, eps=self._eps,
-                amsgrad=False, maximize=False,
+                vector, gradient, mean, square, [], steps, lr=lr, beta1=0.9, beta2=0.999,
+                weight_decay=0.0, eps=self._eps, amsgrad=False, maximize=False,
             )  # fmt: skip
 
     def is_finite(self) -> bool:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cache, partial
 from typing import Any
@@ -29,15 +29,18 @@ from scipy import stats
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import NormalActionNoise
 
-from tactilerl import envs, evaluate
+from tactilerl import envs
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
-from tactilerl.envs.toy import LQREnv, PointReachEnv
 from tactilerl.envs import vector
+from tactilerl.envs.toy import LQREnv, PointReachEnv
 
 SEEDS = range(6)
+FIRST_START = 10_000_000  # not a start of training
 LIBRARIES = ("tactilerl", "stable-baselines3")
+Act = Callable[[Any], np.ndarray]
+"""Observation -> action without exploration."""
 PPO_CONFIG = PPOConfig(
     hidden=(64, 64), actor_lr=1e-3, n_passes=20, n_minibatches=12, gae_lambda=0.9,
     steps_per_epoch=17 * LQREnv.max_episode_steps, truncation="bootstrap", anneal_lr=True,
@@ -55,11 +58,11 @@ class Run:
     is_solved: bool = False
     _since: float = field(default_factory=time.perf_counter)
 
-    def look(self, steps: int, player: Any) -> bool:
-        """Is it solved? Called between updates; looks at `player.act` every `toy.every` steps."""
+    def look(self, steps: int, act: Act) -> bool:
+        """Is it solved? Called between updates; plays `act` every `toy.every` steps."""
         if steps - self.steps >= self.toy.every:
             self.seconds += time.perf_counter() - self._since
-            self.steps, self.is_solved = steps, self.toy.is_solved(player)
+            self.steps, self.is_solved = steps, self.toy.is_solved(act)
             self._since = time.perf_counter()
         return self.is_solved
 
@@ -71,18 +74,18 @@ class Looks(BaseCallback):
         super().__init__()
         self.toy = toy
 
-    def act(self, obs: Any, deterministic: bool) -> np.ndarray:
+    def act(self, obs: Any) -> np.ndarray:
         """Action for one observation."""
-        return self.model.predict(obs, deterministic=deterministic)[0]
+        return self.model.predict(obs, deterministic=True)[0]
 
     def _on_training_start(self) -> None:
         self.run = Run(self.toy)
 
     def _on_rollout_start(self) -> None:
-        self.run.look(self.num_timesteps, self)
+        self.run.look(self.num_timesteps, self.act)
 
     def _on_training_end(self) -> None:
-        self.run.look(self.num_timesteps, self)
+        self.run.look(self.num_timesteps, self.act)
 
     def _on_step(self) -> bool:
         return not self.run.is_solved
@@ -93,10 +96,10 @@ def ours(algorithm: Any, config: Any, toy: Toy, seed: int) -> Run:
     workers = vector.start(lambda: envs.make(toy.name))
     learner = algorithm(config, workers, Communicator(), seed, toy.cap)
     run = Run(toy)
-    while learner.env_steps < toy.cap and not run.look(learner.env_steps, learner):
+    while learner.env_steps < toy.cap and not run.look(learner.env_steps, learner.policy().act):
         learner.collect()
         learner.update()
-    run.look(learner.env_steps, learner)
+    run.look(learner.env_steps, learner.policy().act)
     return run
 
 
@@ -139,24 +142,34 @@ def theirs(make: Callable[[Any, int], Any], toy: Toy, seed: int) -> Run:
     return looks.run
 
 
-def is_near_optimal(player: Any, episodes: int = 20) -> bool:
+def play(name: str, act: Act, episodes: int) -> Iterator[tuple[float, float]]:
+    """Return and success of each episode without exploration."""
+    env = envs.make(name)
+    for index in range(episodes):
+        obs, _ = env.reset(seed=FIRST_START + index)
+        total, is_done = 0.0, False
+        while not is_done:
+            obs, reward, terminated, truncated, info = env.step(act(obs))
+            total, is_done = total + float(reward), terminated or truncated
+        yield total, float(info.get("is_success", np.nan))
+
+
+def is_near_optimal(act: Act, episodes: int = 20) -> bool:
     """Is the mean return within 5 % of the Riccati optimum?"""
-    played = evaluate.play(envs.make("lqr"), player, episodes)
-    return _within(1.05 * optimal_cost(episodes), (-episode["return"] for episode in played))
+    return _within(1.05 * optimal_cost(episodes), (-total for total, _ in play("lqr", act, episodes)))
 
 
 @cache
 def optimal_cost(episodes: int) -> float:
-    """Sum over the starts of `evaluate.play`."""
+    """Sum over the starts of `play`."""
     env = envs.make("lqr")
-    starts = [env.reset(seed=evaluate.SEED + index)[0] for index in range(episodes)]
+    starts = [env.reset(seed=FIRST_START + index)[0] for index in range(episodes)]
     return -sum(LQREnv.optimal_return(start.astype(np.float64)) for start in starts)
 
 
-def reaches(player: Any, goals: int = 100) -> bool:
+def reaches(act: Act, goals: int = 100) -> bool:
     """Are at least 95 % of the goals reached?"""
-    played = evaluate.play(envs.make("point-reach"), player, goals)
-    return _within(0.05 * goals, (1.0 - episode["success"] for episode in played))
+    return _within(0.05 * goals, (1.0 - success for _, success in play("point-reach", act, goals)))
 
 
 def _within(budget: float, losses: Iterable[float]) -> bool:
@@ -169,7 +182,7 @@ class Toy:
     """A toy, when it is solved, and who tries."""
 
     name: str
-    is_solved: Callable[[Any], bool]
+    is_solved: Callable[[Act], bool]
     every: int
     """Environment steps between two looks at the policy, at least."""
     cap: int

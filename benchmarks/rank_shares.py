@@ -30,8 +30,7 @@ def main() -> None:
     learner.collect()
     learner.update()
     watches = Watches()
-    for env in pool.envs:
-        watches.watch("physics", env.simulator, "step")  # type: ignore[attr-defined]
+    watches.watch("physics", workers.env.simulator, "step")  # type: ignore[attr-defined]
     watches.watch("collecting", learner, "collect")
     watches.watch("sampling", learner.replay, "sample")
     watches.watch("all-reduce", learner.adam, "reduce")
