@@ -168,11 +168,14 @@ class FlatAdam:
         """One step along the gradient, by the kernel of torch.optim.Adam(fused=True): through the
         optimiser a step takes twice as long."""
         self._steps += 1
+        # Moments of units that are never active fade until they are denormal, and slow: zero then.
+        torch.set_flush_denormal(True)  # of this thread; whoever steps physics must not notice
         for (vector, gradient, mean, square, steps), lr in zip(self._parts, self._lrs, strict=True):
             torch._fused_adam_(
                 vector, gradient, mean, square, [], steps, lr=lr, beta1=0.9, beta2=0.999,
                 weight_decay=0.0, eps=self._eps, amsgrad=False, maximize=False,
             )  # fmt: skip
+        torch.set_flush_denormal(False)
 
     def is_finite(self) -> bool:
         """Are all parameters finite?"""

@@ -51,6 +51,20 @@ def test_adam_is_that_of_torch():
         torch.testing.assert_close(parameter, same)
 
 
+def test_moments_fade_to_zero_and_other_numbers_do_not():
+    """Denormal numbers are slow; outside the step they are as they were."""
+    adam = FlatAdam((MLP((2, 2), torch.Generator().manual_seed(0)), 1e-3))
+    tiny = torch.full((100,), 1e-39)
+    for moment in adam._moments.values():
+        moment.fill_(1e-38)
+    adam.step()
+    adam.step()
+    for moment in adam._moments.values():
+        kept = (moment != 0) & (moment.abs() < torch.finfo(torch.float32).tiny)
+        assert not kept.any()
+    assert (tiny * 0.5 != 0).all()
+
+
 @pytest.mark.skipif(not networks.has_bfloat16(), reason="this processor has no bfloat16")
 def test_products_in_bfloat16_only_inside():
     a, b = random(64, 64), random(64, 64, seed=1)
