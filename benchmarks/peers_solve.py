@@ -32,13 +32,14 @@ from stable_baselines3.common.noise import NormalActionNoise
 from tactilerl import envs
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
+from tactilerl.algos.networks import Precision, has_bfloat16, matrix_products
 from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.envs import vector
 from tactilerl.envs.toy import LQREnv, PointReachEnv
 
 SEEDS = range(6)
 FIRST_START = 10_000_000  # not a start of training
-LIBRARIES = ("tactilerl", "stable-baselines3")
+LIBRARIES = ("tactilerl", "stable-baselines3", "tactilerl, bfloat16")[: 3 if has_bfloat16() else 2]
 Act = Callable[[Any], np.ndarray]
 """Observation -> action without exploration."""
 PPO_CONFIG = PPOConfig(
@@ -91,14 +92,15 @@ class Looks(BaseCallback):
         return not self.run.is_solved
 
 
-def ours(algorithm: Any, config: Any, toy: Toy, seed: int) -> Run:
+def ours(algorithm: Any, config: Any, toy: Toy, seed: int, precision: Precision = "float32") -> Run:
     """Our learner until it has solved the toy."""
     workers = vector.start(lambda: envs.make(toy.name))
     learner = algorithm(config, workers, Communicator(), seed, toy.cap)
     run = Run(toy)
     while learner.env_steps < toy.cap and not run.look(learner.env_steps, learner.policy().act):
         learner.collect()
-        learner.update()
+        with matrix_products(precision):
+            learner.update()
     run.look(learner.env_steps, learner.policy().act)
     return run
 
@@ -188,17 +190,23 @@ class Toy:
     cap: int
     """Environment steps after which a seed counts as not solved."""
     contenders: tuple[Callable[[Toy, int], Run], ...]
-    """In the order of LIBRARIES: (toy, seed) -> its run."""
+    """In the order of LIBRARIES, the last where the processor can: (toy, seed) -> its run."""
 
 
 TOYS = {
     "LQR, PPO": Toy(
         "lqr", is_near_optimal, every=1000, cap=40_000,
-        contenders=(partial(ours, PPO, PPO_CONFIG), partial(theirs, sb3_ppo)),
+        contenders=(
+            partial(ours, PPO, PPO_CONFIG), partial(theirs, sb3_ppo),
+            partial(ours, PPO, PPO_CONFIG, precision="bfloat16"),
+        ),
     ),
     "point-reach, DDPG+HER": Toy(
         "point-reach", reaches, every=250, cap=10_000,
-        contenders=(partial(ours, DDPGHER, DDPG_CONFIG), partial(theirs, sb3_ddpg)),
+        contenders=(
+            partial(ours, DDPGHER, DDPG_CONFIG), partial(theirs, sb3_ddpg),
+            partial(ours, DDPGHER, DDPG_CONFIG, precision="bfloat16"),
+        ),
     ),
 }  # fmt: skip
 
@@ -209,7 +217,7 @@ def solve() -> dict[str, Any]:
     for title, toy in TOYS.items():
         runs: dict[str, list[Run]] = {name: [] for name in LIBRARIES}
         for seed in track(SEEDS, title, console=Console(stderr=True)):
-            for name, contender in zip(LIBRARIES, toy.contenders, strict=True):
+            for name, contender in zip(LIBRARIES, toy.contenders, strict=False):
                 runs[name].append(contender(toy, seed))
         result[title] = _summary(runs)
     return result
@@ -224,7 +232,7 @@ def _summary(runs: dict[str, list[Run]]) -> dict[str, Any]:
             "seconds": _interval(np.mean, [run.seconds for run in of_one]),
             "env_steps": _interval(np.mean, [float(run.steps) for run in of_one]),
         }
-    peer, own = ([run.seconds for run in runs[name]] for name in reversed(LIBRARIES))
+    peer, own = ([run.seconds for run in runs[name]] for name in LIBRARIES[1::-1])
     result["ratio"] = _interval(lambda a, b, axis: a.mean(axis=axis) / b.mean(axis=axis), peer, own)
     return result
 
