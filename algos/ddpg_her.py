@@ -262,9 +262,6 @@ class DDPGHER:
         seen = summary(self._play(n, TEST), self.comm)
         return {f"test_{name}": seen[name] for name in ("success_rate", "mean_return", *FAULTS)}
 
-    def _tensor(self, values: Array) -> Tensor:
-        return torch.from_numpy(values).to(self.device)
-
     # -- learning ----------------------------------------------------------------------------
 
     def update(self) -> dict[str, float]:
@@ -277,7 +274,7 @@ class DDPGHER:
         assert config.replay_p is not None
         drawn = self.replay.sample(config.n_batches * config.batch_size, config.replay_p)
         sums = torch.zeros(3, device=self.device)
-        prepared = self._prepared(Batch(*map(self._tensor, drawn)))
+        prepared = self._prepared(Batch(*(torch.from_numpy(part).to(self.device) for part in drawn)))
         for batch in zip(*(torch.split(part, config.batch_size) for part in prepared), strict=True):
             sums += self._minibatch(*batch)
         self._target_vector.lerp_(self.adam.vector.detach(), 1.0 - config.polyak)
