@@ -133,11 +133,9 @@ def _resolved(config: DDPGHERConfig, workers: Workers) -> DDPGHERConfig:
         raise ValueError(
             "max_episode_steps: found none, allowed environments whose episodes are limited"
         )
-    gamma, replay_p = config.gamma, config.replay_p
-    if gamma is None:
-        gamma = 1.0 - 1.0 / max_steps
-    if replay_p is None:
-        replay_p = 0.0 if has_single_goal(workers.observation_space) else REPLAY_P
+    her = 0.0 if has_single_goal(workers.observation_space) else REPLAY_P
+    gamma = 1.0 - 1.0 / max_steps if config.gamma is None else config.gamma
+    replay_p = her if config.replay_p is None else config.replay_p
     return dataclasses.replace(config, gamma=gamma, replay_p=replay_p)
 
 
@@ -170,10 +168,9 @@ class DDPGHER:
         self.comm.broadcast_(self._target_vector)
         self.obs_stats = Normalizer(n_obs - n_goal, comm, config.norm_clip)
         self.goal_stats = Normalizer(n_goal, comm, config.norm_clip)
-        assert workers.max_episode_steps is not None
         self.replay = Replay(
             config.buffer_size,
-            workers.max_episode_steps,
+            workers.max_episode_steps or 0,
             (n_obs - n_goal, n_goal, n_actions),
             n_boolean(space),
             workers.compute_reward,
