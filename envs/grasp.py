@@ -62,7 +62,8 @@ class GraspConfig:
     hold_seconds: float = 20.0
     """lift-and-hold: length of the hold test, s (5,000 timesteps, paper; mpl: 20.83)."""
     hold_verdict: Verdict = "full"
-    """lift-and-hold: full, or settled (a success is called once the object rests in the hand)."""
+    """lift-and-hold: full, or settled (the same test with creep sped up and time compressed, ended once
+    the object rests in the hand)."""
     goal_height: float = 0.08
     """reach-goal: the goal is this far above the object's start, m."""
     goal_tolerance: float = 0.03
@@ -194,7 +195,9 @@ class GraspEnv(gym.Env[Any, Array]):
             ),
         )
         self._warnings = self.simulator.warnings
-        self._hold = HoldTest.of_setup(setup(hand).timestep, config.hold_seconds, config.hold_verdict)
+        self._hold = HoldTest.of_setup(
+            setup(hand).timestep, config.hold_seconds, self.shape, config.hold_verdict
+        )
         self._desired_goal = self.task.desired_goal().astype(np.float32)
         self._object_id = np.array([float(objects.KINDS.index(self.shape.kind))])
         first = [self.hand.joints.index(joint) for joint in self.hand.first_joints]

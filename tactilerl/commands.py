@@ -23,9 +23,8 @@ from .envs.simulators import Camera
 from .errors import InputError, input_errors
 
 console = Console(highlight=False, soft_wrap=True, markup=False)
-SETTLED_NOTE = (  # docs/data/hold_verdict.json, hold_verdict_mpl.json
-    "hold_verdict=settled calls a success early; it was wrong in 2 of 150 holds of the Shadow Hand "
-    "in MuJoCo and in 0 of 150 of the MPL hand in PyBullet"
+SETTLED_NOTE = (
+    "hold_verdict=settled decides holds early; how often it is wrong: docs/environments.md, Hold test"
 )
 
 
