@@ -133,11 +133,9 @@ def _resolved(config: DDPGHERConfig, workers: Workers) -> DDPGHERConfig:
         raise ValueError(
             "max_episode_steps: found none, allowed environments whose episodes are limited"
         )
-    gamma, replay_p = config.gamma, config.replay_p
-    if gamma is None:
-        gamma = 1.0 - 1.0 / max_steps
-    if replay_p is None:
-        replay_p = 0.0 if has_single_goal(workers.observation_space) else REPLAY_P
+    her = 0.0 if has_single_goal(workers.observation_space) else REPLAY_P
+    gamma = 1.0 - 1.0 / max_steps if config.gamma is None else config.gamma
+    replay_p = her if config.replay_p is None else config.replay_p
     return dataclasses.replace(config, gamma=gamma, replay_p=replay_p)
 
 
@@ -170,10 +168,9 @@ class DDPGHER:
         self.comm.broadcast_(self._target_vector)
         self.obs_stats = Normalizer(n_obs - n_goal, comm, config.norm_clip)
         self.goal_stats = Normalizer(n_goal, comm, config.norm_clip)
-        assert workers.max_episode_steps is not None
         self.replay = Replay(
             config.buffer_size,
-            workers.max_episode_steps,
+            workers.max_episode_steps or 0,
             (n_obs - n_goal, n_goal, n_actions),
             n_boolean(space),
             workers.compute_reward,
@@ -262,23 +259,21 @@ class DDPGHER:
         seen = summary(self._play(n, TEST), self.comm)
         return {f"test_{name}": seen[name] for name in ("success_rate", "mean_return", *FAULTS)}
 
-    def _tensor(self, values: Array) -> Tensor:
-        return torch.from_numpy(values).to(self.device)
-
     # -- learning ----------------------------------------------------------------------------
 
     def update(self) -> dict[str, float]:
         """One cycle's updates, then one step of the target networks.
 
-        The replay does not change in between, so all batches are drawn at once.
+        Neither the replay nor the target networks change in between, so all batches are drawn,
+        normalised and given their targets at once.
         """
         config = self.config
         assert config.replay_p is not None
         drawn = self.replay.sample(config.n_batches * config.batch_size, config.replay_p)
         sums = torch.zeros(3, device=self.device)
-        parts = (torch.split(self._tensor(part), config.batch_size) for part in drawn)
-        for batch in zip(*parts, strict=True):
-            sums += self._minibatch(*self._prepared(Batch(*batch)))
+        prepared = self._prepared(Batch(*(torch.from_numpy(part).to(self.device) for part in drawn)))
+        for batch in zip(*(torch.split(part, config.batch_size) for part in prepared), strict=True):
+            sums += self._minibatch(*batch)
         self._target_vector.lerp_(self.adam.vector.detach(), 1.0 - config.polyak)
         self.updates += config.n_batches
         self._check(sums)
@@ -302,19 +297,26 @@ class DDPGHER:
         target = targets(batch.reward, next_values, terminal, config.gamma, config.clip_target)
         return inputs, batch.action, target
 
+    @torch.no_grad()
     def _minibatch(self, inputs: Tensor, actions: Tensor, target: Tensor) -> Tensor:
         """One step of both networks from the same parameters; critic's and actor's loss, mean Q."""
-        self.adam.zero_grad()
-        q = self.critic(torch.cat([inputs, actions], dim=1)).squeeze(-1)
-        critic_loss = (q - target).square().mean()
-        critic_loss.backward()
-        own = self.actor(inputs)
-        value = self.critic(torch.cat([inputs, own], dim=1)).mean()
-        actor_loss = -value + self.config.action_l2 * own.square().mean()
-        actor_loss.backward(inputs=list(self.actor.parameters()))
+        n, n_seen = inputs.shape
+        seen = self.actor.run(inputs)
+        own = seen[-1]
+        # The critic judges the actions that were taken and the actor's own in one pass.
+        pairs = torch.cat([inputs, actions], dim=1), torch.cat([inputs, own], dim=1)
+        judged = self.critic.run(torch.cat(pairs))
+        q, own_q = torch.split(judged[-1].squeeze(-1), n)
+        error, value = q - target, own_q.mean()
+        by_q = torch.cat([2 * error / n, torch.full_like(own_q, -1 / n)])
+        deltas = self.critic.deltas(judged, by_q[:, None])
+        self.critic.write_gradient([x[:n] for x in judged], [x[:n] for x in deltas])
+        by_own = deltas[0][n:] @ self.critic.linears[0].weight[:, n_seen:]
+        self.actor.backward(seen, by_own + 2 * self.config.action_l2 / own.numel() * own)
         self.adam.reduce(self.comm, self.config.reduction)
         self.adam.step()
-        return torch.stack([critic_loss, actor_loss, value]).detach()
+        actor_loss = self.config.action_l2 * own.square().mean() - value
+        return torch.stack([error.square().mean(), actor_loss, value])
 
     def _check(self, sums: Tensor) -> None:
         """Stop with DivergenceError when something broke or the ranks have parted."""

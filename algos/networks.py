@@ -8,14 +8,36 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, Literal
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 from . import DivergenceError
 from .mpi import Communicator
+
+Precision = Literal["float32", "bfloat16"]
+
+
+@contextmanager
+def matrix_products(precision: Precision) -> Iterator[None]:
+    """Matrix products of float32 numbers multiply them in float32 or rounded to bfloat16 (8 bits
+    of precision instead of 24); sums and results are float32 all the same. Of the whole process."""
+    before = torch.get_float32_matmul_precision()
+    torch.set_float32_matmul_precision("medium" if precision == "bfloat16" else "highest")
+    try:
+        yield
+    finally:
+        torch.set_float32_matmul_precision(before)
+
+
+def has_bfloat16() -> bool:
+    """Does this processor multiply bfloat16 itself, so that it is worth it?"""
+    names = ("_is_amx_tile_supported", "_is_avx512_bf16_supported")  # there is no public question
+    return any(getattr(torch.cpu, name, bool)() for name in names)
 
 
 class MLP(nn.Sequential):
@@ -36,6 +58,45 @@ class MLP(nn.Sequential):
         layers[-1:] = [nn.Tanh()] if tanh else []
         super().__init__(*layers)
         self._shape = tuple(sizes), tanh
+        self.linears = [layer for layer in layers if isinstance(layer, nn.Linear)]
+
+    # -- learning, by hand: small batches leave autograd's bookkeeping no time to hide in --------
+
+    @torch.no_grad()
+    def run(self, inputs: Tensor) -> list[Tensor]:
+        """What each linear layer sees (n, size), the inputs first, and the outputs (n, sizes[-1])."""
+        (*_, last), (_, tanh), values = self.linears, self._shape, [inputs]
+        for linear in self.linears:
+            values.append(functional.linear(values[-1], linear.weight, linear.bias))
+            if linear is not last:
+                values[-1].relu_()
+            elif tanh:
+                values[-1].tanh_()
+        return values
+
+    @torch.no_grad()
+    def deltas(self, values: Sequence[Tensor], gradient: Tensor) -> list[Tensor]:
+        """Gradients (n, size) of a loss by what each linear layer gives, before its ReLU or Tanh.
+
+        `values` are what `run` returned, `gradient` (n, sizes[-1]) is the loss's by the outputs.
+        """
+        _, tanh = self._shape
+        found = [gradient * (1.0 - values[-1].square()) if tanh else gradient]
+        for linear, hidden in zip(self.linears[:0:-1], values[-2:0:-1], strict=True):
+            found.append(torch.ops.aten.threshold_backward(found[-1] @ linear.weight, hidden, 0.0))
+        return found[::-1]
+
+    @torch.no_grad()
+    def write_gradient(self, values: Sequence[Tensor], deltas: Sequence[Tensor]) -> None:
+        """The loss's gradient by the parameters, into their `grad`; of the rows that are given."""
+        for linear, inputs, delta in zip(self.linears, values, deltas, strict=False):
+            weight, bias = linear.weight.grad, linear.bias.grad
+            torch.mm(delta.t(), inputs, out=weight)
+            torch.sum(delta, dim=0, out=bias)
+
+    def backward(self, values: Sequence[Tensor], gradient: Tensor) -> None:
+        """Write a loss's gradient by the parameters into their `grad`; arguments as of `deltas`."""
+        self.write_gradient(values, self.deltas(values, gradient))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickles and copies as sizes and numbers: the parameters may be views of much more."""
@@ -79,24 +140,17 @@ class FlatAdam:
         self.gradient = self.vector.grad
         self._moments = {name: torch.zeros_like(self.vector.data) for name in ("exp_avg", "exp_avg_sq")}
         self._steps = torch.zeros(len(modules), device=self.vector.device)
+        self._lrs, self._eps = [lr for _, lr in modules], eps
         sizes = [sum(p.numel() for p in module.parameters()) for module, _ in modules]
-        slices = [slice(*ends) for ends in itertools.pairwise((0, *itertools.accumulate(sizes)))]
-        parts = [nn.Parameter(self.vector.data[part]) for part in slices]
-        groups = [{"params": [p], "lr": lr} for p, (_, lr) in zip(parts, modules, strict=True)]
-        self._adam = torch.optim.Adam(groups, eps=eps, fused=True)
-        for i, (parameter, part) in enumerate(zip(parts, slices, strict=True)):
-            parameter.grad = self.gradient[part]
-            moments = {name: values[part] for name, values in self._moments.items()}
-            self._adam.state[parameter] = {"step": self._steps[i], **moments}
+        whole = (self.vector.data, self.gradient, *self._moments.values())
+        parts = (*(torch.split(values, sizes) for values in whole), self._steps.unbind())
+        self._parts: list[tuple[list[Tensor], ...]] = [
+            tuple([part] for part in one) for one in zip(*parts, strict=True)
+        ]
 
     def set_lr(self, lr: float) -> None:
         """Change the step size of all modules."""
-        for group in self._adam.param_groups:
-            group["lr"] = lr
-
-    def zero_grad(self) -> None:
-        """Set the gradient to zero, in place: the parameters' gradients are views of it."""
-        self.gradient.zero_()
+        self._lrs = [lr] * len(self._lrs)
 
     def reduce(self, comm: Communicator, how: Literal["mean", "sum"] = "sum") -> None:
         """Replace the gradient by its sum or mean over ranks: one message."""
@@ -106,12 +160,22 @@ class FlatAdam:
 
     def clip(self, max_norm: float) -> None:
         """Scale the gradient down to `max_norm` where it is longer."""
-        scale = max_norm / (torch.linalg.vector_norm(self.gradient) + 1e-6)
+        norm = torch.dot(self.gradient, self.gradient).sqrt()
+        scale = max_norm / (norm + 1e-6)
         self.gradient.mul_(scale.clamp(max=1.0))
 
     def step(self) -> None:
-        """One step along the gradient."""
-        self._adam.step()
+        """One step along the gradient, by the kernel of torch.optim.Adam(fused=True): through the
+        optimiser a step takes twice as long."""
+        self._steps += 1
+        # Moments of units that are never active fade until they are denormal, and slow: zero then.
+        torch.set_flush_denormal(True)  # of this thread; whoever steps physics must not notice
+        for (vector, gradient, mean, square, steps), lr in zip(self._parts, self._lrs, strict=True):
+            torch._fused_adam_(
+                vector, gradient, mean, square, [], steps, lr=lr, beta1=0.9, beta2=0.999,
+                weight_decay=0.0, eps=self._eps, amsgrad=False, maximize=False,
+            )  # fmt: skip
+        torch.set_flush_denormal(False)
 
     def is_finite(self) -> bool:
         """Are all parameters finite?"""

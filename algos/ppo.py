@@ -1,6 +1,6 @@
 """Proximal policy optimisation (Schulman et al. 2017), as the paper uses it.
 
-Read from top to bottom: the choices, three pure functions, the learner. The source of what
+Read from top to bottom: the choices, pure functions, the learner. The source of what
 the paper leaves open is PPO-for-Beginners (yu2023ppo in the paper): whole episodes, GAE with
 returns = advantage + value, advantages normalised over the batch, separate Adams.
 """
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -119,14 +119,34 @@ def normalise(advantages: Array) -> Array:
     return centred / std if std > 1e-10 * np.abs(advantages).max() else np.zeros_like(centred)
 
 
-def clipped_loss(log_ratio: Tensor, advantages: Tensor, clip_range: float) -> Tensor:
-    """The clipped surrogate objective, negated (Schulman et al. 2017, eq. 7): (n,).
+class Surrogate(NamedTuple):
+    """The clipped surrogate objective, negated, of each transition (n,), and what it is made of."""
+
+    loss: Tensor
+    slope: Tensor
+    """Gradient of the loss by the log ratio."""
+    kl: Tensor
+    """Unbiased estimate of the KL divergence from the old policy."""
+    is_clipped: Tensor
+    """Is the ratio outside the clip range?"""
+
+
+def surrogate(log_ratio: Tensor, advantages: Tensor, clip_range: float) -> Surrogate:
+    """Schulman et al. 2017, eq. 7, from log ratios and advantages (n,).
 
     Log ratios are cut at ±20 first: no minimum changes, and an overflow cannot happen.
     """
-    ratio = log_ratio.clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO).exp()
+    cut = log_ratio.clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO)
+    ratio = cut.exp()
     clipped = ratio.clamp(1 - clip_range, 1 + clip_range)
-    return -torch.min(ratio * advantages, clipped * advantages)
+    gain, bounded = ratio * advantages, clipped * advantages
+    counts = (gain <= bounded) & (cut == log_ratio)
+    return Surrogate(
+        loss=-torch.minimum(gain, bounded),
+        slope=-gain * counts,
+        kl=ratio - 1 - log_ratio,
+        is_clipped=clipped != ratio,
+    )
 
 
 def gaussian(actions: Array, variance: float, rng: np.random.Generator) -> Array:
@@ -265,6 +285,7 @@ class PPO:
             return True
         return self.config.truncation == "bootstrap" and not episode.terminated
 
+    @torch.no_grad()
     def _minibatch(
         self, obs: Tensor, actions: Tensor, old: Tensor, advantages: Tensor, returns: Tensor
     ) -> Tensor:
@@ -278,21 +299,17 @@ class PPO:
                 torch.tensor_split(t, self.comm.size)[self.comm.rank]
                 for t in (obs, actions, old, advantages, returns)
             )
-        log_ratio = log_prob(actions, self.actor(obs), config.action_variance) - old
-        policy_loss = clipped_loss(log_ratio, advantages, config.clip_range).sum() / n
-        value_loss = (self.critic(obs).squeeze(-1) - returns).square().sum() / n
-        self.actor_adam.zero_grad()
-        self.critic_adam.zero_grad()
-        (policy_loss + value_loss).backward()
+        seen, judged = self.actor.run(obs), self.critic.run(obs)
+        away, error = actions - seen[-1], judged[-1] - returns[:, None]
+        log_ratio = log_prob(actions, seen[-1], config.action_variance) - old
+        loss, slope, kl, is_clipped = surrogate(log_ratio, advantages, config.clip_range)
+        self.actor.backward(seen, (slope / (n * config.action_variance))[:, None] * away)
+        self.critic.backward(judged, error * (2 / n))
         for adam in (self.actor_adam, self.critic_adam):
             adam.reduce(self.comm)
             adam.clip(config.max_grad_norm)
             adam.step()
-        with torch.no_grad():
-            ratio = log_ratio.clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO).exp()
-            kl = (ratio - 1 - log_ratio).sum() / n
-            clipped = ((ratio - 1).abs() > config.clip_range).sum() / n
-            return torch.stack([policy_loss, value_loss, kl, clipped])
+        return torch.stack([loss, error.square().squeeze(-1), kl, is_clipped]).sum(dim=1) / n
 
     def _check(self, sums: Tensor) -> None:
         """Stop with DivergenceError when something broke or the ranks have parted."""

@@ -23,7 +23,9 @@ from scipy import stats
 from tactilerl import envs
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
-from tactilerl.envs.vector import Envs
+from tactilerl.algos.replay import GoalObs
+from tactilerl.algos.rollout import TRAIN, PlayEpisode
+from tactilerl.envs import vector
 
 LIFT = 0.02  # m: higher than a cube that is tipped over
 VARIANTS: dict[str, dict[str, Any]] = {
@@ -43,15 +45,16 @@ VARIANTS: dict[str, dict[str, Any]] = {
 
 def explore(choices: dict[str, Any], episodes: int) -> dict[str, float]:
     """Counts of episodes in which the cube is lifted, passes the goal, ends there."""
-    pool = Envs(lambda: envs.make("shadow", task="reach-goal", **choices), 1)
-    learner = DDPGHER(DDPGHERConfig(), pool, Communicator(), seed=0, total_timesteps=1)
+    workers = vector.start(lambda: envs.make("shadow", task="reach-goal", **choices))
+    learner = DDPGHER(DDPGHERConfig(), workers, Communicator(), seed=0, total_timesteps=1)
     counts = {"lifted": 0.0, "passes the goal": 0.0, "ends at the goal": 0.0}
-    for episode in learner.rollouts.play(learner._explore, episodes=episodes):
+    task = PlayEpisode[GoalObs](learner.policy(), (0, 0, TRAIN, 0))
+    for episode in workers.play(task, range(episodes)):
         heights = np.array([obs.achieved_goal[2] for obs in episode.obs])
         counts["lifted"] += heights.max() > heights[0] + LIFT
         counts["passes the goal"] += max(episode.rewards) == 0
         counts["ends at the goal"] += episode.success
-    pool.close()
+    workers.close()
     return counts
 
 

@@ -21,7 +21,7 @@ from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.replay import GoalObs, Replay
 from tactilerl.algos.rollout import Episode
-from tactilerl.envs.vector import Envs
+from tactilerl.envs import vector
 
 
 def peak() -> int:
@@ -49,8 +49,8 @@ def synthetic(replay: Replay, rng: np.random.Generator) -> Episode[GoalObs]:
 def main() -> None:
     """Peaks after each stage of a worker's life."""
     torch.set_num_threads(1)
-    pool = Envs(lambda: envs.make("shadow", task="reach-goal", layout="1"), 2)
-    learner = DDPGHER(DDPGHERConfig(), pool, Communicator(), 0, 1)
+    workers = vector.start(lambda: envs.make("shadow", task="reach-goal", layout="1"))
+    learner = DDPGHER(DDPGHERConfig(), workers, Communicator(), 0, 1)
     replay, rng, peaks = learner.replay, np.random.default_rng(0), {}
     learner.collect()
     learner.update()
@@ -64,7 +64,7 @@ def main() -> None:
         torch.save(replay.new_experience(everything=True), file)
     peaks["after saving all of it"] = peak()
     print(json.dumps({"transitions": len(replay), "replay": replay.nbytes, "peaks": peaks}))
-    pool.close()
+    workers.close()
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cache, partial
 from typing import Any
@@ -29,15 +29,19 @@ from scipy import stats
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import NormalActionNoise
 
-from tactilerl import envs, evaluate
+from tactilerl import envs
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
+from tactilerl.algos.networks import Precision, has_bfloat16, matrix_products
 from tactilerl.algos.ppo import PPO, PPOConfig
+from tactilerl.envs import vector
 from tactilerl.envs.toy import LQREnv, PointReachEnv
-from tactilerl.envs.vector import Envs
 
 SEEDS = range(6)
-LIBRARIES = ("tactilerl", "stable-baselines3")
+FIRST_START = 10_000_000  # not a start of training
+LIBRARIES = ("tactilerl", "stable-baselines3", "tactilerl, bfloat16")[: 3 if has_bfloat16() else 2]
+Act = Callable[[Any], np.ndarray]
+"""Observation -> action without exploration."""
 PPO_CONFIG = PPOConfig(
     hidden=(64, 64), actor_lr=1e-3, n_passes=20, n_minibatches=12, gae_lambda=0.9,
     steps_per_epoch=17 * LQREnv.max_episode_steps, truncation="bootstrap", anneal_lr=True,
@@ -55,11 +59,11 @@ class Run:
     is_solved: bool = False
     _since: float = field(default_factory=time.perf_counter)
 
-    def look(self, steps: int, player: Any) -> bool:
-        """Is it solved? Called between updates; looks at `player.act` every `toy.every` steps."""
+    def look(self, steps: int, act: Act) -> bool:
+        """Is it solved? Called between updates; plays `act` every `toy.every` steps."""
         if steps - self.steps >= self.toy.every:
             self.seconds += time.perf_counter() - self._since
-            self.steps, self.is_solved = steps, self.toy.is_solved(player)
+            self.steps, self.is_solved = steps, self.toy.is_solved(act)
             self._since = time.perf_counter()
         return self.is_solved
 
@@ -71,32 +75,33 @@ class Looks(BaseCallback):
         super().__init__()
         self.toy = toy
 
-    def act(self, obs: Any, deterministic: bool) -> np.ndarray:
+    def act(self, obs: Any) -> np.ndarray:
         """Action for one observation."""
-        return self.model.predict(obs, deterministic=deterministic)[0]
+        return self.model.predict(obs, deterministic=True)[0]
 
     def _on_training_start(self) -> None:
         self.run = Run(self.toy)
 
     def _on_rollout_start(self) -> None:
-        self.run.look(self.num_timesteps, self)
+        self.run.look(self.num_timesteps, self.act)
 
     def _on_training_end(self) -> None:
-        self.run.look(self.num_timesteps, self)
+        self.run.look(self.num_timesteps, self.act)
 
     def _on_step(self) -> bool:
         return not self.run.is_solved
 
 
-def ours(algorithm: Any, config: Any, toy: Toy, seed: int) -> Run:
+def ours(algorithm: Any, config: Any, toy: Toy, seed: int, precision: Precision = "float32") -> Run:
     """Our learner until it has solved the toy."""
-    pool = Envs(lambda: envs.make(toy.name), 1)
-    learner = algorithm(config, pool, Communicator(), seed, toy.cap)
+    workers = vector.start(lambda: envs.make(toy.name))
+    learner = algorithm(config, workers, Communicator(), seed, toy.cap)
     run = Run(toy)
-    while learner.env_steps < toy.cap and not run.look(learner.env_steps, learner):
+    while learner.env_steps < toy.cap and not run.look(learner.env_steps, learner.policy().act):
         learner.collect()
-        learner.update()
-    run.look(learner.env_steps, learner)
+        with matrix_products(precision):
+            learner.update()
+    run.look(learner.env_steps, learner.policy().act)
     return run
 
 
@@ -139,24 +144,34 @@ def theirs(make: Callable[[Any, int], Any], toy: Toy, seed: int) -> Run:
     return looks.run
 
 
-def is_near_optimal(player: Any, episodes: int = 20) -> bool:
+def play(name: str, act: Act, episodes: int) -> Iterator[tuple[float, float]]:
+    """Return and success of each episode without exploration."""
+    env = envs.make(name)
+    for index in range(episodes):
+        obs, _ = env.reset(seed=FIRST_START + index)
+        total, is_done = 0.0, False
+        while not is_done:
+            obs, reward, terminated, truncated, info = env.step(act(obs))
+            total, is_done = total + float(reward), terminated or truncated
+        yield total, float(info.get("is_success", np.nan))
+
+
+def is_near_optimal(act: Act, episodes: int = 20) -> bool:
     """Is the mean return within 5 % of the Riccati optimum?"""
-    played = evaluate.play(envs.make("lqr"), player, episodes)
-    return _within(1.05 * optimal_cost(episodes), (-episode["return"] for episode in played))
+    return _within(1.05 * optimal_cost(episodes), (-total for total, _ in play("lqr", act, episodes)))
 
 
 @cache
 def optimal_cost(episodes: int) -> float:
-    """Sum over the starts of `evaluate.play`."""
+    """Sum over the starts of `play`."""
     env = envs.make("lqr")
-    starts = [env.reset(seed=evaluate.SEED + index)[0] for index in range(episodes)]
+    starts = [env.reset(seed=FIRST_START + index)[0] for index in range(episodes)]
     return -sum(LQREnv.optimal_return(start.astype(np.float64)) for start in starts)
 
 
-def reaches(player: Any, goals: int = 100) -> bool:
+def reaches(act: Act, goals: int = 100) -> bool:
     """Are at least 95 % of the goals reached?"""
-    played = evaluate.play(envs.make("point-reach"), player, goals)
-    return _within(0.05 * goals, (1.0 - episode["success"] for episode in played))
+    return _within(0.05 * goals, (1.0 - success for _, success in play("point-reach", act, goals)))
 
 
 def _within(budget: float, losses: Iterable[float]) -> bool:
@@ -169,23 +184,29 @@ class Toy:
     """A toy, when it is solved, and who tries."""
 
     name: str
-    is_solved: Callable[[Any], bool]
+    is_solved: Callable[[Act], bool]
     every: int
     """Environment steps between two looks at the policy, at least."""
     cap: int
     """Environment steps after which a seed counts as not solved."""
     contenders: tuple[Callable[[Toy, int], Run], ...]
-    """In the order of LIBRARIES: (toy, seed) -> its run."""
+    """In the order of LIBRARIES, the last where the processor can: (toy, seed) -> its run."""
 
 
 TOYS = {
     "LQR, PPO": Toy(
         "lqr", is_near_optimal, every=1000, cap=40_000,
-        contenders=(partial(ours, PPO, PPO_CONFIG), partial(theirs, sb3_ppo)),
+        contenders=(
+            partial(ours, PPO, PPO_CONFIG), partial(theirs, sb3_ppo),
+            partial(ours, PPO, PPO_CONFIG, precision="bfloat16"),
+        ),
     ),
     "point-reach, DDPG+HER": Toy(
         "point-reach", reaches, every=250, cap=10_000,
-        contenders=(partial(ours, DDPGHER, DDPG_CONFIG), partial(theirs, sb3_ddpg)),
+        contenders=(
+            partial(ours, DDPGHER, DDPG_CONFIG), partial(theirs, sb3_ddpg),
+            partial(ours, DDPGHER, DDPG_CONFIG, precision="bfloat16"),
+        ),
     ),
 }  # fmt: skip
 
@@ -196,7 +217,7 @@ def solve() -> dict[str, Any]:
     for title, toy in TOYS.items():
         runs: dict[str, list[Run]] = {name: [] for name in LIBRARIES}
         for seed in track(SEEDS, title, console=Console(stderr=True)):
-            for name, contender in zip(LIBRARIES, toy.contenders, strict=True):
+            for name, contender in zip(LIBRARIES, toy.contenders, strict=False):
                 runs[name].append(contender(toy, seed))
         result[title] = _summary(runs)
     return result
@@ -211,7 +232,7 @@ def _summary(runs: dict[str, list[Run]]) -> dict[str, Any]:
             "seconds": _interval(np.mean, [run.seconds for run in of_one]),
             "env_steps": _interval(np.mean, [float(run.steps) for run in of_one]),
         }
-    peer, own = ([run.seconds for run in runs[name]] for name in reversed(LIBRARIES))
+    peer, own = ([run.seconds for run in runs[name]] for name in LIBRARIES[1::-1])
     result["ratio"] = _interval(lambda a, b, axis: a.mean(axis=axis) / b.mean(axis=axis), peer, own)
     return result
 

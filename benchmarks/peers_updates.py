@@ -15,8 +15,9 @@ from timing import Contender, quotients, rounds
 
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
+from tactilerl.algos.networks import has_bfloat16, matrix_products
 from tactilerl.algos.ppo import PPO, PPOConfig
-from tactilerl.envs.vector import Envs
+from tactilerl.envs import vector
 
 OURS, THEIRS, BOUND = "tactilerl", "stable-baselines3", "matrix products"
 WIDTHS = [256] * 3
@@ -35,7 +36,7 @@ ddpg_env = partial(RandomGoals, DDPG_OBS - GOAL, DDPG_ACTIONS)
 def our_ppo() -> Contender:
     """PPO.update on one batch."""
     config = PPOConfig(n_passes=PASSES, steps_per_epoch=PPO_BATCH)
-    learner = PPO(config, Envs(ppo_env, 1), Communicator(), seed=0, total_timesteps=PPO_BATCH)
+    learner = PPO(config, vector.start(ppo_env), Communicator(), seed=0, total_timesteps=PPO_BATCH)
     learner.collect()
     return lambda: int(learner.update()["updates"])
 
@@ -62,7 +63,7 @@ def sb3_ppo() -> Contender:
 def our_ddpg() -> DDPGHER:
     """A learner with a replay of random episodes."""
     config = DDPGHERConfig(n_rollouts=EPISODES, n_batches=UPDATES, batch_size=DDPG_BATCH)
-    learner = DDPGHER(config, Envs(ddpg_env, 1), Communicator(), seed=0, total_timesteps=1)
+    learner = DDPGHER(config, vector.start(ddpg_env), Communicator(), seed=0, total_timesteps=1)
     learner.collect()
     return learner
 
@@ -78,7 +79,7 @@ def sb3_ddpg() -> Any:
     return model
 
 
-def matrix_products(batch: int, *work: tuple[list[int], int, int, int]) -> Contender:
+def products(batch: int, *work: tuple[list[int], int, int, int]) -> Contender:
     """The matrix products that updates cannot do without: what no implementation beats.
 
     Each network in `work` is its sizes, and how often an update goes through it: forward, for
@@ -109,14 +110,27 @@ def matrix_products(batch: int, *work: tuple[list[int], int, int, int]) -> Conte
 def ppo_products() -> Contender:
     """Of one minibatch through actor and critic."""
     actor, critic = ([PPO_OBS, *WIDTHS, outputs] for outputs in (PPO_ACTIONS, 1))
-    return matrix_products(PPO_BATCH // PPO_MINIBATCHES, (actor, 1, 1, 1), (critic, 1, 1, 1))
+    return products(PPO_BATCH // PPO_MINIBATCHES, (actor, 1, 1, 1), (critic, 1, 1, 1))
 
 
 def ddpg_products() -> Contender:
     """Of one batch; the actor's loss goes through the critic, the targets through both."""
     actor = [DDPG_OBS, *WIDTHS, DDPG_ACTIONS]
     critic = [DDPG_OBS + DDPG_ACTIONS, *WIDTHS, 1]
-    return matrix_products(DDPG_BATCH, (actor, 2, 1, 1), (critic, 3, 1, 2))
+    return products(DDPG_BATCH, (actor, 2, 1, 1), (critic, 3, 1, 2))
+
+
+def in_both(contenders: dict[str, Contender]) -> dict[str, Contender]:
+    """And once more with matrix products in bfloat16, where the processor has them."""
+
+    def coarsely(run: Contender) -> int:
+        with matrix_products("bfloat16"):
+            return run()
+
+    if not has_bfloat16():
+        return contenders
+    coarse = {f"{name}, bfloat16": partial(coarsely, run) for name, run in contenders.items()}
+    return contenders | coarse
 
 
 def updates() -> dict[str, Any]:
@@ -134,16 +148,16 @@ def updates() -> dict[str, Any]:
         return drawn
 
     contests: dict[str, dict[str, Contender]] = {
-        f"PPO minibatch updates, {PPO_BATCH // PPO_MINIBATCHES} × {PPO_OBS} → {PPO_ACTIONS}": {
-            OURS: our_ppo(),
-            THEIRS: sb3_ppo(),
-            BOUND: ppo_products(),
-        },
-        f"DDPG+HER updates, {DDPG_BATCH} × {DDPG_OBS} → {DDPG_ACTIONS}": {
-            OURS: lambda: int(learner.update()["updates"]),
-            THEIRS: sb3_update,
-            BOUND: ddpg_products(),
-        },
+        f"PPO minibatch updates, {PPO_BATCH // PPO_MINIBATCHES} × {PPO_OBS} → {PPO_ACTIONS}": (
+            in_both({OURS: our_ppo(), THEIRS: sb3_ppo(), BOUND: ppo_products()})
+        ),
+        f"DDPG+HER updates, {DDPG_BATCH} × {DDPG_OBS} → {DDPG_ACTIONS}": in_both(
+            {
+                OURS: lambda: int(learner.update()["updates"]),
+                THEIRS: sb3_update,
+                BOUND: ddpg_products(),
+            }
+        ),
         "relabelled transitions": {
             OURS: lambda: len(learner.replay.sample(drawn, learner.config.replay_p).reward),
             THEIRS: sb3_samples,
@@ -152,6 +166,6 @@ def updates() -> dict[str, Any]:
     result = {}
     for title, contenders in contests.items():
         rates = rounds(contenders)
-        pairs = [(OURS, name) for name in contenders if name != OURS]
+        pairs = [(name, THEIRS) for name in contenders if name != THEIRS]
         result[title] = {"per_s": rates, "ratios": quotients(rates, *pairs)}
     return result

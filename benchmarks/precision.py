@@ -1,5 +1,5 @@
-"""Is float32 enough? The learners' updates against the same updates in float64, and bootstrap
-intervals, ours and rliable's, against an exact one.
+"""Is float32 enough, and are products in bfloat16? The learners' updates against the same updates
+in float64, and bootstrap intervals, ours and rliable's, against an exact one.
 
 100 minibatch updates on identical data, at the sizes of the paper's set-ups; then intervals of a
 mean of five numbers, all of whose 3,125 resamples can be listed. Prints tables and writes JSON:
@@ -24,9 +24,9 @@ from timing import Part, run_parts
 
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
-from tactilerl.algos.networks import FlatAdam
+from tactilerl.algos.networks import FlatAdam, Precision, has_bfloat16, matrix_products
 from tactilerl.algos.ppo import PPO, PPOConfig
-from tactilerl.envs.vector import Envs
+from tactilerl.envs import vector
 from tactilerl.evaluate import mean_interval
 
 UPDATES = 100
@@ -41,8 +41,8 @@ Updates = tuple[Any, list[tuple[torch.Tensor, ...]], Callable[[Any], list[FlatAd
 
 def ppo(seed: int) -> Updates:
     """At the sizes of the MPL hand, layout 2."""
-    pool = Envs(lambda: RandomGoals(n_obs=94, n_actions=7), 1)
-    learner: Any = PPO(PPOConfig(), pool, Communicator(), seed, 10**6)
+    workers = vector.start(lambda: RandomGoals(n_obs=94, n_actions=7))
+    learner: Any = PPO(PPOConfig(), workers, Communicator(), seed, 10**6)
     learner.collect()
     batch, rng = learner._batch(), np.random.default_rng(seed)
     n = len(batch[0])
@@ -61,8 +61,8 @@ def ppo(seed: int) -> Updates:
 
 def ddpg(seed: int) -> Updates:
     """At the sizes of the Shadow Hand, layout 2."""
-    pool = Envs(lambda: RandomGoals(n_obs=140, n_actions=23), 2)
-    learner: Any = DDPGHER(DDPGHERConfig(buffer_size=4000), pool, Communicator(), seed, 10**6)
+    workers = vector.start(lambda: RandomGoals(n_obs=140, n_actions=23))
+    learner: Any = DDPGHER(DDPGHERConfig(buffer_size=4000), workers, Communicator(), seed, 10**6)
     for _ in range(20):
         learner.collect()
     minibatches = []
@@ -80,10 +80,19 @@ def ddpg(seed: int) -> Updates:
     return learner, minibatches, optimisers
 
 
+PRODUCTS: dict[str, tuple[torch.dtype, Precision]] = {
+    "float64": (torch.float64, "float32"),
+    "float32": (torch.float32, "float32"),
+    "bfloat16": (torch.float32, "bfloat16"),
+}
+"""What multiplies: type of everything else, products of float32."""
+
+
 def drift(learner: Any, minibatches: list[tuple[torch.Tensor, ...]], optimisers: Any) -> dict[str, Any]:
-    """How far float32 parameters end from float64's, relative to the way both went."""
+    """How far parameters end from float64's, relative to the way these went; and how fast."""
     ends, seconds = {}, {}
-    for dtype in (torch.float32, torch.float64):
+    for name in PRODUCTS if has_bfloat16() else ("float64", "float32"):
+        dtype, products = PRODUCTS[name]
         twin = copy.copy(learner)
         twin.actor, twin.critic = (
             copy.deepcopy(net).to(dtype) for net in (learner.actor, learner.critic)
@@ -92,37 +101,45 @@ def drift(learner: Any, minibatches: list[tuple[torch.Tensor, ...]], optimisers:
         start = torch.cat([adam.vector.detach().double().clone() for adam in adams])
         data = [tuple(part.to(dtype) for part in minibatch) for minibatch in minibatches]
         started = time.perf_counter()
-        for minibatch in data:
-            twin._minibatch(*minibatch)
-        seconds[dtype] = time.perf_counter() - started
-        ends[dtype] = torch.cat([adam.vector.detach().double() for adam in adams])
-    way = (ends[torch.float64] - start).norm()
+        with matrix_products(products):
+            for minibatch in data:
+                twin._minibatch(*minibatch)
+        seconds[name] = time.perf_counter() - started
+        ends[name] = torch.cat([adam.vector.detach().double() for adam in adams])
+    way = (ends["float64"] - start).norm()
     return {
-        "parameter_error": float((ends[torch.float32] - ends[torch.float64]).norm() / way),
-        "speed": seconds[torch.float64] / seconds[torch.float32],
+        name: {
+            "parameter_error": float((end - ends["float64"]).norm() / way),
+            "speed": seconds["float64"] / seconds[name],
+        }
+        for name, end in ends.items()
+        if name != "float64"
     }
 
 
 def learners() -> dict[str, Any]:
     """Both, from several first weights."""
-    result = {}
-    for name, make in (("ppo", ppo), ("ddpg_her", ddpg)):
-        rows = [drift(*make(seed)) for seed in LEARNERS]
-        errors = [row["parameter_error"] for row in rows]
-        result[name] = {
-            "parameter_error_median": float(np.median(errors)),
-            "parameter_error_worst": max(errors),
-            "speed": float(np.median([row["speed"] for row in rows])),
-        }
+    result: dict[str, Any] = {}
+    for learner, make in (("ppo", ppo), ("ddpg_her", ddpg)):
+        found = [drift(*make(seed)) for seed in LEARNERS]
+        result[learner] = {}
+        for name in found[0]:
+            errors, speeds = ([row[name][key] for row in found] for key in ("parameter_error", "speed"))
+            result[learner][name] = {
+                "parameter_error_median": float(np.median(errors)),
+                "parameter_error_worst": max(errors),
+                "speed": float(np.median(speeds)),
+            }
     return result
 
 
 def show_learners(found: dict[str, Any]) -> None:
     """One table."""
-    table = Table(f"{UPDATES} updates", "error of the parameters", "worst", "float32 / float64, speed")
-    for name, row in found.items():
-        errors = (f"{row[f'parameter_error_{which}']:.2g}" for which in ("median", "worst"))
-        table.add_row(name, *errors, f"{row['speed']:.2f}")
+    table = Table(f"{UPDATES} updates", "products", "error of the parameters", "worst", "speed")
+    for learner, rows in found.items():
+        for name, row in rows.items():
+            errors = (f"{row[f'parameter_error_{which}']:.2g}" for which in ("median", "worst"))
+            table.add_row(learner, name, *errors, f"{row['speed']:.2f}")
     Console().print(table)
 
 

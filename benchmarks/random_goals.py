@@ -7,8 +7,6 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from tactilerl.algos import Transition
-
 GOAL, STEPS = 3, 100
 
 
@@ -38,7 +36,7 @@ class RandomGoals(gym.Env[Any, Any]):
         self.steps += 1
         obs = self._obs()
         reward = float(self.compute_reward(obs["achieved_goal"], obs["desired_goal"], {}))
-        return Transition(obs, reward, False, self.steps >= STEPS, {})
+        return obs, reward, False, self.steps >= STEPS, {}
 
     def compute_reward(self, achieved: Any, desired: Any, info: Any) -> Any:
         """Sparse."""

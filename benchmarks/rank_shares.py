@@ -16,7 +16,7 @@ from timing import Watches
 from tactilerl import envs
 from tactilerl.algos import mpi
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
-from tactilerl.envs.vector import Envs
+from tactilerl.envs import vector
 
 CYCLES = 3
 
@@ -25,13 +25,12 @@ def main() -> None:
     """Some cycles on the Shadow Hand on each rank; rank 0 prints where its time went."""
     torch.set_num_threads(1)
     comm = mpi.world()
-    pool = Envs(lambda: envs.make("shadow", task="reach-goal"), 2)
-    learner = DDPGHER(DDPGHERConfig(), pool, comm, 0, 1)
+    workers = vector.start(lambda: envs.make("shadow", task="reach-goal"))
+    learner = DDPGHER(DDPGHERConfig(), workers, comm, 0, 1)
     learner.collect()
     learner.update()
     watches = Watches()
-    for env in pool.envs:
-        watches.watch("physics", env.simulator, "step")  # type: ignore[attr-defined]
+    watches.watch("physics", workers.env.simulator, "step")  # type: ignore[attr-defined]
     watches.watch("collecting", learner, "collect")
     watches.watch("sampling", learner.replay, "sample")
     watches.watch("all-reduce", learner.adam, "reduce")
@@ -66,7 +65,7 @@ def main() -> None:
             "shares": {name: part / seconds for name, part in shares.items()},
         }
         print(json.dumps(result))
-    pool.close()
+    workers.close()
 
 
 if __name__ == "__main__":

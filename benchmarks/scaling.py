@@ -1,7 +1,7 @@
 """What does a second core give, and where does the time of a DDPG+HER run go?
 
-Two processes that share nothing, threads and processes that step environments, and MPI ranks that
-learn together; the same work with one and with two, in turn. Starts mpirun itself. Prints tables
+Two processes that share nothing, threads and processes that play episodes, and MPI ranks that learn
+together; the same work with one and with two, in turn. Starts mpirun itself. Prints tables
 and writes JSON:
 
     python benchmarks/scaling.py --out docs/data/scaling.json
@@ -10,28 +10,31 @@ and writes JSON:
 
 from __future__ import annotations
 
-import itertools
 import json
 import multiprocessing
 import statistics
 import subprocess
 import sys
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import closing
+from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+import torch
 from peers_env import Steps, mj_step
 from rich.console import Console
 from rich.table import Table
 from timing import per_second, rounds, run_parts, show
 
 from tactilerl import envs
+from tactilerl.algos.mpi import Communicator
+from tactilerl.algos.ppo import PPO, PPOConfig
+from tactilerl.algos.rollout import TRAIN, PlayEpisode
 from tactilerl.envs import vector
 
 REPEATS = 3  # of each number of processes
+EPISODES = 12  # of a turn
 
 
 # -- the machine -----------------------------------------------------------------------------
@@ -56,31 +59,27 @@ def limit() -> dict[str, Any]:
     return {"per_s": {"1 process": one, "2 processes": two}, "ratios": {"2 / 1": two / one}}
 
 
-# -- stepping --------------------------------------------------------------------------------
+# -- collecting ------------------------------------------------------------------------------
 
 
-def start(hand: str, n: int, cores: int) -> vector.Envs:
-    """So many environments on so many cores."""
-    return vector.start(partial(envs.make, hand, task="reach-goal", layout="2"), n, cores)
+def play(workers: vector.Workers, task: PlayEpisode[Any]) -> int:
+    """Steps of some episodes, the same ones however many workers play them."""
+    return sum(map(len, workers.play(task, range(EPISODES))))
 
 
-def steps(pool: vector.Envs) -> int:
-    """Steps of all, side by side; the same actions whatever the cores."""
-    rng, n = np.random.default_rng(0), len(pool)
-    pool.reset(range(n), range(n))
-    for _ in range(20):
-        pool.step(range(n), rng.uniform(-1, 1, (n, *pool.action_space.shape)))
-    return 20 * n
-
-
-def stepping() -> dict[str, Any]:
+def collecting() -> dict[str, Any]:
     """What a second core gives: threads in MuJoCo, processes in PyBullet; resets included."""
     rates, ratios = {}, {}
-    for hand, n in itertools.product(("shadow", "mpl"), (4, 8)):
-        with closing(start(hand, n, 1)) as one, closing(start(hand, n, 2)) as two:
-            found = rounds({"1 core": partial(steps, one), "2 cores": partial(steps, two)})
-        rates |= {f"{n} x {hand}, {cores}": rate for cores, rate in found.items()}
-        ratios[f"{n} x {hand}: 2 cores / 1"] = found["2 cores"] / found["1 core"]
+    for hand, simulator in (("shadow", "MuJoCo"), ("mpl", "PyBullet")):
+        make = partial(envs.make, hand, task="reach-goal", layout="2")
+        set_up = partial(torch.set_num_threads, 1)
+        with ExitStack() as opened:
+            one, two = (opened.enter_context(closing(vector.start(make, n, set_up))) for n in (1, 2))
+            policy = PPO(PPOConfig(), one, Communicator(), 0, 1).policy()
+            task = PlayEpisode[Any](policy, (0, 0, TRAIN, 0))
+            found = rounds({"1 core": partial(play, one, task), "2 cores": partial(play, two, task)})
+        rates |= {f"{hand} in {simulator}, {cores}": rate for cores, rate in found.items()}
+        ratios[f"{hand} in {simulator}: 2 cores / 1"] = found["2 cores"] / found["1 core"]
     return {"per_s": rates, "ratios": ratios}
 
 
@@ -118,9 +117,9 @@ def show_limit(part: dict[str, Any]) -> None:
     show("control steps of mj_step alone", part["per_s"], part["ratios"])
 
 
-def show_stepping(part: dict[str, Any]) -> None:
+def show_collecting(part: dict[str, Any]) -> None:
     """One table."""
-    show("several environments, steps", part["per_s"], part["ratios"])
+    show("environment steps of episodes played by an untrained policy", part["per_s"], part["ratios"])
 
 
 def show_ranks(part: dict[str, Any]) -> None:
@@ -135,7 +134,7 @@ def show_ranks(part: dict[str, Any]) -> None:
 # Part: what measures it, what shows it.
 PARTS = {
     "limit": (limit, show_limit),
-    "stepping": (stepping, show_stepping),
+    "collecting": (collecting, show_collecting),
     "ranks": (ranks, show_ranks),
 }
 

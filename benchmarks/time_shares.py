@@ -29,12 +29,12 @@ def shares(run: Path, verdict: str, rounds: int) -> dict[str, float]:
     saved, _ = run_dir.read_config()
     config = dataclasses.replace(
         saved,
-        run=dataclasses.replace(saved.run, num_envs=1),
+        run=dataclasses.replace(saved.run, workers=1),
         scene=saved.scene and dataclasses.replace(saved.scene, hold_verdict=verdict),
     )
-    learner, pool, _ = restore(run_dir, saved, config)
+    learner, workers, _ = restore(run_dir, saved, config)
     watches, steps = Watches(), learner.env_steps
-    simulator: Any = pool.envs[0].unwrapped.simulator  # type: ignore[attr-defined]
+    simulator: Any = workers.env.unwrapped.simulator  # type: ignore[attr-defined]
     watches.watch("physics", simulator, "step")
     watches.watch("resets", simulator, "reset")
     watches.watch("hold tests", HoldTest, "run")
@@ -45,7 +45,7 @@ def shares(run: Path, verdict: str, rounds: int) -> dict[str, float]:
         learner.collect()
         learner.update()
     seconds = time.perf_counter() - started
-    pool.close()
+    workers.close()
     s = watches.seconds
     physics = s["physics"] - s["hold tests"]  # a hold test is nearly all physics
     parts = {

@@ -130,7 +130,7 @@ class GraspEnv(gym.Env[Any, Array]):
         self.taxels = layouts.load(config.layout).place(self.hand)
         self._touch = touch.RULES[config.touch](self.taxels, self.hand)
         self.task: tasks.Task = tasks.TASKS[config.task].of(
-            config, len(self.hand.fingertips), setup(hand).timestep
+            config, len(self.hand.fingertips), setup(hand).timestep, items.first.shape
         )
         self.max_episode_steps = config.max_episode_steps or self.task.max_episode_steps
         self.simulator = simulators.load(

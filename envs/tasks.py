@@ -8,13 +8,14 @@ relabelling can recompute them.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
 import numpy as np
 
 from .hands import Array
 from .hold import HoldTest, Verdict
+from .objects import Shape
 from .snapshot import Snapshot
 
 
@@ -32,7 +33,8 @@ class TaskConfig:
     hold_seconds: float = 20.0
     """lift-and-hold: length of the hold test, s (5,000 timesteps, paper; mpl: 20.83)."""
     hold_verdict: Verdict = "full"
-    """lift-and-hold: full, or settled (a success is called once the object rests in the hand)."""
+    """lift-and-hold: full, or settled (the same test with creep sped up and time compressed, ended once
+    the object rests in the hand)."""
     goal_height: float = 0.08
     """reach-goal: the goal is this far above the object's start, m."""
     goal_range: float = 0.0
@@ -92,8 +94,9 @@ class Task(Protocol):
         """Length of an episode unless the configuration says otherwise."""
 
     @classmethod
-    def of(cls, config: TaskConfig, n_digits: int, own_timestep: float) -> Task:
-        """The task as configured, for a hand of `n_digits` whose own timestep is that, s."""
+    def of(cls, config: TaskConfig, n_digits: int, own_timestep: float, shape: Shape) -> Task:
+        """The task as configured, for a hand of `n_digits` whose own timestep is that, s, and a
+        first object."""
 
     def begin(self, start: Snapshot, rng: np.random.Generator) -> tuple[Array, Array]:
         """(achieved, desired goal) of a new episode, each (goal_size,)."""
@@ -126,7 +129,7 @@ class ReachGoal:
     """How far the goal may be drawn from there along each axis, m."""
 
     @classmethod
-    def of(cls, config: TaskConfig, n_digits: int, own_timestep: float) -> ReachGoal:
+    def of(cls, config: TaskConfig, n_digits: int, own_timestep: float, shape: Shape) -> ReachGoal:
         kind = config.reward or cls.rewards[0]
         return cls(config.goal_height, config.goal_tolerance, kind, config.goal_range)
 
@@ -181,13 +184,15 @@ class LiftAndHold:
     clearance: float
     """Under a lifted object, m."""
     hold: HoldTest
+    shape: Shape
+    """The object's that `hold` is for."""
     n_digits: int = 5
     _is_off_ground: bool = field(default=False, repr=False)
 
     @classmethod
-    def of(cls, config: TaskConfig, n_digits: int, own_timestep: float) -> LiftAndHold:
-        test = HoldTest.of_setup(own_timestep, config.hold_seconds, config.hold_verdict)
-        return cls(config.lift_clearance, test, n_digits)
+    def of(cls, config: TaskConfig, n_digits: int, own_timestep: float, shape: Shape) -> LiftAndHold:
+        test = HoldTest.of_setup(own_timestep, config.hold_seconds, shape, config.hold_verdict)
+        return cls(config.lift_clearance, test, shape, n_digits)
 
     @property
     def goal_size(self) -> int:
@@ -199,6 +204,8 @@ class LiftAndHold:
 
     def begin(self, start: Snapshot, rng: np.random.Generator) -> tuple[Array, Array]:
         self._is_off_ground = False
+        if start.shape != self.shape:
+            self.shape, self.hold = start.shape, replace(self.hold, shape=start.shape)
         return self._achieved(start, "undecided"), self.only_goal
 
     def judge(self, now: Snapshot, is_last: bool, hold: Hold) -> Judgement:

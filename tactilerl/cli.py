@@ -17,6 +17,7 @@ COMMANDS = {
     "env": "describe an environment: its observations, actions and taxels",
     "doctor": "do the taxels feel? scripted grasps, figures per layout",
     "render": "a picture of a grasp with its taxels, or a film of a run",
+    "study": "many runs from one file, and what they say together: tables, figures, a report",
 }
 LONGEST = 600  # characters of an error's line: a path may have 5,000
 
@@ -87,8 +88,9 @@ def _usage() -> str:
 
 def _command(name: str) -> Callable[[list[str]], int]:
     from . import commands  # what a command needs is imported when it runs
+    from .study import command
 
-    function: Callable[[list[str]], int] = getattr(commands, name)
+    function: Callable[[list[str]], int] = getattr(command if name == "study" else commands, name)
     return function
 
 

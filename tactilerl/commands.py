@@ -25,9 +25,8 @@ from .envs.simulators import Camera
 from .errors import InputError, input_errors
 
 console = Console(highlight=False, soft_wrap=True, markup=False)
-SETTLED_NOTE = (  # docs/data/hold_verdict.json, hold_verdict_mpl.json
-    "hold_verdict=settled calls a success early; it was wrong in 2 of 150 holds of the Shadow Hand "
-    "in MuJoCo and in 0 of 150 of the MPL hand in PyBullet"
+SETTLED_NOTE = (
+    "hold_verdict=settled decides holds early; how often it is wrong: docs/environments.md, Hold test"
 )
 
 
@@ -44,7 +43,7 @@ def train(args: list[str]) -> int:
     algo = flags.peek(args, "--algo", RunOptions.algo)
     env = flags.peek(args, "--env", RunOptions.env if not resume else "")
     saved = RunDir(Path(resume)).read_config(env, "--trust" in args)[0] if resume else None
-    config, options = _read_config(args, saved or configuration.defaults(algo, env))
+    config, options = read_config(args, saved or configuration.defaults(algo, env))
     for flag in ("any_ranks", "trust"):
         if getattr(options, flag) and not resume:
             raise InputError(f"--{flag.replace('_', '-')}: found without --resume, allowed with it")
@@ -69,7 +68,7 @@ def train(args: list[str]) -> int:
 TRUST = "the run's environment may import the module that its id names"
 
 
-def _read_config(args: list[str], base: RunConfig) -> tuple[RunConfig, Any]:
+def read_config(args: list[str], base: RunConfig) -> tuple[RunConfig, Any]:
     """All flags of `train`, over the defaults `base`; and those that are not of the configuration."""
     parts = {"run": base.run, "scene": base.scene, "learner": base.learner}
     parts = {name: part for name, part in parts.items() if part is not None}

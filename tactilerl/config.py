@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from . import algos, envs, typed
 from .envs.grasp import GraspConfig, setup
@@ -44,6 +44,9 @@ class RunOptions:
     """PyTorch device of the networks."""
     threads: int = 1
     """Threads of PyTorch; another number can change the last digits of a run."""
+    matmul: Literal["float32", "bfloat16"] = "float32"
+    """What the matrix products of updates multiply: bfloat16 is faster and coarser, and allowed where
+    the processor has it (AMX or AVX512-BF16) and --device is cpu. Acting stays in float32."""
     tensorboard: bool = False
     """Write TensorBoard events as well (needs the extra: pip install 'tactilerl[tensorboard]')."""
 

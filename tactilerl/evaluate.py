@@ -25,7 +25,7 @@ class Trained(NamedTuple):
     """What a run has come to."""
 
     config: RunConfig
-    """As it was trained, but on the CPU and with the full hold test."""
+    """As it was trained, but on the CPU, in float32 and with the full hold test."""
     policy: Policy
     epoch: int
     env_steps: int
@@ -36,7 +36,7 @@ def load_policy(path: Path, env: str = "", trust: bool = False) -> Trained:
     `RunDir.read_config`."""
     run_dir = RunDir(path)
     saved, _ = run_dir.read_config(env, trust)
-    run = dataclasses.replace(saved.run, workers=1, device="cpu")
+    run = dataclasses.replace(saved.run, workers=1, device="cpu", matmul="float32")
     scene = saved.scene and dataclasses.replace(saved.scene, hold_verdict="full")
     config = dataclasses.replace(saved, run=run, scene=scene)
     learner, workers, epoch = restore(run_dir, saved, config)

@@ -22,7 +22,8 @@ FPS = 25  # at least: a picture stands for a whole number of timesteps
 FILMS, PICTURES = (".mp4", ".mkv", ".mov"), (".png", ".jpg")
 HOLD_SECONDS = 2.0  # of a hold test in a film: all there is to see in the whole
 # Fragments of a second, each whole in itself: what is there can be played at any time.
-PLAYABLE = ("-g", str(FPS), "-movflags", "frag_keyframe+empty_moov+default_base_moof")
+PLAYABLE = ["-tune", "zerolatency", "-g", str(FPS), "-flush_packets", "1"]
+PLAYABLE += ["-movflags", "frag_keyframe+empty_moov+default_base_moof"]
 END_PICTURES = FPS // 2  # of the last moment, repeated: so one sees how it ended
 
 
@@ -61,7 +62,7 @@ def film(
     assert config.scene is not None
     config = replace(config, scene=replace(config.scene, hold_seconds=hold_seconds))
     assert config.scene is not None
-    camera = replace(camera, width=480, height=360)
+    camera = replace(camera, width=480, height=360, shadows=False)
     every = max(1, int(1 / FPS / config.scene.timestep + 1e-6))
     fps = 1 / (every * config.scene.timestep)
     options = dict(fps=fps, macro_block_size=2, output_params=PLAYABLE)

@@ -16,9 +16,10 @@ import torch
 
 from . import algos, interrupts
 from .algos.mpi import Communicator
+from .algos.networks import Precision, has_bfloat16, matrix_products
 from .algos.rollout import FAULTS
 from .checkpoint import Checkpoint
-from .config import RunConfig
+from .config import RunConfig, RunOptions
 from .envs import vector
 from .errors import InputError, input_errors
 from .report import Report, require_tensorboard
@@ -35,6 +36,7 @@ def make_algorithm(config: RunConfig, comm: Communicator) -> tuple[algos.Algorit
         config.validate()
         torch.set_num_threads(run.threads)
         device = _device(run.device)
+        _require_products(run)
         workers = start_workers(config, comm, run.workers)
         try:
             learner = algorithm(config.learner, workers, comm, run.seed, run.total_timesteps, device)
@@ -85,7 +87,7 @@ def train(
                 if learner.env_steps >= learner.total_timesteps:
                     done = f"{learner.env_steps:,} of {learner.total_timesteps:,}"
                     report.note(f"  nothing to do: {done} steps are done; --total-timesteps goes on")
-                _loop(learner, comm, run_dir, epoch, checkpoint, report)
+                _loop(learner, config.run.matmul, comm, run_dir, epoch, checkpoint, report)
     except algos.RewardError as error:
         raise InputError(str(error)) from error
     finally:
@@ -124,6 +126,7 @@ def _begun(checkpoint: Checkpoint, any_ranks: bool) -> int:
 
 def _loop(
     learner: algos.Algorithm,
+    matmul: Precision,
     comm: Communicator,
     run_dir: RunDir,
     epoch: int,
@@ -132,14 +135,14 @@ def _loop(
 ) -> None:
     while learner.env_steps < learner.total_timesteps:
         epoch += 1
-        row = {"epoch": epoch, **_epoch(learner)}
+        row = {"epoch": epoch, **_epoch(learner, matmul)}
         if comm.rank == 0:
             run_dir.progress.append(row)
         checkpoint.save(epoch)
         report.epoch(row)
 
 
-def _epoch(learner: algos.Algorithm) -> dict[str, Any]:
+def _epoch(learner: algos.Algorithm, matmul: Precision) -> dict[str, Any]:
     """One epoch: as many cycles as the algorithm's epochs have, then its test."""
     before, seen, learned = learner.env_steps, [], []
     collecting = updating = 0.0
@@ -147,7 +150,8 @@ def _epoch(learner: algos.Algorithm) -> dict[str, Any]:
         started = time.perf_counter()
         seen.append(learner.collect())
         collected = time.perf_counter()
-        learned.append(learner.update())
+        with matrix_products(matmul):
+            learned.append(learner.update())
         updated = time.perf_counter()
         collecting, updating = collecting + collected - started, updating + updated - collected
     weights = [row["episodes"] for row in seen]
@@ -189,3 +193,10 @@ def _device(name: str) -> str:
         reason = (str(error) or type(error).__name__).splitlines()[0]
         raise ValueError(f"device: found {name!r}, which PyTorch cannot use here ({reason})") from None
     return name
+
+
+def _require_products(run: RunOptions) -> None:
+    """ValueError where bfloat16 products would be slower than those of float32, or other ones."""
+    if run.matmul == "bfloat16" and (run.device != "cpu" or not has_bfloat16()):
+        where = f"device {run.device}" if run.device != "cpu" else "a processor that has no bfloat16"
+        raise ValueError(f"matmul: found 'bfloat16' on {where}, allowed float32")

@@ -202,7 +202,7 @@ class TestUpdate:
                 inputs, actions, target = learner._prepared(type(drawn)(*part))
             learner._minibatch(inputs, actions, target)
             inputs, actions, target = inputs.double(), actions.double(), target.double()
-            adam.zero_grad()
+            adam.gradient.zero_()
             q = double[1](torch.cat([inputs, actions], dim=1)).squeeze(-1)
             (q - target).square().mean().backward()
             own = double[0](inputs)

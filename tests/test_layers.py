@@ -10,10 +10,10 @@ ROOT = Path(__file__).resolve().parents[1]
 ALLOWED = {
     "mujoco": ("envs/simulators/", "envs/hands/"),
     "pybullet": ("envs/simulators/pybullet.py",),
-    "mpi4py": ("algos/mpi.py",),
-    "matplotlib": ("benchmarks/", "tactilerl/sweep.py"),
+    "mpi4py": ("algos/mpi.py", "tactilerl/study/runner.py"),
+    "matplotlib": ("benchmarks/", "tactilerl/study/figures.py", "tactilerl/sweep.py"),
     "torch": ("algos/", "tactilerl/", "benchmarks/"),
-    "tyro": ("tactilerl/flags.py", "tactilerl/commands.py"),
+    "tyro": ("tactilerl/flags.py", "tactilerl/commands.py", "tactilerl/study/command.py"),
 }
 
 

@@ -22,7 +22,7 @@ REACH += ["--n-batches", "5", "--n-test-rollouts", "1"]
 TOY = ["train", "--env", "lqr", "--hidden", "16", "--steps-per-epoch", "240", "--n-passes", "2"]
 
 
-def mpirun(args, ranks=2, timeout=120):
+def mpirun(args, ranks=2, timeout=400):
     command = [str(MPIRUN), "--oversubscribe", "-n", str(ranks), sys.executable, *args]
     return subprocess.run(command, capture_output=True, text=True, timeout=timeout)
 

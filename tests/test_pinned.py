@@ -61,7 +61,7 @@ def bits(hand, simulator, choices):
     return digest.hexdigest()[:16]
 
 
-@pytest.mark.parametrize(("scene", "pinned"), zip(SCENES, PINNED, strict=True), ids=str)
+@pytest.mark.parametrize(("scene", "pinned"), list(zip(SCENES, PINNED, strict=True)), ids=str)
 def test_an_episode_is_what_it_was(scene, pinned):
     hand, simulator, choices = scene
     try:

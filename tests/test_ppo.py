@@ -10,7 +10,7 @@ import torch
 
 from tactilerl.algos import DivergenceError
 from tactilerl.algos.mpi import Communicator
-from tactilerl.algos.ppo import PPO, PPOConfig, clipped_loss, gae, log_prob, normalise
+from tactilerl.algos.ppo import PPO, PPOConfig, gae, log_prob, normalise, surrogate
 from tactilerl.envs import vector
 
 
@@ -84,22 +84,29 @@ class TestDensityAndLoss:
         # ratios 1.5, 1.5, 0.5, 0.5 and advantages 1, -1, 1, -1 at clip 0.2:
         # min(1.5, 1.2) = 1.2; min(-1.5, -1.2) = -1.5; min(.5, .8) = .5; min(-.5, -.8) = -.8
         log_ratio = torch.tensor([1.5, 1.5, 0.5, 0.5]).log()
-        loss = clipped_loss(log_ratio, torch.tensor([1.0, -1.0, 1.0, -1.0]), 0.2)
-        assert loss.tolist() == pytest.approx([-1.2, 1.5, -0.5, 0.8], rel=1e-6)
+        got = surrogate(log_ratio, torch.tensor([1.0, -1.0, 1.0, -1.0]), 0.2)
+        assert got.loss.tolist() == pytest.approx([-1.2, 1.5, -0.5, 0.8], rel=1e-6)
+        assert got.is_clipped.tolist() == [True] * 4
 
     def test_gradient_is_zero_where_the_clip_binds(self):
-        log_ratio = torch.tensor([0.5, -0.5, 0.5, -0.5], requires_grad=True)
-        clipped_loss(log_ratio, torch.tensor([1.0, -1.0, -1.0, 1.0]), 0.2).sum().backward()
-        assert (log_ratio.grad != 0).tolist() == [False, False, True, True]
+        log_ratio = torch.tensor([0.5, -0.5, 0.5, -0.5])
+        slope = surrogate(log_ratio, torch.tensor([1.0, -1.0, -1.0, 1.0]), 0.2).slope
+        assert (slope != 0).tolist() == [False, False, True, True]
+
+    def test_slope_is_the_gradient_of_the_loss(self):
+        log_ratio, advantages = torch.randn(2, 1000, generator=torch.Generator().manual_seed(0))
+        log_ratio.requires_grad_()
+        got = surrogate(log_ratio, advantages, 0.2)
+        got.loss.sum().backward()
+        assert torch.equal(got.slope, log_ratio.grad)
 
     @pytest.mark.parametrize("gap", [1e3, -1e3])
     @pytest.mark.parametrize("advantage", [1.0, -1.0])
     def test_overflowing_ratio_stays_finite(self, gap, advantage):
-        log_ratio = torch.tensor([gap], requires_grad=True)
-        loss = clipped_loss(log_ratio, torch.tensor([advantage]), 0.2)
-        loss.backward()
+        loss, slope, kl, _ = surrogate(torch.tensor([gap]), torch.tensor([advantage]), 0.2)
         assert torch.isfinite(loss)
-        assert torch.isfinite(log_ratio.grad).all()
+        assert slope == 0.0
+        assert torch.isfinite(kl)
 
 
 class TestBatch:

@@ -74,6 +74,8 @@ class Camera:
     distance: float = 0.32
     width: int = 720
     height: int = 540
+    shadows: bool = True
+    """Without a graphics card they take five sixths of the time."""
 
 
 class Simulator(Protocol):
@@ -97,6 +99,10 @@ class Simulator(Protocol):
 
     def step(self, joint_targets: Array, n_substeps: int) -> None:
         """Advance by `n_substeps` timesteps; SimulationError when that broke the state."""
+
+    def set_creep(self, factor: float) -> None:
+        """From now on, let what sticks creep this many times as fast as it does in the scene as it
+        is built (1); nothing where dry friction does not creep."""
 
     def joint_state(self) -> tuple[Array, Array]:
         """Positions and velocities in the order of ``hand.joints``, each (n_joints,)."""

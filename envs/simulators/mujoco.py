@@ -222,6 +222,10 @@ class MujocoSimulator:
         # mj_step leaves body poses one substep behind qpos.
         mujoco.mj_kinematics(model, data)
 
+    def set_creep(self, factor: float) -> None:
+        """A soft contact that sticks moves at (friction force) / (friction impedance)."""
+        self.model.opt.impratio = FRICTION_TO_NORMAL_IMPEDANCE / factor
+
     def joint_state(self) -> tuple[Array, Array]:
         return self.data.qpos.take(self._qpos), self.data.qvel.take(self._qvel)
 
@@ -281,6 +285,7 @@ class MujocoSimulator:
         view.distance, view.azimuth = camera.distance, camera.azimuth
         view.elevation = camera.elevation
         self._renderer.update_scene(self.data, view)
+        self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = camera.shadows
         if taxels is not None:
             self._draw(taxels, np.zeros(len(taxels), bool) if lit is None else lit)
         return self._renderer.render()

@@ -203,6 +203,9 @@ class PyBulletSimulator:
             )
             pybullet.stepSimulation(physicsClientId=client)
 
+    def set_creep(self, factor: float) -> None:
+        """Friction anchors do not creep."""
+
     def joint_state(self) -> tuple[Array, Array]:
         states = pybullet.getJointStates(self.hand, self._joints, physicsClientId=self.client)
         return np.array([state[0] for state in states]), np.array([state[1] for state in states])

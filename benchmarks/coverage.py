@@ -1,0 +1,124 @@
+"""How often do 95 % intervals of a few runs contain the truth? Simulated, for runs like ours.
+
+python benchmarks/coverage.py --out docs/data/coverage.json
+
+And how long a learning curve's intervals take, against rliable (--only speed, 1 minute).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+from timing import run_parts
+
+from tactilerl.study import statistics
+
+Draw = Callable[[np.random.Generator, tuple[int, ...]], np.ndarray]
+N_RUNS = (3, 5, 10, 20)
+N_STUDIES = 2000
+N_RESAMPLES = 10_000
+N_TRUTH = 2_000_000  # runs that stand for all there could be
+
+
+def beta(mean: float, sd: float) -> Draw:
+    """Success rates with this mean and standard deviation."""
+    size = mean * (1 - mean) / sd**2 - 1
+    return lambda rng, shape: rng.beta(mean * size, (1 - mean) * size, shape)
+
+
+def mixture(share: float, first: Draw, second: Draw) -> Draw:
+    """This share of the runs from the first, the others from the second."""
+    return lambda rng, shape: np.where(rng.random(shape) < share, first(rng, shape), second(rng, shape))
+
+
+POPULATIONS: dict[str, Draw] = {
+    "narrow (the paper's PyBullet: 0.62 ± 0.065)": beta(0.62, 0.065),
+    "wide and skewed (the paper's MuJoCo: 0.82 ± 0.145)": beta(0.82, 0.145),
+    "bimodal (8 of 10 runs near 0.95, 2 near 0.03)": mixture(0.8, beta(0.95, 0.04), beta(0.03, 0.03)),
+    "evenly bimodal (half near 0.95, half near 0.03)": mixture(0.5, beta(0.95, 0.04), beta(0.03, 0.03)),
+}
+
+
+def truth(draw: Draw, metric: statistics.Metric) -> float:
+    """The aggregate over very many runs."""
+    return float(statistics.aggregate(draw(np.random.default_rng(0), (N_TRUTH,)), metric))
+
+
+def covered(intervals: np.ndarray, value: float) -> dict[str, float]:
+    """Share of intervals (studies, 2) with `value` in them, and their mean width."""
+    low, high = intervals.T
+    inside = (low <= value) & (value <= high)
+    return {"coverage": float(np.mean(inside)), "width": float(np.nanmean(high - low))}
+
+
+def measure(draw: Draw, n_runs: int, rng: np.random.Generator) -> dict[str, Any]:
+    """Coverage of every interval for studies of `n_runs` runs from one population."""
+    scores = draw(rng, (n_runs, N_STUDIES))
+    counts = statistics.resample(rng, n_runs, N_RESAMPLES)
+    result: dict[str, Any] = {}
+    for metric in statistics.METRICS:
+        _, intervals = statistics.sample_efficiency(scores, metric, counts)
+        result[metric] = covered(intervals, truth(draw, metric))
+    bca = np.array([statistics.bca_interval(study, "iqm", counts) for study in scores.T])
+    result["iqm, BCa"] = covered(bca, truth(draw, "iqm"))
+    control = draw(rng, (n_runs, N_STUDIES))
+    drawn = counts, statistics.resample(rng, n_runs, N_RESAMPLES)
+    gaps = [
+        statistics.difference(a, b, "iqm", drawn)[1:] for a, b in zip(scores.T, control.T, strict=True)
+    ]
+    result["difference of IQMs"] = covered(np.array(gaps), 0.0)
+    return result
+
+
+def coverage() -> dict[str, Any]:
+    """All populations and numbers of runs."""
+    rng = np.random.default_rng(2026)
+    cases = [(name, n) for name in POPULATIONS for n in N_RUNS]
+    result: dict[str, Any] = {name: {} for name in POPULATIONS}
+    for name, n in track(cases, "simulating", console=Console(stderr=True)):
+        result[name][str(n)] = measure(POPULATIONS[name], n, rng)
+    return {"studies": N_STUDIES, "resamples": N_RESAMPLES, "populations": result}
+
+
+def show_coverage(result: dict[str, Any]) -> None:
+    """A table per population."""
+    for name, by_n in result["populations"].items():
+        table = Table("interval", *(f"n = {n}" for n in by_n), title=name)
+        for kind in next(iter(by_n.values())):
+            table.add_row(kind, *(f"{100 * r[kind]['coverage']:.1f} %" for r in by_n.values()))
+        Console().print(table)
+
+
+def speed(n_points: int = 500, n_runs: int = 10, n_few: int = 20) -> dict[str, float]:
+    """Processor seconds of one curve with 50,000 resamples; rliable's from a few, scaled up."""
+    from rliable import library, metrics
+
+    curves = np.random.default_rng(0).random((n_runs, n_points))
+    started = time.process_time()
+    counts = statistics.resample(np.random.default_rng(1), n_runs)
+    statistics.sample_efficiency(curves, "iqm", counts)
+    ours, started = time.process_time() - started, time.process_time()
+    library.get_interval_estimates(
+        {"curve": curves[:, None]},
+        lambda scores: np.array([metrics.aggregate_iqm(scores[..., i]) for i in range(n_points)]),
+        reps=n_few,
+    )
+    theirs = (time.process_time() - started) * statistics.N_RESAMPLES / n_few
+    return {"ours_s": ours, "rliable_s": theirs}
+
+
+def show_speed(result: dict[str, float]) -> None:
+    """One line."""
+    Console().print(f"500 points: {result['ours_s']:.1f} s, rliable about {result['rliable_s']:,.0f} s")
+
+
+PARTS = {"coverage": (coverage, show_coverage), "speed": (speed, show_speed)}
+
+if __name__ == "__main__":
+    run_parts(__doc__, PARTS, "numpy", "scipy", "rliable")

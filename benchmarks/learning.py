@@ -1,0 +1,101 @@
+"""What runs came to, and how long they took to get there: the tables and curves of docs/results.md.
+
+python benchmarks/learning.py ppo_shadow runs/a runs/b runs/c --episodes 100
+
+Steps and minutes are counted until the success rate (of the test episodes where there are some, else
+of at least the last 100 training episodes) is 0.9 for the first time. Minutes are those of collecting,
+updating and testing. The progress tables and the figures go to docs/data, under the name that is given.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import shutil
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+from figures import DOCS, curve
+from rich.console import Console
+from rich.table import Table
+
+from tactilerl import evaluate
+from tactilerl.algos.mpi import Communicator
+from tactilerl.train import start_workers
+
+ENOUGH = 0.9
+
+
+def examined(run: Path, episodes: int) -> dict[str, Any]:
+    """The figures of one run folder."""
+    config, policy, epoch, env_steps = evaluate.load_policy(run)
+    with closing(start_workers(config, Communicator(), None)) as workers:
+        played = workers.play(evaluate.task(policy), range(episodes))
+        rows = [evaluate.row(episode) for episode in played]
+    result = evaluate.summarise(rows)
+    steps, rates = curve(run / "progress.csv")
+    with (run / "progress.csv").open(newline="") as file:
+        seconds = [env_steps / float(row["steps_per_s"]) for row, env_steps in _with_steps(file)]
+    reached = next((i for i, rate in enumerate(rates) if rate >= ENOUGH), None)
+    return {
+        "seed": config.run.seed,
+        "run_type": config.scene.run_type if config.scene else "",
+        "epochs": epoch,
+        "env_steps": env_steps,
+        "minutes": sum(seconds) / 60,
+        "first": float(rates[0]),
+        "last": float(rates[-1]),
+        "steps_to_enough": None if reached is None else int(steps[reached]),
+        "minutes_to_enough": None if reached is None else sum(seconds[: reached + 1]) / 60,
+        "success_rate": result["success_rate"],
+        "success_rate_ci": result["success_rate_ci"],
+    }
+
+
+def _with_steps(file: Any) -> list[tuple[dict[str, str], float]]:
+    """The rows of a progress table, each with the steps that it added."""
+    rows, before, found = csv.DictReader(file), 0.0, []
+    for row in rows:
+        found.append((row, float(row["env_steps"]) - before))
+        before = float(row["env_steps"])
+    return found
+
+
+def show(name: str, runs: list[dict[str, Any]], episodes: int) -> None:
+    """One row a run."""
+    table = Table(title=f"{name}: evaluation of {episodes} episodes, full hold")
+    for column in ("run", "steps", "minutes", "first, last rate", "0.9 after", "evaluation (95 %)"):
+        table.add_column(column)
+    for run in runs:
+        low, high = run["success_rate_ci"]
+        enough = "–"
+        if run["steps_to_enough"] is not None:
+            enough = f"{run['steps_to_enough']:,} steps, {run['minutes_to_enough']:.1f} min"
+        table.add_row(
+            f"{run['run_type']}, seed {run['seed']}", f"{run['env_steps']:,}", f"{run['minutes']:.1f}",
+            f"{run['first']:.2f}, {run['last']:.2f}", enough,
+            f"{run['success_rate']:.2f} ({low:.2f}–{high:.2f})",
+        )  # fmt: skip
+    Console().print(table)
+
+
+def main() -> None:
+    """Read the flags, print the table, keep what it was made of."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("name", help="of the files in docs/data")
+    parser.add_argument("runs", nargs="+", type=Path, help="run folders")
+    parser.add_argument("--episodes", type=int, default=100, help="of the evaluation")
+    options = parser.parse_args()
+    found = [examined(run, options.episodes) for run in options.runs]
+    show(options.name, found, options.episodes)
+    for run, figures in zip(options.runs, found, strict=True):
+        kept = DOCS / "data" / f"{options.name}_{figures['run_type']}_s{figures['seed']}.csv"
+        shutil.copyfile(run / "progress.csv", kept)
+    content = {"episodes": options.episodes, "runs": found}
+    (DOCS / "data" / f"{options.name}.json").write_text(json.dumps(content, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

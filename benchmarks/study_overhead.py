@@ -1,0 +1,87 @@
+"""What does a study cost beside its runs? Many runs of a toy: time per run, memory of the parent.
+
+python benchmarks/study_overhead.py --runs 1000 --jobs 2 --out docs/data/study_overhead.json
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import psutil
+
+FLAGS = {"env": "lqr", "hidden": 8, "steps_per_epoch": 60, "n_passes": 1, "total_timesteps": 60}
+ALONE = 5  # plain runs to compare with
+TACTILERL = [sys.executable, "-m", "tactilerl.cli"]
+
+
+def study_file(folder: Path, runs: int) -> Path:
+    """A study of as many seeds of LQR."""
+    flags = "\n".join(f"{name} = {json.dumps(value)}" for name, value in FLAGS.items())
+    path = folder / "study.toml"
+    path.write_text(f'name = "many"\n[grid]\nseed = "0-{runs - 1}"\n[setups.lqr]\n{flags}\n')
+    return path
+
+
+def alone(folder: Path) -> float:
+    """Seconds of a plain `tactilerl train`, the process's start included."""
+    seconds = []
+    for index in range(ALONE):
+        flags = [f"--{name.replace('_', '-')}={value}" for name, value in FLAGS.items()]
+        command = [*TACTILERL, "train", *flags, "--workers=1", f"--out={folder / str(index)}"]
+        started = time.perf_counter()
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        seconds.append(time.perf_counter() - started)
+    return median(seconds)
+
+
+def measure(runs: int, jobs: int) -> dict[str, Any]:
+    """Seconds per run and job, and the parent's memory over time, MB."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        plain = alone(folder)
+        command = [*TACTILERL, "study", "run", str(study_file(folder, runs)), "--jobs", str(jobs)]
+        started, memory = time.perf_counter(), []
+        study = subprocess.Popen(
+            [*command, "--out", str(folder / "study")], stdout=subprocess.PIPE, text=True
+        )
+        assert study.stdout is not None
+        for line in study.stdout:
+            if line.startswith("["):
+                memory.append(psutil.Process(study.pid).memory_info().rss / 1e6)
+        if study.wait():
+            raise SystemExit(f"study run ended with exit code {study.returncode}")
+        each = (time.perf_counter() - started) * jobs / runs
+    quarter = max(1, len(memory) // 4)
+    return {
+        "runs": runs,
+        "jobs": jobs,
+        "train_alone_s": plain,
+        "run_of_study_s": each,
+        "memory_first_quarter_mb": median(memory[:quarter]),
+        "memory_last_quarter_mb": median(memory[-quarter:]),
+    }
+
+
+def main() -> None:
+    """Measure, show, write."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--runs", type=int, default=1000)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--out", type=Path, help="write JSON here")
+    options = parser.parse_args()
+    text = json.dumps(measure(options.runs, options.jobs), indent=1)
+    print(text)
+    if options.out:
+        options.out.write_text(text + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

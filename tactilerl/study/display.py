@@ -1,0 +1,160 @@
+"""How far a study is: a live table on a terminal, a line per run elsewhere."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
+from .folder import STATES, RunFiles, State, StudyFolder
+from .grid import Run
+from .runner import Ending, Job
+
+SHOWN_RUNS = 12  # running ones below the live table
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Where one run stands."""
+
+    state: State
+    fraction: float
+    """Of its steps."""
+    seconds: float
+    """Spent on them."""
+
+    @classmethod
+    def of(cls, files: RunFiles, state: State | None = None) -> Standing:
+        """As its files say; `state` where one knows better."""
+        state = state or files.state()
+        if state == "left":
+            return cls(state, 0.0, 0.0)
+        progress, total = files.progress(), _total_timesteps(files)
+        fraction = 1.0 if state == "done" else min(1.0, progress.env_steps / total)
+        return cls(state, fraction, progress.seconds)
+
+
+def _total_timesteps(files: RunFiles) -> int:
+    try:
+        data: Any = json.loads(files.run_dir.config_file.read_text(encoding="utf-8"))
+        return max(1, int(data["run"]["total_timesteps"]))
+    except (OSError, ValueError, KeyError, TypeError):
+        return 1 << 62  # damaged: as good as nothing of it is done
+
+
+@dataclass
+class Overview:
+    """Standings of all runs, by name."""
+
+    folder: StudyFolder
+    runs: list[Run]
+    standings: dict[str, Standing] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.standings = {run.name: Standing.of(self.folder.files(run)) for run in self.runs}
+
+    def counts(self, setup: str | None = None) -> dict[str, int]:
+        """Runs in each state, of one set-up or of all."""
+        states = [self.standings[r.name].state for r in self.runs if setup in (None, r.setup)]
+        return {state: states.count(state) for state in STATES}
+
+    def eta(self, parallel: int) -> float | None:
+        """Seconds until all is done with so many runs side by side; None while nobody can know.
+
+        A run is taken to be as long as the others of its set-up; of set-ups of which nothing has
+        run yet, as those of the others.
+        """
+        known = [s for s in self.standings.values() if s.fraction > 0 and s.seconds > 0]
+        if not known:
+            return None
+        overall = _seconds_per_run(known)
+        left = 0.0
+        for setup in dict.fromkeys(run.setup for run in self.runs):
+            standings = [self.standings[run.name] for run in self.runs if run.setup == setup]
+            begun = [s for s in standings if s.fraction > 0 and s.seconds > 0]
+            each = _seconds_per_run(begun) if begun else overall
+            open_ = [s for s in standings if s.state not in ("done", "failed")]
+            left += each * sum(1 - s.fraction for s in open_)
+        return left / max(1, parallel)
+
+    def table(self, title: str) -> Table:
+        """Set-ups by states."""
+        table = Table("set-up", *STATES, title=title)
+        for setup in dict.fromkeys(run.setup for run in self.runs):
+            table.add_row(setup, *map(str, self.counts(setup).values()))
+        return table
+
+
+def _seconds_per_run(standings: Iterable[Standing]) -> float:
+    standings = list(standings)
+    return sum(s.seconds for s in standings) / sum(s.fraction for s in standings)
+
+
+def duration(seconds: float | None) -> str:
+    """Hours, minutes and seconds; a dash for None."""
+    if seconds is None:
+        return "–"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
+
+
+class Watch:
+    """Shows a study while it runs."""
+
+    def __init__(self, overview: Overview, parallel: int, title: str) -> None:
+        self.overview, self.parallel, self.title = overview, parallel, title
+        self.console = Console(highlight=False, soft_wrap=True, markup=False)
+        self._names = {overview.folder.files(run).base: run.name for run in overview.runs}
+        self._seen: dict[Path, Ending] = {}
+        self._live = (
+            Live(console=self.console, auto_refresh=False) if self.console.is_terminal else None
+        )
+
+    def __enter__(self) -> Watch:
+        if self._live is not None:
+            self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def __call__(self, running: list[Job], endings: dict[Path, Ending]) -> None:
+        """What runs now, and what has ended: `runner.run_all` calls it."""
+        for base, ending in endings.items():
+            if self._seen.get(base) != ending:
+                self._seen[base] = ending
+                self._note(self._names[base], base)
+        if self._live is None:
+            return
+        for job in running:
+            self.overview.standings[self._names[job.base]] = Standing.of(RunFiles(job.base), "running")
+        self._live.update(self._picture(running), refresh=True)
+
+    def _note(self, name: str, base: Path) -> None:
+        standing = Standing.of(RunFiles(base))
+        self.overview.standings[name] = standing
+        counts = self.overview.counts()
+        ended = counts["done"] + counts["failed"]
+        self.console.print(
+            f"[{ended}/{len(self.overview.runs)}] {name} {standing.state}"
+            f" {duration(standing.seconds)}  failed {counts['failed']}"
+            f"  ETA {duration(self.overview.eta(self.parallel))}"
+        )
+
+    def _picture(self, running: list[Job]) -> Table:
+        whole = Table.grid()
+        eta = duration(self.overview.eta(self.parallel))
+        whole.add_row(self.overview.table(f"{self.title}, ETA {eta}"))
+        for job in running[:SHOWN_RUNS]:
+            name = self._names[job.base]
+            whole.add_row(f"{100 * self.overview.standings[name].fraction:5.1f} %  {name}")
+        if len(running) > SHOWN_RUNS:
+            whole.add_row(f"        and {len(running) - SHOWN_RUNS} more")
+        return whole

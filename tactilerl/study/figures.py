@@ -1,0 +1,223 @@
+"""The figures of a report: as files, and as parts of report.html that follow its light and dark."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from .analysis import Analysis, SetupResult
+from .statistics import METRICS, Estimate
+
+INK, FAINT = "#010203", "#b0b0b1"  # become colours of the page in report.html
+ARMS = ("#e0a800", "#2b6cb0", "#8a5a9e", "#4d8f5b")  # treatment and control as in the paper
+STYLE: dict[Any, Any] = {
+    "svg.hashsalt": "tactilerl",
+    "svg.fonttype": "none",
+    "font.family": "sans-serif",
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "grid.color": FAINT,
+    "grid.linewidth": 0.4,
+    **dict.fromkeys(
+        ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), INK
+    ),
+    "axes.titlecolor": INK,
+}
+PAGE_COLOURS = {INK: "currentColor", FAINT: "var(--faint)"} | {
+    colour: f"var(--arm{index})" for index, colour in enumerate(ARMS)
+}
+DPI = 130
+LABELS = {"median": "median of runs", "iqm": "IQM", "mean": "mean"}
+Draw = Callable[[Axes], None]
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """matplotlib's settings for these figures; the same input gives the same bytes."""
+    with matplotlib.rc_context(STYLE):
+        yield
+
+
+class Picture:
+    """Panels that stand together: one file, and side by side on a page as wide as it is."""
+
+    def __init__(
+        self, name: str, title: str, panels: list[tuple[str, Draw]], size: tuple[float, float]
+    ) -> None:
+        self.name, self.title, self.panels, self.size = name, title, panels, size
+
+    def save(self, folder: Path) -> None:
+        """Write NAME.png and NAME.svg."""
+        columns = min(3, len(self.panels))
+        rows = -(-len(self.panels) // columns)
+        with style():
+            figure = Figure(figsize=(self.size[0] * columns, self.size[1] * rows), layout="constrained")
+            axes = figure.subplots(rows, columns, squeeze=False).ravel()
+            for (title, draw), one in zip(self.panels, axes, strict=False):
+                draw(one)
+                one.set_title(title, loc="left")
+            for spare in axes[len(self.panels) :]:
+                spare.set_axis_off()
+            figure.savefig(folder / f"{self.name}.svg", metadata={"Date": None})
+            figure.savefig(folder / f"{self.name}.png", dpi=DPI, metadata={"Software": None})
+
+    def inline(self) -> list[str]:
+        """Every panel as SVG for the page."""
+        return [self._panel(index, *panel) for index, panel in enumerate(self.panels)]
+
+    def _panel(self, index: int, title: str, draw: Draw) -> str:
+        with style():
+            figure = Figure(figsize=self.size, layout="constrained")
+            figure.patch.set_alpha(0)
+            axes = figure.subplots()
+            axes.patch.set_alpha(0)
+            draw(axes)
+            axes.set_title(title, loc="left")
+            text = io.StringIO()
+            figure.savefig(text, format="svg", metadata={"Date": None})
+        return _for_page(text.getvalue(), f"{self.name}-{index}", f"{self.title}: {title}")
+
+
+def _for_page(svg: str, prefix: str, label: str) -> str:
+    """SVG that takes the page's colours, fits its width, and shares no id with another."""
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    svg = re.sub(r'\bid="', f'id="{prefix}-', svg)
+    svg = re.sub(r'href="#', f'href="#{prefix}-', svg)
+    svg = re.sub(r"url\(#", f"url(#{prefix}-", svg)
+    svg = re.sub(
+        r'(<svg[^>]*?) width="[^"]*"', r"\1", re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", svg)
+    )
+    label = label.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;")
+    svg = svg.replace("<svg", f'<svg role="img" aria-label="{label}"', 1)
+    for colour, variable in PAGE_COLOURS.items():
+        svg = svg.replace(colour, variable)
+    return svg
+
+
+def all_pictures(analysis: Analysis) -> list[Picture]:
+    """Every figure of a report, in its order."""
+    pictures = []
+    for one in analysis.setups:
+        if one.groups:
+            pictures += [curves(one), converged(one)]
+    if any(one.comparisons for one in analysis.setups):
+        pictures.append(forest(analysis))
+    return pictures
+
+
+def _arm_colours(one: SetupResult) -> dict[str, str]:
+    return {arm: ARMS[index % len(ARMS)] for index, arm in enumerate(one.setup.arms)}
+
+
+def curves(one: SetupResult) -> Picture:
+    """The paper's Figures 3 and 5: a panel per cell, IQM with interval, runs behind it."""
+
+    def drawing(cell: str) -> Draw:
+        return lambda axes: _curves_of(one, cell, axes)
+
+    title = f"Learning curves, {one.setup.name}: IQM, 95 % interval, every run"
+    panels = [(cell, drawing(cell)) for cell in one.cells]
+    return Picture(f"{one.setup.name}_curves", title, panels, (3.6, 2.7))
+
+
+def _curves_of(one: SetupResult, cell: str, axes: Axes) -> None:
+    for arm, colour in _arm_colours(one).items():
+        group = one.groups.get((cell, arm))
+        if group is None:
+            continue
+        faintness = min(0.55, 2 / len(group))  # many runs must not bury their aggregate
+        axes.plot(one.steps, group.curves.T, color=colour, lw=0.6, alpha=faintness, zorder=1)
+        axes.fill_between(one.steps, *group.iqm_bounds.T, color=colour, alpha=0.4, lw=0, zorder=2)
+        marker = "o" if len(one.steps) == 1 else None
+        label = f"{arm or 'all'}, {len(group)} runs"
+        axes.plot(one.steps, group.iqm_curve, color=colour, lw=1.8, label=label, marker=marker)
+    axes.set(xlabel="environment steps", ylabel=one.setup.measure.replace("_", " "), ylim=(-0.02, 1.02))
+    axes.xaxis.set_major_locator(matplotlib.ticker.MaxNLocator(4))
+    axes.xaxis.set_major_formatter(matplotlib.ticker.EngFormatter(sep=""))
+    axes.legend(frameon=False, fontsize=8)
+
+
+def converged(one: SetupResult) -> Picture:
+    """The paper's Figures 4 and 6: median, IQM and mean of converged rates, a panel per arm."""
+
+    def drawing(arm: str) -> Draw:
+        return lambda axes: _converged_of(one, arm, axes)
+
+    arms = [arm for arm in one.setup.arms if any(arm == a for _, a in one.groups)]
+    height = 1.1 + 0.62 * len(one.cells)
+    title = f"Converged success rates, {one.setup.name}: mean, IQM and median of runs, 95 % intervals"
+    panels = [(arm or "all", drawing(arm)) for arm in arms]
+    return Picture(f"{one.setup.name}_converged", title, panels, (4.2, height))
+
+
+def _converged_of(one: SetupResult, arm: str, axes: Axes) -> None:
+    colour, cells = _arm_colours(one)[arm], one.cells
+    for row, cell in enumerate(cells):
+        group = one.groups.get((cell, arm))
+        if group is None:
+            continue
+        axes.plot(group.scores["converged"], np.full(len(group), row - 0.36), ".", color=FAINT, ms=4)
+        for place, metric in enumerate(reversed(METRICS)):
+            estimate = group.estimate(metric)
+            label = LABELS[metric] if row == 0 else None
+            _bar(axes, row - 0.15 + 0.15 * place, estimate, colour, "Dos"[place], label)
+        theirs = one.published and one.published.estimates.get((cell, arm))
+        if theirs:
+            label = "IQM in the paper" if row == 0 else None
+            _bar(axes, row + 0.33, theirs["iqm"], INK, "x", label)
+    axes.set(ylim=(len(cells) - 0.4, -0.6), xlim=(-0.02, 1.02), xlabel="converged success rate")
+    axes.set_yticks(range(len(cells)), cells)
+    axes.grid(axis="y", visible=False)
+    axes.legend(frameon=False, fontsize=7, loc="lower center", bbox_to_anchor=(0.5, 1.06), ncols=4,
+                columnspacing=0.8, handletextpad=0.2)  # fmt: skip
+
+
+def _bar(
+    axes: Axes, y: float, estimate: Estimate, colour: str, marker: str, label: str | None = None
+) -> None:
+    axes.plot(estimate[1:], [y, y], color=colour, linewidth=2.2, alpha=0.55, solid_capstyle="butt")
+    axes.plot(estimate.value, y, marker, color=colour, ms=4.5, label=label)
+
+
+def forest(analysis: Analysis) -> Picture:
+    """Differences of IQMs with intervals, a panel per set-up; the paper's beside ours."""
+
+    def drawing(one: SetupResult) -> Draw:
+        return lambda axes: _forest_of(one, axes)
+
+    compared = [one for one in analysis.setups if one.comparisons]
+    height = 1.2 + 0.5 * max(len(one.comparisons) for one in compared)
+    title = "Treatment minus control: differences of IQMs of converged rates, 95 % intervals"
+    panels = [(one.setup.name, drawing(one)) for one in compared]
+    return Picture("differences", title, panels, (4.2, height))
+
+
+def _forest_of(one: SetupResult, axes: Axes) -> None:
+    assert one.setup.compare is not None
+    arms = one.setup.compare.treatment, one.setup.compare.control
+    axes.axvline(0, color=INK, linewidth=0.8)
+    for row, (cell, found) in enumerate(one.comparisons.items()):
+        _bar(axes, row, found.difference, ARMS[0], "s", "this study" if row == 0 else None)
+        theirs = one.published and [one.published.estimates.get((cell, arm)) for arm in arms]
+        if theirs and theirs[0] and theirs[1]:
+            gap = theirs[0]["iqm"].value - theirs[1]["iqm"].value
+            axes.plot(gap, row + 0.25, "x", color=INK, ms=5, label="the paper" if row == 0 else None)
+    axes.set_yticks(range(len(one.comparisons)), list(one.comparisons))
+    axes.set(ylim=(len(one.comparisons) - 0.4, -0.6), xlabel=f"{arms[0]} minus {arms[1]}")
+    low, high = axes.get_xlim()
+    axes.set_xlim(min(low, -0.1), max(high, 0.1))
+    axes.grid(axis="y", visible=False)
+    axes.legend(frameon=False, fontsize=7, loc="lower center", bbox_to_anchor=(0.5, 1.06), ncols=2)

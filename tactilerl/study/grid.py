@@ -1,0 +1,309 @@
+"""The study file: what it may say, and the list of runs that it stands for.
+
+    name = "pilot"
+    measure = "success_rate"
+
+    [compare]
+    run_type = ["main", "control"]          # treatment, control
+
+    [grid]
+    layout = [2, 5]
+    run_type = ["main", "control"]
+    seed = "0-9"
+
+    [setups.pybullet]                        # flags of `tactilerl train`
+    algo = "ppo"
+    env = "mpl"
+
+A set-up may have a `measure`, `compare` and `grid` of its own instead of the study's.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import re
+import tomllib
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..errors import InputError
+
+MEASURES = ("success_rate", "test_success_rate")  # columns of progress.csv that are shares
+KEYS = ("name", "measure", "compare", "grid", "setups")
+OWN_KEYS = ("measure", "compare", "grid")  # of a set-up, besides flags
+TAKEN = ("seed", "out", "resume", "any_ranks", "workers", "threads", "tensorboard")
+SEED = "seed"
+NAME = re.compile(r"[A-Za-z0-9][\w.-]*")
+
+
+@dataclass(frozen=True)
+class Compare:
+    """Two values of one flag of the grid."""
+
+    flag: str
+    treatment: str
+    control: str
+
+
+@dataclass(frozen=True)
+class Setup:
+    """One set-up: fixed flags, and the grid of the others."""
+
+    name: str
+    flags: dict[str, Any]
+    grid: dict[str, list[Any]]
+    seeds: list[int]
+    compare: Compare | None
+    measure: str
+
+    @property
+    def cell_flags(self) -> list[str]:
+        """The flags that make a cell: those of the grid that are not compared."""
+        return [flag for flag in self.grid if self.compare is None or flag != self.compare.flag]
+
+    @property
+    def cells(self) -> list[str]:
+        """The labels of all cells, in order of the grid."""
+        values = itertools.product(*(self.grid[flag] for flag in self.cell_flags))
+        return [cell_label(dict(zip(self.cell_flags, one, strict=True))) for one in values]
+
+    @property
+    def arms(self) -> list[str]:
+        """The values of the compared flag, the treatment first; one nameless arm without one."""
+        if self.compare is None:
+            return [""]
+        first = [self.compare.treatment, self.compare.control]
+        rest = [text(value) for value in self.grid[self.compare.flag] if text(value) not in first]
+        return first + rest
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run of the grid."""
+
+    name: str
+    """Of its folder."""
+    setup: str
+    cell: str
+    arm: str
+    seed: int
+    flags: dict[str, Any]
+    """Of `tactilerl train`, without the seed."""
+
+    @property
+    def combination(self) -> tuple[str, str, str]:
+        """What it shares with the runs that differ in nothing but the seed."""
+        return self.setup, self.cell, self.arm
+
+    @property
+    def arguments(self) -> list[str]:
+        """The command line of `tactilerl train`, without where it is written."""
+        return [*to_arguments(self.flags), "--seed", str(self.seed)]
+
+
+@dataclass(frozen=True)
+class Study:
+    """A checked study file."""
+
+    name: str
+    setups: list[Setup]
+
+    def runs(self) -> list[Run]:
+        """All runs, seeds outermost: whatever is finished is a balanced study."""
+        longest = max(len(setup.seeds) for setup in self.setups)
+        runs = [
+            run
+            for index in range(longest)
+            for setup in self.setups
+            if index < len(setup.seeds)
+            for run in _runs(setup, setup.seeds[index])
+        ]
+        name, times = Counter(run.name for run in runs).most_common(1)[0]
+        if times > 1:
+            raise InputError(
+                f"grid: {times} runs would be called {name!r}; their values must differ more"
+            )
+        return runs
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return dataclasses.asdict(self)
+
+
+def from_dict(data: dict[str, Any]) -> Study:
+    """The study that `as_dict` was made from."""
+    setups = [
+        Setup(**{**one, "compare": one["compare"] and Compare(**one["compare"])})
+        for one in data["setups"]
+    ]
+    return Study(data["name"], setups)
+
+
+def read(path: Path) -> Study:
+    """Read and check a study file; InputError, one line, for everything that is wrong with it."""
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such study file") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: not a study file: {' '.join(str(error).split())}") from error
+    try:
+        return _study(data)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def _study(data: dict[str, Any]) -> Study:
+    for key in data:
+        _one_of(key, KEYS, "study file")
+    name = data.get("name")
+    if not isinstance(name, str) or not NAME.fullmatch(name):
+        raise InputError(f"name: found {name!r}, expected a word of letters, digits, '-', '_' and '.'")
+    setups = _table(data, "setups")
+    if not setups:
+        raise InputError("setups: found none, expected one or more tables [setups.NAME]")
+    study = Study(name, [_setup(key, setups, data) for key in setups])
+    study.runs()  # names that collide
+    return study
+
+
+def _setup(name: str, setups: dict[str, Any], study: dict[str, Any]) -> Setup:
+    where = f"setups.{name}"
+    if not NAME.fullmatch(name):
+        raise InputError(f"{where}: a set-up's name is a word of letters, digits, '-', '_' and '.'")
+    own = _table(setups, name, "setups.")
+    flags = {_flag(key): value for key, value in own.items() if key not in OWN_KEYS}
+    for flag, value in flags.items():
+        if flag in TAKEN:
+            raise InputError(f"{where}.{flag}: {_taken(flag)}")
+        if isinstance(value, dict):
+            raise InputError(f"{where}.{flag}: found a table, expected a value")
+    source = where + ".grid" if "grid" in own else "grid"
+    grid = _grid(_table(own if "grid" in own else study, "grid"), source)
+    seeds = _seeds(grid.pop(SEED, [0]), source)
+    for flag in grid:
+        if flag in flags:
+            raise InputError(f"{where}.{flag}: found in the set-up and in {source}, allowed in one")
+    measure = own.get("measure", study.get("measure", MEASURES[0]))
+    _one_of(measure, MEASURES, "measure")
+    compare = _compare(_table(own if "compare" in own else study, "compare"), grid)
+    return Setup(name, flags, grid, seeds, compare, measure)
+
+
+def _grid(table: dict[str, Any], where: str) -> dict[str, list[Any]]:
+    grid: dict[str, list[Any]] = {}
+    for key, value in table.items():
+        flag = _flag(key)
+        if flag in TAKEN and flag != SEED:
+            raise InputError(f"{where}.{key}: {_taken(flag)}")
+        if isinstance(value, dict):
+            raise InputError(f"{where}.{key}: found a table, expected a list of values")
+        values = value if isinstance(value, list) else [value]
+        if not values:
+            raise InputError(f"{where}.{key}: found no values, expected one or more")
+        labels = [text(one) for one in values]
+        twice = next((label for label in labels if labels.count(label) > 1), None)
+        if twice is not None:
+            raise InputError(f"{where}.{key}: found {twice} twice")
+        grid[flag] = values
+    return grid
+
+
+def _seeds(values: list[Any], where: str) -> list[int]:
+    seeds: list[int] = []
+    for value in values:
+        for part in str(value).split(","):
+            match = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+))?\s*", part)
+            first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
+            if last < first or isinstance(value, bool):
+                raise InputError(
+                    f'{where}.seed: found {value!r}, expected numbers and ranges, such as "0-9"'
+                )
+            if last - first > 100_000:
+                raise InputError(f"{where}.seed: found {value!r}, allowed up to 100,000 seeds")
+            seeds += range(first, last + 1)
+    if len(set(seeds)) < len(seeds):
+        raise InputError(f"{where}.seed: found a seed twice in {values!r}")
+    return seeds
+
+
+def _compare(table: dict[str, Any], grid: dict[str, list[Any]]) -> Compare | None:
+    if not table:
+        return None
+    (key, pair), *others = table.items()
+    if others or not isinstance(pair, list) or len(pair) != 2:
+        raise InputError(
+            "compare: found other than one flag with [treatment, control], "
+            'expected for instance run_type = ["main", "control"]'
+        )
+    flag = _flag(key)
+    allowed = [text(value) for value in grid.get(flag, [])]
+    for value in pair:
+        if text(value) not in allowed:
+            found = ", ".join(allowed) or "nothing"
+            raise InputError(f"compare.{key}: found {value!r}, but the grid's {flag} has {found}")
+    if text(pair[0]) == text(pair[1]):
+        raise InputError(f"compare.{key}: found {pair[0]!r} as treatment and as control")
+    return Compare(flag, text(pair[0]), text(pair[1]))
+
+
+def _table(data: dict[str, Any], key: str, where: str = "") -> dict[str, Any]:
+    table = data.get(key, {})
+    if not isinstance(table, dict):
+        raise InputError(f"{where}{key}: found {table!r}, expected a table")
+    return table
+
+
+def _one_of(value: Any, allowed: tuple[str, ...], where: str) -> None:
+    if value not in allowed:
+        raise InputError(f"{where}: found {value!r}, allowed: {', '.join(allowed)}")
+
+
+def _taken(flag: str) -> str:
+    return "belongs in the grid" if flag == SEED else "is decided by `tactilerl study`; leave it out"
+
+
+def _flag(key: str) -> str:
+    """A flag's name with underscores, as in config.json; dashes are read as well."""
+    return key.replace("-", "_")
+
+
+def text(value: Any) -> str:
+    """A value of the grid as it is shown."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return " ".join(map(text, value)) if isinstance(value, list) else str(value)
+
+
+def cell_label(values: dict[str, Any]) -> str:
+    """The name of a cell, as in tables: `layout 2`."""
+    return (
+        ", ".join(f"{flag.replace('_', ' ')} {text(value)}" for flag, value in values.items()) or "all"
+    )
+
+
+def to_arguments(flags: dict[str, Any]) -> list[str]:
+    """Flags with their values as a command line."""
+    arguments: list[str] = []
+    for flag, value in flags.items():
+        name = flag.replace("_", "-")
+        if isinstance(value, bool):
+            arguments.append(f"--{name}" if value else f"--no-{name}")
+        else:
+            arguments += [f"--{name}", *map(text, value if isinstance(value, list) else [value])]
+    return arguments
+
+
+def _runs(setup: Setup, seed: int) -> Iterator[Run]:
+    flags = [*setup.cell_flags, *([setup.compare.flag] if setup.compare else [])]
+    for values in itertools.product(*(setup.grid[flag] for flag in flags)):
+        chosen = dict(zip(flags, values, strict=True))
+        cell = {flag: chosen[flag] for flag in setup.cell_flags}
+        arm = text(chosen[setup.compare.flag]) if setup.compare else ""
+        parts = [setup.name, *(f"{flag}-{text(value)}" for flag, value in chosen.items()), f"s{seed}"]
+        name = re.sub(r"[^\w.+-]+", "-", "_".join(parts))
+        yield Run(name, setup.name, cell_label(cell), arm, seed, {**setup.flags, **chosen})

@@ -1,0 +1,136 @@
+"""What a study has recorded, from its run folders or from the one file that `collect` makes of
+them.
+
+The collected file is a compressed CSV. Its first row is the study itself: no run, and study.json as
+its `record`. Then come the epochs of every run, at least one row a run:
+
+    run       name of the run
+    state     done, failed, running, interrupted or left, when it was collected
+    reason    why it failed
+    record    on a run's first row: its config.json (all values, versions, commit, ranks)
+    ...       the columns of progress.csv, word for word; empty where a run has none
+"""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError
+from ..sealed import replacing
+from .folder import RunFiles, StudyFolder, study_of
+from .grid import Run, Study
+
+Array = np.ndarray
+COLLECTED = "collected.csv.gz"
+FIXED = ("run", "state", "reason", "record")
+
+
+@dataclass(frozen=True)
+class Record:
+    """What one run left behind."""
+
+    run: Run
+    state: str
+    reason: str
+    config: dict[str, Any] | None
+    """config.json; None where there is none that can be read."""
+    rows: list[dict[str, str]]
+    """The progress table."""
+
+    def column(self, name: str) -> Array:
+        """A column of the progress table as numbers; NaN where there is none."""
+        return np.array([_number(row.get(name)) for row in self.rows])
+
+    def curve(self, measure: str) -> tuple[Array, Array]:
+        """(steps, rates) of the epochs that have a rate."""
+        steps, rates = self.column("env_steps"), self.column(measure)
+        known = np.isfinite(steps) & np.isfinite(rates)
+        return steps[known], rates[known]
+
+    @property
+    def seconds(self) -> float:
+        """Spent in epochs."""
+        steps, speed = self.column("env_steps"), self.column("steps_per_s")
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return float(np.nansum(np.diff(steps, prepend=0) / speed))
+
+
+def _number(text: str | None) -> float:
+    try:
+        return float(text) if text else math.nan
+    except ValueError:
+        return math.nan
+
+
+def load(path: Path) -> tuple[Study, list[Record]]:
+    """The study and all its runs in order of the grid, from a folder or a collected file."""
+    if path.is_file():
+        return _unpack(path)
+    folder = StudyFolder(path)
+    if not folder.study_file.exists() and (path / COLLECTED).is_file():
+        return _unpack(path / COLLECTED)
+    study = folder.study()
+    return study, [_record(run, folder.files(run)) for run in study.runs()]
+
+
+def _record(run: Run, files: RunFiles) -> Record:
+    outcome, state = files.outcome(), files.state()
+    config, reason = None, outcome.reason if outcome else ""
+    if files.exists:
+        try:
+            files.run_dir.read_config()
+            config = json.loads(files.run_dir.config_file.read_text(encoding="utf-8"))
+        except InputError as error:
+            state, reason = "failed", str(error)
+    return Record(run, state, reason, config, files.rows())
+
+
+def collect(path: Path, out: Path | None = None) -> Path:
+    """Pack a study's folder into one file; returns it."""
+    study, records = load(path)
+    out = out or path / COLLECTED
+    text = io.StringIO()
+    columns = dict.fromkeys(column for record in records for row in record.rows for column in row)
+    writer = csv.DictWriter(text, [*FIXED, *columns], lineterminator="\n")
+    writer.writeheader()
+    writer.writerow({"state": "study", "record": json.dumps(study.as_dict())})
+    for record in records:
+        first = {"reason": record.reason, "record": json.dumps(record.config)}
+        for row in record.rows or [{}]:
+            writer.writerow({"run": record.run.name, "state": record.state, **first, **row})
+            first = {}
+    with (
+        replacing(out) as file,
+        gzip.GzipFile(filename="", mode="wb", fileobj=file, mtime=0) as packed,
+    ):
+        packed.write(text.getvalue().encode())
+    return out
+
+
+def _unpack(path: Path) -> tuple[Study, list[Record]]:
+    try:
+        with gzip.open(path, "rt", encoding="utf-8", newline="") as file:
+            first, *rows = csv.DictReader(file)
+        study = study_of(json.loads(first["record"]), path)
+        by_run: dict[str, list[dict[str, str]]] = {}
+        for row in rows:
+            by_run.setdefault(row["run"], []).append(row)
+        return study, [_unpacked(run, by_run[run.name]) for run in study.runs()]
+    except (OSError, EOFError, ValueError, KeyError, TypeError, csv.Error) as error:
+        raise InputError(f"{path}: not a collected study ({' '.join(str(error).split())})") from error
+
+
+def _unpacked(run: Run, rows: list[dict[str, str]]) -> Record:
+    head = rows[0]
+    progress = [{k: v for k, v in row.items() if k not in FIXED} for row in rows]
+    progress = [row for row in progress if any(row.values())]
+    return Record(run, head["state"], head["reason"], json.loads(head["record"]), progress)

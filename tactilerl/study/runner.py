@@ -1,0 +1,191 @@
+"""Runs the runs of a study: on this machine's cores, or on the ranks of an MPI launch.
+
+Both are executors of `concurrent.futures`' kind. A job waits for the process of its run, so threads
+are enough here; a run that crashes takes nobody with it.
+"""
+
+from __future__ import annotations
+
+import concurrent.futures
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, cast
+
+from .. import interrupts
+from ..algos import mpi
+from .folder import Outcome, RunFiles
+from .worker import BUSY
+
+ATTEMPTS = 2
+BAD_INPUT = 2  # exit code of what a second attempt cannot mend
+INTERRUPTED = (130, -signal.SIGINT)
+LAUNCHER_PREFIXES = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "MPI_LOCAL")
+THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+Ending = Literal["done", "failed", "busy", "interrupted"]
+
+_children: set[subprocess.Popen[bytes]] = set()
+_stopping = threading.Event()
+
+
+@dataclass(frozen=True)
+class Job:
+    """All that the process of a run is told; can be pickled."""
+
+    base: Path
+    """`RunFiles.base`"""
+    arguments: list[str]
+    total_timesteps: int
+    ranks: int = 1
+
+
+Watch = Callable[[list[Job], dict[Path, Ending]], None]
+"""Is told the jobs that run, and how the others ended."""
+
+
+def run_job(job: Job) -> Ending:
+    """Train one run to its end, in a process of its own; a failure is tried once more.
+
+    What another process trains is left to it.
+    """
+    files, outcome = RunFiles(job.base), None
+    for _ in range(ATTEMPTS):
+        if _stopping.is_set():
+            return "interrupted"
+        code = _process(files, job)
+        if _stopping.is_set() or code in INTERRUPTED:
+            return "interrupted"
+        if code == BUSY:
+            return "busy"
+        if code == 0:
+            outcome = Outcome("done", job.total_timesteps)
+            break
+        outcome = Outcome("failed", job.total_timesteps, _reason(code, files.log_file))
+        if code == BAD_INPUT:
+            break
+    assert outcome is not None
+    files.write_outcome(outcome)
+    return outcome.state
+
+
+def _process(files: RunFiles, job: Job) -> int:
+    command = [sys.executable, "-m", "tactilerl.study.worker", str(job.base), str(job.ranks)]
+    with files.log_file.open("ab") as log:
+        child = subprocess.Popen(
+            [*command, *job.arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            env=_environment(),
+        )
+    _children.add(child)
+    try:
+        return child.wait()
+    finally:
+        _children.discard(child)
+
+
+def _environment() -> dict[str, str]:
+    """One thread a run; and it is no rank of the launch that started the study."""
+    kept = {k: v for k, v in os.environ.items() if not k.startswith(LAUNCHER_PREFIXES)}
+    allowed = {k: v for k, v in os.environ.items() if k.startswith("OMPI_ALLOW_RUN_AS_ROOT")}
+    return kept | allowed | dict.fromkeys(THREADS, "1")
+
+
+def _reason(code: int, log_file: Path) -> str:
+    """Why a run failed, in a line: the signal, or the last thing that it said itself."""
+    if code < 0:
+        return f"killed by {signal.Signals(-code).name}"
+    lines = log_file.read_text(encoding="utf-8", errors="replace").splitlines()
+    own = [line for line in lines if line.startswith("tactilerl: ")]
+    said = own or [line for line in lines if line.strip()] or [""]
+    return f"{said[-1].removeprefix('tactilerl: ').strip()[:300]} (exit code {code})"
+
+
+@contextmanager
+def executor(jobs: int) -> Iterator[concurrent.futures.Executor | None]:
+    """Where jobs are submitted to: the other ranks of an MPI launch, or `jobs` threads.
+
+    None on the ranks that do the work; they are done when the first rank is.
+    """
+    if any(name in os.environ for name in mpi.LAUNCHERS) and mpi.world().size > 1:
+        from mpi4py.futures import MPICommExecutor
+
+        with MPICommExecutor() as ranks:
+            yield cast(concurrent.futures.Executor | None, ranks)
+        return
+    try:
+        with concurrent.futures.ThreadPoolExecutor(jobs) as pool, _stopped_by_signals():
+            try:
+                yield pool
+            except BaseException:
+                _stop(pool)
+                raise
+    finally:
+        _stopping.clear()
+
+
+@contextmanager
+def _stopped_by_signals() -> Iterator[None]:
+    """Ctrl-C ends the runs in order, and so does SIGTERM, which batch systems send before they
+    kill.
+    """
+
+    def interrupt(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        with interrupts.in_order():
+            yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _stop(pool: concurrent.futures.Executor) -> None:
+    """End the runs' processes; each keeps its last epoch."""
+    _stopping.set()
+    pool.shutdown(wait=False, cancel_futures=True)
+    for child in list(_children):
+        child.terminate()
+
+
+def run_all(
+    jobs: list[Job],
+    pool: concurrent.futures.Executor,
+    watch: Watch,
+    every: float = 1.0,
+) -> dict[Path, Ending]:
+    """Run the jobs in order; the endings by `Job.base`.
+
+    `watch` is called `every` so many seconds and whenever jobs end, with the jobs that run and the
+    endings so far. Jobs that somebody else was training are asked for once more at the end.
+    """
+    endings: dict[Path, Ending] = {}
+    _run_batch(jobs, pool, watch, every, endings)
+    busy = [job for job in jobs if endings[job.base] == "busy"]
+    _run_batch(busy, pool, watch, every, endings)
+    return endings
+
+
+def _run_batch(
+    jobs: list[Job],
+    pool: concurrent.futures.Executor,
+    watch: Watch,
+    every: float,
+    endings: dict[Path, Ending],
+) -> None:
+    waiting = {pool.submit(run_job, job): job for job in jobs}
+    while waiting:
+        ended, _ = concurrent.futures.wait(
+            waiting, every, return_when=concurrent.futures.FIRST_COMPLETED
+        )
+        for future in ended:
+            endings[waiting.pop(future).base] = future.result()
+        watch([job for future, job in waiting.items() if future.running()], endings)

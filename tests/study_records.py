@@ -1,0 +1,71 @@
+"""Studies whose runs were never trained: what they left behind is made up, for tests of reports."""
+
+import csv
+import json
+
+import numpy as np
+
+from tactilerl import provenance
+from tactilerl.run_dir import FORMAT
+from tactilerl.study import check, grid
+from tactilerl.study.folder import Outcome, StudyFolder
+
+PAPER_LIKE = """
+name = "made-up"
+
+[compare]
+run_type = ["main", "control"]
+
+[grid]
+layout = [1, 2, 5]
+run_type = ["main", "control"]
+seed = "0-{last}"
+
+[setups.pybullet]
+algo = "ppo"
+env = "mpl"
+total_timesteps = 30_000
+hold_verdict = "settled"
+
+[setups.mujoco]
+algo = "ddpg_her"
+env = "shadow"
+measure = "test_success_rate"
+total_timesteps = 60_000
+"""
+LEVEL = {"layout 1": 0.7, "layout 2": 0.85, "layout 5": 0.5}
+
+
+def make_study(path, text=PAPER_LIKE, n_seeds=4, epochs=25, total=30_000):
+    """A study's folder with all runs done; main runs rise higher the better their layout."""
+    file = path.with_suffix(".toml")
+    file.write_text(text.replace("{last}", str(n_seeds - 1)))
+    study, folder = grid.read(file), StudyFolder(path)
+    runs = study.runs()
+    configs = check.configure(runs)
+    folder.create(study)
+    made_with = [provenance.record()]
+    for index, run in enumerate(runs):
+        files = folder.files(run)
+        files.base.mkdir()
+        content = {"format": FORMAT, **configs[run.name].as_dict(), "ranks": 1, "provenance": made_with}
+        files.run_dir.config_file.write_text(json.dumps(content))
+        write_progress(files, run, np.random.default_rng(index), epochs, total)
+        files.write_outcome(Outcome("done", total))
+    return folder
+
+
+def write_progress(files, run, rng, epochs, total):
+    """A curve that rises to its level, with noise."""
+    level = LEVEL.get(run.cell, 0.6) if run.arm in ("main", "0.95") else 0.55
+    level += rng.normal(0, 0.05)
+    with files.run_dir.progress.path.open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(
+            ["epoch", "env_steps", "success_rate", "test_success_rate", "diverged", "steps_per_s"]
+        )
+        for epoch in range(1, epochs + 1):
+            rate = level * (1 - np.exp(-epoch / 5)) + rng.normal(0, 0.03)
+            rate = float(np.clip(rate, 0, 1))
+            steps = round(epoch * total / epochs) + int(rng.integers(0, 20))
+            writer.writerow([epoch, steps, rate, rate, 0.0, 100.0])

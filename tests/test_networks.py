@@ -1,0 +1,83 @@
+"""Networks' own backward pass against autograd, the optimiser, and products in bfloat16."""
+
+import dataclasses
+
+import pytest
+import torch
+
+from tactilerl.algos import networks
+from tactilerl.algos.mpi import Communicator
+from tactilerl.algos.networks import MLP, FlatAdam, matrix_products
+from tactilerl.config import defaults
+from tactilerl.errors import InputError
+from tactilerl.train import make_algorithm
+
+
+def random(*shape, seed=0):
+    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed))
+
+
+@pytest.mark.parametrize("tanh", [False, True])
+def test_run_and_backward_are_those_of_autograd(tanh):
+    network = MLP((5, 32, 16, 3), torch.Generator().manual_seed(0), tanh)
+    adam = FlatAdam((network, 1e-3))
+    inputs, weights = random(20, 5), random(20, 3, seed=1)
+    outputs = network(inputs)
+    expected = torch.autograd.grad((outputs * weights).sum(), list(network.parameters()))
+    values = network.run(inputs)
+    torch.testing.assert_close(values[-1], outputs)
+    network.backward(values, weights)
+    torch.testing.assert_close(adam.gradient, torch.cat([g.reshape(-1) for g in expected]))
+
+
+def test_the_first_delta_leads_to_the_inputs():
+    network = MLP((5, 16, 1), torch.Generator().manual_seed(0))
+    inputs = random(20, 5).requires_grad_()
+    (expected,) = torch.autograd.grad(network(inputs).sum(), inputs)
+    deltas = network.deltas(network.run(inputs.detach()), torch.ones(20, 1))
+    torch.testing.assert_close(deltas[0] @ network[0].weight, expected)
+
+
+def test_adam_is_that_of_torch():
+    network, twin = (MLP((5, 16, 3), torch.Generator().manual_seed(0)) for _ in range(2))
+    adam, reference = FlatAdam((network, 1e-2)), torch.optim.Adam(twin.parameters(), 1e-2)
+    for seed in range(20):
+        for parameter, same in zip(network.parameters(), twin.parameters(), strict=True):
+            same.grad = random(*parameter.shape, seed=seed)
+            parameter.grad.copy_(same.grad)
+        adam.step()
+        reference.step()
+    for parameter, same in zip(network.parameters(), twin.parameters(), strict=True):
+        torch.testing.assert_close(parameter, same)
+
+
+def test_moments_fade_to_zero_and_other_numbers_do_not():
+    """Denormal numbers are slow; outside the step they are as they were."""
+    adam = FlatAdam((MLP((2, 2), torch.Generator().manual_seed(0)), 1e-3))
+    tiny = torch.full((100,), 1e-39)
+    for moment in adam._moments.values():
+        moment.fill_(1e-38)
+    adam.step()
+    adam.step()
+    for moment in adam._moments.values():
+        kept = (moment != 0) & (moment.abs() < torch.finfo(torch.float32).tiny)
+        assert not kept.any()
+    assert (tiny * 0.5 != 0).all()
+
+
+@pytest.mark.skipif(not networks.has_bfloat16(), reason="this processor has no bfloat16")
+def test_products_in_bfloat16_only_inside():
+    a, b = random(64, 64), random(64, 64, seed=1)
+    exact = a @ b
+    with matrix_products("bfloat16"):
+        error = (a @ b - exact).norm() / exact.norm()
+    assert 1e-4 < error < 1e-2
+    assert torch.equal(a @ b, exact)
+
+
+def test_emulated_bfloat16_is_refused(monkeypatch):
+    config = defaults("ppo", "lqr")
+    config = dataclasses.replace(config, run=dataclasses.replace(config.run, matmul="bfloat16"))
+    monkeypatch.setattr("tactilerl.train.has_bfloat16", lambda: False)
+    with pytest.raises(InputError, match="matmul: found 'bfloat16' on a processor that has no"):
+        make_algorithm(config, Communicator())

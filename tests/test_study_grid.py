@@ -1,0 +1,145 @@
+"""Study files: what they stand for, and one line for everything that is wrong with them."""
+
+from pathlib import Path
+
+import pytest
+
+from tactilerl.cli import main
+from tactilerl.errors import InputError
+from tactilerl.study import check, grid
+
+ROOT = Path(__file__).resolve().parents[1]
+GOOD = """
+name = "toy"
+[compare]
+polyak = [0.95, 0.9]
+[grid]
+batch-size = [16, 32]
+polyak = [0.9, 0.95]
+seed = "0-1, 7"
+[setups.reach]
+algo = "ddpg_her"
+env = "point-reach"
+measure = "test_success_rate"
+[setups.ppo]
+env = "point-reach"
+anneal-lr = true
+hidden = [16, 16]
+compare = {n_passes = [4, 2]}
+grid = {n_passes = [2, 4], seed = 3}
+"""
+
+
+def write(tmp_path, text):
+    path = tmp_path / "study.toml"
+    path.write_text(text)
+    return path
+
+
+def read(tmp_path, text):
+    return grid.read(write(tmp_path, text))
+
+
+class TestGrid:
+    def test_runs_are_balanced_at_any_time(self, tmp_path):
+        runs = read(tmp_path, GOOD).runs()
+        assert [run.seed for run in runs] == [0] * 4 + [3] * 2 + [1] * 4 + [7] * 4
+        assert runs[0].name == "reach_batch_size-16_polyak-0.9_s0"
+        assert len({run.name for run in runs}) == len(runs) == 14
+
+    def test_cells_and_arms(self, tmp_path):
+        reach, ppo = read(tmp_path, GOOD).setups
+        assert reach.cells == ["batch size 16", "batch size 32"]
+        assert reach.arms == ["0.95", "0.9"]  # the treatment first
+        assert ppo.cells == ["all"]
+        assert reach.measure == "test_success_rate"
+        assert ppo.measure == "success_rate"
+
+    def test_flags_become_those_of_train(self, tmp_path):
+        study = read(tmp_path, GOOD)
+        configs = check.configure(study.runs())
+        first, ppo = configs["reach_batch_size-16_polyak-0.9_s1"], configs["ppo_n_passes-4_s3"]
+        assert (first.run.algo, first.run.env, first.run.seed) == ("ddpg_her", "point-reach", 1)
+        assert (first.learner.batch_size, first.learner.polyak) == (16, 0.9)
+        assert (ppo.learner.anneal_lr, ppo.learner.hidden, ppo.learner.n_passes) == (True, (16, 16), 4)
+        assert first.run.workers == 1
+
+    def test_dictionary_and_back(self, tmp_path):
+        study = read(tmp_path, GOOD)
+        assert grid.from_dict(study.as_dict()) == study
+
+    @pytest.mark.parametrize("name", ["paper", "pilot", "quick"])
+    def test_the_studies_of_the_project_can_be_configured(self, name):
+        study = grid.read(ROOT / "studies" / f"{name}.toml")
+        runs = study.runs()
+        check.configure(runs)
+        assert name != "paper" or len(runs) == 240
+
+
+class TestBadFiles:
+    @pytest.mark.parametrize(
+        ("old", "new", "words"),
+        [
+            ('name = "toy"', "", ["name", "None"]),
+            ('name = "toy"', 'name = "../x"', ["name", "../x"]),
+            ('name = "toy"', "name = ", ["not a study file", "line 2"]),
+            ('name = "toy"', 'name = "toy"\ngird = 1', ["'gird'", "grid"]),
+            ("batch-size = [16, 32]", "batch-size = []", ["grid.batch-size", "no values"]),
+            ("batch-size = [16, 32]", "batch-size = [16, 16]", ["grid.batch-size", "16 twice"]),
+            ("batch-size = [16, 32]", "batch-sise = [16, 32]", ["reach", "batch-sise"]),
+            ("batch-size = [16, 32]", "batch-size = [16, 0]", ["batch_size-0", "batch_size: found 0"]),
+            ("batch-size = [16, 32]", 'batch-size = [16, "many"]', ["batch_size-many", "batch-size"]),
+            ("batch-size = [16, 32]", "workers = [1, 2]", ["grid.workers", "leave it out"]),
+            ('"0-1, 7"', '"9-0"', ["grid.seed", "9-0"]),
+            ('"0-1, 7"', '"0-3,2"', ["grid.seed", "twice"]),
+            ('"0-1, 7"', "[-1]", ["grid.seed", "-1"]),
+            ('"0-1, 7"', "[4294967296]", ["seed", "4294967296"]),
+            ("polyak = [0.95, 0.9]", "polyak = [0.95, 0.8]", ["compare.polyak", "0.8"]),
+            ("polyak = [0.95, 0.9]", "polyak = [0.9, 0.9]", ["compare.polyak", "treatment"]),
+            ("polyak = [0.95, 0.9]", "layout = [1, 2]", ["compare.layout", "nothing"]),
+            ("polyak = [0.95, 0.9]", "polyak = 0.9", ["compare", "run_type"]),
+            ('algo = "ddpg_her"', 'algo = "sac"', ["sac", "ppo, ddpg_her"]),
+            ('algo = "ddpg_her"', 'algo = "ddpg_her"\nseed = 3', ["setups.reach.seed", "grid"]),
+            ('algo = "ddpg_her"', "polyak = 0.5", ["setups.reach.polyak", "allowed in one"]),
+            ('"test_success_rate"', '"mean_return"', ["measure", "mean_return", "success_rate"]),
+            ("[setups.reach]", "[setups.'a b']", ["setups.a b", "word"]),
+        ],
+    )  # fmt: skip
+    def test_one_line_and_nothing_begun(self, tmp_path, capsys, old, new, words):
+        assert old in GOOD
+        file = write(tmp_path, GOOD.replace(old, new))
+        assert main(["study", "run", str(file), "--out", str(tmp_path / "out")]) == 2
+        out, err = capsys.readouterr()
+        assert err.startswith("tactilerl: error: ")
+        assert err.count("\n") == 1
+        assert "Traceback" not in out + err
+        assert not (tmp_path / "out").exists()
+        for word in words:
+            assert word in err
+
+    def test_no_file_no_setups_colliding_names(self, tmp_path):
+        with pytest.raises(InputError, match="no such study file"):
+            grid.read(tmp_path / "none.toml")
+        with pytest.raises(InputError, match="setups: found none"):
+            read(tmp_path, 'name = "x"')
+        with pytest.raises(InputError, match="would be called"):
+            read(tmp_path, 'name = "x"\n[grid]\nlayout = ["a/b", "a b"]\n[setups.x]')
+
+    def test_an_environment_that_cannot_be_made(self, tmp_path, capsys):
+        file = write(tmp_path, 'name = "x"\n[setups.x]\nenv = "No-Such-Env-v0"\n')
+        assert main(["study", "run", str(file), "--out", str(tmp_path / "out")]) == 2
+        err = capsys.readouterr().err
+        assert err.count("\n") == 1
+        assert "No-Such-Env" in err
+        assert not (tmp_path / "out").exists()
+
+    @pytest.mark.parametrize("flag", ["--jobs", "--ranks-per-run"])
+    def test_bad_flags(self, tmp_path, capsys, flag):
+        assert main(["study", "run", str(write(tmp_path, GOOD)), flag, "0"]) == 2
+        assert f"{flag}: found 0" in capsys.readouterr().err
+
+    def test_unknown_part_and_help(self, capsys):
+        assert main(["study", "fly"]) == 2
+        assert "run, status, plan, collect, report" in capsys.readouterr().err
+        assert main(["study", "--help"]) == 0
+        assert "plan" in capsys.readouterr().out

@@ -1,0 +1,291 @@
+"""Reports of studies: right numbers, the same bytes for the same records, seen in a browser."""
+
+import html
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from study_records import PAPER_LIKE, make_study
+
+from tactilerl import study as package
+from tactilerl.cli import main
+from tactilerl.study import analysis, figures, published, records, report, statistics, tables
+from tactilerl.study.folder import Outcome
+
+RESAMPLES = 500
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+MEASURE = """<script>
+addEventListener("load", () => {
+  const found = {overflow: document.documentElement.scrollWidth - innerWidth, width: innerWidth};
+  found.figures = [...document.querySelectorAll("figure")].map(figure => {
+    const drawn = [...figure.querySelectorAll("svg, table")].map(one => one.getBoundingClientRect());
+    const rows = figure.querySelectorAll("tbody tr").length;
+    return [figure.id, Math.min(...drawn.map(box => box.width)), rows];
+  });
+  console.log("FOUND" + JSON.stringify(found) + "END");
+});
+</script></body>"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return make_study(tmp_path_factory.mktemp("study") / "made-up")
+
+
+@pytest.fixture(scope="module")
+def result(folder):
+    return analysis.analyse(*records.load(folder.path), RESAMPLES)
+
+
+@pytest.fixture(scope="module")
+def written(folder, result):
+    return report.write(result, folder.path / "report")
+
+
+def contents(path):
+    return {p.relative_to(path): p.read_bytes() for p in sorted(path.rglob("*")) if p.is_file()}
+
+
+def table(result, name):
+    return next(t for t in tables.all_tables(result) if t.name == name)
+
+
+class TestNumbers:
+    def test_a_group_is_its_runs(self, folder, result):
+        group = result.setups[1].groups["layout 2", "main"]
+        _, own = records.load(folder.path)
+        own = [r for r in own if (r.run.setup, r.run.cell, r.run.arm) == ("mujoco", "layout 2", "main")]
+        rates = [r.curve("test_success_rate")[1] for r in own]
+        expected = [statistics.converged_rate(one[None])[0] for one in rates]
+        assert group.seeds == [0, 1, 2, 3]
+        np.testing.assert_allclose(group.scores["converged"], expected)
+        row = next(r for r in table(result, "mujoco_converged").rows if r[:2] == ["layout 2", "main"])
+        assert row[2] == "4"
+        assert row[3] == row[5] == f"{np.mean(expected):.2f}"
+        assert row[9] == f"{np.median(expected):.2f}"
+
+    def test_curves_are_compared_at_steps_that_all_runs_have(self, result):
+        one = result.setups[0]
+        for record in one.records:
+            steps, _ = record.curve("success_rate")
+            assert steps[0] <= one.steps[0]
+            assert one.steps[-1] <= steps[-1]
+        assert all(group.curves.shape == (4, 25) for group in one.groups.values())
+
+    def test_comparison(self, result):
+        one = result.setups[0].comparisons["layout 2"]
+        assert one.difference.value > 0.1
+        assert one.improvement.value == 1
+        assert one.p_holm >= one.p_value >= 2 / 70 - 1e-9
+
+    def test_set_ups_agree_on_the_order_that_was_put_in(self, result):
+        assert [one.by for one in result.agreements] == ["treatment", "difference to the control"]
+        assert result.agreements[0].correlation.value == pytest.approx(1)
+
+    def test_a_mixed_model_only_where_set_ups_cross(self, tmp_path, result):
+        assert "do not cross" in result.mixed
+        text = PAPER_LIKE[: PAPER_LIKE.index("[setups.pybullet]")].replace("[1, 2, 5]", "[2]")
+        for hand in ("mpl", "shadow"):
+            for simulator in ("mujoco", "pybullet"):
+                text += f'[setups.{hand}_{simulator}]\nenv = "{hand}"\nsimulator = "{simulator}"\n'
+        crossed = analysis.analyse(
+            *records.load(make_study(tmp_path / "crossed", text).path), RESAMPLES
+        )
+        terms = [term.name for term in crossed.mixed]
+        assert "treatment:C(hand)[T.shadow]" in terms
+        assert "treatment:C(simulator)[T.pybullet]" in terms
+        assert not [term for term in terms if "algorithm" in term]
+
+    def test_the_papers_numbers_stand_beside_ours(self, result):
+        assert [one.published.table for one in result.setups] == [1, 2]
+        row = next(r for r in table(result, "pybullet_converged").rows if r[:2] == ["layout 2", "main"])
+        assert row[-2:] == ["0.66", "[0.63, 0.69]"]
+        row = table(result, "pybullet_comparisons").rows[1]
+        assert row[-3:] == ["0.04", "39 %", "0.50"]
+
+    def test_published_overlaps_follow_from_the_published_intervals(self):
+        """To the digits that the tables are rounded to."""
+        for algo, env, simulator in (("ppo", "mpl", "pybullet"), ("ddpg_her", "shadow", "mujoco")):
+            config = {"run": {"algo": algo, "env": env}, "scene": {"simulator": simulator}}
+            paper = published.find(config)
+            for cell, said in paper.overlaps.items():
+                main_, control = (paper.estimates[cell, arm]["iqm"] for arm in ("main", "control"))
+                overlap = statistics.interval_overlap(main_[1:], control[1:])
+                assert overlap == pytest.approx(said, abs=0.16)
+
+    def test_other_set_ups_are_not_the_papers(self):
+        config = {"run": {"algo": "ppo", "env": "mpl"}, "scene": {"simulator": "mujoco"}}
+        assert published.find(config) is None
+        assert published.find({"run": {"algo": "ppo", "env": "lqr"}, "scene": None}) is None
+
+
+class TestFiles:
+    def test_same_records_same_bytes(self, folder, written, tmp_path):
+        again = analysis.analyse(*records.load(folder.path), RESAMPLES)
+        report.write(again, tmp_path / "again")
+        assert contents(tmp_path / "again") == contents(written.parent)
+
+    def test_the_collected_file_is_as_good_as_the_folders(self, folder, written, tmp_path, capsys):
+        path = tmp_path / "one.csv.gz"
+        assert main(["study", "collect", str(folder.path), "--out", str(path)]) == 0
+        first = path.read_bytes()
+        records.collect(folder.path, path)
+        assert path.read_bytes() == first
+        args = [
+            "report",
+            str(path),
+            "--out",
+            str(tmp_path / "from_file"),
+            "--resamples",
+            str(RESAMPLES),
+        ]
+        assert main(["study", *args]) == 0
+        assert contents(tmp_path / "from_file") == contents(written.parent)
+        assert "smallest group has 4 runs" in capsys.readouterr().out
+
+    def test_every_table_and_figure_in_every_format(self, result, written):
+        names = {p.relative_to(written.parent).as_posix() for p in written.parent.rglob("*.*")}
+        for one in tables.all_tables(result):
+            assert {f"tables/{one.name}.{ending}" for ending in ("md", "csv", "tex")} <= names
+        for one in figures.all_pictures(result):
+            assert {f"figures/{one.name}.{ending}" for ending in ("png", "svg")} <= names
+
+    def test_no_network_and_no_double_ids(self, written):
+        text = written.read_text()
+        assert not re.findall(r"""(?:src|href)=["']?(?:https?:)?//""", text.replace("xmlns", ""))
+        ids = re.findall(r'\bid="([^"]+)"', text)
+        assert len(ids) == len(set(ids))
+
+    def test_tables_escape_what_latex_reads(self):
+        made = tables.Table("x", "x", ["a_b"], [["50 %"]]).formats()["tex"]
+        assert r"a\_b" in made
+        assert r"50 \%" in made
+
+
+class TestWarnings:
+    def test_failed_unfinished_diverged_and_mixed_versions_are_said(self, tmp_path, capsys):
+        folder = make_study(tmp_path / "s", n_seeds=2)
+        runs = folder.study().runs()
+        folder.files(runs[0]).write_outcome(Outcome("failed", 1, "diverged: a reward is nan"))
+        folder.files(runs[1]).outcome_file.unlink()
+        config = folder.files(runs[2]).run_dir.config_file
+        config.write_text(config.read_text().replace('"torch": "', '"torch": "0.'))
+        progress = folder.files(runs[3]).run_dir.progress.path
+        progress.write_text(progress.read_text().replace(",0.0,100.0", ",1.0,100.0"))
+        folder.files(runs[4]).run_dir.config_file.write_text("{")
+        assert main(["study", "report", str(folder.path), "--resamples", "100"]) == 0
+        out = capsys.readouterr().out
+        assert "Of 24 runs 2 failed, 1 interrupted" in out
+        assert "different versions" in out
+        assert "diverged in 1 runs" in out
+        rows = (folder.path / "report/tables/runs.csv").read_text().splitlines()
+        assert rows[1].startswith("pybullet,layout 1,main,0,failed")
+        assert rows[1].endswith("diverged: a reward is nan")
+        assert "interrupted" in rows[2]
+        assert "not a run's configuration" in rows[5]
+
+    @pytest.mark.parametrize("tail", ["26,30000,0.5", "26,30000,0.5,0.5,0,100,7\n", '"', "\0\n"])
+    def test_a_damaged_end_of_a_progress_table_is_left_out(self, tmp_path, tail):
+        folder = make_study(tmp_path / "s", n_seeds=1)
+        file = folder.files(folder.study().runs()[0]).run_dir.progress.path
+        file.write_text(file.read_text() + tail)
+        _, all_records = records.load(folder.path)
+        assert [len(record.rows) for record in all_records] == [25] * 12
+        assert records.load(records.collect(folder.path))[1] == all_records
+
+    def test_a_measure_that_no_run_has(self, tmp_path, capsys):
+        folder = make_study(tmp_path / "s", n_seeds=1)
+        for file in folder.path.rglob("progress.csv"):
+            file.write_text(file.read_text().replace("test_success_rate", "another"))
+        assert main(["study", "report", str(folder.path), "--resamples", "100"]) == 0
+        assert "mujoco: no finished run with a test_success_rate" in capsys.readouterr().out
+
+    def test_runs_that_still_rise_are_said(self, tmp_path, result):
+        assert "final rates" not in " ".join(tables.warnings(result, 10))
+        folder = make_study(tmp_path / "s", n_seeds=2)
+        for file in folder.path.rglob("progress.csv"):
+            header, *rows = file.read_text().splitlines()
+            flat = [",".join([*row.split(",")[:2], "0.0", "0.0", "0.0", "100"]) for row in rows[:-6]]
+            file.write_text("\n".join([header, *flat, *rows[-6:]]) + "\n")
+        late = analysis.analyse(*records.load(folder.path), 100)
+        assert "In 12 groups" in " ".join(tables.warnings(late, 10))
+
+    @pytest.mark.parametrize("part", ["status", "report", "collect", "plan"])
+    def test_no_study_there(self, tmp_path, capsys, part):
+        assert main(["study", part, str(tmp_path)]) == 2
+        err = capsys.readouterr().err
+        assert "no study.json" in err
+        assert err.count("\n") == 1
+
+    @pytest.mark.parametrize("content", [b"", b"{", b'{"name": 1}', b"\xff\xfe"])
+    def test_damaged_study_or_collected_file(self, tmp_path, capsys, content):
+        (tmp_path / "study.json").write_bytes(content)
+        (tmp_path / "c.csv.gz").write_bytes(content)
+        for path in (tmp_path, tmp_path / "c.csv.gz"):
+            assert main(["study", "report", str(path)]) == 2
+            err = capsys.readouterr().err
+            assert err.count("\n") == 1
+            assert str(path) in err
+
+    def test_a_missing_extra_is_named(self, tmp_path, monkeypatch, capsys):
+        monkeypatch.setitem(sys.modules, "jinja2", None)
+        monkeypatch.delitem(sys.modules, "tactilerl.study.report")
+        monkeypatch.delattr(package, "report")
+        assert main(["study", "report", str(tmp_path)]) == 2
+        assert "pip install 'tactilerl[study]'" in capsys.readouterr().err
+
+
+class TestPlan:
+    def test_seeds_from_the_spread_of_the_runs(self, folder, result, capsys):
+        assert main(["study", "plan", str(folder.path), "--effect", "0.1", "--json"]) == 0
+        needs = json.loads(capsys.readouterr().out)
+        assert len(needs) == 6
+        groups = [
+            result.setups[0].groups["layout 1", arm].scores["converged"] for arm in ("main", "control")
+        ]
+        sd = np.sqrt((groups[0].var(ddof=1) + groups[1].var(ddof=1)) / 2)
+        assert needs[0]["sd"] == pytest.approx(sd)
+        assert needs[0]["seeds"] == statistics.runs_needed(0.1, sd, 0.8, 0.05)
+        assert needs[0]["seeds"] < needs[0]["seeds_holm"]
+
+    def test_table_and_bad_flags(self, folder, capsys):
+        assert main(["study", "plan", str(folder.path)]) == 0
+        assert "layout 5" in capsys.readouterr().out
+        assert main(["study", "plan", str(folder.path), "--power", "1"]) == 2
+        assert "--power" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")
+@pytest.mark.parametrize("width", [400, 1600])
+def test_a_browser_shows_every_table_and_figure(result, written, tmp_path, width):
+    content = html.escape(written.read_text().replace("</body>", MEASURE))
+    page = tmp_path / "page.html"  # a window cannot be as narrow as a frame in it
+    page.write_text(f'<!doctype html><iframe width="{width}" height="900" srcdoc="{content}"></iframe>')
+    switches = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"]
+    switches += ["--disable-background-networking", "--disable-component-update", "--disable-sync"]
+    switches += [f"--user-data-dir={tmp_path / 'profile'}", "--window-size=1800,1000"]
+    switches += ["--enable-logging=stderr", f"--screenshot={tmp_path / 'page.png'}"]
+    environment = os.environ | {"HOME": str(tmp_path)}
+    shown = subprocess.run(
+        [CHROMIUM, *switches, page.as_uri()],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        env=environment,
+    )
+    console = [line for line in shown.stderr.splitlines() if "CONSOLE" in line]
+    assert len(console) == 1, console
+    found = json.loads(re.search(r"FOUND(.*)END", console[0])[1])
+    assert found["overflow"] <= 0
+    assert found["width"] == width
+    expected = {f"table-{t.name}" for t in tables.all_tables(result)}
+    expected |= {f"figure-{p.name}" for p in figures.all_pictures(result)}
+    assert {name for name, _, _ in found["figures"]} == expected
+    for name, drawn_width, rows in found["figures"]:
+        assert drawn_width > 100, name
+        assert rows > 0 or name.startswith("figure-"), name

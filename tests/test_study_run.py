@@ -1,0 +1,270 @@
+"""Running studies: each run once and to its end, whatever is killed, on any executor."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import filelock
+import numpy as np
+import pytest
+
+from tactilerl.cli import main
+from tactilerl.study import analysis, check, display, records, report, runner, tables
+from tactilerl.study.folder import Outcome, StudyFolder
+
+TINY = """
+name = "tiny"
+measure = "test_success_rate"
+[compare]
+polyak = [0.95, 0.9]
+[grid]
+polyak = [0.9, 0.95]
+seed = 0
+[setups.reach]
+algo = "ddpg_her"
+env = "point-reach"
+hidden = [8]
+batch_size = 16
+n_cycles = 1
+n_batches = 2
+n_test_rollouts = 1
+total_timesteps = 200
+"""
+LAUNCH = [sys.executable, "-m", "tactilerl.cli", "study", "run"]
+BROKEN = """
+import gymnasium as gym
+import numpy as np
+class Broken(gym.Env):
+    observation_space = action_space = gym.spaces.Box(-1, 1, (1,))
+    steps = 0
+    def reset(self, **options):
+        return np.zeros(1, np.float32), {}
+    def step(self, action):
+        Broken.steps += 1
+        reward = 1.0 if Broken.steps < 100 else np.nan
+        return np.zeros(1, np.float32), reward, False, Broken.steps % 10 == 0, {}
+gym.register("Broken-v0", entry_point=Broken)
+"""
+
+
+def write(tmp_path, text=TINY):
+    path = tmp_path / "study.toml"
+    path.write_text(text)
+    return path
+
+
+def learned(folder):
+    """Every table that depends on what was learned and on nothing else, as bytes."""
+    result = analysis.analyse(*records.load(folder), 200)
+    return {
+        (table.name, ending): text
+        for table in tables.learning_tables(result)
+        for ending, text in table.formats().items()
+    }
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    """TINY, run in one go."""
+    path = tmp_path_factory.mktemp("undisturbed")
+    assert main(["study", "run", str(write(path)), "--out", str(path / "out"), "--jobs", "2"]) == 0
+    return path / "out"
+
+
+class TestRun:
+    def test_every_run_is_done_and_nothing_is_left_to_do(self, undisturbed, tmp_path, capsys):
+        assert main(["study", "status", str(undisturbed), "--json"]) == 0
+        status = json.loads(capsys.readouterr().out)
+        assert (status["runs"], status["done"], status["failed"], status["eta_s"]) == (2, 2, 0, 0)
+        before = {p: p.stat().st_mtime_ns for p in undisturbed.rglob("progress.csv")}
+        assert len(before) == 2
+        assert main(["study", "run", str(write(tmp_path)), "--out", str(undisturbed)]) == 0
+        out = capsys.readouterr().out
+        assert "2 runs, 0 to do" in out
+        assert {p: p.stat().st_mtime_ns for p in undisturbed.rglob("progress.csv")} == before
+
+    def test_the_runs_are_those_of_train(self, undisturbed, tmp_path):
+        flags = [f"--{k.replace('_', '-')}={v}" for k, v in {
+            "algo": "ddpg_her", "env": "point-reach", "hidden": 8, "batch_size": 16, "n_cycles": 1,
+            "n_batches": 2, "n_test_rollouts": 1, "total_timesteps": 200, "polyak": 0.95, "seed": 0,
+        }.items()]  # fmt: skip
+        assert main(["train", *flags, "--out", str(tmp_path / "run")]) == 0
+        run = StudyFolder(undisturbed).study().runs()[-1]
+        ours = records.Record(run, "done", "", None, StudyFolder(undisturbed).files(run).rows())
+        rows = records.RunFiles(tmp_path / "run").rows()
+        theirs = records.Record(run, "done", "", None, rows)
+        for column in ("env_steps", "critic_loss", "test_success_rate"):
+            np.testing.assert_array_equal(ours.column(column), theirs.column(column))
+
+    def test_a_longer_study_goes_on_and_more_seeds_join(self, undisturbed, tmp_path, capsys):
+        shutil.copytree(undisturbed, tmp_path / "out")
+        text = TINY.replace("= 200", "= 300") + "grid = {polyak = [0.9, 0.95, 0.99], seed = 0}\n"
+        assert main(["study", "run", str(write(tmp_path, text)), "--out", str(tmp_path / "out")]) == 0
+        assert "3 to do" in capsys.readouterr().out
+        _, all_records = records.load(tmp_path / "out")
+        assert [record.column("env_steps")[-1] for record in all_records] == [300] * 3
+
+    def test_another_run_in_its_folder_is_refused(self, undisturbed, tmp_path, capsys):
+        text = TINY.replace("n_batches = 2", "n_batches = 3")
+        assert main(["study", "run", str(write(tmp_path, text)), "--out", str(undisturbed)]) == 2
+        err = capsys.readouterr().err
+        assert "n_batches: found 3" in err
+        assert err.count("\n") == 1
+
+    def test_a_folder_that_holds_something_else_is_refused(self, tmp_path, capsys):
+        (tmp_path / "out").mkdir()
+        (tmp_path / "out" / "thesis.tex").write_text("")
+        assert main(["study", "run", str(write(tmp_path)), "--out", str(tmp_path / "out")]) == 2
+        assert "holds no study" in capsys.readouterr().err
+
+
+class TestFailures:
+    def test_a_run_that_diverges_is_tried_twice_and_the_study_goes_on(
+        self, tmp_path, monkeypatch, capsys
+    ):
+        (tmp_path / "broken.py").write_text(BROKEN)
+        monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}")
+        monkeypatch.syspath_prepend(tmp_path)
+        text = 'name = "x"\n[setups.x]\nenv = "broken:Broken-v0"\nsteps_per_epoch = 40\nn_passes = 1\n'
+        text += 'hidden = [8]\ntotal_timesteps = 200\n[setups.y]\nenv = "lqr"\nsteps_per_epoch = 60\n'
+        text += "n_passes = 1\nhidden = [8]\ntotal_timesteps = 60\n"
+        out = tmp_path / "out"
+        assert main(["study", "run", str(write(tmp_path, text)), "--out", str(out), "--jobs", "1"]) == 1
+        said = capsys.readouterr().out
+        assert "failed: x_s0: stopped:" in said
+        assert "[2/2] y_s0 done" in said
+        log = (out / "runs" / "x_s0.log").read_text()
+        assert log.count("tactilerl train:") == 2
+        assert main(["study", "run", str(write(tmp_path, text)), "--out", str(out)]) == 1
+        assert "2 runs, 0 to do" in capsys.readouterr().out
+
+    def test_damaged_run_folders_cost_a_line_each_and_nothing_is_lost(
+        self, undisturbed, tmp_path, capsys
+    ):
+        shutil.copytree(undisturbed, tmp_path / "out")
+        folder = StudyFolder(tmp_path / "out")
+        first, second, *_ = (folder.files(run) for run in folder.study().runs())
+        first.run_dir.config_file.write_text("{")
+        first.outcome_file.unlink()
+        second.run_dir.config_file.unlink()
+        second.outcome_file.unlink()
+        args = ["study", "run", str(write(tmp_path)), "--out", str(tmp_path / "out")]
+        assert main(args) == 1
+        out = capsys.readouterr().out
+        assert "config.json: not a run's configuration" in out
+        assert "exists; choose another" in out
+        assert "2 runs, 1 to do" in out
+        assert first.run_dir.checkpoint_file.exists()
+        assert second.run_dir.progress.path.exists()
+        assert folder.files(folder.study().runs()[0]).state() == "failed"
+
+    def test_a_killed_run_is_taken_up_once_more(self, undisturbed, tmp_path):
+        shutil.copytree(undisturbed, tmp_path / "out")
+        folder = StudyFolder(tmp_path / "out")
+        files = folder.files(folder.study().runs()[0])
+        files.outcome_file.unlink()
+        threading.Thread(target=kill_first_child, daemon=True).start()
+        run = folder.study().runs()[0]
+        assert runner.run_job(runner.Job(files.base, check.arguments(run), 200)) == "done"
+        assert files.outcome() == Outcome("done", 200)
+
+
+def kill_first_child():
+    """Kill the process of a run as soon as there is one."""
+    while not (children := list(runner._children)):
+        time.sleep(0.01)
+    children[0].kill()
+
+
+class TestSharing:
+    def test_a_run_that_somebody_else_trains_is_left_to_them(self, undisturbed, tmp_path, capsys):
+        shutil.copytree(undisturbed, tmp_path / "out")
+        folder = StudyFolder(tmp_path / "out")
+        files = folder.files(folder.study().runs()[0])
+        files.outcome_file.unlink()
+        with filelock.FileLock(files.lock_file):
+            assert display.Standing.of(files).state == "running"
+            assert main(["study", "run", str(write(tmp_path)), "--out", str(folder.path)]) == 0
+        assert "1 runs are trained by another" in capsys.readouterr().out
+        assert files.outcome() is None
+        assert files.state() == "interrupted"
+
+    @pytest.mark.slow
+    def test_two_at_once_train_each_run_once(self, undisturbed, tmp_path):
+        command = [*LAUNCH, str(write(tmp_path)), "--out", str(tmp_path / "out"), "--jobs", "1"]
+        both = [subprocess.Popen(command) for _ in range(2)]
+        assert [one.wait(600) for one in both] == [0, 0]
+        assert learned(tmp_path / "out") == learned(undisturbed)
+        logs = [path.read_text() for path in (tmp_path / "out").rglob("*.log")]
+        assert [log.count("epoch    1") for log in logs] == [1] * 2
+
+    def test_ranks_of_an_mpi_launch(self, undisturbed, tmp_path):
+        mpirun = str(Path(sys.executable).with_name("mpirun"))
+        command = [mpirun, "-n", "2", "--oversubscribe", *LAUNCH, str(write(tmp_path))]
+        shown = subprocess.run(
+            [*command, "--out", str(tmp_path / "out")], capture_output=True, text=True, timeout=600
+        )
+        assert shown.returncode == 0, shown.stdout + shown.stderr
+        assert "[2/2]" in shown.stdout
+        assert learned(tmp_path / "out") == learned(undisturbed)
+
+    def test_several_ranks_per_run(self, tmp_path):
+        text = TINY.replace("polyak = [0.9, 0.95]\n", "").replace("polyak = [0.95, 0.9]\n", "")
+        args = ["study", "run", str(write(tmp_path, text)), "--out", str(tmp_path / "out")]
+        assert main([*args, "--ranks-per-run", "2"]) == 0
+        _, (record,) = records.load(tmp_path / "out")
+        assert record.config["ranks"] == 2
+
+
+def killed_at(moments, tmp_path):
+    """Run TINY again and again, killing the whole process group; then to its end."""
+    command = [*LAUNCH, str(write(tmp_path)), "--out", str(tmp_path / "out"), "--jobs", "2"]
+    for moment in moments:
+        process = subprocess.Popen(command, start_new_session=True, stdout=subprocess.DEVNULL)
+        try:
+            process.wait(moment)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+    assert subprocess.run(command, stdout=subprocess.DEVNULL, timeout=600).returncode == 0
+    return tmp_path / "out"
+
+
+def test_killed_once_and_run_again_the_tables_are_the_same(undisturbed, tmp_path):
+    assert learned(killed_at([9.0], tmp_path)) == learned(undisturbed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("trial", range(3))
+def test_killed_five_times_at_random_the_tables_are_the_same(undisturbed, tmp_path, trial):
+    moments = np.random.default_rng(trial).uniform(3, 25, 5)
+    assert learned(killed_at(moments, tmp_path)) == learned(undisturbed)
+
+
+def test_stopping_by_sigterm_ends_the_runs_and_they_go_on(undisturbed, tmp_path):
+    command = [*LAUNCH, str(write(tmp_path)), "--out", str(tmp_path / "out"), "--jobs", "2"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    for line in process.stdout:
+        if "to do" in line:
+            break
+    time.sleep(2)
+    process.terminate()
+    out, _ = process.communicate(timeout=600)
+    assert process.returncode == 130, out
+    assert "Traceback" not in out
+    folder = StudyFolder(tmp_path / "out")
+    assert not [run for run in folder.study().runs() if folder.files(run).is_running()]
+    assert "failed" not in {folder.files(run).state() for run in folder.study().runs()}
+
+
+def test_a_report_of_a_real_study(undisturbed, tmp_path):
+    result = analysis.analyse(*records.load(undisturbed), 200)
+    text = report.write(result, tmp_path / "report").read_text()
+    assert "2 of 2 runs" in text
+    assert "0.95 against 0.9, reach" in text
