@@ -264,9 +264,9 @@ class GraspEnv(gym.Env[Any, Array]):
 
     def _look(self) -> Snapshot:
         """What is true now, asked of the simulator once for all that follows."""
-        palm, *fingertips = self.simulator.link_positions()
+        points = self.simulator.link_positions()
         joints, thing = self.simulator.joint_state(), self.simulator.object_state()
-        return Snapshot(palm, np.array(fingertips), *joints, thing, self.shape)
+        return Snapshot(points[0], points[1:], *joints, thing, self.shape)
 
     def _follow(self, position: Array) -> None:
         """Where is the object after this action? SimulationError when it got there too fast: the
