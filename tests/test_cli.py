@@ -120,15 +120,16 @@ class TestTrain:
                 pytest.skip("has no goals")
         else:
             args += ["--max-episode-steps", "8", "--layout", "5"]
-        for workers in ("1", "2", "5"):
+        more = "5" if hand == "shadow" else "2"  # a process takes seconds to start, a thread does not
+        for workers in ("1", more):
             run = [*args, "--workers", workers, "--out", workers]
             assert main([*run, "--total-timesteps", "60"]) == 0
-        assert main(["train", "--resume", "1", "--workers", "3", "--total-timesteps", "90"]) == 0
-        assert main(["train", "--resume", "5", "--total-timesteps", "90"]) == 0
-        assert progress(Path("1")) == progress(Path("5"))
-        assert progress(Path("2")) == progress(Path("1"))[: len(progress(Path("2")))]
+        assert main(["train", "--resume", "1", "--workers", more, "--total-timesteps", "90"]) == 0
+        assert main(["train", "--resume", more, "--workers", "1", "--total-timesteps", "90"]) == 0
+        assert progress(Path("1")) == progress(Path(more))
+        assert same_checkpoint(Path("1"), Path(more))
         results = []
-        for workers in ("1", "2"):
+        for workers in ("1", more):
             capsys.readouterr()
             main(["evaluate", "1", "--episodes", "3", "--stochastic", "--json", "--workers", workers])
             results.append(json.loads(capsys.readouterr().out))
