@@ -11,9 +11,10 @@ ALLOWED = {
     "mujoco": ("envs/simulators/", "envs/hands/"),
     "pybullet": ("envs/simulators/pybullet.py",),
     "mpi4py": ("algos/mpi.py",),
-    "matplotlib": ("benchmarks/",),
+    "matplotlib": ("benchmarks/", "tactilerl/probe/figures.py"),
+    "sklearn": ("tactilerl/probe/",),
     "torch": ("algos/", "tactilerl/", "benchmarks/"),
-    "tyro": ("tactilerl/flags.py", "tactilerl/commands.py"),
+    "tyro": ("tactilerl/flags.py", "tactilerl/commands.py", "tactilerl/probe/command.py"),
 }
 
 
