@@ -25,7 +25,6 @@ JOINTS, SIGHT = "joints", "joints+sight"
 TAXELS, BOTH, ALONE = "joints+taxels", "joints+taxels+sight", "taxels"
 CONTROL = {TAXELS: JOINTS, BOTH: SIGHT, SIGHT: JOINTS}
 SHARES = (1 / 8, 1 / 4, 1 / 2)  # of the grasps, for the learning curve
-SHUFFLES = 10
 NOISE, FAULTS, BOOTSTRAP, SHUFFLE = range(4)  # each has random numbers of its own
 
 
@@ -38,6 +37,7 @@ class Choices:
     estimator: estimators.Kind = "linear"
     joint_noise: tuple[float, ...] = (0.0, 0.05)
     resamples: int = 2_000
+    shuffles: int = 10
     by_object: bool = False
     """No object is in the training folds and in the one held back."""
     jobs: int = 1
@@ -86,9 +86,7 @@ def kept_folds(grasps: Grasps, choices: Choices) -> list[estimators.Fold]:
 def hold_question(held: Array, kept: list[estimators.Fold], kind: estimators.Kind) -> Question:
     """Will it hold?"""
     measures = (metrics.AUC, metrics.BITS, metrics.LOG_LOSS)
-    return Question(
-        "hold", measures, held, lambda x: estimators.probabilities(x, held, kept, kind)
-    )
+    return Question("hold", measures, held, lambda x: estimators.probabilities(x, held, kept, kind))
 
 
 def questions(grasps: Grasps, kept: list[estimators.Fold], choices: Choices) -> list[Question]:
@@ -177,15 +175,19 @@ def ask(
     return {Cell(q.name, t): p for (q, t), p in zip(pairs, predictions, strict=True)}
 
 
-def measured(asked: Sequence[Question], predicted: dict[Cell, Array], weights: Array) -> Samples:
+def measured(
+    asked: Sequence[Question], predicted: dict[Cell, Array], weights: Array, jobs: int
+) -> Samples:
     """All measures of all predictions; every one in the same bootstrap samples."""
     every = np.concatenate([np.ones((1, weights.shape[1]), weights.dtype), weights])
-    by_name = {question.name: question for question in asked}
-    return {
-        (cell, metric): metric(by_name[cell.question].truth, prediction, every)
-        for cell, prediction in predicted.items()
-        for metric in by_name[cell.question].metrics
-    }
+    truth = {question.name: question.truth for question in asked}
+    measures = {question.name: question.metrics for question in asked}
+    pairs = [(cell, metric) for cell in predicted for metric in measures[cell.question]]
+    with threadpool_limits(1):
+        values = Parallel(jobs, prefer="threads")(
+            delayed(metric)(truth[cell.question], predicted[cell], every) for cell, metric in pairs
+        )
+    return dict(zip(pairs, values, strict=True))
 
 
 def bootstrap(n: int, choices: Choices) -> Array:
@@ -217,12 +219,12 @@ def table(samples: Samples) -> list[dict[str, Any]]:
             "joint_noise": cell.told.noise,
             "told": cell.told.what,
             "layout": cell.told.layout,
-            "value": float(values[0]),
+            "value": metrics.number(values[0]),
             "interval": metrics.interval(values[1:]),
         }
         gain = gain_samples(samples, cell, metric)
         if gain is not None:
-            row |= {"gain": float(gain[0]), "gain_interval": metrics.interval(gain[1:])}
+            row |= {"gain": metrics.number(gain[0]), "gain_interval": metrics.interval(gain[1:])}
         rows.append(row)
     return rows
 
@@ -237,14 +239,14 @@ def differences(samples: Samples, layouts: Sequence[str]) -> list[dict[str, Any]
         first.setdefault(cell.question, metric)
     noises = list(dict.fromkeys(cell.told.noise for cell, _ in cells))
     for (question, metric), noise in itertools.product(first.items(), noises):
-        family = []
+        family: list[dict[str, Any]] = []
         for a, b in itertools.combinations(layouts, 2):
             one, other = (samples[Cell(question, Told(noise, TAXELS, x)), metric] for x in (a, b))
             way = _sign(metric) * (one - other)
             family.append(
                 {
                     "question": question, "metric": metric.name, "joint_noise": noise,
-                    "a": a, "b": b, "difference": float(way[0]),
+                    "a": a, "b": b, "difference": metrics.number(way[0]),
                     "interval": metrics.interval(way[1:]), "p": metrics.p_value(way[1:]),
                 }
             )  # fmt: skip
@@ -261,7 +263,7 @@ def hold_gains(
     told = [Told(noise, JOINTS) for noise in choices.joint_noise]
     told += [Told(noise, TAXELS, name) for noise in choices.joint_noise for name in readings]
     predicted = ask(asked, told, Teller(grasps, readings, choices.seed), choices.jobs)
-    samples = measured(asked, predicted, bootstrap(len(grasps), choices))
+    samples = measured(asked, predicted, bootstrap(len(grasps), choices), choices.jobs)
     gains = {}
     for t in told:
         gain = gain_samples(samples, Cell("hold", t), metrics.AUC)
@@ -295,9 +297,7 @@ def _point(n: int, noise: float, layout: str, gain: Array) -> dict[str, Any]:
     return {**row, "gain_interval": metrics.interval(gain[1:])}
 
 
-def shuffled_gain(
-    grasps: Grasps, layout: str, readings: Array, choices: Choices, shuffles: int = SHUFFLES
-) -> dict[str, Any]:
+def shuffled_gain(grasps: Grasps, layout: str, readings: Array, choices: Choices) -> dict[str, Any]:
     """The check: with outcomes dealt out at random there is nothing to tell, and the gain of a
     layout should be 0. Its mean over shuffles, and where 95 % of single ones are to be expected."""
     from scipy import stats
@@ -306,8 +306,7 @@ def shuffled_gain(
     noise = choices.joint_noise[0]
     teller = Teller(grasps, {layout: readings}, choices.seed)
     told = [Told(noise, JOINTS), Told(noise, TAXELS, layout)]
-    gains = []
-    asked = []
+    gains, asked, shuffles = [], [], choices.shuffles
     for number in range(shuffles):
         held = rng.permutation(grasps.held)
         groups = grasps.objects if choices.by_object else None
@@ -315,7 +314,7 @@ def shuffled_gain(
         question = hold_question(held, kept, choices.estimator)
         asked.append(Question(f"shuffled {number}", (metrics.AUC,), held, question.predict))
     predicted = ask(asked, told, teller, choices.jobs)
-    samples = measured(asked, predicted, np.ones((0, len(grasps)), np.uint8))
+    samples = measured(asked, predicted, np.ones((0, len(grasps)), np.uint8), choices.jobs)
     for question in asked:
         gain = gain_samples(samples, Cell(question.name, told[1]), metrics.AUC)
         assert gain is not None

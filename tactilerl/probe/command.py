@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
+from rich import box
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
@@ -105,6 +106,8 @@ class Asking:
     """What a fold holds back: grasps, or all grasps of some objects, which are new to it then."""
     resamples: int = 2_000
     """Bootstrap samples behind an interval."""
+    shuffles: int = 10
+    """How often outcomes are dealt out at random, to check that nothing is gained then."""
     select: tuple[int, ...] = ()
     """Choose this many taxels of a dense skin; with several numbers, a layout file for each."""
     skin: str = "1"
@@ -112,7 +115,7 @@ class Asking:
 
     def validate(self) -> None:
         """Raise ValueError naming the first flag that cannot be."""
-        for name, least in (("folds", 2), ("resamples", 100)):
+        for name, least in (("folds", 2), ("resamples", 100), ("shuffles", 2)):
             if getattr(self, name) < least:
                 raise ValueError(f"{name}: found {getattr(self, name)}, allowed {least} or more")
         for noise in self.joint_noise:
@@ -148,7 +151,7 @@ class ProbeFlags:
 
     playing: Playing = Playing()
     asking: Asking = Asking()
-    faults: TaxelFaults = TaxelFaults()
+    faults: TaxelFaults = field(default_factory=TaxelFaults)
     showing: Showing = Showing()
 
 
@@ -199,7 +202,9 @@ class _Bar:
     def __init__(self, is_shown: bool) -> None:
         screen = Console(stderr=True)
         columns = (TextColumn("grasps"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        self._progress = Progress(*columns, console=screen, disable=not (is_shown and screen.is_terminal))
+        self._progress = Progress(
+            *columns, console=screen, disable=not (is_shown and screen.is_terminal)
+        )
         self._task = self._progress.add_task("", total=None)
         self.done = 0
 
@@ -216,20 +221,27 @@ class _Bar:
         self._progress.stop()
 
 
-COLUMNS = {  # metric -> heading and format; where layouts differ in it, the gain stands beside it
-    "auc": ("holds: AUC", ".3f"),
-    "bits": ("bits", ".3f"),
-    "r2": ("position: R²", ".3f"),
+HOLDS = {"auc": ("AUC", ".3f"), "bits": ("bits", ".3f")}  # metric -> heading and format
+OBJECT = {
+    "r2": ("place: R²", ".3f"),
     "error_mm": ("mm", ".1f"),
     "error_deg": ("yaw: °", ".1f"),
-    "balanced_accuracy": ("object", ".3f"),
+    "balanced_accuracy": ("which: accuracy", ".3f"),
 }
 
 
 def _print(result: dict[str, Any], out: Path) -> None:
     """The table on the terminal, and how far it can be trusted."""
+    console.print(
+        f"{result['env']} in {result['simulator']}, rule {result['touch']}: {result['grasps']} grasps, "
+        f"{100 * result['held']:.0f} % held"
+    )
     for noise in result["asking"]["joint_noise"]:
-        console.print(_table(result, noise))
+        rows = [row for row in result["table"] if row["joint_noise"] == noise]
+        taxels = {name: about["taxels"] for name, about in result["layouts"].items()}
+        title = f"joint noise {noise:g} rad: will it hold?"
+        console.print(_table(title, rows, HOLDS, taxels))
+        console.print(_table("where is the object, and which is it?", rows, OBJECT, taxels))
     check = result["shuffled"]
     low, high = check["interval"]
     verdict = "as it should be" if check["is_zero"] else "which should be 0: do not trust the gains"
@@ -258,34 +270,34 @@ def _print(result: dict[str, Any], out: Path) -> None:
     console.print(f"{out}: probe.json, grasps.npz, figures")
 
 
-def _table(result: dict[str, Any], noise: float) -> Table:
-    rows = [row for row in result["table"] if row["joint_noise"] == noise]
+def _table(
+    title: str, rows: list[dict[str, Any]], columns: dict[str, tuple[str, str]], taxels: dict[str, int]
+) -> Table:
+    """A row for each that is told something else, a column for each measure that there is."""
     found = {(row["told"], row["layout"], row["metric"]): row for row in rows}
-    metrics = [metric for metric in COLUMNS if any(row["metric"] == metric for row in rows)]
-    title = (
-        f"{result['env']} in {result['simulator']}, rule {result['touch']}: {result['grasps']} grasps, "
-        f"{100 * result['held']:.0f} % held, joint noise {noise:g} rad"
-    )
-    table = Table(title=title)
-    for heading in ("told", "taxels", *(COLUMNS[metric][0] for metric in metrics)):
-        table.add_column(heading, justify="left" if heading == "told" else "right")
-        if heading == COLUMNS["auc"][0]:
-            table.add_column("gain in AUC", justify="right")
+    metrics = [metric for metric in columns if any(row["metric"] == metric for row in rows)]
+    table = Table("told", title=title, box=box.SIMPLE_HEAD)
+    for heading in ("taxels", *(columns[metric][0] for metric in metrics)):
+        table.add_column(heading, justify="right", no_wrap=True)
+    if "auc" in metrics:
+        table.add_column("gain in AUC (95 %)", no_wrap=True)
     for told, layout in dict.fromkeys((row["told"], row["layout"]) for row in rows):
+        cells = [(found.get((told, layout, metric)), columns[metric][1]) for metric in metrics]
+        if not any(row for row, _ in cells):
+            continue
         name = told if layout is None else told.replace("taxels", f"layout {layout}")
-        cells = [name, "" if layout is None else str(result["layouts"][layout]["taxels"])]
-        for metric in metrics:
-            row = found.get((told, layout, metric))
-            cells.append("" if row is None else format(row["value"], COLUMNS[metric][1]))
-            if metric == "auc":
-                cells.append(_gain(row))
-        table.add_row(*cells)
+        values = [_value(row, form) for row, form in cells]
+        gain = [_gain(cells[0][0])] if "auc" in metrics else []
+        table.add_row(name, "" if layout is None else str(taxels[layout]), *values, *gain)
     return table
+
+
+def _value(row: dict[str, Any] | None, form: str) -> str:
+    return "" if row is None or row["value"] is None else format(row["value"], form)
 
 
 def _gain(row: dict[str, Any] | None) -> str:
     if row is None or "gain" not in row:
         return ""
     low, high = row["gain_interval"]
-    return f"{row['gain']:+.3f} ({low:+.3f} – {high:+.3f})"
-
+    return f"{row['gain']:+.3f} ({low:+.3f} … {high:+.3f})"

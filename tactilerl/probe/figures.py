@@ -54,14 +54,13 @@ def _gains(result: dict[str, Any]) -> Any:
         if row["metric"] == "auc" and row["told"] in ("joints+taxels", "joints+sight")
     ]
     figure, (axes,) = _figure(6, 3.4)
-    for noise in dict.fromkeys(row["joint_noise"] for row in rows):
+    for place, noise in enumerate(dict.fromkeys(row["joint_noise"] for row in rows)):
         some = [row for row in rows if row["joint_noise"] == noise]
-        labels = [row["layout"] and f"{Path(row['layout']).stem}" or "sight" for row in some]
+        labels = [Path(row["layout"]).stem if row["layout"] else "sight" for row in some]
         gains = np.array([row["gain"] for row in some])
         ends = np.array([row["gain_interval"] for row in some]).T
-        shift = 0.15 * (noise != some[0]["joint_noise"] or noise != rows[0]["joint_noise"])
         axes.errorbar(
-            np.arange(len(some)) + shift, gains, np.abs(ends - gains), fmt="o", capsize=3,
+            np.arange(len(some)) + 0.12 * place, gains, np.abs(ends - gains), fmt="o", capsize=3,
             label=f"joint noise {noise:g} rad",
         )  # fmt: skip
         axes.set_xticks(range(len(some)), labels)
@@ -116,9 +115,7 @@ def _selection(selection: dict[str, Any]) -> Any:
     return figure
 
 
-def hand_map(
-    hand: Hand, places: Sequence[Place], title: str, worth: np.ndarray | None = None
-) -> Any:
+def hand_map(hand: Hand, places: Sequence[Place], title: str, worth: np.ndarray | None = None) -> Any:
     """The palmar side unrolled: a column a digit, fingertips up; taxels coloured by `worth` (n,),
     bits, or in their order."""
     from matplotlib.patches import FancyBboxPatch

@@ -42,7 +42,8 @@ def write(path: Path, played: Played) -> None:
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as file:
-        np.savez_compressed(file, **{SETTINGS: np.array(json.dumps(about))}, **played.records)
+        arrays: dict[str, Any] = {SETTINGS: np.array(json.dumps(about)), **played.records}
+        np.savez_compressed(file, **arrays)
 
 
 def read(path: Path) -> Played:

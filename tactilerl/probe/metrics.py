@@ -26,21 +26,25 @@ class Metric:
     def __call__(self, truth: Array, prediction: Array, weights: Array) -> Array:
         size = max(1, MEMORY // weights.shape[1])
         batches = (weights[i : i + size] for i in range(0, len(weights), size))
-        parts = [self.measure(truth, prediction, np.asarray(w, float)) for w in batches]
+        parts = [self.measure(truth, prediction, w) for w in batches]
         return np.concatenate(parts)
 
 
 def auc(held: Array, prediction: Array, weights: Array) -> Array:
     """Area under the ROC curve of the first column, ties counted half."""
     order = np.argsort(prediction[:, 0], kind="stable")
-    scores, label = prediction[order, 0], held[order].astype(float)
+    scores, label = prediction[order, 0], held[order].astype(np.float32)
+    counts = weights[:, order].astype(np.float32)  # whole numbers: sums are exact
+    positive = counts * label
+    negative = counts - positive
     starts = np.flatnonzero(np.r_[True, np.diff(scores) > 0])
-    counts = weights[:, order]
-    positive = np.add.reduceat(counts * label, starts, axis=1)
-    negative = np.add.reduceat(counts, starts, axis=1) - positive
-    below = np.cumsum(negative, axis=1) - negative / 2
+    if len(starts) < len(scores):
+        positive, negative = (np.add.reduceat(c, starts, axis=1) for c in (positive, negative))
+    below = np.cumsum(negative, axis=1)
+    below -= negative / 2
+    pairs = np.einsum("bi,bi->b", positive, below, dtype=np.float64)
     with np.errstate(invalid="ignore"):
-        return (positive * below).sum(1) / (positive.sum(1) * negative.sum(1))
+        return pairs / (positive.sum(1, dtype=np.float64) * negative.sum(1, dtype=np.float64))
 
 
 def bits(held: Array, prediction: Array, weights: Array) -> Array:
@@ -60,9 +64,11 @@ def _surprise(held: Array, probability: Array) -> Array:
 
 def r_squared(truth: Array, prediction: Array, weights: Array) -> Array:
     """Share of the variance that is explained, mean over columns (n, d)."""
+    weights = weights.astype(float)
     total = weights.sum(1, keepdims=True)
     variance = weights @ truth**2 / total - (weights @ truth / total) ** 2
-    return (1.0 - (weights @ (truth - prediction) ** 2 / total) / variance).mean(axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return (1.0 - (weights @ (truth - prediction) ** 2 / total) / variance).mean(axis=1)
 
 
 def error_mm(truth: Array, prediction: Array, weights: Array) -> Array:
@@ -79,7 +85,7 @@ def error_degrees(truth: Array, prediction: Array, weights: Array) -> Array:
 
 def balanced_accuracy(truth: Array, prediction: Array, weights: Array) -> Array:
     """Share of right classes (n,) in each class, mean over the classes."""
-    right = (truth == prediction).astype(float)
+    right, weights = (truth == prediction).astype(float), weights.astype(float)
     shares = []
     with np.errstate(invalid="ignore"):
         for label in np.unique(truth):
@@ -89,6 +95,7 @@ def balanced_accuracy(truth: Array, prediction: Array, weights: Array) -> Array:
 
 
 def _mean(values: Array, weights: Array) -> Array:
+    weights = weights.astype(float)
     return weights @ values / weights.sum(axis=1)
 
 
@@ -109,11 +116,16 @@ def bootstrap_weights(n: int, resamples: int, rng: np.random.Generator) -> Array
     return weights
 
 
-def interval(samples: Array, confidence: float = 0.95) -> list[float]:
-    """Percentile interval [low, high] of bootstrap samples; nan where there is no number."""
+def number(value: float) -> float | None:
+    """As JSON has it: None where there is no number."""
+    return float(value) if math.isfinite(value) else None
+
+
+def interval(samples: Array, confidence: float = 0.95) -> list[float] | None:
+    """Percentile interval [low, high] of bootstrap samples; None where there is no number."""
     finite = samples[np.isfinite(samples)]
     if not len(finite):
-        return [math.nan, math.nan]
+        return None
     tail = (1.0 - confidence) / 2
     low, high = np.quantile(finite, [tail, 1.0 - tail])
     return [float(low), float(high)]

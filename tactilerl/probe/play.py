@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -65,7 +65,7 @@ def _kept(path: Path, settings: dict[str, Any]) -> list[Record]:
 
 def _play(
     workers: Workers, task: Task[Record], first: int, last: int, comm: Communicator
-) -> Iterator[Record]:
+) -> Generator[Record]:
     """Records of the numbers from `first` to before `last`, in order, on every rank."""
     if comm.size == 1:
         yield from workers.play(task, range(first, last))

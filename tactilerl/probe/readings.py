@@ -107,8 +107,9 @@ class Grasps:
             shape = self._shape(int(chosen[0]))
             for begin in range(0, len(chosen), BATCH):
                 some = chosen[begin : begin + BATCH]
-                poses = (self.records[f"link_{what}"][some][:, links] for what in POSES)
-                felt[some] = touch.read(*poses, shape, self._object(some))
+                positions = self.records["link_positions"][some][:, links]
+                rotations = self.records["link_rotations"][some][:, links]
+                felt[some] = touch.read(positions, rotations, shape, self._object(some))
         return felt
 
     def feel_contact(self, places: Sequence[Place]) -> Array:
@@ -132,9 +133,6 @@ class Grasps:
         orientation = self.records["object_orientation"][some]
         position = self.records["object_position"][some]
         return ObjectState(position, orientation, _rotations(orientation))
-
-
-POSES = ("positions", "rotations")
 
 
 def _axes(palm: Surface) -> Array:

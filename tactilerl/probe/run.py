@@ -29,9 +29,10 @@ from . import analysis, figures, files, places, selection
 from .analysis import Choices
 from .files import Played
 from .grasps import PolicyGrasps, Scenes, ScriptedGrasps
+from .metrics import AUC, Array
 from .places import Place
 from .play import play
-from .readings import Array, Grasps
+from .readings import Grasps
 
 if TYPE_CHECKING:
     from .command import Asking, Playing, ProbeFlags
@@ -45,7 +46,8 @@ def grasps(read: ProbeFlags, comm: Communicator, show: Show) -> tuple[Played, Pa
     source, playing = read.showing.grasps_file, read.playing
     # Before minutes of playing: can these layouts be?
     if source is None:
-        _of_layouts(read.asking.layout, hands.load(playing.env))
+        asked = (*read.asking.layout, *((read.asking.skin,) if read.asking.select else ()))
+        _of_layouts(asked, hands.load(playing.env))
     elif changed := _changed(playing):
         raise InputError(f"--{changed}: found it together with --from, allowed when grasps are played")
     if source is not None:
@@ -94,9 +96,7 @@ def _scripted(
         with input_errors():
             for variant in drawn.variants():
                 replace(config, **variant).validate()
-        start = partial(
-            vector.start, partial(Scenes, playing.env, config, drawn.variants()), workers
-        )
+        start = partial(vector.start, partial(Scenes, playing.env, config, drawn.variants()), workers)
         task = ScriptedGrasps(drawn, playing.seed)
         path = out / "grasps.npz"
         return play(path, playing.grasps, settings, felt, task, start, comm, show), out
@@ -164,7 +164,7 @@ def analyse(read: ProbeFlags, played: Played, out: Path) -> dict[str, Any]:
     asked = Grasps(hand, kept, played.contact_places)
     choices = Choices(
         settings["seed"], asking.folds, asking.estimator, asking.joint_noise, asking.resamples,
-        asking.hold_out == "objects", free_cores(Communicator()),
+        asking.shuffles, asking.hold_out == "objects", free_cores(Communicator()),
     )  # fmt: skip
     where = _of_layouts(asking.layout, hand)
     with input_errors(), warnings.catch_warnings():
@@ -185,9 +185,7 @@ def analyse(read: ProbeFlags, played: Played, out: Path) -> dict[str, Any]:
     return result
 
 
-def _feel(
-    read: ProbeFlags, asked: Grasps, settings: dict[str, Any], spots: Sequence[Place]
-) -> Array:
+def _feel(read: ProbeFlags, asked: Grasps, settings: dict[str, Any], spots: Sequence[Place]) -> Array:
     """Readings bool (n, taxels) by the touch rule of the grasps, with faults."""
     if settings["touch"] == "contact":
         felt = asked.feel_contact(spots)
@@ -229,25 +227,25 @@ def _versions() -> dict[str, str]:
     return found
 
 
-def _answers(
-    asked: Grasps, readings: dict[str, Array], choices: Choices, out: Path
-) -> dict[str, Any]:
+def _answers(asked: Grasps, readings: dict[str, Array], choices: Choices, out: Path) -> dict[str, Any]:
     """The table, the differences, the learning curve and the check; gains.npz to compare hands."""
     kept = analysis.kept_folds(asked, choices)
     every = analysis.questions(asked, kept, choices)
     told = analysis.everybody(list(readings), choices.joint_noise)
     teller = analysis.Teller(asked, readings, choices.seed)
     predicted = analysis.ask(every, told, teller, choices.jobs)
-    samples = analysis.measured(every, predicted, analysis.bootstrap(len(asked), choices))
+    weights = analysis.bootstrap(len(asked), choices)
+    samples = analysis.measured(every, predicted, weights, choices.jobs)
     most = max(readings, key=lambda name: readings[name].shape[1])
     gains = {
         f"{cell.told.noise:g} {cell.told.layout}": analysis.gain_samples(samples, cell, metric)
         for cell, metric in samples
-        if metric is analysis.metrics.AUC and cell.told.what == analysis.TAXELS
+        if metric is AUC and cell.told.what == analysis.TAXELS
     }
     out.mkdir(parents=True, exist_ok=True)
     with replacing(out / "gains.npz") as file:
-        np.savez_compressed(file, **{k: np.float32(v) for k, v in gains.items() if v is not None})
+        arrays: dict[str, Any] = {k: v.astype(np.float32) for k, v in gains.items() if v is not None}
+        np.savez_compressed(file, **arrays)
     return {
         "table": analysis.table(samples),
         "differences": analysis.differences(samples, list(readings)),
