@@ -1,4 +1,4 @@
-"""`tactilerl probe`: grasps, what is read from them, what can be told, and what it says of bad input."""
+"""`tactilerl probe`: grasps, what is read from them, what can be told, and errors in one line."""
 
 import json
 from functools import partial
@@ -210,7 +210,7 @@ class TestMetrics:
         truth, guess = self.rng.random((2, 60, 2))
         expected = map(r2_score, self.repeated(truth), self.repeated(guess))
         assert np.allclose(metrics.R_SQUARED(truth, guess, self.weights), list(expected))
-        off = truth + [0.003, 0.004]
+        off = truth + np.array([0.003, 0.004])
         assert np.allclose(metrics.ERROR_MM(truth, off, self.weights), 5.0)
 
     def test_angles_wrap(self):
@@ -249,7 +249,7 @@ def synthetic(hand, touches):
         "joint_positions": np.zeros((n, len(hand.joints))),
         "link_positions": np.tile(apart, (n, 1, 1)),
         "link_rotations": np.tile(np.eye(3), (n, len(links), 1, 1)),
-        "object_position": np.where(touches[:, None], on_tip, on_tip + [0, 5.0, 0]),
+        "object_position": np.where(touches[:, None], on_tip, on_tip + np.array([0, 5.0, 0])),
         "object_orientation": np.tile([1.0, 0, 0, 0], (n, 1)),
         "object_kind": np.zeros(n, int),
         "object_half_size": np.full((n, 3), 0.02),

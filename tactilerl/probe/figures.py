@@ -155,6 +155,8 @@ def _drawn_at(hand: Hand) -> list[Drawn]:
             continue
         assert surface.radius is not None
         ends = sorted(1e3 * offset(surface, np.array(point))[0] for point in surface.bone)
+        if surface.segment == "distal":  # a fingertip is round
+            ends[1] += 1e3 * surface.radius
         y = 52.0 * SEGMENTS.index(surface.segment)
         drawn.append(((x, y), 1e3 * surface.radius, (ends[0], ends[1])))
     return drawn
