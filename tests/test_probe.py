@@ -145,7 +145,8 @@ class TestPlaces:
             again = layouts.load(str(file)).place(hand)
             assert sorted(places.of(again, hand)) == sorted(spots)
             assert len(set(spots)) == len(placed)
-            order = [places.of(again, hand).index(spot) for spot in spots]
+            column = {spot: i for i, spot in enumerate(places.of(again, hand))}
+            order = [column[spot] for spot in spots]
             assert np.allclose(again.positions[order], placed.positions, atol=2e-7)
 
     def test_the_skin_covers_the_phalanges_from_end_to_end(self):

@@ -199,7 +199,8 @@ def _feel(read: ProbeFlags, asked: Grasps, settings: dict[str, Any], spots: Sequ
 def _order(spots: Sequence[Place], hand: Hand) -> list[int]:
     """Where each place's taxel is in the layout made of them."""
     placed = places.of(places.layout(list(spots), hand, "asked", "").place(hand), hand)
-    return [placed.index(spot) for spot in spots]
+    column = {spot: i for i, spot in enumerate(placed)}
+    return [column[spot] for spot in spots]
 
 
 def _about(read: ProbeFlags, played: Played, asked: Grasps) -> dict[str, Any]:
