@@ -169,6 +169,7 @@ def analyse(read: ProbeFlags, played: Played, out: Path) -> dict[str, Any]:
     where = _of_layouts(asking.layout, hand)
     with input_errors(), warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
+        warnings.filterwarnings("ignore", "The least populated class")  # early in the learning curve
         readings = {name: _feel(read, asked, settings, spots) for name, spots in where.items()}
         result = {
             **_about(read, played, asked),
