@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -187,13 +188,11 @@ def probe(args: list[str]) -> int:
 
 
 def _require_extra() -> None:
-    try:
-        import matplotlib  # noqa: F401
-        import sklearn  # noqa: F401
-    except ImportError as error:
-        raise InputError(
-            f"probe: found no {error.name}; install the extra: pip install 'tactilerl[probe]'"
-        ) from error
+    for package, name in (("sklearn", "scikit-learn"), ("matplotlib", "matplotlib")):
+        if find_spec(package) is None:
+            raise InputError(
+                f"probe: found no {name}; install the extra: pip install 'tactilerl[probe]'"
+            )
 
 
 class _Bar:
