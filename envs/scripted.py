@@ -3,6 +3,7 @@ benchmarks look at when no policy should be involved."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -74,17 +75,30 @@ def period(timestep: float) -> float:
 
 def ramps(env: GraspEnv, grasp: ScriptedGrasp, dt: float) -> Iterator[Array]:
     """Joint targets (n_actuators,) every `dt` s, until the lifted hand is where it stays."""
+    yield from itertools.chain(*legs(env, grasp, dt))
+
+
+def legs(
+    env: GraspEnv, grasp: ScriptedGrasp, dt: float, closing: float = 1.0
+) -> tuple[list[Array], list[Array], list[Array]]:
+    """Joint targets (n_actuators,) every `dt` s of approach, closing and lift. `closing` is how far
+    the fingers go from their start to where the grasp has them: 1 is all the way."""
     start, actuators = env.hand.start_targets(), env.hand.actuators
     closed = np.array(
         [grasp.targets.get(name, value) for name, value in zip(actuators, start, strict=True)]
     )
+    closed[3:] += (closing - 1.0) * (closed[3:] - start[3:])
     above = np.concatenate([closed[:3], start[3:]])
     lifted = closed + LIFT_HEIGHT * np.eye(len(closed))[2]
-    legs = ((start, above, APPROACH), (above, closed, CLOSE), (closed, lifted, LIFT))
-    for begin, end, seconds in legs:
-        n = round(seconds / dt)
-        for k in range(1, n + 1):
-            yield begin + (end - begin) * k / n
+    return (
+        _ramp(start, above, round(APPROACH / dt)),
+        _ramp(above, closed, round(CLOSE / dt)),
+        _ramp(closed, lifted, round(LIFT / dt)),
+    )
+
+
+def _ramp(begin: Array, end: Array, n: int) -> list[Array]:
+    return [begin + (end - begin) * k / n for k in range(1, n + 1)]
 
 
 def grasp_for(env: GraspEnv) -> ScriptedGrasp:

@@ -16,6 +16,7 @@ COMMANDS = {
     "evaluate": "success rate and return of a trained run, with confidence intervals",
     "env": "describe an environment: its observations, actions and taxels",
     "doctor": "do the taxels feel? scripted grasps, figures per layout",
+    "probe": "what can a layout know? grasps played once, answers with intervals",
     "render": "a picture of a grasp with its taxels, or a film of a run",
     "study": "many runs from one file, and what they say together: tables, figures, a report",
 }
@@ -87,6 +88,10 @@ def _usage() -> str:
 
 
 def _command(name: str) -> Callable[[list[str]], int]:
+    if name == "probe":
+        from .probe.command import probe
+
+        return probe
     from . import commands  # what a command needs is imported when it runs
     from .study import command
 

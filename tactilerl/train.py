@@ -49,7 +49,7 @@ def make_algorithm(config: RunConfig, comm: Communicator) -> tuple[algos.Algorit
 def start_workers(config: RunConfig, comm: Communicator, n: int | None) -> vector.Workers:
     """`n` environments and who plays in them; by default as many as there are free cores."""
     set_up = partial(torch.set_num_threads, config.run.threads)
-    return vector.start(config.make_env, n or _free_cores(comm), set_up)
+    return vector.start(config.make_env, n or free_cores(comm), set_up)
 
 
 def train(
@@ -179,7 +179,7 @@ def _merged(rows: list[dict[str, float]], weights: list[float] | None = None) ->
     }
 
 
-def _free_cores(comm: Communicator) -> int:
+def free_cores(comm: Communicator) -> int:
     """Cores that this process may use without taking one from the other ranks here."""
     cores = os.cpu_count() or 1
     own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else cores

@@ -11,9 +11,20 @@ ALLOWED = {
     "mujoco": ("envs/simulators/", "envs/hands/"),
     "pybullet": ("envs/simulators/pybullet.py",),
     "mpi4py": ("algos/mpi.py", "tactilerl/study/runner.py"),
-    "matplotlib": ("benchmarks/", "tactilerl/study/figures.py", "tactilerl/sweep.py"),
+    "matplotlib": (
+        "benchmarks/",
+        "tactilerl/probe/figures.py",
+        "tactilerl/study/figures.py",
+        "tactilerl/sweep.py",
+    ),
+    "sklearn": ("tactilerl/probe/",),
     "torch": ("algos/", "tactilerl/", "benchmarks/"),
-    "tyro": ("tactilerl/flags.py", "tactilerl/commands.py", "tactilerl/study/command.py"),
+    "tyro": (
+        "tactilerl/flags.py",
+        "tactilerl/commands.py",
+        "tactilerl/probe/command.py",
+        "tactilerl/study/command.py",
+    ),
 }
 
 

@@ -1,0 +1,61 @@
+"""Do hands and simulators agree about layouts? Rank correlation of the gains that `tactilerl probe`
+found, with an interval.
+
+    python benchmarks/probe_agreement.py probes/shadow_mujoco probes/mpl_mujoco ... --out agreement.json
+
+Reads gains.npz of each folder: the gain of each layout in all grasps, then in bootstrap samples.
+Two folders' grasps are independent of each other, and so are their samples.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+from pathlib import Path
+
+import numpy as np
+from scipy import stats
+
+
+def gains(folder: Path) -> dict[str, dict[str, np.ndarray]]:
+    """(1 + resamples,) of each layout, by joint noise."""
+    found: dict[str, dict[str, np.ndarray]] = {}
+    with np.load(folder / "gains.npz") as data:
+        for key in data.files:
+            noise, _, layout = key.partition(" ")
+            found.setdefault(noise, {})[layout] = data[key]
+    return found
+
+
+def agreement(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> dict[str, object]:
+    """Spearman's rank correlation of the layouts that both have, with a percentile interval."""
+    layouts = [name for name in a if name in b]
+    one, other = (np.array([x[name] for name in layouts]) for x in (a, b))
+    n = min(one.shape[1], other.shape[1])
+    values = [stats.spearmanr(one[:, k], other[:, k]).statistic for k in range(n)]
+    interval = np.quantile(values[1:], [0.025, 0.975]).tolist()
+    return {"layouts": layouts, "spearman": float(values[0]), "interval": interval}
+
+
+def main() -> None:
+    """Print a table, write JSON."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folders", nargs="+", type=Path)
+    parser.add_argument("--out", type=Path)
+    args = parser.parse_args()
+    found = {folder.name: gains(folder) for folder in args.folders}
+    rows = []
+    print("| joint noise, rad | | | rank correlation (95 %) |\n|---|---|---|---|")
+    for (a, one), (b, other) in itertools.combinations(found.items(), 2):
+        for noise in (noise for noise in one if noise in other):
+            row = {"joint_noise": float(noise), "a": a, "b": b, **agreement(one[noise], other[noise])}
+            low, high = row["interval"]
+            print(f"| {noise} | {a} | {b} | {row['spearman']:.2f} ({low:.2f} – {high:.2f}) |")
+            rows.append(row)
+    if args.out:
+        args.out.write_text(json.dumps(rows, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

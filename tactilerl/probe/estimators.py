@@ -1,0 +1,108 @@
+"""What predicts: regularised linear models or gradient boosting, by scikit-learn.
+
+Predictions are of grasps that were held back: each fold by a model that was fitted, and whose
+hyperparameters were chosen, on the others.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from sklearn.base import BaseEstimator
+from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
+from sklearn.ensemble import HistGradientBoostingClassifier, HistGradientBoostingRegressor
+from sklearn.linear_model import LogisticRegressionCV, RidgeCV
+from sklearn.model_selection import GridSearchCV, GroupKFold, KFold, StratifiedKFold
+from sklearn.multioutput import MultiOutputRegressor
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+
+Array = np.ndarray
+Kind = Literal["linear", "boosting"]
+Fold = tuple[Array, Array]
+"""Indices of grasps to fit on, and of those held back."""
+INNER_FOLDS = 3  # in which hyperparameters are chosen
+PENALTIES = [0.003, 0.03, 0.3, 3.0]  # C of the logistic regression, of standardised features
+RIDGES = np.logspace(-1, 4, 11)
+LEAVES = [4, 16]  # of a tree
+TREES: dict[str, Any] = {"learning_rate": 0.1, "early_stopping": True, "random_state": 0}
+
+
+def folds(held: Array, n: int, groups: Array | None, seed: int) -> list[Fold]:
+    """`n` folds with as many held grasps in each; or, with `groups` (grasps,), as many folds as
+    there are groups, up to `n`, and no group on both sides. ValueError where there cannot be."""
+    for label, what in ((True, "were held"), (False, "were not")):
+        count = int((held == label).sum())
+        if count == 0:
+            raise ValueError(
+                f"grasps: found {len(held)} with the same outcome ({count} {what}), allowed both: "
+                "there is nothing to tell apart"
+            )
+        if count < n:
+            raise ValueError(f"folds: found {n}, allowed up to {count}: so many grasps {what}")
+    unasked = np.zeros((len(held), 1))
+    if groups is None:
+        splitter: Any = StratifiedKFold(n, shuffle=True, random_state=seed)
+        return list(splitter.split(unasked, held))
+    n_groups = len(np.unique(groups))
+    if n_groups < 2:
+        raise ValueError(f"hold_out: found {n_groups} object, allowed two or more to hold some back")
+    return list(GroupKFold(min(n, n_groups)).split(unasked, held, groups))
+
+
+def probabilities(features: Array, held: Array, kept: list[Fold], kind: Kind) -> Array:
+    """(n, 2): probability that each grasp holds, and the share that held in its training folds."""
+    predicted = np.full((len(held), 2), np.nan)
+    for train, test in kept:
+        model = _classifier(kind).fit(features[train], held[train])
+        predicted[test, 0] = model.predict_proba(features[test])[:, 1]
+        predicted[test, 1] = held[train].mean()
+    return predicted
+
+
+def values(features: Array, targets: Array, kept: list[Fold], kind: Kind) -> Array:
+    """(n, d) predictions of `targets` (n, d)."""
+    predicted = np.full(targets.shape, np.nan)
+    for train, test in kept:
+        # Ridge regression shrinks what is measured in large units less.
+        scale = StandardScaler().fit(targets[train])
+        model = _regressor(kind).fit(features[train], scale.transform(targets[train]))
+        predicted[test] = scale.inverse_transform(model.predict(features[test]).reshape(len(test), -1))
+    return predicted
+
+
+def classes(features: Array, labels: Array, kept: list[Fold], kind: Kind) -> Array:
+    """(n,) predictions of the classes `labels`."""
+    predicted = np.full(labels.shape, -1)
+    for train, test in kept:
+        if kind == "linear":  # its shrinkage is not chosen but follows from the training folds
+            model: BaseEstimator = make_pipeline(
+                StandardScaler(), LinearDiscriminantAnalysis(solver="lsqr", shrinkage="auto")
+            )
+        else:
+            model = _boosted(HistGradientBoostingClassifier(class_weight="balanced", **TREES))
+        predicted[test] = model.fit(features[train], labels[train]).predict(features[test])
+    return predicted
+
+
+def _classifier(kind: Kind) -> Any:
+    if kind == "boosting":
+        return _boosted(HistGradientBoostingClassifier(**TREES))
+    inner = StratifiedKFold(INNER_FOLDS, shuffle=True, random_state=0)
+    chosen = LogisticRegressionCV(
+        Cs=PENALTIES, l1_ratios=(0.0,), cv=inner, scoring="neg_log_loss", tol=1e-3, max_iter=1000,
+        use_legacy_attributes=False,
+    )  # fmt: skip
+    return make_pipeline(StandardScaler(), chosen)
+
+
+def _regressor(kind: Kind) -> Any:
+    if kind == "boosting":
+        return MultiOutputRegressor(_boosted(HistGradientBoostingRegressor(**TREES)))
+    return make_pipeline(StandardScaler(), RidgeCV(RIDGES))  # leaves one out, in closed form
+
+
+def _boosted(model: Any) -> Any:
+    inner = KFold(INNER_FOLDS, shuffle=True, random_state=0)
+    return GridSearchCV(model, {"max_leaf_nodes": LEAVES}, cv=inner)

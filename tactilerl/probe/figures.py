@@ -1,0 +1,162 @@
+"""Pictures of what was found, as PNG and SVG. matplotlib is imported when one is drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..envs.hands import DIGITS, SEGMENTS, Hand
+from .places import Place, offset
+
+BARE, LAYOUT, CHANCE = "tab:blue", "tab:orange", "0.7"
+
+
+def draw(result: dict[str, Any], hand: Hand, out: Path) -> list[Path]:
+    """All figures that there is something to draw for; the files written."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    matplotlib.rcParams["svg.hashsalt"] = "tactilerl"  # the same file from the same figures
+    figures = {"gain": _gains(result), "learning_curve": _learning(result)}
+    skin = result["worth"]
+    places = [Place(**place) for place in skin["places"]]
+    title = f"layout {skin['layout']}: what each taxel tells beyond the joint angles"
+    figures["worth"] = hand_map(hand, places, title, np.array(skin["bits"]))
+    if "selection" in result:
+        figures["selection"] = _selection(result["selection"])
+        chosen = [Place(**place) for place in result["selection"]["places"]]
+        title = f"the {len(chosen)} taxels that tell most together, by rank"
+        figures["selected"] = hand_map(hand, chosen, title)
+    written = []
+    for name, figure in figures.items():
+        for suffix in ("png", "svg"):
+            written.append(out / f"{name}.{suffix}")
+            metadata = {"Date": None} if suffix == "svg" else None
+            figure.savefig(written[-1], dpi=120, bbox_inches="tight", metadata=metadata)
+    return written
+
+
+def _figure(width: float, height: float, columns: int = 1) -> tuple[Any, Any]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    return figure, figure.subplots(1, columns, squeeze=False, sharey=True)[0]
+
+
+def _gains(result: dict[str, Any]) -> Any:
+    """Gain in AUC of each layout at each joint noise."""
+    rows = [
+        row
+        for row in result["table"]
+        if row["metric"] == "auc" and row["told"] in ("joints+taxels", "joints+sight")
+    ]
+    figure, (axes,) = _figure(6, 3.4)
+    for place, noise in enumerate(dict.fromkeys(row["joint_noise"] for row in rows)):
+        some = [row for row in rows if row["joint_noise"] == noise]
+        labels = [Path(row["layout"]).stem if row["layout"] else "sight" for row in some]
+        gains = np.array([row["gain"] for row in some])
+        ends = np.array([row["gain_interval"] for row in some]).T
+        axes.errorbar(
+            np.arange(len(some)) + 0.12 * place, gains, np.abs(ends - gains), fmt="o", capsize=3,
+            label=f"joint noise {noise:g} rad",
+        )  # fmt: skip
+        axes.set_xticks(range(len(some)), labels)
+    axes.axhline(0, color=CHANCE, zorder=0)
+    axes.set(xlabel="layout", ylabel="gain in AUC over joint angles", title=_title(result))
+    axes.legend()
+    return figure
+
+
+def _title(result: dict[str, Any]) -> str:
+    return f"{result['env']} in {result['simulator']}: {result['grasps']} grasps"
+
+
+def _learning(result: dict[str, Any]) -> Any:
+    """Gain against the number of grasps, a panel for each noise."""
+    rows = result["learning_curve"]
+    noises = list(dict.fromkeys(row["joint_noise"] for row in rows))
+    figure, panels = _figure(4 * max(1, len(noises)), 3.4, max(1, len(noises)))
+    for noise, axes in zip(noises, panels, strict=False):
+        for layout in dict.fromkeys(row["layout"] for row in rows):
+            some = [r for r in rows if r["layout"] == layout and r["joint_noise"] == noise]
+            n, gain = ([row[key] for row in some] for key in ("grasps", "gain"))
+            low, high = np.array([row["gain_interval"] for row in some]).T
+            (line,) = axes.plot(n, gain, "o-", label=Path(layout).stem)
+            axes.fill_between(n, low, high, color=line.get_color(), alpha=0.1)
+        axes.axhline(0, color=CHANCE, zorder=0)
+        axes.set(xlabel="grasps", title=f"joint noise {noise:g} rad")
+    panels[0].set_ylabel("gain in AUC")
+    panels[-1].legend(title="layout")
+    return figure
+
+
+def _selection(selection: dict[str, Any]) -> Any:
+    """Gain against the number of taxels: the best found, and the layouts as points."""
+    figure, (axes,) = _figure(6, 3.6)
+    curve = selection["curve"]
+    n, gain = ([row[key] for row in curve] for key in ("taxels", "gain"))
+    low, high = np.array([row["gain_interval"] for row in curve]).T
+    axes.plot(n, gain, "o-", color=BARE, label="chosen from the skin")
+    axes.fill_between(n, low, high, color=BARE, alpha=0.15)
+    for row in selection["layouts"]:
+        ends = np.array(row["gain_interval"])[:, None]
+        axes.errorbar(
+            row["taxels"], row["gain"], np.abs(ends - row["gain"]), fmt="s", color=LAYOUT, capsize=3
+        )
+        at = (row["taxels"], row["gain"])
+        axes.annotate(Path(row["layout"]).stem, at, xytext=(5, 4), textcoords="offset points")
+    axes.axhline(0, color=CHANCE, zorder=0)
+    noise = f"joint noise {selection['joint_noise']:g} rad"
+    axes.set(xscale="log", xlabel="taxels", ylabel="gain in AUC over joint angles", title=noise)
+    axes.legend()
+    return figure
+
+
+def hand_map(hand: Hand, places: Sequence[Place], title: str, worth: np.ndarray | None = None) -> Any:
+    """The palmar side unrolled: a column a digit, fingertips up; taxels coloured by `worth` (n,),
+    bits, or in their order."""
+    from matplotlib.patches import FancyBboxPatch
+
+    figure, (axes,) = _figure(6, 6)
+    at = _drawn_at(hand)
+    for (x, y), half_width, (low, high) in at:
+        corner, size = (x - half_width, y + low), (2 * half_width, high - low)
+        shape = FancyBboxPatch(
+            corner, *size, boxstyle=f"round,pad=0,rounding_size={0.4 * half_width}",
+            facecolor="0.95", edgecolor="0.6",
+        )  # fmt: skip
+        axes.add_patch(shape)
+    points = np.array([(at[p.surface][0][0] + p.column, at[p.surface][0][1] + p.row) for p in places])
+    colour = np.arange(1, len(places) + 1) if worth is None else worth
+    dots = axes.scatter(*points.T, c=colour, s=14, cmap="viridis_r" if worth is None else "inferno")
+    figure.colorbar(dots, label="rank" if worth is None else "bits a grasp", shrink=0.7)
+    for surface, ((x, y), _, (_, high)) in zip(hand.surfaces, at, strict=True):
+        if surface.segment == "distal":
+            axes.text(x, y + high + 5, surface.digit, ha="center")
+    axes.set(aspect="equal", title=title)
+    axes.axis("off")
+    axes.autoscale_view()
+    return figure
+
+
+Drawn = tuple[tuple[float, float], float, tuple[float, float]]
+"""Where a surface's grid has its centre on the map, half its width, and its ends from there, mm."""
+
+
+def _drawn_at(hand: Hand) -> list[Drawn]:
+    drawn: list[Drawn] = []
+    for surface in hand.surfaces:
+        x = 38.0 * DIGITS.index(surface.digit)
+        if surface.bone is None:
+            drawn.append(((x, -45.0), 9.0, (-9.0, 9.0)))
+            continue
+        assert surface.radius is not None
+        ends = sorted(1e3 * offset(surface, np.array(point))[0] for point in surface.bone)
+        if surface.segment == "distal":  # a fingertip is round
+            ends[1] += 1e3 * surface.radius
+        y = 52.0 * SEGMENTS.index(surface.segment)
+        drawn.append(((x, y), 1e3 * surface.radius, (ends[0], ends[1])))
+    return drawn

@@ -1,0 +1,229 @@
+"""Grasps to ask: each is a pure function of the settings, a seed and its number.
+
+What is kept of a grasp is the moment before the lift, as poses rather than readings, so that any
+layout can be read from it afterwards, and whether the object was held.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from ..algos.policy import Policy
+from ..envs import objects, scripted
+from ..envs.grasp import GraspConfig, GraspEnv
+from ..envs.hands import Hand
+from ..envs.simulators import SimulationError
+from ..envs.vector import IsWanted
+
+Array = np.ndarray
+Record = dict[str, Array]
+STREAM = 5  # keeps these random numbers apart from those of training and evaluation
+HOLD_SECONDS = 2.0
+LIFTED = 0.03  # m under the object's lowest point: from here on a policy has lifted it
+
+
+@dataclass(frozen=True)
+class Perturbation:
+    """How scripted grasps differ from each other; drawn evenly, for each grasp anew."""
+
+    kinds: tuple[objects.Kind, ...]
+    sizes: tuple[float, ...]
+    """Edge of the cube, diameter (and height) of the sphere and the cylinder, m."""
+    frictions: tuple[float, ...]
+    offset: float
+    """Largest distance of the object from its place along x and y, m."""
+    yaw: float
+    """Largest turn of the object, rad."""
+    closing: tuple[float, float]
+    """How far the fingers close: 1 is all the way of the scripted grasp."""
+    joint_jitter: float
+    """Largest offset of a finger joint at the start, rad, within its range."""
+
+    def variants(self) -> list[dict[str, Any]]:
+        """The scene's choices for each object."""
+        every = itertools.product(self.kinds, self.sizes, self.frictions)
+        return [{"object": k, "object_size": (s,), "friction": f} for k, s, f in every]
+
+
+class Scenes(gym.Wrapper[Any, Any, Any, Any]):
+    """Environments that differ in the object, each made when it is first asked for."""
+
+    def __init__(self, hand: str, config: GraspConfig, variants: list[dict[str, Any]]) -> None:
+        self._hand, self._config, self._variants = hand, config, variants
+        self._opened = ExitStack()
+        self._made: dict[int, GraspEnv] = {}
+        super().__init__(self.scene(0))
+
+    def scene(self, variant: int) -> GraspEnv:
+        """The environment with this object."""
+        if variant not in self._made:
+            env = GraspEnv(self._hand, replace(self._config, **self._variants[variant]))
+            self._opened.callback(env.close)
+            self._made[variant] = env
+        return self._made[variant]
+
+    def close(self) -> None:
+        self._opened.close()
+
+
+@dataclass(frozen=True)
+class ScriptedGrasps:
+    """Plays the scripted grasp of a number in `Scenes` of the same variants."""
+
+    perturbation: Perturbation
+    seed: int
+
+    def __call__(self, env: gym.Env[Any, Any], number: int, is_wanted: IsWanted) -> Record:
+        """The grasp's record; what it is when the grasp is not wanted any more does not matter."""
+        assert isinstance(env, Scenes)
+        drawn, rng = self.perturbation, np.random.default_rng([self.seed, STREAM, number])
+        scene = env.scene(int(rng.integers(len(drawn.variants()))))
+        start = self._start(scene, rng)
+        closing = float(rng.uniform(*drawn.closing))
+        try:
+            return _scripted(scene, start, closing, is_wanted)
+        except SimulationError:
+            return broken(scene)
+
+    def _start(self, env: GraspEnv, rng: np.random.Generator) -> scripted.Start:
+        drawn, at_rest = self.perturbation, env.hand.start_positions()
+        offset = rng.uniform(-drawn.offset, drawn.offset, 2)
+        yaw = float(rng.uniform(-drawn.yaw, drawn.yaw))
+        joints = at_rest.copy()
+        joints[3:] += rng.uniform(-drawn.joint_jitter, drawn.joint_jitter, len(joints) - 3)
+        joints = np.clip(joints, *env.simulator.joint_limits.T)
+        return scripted.Start(offset, yaw, joints - at_rest)
+
+
+def _scripted(env: GraspEnv, start: scripted.Start, closing: float, is_wanted: IsWanted) -> Record:
+    """Approach, close, take the record, lift, hold."""
+    dt = scripted.period(env.config.timestep)
+    n_substeps = round(dt / env.config.timestep)
+    approach, close, lift = scripted.legs(env, scripted.grasp_for(env), dt, closing)
+    scripted.place(env, start)
+    for targets in (*approach, *close):
+        if not is_wanted():
+            break
+        env.simulator.step(targets, n_substeps)
+    record = moment(env)
+    up = env.shape.half_size[2] + scripted.LIFT_HEIGHT / 2
+    for targets in lift:
+        env.simulator.step(targets, n_substeps)
+    is_held = True
+    for _ in range(round(HOLD_SECONDS / dt)):
+        is_held = is_held and bool(env.simulator.object_state().position[2] > up)
+        if not is_held or not is_wanted():  # what has fallen stays down
+            break
+        env.simulator.step(lift[-1], n_substeps)
+    is_held = is_held and bool(env.simulator.object_state().position[2] > up)
+    return {**record, "held": np.array(is_held)}
+
+
+@dataclass(frozen=True)
+class PolicyGrasps:
+    """Plays the episode of a number by a policy with its noise.
+
+    The record is of the last step before the lift counts, or of the end of an episode without a
+    lift; the label is the episode's success.
+    """
+
+    policy: Policy
+    seed: int
+
+    def __call__(self, env: gym.Env[Any, Any], number: int, is_wanted: IsWanted) -> Record:
+        base = env.unwrapped
+        assert isinstance(base, GraspEnv)
+        rng = np.random.default_rng([self.seed, STREAM, number])
+        try:
+            obs, info = env.reset(seed=int(rng.integers(2**31)))
+            record, is_done, is_lifted = moment(base), False, False
+            while not is_done and is_wanted():
+                obs, _, terminated, truncated, info = env.step(self.policy.act(obs, rng))
+                is_done = terminated or truncated
+                # After the step that ended the task, a hold test may have been played.
+                is_lifted = is_lifted or terminated or _clearance(base) > LIFTED
+                if not is_lifted:
+                    record = moment(base)
+        except SimulationError:
+            return broken(base)
+        if info.get("diverged"):
+            return broken(base)
+        return {**record, "held": np.array(bool(info["is_success"]))}
+
+
+def _clearance(env: GraspEnv) -> float:
+    thing = env.simulator.object_state()
+    return float(thing.position[2]) - env.shape.half_height(thing.rotation)
+
+
+def links_of(hand: Hand) -> tuple[str, ...]:
+    """The bodies whose poses are kept: all that may carry taxels, and the palm."""
+    return tuple(dict.fromkeys([*(surface.link for surface in hand.surfaces), hand.palm]))
+
+
+def moment(env: GraspEnv) -> Record:
+    """The state of hand and object now, SI units, world frame, quaternions wxyz."""
+    simulator, thing = env.simulator, env.simulator.object_state()
+    positions, velocities = simulator.joint_state()
+    link_positions, link_rotations = simulator.link_poses(links_of(env.hand))
+    felt = simulator.contact_taxels() if env.config.touch == "contact" else np.zeros(0)
+    return {
+        "held": np.array(False),
+        "broken": np.array(False),
+        "joint_positions": positions.copy(),
+        "joint_velocities": velocities.copy(),
+        "link_positions": link_positions.copy(),
+        "link_rotations": link_rotations.copy(),
+        "object_position": thing.position.copy(),
+        "object_orientation": thing.orientation.copy(),
+        "object_kind": np.array(objects.KINDS.index(env.shape.kind)),
+        "object_half_size": np.array(env.shape.half_size, dtype=float),
+        "friction": np.array(float(env.config.friction)),
+        "contact": np.asarray(felt, bool),
+    }
+
+
+def broken(env: GraspEnv) -> Record:
+    """The record of a grasp in which the physics broke: it is counted, and asked nothing."""
+    hand, felt = env.hand, len(env.taxels) if env.config.touch == "contact" else 0
+    n_joints, n_links = len(hand.joints), len(links_of(hand))
+    shapes = {
+        "joint_positions": (n_joints,),
+        "joint_velocities": (n_joints,),
+        "link_positions": (n_links, 3),
+        "link_rotations": (n_links, 3, 3),
+        "object_position": (3,),
+        "object_orientation": (4,),
+    }
+    return {
+        "held": np.array(False),
+        "broken": np.array(True),
+        **{name: np.zeros(shape) for name, shape in shapes.items()},
+        "object_kind": np.array(objects.KINDS.index(env.shape.kind)),
+        "object_half_size": np.array(env.shape.half_size, dtype=float),
+        "friction": np.array(float(env.config.friction)),
+        "contact": np.zeros(felt, bool),
+    }
+
+
+def stack(records: list[Record]) -> Record:
+    """Records as one, with a leading axis."""
+    return {name: np.stack([record[name] for record in records]) for name in records[0]}
+
+
+def join(parts: list[Record]) -> Record:
+    """Stacked records, one after another."""
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def iterate(records: Record) -> Iterator[Record]:
+    """Single records of a stack."""
+    for k in range(len(records["held"])):
+        yield {name: values[k] for name, values in records.items()}

@@ -1,0 +1,148 @@
+"""How good is a prediction? Each measure takes weights (b, n), how often each grasp counts, and
+returns (b,): with all ones the value, with the counts of bootstrap samples its distribution."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+Array = np.ndarray
+MEMORY = 4_000_000  # weights handled at once
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A measure of predictions against the truth."""
+
+    name: str
+    unit: str
+    higher_is_better: bool
+    measure: Callable[[Array, Array, Array], Array]
+    """(truth, prediction, weights (b, n)) -> (b,)"""
+
+    def __call__(self, truth: Array, prediction: Array, weights: Array) -> Array:
+        size = max(1, MEMORY // weights.shape[1])
+        batches = (weights[i : i + size] for i in range(0, len(weights), size))
+        parts = [self.measure(truth, prediction, w) for w in batches]
+        return np.concatenate(parts)
+
+
+def auc(held: Array, prediction: Array, weights: Array) -> Array:
+    """Area under the ROC curve of the first column, ties counted half."""
+    order = np.argsort(prediction[:, 0], kind="stable")
+    scores, label = prediction[order, 0], held[order].astype(np.float32)
+    counts = weights[:, order].astype(np.float32)  # whole numbers: sums are exact
+    positive = counts * label
+    negative = counts - positive
+    starts = np.flatnonzero(np.r_[True, np.diff(scores) > 0])
+    if len(starts) < len(scores):
+        positive, negative = (np.add.reduceat(c, starts, axis=1) for c in (positive, negative))
+    below = np.cumsum(negative, axis=1)
+    below -= negative / 2
+    pairs = np.einsum("bi,bi->b", positive, below, dtype=np.float64)
+    with np.errstate(invalid="ignore"):
+        return pairs / (positive.sum(1, dtype=np.float64) * negative.sum(1, dtype=np.float64))
+
+
+def bits(held: Array, prediction: Array, weights: Array) -> Array:
+    """Information about the outcome, bits a grasp: how much smaller the log loss of the first
+    column's probabilities is than that of the second's, the share that held in training."""
+    return _mean(-_surprise(held, prediction[:, 0]) + _surprise(held, prediction[:, 1]), weights)
+
+
+def log_loss(held: Array, prediction: Array, weights: Array) -> Array:
+    """Log loss of the first column's probabilities, bits a grasp."""
+    return _mean(_surprise(held, prediction[:, 0]), weights)
+
+
+def _surprise(held: Array, probability: Array) -> Array:
+    return -np.log2(np.clip(np.where(held, probability, 1.0 - probability), 1e-12, 1.0))
+
+
+def r_squared(truth: Array, prediction: Array, weights: Array) -> Array:
+    """Share of the variance that is explained, mean over columns (n, d)."""
+    weights = weights.astype(float)
+    total = weights.sum(1, keepdims=True)
+    variance = weights @ truth**2 / total - (weights @ truth / total) ** 2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return (1.0 - (weights @ (truth - prediction) ** 2 / total) / variance).mean(axis=1)
+
+
+def error_mm(truth: Array, prediction: Array, weights: Array) -> Array:
+    """Root mean square distance of points (n, d) in m, in mm."""
+    return 1e3 * np.sqrt(_mean(np.square(truth - prediction).sum(axis=1), weights))
+
+
+def error_degrees(truth: Array, prediction: Array, weights: Array) -> Array:
+    """Mean error of angles (n, 2), degrees: of the first column; the second is the period, rad."""
+    period = truth[:, 1]
+    off = np.abs((truth[:, 0] - prediction[:, 0] + period / 2) % period - period / 2)
+    return np.degrees(_mean(off, weights))
+
+
+def balanced_accuracy(truth: Array, prediction: Array, weights: Array) -> Array:
+    """Share of right classes (n,) in each class, mean over the classes."""
+    right, weights = (truth == prediction).astype(float), weights.astype(float)
+    shares = []
+    with np.errstate(invalid="ignore"):
+        for label in np.unique(truth):
+            is_one = truth == label
+            shares.append((weights @ (right * is_one)) / (weights @ is_one.astype(float)))
+    return np.mean(shares, axis=0)
+
+
+def _mean(values: Array, weights: Array) -> Array:
+    weights = weights.astype(float)
+    return weights @ values / weights.sum(axis=1)
+
+
+AUC = Metric("auc", "", True, auc)
+BITS = Metric("bits", "bit", True, bits)
+LOG_LOSS = Metric("log_loss", "bit", False, log_loss)
+R_SQUARED = Metric("r2", "", True, r_squared)
+ERROR_MM = Metric("error_mm", "mm", False, error_mm)
+ERROR_DEGREES = Metric("error_deg", "°", False, error_degrees)
+BALANCED_ACCURACY = Metric("balanced_accuracy", "", True, balanced_accuracy)
+
+
+def bootstrap_weights(n: int, resamples: int, rng: np.random.Generator) -> Array:
+    """How often each of `n` grasps is in each of `resamples` samples drawn with replacement."""
+    weights = np.empty((resamples, n), np.uint8)
+    for row in weights:
+        row[:] = np.minimum(np.bincount(rng.integers(n, size=n), minlength=n), 255)
+    return weights
+
+
+def number(value: float) -> float | None:
+    """As JSON has it: None where there is no number."""
+    return float(value) if math.isfinite(value) else None
+
+
+def interval(samples: Array, confidence: float = 0.95) -> list[float] | None:
+    """Percentile interval [low, high] of bootstrap samples; None where there is no number."""
+    finite = samples[np.isfinite(samples)]
+    if not len(finite):
+        return None
+    tail = (1.0 - confidence) / 2
+    low, high = np.quantile(finite, [tail, 1.0 - tail])
+    return [float(low), float(high)]
+
+
+def p_value(samples: Array) -> float:
+    """Two-sided p-value of a difference from 0, from its bootstrap samples."""
+    n = len(samples)
+    one_sided = min(int((samples <= 0).sum()), int((samples >= 0).sum()))
+    return min(1.0, 2 * (one_sided + 1) / (n + 1))
+
+
+def holm(p_values: list[float]) -> list[float]:
+    """Holm's adjusted p-values, in the order given."""
+    order = np.argsort(p_values)
+    adjusted, running = [0.0] * len(p_values), 0.0
+    for rank, index in enumerate(order):
+        running = max(running, min(1.0, (len(p_values) - rank) * p_values[index]))
+        adjusted[index] = running
+    return adjusted

@@ -1,0 +1,78 @@
+"""Grasps played side by side and over ranks, kept as they come, and gone on with."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Generator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+from ..algos.mpi import Communicator
+from ..envs.vector import Task, Workers
+from ..errors import InputError
+from . import files
+from .files import Played
+from .grasps import Record, iterate, stack
+from .places import Place
+
+SAVE_EVERY = 20.0  # s
+ROUND = 8  # grasps of each worker between two gatherings of all ranks
+
+
+def play(
+    path: Path,
+    n: int,
+    settings: dict[str, Any],
+    contact_places: tuple[Place, ...],
+    task: Task[Record],
+    start: Callable[[], Workers],
+    comm: Communicator,
+    show: Callable[[int], None],
+) -> Played:
+    """Grasps 0 to n - 1, on every rank; those in the file at `path` are not played again.
+
+    `show` is told how many there are. What was played stays in the file whatever stops it.
+    InputError when the file holds grasps of other settings.
+    """
+    records = _kept(path, settings)
+    show(min(n, len(records)))
+    if len(records) < n:
+        with closing(start()) as workers, closing(_play(workers, task, len(records), n, comm)) as new:
+            try:
+                saved = time.monotonic()
+                for record in new:
+                    records.append(record)
+                    show(len(records))
+                    if comm.rank == 0 and time.monotonic() - saved > SAVE_EVERY:
+                        files.write(path, Played(stack(records), settings, contact_places))
+                        saved = time.monotonic()
+            finally:
+                if comm.rank == 0 and records:
+                    files.write(path, Played(stack(records), settings, contact_places))
+    return Played(stack(records[:n]), settings, contact_places)
+
+
+def _kept(path: Path, settings: dict[str, Any]) -> list[Record]:
+    """What an earlier call left."""
+    if not path.exists():
+        return []
+    played = files.read(path)
+    if difference := files.difference(settings, played.settings):
+        raise InputError(f"{path}: {difference}; choose another folder with --out")
+    return list(iterate(played.records))
+
+
+def _play(
+    workers: Workers, task: Task[Record], first: int, last: int, comm: Communicator
+) -> Generator[Record]:
+    """Records of the numbers from `first` to before `last`, in order, on every rank."""
+    if comm.size == 1:
+        yield from workers.play(task, range(first, last))
+        return
+    step = comm.size * ROUND * comm.min(len(workers))
+    for begin in range(first, last, step):
+        end = min(last, begin + step)
+        mine = list(workers.play(task, range(begin + comm.rank, end, comm.size)))
+        by_rank = comm.all_gather(mine)
+        yield from (by_rank[i % comm.size][i // comm.size] for i in range(end - begin))

@@ -1,0 +1,145 @@
+"""From recorded grasps to what a classifier is told, and what it is asked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..envs import objects
+from ..envs.hands import SLIDES, Hand, Surface
+from ..envs.layouts import Taxels
+from ..envs.objects import ObjectState, Shape
+from ..envs.touch import SkinTouch
+from .grasps import Array, Record, links_of
+from .places import Place
+
+BATCH = 200  # grasps read at once: what is in between takes memory
+
+
+@dataclass(frozen=True)
+class Grasps:
+    """Recorded grasps of one hand, those that broke left out."""
+
+    hand: Hand
+    records: Record
+    contact_places: tuple[Place, ...] = ()
+    """Of the recorded readings of the rule "contact", where there are any."""
+
+    def __len__(self) -> int:
+        return len(self.records["held"])
+
+    def first(self, n: int) -> Grasps:
+        """The first `n` of them."""
+        cut = {name: values[:n] for name, values in self.records.items()}
+        return Grasps(self.hand, cut, self.contact_places)
+
+    @property
+    def held(self) -> Array:
+        """bool (n,)"""
+        return self.records["held"].astype(bool)
+
+    @property
+    def angles(self) -> Array:
+        """Positions of the hand's joints (n, joints) without its slides, rad."""
+        own = [i for i, name in enumerate(self.hand.joints) if name not in SLIDES]
+        return self.records["joint_positions"][:, own]
+
+    @property
+    def objects(self) -> Array:
+        """int (n,): which object, counted over those that there are."""
+        return self._kinds()[1]
+
+    @property
+    def object_names(self) -> list[str]:
+        """Kind and measures in mm of each."""
+        rows, _ = self._kinds()
+        return [
+            f"{objects.KINDS[int(kind)]} {' x '.join(f'{2e3 * s:g}' for s in sizes)} mm"
+            for kind, *sizes in rows.tolist()
+        ]
+
+    def _kinds(self) -> tuple[Array, Array]:
+        kind, sizes = self.records["object_kind"], self.records["object_half_size"]
+        table = np.column_stack([kind, sizes.round(6)])
+        rows, index = np.unique(table, axis=0, return_inverse=True)
+        return rows, index.reshape(-1)
+
+    def object_in_hand(self) -> tuple[Array, Array]:
+        """The object's centre (n, 3) from the palm point and its orientation (n, 3, 3) in axes of
+        the palm: along towards the fingertips, across, and out of the palm; m."""
+        palm = links_of(self.hand).index(self.hand.palm)
+        rotation = self.records["link_rotations"][:, palm]
+        point = self.records["link_positions"][:, palm] + rotation @ np.array(self.hand.palm_point)
+        axes = rotation @ _axes(self._palm_surface())
+        away = self.records["object_position"] - point
+        position = np.einsum("nij,ni->nj", axes, away)
+        return position, axes.swapaxes(1, 2) @ _rotations(self.records["object_orientation"])
+
+    def _palm_surface(self) -> Surface:
+        return next(s for s in self.hand.surfaces if s.segment == "palm" and s.link == self.hand.palm)
+
+    def turn(self) -> tuple[Array, int]:
+        """Yaw (n,) of the object in the palm's plane, rad, and after how many equal parts of a turn
+        it looks the same; 0 where it has no yaw."""
+        kinds = {objects.KINDS[int(kind)] for kind in np.unique(self.records["object_kind"])}
+        half = self.records["object_half_size"]
+        is_square = bool(np.allclose(half[:, 0], half[:, 1]))
+        _, rotation = self.object_in_hand()
+        yaw = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
+        return yaw, (4 if is_square else 2) if kinds == {"box"} else 0
+
+    def sight(self) -> Array:
+        """The object's pose in the hand (n, 7): position, quaternion wxyz with w from 0 up."""
+        position, rotation = self.object_in_hand()
+        quaternion = Rotation.from_matrix(rotation).as_quat(canonical=True, scalar_first=True)
+        return np.column_stack([position, quaternion])
+
+    def feel(self, taxels: Taxels) -> Array:
+        """Readings bool (n, taxels) by the rule "skin"."""
+        touch = SkinTouch(taxels, self.hand.surfaces)
+        links = [links_of(self.hand).index(link) for link in taxels.links]
+        felt = np.zeros((len(self), len(taxels)), bool)
+        for index in range(len(self.object_names)):
+            chosen = np.flatnonzero(self.objects == index)
+            shape = self._shape(int(chosen[0]))
+            for begin in range(0, len(chosen), BATCH):
+                some = chosen[begin : begin + BATCH]
+                positions = self.records["link_positions"][some][:, links]
+                rotations = self.records["link_rotations"][some][:, links]
+                felt[some] = touch.read(positions, rotations, shape, self._object(some))
+        return felt
+
+    def feel_contact(self, places: Sequence[Place]) -> Array:
+        """Readings bool (n, places) by the simulator's rule "contact", as they were recorded;
+        ValueError for a place where none was."""
+        column = {place: i for i, place in enumerate(self.contact_places)}
+        missing = [place for place in places if place not in column]
+        if missing:
+            raise ValueError(
+                f"the simulator's contacts were recorded for {len(column)} taxels; found a layout "
+                f"with {len(missing)} others, allowed the layouts that the grasps were played with"
+            )
+        return self.records["contact"][:, [column[place] for place in places]].astype(bool)
+
+    def _shape(self, k: int) -> Shape:
+        kind = objects.KINDS[int(self.records["object_kind"][k])]
+        x, y, z = self.records["object_half_size"][k].tolist()
+        return Shape(kind, (x, y, z))
+
+    def _object(self, some: Array) -> ObjectState:
+        orientation = self.records["object_orientation"][some]
+        position = self.records["object_position"][some]
+        return ObjectState(position, orientation, _rotations(orientation))
+
+
+def _axes(palm: Surface) -> Array:
+    """Columns: along, across and out of the palm, in its link's frame."""
+    along, palmar = np.array(palm.along), np.array(palm.palmar)
+    return np.column_stack([along, np.cross(palmar, along), palmar])
+
+
+def _rotations(quaternions: Array) -> Array:
+    return Rotation.from_quat(quaternions, scalar_first=True).as_matrix()

@@ -1,0 +1,294 @@
+"""What `tactilerl probe` does: get grasps, ask them, write what was found."""
+
+from __future__ import annotations
+
+import json
+import platform
+import tempfile
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
+from functools import partial
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from sklearn.exceptions import ConvergenceWarning
+
+from .. import __version__
+from ..algos.mpi import Communicator
+from ..envs import GRASP_ENVS, hands, layouts, vector
+from ..envs.grasp import setup
+from ..envs.hands import Hand
+from ..envs.layouts import Layout
+from ..errors import InputError, input_errors
+from ..sealed import replacing
+from ..train import free_cores
+from . import analysis, figures, files, places, selection
+from .analysis import Choices
+from .files import Played
+from .grasps import PolicyGrasps, Scenes, ScriptedGrasps
+from .metrics import AUC, Array
+from .places import Place
+from .play import play
+from .readings import Grasps
+
+if TYPE_CHECKING:
+    from .command import Asking, Playing, ProbeFlags
+
+PACKAGES = ("numpy", "scipy", "scikit-learn", "mujoco", "pybullet", "torch")
+Show = Callable[[int, int], None]
+
+
+def grasps(read: ProbeFlags, comm: Communicator, show: Show) -> tuple[Played, Path]:
+    """The grasps, played or read, and the folder where everything goes."""
+    source, playing = read.showing.grasps_file, read.playing
+    # Before minutes of playing: can these layouts be?
+    if source is None:
+        asked = (*read.asking.layout, *((read.asking.skin,) if read.asking.select else ()))
+        _of_layouts(asked, hands.load(playing.env))
+    elif changed := _changed(playing):
+        raise InputError(f"--{changed}: found it together with --from, allowed when grasps are played")
+    if source is not None:
+        played = files.read(source)
+        if played.settings.get("env") not in GRASP_ENVS:
+            raise InputError(f"{source}: found grasps of {played.settings.get('env')!r}, "
+                             f"allowed: {', '.join(GRASP_ENVS)}")  # fmt: skip
+        return played, read.showing.out or source.parent
+    out, workers = read.showing.out, read.showing.workers or free_cores(comm)
+    told = partial(_told, show, playing.grasps)
+    if playing.policy is not None:
+        return _by_policy(playing, out, workers, comm, told)
+    return _scripted(playing, read.asking, out, workers, comm, told)
+
+
+def _told(show: Show, total: int, done: int) -> None:
+    show(done, total)
+
+
+def _changed(playing: Playing, *allowed: str) -> str | None:
+    """The first flag that is not at its default."""
+    mine, usual = asdict(playing), asdict(type(playing)())
+    names = (name for name in mine if mine[name] != usual[name] and name not in allowed)
+    return next(names, "").replace("_", "-") or None
+
+
+def _scripted(
+    playing: Playing, asking: Asking, out: Path | None, workers: int, comm: Communicator,
+    show: Callable[[int], None],
+) -> tuple[Played, Path]:  # fmt: skip
+    simulator = playing.simulator or setup(playing.env).simulator
+    out = out or Path("probes") / f"{playing.env}_{simulator}"
+    hand, drawn = hands.load(playing.env), playing.perturbation
+    config = setup(playing.env, simulator=simulator, touch=playing.touch)
+    settings: dict[str, Any] = {
+        "env": playing.env, "simulator": simulator, "touch": playing.touch, "seed": playing.seed,
+        "perturbation": asdict(drawn),
+    }  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        felt: tuple[Place, ...] = ()
+        if playing.touch == "contact":
+            names = (*asking.layout, *((asking.skin,) if asking.select else ()))
+            settings["layouts"] = list(names)
+            config = replace(config, layout=_union(names, hand, Path(folder)))
+            felt = tuple(places.of(layouts.load(config.layout).place(hand), hand))
+        with input_errors():
+            for variant in drawn.variants():
+                replace(config, **variant).validate()
+        start = partial(vector.start, partial(Scenes, playing.env, config, drawn.variants()), workers)
+        task = ScriptedGrasps(drawn, playing.seed)
+        path = out / "grasps.npz"
+        return play(path, playing.grasps, settings, felt, task, start, comm, show), out
+
+
+def _union(names: Sequence[str], hand: Hand, folder: Path) -> str:
+    """A layout file with every taxel of some layouts: what the simulator has to feel."""
+    every = {place for name in names for place in places.of(_layout(name, hand).place(hand), hand)}
+    path = folder / "union.toml"
+    path.write_text(places.toml(sorted(every), hand, "all"), encoding="utf-8")
+    return str(path)
+
+
+def _by_policy(
+    playing: Playing, out: Path | None, workers: int, comm: Communicator, show: Callable[[int], None]
+) -> tuple[Played, Path]:
+    from ..evaluate import load_policy
+
+    assert playing.policy is not None
+    if changed := _changed(playing, "policy", "grasps", "seed", "touch"):
+        raise InputError(f"--{changed}: found it together with --policy, allowed without: a run has "
+                         "its own scene")  # fmt: skip
+    config, policy, epoch, env_steps = load_policy(playing.policy)
+    if config.scene is None:
+        raise InputError(f"--policy {playing.policy}: found a run of {config.run.env}, allowed runs of "
+                         f"{', '.join(GRASP_ENVS)}")  # fmt: skip
+    scene = config.scene
+    settings = {
+        "env": config.run.env, "simulator": scene.simulator, "touch": playing.touch,
+        "seed": playing.seed, "policy": playing.policy.resolve().name, "epoch": epoch,
+        "env_steps": env_steps,
+    }  # fmt: skip
+    hand = hands.load(config.run.env)
+    felt: tuple[Place, ...] = ()
+    if scene.touch == "contact":
+        felt = tuple(places.of(layouts.load(scene.layout).place(hand), hand))
+    start = partial(vector.start, config.make_env, workers)
+    out = out or Path("probes") / playing.policy.resolve().name
+    task = PolicyGrasps(policy, playing.seed)
+    return play(out / "grasps.npz", playing.grasps, settings, felt, task, start, comm, show), out
+
+
+def _layout(name: str, hand: Hand) -> Layout:
+    """A layout, or a skin as "2mm"; ValueError and FileNotFoundError where there is none."""
+    if name.endswith("mm"):
+        try:
+            spacing = float(name[:-2])
+        except ValueError:
+            raise ValueError(f"skin: found {name!r}, allowed a layout, or a spacing as 2mm") from None
+        return places.dense_skin(hand, 1e-3 * spacing)
+    return layouts.load(name)
+
+
+def _of_layouts(names: Sequence[str], hand: Hand) -> dict[str, list[Place]]:
+    """The places of each layout on a hand; InputError when there is no such layout."""
+    with input_errors():
+        return {name: places.of(_layout(name, hand).place(hand), hand) for name in names}
+
+
+def analyse(read: ProbeFlags, played: Played, out: Path) -> dict[str, Any]:
+    """Ask the grasps; writes probe.json, the figures and what was selected to `out`."""
+    hand, asking, settings = hands.load(played.settings["env"]), read.asking, played.settings
+    is_whole = ~played.records["broken"].astype(bool)
+    kept = {name: values[is_whole] for name, values in played.records.items()}
+    asked = Grasps(hand, kept, played.contact_places)
+    choices = Choices(
+        settings["seed"], asking.folds, asking.estimator, asking.joint_noise, asking.resamples,
+        asking.shuffles, asking.hold_out == "objects", free_cores(Communicator()),
+    )  # fmt: skip
+    where = _of_layouts(asking.layout, hand)
+    with input_errors(), warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        warnings.filterwarnings("ignore", "The least populated class")  # early in the learning curve
+        readings = {name: _feel(read, asked, settings, spots) for name, spots in where.items()}
+        result = {
+            **_about(read, played, asked),
+            "layouts": {name: {"taxels": len(spots)} for name, spots in where.items()},
+            **_answers(asked, readings, choices, out),
+            "worth": _worth(asked, readings, where, choices),
+        }
+        if asking.select:
+            result["selection"] = _select(read, asked, settings, readings, choices, out)
+    out.mkdir(parents=True, exist_ok=True)
+    with replacing(out / "probe.json") as file:
+        file.write((json.dumps(result, indent=1) + "\n").encode())
+    figures.draw(result, hand, out)
+    return result
+
+
+def _feel(read: ProbeFlags, asked: Grasps, settings: dict[str, Any], spots: Sequence[Place]) -> Array:
+    """Readings bool (n, taxels) by the touch rule of the grasps, with faults."""
+    if settings["touch"] == "contact":
+        felt = asked.feel_contact(spots)
+    else:
+        felt = asked.feel(places.layout(list(spots), asked.hand, "asked", "").place(asked.hand))
+        felt = felt[:, _order(spots, asked.hand)]
+    rng = np.random.default_rng([settings["seed"], analysis.FAULTS])
+    return read.faults.apply(felt, rng)
+
+
+def _order(spots: Sequence[Place], hand: Hand) -> list[int]:
+    """Where each place's taxel is in the layout made of them."""
+    placed = places.of(places.layout(list(spots), hand, "asked", "").place(hand), hand)
+    column = {spot: i for i, spot in enumerate(placed)}
+    return [column[spot] for spot in spots]
+
+
+def _about(read: ProbeFlags, played: Played, asked: Grasps) -> dict[str, Any]:
+    """What was asked of what, and by which versions."""
+    return {
+        **{name: played.settings[name] for name in ("env", "simulator", "touch", "seed")},
+        "playing": played.settings,
+        "asking": json.loads(json.dumps(asdict(read.asking))),
+        "faults": asdict(read.faults),
+        "grasps": len(asked),
+        "broken": len(played.records["held"]) - len(asked),
+        "held": float(asked.held.mean()) if len(asked) else 0.0,
+        "objects": asked.object_names,
+        "versions": _versions(),
+    }
+
+
+def _versions() -> dict[str, str]:
+    found = {"tactilerl": __version__, "python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def _answers(asked: Grasps, readings: dict[str, Array], choices: Choices, out: Path) -> dict[str, Any]:
+    """The table, the differences, the learning curve and the check; gains.npz to compare hands."""
+    kept = analysis.kept_folds(asked, choices)
+    every = analysis.questions(asked, kept, choices)
+    told = analysis.everybody(list(readings), choices.joint_noise)
+    teller = analysis.Teller(asked, readings, choices.seed)
+    predicted = analysis.ask(every, told, teller, choices.jobs)
+    weights = analysis.bootstrap(len(asked), choices)
+    samples = analysis.measured(every, predicted, weights, choices.jobs)
+    most = max(readings, key=lambda name: readings[name].shape[1])
+    gains = {
+        f"{cell.told.noise:g} {cell.told.layout}": analysis.gain_samples(samples, cell, metric)
+        for cell, metric in samples
+        if metric is AUC and cell.told.what == analysis.TAXELS
+    }
+    out.mkdir(parents=True, exist_ok=True)
+    with replacing(out / "gains.npz") as file:
+        arrays: dict[str, Any] = {k: v.astype(np.float32) for k, v in gains.items() if v is not None}
+        np.savez_compressed(file, **arrays)
+    return {
+        "table": analysis.table(samples),
+        "differences": analysis.differences(samples, list(readings)),
+        "learning_curve": analysis.learning_curve(asked, readings, choices, samples),
+        "shuffled": analysis.shuffled_gain(asked, most, readings[most], choices),
+    }
+
+
+def _worth(
+    asked: Grasps, readings: dict[str, Array], where: dict[str, list[Place]], choices: Choices
+) -> dict[str, Any]:
+    """What each taxel of the densest layout tells alone, by the angles with the last noise."""
+    most = max(readings, key=lambda name: readings[name].shape[1])
+    noise = choices.joint_noise[-1]
+    known = analysis.Teller(asked, readings, choices.seed).angles(noise)
+    bits = selection.worth(known, readings[most], asked.held)
+    spots = [asdict(place) for place in where[most]]
+    return {"layout": most, "joint_noise": noise, "bits": bits.tolist(), "places": spots}
+
+
+def _select(
+    read: ProbeFlags,
+    asked: Grasps,
+    settings: dict[str, Any],
+    readings: dict[str, Array],
+    choices: Choices,
+    out: Path,
+) -> dict[str, Any]:
+    """Choose from the skin; a layout file for each number that was asked for."""
+    name, hand = read.asking.skin, asked.hand
+    spots = _of_layouts([name], hand)[name]
+    skin = _feel(read, asked, settings, spots)
+    path, found = selection.select(asked, skin, read.asking.select, readings, choices)
+    out.mkdir(parents=True, exist_ok=True)
+    written = []
+    for n in sorted({min(n, len(path)) for n in read.asking.select}):
+        chosen = [spots[i] for i in path[:n]]
+        about = f"{n} taxels chosen from skin {name} by {len(asked)} grasps"
+        written.append(f"selected_{n}.toml")
+        with replacing(out / written[-1]) as file:
+            text = places.toml(chosen, hand, f"{about} of {settings['env']} in {settings['simulator']}")
+            file.write(text.encode())
+    taxels = [asdict(spots[i]) for i in path]
+    return {"skin": name, "candidates": len(spots), **found, "places": taxels, "files": written}

@@ -1,0 +1,451 @@
+"""`tactilerl probe`: grasps, what is read from them, what can be told, and errors in one line."""
+
+import json
+from functools import partial
+
+import numpy as np
+import pytest
+from sklearn.metrics import balanced_accuracy_score, r2_score, roc_auc_score
+
+from tactilerl.algos.mpi import Communicator
+from tactilerl.cli import main
+from tactilerl.envs import hands, layouts, vector
+from tactilerl.envs.grasp import GraspEnv, setup
+from tactilerl.envs.touch import SkinTouch
+from tactilerl.probe import estimators, files, metrics, places, selection
+from tactilerl.probe.faults import TaxelFaults, noisy_angles
+from tactilerl.probe.grasps import (
+    Perturbation,
+    PolicyGrasps,
+    Scenes,
+    ScriptedGrasps,
+    links_of,
+    moment,
+    stack,
+)
+from tactilerl.probe.play import play
+from tactilerl.probe.readings import Grasps
+
+DRAWN = Perturbation(("box",), (0.04, 0.05), (1.0,), 0.02, 0.5, (0.7, 1.1), 0.1)
+MPL = setup("mpl", simulator="mujoco")
+ASKED = ["--joint-noise", "0", "--resamples", "200", "--shuffles", "2", "--folds", "2"]
+
+
+def start(workers=1, config=MPL):
+    return vector.start(partial(Scenes, "mpl", config, DRAWN.variants()), workers)
+
+
+def played(workers, numbers):
+    made = start(workers)
+    try:
+        return stack(list(made.play(ScriptedGrasps(DRAWN, 1), numbers)))
+    finally:
+        made.close()
+
+
+def same(a, b):
+    return set(a) == set(b) and all(np.array_equal(a[name], b[name]) for name in a)
+
+
+class TestGrasps:
+    def test_the_same_with_one_and_with_two_workers_and_in_parts(self, tmp_path):
+        whole = played(1, range(3))
+        assert same(whole, played(2, range(3)))
+        shown = []
+        for n in (2, 3):
+            parts = play(
+                tmp_path / "grasps.npz", n, {"seed": 1}, (), ScriptedGrasps(DRAWN, 1), start,
+                Communicator(), shown.append,
+            )  # fmt: skip
+        assert shown == [0, 1, 2, 2, 3]  # the second call plays one
+        assert same(whole, parts.records)
+        assert same(whole, files.read(tmp_path / "grasps.npz").records)
+
+    def test_another_number_is_another_grasp_and_another_object(self):
+        records = played(1, range(6))
+        assert len(np.unique(records["joint_positions"], axis=0)) == 6
+        assert set(records["object_half_size"][:, 0]) == {0.02, 0.025}
+
+    def test_interrupted_play_keeps_what_there_is(self, tmp_path):
+        def stop(done):
+            if done == 2:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            play(tmp_path / "g.npz", 9, {}, (), ScriptedGrasps(DRAWN, 1), start, Communicator(), stop)
+        assert len(files.read(tmp_path / "g.npz").records["held"]) == 2
+
+    def test_a_policy_is_recorded_before_its_lift_counts(self):
+        class Still:
+            """Keeps the hand where it starts: there is no lift, and the episode times out."""
+
+            def act(self, obs, rng):
+                return np.zeros(7)
+
+        env = GraspEnv("mpl", setup("mpl", simulator="mujoco", max_episode_steps=3))
+        try:
+            record = PolicyGrasps(Still(), 0)(env, 0, lambda: True)
+            again = PolicyGrasps(Still(), 0)(env, 0, lambda: True)
+        finally:
+            env.close()
+        assert not record["held"]
+        assert not record["broken"]
+        assert record["object_position"][2] == pytest.approx(0.025, abs=2e-3)
+        assert same(record, again)
+
+
+class TestReadings:
+    @pytest.mark.parametrize("rule", ["skin", "contact"])
+    def test_are_those_of_the_environment(self, rule):
+        layout = "1"
+        env = GraspEnv("mpl", setup("mpl", simulator="mujoco", layout=layout, touch=rule))
+        hand = env.hand
+        try:
+            scenes = Scenes("mpl", env.config, [{}])
+            felt, records = [], []
+            task = ScriptedGrasps(Perturbation(("box",), (0.05,), (1.0,), 0.0, 0.1, (1, 1), 0.02), 0)
+            for number in range(2):  # the scene is left at the end of a hold
+                task(scenes, number, lambda: True)
+                inner = scenes.scene(0)
+                felt.append(inner.taxel_readings())
+                records.append(moment(inner))
+            scenes.close()
+        finally:
+            env.close()
+        spots = tuple(places.of(env.taxels, hand))
+        grasps = Grasps(hand, stack(records), spots)
+        read = grasps.feel(env.taxels) if rule == "skin" else grasps.feel_contact(spots)
+        assert np.array(felt).any()
+        assert np.array_equal(read, np.array(felt))
+
+    def test_object_in_the_hand_does_not_depend_on_where_the_hand_is(self):
+        hand = hands.load("mpl")
+        records = synthetic(hand, [0, 1])
+        before = Grasps(hand, records).object_in_hand()
+        turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+        moved = dict(records)
+        moved["link_positions"] = records["link_positions"] @ turn.T + 0.3
+        moved["link_rotations"] = turn @ records["link_rotations"]
+        moved["object_position"] = records["object_position"] @ turn.T + 0.3
+        moved["object_orientation"] = np.tile([np.sqrt(0.5), 0, 0, np.sqrt(0.5)], (2, 1))
+        after = Grasps(hand, moved).object_in_hand()
+        assert np.allclose(before[0], after[0])
+        assert np.allclose(before[1], after[1])
+
+
+class TestPlaces:
+    @pytest.mark.parametrize("hand", hands.HANDS)
+    def test_a_layout_written_from_its_places_is_the_same_layout(self, hand, tmp_path):
+        hand = hands.load(hand)
+        for layout in (layouts.load("1"), layouts.load("6"), places.dense_skin(hand, 0.004)):
+            placed = layout.place(hand)
+            spots = places.of(placed, hand)
+            file = tmp_path / "layout.toml"
+            file.write_text(places.toml(spots, hand, 'a "name"'))
+            again = layouts.load(str(file)).place(hand)
+            assert sorted(places.of(again, hand)) == sorted(spots)
+            assert len(set(spots)) == len(placed)
+            column = {spot: i for i, spot in enumerate(places.of(again, hand))}
+            order = [column[spot] for spot in spots]
+            assert np.allclose(again.positions[order], placed.positions, atol=2e-7)
+
+    def test_the_skin_covers_the_phalanges_from_end_to_end(self):
+        hand = hands.load("shadow")
+        middle = next(s for s in hand.surfaces if s.digit == "thumb" and s.segment == "middle")
+        rows = {
+            (place.row, place.column)
+            for place in places.of(places.dense_skin(hand, 0.002).place(hand), hand)
+            if hand.surfaces[place.surface] is middle
+        }
+        # Bone of 32 mm around its centre, radius 11 mm: rows -16 to 16, columns -10 to 10, every 2.
+        assert len(rows) == 17 * 11
+
+
+class TestFaults:
+    readings = np.random.default_rng(0).random((4000, 20)) < 0.5
+
+    def test_without_any_readings_stay(self):
+        felt = TaxelFaults().apply(self.readings, np.random.default_rng(0))
+        assert np.array_equal(felt, self.readings)
+
+    def test_dead_and_stuck_are_for_life(self):
+        faults = TaxelFaults(taxel_dead=0.2, taxel_stuck=0.1, taxel_false_on=0.5)
+        felt = faults.apply(self.readings, np.random.default_rng(0))
+        assert (~felt.any(axis=0)).sum() == 4
+        assert felt.all(axis=0).sum() == 2
+
+    def test_false_readings_come_as_often_as_asked(self):
+        faults = TaxelFaults(taxel_false_on=0.2, taxel_false_off=0.1)
+        felt = faults.apply(self.readings, np.random.default_rng(0))
+        assert felt[~self.readings].mean() == pytest.approx(0.2, abs=0.01)
+        assert felt[self.readings].mean() == pytest.approx(0.9, abs=0.01)
+
+    def test_joint_noise_has_its_size(self):
+        noise = noisy_angles(np.zeros((2000, 20)), 0.05, np.random.default_rng(0))
+        assert noise.std() == pytest.approx(0.05, rel=0.02)
+
+
+class TestMetrics:
+    """Weights count how often a grasp is there: as if it stood there so often."""
+
+    rng = np.random.default_rng(0)
+    weights = np.concatenate([np.ones((1, 60), np.uint8), metrics.bootstrap_weights(60, 3, rng)])
+    held = rng.random(60) < 0.5
+
+    def repeated(self, values):
+        return [np.repeat(values, counts, axis=0) for counts in self.weights]
+
+    def test_auc_counts_ties_half(self):
+        scores = self.rng.integers(5, size=(60, 1)) / 5
+        expected = map(roc_auc_score, self.repeated(self.held), self.repeated(scores[:, 0]))
+        assert np.allclose(metrics.AUC(self.held, scores, self.weights), list(expected))
+
+    def test_bits_of_a_sure_and_right_answer_are_the_outcomes_entropy(self):
+        sure = np.column_stack([self.held.astype(float), np.full(60, 0.25)])
+        p = self.held.mean()
+        expected = -p * np.log2(0.25) - (1 - p) * np.log2(0.75)
+        assert metrics.BITS(self.held, sure, self.weights)[0] == pytest.approx(expected)
+        assert metrics.LOG_LOSS(self.held, sure, self.weights)[0] == pytest.approx(0.0, abs=1e-9)
+
+    def test_r_squared_and_distance(self):
+        truth, guess = self.rng.random((2, 60, 2))
+        expected = map(r2_score, self.repeated(truth), self.repeated(guess))
+        assert np.allclose(metrics.R_SQUARED(truth, guess, self.weights), list(expected))
+        off = truth + np.array([0.003, 0.004])
+        assert np.allclose(metrics.ERROR_MM(truth, off, self.weights), 5.0)
+
+    def test_angles_wrap(self):
+        truth = np.array([[0.01, np.pi / 2]])
+        guess = np.array([[np.pi / 2 - 0.01]])
+        error = metrics.ERROR_DEGREES(truth, guess, np.ones((1, 1)))
+        assert error[0] == pytest.approx(np.degrees(0.02))
+
+    def test_balanced_accuracy(self):
+        truth, guess = self.rng.integers(3, size=(2, 60))
+        expected = map(balanced_accuracy_score, self.repeated(truth), self.repeated(guess))
+        assert np.allclose(metrics.BALANCED_ACCURACY(truth, guess, self.weights), list(expected))
+
+    def test_holm(self):
+        assert metrics.holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
+
+    def test_p_value_is_small_only_away_from_zero(self):
+        assert metrics.p_value(np.linspace(-1, 1, 999)) > 0.9
+        assert metrics.p_value(np.full(999, 0.1)) == pytest.approx(0.002)
+
+
+TOUCHED = ("index", "distal")
+
+
+def synthetic(hand, touches):
+    """Grasps of a hand with its links far apart, whose joints never differ; where `touches`, a cube
+    lies on the tip of the index finger, elsewhere far from everything."""
+    touches = np.array(touches, bool)
+    n, links = len(touches), links_of(hand)
+    surface = next(s for s in hand.surfaces if (s.digit, s.segment) == TOUCHED)
+    apart = np.column_stack([np.arange(len(links)), np.zeros((len(links), 2))])
+    on_tip = apart[links.index(surface.link)] + surface.place(0, 0) + 0.02 * np.array(surface.palmar)
+    return {
+        "held": touches.copy(),
+        "broken": np.zeros(n, bool),
+        "joint_positions": np.zeros((n, len(hand.joints))),
+        "link_positions": np.tile(apart, (n, 1, 1)),
+        "link_rotations": np.tile(np.eye(3), (n, len(links), 1, 1)),
+        "object_position": np.where(touches[:, None], on_tip, on_tip + np.array([0, 5.0, 0])),
+        "object_orientation": np.tile([1.0, 0, 0, 0], (n, 1)),
+        "object_kind": np.zeros(n, int),
+        "object_half_size": np.full((n, 3), 0.02),
+        "contact": np.zeros((n, 0), bool),
+    }
+
+
+def write(path, records):
+    settings = {"env": "shadow", "simulator": "mujoco", "touch": "skin", "seed": 0}
+    files.write(path, files.Played(records, settings, ()))
+
+
+@pytest.fixture
+def one_taxel(tmp_path, monkeypatch):
+    """A file of 100 grasps, of which those that touch hold in 9 of 10 cases, and no others do in 9
+    of 10; in a working directory of its own."""
+    monkeypatch.chdir(tmp_path)
+    touches = np.arange(100) % 2 == 0
+    records = synthetic(hands.load("shadow"), touches)
+    records["held"] = touches ^ (np.arange(100) // 2 % 10 == 0)
+    write(tmp_path / "grasps.npz", records)
+    return tmp_path / "grasps.npz"
+
+
+def result(capsys, *args):
+    assert main(["probe", "--json", *ASKED, *args]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def row(found, told, metric="auc", layout=None):
+    keys = {"told": told, "metric": metric, "layout": layout}
+    return next(r for r in found["table"] if all(r[k] == v for k, v in keys.items()))
+
+
+class TestAnalysis:
+    def test_one_taxel_decides_and_is_found(self, one_taxel, capsys):
+        args = ["--from", str(one_taxel), "--layout", "5", "--select", "1", "--skin", "5"]
+        found = result(capsys, *args)
+        # Of a reading that is right in 9 of 10 cases of either outcome: (0.9 + 0.9) / 2.
+        assert row(found, "joints")["value"] == pytest.approx(0.5, abs=0.05)
+        told = row(found, "joints+taxels", layout="5")
+        assert told["value"] == pytest.approx(0.9, abs=0.03)
+        assert told["gain_interval"][0] > 0.2
+        entropy = -0.9 * np.log2(0.9) - 0.1 * np.log2(0.1)
+        bits = row(found, "joints+taxels", "bits", "5")["value"]
+        assert bits == pytest.approx(1 - entropy, abs=0.06)
+        (place,) = found["selection"]["places"]
+        surface = hands.load("shadow").surfaces[place["surface"]]
+        assert (surface.digit, surface.segment) == TOUCHED
+        assert found["selection"]["curve"][0]["gain"] == pytest.approx(told["gain"], abs=0.03)
+        placed = layouts.load("selected_1.toml").place(hands.load("shadow"))
+        assert [name.partition("[")[0] for name in placed.names] == [".".join(TOUCHED)]
+        bits = found["worth"]["bits"]
+        assert int(np.argmax(bits)) == found["worth"]["places"].index(place)
+        for name in ("gain", "learning_curve", "worth", "selection", "selected"):
+            assert (one_taxel.parent / f"{name}.png").stat().st_size > 1000
+            assert (one_taxel.parent / f"{name}.svg").exists()
+        assert json.loads((one_taxel.parent / "probe.json").read_text()) == found
+
+    def test_no_signal_no_gain(self, one_taxel, capsys):
+        records = files.read(one_taxel).records
+        records["held"] = np.random.default_rng(1).permutation(records["held"])
+        write(one_taxel, records)
+        found = result(capsys, "--from", str(one_taxel), "--layout", "5", "1")
+        for layout in ("5", "1"):
+            low, high = row(found, "joints+taxels", layout=layout)["gain_interval"]
+            assert low <= 0.0 <= high
+        assert found["shuffled"]["is_zero"]
+        assert all(d["p_holm"] > 0.05 for d in found["differences"] if d["question"] == "hold")
+
+    def test_a_dead_taxel_tells_nothing(self, one_taxel, capsys):
+        found = result(capsys, "--from", str(one_taxel), "--layout", "5", "--taxel-dead", "1")
+        assert row(found, "joints+taxels", layout="5")["gain"] == pytest.approx(0.0, abs=1e-6)
+
+    def test_the_same_figures_again_and_on_any_number_of_cores(self, one_taxel, capsys, monkeypatch):
+        figures = []
+        for cores in (1, 2):
+            monkeypatch.setattr("tactilerl.probe.run.free_cores", lambda comm, n=cores: n)
+            figures.append(result(capsys, "--from", str(one_taxel), "--layout", "5"))
+        assert figures[0] == figures[1]
+
+    @pytest.mark.parametrize("kind", ["linear", "boosting"])
+    def test_only_boosting_tells_that_one_of_two_fires(self, kind):
+        rng = np.random.default_rng(0)
+        a, b = rng.random((2, 300)) < 0.5
+        held = a ^ b
+        kept = estimators.folds(held, 2, None, 0)
+        told = estimators.probabilities(np.column_stack([a, b]).astype(float), held, kept, kind)
+        value = metrics.AUC(held, told, np.ones((1, 300)))[0]
+        assert value > 0.95 if kind == "boosting" else value < 0.7
+
+    def test_objects_held_out_are_on_one_side_only(self):
+        groups, held = np.arange(40) % 3, np.arange(40) % 2 == 0
+        kept = estimators.folds(held, 5, groups, 0)
+        assert len(kept) == 3
+        for train, test in kept:
+            assert not set(groups[train]) & set(groups[test])
+
+    def test_forward_selection_does_not_choose_a_copy(self):
+        rng = np.random.default_rng(0)
+        a, b = rng.random((2, 400)) < 0.5
+        held = rng.random(400) < 0.2 + 0.4 * a + 0.2 * b
+        skin = np.column_stack([rng.random(400) < 0.5, a, a, b])
+        assert selection.forward(np.zeros((400, 1)), skin, held, 2) == [1, 3]
+
+    def test_table_in_words(self, one_taxel, capsys):
+        assert main(["probe", *ASKED, "--from", str(one_taxel), "--layout", "5"]) == 0
+        text = capsys.readouterr().out
+        assert "joints+layout 5" in text
+        assert "outcomes shuffled" in text
+
+
+class TestPlayed:
+    def test_from_playing_to_the_answer_and_on(self, tmp_path, monkeypatch, capsys):
+        monkeypatch.chdir(tmp_path)
+        args = ["--env", "mpl", "--simulator", "mujoco", "--layout", "5"]
+        args += ["--object-size", "0.045", "0.05", "--closing", "0.4", "1.1"]
+        first = result(capsys, *args, "--grasps", "14")
+        assert first["grasps"] == 14
+        assert {"probe.json", "grasps.npz"} <= {p.name for p in tmp_path.glob("probes/*/*")}
+        assert result(capsys, *args, "--grasps", "16")["grasps"] == 16
+        assert main(["probe", *args, "--grasps", "14", "--friction", "0.7"]) == 2
+        assert "friction" in capsys.readouterr().err
+
+
+def error(capsys, *args):
+    assert main(["probe", *args]) == 2
+    captured = capsys.readouterr()
+    assert len(captured.err.strip().splitlines()) == 1, captured.err
+    return captured.err
+
+
+class TestBadInput:
+    def test_damaged_grasps(self, one_taxel, capsys):
+        whole = one_taxel.read_bytes()
+        one_taxel.write_bytes(whole[: len(whole) // 2])
+        assert "no whole file of grasps" in error(capsys, "--from", str(one_taxel))
+        one_taxel.write_bytes(b"no zip")
+        assert "no whole file of grasps" in error(capsys, "--from", str(one_taxel))
+        assert one_taxel.read_bytes() == b"no zip"
+        records = synthetic(hands.load("shadow"), [0, 1])
+        del records["link_positions"]
+        write(one_taxel, records)
+        assert "link_positions is missing" in error(capsys, "--from", str(one_taxel))
+        assert "does not exist" in error(capsys, "--from", "nowhere.npz")
+
+    def test_unknown_layout(self, tmp_path, monkeypatch, capsys):
+        monkeypatch.chdir(tmp_path)
+        assert "unknown layout '7'" in error(capsys, "--layout", "2", "7")
+        assert not list(tmp_path.iterdir())
+        assert "skin: found 'xmm'" in error(capsys, "--select", "3", "--skin", "xmm")
+
+    def test_fewer_grasps_than_folds_and_all_alike(self, one_taxel, capsys):
+        records = synthetic(hands.load("shadow"), np.arange(20) < 3)
+        write(one_taxel, records)
+        assert "folds: found 5, allowed up to 3" in error(
+            capsys, "--from", str(one_taxel), "--layout", "5"
+        )
+        records["held"][:] = True
+        write(one_taxel, records)
+        assert "same outcome" in error(capsys, "--from", str(one_taxel))
+
+    @pytest.mark.parametrize(
+        ("args", "message"),
+        [
+            (["--env", "hook"], "env: found 'hook'"),
+            (["--grasps", "0"], "grasps: found 0"),
+            (["--closing", "1", "0.5"], "closing: found 1.0 0.5"),
+            (["--object-size", "0.2"], "object_size: found 0.2"),
+            (["--taxel-dead", "1.5"], "taxel_dead: found 1.5"),
+            (["--taxel-dead", "0.6", "--taxel-stuck", "0.6"], "taxel_stuck: found 0.6"),
+            (["--joint-noise", "-1"], "joint_noise: found -1"),
+            (["--folds", "1"], "folds: found 1"),
+            (["--select", "0"], "select: found 0"),
+            (["--from", "x.npz", "--friction", "2"], "--friction"),
+            (["--policy", "nowhere"], "not a run folder"),
+        ],
+    )
+    def test_flags(self, args, message, capsys, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)
+        assert message in error(capsys, *args)
+        assert not list(tmp_path.iterdir())
+
+
+def test_the_settings_are_those_of_the_environments_own_touch():
+    """SkinTouch reads many grasps at once as it reads each."""
+    hand = hands.load("shadow")
+    taxels = layouts.load("1").place(hand)
+    grasps = Grasps(hand, synthetic(hand, [1, 0, 1]))
+    felt = grasps.feel(taxels)
+    assert felt.any(axis=1).tolist() == [True, False, True]
+    links = [links_of(hand).index(link) for link in taxels.links]
+    touch = SkinTouch(taxels, hand.surfaces)
+    poses = (grasps.records[f"link_{what}"][0][links] for what in ("positions", "rotations"))
+    thing = grasps._object(np.array([0]))
+    shape = grasps._shape(0)
+    alone = type(thing)(thing.position[0], thing.orientation[0], thing.rotation[0])
+    assert np.array_equal(touch.read(*poses, shape, alone), felt[0])
