@@ -6,6 +6,6 @@ Hand-written PPO in PyTorch, and tactile grasping environments behind Gymnasium'
 
 from .registration import with_gymnasium
 
-__version__ = "0.1.0"
+__version__ = "0.2.0.dev0"
 
 with_gymnasium()
