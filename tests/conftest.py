@@ -11,6 +11,7 @@ from tactilerl.envs.simulators import mujoco
 
 os.environ.setdefault("OMPI_ALLOW_RUN_AS_ROOT", "1")
 os.environ.setdefault("OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "1")
+os.environ.setdefault("OMPI_MCA_mpi_yield_when_idle", "1")  # a rank that waits leaves the core to others
 
 NO_PYBULLET = "PyBullet is not installed (it has wheels for Python up to 3.11)"
 

@@ -15,7 +15,10 @@ import torch
 
 pytest.importorskip("mpi4py")
 MPIRUN = Path(sys.executable).with_name("mpirun")
-pytestmark = pytest.mark.skipif(not MPIRUN.exists(), reason="no mpirun beside this Python (extra: mpi)")
+pytestmark = [
+    pytest.mark.skipif(not MPIRUN.exists(), reason="no mpirun beside this Python (extra: mpi)"),
+    pytest.mark.xdist_group("mpi"),  # ranks wait for each other: one launch at a time
+]
 PARTS = ("whole", "parts")
 REACH = ["train", "--algo", "ddpg_her", "--env", "point-reach", "--hidden", "16", "--n-cycles", "2"]
 REACH += ["--n-batches", "5", "--n-test-rollouts", "1"]
