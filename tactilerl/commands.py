@@ -135,7 +135,6 @@ def evaluate(args: list[str]) -> int:
     from . import sweep
 
     read, sensors = _read_evaluate(args)
-    _at_least("--episodes", read.episodes, 1)
     if read.out is not None and not read.sweep:
         raise InputError("--out: found it, allowed only with --sweep")
     with input_errors():
@@ -165,6 +164,7 @@ def _read_evaluate(args: list[str]) -> tuple[EvaluateFlags, SensorConfig | None]
 
     sensors = SensorConfig()
     read, _ = _parse_evaluate(args, sensors)  # which run, before its sensors are known
+    _at_least("--episodes", read.episodes, 1)
     scene = RunDir(read.run).read_config(read.env, read.trust)[0].scene
     if scene is None:
         return flags.parse(EvaluateFlags, args, "tactilerl evaluate"), None

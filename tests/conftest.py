@@ -2,6 +2,7 @@
 a MuJoCo that warns."""
 
 import os
+import signal
 from importlib.util import find_spec
 
 import pytest
@@ -11,7 +12,12 @@ from tactilerl.envs.simulators import mujoco
 
 os.environ.setdefault("OMPI_ALLOW_RUN_AS_ROOT", "1")
 os.environ.setdefault("OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "1")
-os.environ.setdefault("OMPI_MCA_mpi_yield_when_idle", "1")  # a rank that waits leaves the core to others
+os.environ.setdefault(
+    "OMPI_MCA_mpi_yield_when_idle", "1"
+)  # a rank that waits leaves the core to others
+
+# A shell's background ignores Ctrl-C, and what it starts inherits that: here it counts again.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 NO_PYBULLET = "PyBullet is not installed (it has wheels for Python up to 3.11)"
 

@@ -376,7 +376,7 @@ class TestBadInput:
             (["train", "--workers", "2000000"], ["workers: found 2000000"]),
             (["train", "--n-minibatches", "6", "--minibatch-size", "6"], ["found both"]),
             (["train", "--control-dt", "0.001"], ["control_dt: found 0.001"]),
-            (["train", "--entropy-coef", "nan"], ["entropy_coef: found nan"]),
+            (["train", "--gamma", "nan"], ["gamma: found nan"]),
             (["train", "--object-size", "0.3"], ["object_size: found 0.3", "up to 0.08 m across"]),
             (["train", "--object", "sphere", "--object-size", "0.03", "0.04"], ["found 2 numbers"]),
             (["train", "--object", "torus"], ["object", "torus"]),
@@ -483,7 +483,7 @@ class TestOtherCommands:
         from tactilerl.evaluate import summarise
 
         played = [
-            {"success": float(i < 8), "held": 1, "return": float(i), "length": 5}
+            {"success": float(i < 8), "held": 1, "return": float(i), "length": 5, "object": None}
             | {"diverged": int(i == 9), "warnings": 2}
             for i in range(10)
         ]

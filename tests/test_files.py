@@ -462,7 +462,7 @@ class TestTerminal:
             time.sleep(5)
 
         monkeypatch.setattr(Progress, "append", append)
-        assert main([*PPO, "--out", "new"]) == 130
+        assert main([*PPO, "--total-timesteps", "240", "--out", "new"]) == 130
         assert capsys.readouterr().err == (
             "tactilerl: interrupted; the last checkpoint is kept: --resume new\n"
         )

@@ -106,7 +106,7 @@ def test_ddpg_trains_on_two_ranks_and_resumes_exactly():
 def test_ddpg_reaches_points_from_sparse_rewards_on_two_ranks():
     args = ["train", "--algo", "ddpg_her", "--env", "point-reach", "--hidden", "64", "64"]
     args += ["--action-l2", "0.1", "--polyak", "0.9", "--batch-size", "128", "--n-cycles", "10"]
-    result = tactilerl(*args, "--n-test-rollouts", "5", "--total-timesteps", "7000", "--out", "run")
+    result = tactilerl(*args, "--n-test-rollouts", "1", "--total-timesteps", "12000", "--out", "run")
     assert result.returncode == 0, result.stderr
     command = [sys.executable, "-m", "tactilerl.cli", "evaluate", "run", "--episodes", "200", "--json"]
     evaluated = subprocess.run(command, capture_output=True, text=True, check=True)
@@ -196,7 +196,7 @@ def ranks_of(process):
 
 @pytest.mark.parametrize("how", ["kill -9 of a rank", "Ctrl-C"])
 def test_an_end_from_outside_ends_all_and_loses_nothing(how):
-    args = [*REACH, "--total-timesteps", "2000"]
+    args = [*REACH, "--total-timesteps", "1000"]
     process = start(*args)
     ranks = ranks_of(process)
     assert len(ranks) == 2
