@@ -3,10 +3,13 @@ a MuJoCo that warns."""
 
 import os
 import signal
+import tempfile
 from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
 import torch
+from filelock import FileLock
 
 from tactilerl.envs.simulators import mujoco
 
@@ -41,6 +44,13 @@ def pytest_terminal_summary(terminalreporter):
     skipped = [r for r in terminalreporter.getreports("skipped") if NO_PYBULLET in str(r.longrepr)]
     if skipped:
         terminalreporter.write_line(f"{NO_PYBULLET}: {len(skipped)} tests that need it were skipped")
+
+
+@pytest.fixture
+def one_launch():
+    """No other test launches MPI meanwhile: ranks that wait for cores starve, and a launch can fail."""
+    with FileLock(Path(tempfile.gettempdir(), "tactilerl-tests-mpi.lock")):
+        yield
 
 
 @pytest.fixture(autouse=True)

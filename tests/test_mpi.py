@@ -17,7 +17,7 @@ pytest.importorskip("mpi4py")
 MPIRUN = Path(sys.executable).with_name("mpirun")
 pytestmark = [
     pytest.mark.skipif(not MPIRUN.exists(), reason="no mpirun beside this Python (extra: mpi)"),
-    pytest.mark.xdist_group("mpi"),  # ranks wait for each other: one launch at a time
+    pytest.mark.usefixtures("one_launch"),
 ]
 PARTS = ("whole", "parts")
 REACH = ["train", "--algo", "ddpg_her", "--env", "point-reach", "--hidden", "16", "--n-cycles", "2"]

@@ -204,6 +204,7 @@ class TestSharing:
         logs = [path.read_text() for path in (tmp_path / "out").rglob("*.log")]
         assert [log.count("epoch    1") for log in logs] == [1] * 2
 
+    @pytest.mark.usefixtures("one_launch")
     def test_ranks_of_an_mpi_launch(self, undisturbed, tmp_path):
         mpirun = str(Path(sys.executable).with_name("mpirun"))
         command = [mpirun, "-n", "2", "--oversubscribe", *LAUNCH, str(write(tmp_path))]
@@ -214,6 +215,7 @@ class TestSharing:
         assert "[2/2]" in shown.stdout
         assert learned(tmp_path / "out") == learned(undisturbed)
 
+    @pytest.mark.usefixtures("one_launch")
     def test_several_ranks_per_run(self, tmp_path):
         text = TINY.replace("polyak = [0.9, 0.95]\n", "").replace("polyak = [0.95, 0.9]\n", "")
         args = ["study", "run", str(write(tmp_path, text)), "--out", str(tmp_path / "out")]
