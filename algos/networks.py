@@ -83,7 +83,9 @@ class MLP(nn.Sequential):
         _, tanh = self._shape
         found = [gradient * (1.0 - values[-1].square()) if tanh else gradient]
         for linear, hidden in zip(self.linears[:0:-1], values[-2:0:-1], strict=True):
-            found.append(torch.ops.aten.threshold_backward(found[-1] @ linear.weight, hidden, 0.0))
+            delta = found[-1] @ linear.weight
+            torch.ops.aten.threshold_backward(delta, hidden, 0.0, grad_input=delta)  # ReLU's, in place
+            found.append(delta)
         return found[::-1]
 
     @torch.no_grad()
@@ -160,7 +162,7 @@ class FlatAdam:
 
     def clip(self, max_norm: float) -> None:
         """Scale the gradient down to `max_norm` where it is longer."""
-        norm = torch.dot(self.gradient, self.gradient).sqrt()
+        norm = torch.linalg.vector_norm(self.gradient)  # torch.dot would round to bfloat16
         scale = max_norm / (norm + 1e-6)
         self.gradient.mul_(scale.clamp(max=1.0))
 
