@@ -157,7 +157,7 @@ TERMS = {
 
 
 class Stage(Protocol):
-    """What happens to a reading (n,) on its way to the policy."""
+    """What happens to a reading (..., n) on its way to the policy."""
 
     def begin(self, rng: np.random.Generator) -> None:
         """A new episode, whose draws come from `rng`."""
@@ -211,7 +211,7 @@ class Broken:
 
     def __call__(self, reading: Array) -> Array:
         reading = reading.copy()
-        reading[self.dead], reading[self.stuck] = 0, 1
+        reading[..., self.dead], reading[..., self.stuck] = 0, 1
         return reading
 
 

@@ -9,10 +9,11 @@ from sklearn.metrics import balanced_accuracy_score, r2_score, roc_auc_score
 
 from tactilerl.algos.mpi import Communicator
 from tactilerl.cli import main
-from tactilerl.envs import hands, layouts, vector
+from tactilerl.envs import GRASP_ENVS, hands, layouts, vector
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.touch import SkinTouch
 from tactilerl.probe import estimators, files, metrics, places, selection
+from tactilerl.probe.command import Playing
 from tactilerl.probe.faults import TaxelFaults, noisy_angles
 from tactilerl.probe.grasps import (
     Perturbation,
@@ -159,6 +160,36 @@ class TestPlaces:
         }
         # Bone of 32 mm around its centre, radius 11 mm: rows -16 to 16, columns -10 to 10, every 2.
         assert len(rows) == 17 * 11
+
+
+class TestEarlyVerdict:
+    def test_in_pybullet_a_grasp_at_rest_is_called_early_and_alike(self):
+        pytest.importorskip("pybullet")
+        drawn = Perturbation(("box",), (0.05,), (1.0,), 0.01, 0.2, (0.8, 1.1), 0.05)
+        env = Scenes("mpl", setup("mpl", simulator="pybullet"), drawn.variants())
+        simulator = env.scene(0).simulator
+        step, n_steps = simulator.step, {"full": 0, "settled": 0}
+        held = {}
+        for verdict in n_steps:
+
+            def counted(targets, n, verdict=verdict):
+                n_steps[verdict] += n
+                step(targets, n)
+
+            simulator.step = counted
+            grasps = ScriptedGrasps(drawn, 1, verdict)
+            held[verdict] = [bool(grasps(env, k, lambda: True)["held"]) for k in range(3)]
+        env.close()
+        assert held["full"] == held["settled"]
+        assert any(held["full"])
+        assert n_steps["settled"] < 0.8 * n_steps["full"]
+
+
+@pytest.mark.parametrize("hand", GRASP_ENVS)
+def test_every_hand_can_be_asked(hand):
+    playing = Playing(env=hand)
+    playing.validate()
+    assert 0 < playing.perturbation.closing[0] < playing.perturbation.closing[1]
 
 
 class TestFaults:

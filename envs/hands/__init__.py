@@ -219,6 +219,9 @@ class Registration:
     """Of its environment in Gymnasium's registry."""
     scene: dict[str, Any] = field(default_factory=dict)
     """What its scene says differently from the defaults of `GraspConfig`."""
+    closing: tuple[float, float] = (0.5, 0.9)
+    """How far the fingers of perturbed scripted grasps close, from and to, 1 being all the way: 30
+    to 70 % of `tactilerl probe`'s grasps then hold in either simulator."""
 
 
 HANDS = {
@@ -232,6 +235,7 @@ HANDS = {
             "control_dt": 0.1,
             "hold_seconds": 5000 / 240,
         },
+        closing=(0.8, 1.1),
     ),
     "allegro": Registration("tactilerl/Allegro-v0"),
 }

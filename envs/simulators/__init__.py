@@ -83,6 +83,8 @@ class Simulator(Protocol):
 
     holds_gil: bool
     """Does `step` keep other threads of Python waiting?"""
+    creeps: bool
+    """Does what sticks creep, so that an object at rest in the hand may yet slip out of it?"""
     joint_limits: Array
     """(n_joints, 2) lowest and highest position of each of ``hand.joints``, ±inf without one."""
 

@@ -126,6 +126,7 @@ class MujocoSimulator:
     """One scene; the interface is `simulators.Simulator`."""
 
     holds_gil = False
+    creeps = True
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene

@@ -53,6 +53,7 @@ class PyBulletSimulator:
     """One scene with a client of its own; the interface is `simulators.Simulator`."""
 
     holds_gil = True
+    creeps = False  # friction anchors
     warnings = 0  # Bullet has none
 
     def __init__(self, scene: Scene) -> None:

@@ -19,14 +19,14 @@ from .. import flags, interrupts
 from ..algos import mpi
 from ..config import require_workers
 from ..envs import GRASP_ENVS, objects
+from ..envs.hands import HANDS
+from ..envs.hold import Verdict
 from ..errors import InputError, input_errors
 from .faults import TaxelFaults
 from .grasps import Perturbation
 
 console = Console(highlight=False, soft_wrap=True, markup=False)
 SIX = ("1", "2", "3", "4", "5", "6")
-# How far the fingers close: with the other defaults, 30 to 70 % of grasps hold in both simulators.
-CLOSING = {"shadow": (0.5, 0.9), "mpl": (0.8, 1.1)}
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Playing:
     """Which grasps are played."""
 
     env: str = "shadow"
-    """Which hand: shadow or mpl."""
+    """Which hand: shadow, mpl or allegro."""
     simulator: Literal["mujoco", "pybullet"] | None = None
     """The physics engine; default: the hand's."""
     policy: Path | None = None
@@ -58,16 +58,19 @@ class Playing:
     """Largest turn of the object, rad."""
     closing: tuple[float, float] | None = None
     """How far the fingers close, from and to: 1 is all the way of the scripted grasp; default: what
-    lets about half of the grasps hold (shadow 0.5 0.9, mpl 0.8 1.1)."""
+    lets 30 to 70 % of the grasps hold (mpl 0.8 1.1, others 0.5 0.9)."""
     joint_jitter: float = 0.1
     """Largest offset of a finger joint at the start, rad."""
+    hold_verdict: Verdict = "settled"
+    """full: is the object up 2 s after the lift?; settled: the same, called early in PyBullet when the
+    object has come to rest in the hand."""
 
     @property
     def perturbation(self) -> Perturbation:
         """That of scripted grasps."""
         return Perturbation(
             self.object, self.object_size, self.friction, self.start_offset, self.start_yaw,
-            self.closing or CLOSING[self.env], self.joint_jitter,
+            self.closing or HANDS[self.env].closing, self.joint_jitter,
         )  # fmt: skip
 
     def validate(self) -> None:

@@ -1,14 +1,12 @@
-"""What happens to readings on their way: pure functions of what was recorded.
-
-Whether a taxel is dead or stuck is its own fate for life, so it is drawn for each taxel once; a
-false reading is drawn for each reading.
-"""
+"""Sensors with faults: what the environment does to readings on their way, done to recorded ones."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 
 import numpy as np
+
+from ..envs.observations import SensorConfig, taxel_stages
 
 Array = np.ndarray
 
@@ -39,15 +37,13 @@ class TaxelFaults:
             )
 
     def apply(self, readings: Array, rng: np.random.Generator) -> Array:
-        """The readings bool (n, taxels) with these faults. The shares are met as nearly as whole
-        taxels allow."""
-        order = rng.permutation(readings.shape[1])
-        n_dead, n_stuck = (round(s * len(order)) for s in (self.taxel_dead, self.taxel_stuck))
-        chance = rng.random(readings.shape)
-        felt = np.where(readings, chance >= self.taxel_false_off, chance < self.taxel_false_on)
-        felt[:, order[:n_dead]] = False
-        felt[:, order[len(order) - n_stuck :]] = True
-        return felt
+        """The readings bool (n, taxels) with these faults: the same taxels are broken in all."""
+        sensors = SensorConfig(**asdict(self), hand_seed=int(rng.integers(2**32)))
+        felt = readings
+        for stage in taxel_stages(sensors, readings.shape[1]):
+            stage.begin(rng)
+            felt = stage(felt)
+        return felt.astype(bool)
 
 
 def noisy_angles(angles: Array, noise: float, rng: np.random.Generator) -> Array:

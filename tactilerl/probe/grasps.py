@@ -19,6 +19,7 @@ from ..algos.policy import Policy
 from ..envs import objects, scripted
 from ..envs.grasp import GraspConfig, GraspEnv
 from ..envs.hands import Hand
+from ..envs.hold import Verdict
 from ..envs.simulators import SimulationError
 from ..envs.vector import IsWanted
 
@@ -26,6 +27,7 @@ Array = np.ndarray
 Record = dict[str, Array]
 STREAM = 5  # keeps these random numbers apart from those of training and evaluation
 HOLD_SECONDS = 2.0
+AT_REST = 2e-3  # m that the object would move until the end, at the speed of the last control step
 LIFTED = 0.03  # m under the object's lowest point: from here on a policy has lifted it
 
 
@@ -79,6 +81,7 @@ class ScriptedGrasps:
 
     perturbation: Perturbation
     seed: int
+    verdict: Verdict = "settled"
 
     def __call__(self, env: gym.Env[Any, Any], number: int, is_wanted: IsWanted) -> Record:
         """The grasp's record; what it is when the grasp is not wanted any more does not matter."""
@@ -88,7 +91,7 @@ class ScriptedGrasps:
         start = self._start(scene, rng)
         closing = float(rng.uniform(*drawn.closing))
         try:
-            return _scripted(scene, start, closing, is_wanted)
+            return self._play(scene, start, closing, is_wanted)
         except SimulationError:
             return broken(scene)
 
@@ -101,29 +104,42 @@ class ScriptedGrasps:
         joints = np.clip(joints, *env.simulator.joint_limits.T)
         return scripted.Start(offset, yaw, joints - at_rest)
 
+    def _play(
+        self, env: GraspEnv, start: scripted.Start, closing: float, is_wanted: IsWanted
+    ) -> Record:
+        """Approach, close, take the record, lift, hold."""
+        dt = scripted.period(env.config.timestep)
+        n_substeps = round(dt / env.config.timestep)
+        approach, close, lift = scripted.legs(env, scripted.grasp_for(env), dt, closing)
+        scripted.place(env, start)
+        for targets in (*approach, *close):
+            if not is_wanted():
+                break
+            env.simulator.step(targets, n_substeps)
+        record = moment(env)
+        for targets in lift:
+            env.simulator.step(targets, n_substeps)
+        return {**record, "held": np.array(is_wanted() and self._holds(env, lift[-1], dt))}
 
-def _scripted(env: GraspEnv, start: scripted.Start, closing: float, is_wanted: IsWanted) -> Record:
-    """Approach, close, take the record, lift, hold."""
-    dt = scripted.period(env.config.timestep)
-    n_substeps = round(dt / env.config.timestep)
-    approach, close, lift = scripted.legs(env, scripted.grasp_for(env), dt, closing)
-    scripted.place(env, start)
-    for targets in (*approach, *close):
-        if not is_wanted():
-            break
-        env.simulator.step(targets, n_substeps)
-    record = moment(env)
-    up = env.shape.half_size[2] + scripted.LIFT_HEIGHT / 2
-    for targets in lift:
-        env.simulator.step(targets, n_substeps)
-    is_held = True
-    for _ in range(round(HOLD_SECONDS / dt)):
-        is_held = is_held and bool(env.simulator.object_state().position[2] > up)
-        if not is_held or not is_wanted():  # what has fallen stays down
-            break
-        env.simulator.step(lift[-1], n_substeps)
-    is_held = is_held and bool(env.simulator.object_state().position[2] > up)
-    return {**record, "held": np.array(is_held)}
+    def _holds(self, env: GraspEnv, targets: Array, dt: float) -> bool:
+        """Is the object still up after HOLD_SECONDS? What has fallen stays down; what is at rest
+        where nothing creeps stays up."""
+        up = env.shape.half_size[2] + scripted.LIFT_HEIGHT / 2
+        is_final = self.verdict == "settled" and not env.simulator.creeps
+        position, n_looks = _in_hand(env), round(HOLD_SECONDS / dt)
+        for left in reversed(range(n_looks)):
+            if env.simulator.object_state().position[2] <= up:
+                return False
+            env.simulator.step(targets, round(dt / env.config.timestep))
+            before, position = position, _in_hand(env)
+            if is_final and np.linalg.norm(position - before) * left < AT_REST:
+                break
+        return bool(env.simulator.object_state().position[2] > up)
+
+
+def _in_hand(env: GraspEnv) -> Array:
+    """The object's position relative to the palm (3,), m."""
+    return env.simulator.object_state().position - env.simulator.link_positions()[0]
 
 
 @dataclass(frozen=True)

@@ -84,7 +84,7 @@ def _scripted(
     config = setup(playing.env, simulator=simulator, touch=playing.touch)
     settings: dict[str, Any] = {
         "env": playing.env, "simulator": simulator, "touch": playing.touch, "seed": playing.seed,
-        "perturbation": asdict(drawn),
+        "hold_verdict": playing.hold_verdict, "perturbation": asdict(drawn),
     }  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
         felt: tuple[Place, ...] = ()
@@ -97,7 +97,7 @@ def _scripted(
             for variant in drawn.variants():
                 replace(config, **variant).validate()
         start = partial(vector.start, partial(Scenes, playing.env, config, drawn.variants()), workers)
-        task = ScriptedGrasps(drawn, playing.seed)
+        task = ScriptedGrasps(drawn, playing.seed, playing.hold_verdict)
         path = out / "grasps.npz"
         return play(path, playing.grasps, settings, felt, task, start, comm, show), out
 

@@ -1,0 +1,72 @@
+"""How often does the probe's early verdict "settled" differ from the full hold, and what does it save?
+
+Plays the same perturbed scripted grasps twice in PyBullet.
+Prints a table and writes JSON:
+
+    python benchmarks/probe_hold.py --grasps 300 --out docs/data/probe_hold.json
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+from scipy import stats
+
+from tactilerl.envs.grasp import setup
+from tactilerl.probe.command import Playing
+from tactilerl.probe.grasps import Scenes, ScriptedGrasps
+
+SEED = 20_000  # not that of any probe that is reported
+
+
+def compare(hand: str, n: int) -> dict[str, float]:
+    """Verdicts and processor time of `n` grasps, both ways in turn."""
+    drawn = Playing(env=hand).perturbation
+    held: dict[str, list[bool]] = {"full": [], "settled": []}
+    seconds = dict.fromkeys(held, 0.0)
+    with closing(Scenes(hand, setup(hand, simulator="pybullet"), drawn.variants())) as scenes:
+        for number in range(n):
+            for verdict in ("full", "settled"):
+                started = time.process_time()
+                record = ScriptedGrasps(drawn, SEED, verdict)(scenes, number, lambda: True)  # type: ignore[arg-type]
+                seconds[verdict] += time.process_time() - started
+                held[verdict].append(bool(record["held"]))
+    changed = int(np.sum(np.array(held["full"]) != held["settled"]))
+    interval = stats.binomtest(changed, n).proportion_ci(method="wilson")
+    return {
+        "grasps": n,
+        "held": sum(held["full"]),
+        "changed": changed,
+        "changed_low": interval.low,
+        "changed_high": interval.high,
+        "time": seconds["settled"] / seconds["full"],
+        "seconds_a_grasp": seconds["settled"] / n,
+    }
+
+
+def main() -> None:
+    """Print a table, write JSON after each hand."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--hands", nargs="+", default=["shadow", "mpl"])
+    parser.add_argument("--grasps", type=int, default=300)
+    parser.add_argument("--out", type=Path)
+    options = parser.parse_args()
+    results = {}
+    print(
+        "| hand | grasps | held | verdicts changed (95 %) | time, of the full one's |\n|---|---|---|---|---|"
+    )
+    for hand in options.hands:
+        results[hand] = row = compare(hand, options.grasps)
+        share = f"{row['changed']} ({row['changed_low']:.1%} – {row['changed_high']:.1%})"
+        print(f"| {hand} | {row['grasps']} | {row['held']} | {share} | {row['time']:.2f} |", flush=True)
+        if options.out:
+            options.out.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
