@@ -57,9 +57,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     results = {}
-    print(
-        "| hand | grasps | held | verdicts changed (95 %) | time, of the full one's |\n|---|---|---|---|---|"
-    )
+    print("| hand | grasps | held | verdicts changed (95 %) | time of the full one |")
+    print("|---|---|---|---|---|")
     for hand in options.hands:
         results[hand] = row = compare(hand, options.grasps)
         share = f"{row['changed']} ({row['changed_low']:.1%} – {row['changed_high']:.1%})"
