@@ -176,7 +176,7 @@ class TestTrain:
         assert 0 <= float(progress(run)[0]["test_success_rate"]) <= 1
         assert main(["evaluate", str(run), "--episodes", "2"]) == 0
 
-    @pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
+    @pytest.mark.parametrize("simulator", ["mujoco", pytest.param("pybullet", marks=pytest.mark.slow)])
     @pytest.mark.parametrize("hand", ["shadow", "mpl"])
     @pytest.mark.parametrize("algo", ["ppo", "ddpg_her"])
     def test_every_algorithm_hand_and_simulator(self, algo, hand, simulator):

@@ -103,6 +103,7 @@ def test_ddpg_trains_on_two_ranks_and_resumes_exactly():
     assert first["rng"] != second["rng"]
 
 
+@pytest.mark.slow
 def test_ddpg_reaches_points_from_sparse_rewards_on_two_ranks():
     args = ["train", "--algo", "ddpg_her", "--env", "point-reach", "--hidden", "64", "64"]
     args += ["--action-l2", "0.1", "--polyak", "0.9", "--batch-size", "128", "--n-cycles", "10"]
@@ -113,7 +114,7 @@ def test_ddpg_reaches_points_from_sparse_rewards_on_two_ranks():
     assert json.loads(evaluated.stdout)["success_rate"] >= 0.95
 
 
-@pytest.mark.parametrize("toy", ["ppo", "ddpg_her"])
+@pytest.mark.parametrize("toy", [pytest.param("ppo", marks=pytest.mark.slow), "ddpg_her"])
 def test_another_number_of_ranks_is_refused_unless_asked_for(toy):
     toy = TOY if toy == "ppo" else REACH
     tactilerl(*toy, "--total-timesteps", "1", "--out", "run")
@@ -194,7 +195,7 @@ def ranks_of(process):
     return [p for p in below if "tactilerl.cli" in p.cmdline() and "python" in p.name()]
 
 
-@pytest.mark.parametrize("how", ["kill -9 of a rank", "Ctrl-C"])
+@pytest.mark.parametrize("how", ["kill -9 of a rank", pytest.param("Ctrl-C", marks=pytest.mark.slow)])
 def test_an_end_from_outside_ends_all_and_loses_nothing(how):
     args = [*REACH, "--total-timesteps", "1000"]
     process = start(*args)

@@ -13,7 +13,7 @@ from tactilerl.algos.rollout import EVALUATE, PlayEpisode
 from tactilerl.envs import vector
 from tactilerl.envs.toy import LQREnv, PointReachEnv
 
-SEEDS = (0, 1, 2)
+SEEDS = (0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2)))
 
 
 def train(algorithm, name, config, steps, seed):
