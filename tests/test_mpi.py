@@ -276,3 +276,20 @@ assert not mpi.same_on_all_ranks(comm, torch.full((3,), float(comm.rank)))
     Path("check.py").write_text(code)
     result = mpirun(["check.py"], ranks=3)
     assert result.returncode == 0, result.stderr
+
+
+@pytest.mark.slow
+def test_two_ranks_play_the_grasps_of_one():
+    pytest.importorskip("sklearn")
+    args = ["probe", "--env", "mpl", "--simulator", "mujoco", "--layout", "5", "--object-size", "0.05"]
+    args += ["--grasps", "14", "--closing", "0.4", "1.1", "--joint-noise", "0", "--folds", "2"]
+    args += ["--resamples", "100", "--shuffles", "2", "--workers", "1", "--json", "--out"]
+    alone = subprocess.run(
+        [sys.executable, "-m", "tactilerl.cli", *args, "1"], capture_output=True, text=True, timeout=400
+    )
+    both = tactilerl(*args, "2")
+    assert both.returncode == 0, both.stderr
+    assert json.loads(both.stdout) == json.loads(alone.stdout)
+    with np.load("1/grasps.npz") as one, np.load("2/grasps.npz") as two:
+        assert set(one.files) == set(two.files)
+        assert all(np.array_equal(one[name], two[name]) for name in one.files if name != "settings")

@@ -163,8 +163,8 @@ class TestPlaces:
 
 
 class TestEarlyVerdict:
+    @pytest.mark.pybullet
     def test_in_pybullet_a_grasp_at_rest_is_called_early_and_alike(self):
-        pytest.importorskip("pybullet")
         drawn = Perturbation(("box",), (0.05,), (1.0,), 0.01, 0.2, (0.8, 1.1), 0.05)
         env = Scenes("mpl", setup("mpl", simulator="pybullet"), drawn.variants())
         simulator = env.scene(0).simulator

@@ -94,8 +94,16 @@ def _learning(result: dict[str, Any]) -> Any:
 
 
 def _selection(selection: dict[str, Any]) -> Any:
-    """Gain against the number of taxels: the best found, and the layouts as points."""
     figure, (axes,) = _figure(6, 3.6)
+    draw_selection(axes, selection)
+    noise = f"joint noise {selection['joint_noise']:g} rad"
+    axes.set(xlabel="taxels", ylabel="gain in AUC over joint angles", title=noise)
+    axes.legend()
+    return figure
+
+
+def draw_selection(axes: Any, selection: dict[str, Any]) -> None:
+    """Gain against the number of taxels: the best found, and the layouts as points."""
     curve = selection["curve"]
     n, gain = ([row[key] for row in curve] for key in ("taxels", "gain"))
     low, high = np.array([row["gain_interval"] for row in curve]).T
@@ -109,10 +117,7 @@ def _selection(selection: dict[str, Any]) -> Any:
         at = (row["taxels"], row["gain"])
         axes.annotate(Path(row["layout"]).stem, at, xytext=(5, 4), textcoords="offset points")
     axes.axhline(0, color=CHANCE, zorder=0)
-    noise = f"joint noise {selection['joint_noise']:g} rad"
-    axes.set(xscale="log", xlabel="taxels", ylabel="gain in AUC over joint angles", title=noise)
-    axes.legend()
-    return figure
+    axes.set_xscale("log")
 
 
 def hand_map(hand: Hand, places: Sequence[Place], title: str, worth: np.ndarray | None = None) -> Any:
