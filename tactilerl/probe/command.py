@@ -22,10 +22,10 @@ from ..envs import GRASP_ENVS, objects
 from ..envs.hands import HANDS
 from ..envs.hold import Verdict
 from ..errors import InputError, input_errors
+from ..terminal import console
 from .faults import TaxelFaults
 from .grasps import Perturbation
 
-console = Console(highlight=False, soft_wrap=True, markup=False)
 SIX = ("1", "2", "3", "4", "5", "6")
 
 
@@ -159,7 +159,7 @@ class ProbeFlags:
     showing: Showing = Showing()
 
 
-def probe(args: list[str]) -> int:
+def main(args: list[str]) -> int:
     """`tactilerl probe`: exit 130 when it was interrupted."""
     about = "What do taxels tell of a grasp, at the moment before the lift? Needs the extra probe."
     read = flags.parse(ProbeFlags, args, "tactilerl probe", about=about)
