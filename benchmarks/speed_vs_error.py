@@ -163,7 +163,7 @@ def _change_mujoco(stack: ExitStack, hand: str, config: Any, setting: Setting) -
 
 
 def _change_bullet(stack: ExitStack, hand: str, config: Any, setting: Setting) -> GraspEnv:
-    module, shipped = importlib.import_module(BULLET), hands.load(hand)
+    module, shipped = importlib.import_module(BULLET), hands.get(hand)
     if setting.added_inertia is not None:
         changed = replace(shipped, added_inertia=setting.added_inertia)
         stack.enter_context(patch.object(hands, "load", lambda name: changed))

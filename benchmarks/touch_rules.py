@@ -22,7 +22,7 @@ from rich.console import Console
 from rich.table import Table
 
 from tactilerl import envs
-from tactilerl.envs import layouts, scripted, simulators, touch
+from tactilerl.envs import hands, layouts, scripted, simulators, touch
 from tactilerl.envs.grasp import GraspEnv
 
 SEED = 60_000
@@ -138,7 +138,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="write JSON here")
     options = parser.parse_args()
     results, console = {}, Console(width=150)
-    for hand in envs.GRASP_ENVS:
+    for hand in hands.HANDS:
         for simulator in simulators.SIMULATORS:
             result = results[f"{hand} in {simulator}"] = examine(hand, simulator, options.grasps)
             shares = {k: f"{100 * v:.2f} %" for k, v in result["cost_of_control_step"].items()}
