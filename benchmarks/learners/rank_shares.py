@@ -2,7 +2,7 @@
 
 `scaling.py` starts this with one rank and with two:
 
-    mpirun -n 2 python benchmarks/rank_shares.py
+    mpirun -n 2 python -m benchmarks rank_shares
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ import json
 import time
 
 import torch
-from timing import Watches
 
+from benchmarks.timing import Watches
 from tactilerl import envs
 from tactilerl.algos import mpi
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
@@ -66,7 +66,3 @@ def main() -> None:
         }
         print(json.dumps(result))
     workers.close()
-
-
-if __name__ == "__main__":
-    main()
