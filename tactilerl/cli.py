@@ -8,32 +8,22 @@ import sys
 import traceback
 from collections.abc import Sequence
 from importlib import import_module
-from typing import NamedTuple
 
 from . import __version__, interrupts
 from .errors import InputError, let_rank_0_speak
 
-
-class Command(NamedTuple):
-    """Registers a command: its `module` has `main(args)` and is imported when the command runs."""
-
-    module: str
-    about: str
-
-
-COMMANDS = {
-    "train": Command(".commands.train", "train a policy (start here; --resume goes on with a run)"),
-    "evaluate": Command(
-        ".commands.evaluate", "success rate and return of a trained run, with confidence intervals"
+COMMANDS = {  # module with `main(args)`, imported when the command runs; what it does
+    "train": ("commands.train", "train a policy (start here; --resume goes on with a run)"),
+    "evaluate": (
+        "commands.evaluate",
+        "success rate and return of a trained run, with confidence intervals",
     ),
-    "env": Command(".commands.env", "describe an environment: its observations, actions and taxels"),
-    "doctor": Command(".commands.doctor", "do the taxels feel? scripted grasps, figures per layout"),
-    "probe": Command(
-        ".probe.command", "what can a layout know? grasps played once, answers with intervals"
-    ),
-    "render": Command(".commands.render", "a picture of a grasp with its taxels, or a film of a run"),
-    "study": Command(
-        ".study.command",
+    "env": ("commands.env", "describe an environment: its observations, actions and taxels"),
+    "doctor": ("commands.doctor", "do the taxels feel? scripted grasps, figures per layout"),
+    "probe": ("probe.command", "what can a layout know? grasps played once, answers with intervals"),
+    "render": ("commands.render", "a picture of a grasp with its taxels, or a film of a run"),
+    "study": (
+        "study.command",
         "many runs from one file, and what they say together: tables, figures, a report",
     ),
 }
@@ -74,7 +64,7 @@ def _run(args: list[str]) -> int:
     try:
         if name not in COMMANDS:
             raise InputError(f"unknown command {name!r}; allowed: {', '.join(COMMANDS)}")
-        code: int = import_module(COMMANDS[name].module, __package__).main(rest)
+        code: int = import_module(f".{COMMANDS[name][0]}", __package__).main(rest)
         return code
     except InputError as error:
         let_rank_0_speak()

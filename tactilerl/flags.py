@@ -27,7 +27,10 @@ def parse(kind: type[T], args: Sequence[str], prog: str, default: Any = None, ab
     config = (tyro.conf.OmitArgPrefixes,)
 
     def refuse(event: Any) -> None:
-        if reason := _reason(event, args, kind):
+        reason = None
+        with contextlib.suppress(AttributeError, TypeError):  # where tyro's types have changed
+            reason = _reason(event, args, kind)
+        if reason:
             raise InputError(f"{reason}; see {prog} --help")
 
     try:
@@ -44,11 +47,10 @@ def peek(args: Sequence[str], flag: str, default: str) -> str:
 
     As for every flag, the last one counts.
     """
-    found = [args[i + 1] for i, arg in enumerate(args[:-1]) if arg == flag]
-    found += [arg.partition("=")[2] for arg in args if arg.startswith(flag + "=")]
-    if "" in found:
+    found = _given(args, flag)
+    if found[:1] == [""]:
         raise InputError(f"{flag}: found nothing, expected a value")
-    return found[-1] if found else default
+    return found[0] if found else default
 
 
 def at_least(flag: str, value: int, least: int) -> None:
@@ -62,9 +64,8 @@ def _reason(event: Any, args: Sequence[str], kind: type) -> str | None:
     match type(event).__name__, vars(event):
         case "UnrecognizedArgs", {"tokens": [token, *_]}:
             similar = get_close_matches(token.partition("=")[0].replace("_", "-"), _names(kind), 1)
-            return f"found {token!r}" + (
-                f", did you mean {similar[0]}?" if similar else ", which is no flag"
-            )
+            hint = f"did you mean {similar[0]}?" if similar else "which is no flag"
+            return f"found {token!r}, {hint}"
         case "MissingArgs", {"missing_arguments": [missing, *_]}:
             return f"found no {_name(missing.arg).upper()}"
         case "InvalidChoice", {"argument": argument, "value": value, "choices": choices}:
@@ -72,9 +73,8 @@ def _reason(event: Any, args: Sequence[str], kind: type) -> str | None:
         case "BadValue" | "InstantiationFailure", {"argument": argument} if argument is not None:
             values = " ".join(_given(args, _name(argument)))
             allowed = argument.lowered.metavar.replace("{None}|", "")
-            return (
-                f"{_name(argument)}: found {repr(values) if values else 'no value'}, allowed {allowed}"
-            )
+            found = repr(values) if values else "no value"
+            return f"{_name(argument)}: found {found}, allowed {allowed}"
         case "InstantiationFailure", {"message": message}:
             return str(message)
     return None
