@@ -63,7 +63,8 @@ def _reason(event: Any, args: Sequence[str], kind: type) -> str | None:
     """What tyro's event says is wrong, found and allowed; None for one that is not known here."""
     match type(event).__name__, vars(event):
         case "UnrecognizedArgs", {"tokens": [token, *_]}:
-            similar = get_close_matches(token.partition("=")[0].replace("_", "-"), _names(kind), 1)
+            flag = token.partition("=")[0].replace("_", "-")
+            similar = get_close_matches(flag, _names(kind), n=1, cutoff=0.8)
             hint = f"did you mean {similar[0]}?" if similar else "which is no flag"
             return f"found {token!r}, {hint}"
         case "MissingArgs", {"missing_arguments": [missing, *_]}:
