@@ -67,10 +67,10 @@ bench: $(BENCHMARKS:%=bench-%)
 
 bench-%: $(DEVELOPMENT)
 	mkdir -p $(OUT)
-	$(BIN)/python benchmarks/$*.py $(FLAGS_$*) --out $(OUT)/$*.json
+	$(BIN)/python -m benchmarks $* $(FLAGS_$*) --out $(OUT)/$*.json
 
 figures: $(DEVELOPMENT)
-	$(BIN)/python benchmarks/figures.py
+	$(BIN)/python -m benchmarks figures
 
 clean:
 	rm -rf $(VENV) build *.egg-info

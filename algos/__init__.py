@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import gymnasium as gym
@@ -14,7 +16,27 @@ if TYPE_CHECKING:
 Array = np.ndarray
 IsWanted = Callable[[], bool]
 T = TypeVar("T")
-ALGORITHMS = ("ppo", "ddpg_her")
+
+
+@dataclass(frozen=True)
+class Registration:
+    """A learner that can be asked for by name; it is in the module of that name."""
+
+    config: str
+    """Name of the class of its hyperparameters."""
+    algorithm: str
+    """Name of its own class."""
+    total_timesteps: int
+    """Length of the paper's runs, in environment steps of all processes."""
+    task: str
+    """The paper's task with it, where an environment has several."""
+
+
+ALGORITHMS = {
+    "ppo": Registration("PPOConfig", "PPO", 500_000, "lift-and-hold"),
+    # 19 workers took 5,000,000 steps each.
+    "ddpg_her": Registration("DDPGHERConfig", "DDPGHER", 19 * 5_000_000, "reach-goal"),
+}
 
 
 class DivergenceError(FloatingPointError):
@@ -94,17 +116,13 @@ class Algorithm(Protocol):
         whose experience counts as new."""
 
 
-def load(name: str) -> tuple[type, type]:
+def get(name: str) -> tuple[type, type]:
     """(Config, Algorithm) by name; PyTorch is imported here and not before."""
-    if name == "ppo":
-        from .ppo import PPO, PPOConfig
-
-        return PPOConfig, PPO
-    if name == "ddpg_her":
-        from .ddpg_her import DDPGHER, DDPGHERConfig
-
-        return DDPGHERConfig, DDPGHER
-    raise ValueError(f"unknown algorithm {name!r}; allowed: {', '.join(ALGORITHMS)}")
+    if name not in ALGORITHMS:
+        raise ValueError(f"unknown algorithm {name!r}; allowed: {', '.join(ALGORITHMS)}")
+    module = importlib.import_module(f".{name}", __name__)
+    registered = ALGORITHMS[name]
+    return getattr(module, registered.config), getattr(module, registered.algorithm)
 
 
 def flat_observation(obs: Any) -> Array:

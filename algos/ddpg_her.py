@@ -329,11 +329,11 @@ class DDPGHER:
 
     def state_dict(self) -> dict[str, Any]:
         """Networks, optimiser, normalisers, random state, counters: all but the replay."""
-        return state.take(self, SAVED, COUNTERS)
+        return state.save(self, SAVED, COUNTERS)
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Go on exactly where `state_dict` was taken."""
-        state.give(self, saved, SAVED, COUNTERS)
+        state.restore(self, saved, SAVED, COUNTERS)
 
     @property
     def experience_bytes(self) -> int:

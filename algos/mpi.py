@@ -9,12 +9,14 @@ import hashlib
 import os
 import sys
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from torch import Tensor
 
-LAUNCHERS = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_RANK", "MPI_LOCALNRANKS")
+if TYPE_CHECKING:
+    from torch import Tensor
+
+RANKS = ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK", "MPI_LOCALRANKID")  # set by launchers
 
 
 class Communicator:
@@ -34,10 +36,6 @@ class Communicator:
     def sum(self, values: np.ndarray) -> np.ndarray:
         """Elementwise sum of float64 arrays over ranks."""
         return values
-
-    def average(self, value: float) -> float:
-        """Mean of a number over ranks."""
-        return float(self.sum(np.array([value]))[0]) / self.size
 
     def min(self, value: int) -> int:
         """Smallest value of any rank."""
@@ -103,11 +101,14 @@ class MPICommunicator(Communicator):
             self._comm.send(value, dest=0)
 
 
+def launched_rank() -> str | None:
+    """Which rank an MPI launcher says that this process is; None without a launcher."""
+    return next((os.environ[name] for name in RANKS if name in os.environ), None)
+
+
 def world() -> Communicator:
     """All ranks of this launch; a lone Communicator without a launcher."""
-    if any(name in os.environ for name in LAUNCHERS):
-        return MPICommunicator()
-    return Communicator()
+    return Communicator() if launched_rank() is None else MPICommunicator()
 
 
 def abort(code: int) -> None:

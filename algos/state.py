@@ -15,7 +15,7 @@ import torch
 LARGEST = 2**63  # counters stay below
 
 
-def take(learner: Any, parts: Sequence[str], counters: Sequence[str]) -> dict[str, Any]:
+def save(learner: Any, parts: Sequence[str], counters: Sequence[str]) -> dict[str, Any]:
     """`state_dict` of the attributes `parts`, the values of `counters`, and `learner.rng`'s state."""
     return {
         **{name: getattr(learner, name).state_dict() for name in parts},
@@ -24,13 +24,13 @@ def take(learner: Any, parts: Sequence[str], counters: Sequence[str]) -> dict[st
     }
 
 
-def give(learner: Any, state: dict[str, Any], parts: Sequence[str], counters: Sequence[str]) -> None:
-    """Put back what `take` returned; a state without "rng" leaves the learner its own, as a rank
+def restore(learner: Any, state: dict[str, Any], parts: Sequence[str], counters: Sequence[str]) -> None:
+    """Put back what `save` returned; a state without "rng" leaves the learner its own, as a rank
     that is new needs it.
 
     Raises ValueError, before anything is changed, when the learner's own state is another kind.
     """
-    own = take(learner, parts, counters)
+    own = save(learner, parts, counters)
     rng = own.pop("rng")
     is_dict = isinstance(state, dict)
     require_like({k: v for k, v in state.items() if k != "rng"} if is_dict else state, own)

@@ -1,6 +1,6 @@
 """Draw the figures of the docs from the data committed beside them.
 
-python benchmarks/figures.py
+python -m benchmarks figures
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-DOCS = Path(__file__).resolve().parents[1] / "docs"
+from benchmarks.command import ROOT
+
+DOCS = ROOT / "docs"
 WINDOW = 100  # episodes of the running success rate
 # Picture: title, what is drawn, the runs.
 RUNS = {
@@ -86,7 +88,3 @@ def main() -> None:
         axes.legend()
         figure.tight_layout()
         figure.savefig(DOCS / "images" / f"{name}.png", dpi=110)
-
-
-if __name__ == "__main__":
-    main()

@@ -2,52 +2,17 @@
 
 from __future__ import annotations
 
-import argparse
-import json
-import platform
 import statistics
 import time
-import warnings
 from collections.abc import Callable
-from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
-import torch
 from rich.console import Console
 from rich.table import Table
 
 ROUNDS = 7
 Contender = Callable[[], int]
 """Does its work once and says how many things it did."""
-Part = tuple[Callable[[], dict[str, Any]], Callable[[dict[str, Any]], None]]
-"""What measures a part of a benchmark, and what shows what came out."""
-
-
-def run_parts(description: str, parts: dict[str, Part], *packages: str) -> None:
-    """A benchmark's command line: all parts or one, on one thread; machine, versions of
-    `packages` and results as JSON where asked for."""
-    parser = argparse.ArgumentParser(description=description.splitlines()[0])
-    parser.add_argument("--only", choices=parts, help="one part instead of all")
-    parser.add_argument("--out", type=Path, help="write JSON here; other parts in it are kept")
-    options = parser.parse_args()
-    torch.set_num_threads(1)
-    warnings.filterwarnings("ignore")
-    result = earlier(options.out) | {
-        "machine": {"processor": platform.processor() or platform.machine(), "threads": 1},
-        "versions": {name: version(name) for name in packages},
-    }
-    for name in [options.only] if options.only else parts:
-        measure, display = parts[name]
-        result[name] = measure()
-        display(result[name])
-    if options.out:
-        options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-
-
-def earlier(path: Path | None) -> dict[str, Any]:
-    """What an earlier run wrote there: parts that are not measured anew are kept."""
-    return json.loads(path.read_text(encoding="utf-8")) if path and path.exists() else {}
 
 
 def per_second(run: Contender) -> float:

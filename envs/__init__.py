@@ -15,8 +15,6 @@ import gymnasium as gym
 
 from .hands import HANDS
 
-# By the name of the hand.
-GRASP_ENVS = {name: registered.id for name, registered in HANDS.items()}
 TOYS = {"lqr": "tactilerl/LQR-v0", "point-reach": "tactilerl/PointReach-v0"}
 
 
@@ -27,7 +25,7 @@ def make(name: str, *, render_mode: str | None = None, **choices: Any) -> gym.En
     `grasp.GraspConfig`), a toy ("lqr", "point-reach"), or a Gymnasium id. Raises ValueError
     when there is none of that name.
     """
-    if name in GRASP_ENVS:
+    if name in HANDS:
         from .grasp import GraspEnv, setup
 
         return GraspEnv(name, setup(name, **choices), render_mode)
@@ -36,16 +34,16 @@ def make(name: str, *, render_mode: str | None = None, **choices: Any) -> gym.En
     try:
         return gym.make(TOYS.get(name, name), **choices)
     except gym.error.Error as error:
-        known = ", ".join((*GRASP_ENVS, *TOYS))
+        known = ", ".join((*HANDS, *TOYS))
         reason = str(error).strip().splitlines()[0]
         raise ValueError(
             f"unknown environment {name!r}; allowed: {known} or a Gymnasium id ({reason})"
         ) from None
 
 
-for _name, _id in GRASP_ENVS.items():
+for _name, _registered in HANDS.items():
     gym.register(
-        _id,
+        _registered.id,
         entry_point="tactilerl.envs:make",
         kwargs={"name": _name},
         order_enforce=False,

@@ -10,13 +10,13 @@ import gymnasium as gym
 import numpy as np
 
 from . import hands, layouts, objects, observations, simulators, tasks, touch
+from .hands import Array
 from .hold import HoldTest
 from .objects import ObjectConfig
 from .observations import ObservationConfig, Observer
 from .snapshot import Snapshot
 from .tasks import TaskConfig
 
-Array = np.ndarray
 LIMIT = 1e6  # observations beyond this are a broken simulation
 EJECTED = 10.0  # m/s, of the object during an action: twice what random actions ever throw it at
 
@@ -126,14 +126,14 @@ class GraspEnv(gym.Env[Any, Array]):
         self._items = items = objects.Items(config)
         self._item = items.first
         width = items.width if config.is_near else math.inf
-        self.hand = hands.load(hand).over(width, items.height)
+        self.hand = hands.get(hand).start_above(width, items.height)
         self.taxels = layouts.load(config.layout).place(self.hand)
         self._touch = touch.RULES[config.touch](self.taxels, self.hand)
         self.task: tasks.Task = tasks.TASKS[config.task].of(
             config, len(self.hand.fingertips), setup(hand).timestep, items.first.shape
         )
         self.max_episode_steps = config.max_episode_steps or self.task.max_episode_steps
-        self.simulator = simulators.load(
+        self.simulator = simulators.make(
             config.simulator,
             simulators.Scene(
                 hand=self.hand,
@@ -142,14 +142,14 @@ class GraspEnv(gym.Env[Any, Array]):
                 friction=self._item.friction,
                 timestep=config.timestep,
                 finger_gain=config.finger_gain,
-                rise=max(0.0, items.height - self.hand.reach),
+                rise=max(0.0, items.height - self.hand.start_clearance),
                 contact_taxels=self._touch.sensed,
                 visual=render_mode is not None,
             ),
         )
         self._warnings = self.simulator.warnings
-        told = () if config.run_type == "absent" else self.taxels.names
-        self._observer = Observer(config, self.hand, told, self._touch.is_boolean)
+        names = () if config.run_type == "absent" else self.taxels.names
+        self._observer = Observer(config, self.hand, names, self._touch.is_boolean)
         self._start_positions = self.hand.start_positions()
         self._targets = self.hand.start_targets()
         self._steps, self._object_position = 0, np.zeros(3)
@@ -174,8 +174,10 @@ class GraspEnv(gym.Env[Any, Array]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Array], dict[str, Any]]:
         super().reset(seed=seed)
-        told, goals, things = self.np_random.spawn(3)  # draws nothing from the generator itself
-        self._item = item = self._items.draw(things)
+        observer_rng, goal_rng, object_rng = self.np_random.spawn(
+            3
+        )  # draws nothing from the generator itself
+        self._item = item = self._items.draw(object_rng)
         positions = self._start_positions.copy()
         position, yaw = np.array([0.0, 0.0, self.shape.half_size[2]]), 0.0
         if self.config.jitter:
@@ -187,16 +189,16 @@ class GraspEnv(gym.Env[Any, Array]):
             positions = np.clip(positions, *self.simulator.joint_limits.T)
         self._targets = self.hand.start_targets()
         self._steps = 0
-        self._observer.begin(told)
+        self._observer.begin(observer_rng)
         try:
             self.simulator.change_object(item.shape, item.mass, item.friction)
             self.simulator.reset(positions, position, yaw)
-            seen = self._look()
-            observation = self._observation(seen)
+            snapshot = self._look()
+            observation = self._observation(snapshot)
         except simulators.SimulationError as error:
             raise simulators.SimulationError(f"an episode cannot begin: {error}") from error
-        self._object_position = seen.thing.position
-        achieved, desired = self.task.begin(seen, goals)
+        self._object_position = snapshot.object.position
+        achieved, desired = self.task.begin(snapshot, goal_rng)
         self._desired_goal = desired.astype(np.float32)
         self._obs = self._goal_obs(observation, achieved)
         return self._obs, {"is_success": False, "object": item.describe()}
@@ -211,10 +213,10 @@ class GraspEnv(gym.Env[Any, Array]):
         self._steps += 1
         try:
             self.simulator.step(self._targets, self.config.n_substeps)
-            seen = self._look()
-            self._follow(seen.thing.position)
-            observation = self._observation(seen)
-            judged = self.task.judge(seen, self._steps >= self.max_episode_steps, self._hold)
+            snapshot = self._look()
+            self._follow(snapshot.object.position)
+            observation = self._observation(snapshot)
+            judged = self.task.judge(snapshot, self._steps >= self.max_episode_steps, self._hold)
         except simulators.SimulationError as error:
             info = self._info(True, is_success=False, diverged=True, error=str(error))
             last = {key: value.copy() for key, value in self._obs.items()}
@@ -247,7 +249,7 @@ class GraspEnv(gym.Env[Any, Array]):
     def taxel_readings(self) -> Array:
         """(n_taxels,) what the taxels feel now by the configured touch rule, without their faults:
         bool, or by rule "force" N."""
-        return self._feel(self.simulator.object_state())
+        return self._read_taxels(self.simulator.object_state())
 
     def render(self) -> Array | None:
         """A picture of the scene, taxels that fire lit, when made with "rgb_array"."""
@@ -265,8 +267,8 @@ class GraspEnv(gym.Env[Any, Array]):
     def _look(self) -> Snapshot:
         """What is true now, asked of the simulator once for all that follows."""
         points = self.simulator.link_positions()
-        joints, thing = self.simulator.joint_state(), self.simulator.object_state()
-        return Snapshot(points[0], points[1:], *joints, thing, self.shape)
+        joints, state = self.simulator.joint_state(), self.simulator.object_state()
+        return Snapshot(points[0], points[1:], *joints, state, self.shape)
 
     def _follow(self, position: Array) -> None:
         """Where is the object after this action? SimulationError when it got there too fast: the
@@ -278,17 +280,17 @@ class GraspEnv(gym.Env[Any, Array]):
                 f"the object moved at {speed:.3g} m/s: it was ejected or the physics broke"
             )
 
-    def _feel(self, thing: objects.ObjectState) -> Array:
-        return self._touch.read(self.simulator, self.shape, thing)
+    def _read_taxels(self, obj: objects.ObjectState) -> Array:
+        return self._touch.read(self.simulator, self.shape, obj)
 
-    def _observation(self, seen: Snapshot) -> Array:
+    def _observation(self, snapshot: Snapshot) -> Array:
         """What the policy is told; SimulationError when the physics broke."""
         run_type = self.config.run_type
         if run_type == "main":
-            taxels = self._feel(seen.thing)
+            taxels = self._read_taxels(snapshot.object)
         else:
             taxels = np.zeros(len(self.taxels) if run_type == "control" else 0)
-        observation = self._observer.observe(seen, taxels)
+        observation = self._observer.observe(snapshot, taxels)
         largest = np.abs(observation).max()
         if not largest < LIMIT:
             raise simulators.SimulationError(
@@ -301,8 +303,8 @@ class GraspEnv(gym.Env[Any, Array]):
         episode with its object."""
         if is_end:
             info["object"] = self._item.describe()
-        told, self._warnings = self._warnings, self.simulator.warnings
-        return info if self._warnings == told else {**info, "warnings": self._warnings - told}
+        before, self._warnings = self._warnings, self.simulator.warnings
+        return info if self._warnings == before else {**info, "warnings": self._warnings - before}
 
     def _hold(self, test: HoldTest) -> bool:
         """A hold test from here on, with the joint targets of the last action."""

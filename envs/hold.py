@@ -47,7 +47,7 @@ class HoldTest:
     """Height of the palm, m."""
     creep: float = 20.0
     """"settled": by how much creep is sped up and time compressed. What this and the next two cost
-    is measured by ``benchmarks/hold_verdict.py --early creep=40`` and so on."""
+    is measured by ``python -m benchmarks hold_verdict --early creep=40`` and so on."""
     shake_seconds: float = 0.2
     """"settled": the jolt of setting off is over after this time, and creep is sped up from then
     on, s."""

@@ -14,7 +14,7 @@ Kind = Literal["box", "sphere", "cylinder"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 Number = float | str
 """A value, or LOW..HIGH: drawn uniformly from there in every episode."""
-WIDEST = 0.08  # m, of an object across; benchmarks/hard_cases.py goes up to it
+WIDEST = 0.08  # m, of an object across; the benchmark hard_cases goes up to it
 TALLEST = 0.15  # m, of an object: held at its top, its centre is well above what counts as dropped
 OFFSET, YAW = 0.005, 0.15  # m and rad: where the hand leaves room for what is 5 cm across
 FURTHEST = 0.1  # m: at 5 cm, half of a hand's width, a hand's slides hardly get there

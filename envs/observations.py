@@ -126,29 +126,30 @@ def _first_joints(hand: Hand) -> list[int]:
 TERMS = {
     "object_id": Term(
         lambda hand: ["object kind: " + ", ".join(objects.KINDS)],
-        lambda hand, seen: np.array([float(objects.KINDS.index(seen.shape.kind))]),
+        lambda hand, snapshot: np.array([float(objects.KINDS.index(snapshot.shape.kind))]),
     ),
     "hand_position": Term(
-        lambda hand: [f"hand {axis}" for axis in "xyz"], lambda hand, seen: seen.hand
+        lambda hand: [f"hand {axis}" for axis in "xyz"], lambda hand, snapshot: snapshot.hand
     ),
     "finger_joints": Term(
         lambda hand: [f"position of {joint}" for joint in hand.first_joints],
-        lambda hand, seen: seen.joint_positions.take(_first_joints(hand)),
+        lambda hand, snapshot: snapshot.joint_positions.take(_first_joints(hand)),
     ),
     "joint_positions": Term(
         lambda hand: [f"position of {joint}" for joint in hand.joints],
-        lambda hand, seen: seen.joint_positions,
+        lambda hand, snapshot: snapshot.joint_positions,
     ),
     "joint_velocities": Term(
         lambda hand: [f"velocity of {joint}" for joint in hand.joints],
-        lambda hand, seen: seen.joint_velocities,
+        lambda hand, snapshot: snapshot.joint_velocities,
     ),
     "object_position": Term(
-        lambda hand: [f"object {axis}" for axis in "xyz"], lambda hand, seen: seen.thing.position
+        lambda hand: [f"object {axis}" for axis in "xyz"],
+        lambda hand, snapshot: snapshot.object.position,
     ),
     "object_orientation": Term(
         lambda hand: [f"object quaternion {axis}" for axis in "wxyz"],
-        lambda hand, seen: seen.thing.orientation,
+        lambda hand, snapshot: snapshot.object.orientation,
     ),
 }
 
@@ -257,9 +258,9 @@ class Sight:
     def begin(self, rng: np.random.Generator) -> None:
         """A new episode."""
 
-    def __call__(self, thing: objects.ObjectState) -> objects.ObjectState:
+    def __call__(self, obj: objects.ObjectState) -> objects.ObjectState:
         """What is seen of it; only position and orientation count."""
-        return thing
+        return obj
 
 
 class NoisySight(Sight):
@@ -275,13 +276,13 @@ class NoisySight(Sight):
     def _draw(self) -> Array:
         return self.scale * self._rng.standard_normal(6)
 
-    def __call__(self, thing: objects.ObjectState) -> objects.ObjectState:
+    def __call__(self, obj: objects.ObjectState) -> objects.ObjectState:
         error = self._error if self.is_held else self._draw()
         turn = Rotation.from_rotvec(error[3:])
-        seen = (turn * Rotation.from_quat(thing.orientation, scalar_first=True)).as_quat(
+        orientation = (turn * Rotation.from_quat(obj.orientation, scalar_first=True)).as_quat(
             scalar_first=True
         )
-        return objects.ObjectState(thing.position + error[:3], seen, thing.rotation)
+        return objects.ObjectState(obj.position + error[:3], orientation, obj.rotation)
 
 
 class FirstSight(Sight):
@@ -290,16 +291,16 @@ class FirstSight(Sight):
     def begin(self, rng: np.random.Generator) -> None:
         self._first: objects.ObjectState | None = None
 
-    def __call__(self, thing: objects.ObjectState) -> objects.ObjectState:
-        self._first = self._first or thing
+    def __call__(self, obj: objects.ObjectState) -> objects.ObjectState:
+        self._first = self._first or obj
         return self._first
 
 
 class NoSight(Sight):
     """Zeros."""
 
-    def __call__(self, thing: objects.ObjectState) -> objects.ObjectState:
-        return objects.ObjectState(np.zeros(3), np.zeros(4), thing.rotation)
+    def __call__(self, obj: objects.ObjectState) -> objects.ObjectState:
+        return objects.ObjectState(np.zeros(3), np.zeros(4), obj.rotation)
 
 
 def sight(config: SensorConfig) -> Sight:
@@ -356,8 +357,8 @@ class Observer:
     def observe(self, truth: Snapshot, taxels: Array) -> Array:
         """(n,) float32 from what is true and what the taxels feel; once a control step."""
         positions = _through(self._joints, truth.joint_positions)
-        told = replace(truth, thing=self._sight(truth.thing), joint_positions=positions)
-        parts = [np.concatenate([term.read(self.hand, told) for term in self._terms])]
+        sensed = replace(truth, object=self._sight(truth.object), joint_positions=positions)
+        parts = [np.concatenate([term.read(self.hand, sensed) for term in self._terms])]
         parts.append(_through(self._taxels, taxels))
         for pair in self._history:
             parts = [past(part) for past, part in zip(pair, parts, strict=True)]

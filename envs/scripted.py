@@ -9,14 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .grasp import GraspEnv
+from .grasp import JITTER_JOINT, GraspEnv
 from .hands import Array, ScriptedGrasp
+from .objects import OFFSET, YAW
 
 PERIODS = (0.04, 0.05)  # s between targets: the first that is a whole number of timesteps
 APPROACH, CLOSE, LIFT = 0.4, 0.8, 1.0  # s
 LIFT_HEIGHT = 0.15  # m
 FALLEN = 0.1  # m below where it was at the beginning of the hold
-OFFSET, YAW, JOINT = 0.005, 0.15, 0.02  # perturbation: m, rad, rad
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Start:
 
 def perturbed_start(rng: np.random.Generator, n_joints: int) -> Start:
     """A start as the environment's jitter would make it, but for the joints' ranges."""
-    joints = np.concatenate([np.zeros(3), rng.uniform(-JOINT, JOINT, n_joints - 3)])
+    joints = np.concatenate([np.zeros(3), rng.uniform(-JITTER_JOINT, JITTER_JOINT, n_joints - 3)])
     return Start(rng.uniform(-OFFSET, OFFSET, 2), float(rng.uniform(-YAW, YAW)), joints)
 
 

@@ -20,6 +20,5 @@ class Snapshot:
     """(n_joints,) in the order of the hand's ``joints``."""
     joint_velocities: Array
     """(n_joints,)"""
-    thing: ObjectState
-    """The object's."""
+    object: ObjectState
     shape: Shape

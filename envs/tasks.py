@@ -137,10 +137,10 @@ class ReachGoal:
         goal = np.array([0.0, 0.0, start.shape.half_size[2] + self.height])
         if self.spread:
             goal += rng.uniform(-self.spread, self.spread, 3)
-        return start.thing.position, goal
+        return start.object.position, goal
 
     def judge(self, now: Snapshot, is_last: bool, hold: Hold) -> Judgement:
-        return Judgement(now.thing.position)
+        return Judgement(now.object.position)
 
     def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """sparse: 0 within the tolerance, else -1; dense: -10 x distance in m. Both readings
@@ -215,7 +215,7 @@ class LiftAndHold:
         return Judgement(self._achieved(now, outcome), outcome in FINAL)
 
     def _before_hold(self, now: Snapshot, is_last: bool) -> Outcome:
-        clearance = now.thing.position[2] - now.shape.half_height(now.thing.rotation)
+        clearance = now.object.position[2] - now.shape.half_height(now.object.rotation)
         if clearance > self.clearance:
             return "lifted"
         was_off, self._is_off_ground = self._is_off_ground, clearance > OFF_GROUND
@@ -225,7 +225,7 @@ class LiftAndHold:
 
     def _achieved(self, now: Snapshot, outcome: Outcome) -> Array:
         points = np.vstack([now.hand, now.fingertips])
-        return _with_outcome(_distance(points, now.thing.position), outcome)
+        return _with_outcome(_distance(points, now.object.position), outcome)
 
     def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """Closeness of palm and fingertips until a lift; 5 more for a failed attempt, whether

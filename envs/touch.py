@@ -51,10 +51,10 @@ class LinkPoints:
         """(..., n, 3), m, from poses of ``links``: (..., k, 3) and (..., k, 3, 3)."""
         return self._blocks @ _stacked(link_positions, link_rotations)
 
-    def local(self, link_positions: Array, link_rotations: Array, thing: ObjectState) -> Array:
-        """The same points in the frame of `thing`."""
-        from_thing = link_positions - thing.position[..., None, :]
-        return self._blocks @ (_stacked(from_thing, link_rotations) @ thing.rotation)
+    def local(self, link_positions: Array, link_rotations: Array, obj: ObjectState) -> Array:
+        """The same points in the frame of `obj`."""
+        from_object = link_positions - obj.position[..., None, :]
+        return self._blocks @ (_stacked(from_object, link_rotations) @ obj.rotation)
 
 
 def _stacked(positions: Array, rotations: Array) -> Array:
@@ -105,11 +105,11 @@ class SkinTouch:
         self._squared_reaches = np.concatenate([taxels.radii, reaches]) ** 2
 
     def read(
-        self, link_positions: Array, link_rotations: Array, shape: Shape, thing: ObjectState
+        self, link_positions: Array, link_rotations: Array, shape: Shape, obj: ObjectState
     ) -> Array:
         """Which taxels are on: bool (..., n), from poses (..., k, 3) and (..., k, 3, 3) of `links`
         and an object whose state has the same leading axes."""
-        points = self._points.local(link_positions, link_rotations, thing)
+        points = self._points.local(link_positions, link_rotations, obj)
         in_reach = shape.squared_distance(points) <= self._squared_reaches
         n = len(self._bone)
         touches = np.logical_or.reduceat(in_reach[..., n:], self._first, axis=-1)
@@ -144,7 +144,7 @@ class Rule(Protocol):
     sensed: Taxels | None
     """Taxels that the simulator itself has to sense."""
 
-    def read(self, simulator: Simulator, shape: Shape, thing: ObjectState) -> Array:
+    def read(self, simulator: Simulator, shape: Shape, obj: ObjectState) -> Array:
         """(n_taxels,) what the taxels feel now of the object with this shape and state."""
 
 
@@ -157,8 +157,8 @@ class SkinRule:
     def __init__(self, taxels: Taxels, hand: Hand) -> None:
         self._skin = SkinTouch(taxels, hand.surfaces)
 
-    def read(self, simulator: Simulator, shape: Shape, thing: ObjectState) -> Array:
-        return self._skin.read(*simulator.link_poses(self._skin.links), shape, thing)
+    def read(self, simulator: Simulator, shape: Shape, obj: ObjectState) -> Array:
+        return self._skin.read(*simulator.link_poses(self._skin.links), shape, obj)
 
 
 class ContactRule:
@@ -169,7 +169,7 @@ class ContactRule:
     def __init__(self, taxels: Taxels, hand: Hand) -> None:
         self.sensed: Taxels | None = taxels
 
-    def read(self, simulator: Simulator, shape: Shape, thing: ObjectState) -> Array:
+    def read(self, simulator: Simulator, shape: Shape, obj: ObjectState) -> Array:
         return simulator.contact_taxels()
 
 
@@ -185,20 +185,20 @@ class ForceRule:
         self._taxels, self._points = taxels, taxel_points(taxels)
         self._skin = SkinTouch(taxels, hand.surfaces)
 
-    def read(self, simulator: Simulator, shape: Shape, thing: ObjectState) -> Array:
+    def read(self, simulator: Simulator, shape: Shape, obj: ObjectState) -> Array:
         taxels, contacts = self._taxels, simulator.contacts()
         poses = simulator.link_poses(taxels.links)
-        is_on = self._skin.read(*poses, shape, thing)
-        felt = np.array([link in taxels.links for link in contacts.links], bool)
-        if not (is_on.any() and felt.any()):
+        is_on = self._skin.read(*poses, shape, obj)
+        has_taxels = np.array([link in taxels.links for link in contacts.links], bool)
+        if not (is_on.any() and has_taxels.any()):
             return np.zeros(len(taxels))
         link = np.array([taxels.links.index(link) for link in contacts.links if link in taxels.links])
-        offsets = self._points.world(*poses)[:, None] - contacts.points[felt]
+        offsets = self._points.world(*poses)[:, None] - contacts.points[has_taxels]
         weights = is_on[:, None] / (np.square(offsets).sum(axis=-1) + taxels.radii[:, None] ** 2)
         weights *= taxels.link_index[:, None] == link
         total = weights.sum(axis=0)
         return weights @ np.divide(
-            contacts.forces[felt], total, out=np.zeros_like(total), where=total > 0
+            contacts.forces[has_taxels], total, out=np.zeros_like(total), where=total > 0
         )
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-Array = np.ndarray
+from .hands import Array
 
 
 class LQREnv(gym.Env[Array, Array]):

@@ -6,19 +6,26 @@ import io
 import os
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from importlib import import_module
 
 from . import __version__, interrupts
 from .errors import InputError, let_rank_0_speak
 
-COMMANDS = {
-    "train": "train a policy (start here; --resume goes on with a run)",
-    "evaluate": "success rate and return of a trained run, with confidence intervals",
-    "env": "describe an environment: its observations, actions and taxels",
-    "doctor": "do the taxels feel? scripted grasps, figures per layout",
-    "probe": "what can a layout know? grasps played once, answers with intervals",
-    "render": "a picture of a grasp with its taxels, or a film of a run",
-    "study": "many runs from one file, and what they say together: tables, figures, a report",
+COMMANDS = {  # module with `main(args)`, imported when the command runs; what it does
+    "train": ("commands.train", "train a policy (start here; --resume goes on with a run)"),
+    "evaluate": (
+        "commands.evaluate",
+        "success rate and return of a trained run, with confidence intervals",
+    ),
+    "env": ("commands.env", "describe an environment: its observations, actions and taxels"),
+    "doctor": ("commands.doctor", "do the taxels feel? scripted grasps, figures per layout"),
+    "probe": ("probe.command", "what can a layout know? grasps played once, answers with intervals"),
+    "render": ("commands.render", "a picture of a grasp with its taxels, or a film of a run"),
+    "study": (
+        "study.command",
+        "many runs from one file, and what they say together: tables, figures, a report",
+    ),
 }
 LONGEST = 600  # characters of an error's line: a path may have 5,000
 
@@ -57,7 +64,8 @@ def _run(args: list[str]) -> int:
     try:
         if name not in COMMANDS:
             raise InputError(f"unknown command {name!r}; allowed: {', '.join(COMMANDS)}")
-        return _command(name)(rest)
+        code: int = import_module(f".{COMMANDS[name][0]}", __package__).main(rest)
+        return code
     except InputError as error:
         let_rank_0_speak()
         _say("error", error)
@@ -83,20 +91,8 @@ def _say(what: str, error: BaseException) -> None:
 
 def _usage() -> str:
     lines = ["usage: tactilerl COMMAND [OPTIONS]", "", "commands:"]
-    lines += [f"  {name:10}{text}" for name, text in COMMANDS.items()]
+    lines += [f"  {name:10}{about}" for name, (_, about) in COMMANDS.items()]
     return "\n".join([*lines, "", "tactilerl COMMAND --help lists a command's options."])
-
-
-def _command(name: str) -> Callable[[list[str]], int]:
-    if name == "probe":
-        from .probe.command import probe
-
-        return probe
-    from . import commands  # what a command needs is imported when it runs
-    from .study import command
-
-    function: Callable[[list[str]], int] = getattr(command if name == "study" else commands, name)
-    return function
 
 
 def _closed_output() -> int:

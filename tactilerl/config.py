@@ -17,6 +17,7 @@ from typing import Any, Literal
 
 from . import algos, envs, typed
 from .envs.grasp import GraspConfig, setup
+from .envs.hands import HANDS
 from .errors import InputError, input_errors
 
 MOST_WORKERS = 256  # more than any machine's cores: a slip, and a process each
@@ -92,7 +93,7 @@ class RunConfig:
             if part is not None:
                 typed.require(type(part), vars(part))
                 part.validate()
-        if (self.scene is None) == (self.run.env in envs.GRASP_ENVS):
+        if (self.scene is None) == (self.run.env in HANDS):
             found = "no scene" if self.scene is None else "a scene"
             raise ValueError(f"env: found {self.run.env!r} with {found}")
 
@@ -155,21 +156,14 @@ def _anneals(learner: Any) -> bool:
     return bool(getattr(learner, "anneal_lr", False))
 
 
-# The paper's task and length with each algorithm: 19 workers took 5,000,000 steps each.
-PAPER: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
-    "ppo": ({"total_timesteps": 500_000}, {"task": "lift-and-hold"}),
-    "ddpg_her": ({"total_timesteps": 19 * 5_000_000}, {"task": "reach-goal"}),
-}
-
-
 def defaults(algo: str, env: str) -> RunConfig:
     """The configuration before any flag; InputError for an unknown algorithm or environment."""
     with input_errors("--algo"):
-        config_type, _ = algos.load(algo)
-    run, scene = PAPER[algo]
+        config_type, _ = algos.get(algo)
+    paper = algos.ALGORITHMS[algo]
     return RunConfig(
-        RunOptions(algo=algo, env=env, **run),
-        setup(env, **scene) if env in envs.GRASP_ENVS else None,
+        RunOptions(algo=algo, env=env, total_timesteps=paper.total_timesteps),
+        setup(env, task=paper.task) if env in HANDS else None,
         config_type(),
     )
 
@@ -178,7 +172,7 @@ def from_dict(data: dict[str, Any]) -> RunConfig:
     """The configuration that `as_dict` wrote; InputError when it is not one."""
     try:
         run = typed.make(RunOptions, data["run"], "run")
-        config_type, _ = algos.load(run.algo)
+        config_type, _ = algos.get(run.algo)
         scene = None if data["scene"] is None else typed.make(GraspConfig, data["scene"], "scene")
         config = RunConfig(run, scene, typed.make(config_type, data["learner"], "learner"))
         config.validate()

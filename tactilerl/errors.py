@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-
-RANKS = ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK")  # set by MPI launchers
 
 
 class InputError(Exception):
@@ -26,5 +23,7 @@ def input_errors(where: str = "") -> Iterator[None]:
 
 def let_rank_0_speak() -> None:
     """On other ranks, wait a second: mostly rank 0 has found the same, and its end is theirs."""
-    if any(os.environ.get(name, "0") != "0" for name in RANKS):
+    from .algos import mpi
+
+    if mpi.launched_rank() not in (None, "0"):
         time.sleep(1.0)

@@ -1,32 +1,45 @@
-"""Dataclasses to flags, by tyro; its boxed errors become one line."""
+"""Dataclasses to flags, by tyro; what is wrong with them in one line."""
 
 from __future__ import annotations
 
 import contextlib
 import io
-import re
-from collections.abc import Sequence
-from typing import Any, TypeVar
+from collections.abc import Iterator, Sequence
+from dataclasses import is_dataclass
+from difflib import get_close_matches
+from typing import Any, TypeVar, get_type_hints
 
 import tyro
 
 from .errors import InputError
+
+try:
+    from tyro._errors import on_parse_error
+except ImportError:  # tyro does not promise to keep it; without it, errors only say less
+    on_parse_error = contextlib.nullcontext  # type: ignore[assignment,misc]
 
 T = TypeVar("T")
 
 
 def parse(kind: type[T], args: Sequence[str], prog: str, default: Any = None, about: str = "") -> T:
     """Read `args` into a dataclass; InputError over bad flags, SystemExit(0) after --help."""
-    output = io.StringIO()
     extra = {} if default is None else {"default": default}
     config = (tyro.conf.OmitArgPrefixes,)
+
+    def refuse(event: Any) -> None:
+        reason = None
+        with contextlib.suppress(AttributeError, TypeError):  # where tyro's types have changed
+            reason = _reason(event, args, kind)
+        if reason:
+            raise InputError(f"{reason}; see {prog} --help")
+
     try:
-        with contextlib.redirect_stderr(output):
+        with on_parse_error(refuse), contextlib.redirect_stderr(io.StringIO()):
             return tyro.cli(kind, args=args, prog=prog, description=about, config=config, **extra)
     except SystemExit as stop:
         if stop.code in (0, None):
             raise
-        raise InputError(_one_line(output.getvalue())) from None
+        raise InputError(f"found flags that are not allowed; see {prog} --help") from None
 
 
 def peek(args: Sequence[str], flag: str, default: str) -> str:
@@ -34,19 +47,60 @@ def peek(args: Sequence[str], flag: str, default: str) -> str:
 
     As for every flag, the last one counts.
     """
-    found = [args[i + 1] for i, arg in enumerate(args[:-1]) if arg == flag]
-    found += [arg.partition("=")[2] for arg in args if arg.startswith(flag + "=")]
-    if "" in found:
+    found = _given(args, flag)
+    if found[:1] == [""]:
         raise InputError(f"{flag}: found nothing, expected a value")
-    return found[-1] if found else default
+    return found[0] if found else default
 
 
-def _one_line(boxed: str) -> str:
-    """The message of tyro's box: the text above its first rule."""
-    lines = [re.sub(r"[│╭╮╰╯]", " ", line).strip() for line in boxed.splitlines()]
-    message: list[str] = []
-    for line in lines[1:]:
-        if line and not line.strip("─"):
-            break
-        message.append(line)
-    return " ".join(" ".join(message).split()) or "bad flags; see --help"
+def at_least(flag: str, value: int, least: int) -> None:
+    """InputError for a smaller value."""
+    if value < least:
+        raise InputError(f"{flag}: found {value}, allowed {least} or more")
+
+
+def _reason(event: Any, args: Sequence[str], kind: type) -> str | None:
+    """What tyro's event says is wrong, found and allowed; None for one that is not known here."""
+    match type(event).__name__, vars(event):
+        case "UnrecognizedArgs", {"tokens": [token, *_]}:
+            flag = token.partition("=")[0].replace("_", "-")
+            similar = get_close_matches(flag, _names(kind), n=1, cutoff=0.8)
+            hint = f"did you mean {similar[0]}?" if similar else "which is no flag"
+            return f"found {token!r}, {hint}"
+        case "MissingArgs", {"missing_arguments": [missing, *_]}:
+            return f"found no {_name(missing.arg).upper()}"
+        case "InvalidChoice", {"argument": argument, "value": value, "choices": choices}:
+            return f"{_name(argument)}: found {value!r}, allowed: {', '.join(choices)}"
+        case "BadValue" | "InstantiationFailure", {"argument": argument} if argument is not None:
+            values = " ".join(_given(args, _name(argument)))
+            allowed = argument.lowered.metavar.replace("{None}|", "")
+            found = repr(values) if values else "no value"
+            return f"{_name(argument)}: found {found}, allowed {allowed}"
+        case "InstantiationFailure", {"message": message}:
+            return str(message)
+    return None
+
+
+def _names(kind: Any) -> Iterator[str]:
+    """The flags of a dataclass and of those in it."""
+    for name, hint in get_type_hints(kind).items():
+        yield from _names(hint) if is_dataclass(hint) else [f"--{name.replace('_', '-')}"]
+
+
+def _name(argument: Any) -> str:
+    """The flag, or the name of what has no flag."""
+    return str(argument.display_name()).partition("/")[0].rpartition(".")[2]
+
+
+def _given(args: Sequence[str], flag: str) -> list[str]:
+    """The values that were given to a flag, the last time."""
+    values: list[str] = []
+    is_flags = False
+    for arg in args:
+        name, equals, value = arg.partition("=")
+        if name.startswith("--"):
+            is_flags = name.replace("_", "-") == flag
+            values = [value] * bool(equals) if is_flags else values
+        elif is_flags:
+            values.append(arg)
+    return values

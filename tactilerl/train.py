@@ -31,7 +31,7 @@ COUNTS = ("episodes", *FAULTS, "updates")  # columns of progress.csv that are su
 def make_algorithm(config: RunConfig, comm: Communicator) -> tuple[algos.Algorithm, vector.Workers]:
     """The learner and its workers; InputError when they do not go together."""
     run = config.run
-    _, algorithm = algos.load(run.algo)
+    _, algorithm = algos.get(run.algo)
     with input_errors():
         config.validate()
         torch.set_num_threads(run.threads)

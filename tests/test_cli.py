@@ -1,5 +1,6 @@
 """The command: what it prints, what it refuses, and that a killed run goes on bit for bit."""
 
+import contextlib
 import csv
 import json
 import os
@@ -13,8 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import tyro
 
-from tactilerl import sealed
+from tactilerl import flags, sealed
 from tactilerl.cli import main
 from tactilerl.envs.vector import Workers
 
@@ -368,8 +370,13 @@ class TestBadInput:
             (["train", "--layout", "no.toml"], ["no.toml", "does not exist"]),
             (["train", "--run-type", "half"], ["'half'", "--run-type", "main"]),
             (["train", "--total-timesteps", "-5"], ["total_timesteps: found -5", "from 1 to"]),
-            (["train", "--gama", "0.9"], ["--gama"]),
-            (["train", "--gamma", "much"], ["--gamma", "much"]),
+            (["train", "--gama", "0.9"], ["found '--gama'", "did you mean --gamma?"]),
+            (["train", "more"], ["found 'more'", "is no flag", "tactilerl train --help"]),
+            (["train", "--gamma", "much"], ["--gamma: found 'much', allowed FLOAT"]),
+            (["train", "--steps_per_epoch=1.5"], ["--steps-per-epoch: found '1.5', allowed INT"]),
+            (["train", "--gamma"], ["--gamma: found no value, allowed FLOAT"]),
+            (["probe", "--closing", "0.1"], ["--closing: found '0.1', allowed {FLOAT FLOAT}"]),
+            (["evaluate"], ["found no RUN", "tactilerl evaluate --help"]),
             (["train", "--gamma", "nan"], ["gamma", "nan"]),
             (["train", "--device", "cuda:99"], ["device", "cuda:99"]),
             (["train", "--workers", "0"], ["workers: found 0, allowed from 1 to 256"]),
@@ -401,6 +408,15 @@ class TestBadInput:
     def test_one_clear_line(self, capsys, args, words):
         fails_with(capsys, args, *words)
         assert not Path("runs").exists()
+
+    def test_one_clear_line_when_tyro_reports_nothing(self, capsys, monkeypatch):
+        """Its reports are not of its stable interface: an upgrade may cost words, nothing else."""
+        monkeypatch.setattr(flags, "on_parse_error", contextlib.nullcontext)
+        fails_with(capsys, ["train", "--gama", "0.9"], "not allowed; see tactilerl train --help")
+        monkeypatch.undo()
+        renamed = type("Renamed", (tyro._errors.UnrecognizedArgs,), {})
+        monkeypatch.setattr("tyro._errors.UnrecognizedArgs", renamed)
+        fails_with(capsys, ["train", "--gama", "0.9"], "not allowed; see tactilerl train --help")
 
     def test_malformed_layout_file(self, capsys):
         Path("mine.toml").write_text("[[patch]]\ndigits = 3\n")

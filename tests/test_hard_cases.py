@@ -1,4 +1,4 @@
-"""The physics under what it was not made for: benchmarks/hard_cases.py, few steps of each case."""
+"""The physics under what it was not made for: the benchmark hard_cases, few steps of each case."""
 
 import importlib
 import json
@@ -11,7 +11,7 @@ import pytest
 
 from tactilerl.envs.grasp import GraspEnv, setup
 
-SCRIPT = Path(__file__).resolve().parents[1] / "benchmarks" / "hard_cases.py"
+ROOT = Path(__file__).resolve().parents[1]
 PAIRS = [(hand, simulator) for hand in ("shadow", "mpl") for simulator in ("mujoco", "pybullet")]
 
 
@@ -19,10 +19,9 @@ PAIRS = [(hand, simulator) for hand in ("shadow", "mpl") for simulator in ("mujo
 @pytest.mark.parametrize(("hand", "simulator"), PAIRS)
 def test_every_case_stays_within_its_stated_limits(hand, simulator, steps, tmp_path):
     out = tmp_path / "hard.json"
-    command = [sys.executable, str(SCRIPT), "--hand", hand, "--simulator", simulator]
-    result = subprocess.run(
-        [*command, "--steps", str(steps), "--out", str(out)], capture_output=True, text=True
-    )
+    command = [sys.executable, "-m", "benchmarks", "hard_cases", "--hand", hand]
+    command += ["--simulator", simulator, "--steps", str(steps), "--out", str(out)]
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert result.returncode == 0, result.stdout + result.stderr
     rows = json.loads(out.read_text())[f"{hand} in {simulator}"]
     assert len(rows) >= 22
@@ -34,8 +33,8 @@ def test_every_case_stays_within_its_stated_limits(hand, simulator, steps, tmp_p
 
 @pytest.fixture
 def hard_cases(monkeypatch):
-    monkeypatch.syspath_prepend(SCRIPT.parent)
-    return importlib.import_module("hard_cases")
+    monkeypatch.syspath_prepend(ROOT)
+    return importlib.import_module("benchmarks.physics.hard_cases")
 
 
 def worst(hard_cases, case, steps=5):

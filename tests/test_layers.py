@@ -21,7 +21,7 @@ ALLOWED = {
     "torch": ("algos/", "tactilerl/", "benchmarks/"),
     "tyro": (
         "tactilerl/flags.py",
-        "tactilerl/commands.py",
+        "tactilerl/commands/",
         "tactilerl/probe/command.py",
         "tactilerl/study/command.py",
     ),

@@ -5,7 +5,7 @@ import pytest
 
 from tactilerl.envs import hands, layouts
 
-HAND = hands.load("shadow")
+HAND = hands.get("shadow")
 COUNTS = {"1": 139, "2": 79, "3": 64, "4": 79, "5": 19, "6": 19}
 
 
@@ -16,7 +16,7 @@ def test_paper_counts(name, count):
 
 def test_a_hand_carries_taxels_on_the_fingers_it_has():
     """Three phalanges on each of four fingers, and three bases of fingers on the palm."""
-    hand = hands.load("allegro")
+    hand = hands.get("allegro")
     assert len(hand.fingertips) == 4
     per_phalanx = {"1": 9, "2": 5, "3": 4, "4": 5, "5": 1, "6": 1}
     for name, n in per_phalanx.items():

@@ -9,7 +9,7 @@ from sklearn.metrics import balanced_accuracy_score, r2_score, roc_auc_score
 
 from tactilerl.algos.mpi import Communicator
 from tactilerl.cli import main
-from tactilerl.envs import GRASP_ENVS, hands, layouts, vector
+from tactilerl.envs import hands, layouts, vector
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.touch import SkinTouch
 from tactilerl.probe import estimators, files, metrics, places, selection
@@ -120,7 +120,7 @@ class TestReadings:
         assert np.array_equal(read, np.array(felt))
 
     def test_object_in_the_hand_does_not_depend_on_where_the_hand_is(self):
-        hand = hands.load("mpl")
+        hand = hands.get("mpl")
         records = synthetic(hand, [0, 1])
         before = Grasps(hand, records).object_in_hand()
         turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
@@ -137,7 +137,7 @@ class TestReadings:
 class TestPlaces:
     @pytest.mark.parametrize("hand", hands.HANDS)
     def test_a_layout_written_from_its_places_is_the_same_layout(self, hand, tmp_path):
-        hand = hands.load(hand)
+        hand = hands.get(hand)
         for layout in (layouts.load("1"), layouts.load("6"), places.dense_skin(hand, 0.004)):
             placed = layout.place(hand)
             spots = places.of(placed, hand)
@@ -151,7 +151,7 @@ class TestPlaces:
             assert np.allclose(again.positions[order], placed.positions, atol=2e-7)
 
     def test_the_skin_covers_the_phalanges_from_end_to_end(self):
-        hand = hands.load("shadow")
+        hand = hands.get("shadow")
         middle = next(s for s in hand.surfaces if s.digit == "thumb" and s.segment == "middle")
         rows = {
             (place.row, place.column)
@@ -185,7 +185,7 @@ class TestEarlyVerdict:
         assert n_steps["settled"] < 0.8 * n_steps["full"]
 
 
-@pytest.mark.parametrize("hand", GRASP_ENVS)
+@pytest.mark.parametrize("hand", hands.HANDS)
 def test_every_hand_can_be_asked(hand):
     playing = Playing(env=hand)
     playing.validate()
@@ -300,7 +300,7 @@ def one_taxel(tmp_path, monkeypatch):
     of 10; in a working directory of its own."""
     monkeypatch.chdir(tmp_path)
     touches = np.arange(100) % 2 == 0
-    records = synthetic(hands.load("shadow"), touches)
+    records = synthetic(hands.get("shadow"), touches)
     records["held"] = touches ^ (np.arange(100) // 2 % 10 == 0)
     write(tmp_path / "grasps.npz", records)
     return tmp_path / "grasps.npz"
@@ -329,10 +329,10 @@ class TestAnalysis:
         bits = row(found, "joints+taxels", "bits", "5")["value"]
         assert bits == pytest.approx(1 - entropy, abs=0.06)
         (place,) = found["selection"]["places"]
-        surface = hands.load("shadow").surfaces[place["surface"]]
+        surface = hands.get("shadow").surfaces[place["surface"]]
         assert (surface.digit, surface.segment) == TOUCHED
         assert found["selection"]["curve"][0]["gain"] == pytest.approx(told["gain"], abs=0.03)
-        placed = layouts.load("selected_1.toml").place(hands.load("shadow"))
+        placed = layouts.load("selected_1.toml").place(hands.get("shadow"))
         assert [name.partition("[")[0] for name in placed.names] == [".".join(TOUCHED)]
         bits = found["worth"]["bits"]
         assert int(np.argmax(bits)) == found["worth"]["places"].index(place)
@@ -422,7 +422,7 @@ class TestBadInput:
         one_taxel.write_bytes(b"no zip")
         assert "no whole file of grasps" in error(capsys, "--from", str(one_taxel))
         assert one_taxel.read_bytes() == b"no zip"
-        records = synthetic(hands.load("shadow"), [0, 1])
+        records = synthetic(hands.get("shadow"), [0, 1])
         del records["link_positions"]
         write(one_taxel, records)
         assert "link_positions is missing" in error(capsys, "--from", str(one_taxel))
@@ -435,7 +435,7 @@ class TestBadInput:
         assert "skin: found 'xmm'" in error(capsys, "--select", "3", "--skin", "xmm")
 
     def test_fewer_grasps_than_folds_and_all_alike(self, one_taxel, capsys):
-        records = synthetic(hands.load("shadow"), np.arange(20) < 3)
+        records = synthetic(hands.get("shadow"), np.arange(20) < 3)
         write(one_taxel, records)
         assert "folds: found 5, allowed up to 3" in error(
             capsys, "--from", str(one_taxel), "--layout", "5"
@@ -468,7 +468,7 @@ class TestBadInput:
 
 def test_the_settings_are_those_of_the_environments_own_touch():
     """SkinTouch reads many grasps at once as it reads each."""
-    hand = hands.load("shadow")
+    hand = hands.get("shadow")
     taxels = layouts.load("1").place(hand)
     grasps = Grasps(hand, synthetic(hand, [1, 0, 1]))
     felt = grasps.feel(taxels)

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.pybullet
 
 def make_scene(hand, **choices):
     defaults = dict(
-        hand=hands.load(hand), shape=objects.cube(0.05), mass=0.1, friction=1.0,
+        hand=hands.get(hand), shape=objects.cube(0.05), mass=0.1, friction=1.0,
         timestep=1 / 240, finger_gain=1.0,
     )  # fmt: skip
     return simulators.Scene(**{**defaults, **choices})
@@ -27,7 +27,7 @@ def make_scene(hand, **choices):
 @pytest.fixture(params=HANDS)
 def pair(request):
     """The same scene in MuJoCo and in PyBullet."""
-    made = [simulators.load(name, make_scene(request.param)) for name in BOTH]
+    made = [simulators.make(name, make_scene(request.param)) for name in BOTH]
     yield made
     for simulator in made:
         simulator.close()
@@ -90,7 +90,7 @@ class TestKinematics:
 class TestPhysics:
     @pytest.mark.parametrize("simulator", BOTH)
     def test_free_fall(self, simulator):
-        made = simulators.load(simulator, make_scene("mpl"))
+        made = simulators.make(simulator, make_scene("mpl"))
         made.reset(made.scene.hand.start_positions(), np.array([0.3, 0.3, 1.0]), 0.0)
         made.step(made.scene.hand.start_targets(), 48)
         fallen = 0.5 * 9.81 * 0.2**2
@@ -100,7 +100,7 @@ class TestPhysics:
     @pytest.mark.parametrize("simulator", BOTH)
     @pytest.mark.parametrize("hand", HANDS)
     def test_the_hand_hangs_still_without_touching_anything(self, simulator, hand):
-        made = simulators.load(simulator, make_scene(hand))
+        made = simulators.make(simulator, make_scene(hand))
         start = made.scene.hand.start_positions()
         made.reset(start, np.array([0.4, 0.4, 0.025]), 0.0)
         made.step(made.scene.hand.start_targets(), 240)
@@ -334,7 +334,7 @@ class TestPyBullet:
 
 class TestMPL:
     def test_figures_of_the_model(self):
-        model = hands.load("mpl").build(False, 1.0).compile()
+        model = hands.get("mpl").build(False, 1.0).compile()
         assert (model.nbody, model.njnt, model.nu) == (22, 22, 22)
         assert model.body("palm").mass[0] == 0.119867
         assert model.joint("thumb_DIP").range.tolist() == [-0.819, 1.28]
@@ -342,14 +342,14 @@ class TestMPL:
         assert pinky[0] == 0.00765
 
     def test_gain_scales_servos(self):
-        plain, strong = (hands.load("mpl").build(False, gain).compile() for gain in (1.0, 3.0))
+        plain, strong = (hands.get("mpl").build(False, gain).compile() for gain in (1.0, 3.0))
         for name in ("index_MCP", "thumb_ABD"):
             a, b = plain.actuator(name), strong.actuator(name)
             np.testing.assert_allclose(b.forcerange, 3 * a.forcerange)
             np.testing.assert_allclose(b.gainprm, 3 * a.gainprm)
 
     def test_actions_are_increments_within_limits(self):
-        hand = hands.load("mpl")
+        hand = hands.get("mpl")
         action, start = hand.action_map, hand.start_targets()
         names = list(hand.actuated)
         np.testing.assert_allclose(action(np.zeros(7), start), start, atol=1e-15)
@@ -374,7 +374,7 @@ class TestMPL:
 
     def test_joints_flex_towards_the_palmar_side(self):
         """Closing moves every fingertip down, towards the object, in both simulators' frame."""
-        made = simulators.load("mujoco", make_scene("mpl"))
+        made = simulators.make("mujoco", make_scene("mpl"))
         hand = made.scene.hand
         place = np.array([0.4, 0.4, 0.025])
         made.reset(hand.start_positions(), place, 0.0)

@@ -101,7 +101,7 @@ def test_a_link_that_does_not_touch_is_silent_whatever_another_feels():
 @pytest.mark.parametrize("hand", hands.HANDS)
 def test_skin_is_the_shape_that_the_simulators_collide(hand):
     """A phalanx is one capsule around its bone; the disc of a palm taxel lies on a box's face."""
-    hand = hands.load(hand)
+    hand = hands.get(hand)
     model = hand.build(False, 1.0).compile()
     for surface in hand.surfaces:
         geoms = np.flatnonzero(model.geom_bodyid == model.body(surface.link).id)

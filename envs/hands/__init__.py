@@ -153,7 +153,7 @@ class Hand:
     """One hand, palm down above the origin of the world.
 
     The first three joints and actuators are the slides of the whole hand along the world's
-    x, y and z axes, in m, zero where the hand starts over an object no wider than ``reach``.
+    x, y and z axes, in m, zero where the hand starts over an object no wider than ``start_clearance``.
     """
 
     name: str
@@ -183,24 +183,25 @@ class Hand:
     """Joint positions at reset that are not zero, rad or m."""
     observation: tuple[str, ...] = ()
     """Names of the observation's terms, in order (`GraspEnv.observation_names`)."""
-    reach: float = 0.05
+    start_clearance: float = 0.05
     """Edge of the largest cube that lies free of the hand at the start, m. Over what is higher the
-    hand hangs higher; over what is wider it starts further up its slide (`over`)."""
+    hand hangs higher; over what is wider it starts further up its slide (`start_above`)."""
     added_inertia: float = 1e-4
     """Rotational inertia that every link gets in Bullet, kg m²: the solver needs it, and the value
     is the one that comes nearest to small timesteps (docs/accuracy_and_speed.md)."""
     grasps: tuple[ScriptedGrasp, ...] = ()
 
-    def over(self, width: float, height: float) -> Hand:
+    def start_above(self, width: float, height: float) -> Hand:
         """The hand as it starts over an object of these measures, m.
 
-        What is wider than `reach` does not lie free between the fingers. Nothing of the hand is
-        below the ground at the start, so raised by the object's height it is free of the object.
-        The part of that above `reach` is in how high the hand hangs, whatever the width.
+        What is wider than `start_clearance` does not lie free between the fingers. Nothing of the
+        hand is below the ground at the start, so raised by the object's height it is free of the
+        object. The part of that above `start_clearance` is in how high the hand hangs, whatever the
+        width.
         """
-        if width <= self.reach:
+        if width <= self.start_clearance:
             return self
-        return replace(self, start={**self.start, SLIDES[2]: min(height, self.reach)})
+        return replace(self, start={**self.start, SLIDES[2]: min(height, self.start_clearance)})
 
     def start_positions(self) -> Array:
         """Joint positions at reset in the order of ``joints``, shape (n_joints,)."""
@@ -216,7 +217,7 @@ class Registration:
     """A hand that can be asked for by name; its module of that name has a function ``hand``."""
 
     id: str
-    """Of its environment in Gymnasium's registry."""
+    """Of its environment in Gymnasium's registry; by name it is `make(name)`."""
     scene: dict[str, Any] = field(default_factory=dict)
     """What its scene says differently from the defaults of `GraspConfig`."""
     closing: tuple[float, float] = (0.5, 0.9)
@@ -241,7 +242,7 @@ HANDS = {
 }
 
 
-def load(name: str) -> Hand:
+def get(name: str) -> Hand:
     """The hand called `name`; its model is read from disk only when it is built."""
     if name not in HANDS:
         raise ValueError(f"unknown hand {name!r}; allowed: {', '.join(HANDS)}")

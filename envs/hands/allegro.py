@@ -12,12 +12,11 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from . import SEGMENTS, SLIDES, Hand, LinearAction, Pitch, ScriptedGrasp, Surface
-from .figures import LOOKS, add_bodies, joints, phalanx, read
+from . import SEGMENTS, SLIDES, Hand, LinearAction, Pitch, ScriptedGrasp, Surface, figures
 from .servos import add_servo, add_slides
 
-FIGURES = read(Path(__file__).with_name("allegro.toml"))
-JOINTS = joints(FIGURES)
+FIGURES = figures.read(Path(__file__).with_name("allegro.toml"))
+JOINTS = figures.joints(FIGURES)
 FINGERS = ("index", "middle", "ring")
 DIGITS = ("thumb", *FINGERS)
 DENSITY = 800.0  # kg/m³, the source's
@@ -51,32 +50,27 @@ def build(visual: bool = False, finger_gain: float = 1.0) -> mujoco.MjSpec:
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.modelname = "allegro"
-    palm = add_bodies(spec, FIGURES, FINGER_DAMPING, FINGER_ARMATURE, DENSITY)
+    palm = figures.add_bodies(spec, FIGURES, FINGER_DAMPING, FINGER_ARMATURE, DENSITY)
     palm.pos = START
     axes = ([0, 1, 0], [0, 0, -1], [-1, 0, 0])  # of the world, in the palm's frame
     add_slides(spec, palm, axes, SLIDE_GAIN, SLIDE_DAMPING, SLIDE_FORCE)
     centre, half_size = PALM_BOX
     box = mujoco.mjtGeom.mjGEOM_BOX
-    palm.add_geom(type=box, pos=centre, size=half_size, density=DENSITY, **LOOKS)
+    palm.add_geom(type=box, pos=centre, size=half_size, density=DENSITY, **figures.LOOKS)
     for joint in JOINTS:
         add_servo(spec, joint, FINGER_GAIN * finger_gain, FINGER_TORQUE * finger_gain)
     return spec
 
 
-DISTAL_SHIFT = {"proximal": 0.0, "middle": 0.0, "distal": 0.0075}  # m towards the tip
+DISTAL_SHIFT = {"distal": 0.0075}  # m towards the tip
 
 
 def _surfaces() -> tuple[Surface, ...]:
-    phalanges = [
-        phalanx(digit, segment, FIGURES[f"{digit}{number}"], DISTAL_SHIFT[segment])
-        for digit in DIGITS
-        for number, segment in enumerate(SEGMENTS, start=1)
-    ]
     palm = [
         Surface(finger, "palm", "palm", (PALM_FACE, y, -BELOW_BASES), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
         for finger, y in PALM_TAXELS.items()
     ]
-    return (*phalanges, *palm)
+    return (*figures.phalanges(FIGURES, DISTAL_SHIFT), *palm)
 
 
 def _start() -> dict[str, float]:
@@ -101,17 +95,12 @@ GRASPS = (_grasp(0.05, (-0.031, 0.059, 0.072), (1.105, 0.665, 0.761), (1.334, 0.
 
 def hand() -> Hand:
     """The Allegro Hand with 3 slides and 16 joints, each of which is an action."""
-    names = (*SLIDES, *JOINTS)
     ranges = np.array([body["range"] for body in FIGURES.values() if "joint" in body])
-    return Hand(
-        name="allegro",
+    return figures.hand(
+        "allegro",
+        FIGURES,
         build=build,
-        joints=names,
-        actuators=names,
-        actuated=names,
-        palm="palm",
         palm_point=PALM_POINT,
-        fingertips=tuple((f"{d}3", tuple(FIGURES[f"{d}3"]["capsule"][3:])) for d in DIGITS),
         surfaces=_surfaces(),
         pitch=Pitch(
             rows=dict.fromkeys(SEGMENTS, 6e-3), column=6.5e-3, radius=2e-3, large_radius=3.8e-3
@@ -120,7 +109,7 @@ def hand() -> Hand:
             centre=np.concatenate([SLIDE_CENTRE, ranges.mean(axis=1)]),
             half_range=np.concatenate([SLIDE_HALF_RANGE, np.ptp(ranges, axis=1) / 2]),
         ),
-        action_names=names,
+        action_names=(*SLIDES, *JOINTS),
         first_joints=tuple(f"{digit}_0" for digit in DIGITS),
         start=_start(),
         observation=(

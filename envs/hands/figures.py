@@ -16,7 +16,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from . import Surface
+from . import DIGITS, SEGMENTS, SLIDES, Hand, Surface
 
 # contype without conaffinity: touches the object and the ground, not the hand itself.
 LOOKS = {"contype": 1, "conaffinity": 0, "rgba": [0.75, 0.76, 0.8, 1.0]}
@@ -33,6 +33,21 @@ def read(path: Path) -> Figures:
 def joints(figures: Figures) -> tuple[str, ...]:
     """The hinges, in the order of the bodies."""
     return tuple(body["joint"] for body in figures.values() if "joint" in body)
+
+
+def hand(name: str, figures: Figures, **more: Any) -> Hand:
+    """A hand of these bodies: each joint has an actuator of its name, and digits end in body 3."""
+    names = (*SLIDES, *joints(figures))
+    tips = [f"{digit}3" for digit in DIGITS if f"{digit}3" in figures]
+    return Hand(
+        name=name,
+        joints=names,
+        actuators=names,
+        actuated=names,
+        palm="palm",
+        fingertips=tuple((tip, tuple(figures[tip]["capsule"][3:])) for tip in tips),
+        **more,
+    )
 
 
 def add_bodies(
@@ -74,7 +89,17 @@ def _add_body(
     return body
 
 
-def phalanx(digit: str, segment: str, figure: dict[str, Any], shift: float) -> Surface:
+def phalanges(figures: Figures, shifts: dict[str, float]) -> list[Surface]:
+    """The palmar sides of bodies 1 to 3 of every digit, with the `shifts` (m) of their segments."""
+    return [
+        _phalanx(digit, segment, figures[f"{digit}{number}"], shifts.get(segment, 0.0))
+        for digit in DIGITS
+        for number, segment in enumerate(SEGMENTS, start=1)
+        if f"{digit}{number}" in figures
+    ]
+
+
+def _phalanx(digit: str, segment: str, figure: dict[str, Any], shift: float) -> Surface:
     """The palmar side of a body, the grid `shift` m from the capsule's middle towards the tip."""
     ends = np.array(figure["capsule"]).reshape(2, 3)
     along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])

@@ -16,13 +16,11 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from . import DIGITS, SEGMENTS, SLIDES, ClosingAction, Hand, Pitch, ScriptedGrasp, Surface
-from .figures import LOOKS, add_bodies, phalanx, read
-from .figures import joints as hinges
+from . import DIGITS, SEGMENTS, SLIDES, ClosingAction, Hand, Pitch, ScriptedGrasp, Surface, figures
 from .servos import add_servo, add_slides
 
-FIGURES = read(Path(__file__).with_name("mpl.toml"))
-JOINTS = hinges(FIGURES)
+FIGURES = figures.read(Path(__file__).with_name("mpl.toml"))
+JOINTS = figures.joints(FIGURES)
 FINGERS = DIGITS[1:]
 GROUPS = (("thumb", "little"), ("index",), ("middle",), ("ring",))
 # Joint angles at the open and the closed end of the trajectories, rad; other joints stay at 0.
@@ -74,11 +72,11 @@ def build(visual: bool = False, finger_gain: float = 1.0) -> mujoco.MjSpec:
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.modelname = "mpl"
-    palm = add_bodies(spec, FIGURES, FINGER_DAMPING, FINGER_ARMATURE)
+    palm = figures.add_bodies(spec, FIGURES, FINGER_DAMPING, FINGER_ARMATURE)
     palm.pos = START
     add_slides(spec, palm, np.eye(3).tolist(), SLIDE_GAIN, SLIDE_DAMPING, SLIDE_FORCE)
     for centre, half_size in PALM_BOXES:
-        palm.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, pos=centre, size=half_size, **LOOKS)
+        palm.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, pos=centre, size=half_size, **figures.LOOKS)
     for joint in JOINTS:
         limit = FINGER_FORCE * _lever(joint)
         add_servo(spec, joint, FINGER_GAIN * finger_gain, limit * finger_gain)
@@ -122,20 +120,11 @@ def _action() -> ClosingAction:
     )
 
 
-DISTAL_SHIFT = 0.0075  # m towards the tip
+DISTAL_SHIFT = {"distal": 0.0075}  # m towards the tip
 
 
 def _surfaces() -> tuple[Surface, ...]:
-    surfaces = [
-        phalanx(
-            digit,
-            segment,
-            FIGURES[f"{digit}{number}"],
-            shift=DISTAL_SHIFT if segment == "distal" else 0.0,
-        )
-        for digit in DIGITS
-        for number, segment in enumerate(SEGMENTS, start=1)
-    ]
+    surfaces = figures.phalanges(FIGURES, DISTAL_SHIFT)
     for finger, centre in PALM_TAXELS.items():
         surfaces.append(Surface(finger, "palm", "palm", centre, (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)))
     return tuple(surfaces)
@@ -162,15 +151,11 @@ def hand() -> Hand:
     start = action.open.copy()
     for group, closing in zip(action.groups, START_CLOSING, strict=True):
         start[group] += closing * (action.closed - action.open)[group]
-    return Hand(
-        name="mpl",
+    return figures.hand(
+        "mpl",
+        FIGURES,
         build=build,
-        joints=names,
-        actuators=names,
-        actuated=names,
-        palm="palm",
         palm_point=PALM_POINT,
-        fingertips=tuple((f"{digit}3", tuple(FIGURES[f"{digit}3"]["capsule"][3:])) for digit in DIGITS),
         surfaces=_surfaces(),
         pitch=Pitch(
             rows=dict.fromkeys(SEGMENTS, 4.5e-3), column=6.5e-3, radius=2e-3, large_radius=3.8e-3

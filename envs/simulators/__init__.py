@@ -158,7 +158,7 @@ SIMULATORS = {
 }
 
 
-def load(name: str, scene: Scene) -> Simulator:
+def make(name: str, scene: Scene) -> Simulator:
     """A running scene; the simulator's package is imported here and not before."""
     if name not in SIMULATORS:
         raise ValueError(f"unknown simulator {name!r}; allowed: {', '.join(SIMULATORS)}")

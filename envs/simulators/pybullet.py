@@ -73,8 +73,8 @@ class PyBulletSimulator:
         points = [(hand.palm, hand.palm_point), *hand.fingertips]
         self._point_links = tuple(body for body, _ in points)
         self._points = np.array([point for _, point in points])
-        felt = scene.contact_taxels
-        self._taxels = None if felt is None else taxel_points(felt)
+        taxels = scene.contact_taxels
+        self._taxels = None if taxels is None else taxel_points(taxels)
         self._painter: MujocoSimulator | None = None
 
     def __reduce__(self) -> Any:
@@ -185,8 +185,8 @@ class PyBulletSimulator:
         self._check()
 
     def _check(self) -> None:
-        thing, (positions, velocities) = self.object_state(), self.joint_state()
-        if not math.isfinite(thing.position.sum() + positions.sum() + velocities.sum()):
+        obj, (positions, velocities) = self.object_state(), self.joint_state()
+        if not math.isfinite(obj.position.sum() + positions.sum() + velocities.sum()):
             raise SimulationError("PyBullet's state is not finite")
 
     def _step(self, joint_targets: Array, n_substeps: int) -> None:
@@ -256,9 +256,9 @@ class PyBulletSimulator:
         """Drawn by MuJoCo's renderer: one look for both simulators."""
         if self._painter is None:
             self._painter = MujocoSimulator(self.scene)
-        scene, thing = self.scene, self.object_state()
+        scene, obj = self.scene, self.object_state()
         self._painter.change_object(scene.shape, scene.mass, scene.friction)
-        self._painter.place(self.joint_state()[0], thing.position, thing.orientation)
+        self._painter.place(self.joint_state()[0], obj.position, obj.orientation)
         return self._painter.render(camera, taxels, lit)
 
     def close(self) -> None:

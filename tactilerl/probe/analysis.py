@@ -16,9 +16,10 @@ import numpy as np
 from joblib import Parallel, delayed
 from threadpoolctl import threadpool_limits
 
+from ..envs.hands import Array
 from . import estimators, metrics
 from .faults import noisy_angles
-from .metrics import Array, Metric
+from .metrics import Metric
 from .readings import Grasps
 
 JOINTS, SIGHT = "joints", "joints+sight"
@@ -53,12 +54,12 @@ class Question:
     truth: Array
     predict: Callable[[Array], Array]
     """From features (n, d) to predictions of grasps that were held back."""
-    is_asked: Callable[[str], bool] = lambda told: True
-    """Of those who are told this?"""
+    is_asked: Callable[[str], bool] = lambda inputs: True
+    """Of those who are given these inputs?"""
 
 
-class Told(NamedTuple):
-    """What a classifier is told."""
+class Inputs(NamedTuple):
+    """What a classifier is given."""
 
     noise: float
     """Of the joint angles, rad."""
@@ -70,7 +71,7 @@ class Cell(NamedTuple):
     """One answer: to which question, and by whom."""
 
     question: str
-    told: Told
+    inputs: Inputs
 
 
 Samples = Mapping[tuple[Cell, Metric], Array]
@@ -119,8 +120,8 @@ def questions(grasps: Grasps, kept: list[estimators.Fold], choices: Choices) -> 
     return asked
 
 
-def _is_blind(told: str) -> bool:
-    return "sight" not in told
+def _is_blind(inputs: str) -> bool:
+    return "sight" not in inputs
 
 
 def _turns(
@@ -132,8 +133,8 @@ def _turns(
     return np.arctan2(found[:, 1], found[:, 0])[:, None] / parts
 
 
-class Teller:
-    """Makes the features of whatever a classifier is told."""
+class FeatureBuilder:
+    """Makes features (n, d) of what a classifier is given."""
 
     def __init__(self, grasps: Grasps, readings: Mapping[str, Array], seed: int) -> None:
         """`readings` by layout, bool (n, taxels)."""
@@ -144,33 +145,33 @@ class Teller:
         """Joint angles with noise, rad."""
         return noisy_angles(self._angles, noise, np.random.default_rng([self._seed, NOISE]))
 
-    def features(self, told: Told) -> Array:
+    def features(self, inputs: Inputs) -> Array:
         """(n, d)"""
-        known = told.what.split("+")
-        parts = [self.angles(told.noise)] if "joints" in known else []
-        parts += [self._readings[str(told.layout)].astype(float)] if "taxels" in known else []
+        known = inputs.what.split("+")
+        parts = [self.angles(inputs.noise)] if "joints" in known else []
+        parts += [self._readings[str(inputs.layout)].astype(float)] if "taxels" in known else []
         parts += [self._sight] if "sight" in known else []
         return np.concatenate(parts, axis=1)
 
 
-def everybody(layouts: Sequence[str], noises: Sequence[float]) -> list[Told]:
-    """All that are told something else. Taxels alone do not hear of joint noise."""
-    told = [Told(noises[0], ALONE, layout) for layout in layouts]
+def all_inputs(layouts: Sequence[str], noises: Sequence[float]) -> list[Inputs]:
+    """All that are compared. Joint noise does not matter to taxels alone."""
+    inputs = [Inputs(noises[0], ALONE, layout) for layout in layouts]
     for noise in noises:
-        told += [Told(noise, JOINTS), Told(noise, SIGHT)]
-        told += [Told(noise, what, layout) for what in (TAXELS, BOTH) for layout in layouts]
-    return told
+        inputs += [Inputs(noise, JOINTS), Inputs(noise, SIGHT)]
+        inputs += [Inputs(noise, what, layout) for what in (TAXELS, BOTH) for layout in layouts]
+    return inputs
 
 
 def ask(
-    asked: Sequence[Question], told: Sequence[Told], teller: Teller, jobs: int
+    asked: Sequence[Question], inputs: Sequence[Inputs], builder: FeatureBuilder, jobs: int
 ) -> dict[Cell, Array]:
     """Everybody's predictions. Threads share the data, and the models let go of the GIL; with one
     thread each, so that the digits do not depend on how many cores there are."""
-    pairs = [(q, t) for q, t in itertools.product(asked, told) if q.is_asked(t.what)]
+    pairs = [(q, t) for q, t in itertools.product(asked, inputs) if q.is_asked(t.what)]
     with threadpool_limits(1):
         predictions = Parallel(jobs, prefer="threads")(
-            delayed(lambda q, t: q.predict(teller.features(t)))(q, t) for q, t in pairs
+            delayed(lambda q, t: q.predict(builder.features(t)))(q, t) for q, t in pairs
         )
     return {Cell(q.name, t): p for (q, t), p in zip(pairs, predictions, strict=True)}
 
@@ -198,10 +199,10 @@ def bootstrap(n: int, choices: Choices) -> Array:
 
 def gain_samples(samples: Samples, cell: Cell, metric: Metric) -> Array | None:
     """What `cell` knows beyond its control: better is above 0; None without a control."""
-    told = cell.told
-    if told.what not in CONTROL:
+    inputs = cell.inputs
+    if inputs.what not in CONTROL:
         return None
-    control = Cell(cell.question, Told(told.noise, CONTROL[told.what]))
+    control = Cell(cell.question, Inputs(inputs.noise, CONTROL[inputs.what]))
     return _sign(metric) * (samples[cell, metric] - samples[control, metric])
 
 
@@ -216,9 +217,9 @@ def table(samples: Samples) -> list[dict[str, Any]]:
         row = {
             "question": cell.question,
             "metric": metric.name,
-            "joint_noise": cell.told.noise,
-            "told": cell.told.what,
-            "layout": cell.told.layout,
+            "joint_noise": cell.inputs.noise,
+            "told": cell.inputs.what,
+            "layout": cell.inputs.layout,
             "value": metrics.number(values[0]),
             "interval": metrics.interval(values[1:]),
         }
@@ -230,18 +231,18 @@ def table(samples: Samples) -> list[dict[str, Any]]:
 
 
 def differences(samples: Samples, layouts: Sequence[str]) -> list[dict[str, Any]]:
-    """Every two layouts, told with the joints, by each question's first measure; p-values of one
+    """Every two layouts, given with the joints, by each question's first measure; p-values of one
     question at one noise are corrected together (Holm)."""
     rows = []
-    cells = [(cell, metric) for cell, metric in samples if cell.told.what == TAXELS]
+    cells = [(cell, metric) for cell, metric in samples if cell.inputs.what == TAXELS]
     first: dict[str, Metric] = {}
     for cell, metric in cells:
         first.setdefault(cell.question, metric)
-    noises = list(dict.fromkeys(cell.told.noise for cell, _ in cells))
+    noises = list(dict.fromkeys(cell.inputs.noise for cell, _ in cells))
     for (question, metric), noise in itertools.product(first.items(), noises):
         family: list[dict[str, Any]] = []
         for a, b in itertools.combinations(layouts, 2):
-            one, other = (samples[Cell(question, Told(noise, TAXELS, x)), metric] for x in (a, b))
+            one, other = (samples[Cell(question, Inputs(noise, TAXELS, x)), metric] for x in (a, b))
             way = _sign(metric) * (one - other)
             family.append(
                 {
@@ -260,12 +261,12 @@ def hold_gains(
 ) -> dict[tuple[float, str], Array]:
     """Gain in AUC (1 + resamples,) of each layout over the joints, by (noise, layout)."""
     asked = [hold_question(grasps.held, kept_folds(grasps, choices), choices.estimator)]
-    told = [Told(noise, JOINTS) for noise in choices.joint_noise]
-    told += [Told(noise, TAXELS, name) for noise in choices.joint_noise for name in readings]
-    predicted = ask(asked, told, Teller(grasps, readings, choices.seed), choices.jobs)
+    inputs = [Inputs(noise, JOINTS) for noise in choices.joint_noise]
+    inputs += [Inputs(noise, TAXELS, name) for noise in choices.joint_noise for name in readings]
+    predicted = ask(asked, inputs, FeatureBuilder(grasps, readings, choices.seed), choices.jobs)
     samples = measured(asked, predicted, bootstrap(len(grasps), choices), choices.jobs)
     gains = {}
-    for t in told:
+    for t in inputs:
         gain = gain_samples(samples, Cell("hold", t), metrics.AUC)
         if gain is not None:
             gains[t.noise, str(t.layout)] = gain
@@ -286,7 +287,7 @@ def learning_curve(
             continue
         rows += [_point(n, *key, gain) for key, gain in gains.items()]
     for noise, layout in itertools.product(choices.joint_noise, readings):
-        gain = gain_samples(samples, Cell("hold", Told(noise, TAXELS, layout)), metrics.AUC)
+        gain = gain_samples(samples, Cell("hold", Inputs(noise, TAXELS, layout)), metrics.AUC)
         assert gain is not None
         rows.append(_point(len(grasps), noise, layout, gain))
     return rows
@@ -304,8 +305,8 @@ def shuffled_gain(grasps: Grasps, layout: str, readings: Array, choices: Choices
 
     rng = np.random.default_rng([choices.seed, SHUFFLE])
     noise = choices.joint_noise[0]
-    teller = Teller(grasps, {layout: readings}, choices.seed)
-    told = [Told(noise, JOINTS), Told(noise, TAXELS, layout)]
+    builder = FeatureBuilder(grasps, {layout: readings}, choices.seed)
+    inputs = [Inputs(noise, JOINTS), Inputs(noise, TAXELS, layout)]
     gains, asked, shuffles = [], [], choices.shuffles
     for number in range(shuffles):
         held = rng.permutation(grasps.held)
@@ -313,10 +314,10 @@ def shuffled_gain(grasps: Grasps, layout: str, readings: Array, choices: Choices
         kept = estimators.folds(held, choices.folds, groups, choices.seed)
         question = hold_question(held, kept, choices.estimator)
         asked.append(Question(f"shuffled {number}", (metrics.AUC,), held, question.predict))
-    predicted = ask(asked, told, teller, choices.jobs)
+    predicted = ask(asked, inputs, builder, choices.jobs)
     samples = measured(asked, predicted, np.ones((0, len(grasps)), np.uint8), choices.jobs)
     for question in asked:
-        gain = gain_samples(samples, Cell(question.name, told[1]), metrics.AUC)
+        gain = gain_samples(samples, Cell(question.name, inputs[1]), metrics.AUC)
         assert gain is not None
         gains.append(float(gain[0]))
     mean, spread = float(np.mean(gains)), float(np.std(gains, ddof=1))

@@ -18,14 +18,14 @@ from rich.table import Table
 from .. import flags, interrupts
 from ..algos import mpi
 from ..config import require_workers
-from ..envs import GRASP_ENVS, objects
+from ..envs import objects
 from ..envs.hands import HANDS
 from ..envs.hold import Verdict
 from ..errors import InputError, input_errors
+from ..terminal import console
 from .faults import TaxelFaults
 from .grasps import Perturbation
 
-console = Console(highlight=False, soft_wrap=True, markup=False)
 SIX = ("1", "2", "3", "4", "5", "6")
 
 
@@ -75,8 +75,8 @@ class Playing:
 
     def validate(self) -> None:
         """Raise ValueError naming the first flag that cannot be."""
-        if self.env not in GRASP_ENVS:
-            raise ValueError(f"env: found {self.env!r}, allowed: {', '.join(GRASP_ENVS)}")
+        if self.env not in HANDS:
+            raise ValueError(f"env: found {self.env!r}, allowed: {', '.join(HANDS)}")
         if self.grasps < 1:
             raise ValueError(f"grasps: found {self.grasps}, allowed 1 or more")
         if not 0 <= self.seed < 2**32:
@@ -159,7 +159,7 @@ class ProbeFlags:
     showing: Showing = Showing()
 
 
-def probe(args: list[str]) -> int:
+def main(args: list[str]) -> int:
     """`tactilerl probe`: exit 130 when it was interrupted."""
     about = "What do taxels tell of a grasp, at the moment before the lift? Needs the extra probe."
     read = flags.parse(ProbeFlags, args, "tactilerl probe", about=about)

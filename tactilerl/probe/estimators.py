@@ -18,7 +18,8 @@ from sklearn.multioutput import MultiOutputRegressor
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-Array = np.ndarray
+from ..envs.hands import Array
+
 Kind = Literal["linear", "boosting"]
 Fold = tuple[Array, Array]
 """Indices of grasps to fit on, and of those held back."""

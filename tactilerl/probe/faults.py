@@ -6,9 +6,8 @@ from dataclasses import asdict, dataclass, fields
 
 import numpy as np
 
+from ..envs.hands import Array
 from ..envs.observations import SensorConfig, taxel_stages
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)
@@ -39,11 +38,11 @@ class TaxelFaults:
     def apply(self, readings: Array, rng: np.random.Generator) -> Array:
         """The readings bool (n, taxels) with these faults: the same taxels are broken in all."""
         sensors = SensorConfig(**asdict(self), hand_seed=int(rng.integers(2**32)))
-        felt = readings
+        faulty = readings
         for stage in taxel_stages(sensors, readings.shape[1]):
             stage.begin(rng)
-            felt = stage(felt)
-        return felt.astype(bool)
+            faulty = stage(faulty)
+        return faulty.astype(bool)
 
 
 def noisy_angles(angles: Array, noise: float, rng: np.random.Generator) -> Array:

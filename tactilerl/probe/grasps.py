@@ -18,12 +18,11 @@ import numpy as np
 from ..algos.policy import Policy
 from ..envs import objects, scripted
 from ..envs.grasp import GraspConfig, GraspEnv
-from ..envs.hands import Hand
+from ..envs.hands import Array, Hand
 from ..envs.hold import Verdict
 from ..envs.simulators import SimulationError
 from ..envs.vector import IsWanted
 
-Array = np.ndarray
 Record = dict[str, Array]
 STREAM = 5  # keeps these random numbers apart from those of training and evaluation
 HOLD_SECONDS = 2.0
@@ -175,8 +174,8 @@ class PolicyGrasps:
 
 
 def _clearance(env: GraspEnv) -> float:
-    thing = env.simulator.object_state()
-    return float(thing.position[2]) - env.shape.half_height(thing.rotation)
+    obj = env.simulator.object_state()
+    return float(obj.position[2]) - env.shape.half_height(obj.rotation)
 
 
 def links_of(hand: Hand) -> tuple[str, ...]:
@@ -186,10 +185,10 @@ def links_of(hand: Hand) -> tuple[str, ...]:
 
 def moment(env: GraspEnv) -> Record:
     """The state of hand and object now, SI units, world frame, quaternions wxyz."""
-    simulator, thing = env.simulator, env.simulator.object_state()
+    simulator, obj = env.simulator, env.simulator.object_state()
     positions, velocities = simulator.joint_state()
     link_positions, link_rotations = simulator.link_poses(links_of(env.hand))
-    felt = simulator.contact_taxels() if env.config.touch == "contact" else np.zeros(0)
+    contact = simulator.contact_taxels() if env.config.touch == "contact" else np.zeros(0)
     return {
         "held": np.array(False),
         "broken": np.array(False),
@@ -197,18 +196,18 @@ def moment(env: GraspEnv) -> Record:
         "joint_velocities": velocities.copy(),
         "link_positions": link_positions.copy(),
         "link_rotations": link_rotations.copy(),
-        "object_position": thing.position.copy(),
-        "object_orientation": thing.orientation.copy(),
+        "object_position": obj.position.copy(),
+        "object_orientation": obj.orientation.copy(),
         "object_kind": np.array(objects.KINDS.index(env.shape.kind)),
         "object_half_size": np.array(env.shape.half_size, dtype=float),
         "friction": np.array(float(env.config.friction)),
-        "contact": np.asarray(felt, bool),
+        "contact": np.asarray(contact, bool),
     }
 
 
 def broken(env: GraspEnv) -> Record:
     """The record of a grasp in which the physics broke: it is counted, and asked nothing."""
-    hand, felt = env.hand, len(env.taxels) if env.config.touch == "contact" else 0
+    hand, n_taxels = env.hand, len(env.taxels) if env.config.touch == "contact" else 0
     n_joints, n_links = len(hand.joints), len(links_of(hand))
     shapes = {
         "joint_positions": (n_joints,),
@@ -225,7 +224,7 @@ def broken(env: GraspEnv) -> Record:
         "object_kind": np.array(objects.KINDS.index(env.shape.kind)),
         "object_half_size": np.array(env.shape.half_size, dtype=float),
         "friction": np.array(float(env.config.friction)),
-        "contact": np.zeros(felt, bool),
+        "contact": np.zeros(n_taxels, bool),
     }
 
 

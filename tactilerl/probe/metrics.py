@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-Array = np.ndarray
+from ..envs.hands import Array
+
 MEMORY = 4_000_000  # weights handled at once
 
 

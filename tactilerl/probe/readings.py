@@ -1,4 +1,4 @@
-"""From recorded grasps to what a classifier is told, and what it is asked."""
+"""From recorded grasps to what a classifier is given, and what it is asked."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..envs import objects
-from ..envs.hands import SLIDES, Hand, Surface
+from ..envs.hands import SLIDES, Array, Hand, Surface
 from ..envs.layouts import Taxels
 from ..envs.objects import ObjectState, Shape
 from ..envs.touch import SkinTouch
-from .grasps import Array, Record, links_of
+from .grasps import Record, links_of
 from .places import Place
 
 BATCH = 200  # grasps read at once: what is in between takes memory
@@ -101,7 +101,7 @@ class Grasps:
         """Readings bool (n, taxels) by the rule "skin"."""
         touch = SkinTouch(taxels, self.hand.surfaces)
         links = [links_of(self.hand).index(link) for link in taxels.links]
-        felt = np.zeros((len(self), len(taxels)), bool)
+        readings = np.zeros((len(self), len(taxels)), bool)
         for index in range(len(self.object_names)):
             chosen = np.flatnonzero(self.objects == index)
             shape = self._shape(int(chosen[0]))
@@ -109,8 +109,8 @@ class Grasps:
                 some = chosen[begin : begin + BATCH]
                 positions = self.records["link_positions"][some][:, links]
                 rotations = self.records["link_rotations"][some][:, links]
-                felt[some] = touch.read(positions, rotations, shape, self._object(some))
-        return felt
+                readings[some] = touch.read(positions, rotations, shape, self._object(some))
+        return readings
 
     def feel_contact(self, places: Sequence[Place]) -> Array:
         """Readings bool (n, places) by the simulator's rule "contact", as they were recorded;

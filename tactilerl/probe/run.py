@@ -18,9 +18,9 @@ from sklearn.exceptions import ConvergenceWarning
 
 from .. import __version__
 from ..algos.mpi import Communicator
-from ..envs import GRASP_ENVS, hands, layouts, vector
+from ..envs import hands, layouts, vector
 from ..envs.grasp import setup
-from ..envs.hands import Hand
+from ..envs.hands import Array, Hand
 from ..envs.layouts import Layout
 from ..errors import InputError, input_errors
 from ..sealed import replacing
@@ -29,7 +29,7 @@ from . import analysis, figures, files, places, selection
 from .analysis import Choices
 from .files import Played
 from .grasps import PolicyGrasps, Scenes, ScriptedGrasps
-from .metrics import AUC, Array
+from .metrics import AUC
 from .places import Place
 from .play import play
 from .readings import Grasps
@@ -47,23 +47,23 @@ def grasps(read: ProbeFlags, comm: Communicator, show: Show) -> tuple[Played, Pa
     # Before minutes of playing: can these layouts be?
     if source is None:
         asked = (*read.asking.layout, *((read.asking.skin,) if read.asking.select else ()))
-        _of_layouts(asked, hands.load(playing.env))
+        _of_layouts(asked, hands.get(playing.env))
     elif changed := _changed(playing):
         raise InputError(f"--{changed}: found it together with --from, allowed when grasps are played")
     if source is not None:
         played = files.read(source)
-        if played.settings.get("env") not in GRASP_ENVS:
+        if played.settings.get("env") not in hands.HANDS:
             raise InputError(f"{source}: found grasps of {played.settings.get('env')!r}, "
-                             f"allowed: {', '.join(GRASP_ENVS)}")  # fmt: skip
+                             f"allowed: {', '.join(hands.HANDS)}")  # fmt: skip
         return played, read.showing.out or source.parent
     out, workers = read.showing.out, read.showing.workers or free_cores(comm)
-    told = partial(_told, show, playing.grasps)
+    report = partial(_report, show, playing.grasps)
     if playing.policy is not None:
-        return _by_policy(playing, out, workers, comm, told)
-    return _scripted(playing, read.asking, out, workers, comm, told)
+        return _by_policy(playing, out, workers, comm, report)
+    return _scripted(playing, read.asking, out, workers, comm, report)
 
 
-def _told(show: Show, total: int, done: int) -> None:
+def _report(show: Show, total: int, done: int) -> None:
     show(done, total)
 
 
@@ -80,26 +80,26 @@ def _scripted(
 ) -> tuple[Played, Path]:  # fmt: skip
     simulator = playing.simulator or setup(playing.env).simulator
     out = out or Path("probes") / f"{playing.env}_{simulator}"
-    hand, drawn = hands.load(playing.env), playing.perturbation
+    hand, drawn = hands.get(playing.env), playing.perturbation
     config = setup(playing.env, simulator=simulator, touch=playing.touch)
     settings: dict[str, Any] = {
         "env": playing.env, "simulator": simulator, "touch": playing.touch, "seed": playing.seed,
         "hold_verdict": playing.hold_verdict, "perturbation": asdict(drawn),
     }  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
-        felt: tuple[Place, ...] = ()
+        contact_places: tuple[Place, ...] = ()
         if playing.touch == "contact":
             names = (*asking.layout, *((asking.skin,) if asking.select else ()))
             settings["layouts"] = list(names)
             config = replace(config, layout=_union(names, hand, Path(folder)))
-            felt = tuple(places.of(layouts.load(config.layout).place(hand), hand))
+            contact_places = tuple(places.of(layouts.load(config.layout).place(hand), hand))
         with input_errors():
             for variant in drawn.variants():
                 replace(config, **variant).validate()
         start = partial(vector.start, partial(Scenes, playing.env, config, drawn.variants()), workers)
         task = ScriptedGrasps(drawn, playing.seed, playing.hold_verdict)
         path = out / "grasps.npz"
-        return play(path, playing.grasps, settings, felt, task, start, comm, show), out
+        return play(path, playing.grasps, settings, contact_places, task, start, comm, show), out
 
 
 def _union(names: Sequence[str], hand: Hand, folder: Path) -> str:
@@ -122,21 +122,23 @@ def _by_policy(
     config, policy, epoch, env_steps = load_policy(playing.policy)
     if config.scene is None:
         raise InputError(f"--policy {playing.policy}: found a run of {config.run.env}, allowed runs of "
-                         f"{', '.join(GRASP_ENVS)}")  # fmt: skip
+                         f"{', '.join(hands.HANDS)}")  # fmt: skip
     scene = config.scene
     settings = {
         "env": config.run.env, "simulator": scene.simulator, "touch": playing.touch,
         "seed": playing.seed, "policy": playing.policy.resolve().name, "epoch": epoch,
         "env_steps": env_steps,
     }  # fmt: skip
-    hand = hands.load(config.run.env)
-    felt: tuple[Place, ...] = ()
+    hand = hands.get(config.run.env)
+    contact_places: tuple[Place, ...] = ()
     if scene.touch == "contact":
-        felt = tuple(places.of(layouts.load(scene.layout).place(hand), hand))
+        contact_places = tuple(places.of(layouts.load(scene.layout).place(hand), hand))
     start = partial(vector.start, config.make_env, workers)
     out = out or Path("probes") / playing.policy.resolve().name
     task = PolicyGrasps(policy, playing.seed)
-    return play(out / "grasps.npz", playing.grasps, settings, felt, task, start, comm, show), out
+    return play(
+        out / "grasps.npz", playing.grasps, settings, contact_places, task, start, comm, show
+    ), out
 
 
 def _layout(name: str, hand: Hand) -> Layout:
@@ -158,7 +160,7 @@ def _of_layouts(names: Sequence[str], hand: Hand) -> dict[str, list[Place]]:
 
 def analyse(read: ProbeFlags, played: Played, out: Path) -> dict[str, Any]:
     """Ask the grasps; writes probe.json, the figures and what was selected to `out`."""
-    hand, asking, settings = hands.load(played.settings["env"]), read.asking, played.settings
+    hand, asking, settings = hands.get(played.settings["env"]), read.asking, played.settings
     is_whole = ~played.records["broken"].astype(bool)
     kept = {name: values[is_whole] for name, values in played.records.items()}
     asked = Grasps(hand, kept, played.contact_places)
@@ -189,12 +191,12 @@ def analyse(read: ProbeFlags, played: Played, out: Path) -> dict[str, Any]:
 def _feel(read: ProbeFlags, asked: Grasps, settings: dict[str, Any], spots: Sequence[Place]) -> Array:
     """Readings bool (n, taxels) by the touch rule of the grasps, with faults."""
     if settings["touch"] == "contact":
-        felt = asked.feel_contact(spots)
+        readings = asked.feel_contact(spots)
     else:
-        felt = asked.feel(places.layout(list(spots), asked.hand, "asked", "").place(asked.hand))
-        felt = felt[:, _order(spots, asked.hand)]
+        readings = asked.feel(places.layout(list(spots), asked.hand, "asked", "").place(asked.hand))
+        readings = readings[:, _order(spots, asked.hand)]
     rng = np.random.default_rng([settings["seed"], analysis.FAULTS])
-    return read.faults.apply(felt, rng)
+    return read.faults.apply(readings, rng)
 
 
 def _order(spots: Sequence[Place], hand: Hand) -> list[int]:
@@ -233,16 +235,16 @@ def _answers(asked: Grasps, readings: dict[str, Array], choices: Choices, out: P
     """The table, the differences, the learning curve and the check; gains.npz to compare hands."""
     kept = analysis.kept_folds(asked, choices)
     every = analysis.questions(asked, kept, choices)
-    told = analysis.everybody(list(readings), choices.joint_noise)
-    teller = analysis.Teller(asked, readings, choices.seed)
-    predicted = analysis.ask(every, told, teller, choices.jobs)
+    inputs = analysis.all_inputs(list(readings), choices.joint_noise)
+    builder = analysis.FeatureBuilder(asked, readings, choices.seed)
+    predicted = analysis.ask(every, inputs, builder, choices.jobs)
     weights = analysis.bootstrap(len(asked), choices)
     samples = analysis.measured(every, predicted, weights, choices.jobs)
     most = max(readings, key=lambda name: readings[name].shape[1])
     gains = {
-        f"{cell.told.noise:g} {cell.told.layout}": analysis.gain_samples(samples, cell, metric)
+        f"{cell.inputs.noise:g} {cell.inputs.layout}": analysis.gain_samples(samples, cell, metric)
         for cell, metric in samples
-        if metric is AUC and cell.told.what == analysis.TAXELS
+        if metric is AUC and cell.inputs.what == analysis.TAXELS
     }
     out.mkdir(parents=True, exist_ok=True)
     with replacing(out / "gains.npz") as file:
@@ -262,7 +264,7 @@ def _worth(
     """What each taxel of the densest layout tells alone, by the angles with the last noise."""
     most = max(readings, key=lambda name: readings[name].shape[1])
     noise = choices.joint_noise[-1]
-    known = analysis.Teller(asked, readings, choices.seed).angles(noise)
+    known = analysis.FeatureBuilder(asked, readings, choices.seed).angles(noise)
     bits = selection.worth(known, readings[most], asked.held)
     spots = [asdict(place) for place in where[most]]
     return {"layout": most, "joint_noise": noise, "bits": bits.tolist(), "places": spots}

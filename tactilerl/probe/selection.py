@@ -17,9 +17,9 @@ from sklearn.linear_model import LogisticRegression
 from sklearn.preprocessing import StandardScaler
 from threadpoolctl import threadpool_limits
 
+from ..envs.hands import Array
 from . import metrics
-from .analysis import JOINTS, Choices, Teller, Told, bootstrap, hold_question, kept_folds
-from .metrics import Array
+from .analysis import JOINTS, Choices, FeatureBuilder, Inputs, bootstrap, hold_question, kept_folds
 from .readings import Grasps
 
 PENALTY = 1.0  # C of the regression from which candidates are judged, of standardised features
@@ -82,9 +82,9 @@ def select(
     noises. Layouts (n, taxels) are scored in the same folds.
     """
     noise = choices.joint_noise[-1]
-    known = Teller(grasps, {}, choices.seed).features(Told(noise, JOINTS))
+    known = FeatureBuilder(grasps, {}, choices.seed).features(Inputs(noise, JOINTS))
     held, kept, most = grasps.held, kept_folds(grasps, choices), max(numbers)
-    sizes = [felt.shape[1] for felt in layouts.values()]
+    sizes = [readings.shape[1] for readings in layouts.values()]
     points = sorted({k for k in (*numbers, *CURVE, *sizes) if k <= min(most, skin.shape[1])})
     with threadpool_limits(1):
         *paths, final = Parallel(choices.jobs, prefer="threads")(
@@ -94,7 +94,7 @@ def select(
         weights = bootstrap(len(grasps), choices)
         every = np.concatenate([np.ones((1, len(held)), weights.dtype), weights])
         tried: dict[Any, list[Array]] = {(JOINTS,): [known] * len(kept)}
-        tried |= {("layout", name): [_with(known, felt)] * len(kept) for name, felt in layouts.items()}
+        tried |= {("layout", name): [_with(known, r)] * len(kept) for name, r in layouts.items()}
         tried |= {("best", k): [_with(known, skin[:, p[:k]]) for p in paths] for k in points}
         scored = Parallel(choices.jobs, prefer="threads")(
             delayed(_score)(features, held, kept, choices, every) for features in tried.values()
@@ -104,8 +104,8 @@ def select(
     return final, _curve(gains, points, {k: v.shape[1] for k, v in layouts.items()}, noise)
 
 
-def _with(known: Array, felt: Array) -> Array:
-    return np.column_stack([known, felt.astype(float)])
+def _with(known: Array, readings: Array) -> Array:
+    return np.column_stack([known, readings.astype(float)])
 
 
 def _score(

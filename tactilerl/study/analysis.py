@@ -12,9 +12,8 @@ from . import published, statistics
 from .grid import Setup, Study
 from .published import Published
 from .records import Record
-from .statistics import Estimate, Metric, Term
+from .statistics import Array, Estimate, Metric, Term
 
-Array = np.ndarray
 SEED = 20_210_830  # of all resampling: the same records give the same report
 MOST_POINTS = 500  # of a curve
 SCORES = {

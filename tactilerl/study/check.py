@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 
-from .. import commands
 from .. import config as configuration
 from ..algos.mpi import Communicator
+from ..commands.train import read_config
 from ..config import RunConfig, RunOptions
 from ..errors import InputError, input_errors
 from ..train import make_algorithm
@@ -45,7 +45,7 @@ def configure(runs: list[Run]) -> dict[str, RunConfig]:
 def _read(run: Run) -> RunConfig:
     given = run.flags.get("algo", RunOptions.algo), run.flags.get("env", RunOptions.env)
     algo, env = map(str, given)
-    return commands.read_config(arguments(run), configuration.defaults(algo, env))[0]
+    return read_config(arguments(run), configuration.defaults(algo, env))[0]
 
 
 def start(runs: list[Run], configs: dict[str, RunConfig], folder: StudyFolder) -> None:

@@ -13,19 +13,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import tyro
-from rich.console import Console
 from rich.table import Table
 
 from .. import flags
 from ..errors import InputError
+from ..terminal import console
 from . import display, grid
 from .folder import StudyFolder
 
 if TYPE_CHECKING:
     from .planning import Need
     from .records import Record
-
-console = Console(highlight=False, soft_wrap=True, markup=False)
 
 
 @dataclass(frozen=True)
@@ -50,8 +48,8 @@ def run(args: list[str]) -> int:
     from . import runner
 
     for flag, value in (("--jobs", read.jobs), ("--ranks-per-run", read.ranks_per_run)):
-        if value is not None and value < 1:
-            raise InputError(f"{flag}: found {value}, allowed 1 or more")
+        if value is not None:
+            flags.at_least(flag, value, 1)
     parallel = read.jobs or max(1, _cores() // read.ranks_per_run)
     with runner.executor(parallel) as pool:
         return _run(read, pool, parallel) if pool is not None else 0
@@ -173,8 +171,7 @@ class ReportFlags:
 def report(args: list[str]) -> int:
     """`tactilerl study report FOLDER`"""
     read = flags.parse(ReportFlags, args, "tactilerl study report")
-    if read.resamples < 100:
-        raise InputError(f"--resamples: found {read.resamples}, allowed 100 or more")
+    flags.at_least("--resamples", read.resamples, 100)
     with _needs_extra("report"):
         from . import report as page
         from . import tables
@@ -273,7 +270,7 @@ PARTS: dict[str, tuple[Callable[[list[str]], int], str]] = {
 }
 
 
-def study(args: list[str]) -> int:
+def main(args: list[str]) -> int:
     """`tactilerl study PART`"""
     if not args or args[0] in ("-h", "--help"):
         lines = [f"  {name:9}{about}" for name, (_, about) in PARTS.items()]

@@ -28,8 +28,8 @@ from ..errors import InputError
 from ..sealed import replacing
 from .folder import RunFiles, StudyFolder, study_of
 from .grid import Run, Study
+from .statistics import Array
 
-Array = np.ndarray
 COLLECTED = "collected.csv.gz"
 FIXED = ("run", "state", "reason", "record")
 

@@ -114,7 +114,7 @@ def executor(jobs: int) -> Iterator[concurrent.futures.Executor | None]:
 
     None on the ranks that do the work; they are done when the first rank is.
     """
-    if any(name in os.environ for name in mpi.LAUNCHERS) and mpi.world().size > 1:
+    if mpi.launched_rank() is not None and mpi.world().size > 1:
         from mpi4py.futures import MPICommExecutor
 
         with MPICommExecutor() as ranks:

@@ -5,15 +5,13 @@ each hand in each simulator, against a reference with small, well-solved steps, 
 compared with one of twice its step. Also what is lost where nothing should be (free_motion.py).
 Prints tables and writes JSON:
 
-    python benchmarks/speed_vs_error.py --out docs/data/speed_vs_error.json
-    python benchmarks/speed_vs_error.py --hand mpl --simulator pybullet --grasps 3
+    python -m benchmarks speed_vs_error --out docs/data/speed_vs_error.json
+    python -m benchmarks speed_vs_error --hand mpl --simulator pybullet --grasps 3
 """
 
 from __future__ import annotations
 
-import argparse
 import importlib
-import json
 import multiprocessing
 import time
 from collections.abc import Iterator
@@ -21,18 +19,17 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 import mujoco
 import numpy as np
-from free_motion import BRICK, BULLET, fall, swing
 from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
-from timing import earlier
 
+from benchmarks.command import earlier, parser, write
+from benchmarks.physics.free_motion import BRICK, BULLET, fall, swing
 from tactilerl.envs import hands, scripted
 from tactilerl.envs.grasp import GraspEnv, setup
 
@@ -163,7 +160,7 @@ def _change_mujoco(stack: ExitStack, hand: str, config: Any, setting: Setting) -
 
 
 def _change_bullet(stack: ExitStack, hand: str, config: Any, setting: Setting) -> GraspEnv:
-    module, shipped = importlib.import_module(BULLET), hands.load(hand)
+    module, shipped = importlib.import_module(BULLET), hands.get(hand)
     if setting.added_inertia is not None:
         changed = replace(shipped, added_inertia=setting.added_inertia)
         stack.enter_context(patch.object(hands, "load", lambda name: changed))
@@ -349,13 +346,12 @@ def show(title: str, rows: dict[str, dict[str, Any]]) -> None:
 
 def main() -> None:
     """Measure every hand in every simulator, or those asked for."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--hand", choices=sorted(SIZES), action="append")
-    parser.add_argument("--simulator", choices=sorted(SETTINGS), action="append")
-    parser.add_argument("--grasps", type=int, default=5, help="of each cube")
-    parser.add_argument("--jobs", type=int, default=1, help="hands and simulators side by side")
-    parser.add_argument("--out", type=Path, help="write JSON here; cases already in it are kept")
-    options = parser.parse_args()
+    flags = parser(__doc__)
+    flags.add_argument("--hand", choices=sorted(SIZES), action="append")
+    flags.add_argument("--simulator", choices=sorted(SETTINGS), action="append")
+    flags.add_argument("--grasps", type=int, default=5, help="of each cube")
+    flags.add_argument("--jobs", type=int, default=1, help="hands and simulators side by side")
+    options = flags.parse_args()
     result = earlier(options.out)
     pairs = [
         (hand, simulator)
@@ -369,9 +365,4 @@ def main() -> None:
             result[title] = {"grasps of each cube": options.grasps, "settings": rows}
             cubes = " and ".join(f"{1e3 * size:g}" for size in SIZES[hand])
             show(f"{title}, cubes of {cubes} mm, {options.grasps} grasps each, {SECONDS:.0f} s", rows)
-            if options.out:
-                options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()
+            write(options.out, result)

@@ -6,28 +6,25 @@ violation of a joint's range; and of the actions that are not finite, how many w
 many let through. Exits with 1 when a case leaves its limits. Prints tables, and writes JSON as it
 goes, into what is there already:
 
-    python benchmarks/hard_cases.py --steps 100 --out docs/data/hard_cases.json
-    python benchmarks/hard_cases.py --hand mpl --simulator mujoco --case "random actions" \\
+    python -m benchmarks hard_cases --steps 100 --out docs/data/hard_cases.json
+    python -m benchmarks hard_cases --hand mpl --simulator mujoco --case "random actions" \\
         --steps 100000 --out docs/data/hard_cases_long.json
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
-from speed_vs_error import deepest
-from timing import earlier
 
+from benchmarks.command import earlier, parser, write
+from benchmarks.physics.speed_vs_error import deepest
 from tactilerl.envs.grasp import EJECTED, GraspConfig, GraspEnv, setup
 
 SEED = 50_000
@@ -205,13 +202,12 @@ def begin(env: GraspEnv, seed: int, start: float | None) -> None:
 
 def main() -> int:
     """All cases of every hand in every simulator, or of those asked for."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--hand", choices=("shadow", "mpl"), action="append")
-    parser.add_argument("--simulator", choices=("mujoco", "pybullet"), action="append")
-    parser.add_argument("--case", choices=CASES, action="append")
-    parser.add_argument("--steps", type=int, default=1000, help="control steps of each case")
-    parser.add_argument("--out", type=Path, help="write JSON here; other cases in it are kept")
-    options = parser.parse_args()
+    flags = parser(__doc__)
+    flags.add_argument("--hand", choices=("shadow", "mpl"), action="append")
+    flags.add_argument("--simulator", choices=("mujoco", "pybullet"), action="append")
+    flags.add_argument("--case", choices=CASES, action="append")
+    flags.add_argument("--steps", type=int, default=1000, help="control steps of each case")
+    options = flags.parse_args()
     result = earlier(options.out)
     is_ok = True
     for hand in options.hand or ("shadow", "mpl"):
@@ -221,8 +217,7 @@ def main() -> int:
             for name in options.case or CASES:
                 for row in run(hand, simulator, CASES[name], options.steps):
                     rows[name] = row
-                    if options.out:
-                        options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+                    write(options.out, result)
                 is_ok = is_ok and row["ok"]
             show(pair, rows)
     return 0 if is_ok else 1
@@ -248,7 +243,3 @@ def show(title: str, rows: dict[str, dict[str, Any]]) -> None:
         cells = [format(row[key] / unit, style) for key, (_, unit, style) in COLUMNS.items()]
         table.add_row(name, f"{row['steps']:,}", *cells, "ok" if row["ok"] else "LEFT ITS LIMITS")
     Console(width=140).print(table)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -3,7 +3,7 @@
 The Shadow Hand with layout 1, and the default number of transitions, all written to. Peaks are
 Linux's. `footprint.py` starts this in a fresh process:
 
-    python benchmarks/full_replay.py
+    python -m benchmarks full_replay
 """
 
 from __future__ import annotations
@@ -65,7 +65,3 @@ def main() -> None:
     peaks["after saving all of it"] = peak()
     print(json.dumps({"transitions": len(replay), "replay": replay.nbytes, "peaks": peaks}))
     workers.close()
-
-
-if __name__ == "__main__":
-    main()

@@ -2,7 +2,7 @@
 
 `scaling.py` starts this with one rank and with two:
 
-    mpirun -n 2 python benchmarks/rank_shares.py
+    mpirun -n 2 python -m benchmarks rank_shares
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ import json
 import time
 
 import torch
-from timing import Watches
 
+from benchmarks.timing import Watches
 from tactilerl import envs
 from tactilerl.algos import mpi
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
@@ -36,14 +36,14 @@ def main() -> None:
     watches.watch("all-reduce", learner.adam, "reduce")
     watches.watch("optimiser", learner.adam, "step")
     watches.watch("updating", learner, "update")
-    comm.average(0.0)  # start together
+    comm.min(0)  # start together
     started = time.perf_counter()
     for _ in range(CYCLES):
         sampled = watches.seconds["sampling"]
         learner.collect()
         watches.seconds["sampling"] = sampled  # the normaliser's samples are part of collecting
         learner.update()
-    comm.average(0.0)  # and end together
+    comm.min(0)  # and end together
     seconds = time.perf_counter() - started
     s = watches.seconds
     rest = s["updating"] - s["sampling"] - s["all-reduce"] - s["optimiser"]
@@ -66,7 +66,3 @@ def main() -> None:
         }
         print(json.dumps(result))
     workers.close()
-
-
-if __name__ == "__main__":
-    main()

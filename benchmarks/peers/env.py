@@ -10,8 +10,8 @@ from typing import Any
 import gymnasium as gym
 import mujoco
 import numpy as np
-from timing import Contender, quotients, rounds
 
+from benchmarks.timing import Contender, quotients, rounds
 from tactilerl import envs
 
 CONTROL_DT = 0.04  # s: gymnasium-robotics' own, 20 steps of 2 ms

@@ -1,6 +1,6 @@
 """What runs came to, and how long they took to get there: the tables and curves of docs/results.md.
 
-python benchmarks/learning.py ppo_shadow runs/a runs/b runs/c --episodes 100
+python -m benchmarks learning ppo_shadow runs/a runs/b runs/c --episodes 100
 
 Steps and minutes are counted until the success rate (of the test episodes where there are some, else
 of at least the last 100 training episodes) is 0.9 for the first time. Minutes are those of collecting,
@@ -11,16 +11,16 @@ from __future__ import annotations
 
 import argparse
 import csv
-import json
 import shutil
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from figures import DOCS, curve
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.command import write
+from benchmarks.figures import DOCS, curve
 from tactilerl import evaluate
 from tactilerl.algos.mpi import Communicator
 from tactilerl.train import start_workers
@@ -83,19 +83,15 @@ def show(name: str, runs: list[dict[str, Any]], episodes: int) -> None:
 
 def main() -> None:
     """Read the flags, print the table, keep what it was made of."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("name", help="of the files in docs/data")
-    parser.add_argument("runs", nargs="+", type=Path, help="run folders")
-    parser.add_argument("--episodes", type=int, default=100, help="of the evaluation")
-    options = parser.parse_args()
+    flags = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    flags.add_argument("name", help="of the files in docs/data")
+    flags.add_argument("runs", nargs="+", type=Path, help="run folders")
+    flags.add_argument("--episodes", type=int, default=100, help="of the evaluation")
+    options = flags.parse_args()
     found = [examined(run, options.episodes) for run in options.runs]
     show(options.name, found, options.episodes)
     for run, figures in zip(options.runs, found, strict=True):
         kept = DOCS / "data" / f"{options.name}_{figures['run_type']}_s{figures['seed']}.csv"
         shutil.copyfile(run / "progress.csv", kept)
     content = {"episodes": options.episodes, "runs": found}
-    (DOCS / "data" / f"{options.name}.json").write_text(json.dumps(content, indent=1) + "\n")
-
-
-if __name__ == "__main__":
-    main()
+    write(DOCS / "data" / f"{options.name}.json", content)

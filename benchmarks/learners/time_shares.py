@@ -2,22 +2,21 @@
 
 PPO's rounds are epochs, DDPG+HER's are cycles:
 
-    python benchmarks/time_shares.py runs/ppo_mpl_lift-and-hold_layout2_main_s0
+    python -m benchmarks time_shares runs/ppo_mpl_lift-and-hold_layout2_main_s0
 """
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
-import json
 import time
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
-from timing import Watches
 
+from benchmarks.command import parser, write
+from benchmarks.timing import Watches
 from tactilerl.envs.hold import HoldTest
 from tactilerl.evaluate import restore
 from tactilerl.run_dir import RunDir
@@ -61,20 +60,14 @@ def shares(run: Path, verdict: str, rounds: int) -> dict[str, float]:
 
 def main() -> None:
     """Print the shares, or write them."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("run", type=Path)
-    parser.add_argument("--hold-verdict", choices=("full", "settled"), default="full")
-    parser.add_argument("--rounds", type=int, default=1)
-    parser.add_argument("--out", type=Path, help="write JSON here")
-    options = parser.parse_args()
+    flags = parser(__doc__)
+    flags.add_argument("run", type=Path)
+    flags.add_argument("--hold-verdict", choices=("full", "settled"), default="full")
+    flags.add_argument("--rounds", type=int, default=1)
+    options = flags.parse_args()
     result = shares(options.run, options.hold_verdict, options.rounds)
     table = Table("", "share of the time", title=f"{options.run}, hold verdict {options.hold_verdict}")
     for name, share in result.items():
         table.add_row(name.replace("_per_s", " per second"), f"{share:.3g}")
     Console().print(table)
-    if options.out:
-        options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()
+    write(options.out, result)

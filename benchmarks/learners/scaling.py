@@ -4,8 +4,8 @@ Two processes that share nothing, threads and processes that play episodes, and 
 together; the same work with one and with two, in turn. Starts mpirun itself. Prints tables
 and writes JSON:
 
-    python benchmarks/scaling.py --out docs/data/scaling.json
-    python benchmarks/scaling.py --only ranks
+    python -m benchmarks scaling --out docs/data/scaling.json
+    python -m benchmarks scaling --only ranks
 """
 
 from __future__ import annotations
@@ -22,11 +22,12 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from peers_env import Steps, mj_step
 from rich.console import Console
 from rich.table import Table
-from timing import per_second, rounds, run_parts, show
 
+from benchmarks.command import ROOT, run_parts
+from benchmarks.peers.env import Steps, mj_step
+from benchmarks.timing import per_second, rounds, show
 from tactilerl import envs
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
@@ -92,8 +93,8 @@ def ranks() -> dict[str, Any]:
     for _ in range(REPEATS):
         for n, results in found.items():
             command = [str(Path(sys.executable).with_name("mpirun")), "-n", str(n)]
-            command += [sys.executable, str(Path(__file__).with_name("rank_shares.py"))]
-            done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
+            command += [sys.executable, "-m", "benchmarks", "rank_shares"]
+            done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True)
             output = done.stdout
             results.append(json.loads(output.strip().splitlines()[-1]))
     result: dict[str, Any] = {"ratios": {}}
@@ -139,5 +140,6 @@ PARTS = {
 }
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """All parts or one."""
     run_parts(__doc__, PARTS, "mujoco", "pybullet", "torch", "numpy", "mpi4py")

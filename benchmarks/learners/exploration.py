@@ -3,14 +3,11 @@
 Whether reach-goal can be learned is decided by how often chance lifts the cube. Prints a
 table of shares with 95 % intervals and writes JSON:
 
-    python benchmarks/exploration.py --out docs/data/exploration.json
+    python -m benchmarks exploration --out docs/data/exploration.json
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +17,7 @@ from rich.progress import track
 from rich.table import Table
 from scipy import stats
 
+from benchmarks.command import parser, write
 from tactilerl import envs
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
@@ -60,10 +58,9 @@ def explore(choices: dict[str, Any], episodes: int) -> dict[str, float]:
 
 def main() -> None:
     """All variants."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--episodes", type=int, default=300)
-    parser.add_argument("--out", type=Path, help="write JSON here")
-    options = parser.parse_args()
+    flags = parser(__doc__)
+    flags.add_argument("--episodes", type=int, default=300)
+    options = flags.parse_args()
     torch.set_num_threads(1)
     result: dict[str, Any] = {"episodes": options.episodes, "variants": {}}
     table = Table("scene", title=f"untrained exploration, {options.episodes} episodes each")
@@ -79,9 +76,4 @@ def main() -> None:
                 table.add_column(what)
         table.add_row(name, *(f"{m:.3f} ({a:.3f}-{b:.3f})" for m, a, b in row.values()))
     Console().print(table)
-    if options.out:
-        options.out.write_text(json.dumps(result, indent=1) + "\n")
-
-
-if __name__ == "__main__":
-    main()
+    write(options.out, result)

@@ -1,6 +1,6 @@
 """How often do 95 % intervals of a few runs contain the truth? Simulated, for runs like ours.
 
-python benchmarks/coverage.py --out docs/data/coverage.json
+python -m benchmarks coverage --out docs/data/coverage.json
 
 And how long a learning curve's intervals take, against rliable (--only speed, 1 minute).
 """
@@ -15,8 +15,8 @@ import numpy as np
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
-from timing import run_parts
 
+from benchmarks.command import run_parts
 from tactilerl.study import statistics
 
 Draw = Callable[[np.random.Generator, tuple[int, ...]], np.ndarray]
@@ -120,5 +120,7 @@ def show_speed(result: dict[str, float]) -> None:
 
 PARTS = {"coverage": (coverage, show_coverage), "speed": (speed, show_speed)}
 
-if __name__ == "__main__":
+
+def main() -> None:
+    """All parts or one."""
     run_parts(__doc__, PARTS, "numpy", "scipy", "rliable")

@@ -1,7 +1,8 @@
-"""Do hands and simulators agree about layouts? Rank correlation of the gains that `tactilerl probe`
-found, with an interval.
+"""Do hands and simulators agree about layouts?
 
-    python benchmarks/probe_agreement.py probes/shadow_mujoco probes/mpl_mujoco ... --out agreement.json
+Rank correlation of the gains that `tactilerl probe` found, with an interval.
+
+    python -m benchmarks probe_agreement probes/shadow_mujoco probes/mpl_mujoco ... --out agreement.json
 
 Reads gains.npz of each folder: the gain of each layout in all grasps, then in bootstrap samples.
 Two folders' grasps are independent of each other, and so are their samples.
@@ -9,13 +10,13 @@ Two folders' grasps are independent of each other, and so are their samples.
 
 from __future__ import annotations
 
-import argparse
 import itertools
-import json
 from pathlib import Path
 
 import numpy as np
 from scipy import stats
+
+from benchmarks.command import parser, write
 
 
 def gains(folder: Path) -> dict[str, dict[str, np.ndarray]]:
@@ -40,10 +41,9 @@ def agreement(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> dict[str, o
 
 def main() -> None:
     """Print a table, write JSON."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folders", nargs="+", type=Path)
-    parser.add_argument("--out", type=Path)
-    args = parser.parse_args()
+    flags = parser(__doc__)
+    flags.add_argument("folders", nargs="+", type=Path)
+    args = flags.parse_args()
     found = {folder.name: gains(folder) for folder in args.folders}
     rows = []
     print("| joint noise, rad | | | rank correlation (95 %) |\n|---|---|---|---|")
@@ -53,9 +53,4 @@ def main() -> None:
             low, high = row["interval"]
             print(f"| {noise} | {a} | {b} | {row['spearman']:.2f} ({low:.2f} – {high:.2f}) |")
             rows.append(row)
-    if args.out:
-        args.out.write_text(json.dumps(rows, indent=1) + "\n")
-
-
-if __name__ == "__main__":
-    main()
+    write(args.out, rows)

@@ -9,10 +9,10 @@ from typing import Any
 import gymnasium as gym
 import stable_baselines3 as sb3
 import torch
-from random_goals import GOAL, STEPS, RandomGoals
 from stable_baselines3.common.logger import Logger
-from timing import Contender, quotients, rounds
 
+from benchmarks.learners.random_goals import GOAL, STEPS, RandomGoals
+from benchmarks.timing import Contender, quotients, rounds
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.networks import has_bfloat16, matrix_products

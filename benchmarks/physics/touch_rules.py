@@ -3,17 +3,14 @@
 Perturbed scripted grasps of every hand in every simulator, read by all six layouts at once. A bit is
 false when it is on and the simulator's own distance between its link and the object is above 0.5 mm.
 
-    python benchmarks/touch_rules.py --out docs/data/touch_rules.json
+    python -m benchmarks touch_rules --out docs/data/touch_rules.json
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
 from collections import defaultdict
 from contextlib import closing
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -21,8 +18,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.command import parser, write
 from tactilerl import envs
-from tactilerl.envs import layouts, scripted, simulators, touch
+from tactilerl.envs import hands, layouts, scripted, simulators, touch
 from tactilerl.envs.grasp import GraspEnv
 
 SEED = 60_000
@@ -133,12 +131,11 @@ def cell(rows: list[dict[str, Any]], layout: str, rule: str, phase: str) -> str:
 
 def main() -> None:
     """All hands in all simulators."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--grasps", type=int, default=20)
-    parser.add_argument("--out", type=Path, help="write JSON here")
-    options = parser.parse_args()
+    flags = parser(__doc__)
+    flags.add_argument("--grasps", type=int, default=20)
+    options = flags.parse_args()
     results, console = {}, Console(width=150)
-    for hand in envs.GRASP_ENVS:
+    for hand in hands.HANDS:
         for simulator in simulators.SIMULATORS:
             result = results[f"{hand} in {simulator}"] = examine(hand, simulator, options.grasps)
             shares = {k: f"{100 * v:.2f} %" for k, v in result["cost_of_control_step"].items()}
@@ -153,9 +150,4 @@ def main() -> None:
                 ]
                 table.add_row(layout, *cells)
             console.print(table)
-    if options.out:
-        options.out.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()
+    write(options.out, results)

@@ -4,18 +4,19 @@ Environments against gymnasium-robotics and the bare simulators, updates against
 and the bare matrix products, and the time until toys are solved. One thread, contenders in turn;
 what counts are the ratios. Prints tables and writes JSON:
 
-    python benchmarks/peers.py --out docs/data/peers.json
-    python benchmarks/peers.py --only solve
+    python -m benchmarks peers --out docs/data/peers.json
+    python -m benchmarks peers --only solve
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-from peers_env import environments
-from peers_solve import show_solve, solve
-from peers_updates import updates
-from timing import run_parts, show
+from benchmarks.command import run_parts
+from benchmarks.peers.env import environments
+from benchmarks.peers.solve import show_solve, solve
+from benchmarks.peers.updates import updates
+from benchmarks.timing import show
 
 
 def show_rates(part: dict[str, Any]) -> None:
@@ -32,6 +33,7 @@ PARTS = {
 }
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """All parts or one."""
     packages = ("mujoco", "pybullet", "torch", "numpy", "gymnasium-robotics", "stable_baselines3")
     run_parts(__doc__, PARTS, *packages)

@@ -4,20 +4,17 @@ Five perturbed scripted grasps each, held for 2 s: microseconds of a physics ste
 taxels read after each control step; time and memory to load a scene; what changes in the grasp
 against the shipped scene. Prints tables and writes JSON:
 
-    python benchmarks/scene_parts.py --out docs/data/scene_parts.json
+    python -m benchmarks scene_parts --out docs/data/scene_parts.json
 """
 
 from __future__ import annotations
 
-import argparse
 import ctypes
 import importlib
-import json
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
@@ -26,8 +23,9 @@ import numpy as np
 import psutil
 from rich.console import Console
 from rich.table import Table
-from speed_vs_error import BULLET, SHIPPED, self_contact
 
+from benchmarks.command import parser, write
+from benchmarks.physics.speed_vs_error import BULLET, SHIPPED, self_contact
 from tactilerl.envs import scripted
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.hands import shadow
@@ -202,9 +200,8 @@ def perform(env: GraspEnv) -> dict[str, Any]:
 
 def main() -> None:
     """Both hands in both simulators."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, help="write JSON here")
-    options = parser.parse_args()
+    flags = parser(__doc__)
+    options = flags.parse_args()
     result: dict[str, Any] = {"grasps": GRASPS, "seconds": SECONDS}
     for (hand, simulator), variants in VARIANTS.items():
         rows = {name: measure(hand, simulator, variant) for name, variant in variants.items()}
@@ -213,8 +210,7 @@ def main() -> None:
             row["moved_mm"] = 1e3 * float(np.linalg.norm(ends[name] - ends[SHIPPED], axis=1).max())
         result[f"{hand} in {simulator}"] = rows
         show(f"{hand} in {simulator}", rows)
-    if options.out:
-        options.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    write(options.out, result)
 
 
 def show(title: str, rows: dict[str, dict[str, Any]]) -> None:
@@ -228,7 +224,3 @@ def show(title: str, rows: dict[str, dict[str, Any]]) -> None:
             *(f"{row['rss_mb']:.2f}", str(row["held"]), f"{row['moved_mm']:.2f}"),
         )
     Console(width=130).print(table)
-
-
-if __name__ == "__main__":
-    main()

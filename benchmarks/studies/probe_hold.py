@@ -3,20 +3,18 @@
 Plays the same perturbed scripted grasps twice in PyBullet.
 Prints a table and writes JSON:
 
-    python benchmarks/probe_hold.py --grasps 300 --out docs/data/probe_hold.json
+    python -m benchmarks probe_hold --grasps 300 --out docs/data/probe_hold.json
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
 from contextlib import closing
-from pathlib import Path
 
 import numpy as np
 from scipy import stats
 
+from benchmarks.command import parser, write
 from tactilerl.envs.grasp import setup
 from tactilerl.probe.command import Playing
 from tactilerl.probe.grasps import Scenes, ScriptedGrasps
@@ -51,11 +49,10 @@ def compare(hand: str, n: int) -> dict[str, float]:
 
 def main() -> None:
     """Print a table, write JSON after each hand."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--hands", nargs="+", default=["shadow", "mpl"])
-    parser.add_argument("--grasps", type=int, default=300)
-    parser.add_argument("--out", type=Path)
-    options = parser.parse_args()
+    flags = parser(__doc__)
+    flags.add_argument("--hands", nargs="+", default=["shadow", "mpl"])
+    flags.add_argument("--grasps", type=int, default=300)
+    options = flags.parse_args()
     results = {}
     print("| hand | grasps | held | verdicts changed (95 %) | time of the full one |")
     print("|---|---|---|---|---|")
@@ -63,9 +60,4 @@ def main() -> None:
         results[hand] = row = compare(hand, options.grasps)
         share = f"{row['changed']} ({row['changed_low']:.1%} – {row['changed_high']:.1%})"
         print(f"| {hand} | {row['grasps']} | {row['held']} | {share} | {row['time']:.2f} |", flush=True)
-        if options.out:
-            options.out.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()
+        write(options.out, results)

@@ -5,15 +5,13 @@ hands in both simulators. Every lift is made twice, in environments that are ali
 test: one holds it in full, the other until the early verdict. With --push a third holds it in full
 after the hand has moved 1 µm aside, which shows how many verdicts chance alone changes.
 
-    python benchmarks/hold_verdict.py --push --run RUN [RUN ...] --out docs/data/hold_verdict.json
+    python -m benchmarks hold_verdict --push --run RUN [RUN ...] --out docs/data/hold_verdict.json
 
 What the file says already of other lifts stays in it.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -26,6 +24,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy import stats
 
+from benchmarks.command import earlier, parser, write
 from tactilerl import envs
 from tactilerl.envs import scripted
 from tactilerl.envs.hands import Array, ClosingAction
@@ -189,15 +188,14 @@ def show(results: dict[str, dict[str, Any]]) -> None:
 
 def main() -> None:
     """Measure every source; write after each."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--run", type=Path, nargs="*", default=[], help="folders of trained runs")
+    flags = parser(__doc__)
+    flags.add_argument("--run", type=Path, nargs="*", default=[], help="folders of trained runs")
     pairs = [f"{hand}/{simulator}" for hand, simulator in PAIRS]
-    parser.add_argument("--scripted", nargs="*", default=pairs, choices=pairs, metavar="HAND/SIMULATOR")
-    parser.add_argument("--holds", type=int, default=150)
-    parser.add_argument("--push", action="store_true", help="hold a third time, 1 µm aside")
-    parser.add_argument("--early", nargs="*", default=[], metavar="FIELD=VALUE", help="of HoldTest")
-    parser.add_argument("--out", type=Path, help="write JSON here")
-    options = parser.parse_args()
+    flags.add_argument("--scripted", nargs="*", default=pairs, choices=pairs, metavar="HAND/SIMULATOR")
+    flags.add_argument("--holds", type=int, default=150)
+    flags.add_argument("--push", action="store_true", help="hold a third time, 1 µm aside")
+    flags.add_argument("--early", nargs="*", default=[], metavar="FIELD=VALUE", help="of HoldTest")
+    options = flags.parse_args()
     fields = {name: float(value) for name, value in (pair.split("=") for pair in options.early)}
     tests: dict[str, tuple[dict[str, Any], float]] = {
         "full": ({"verdict": "full"}, 0.0),
@@ -210,14 +208,7 @@ def main() -> None:
         sources[f"scripted {pair}"] = lambda pair=pair: disturbed(*pair.split("/"))
     for name, source in sources.items():
         result = measure(*source(), options.holds, tests)
-        results = {}
-        if options.out and options.out.exists():
-            results = json.loads(options.out.read_text(encoding="utf-8"))
+        results = earlier(options.out)
         results[name] = result
         show(results)
-        if options.out:
-            options.out.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()
+        write(options.out, results)

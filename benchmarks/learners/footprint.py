@@ -2,8 +2,8 @@
 
 Everything in fresh processes. Prints tables and writes JSON:
 
-    python benchmarks/footprint.py --out docs/data/footprint.json
-    python benchmarks/footprint.py --only memory
+    python -m benchmarks footprint --out docs/data/footprint.json
+    python -m benchmarks footprint --only memory
 """
 
 from __future__ import annotations
@@ -12,12 +12,13 @@ import json
 import subprocess
 import sys
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
-from timing import Part, rounds, run_parts
+
+from benchmarks.command import ROOT, Part, run_parts
+from benchmarks.timing import rounds
 
 STARTS = {
     "python -c pass": ("-c", "pass"),
@@ -26,13 +27,13 @@ STARTS = {
     "import tactilerl.envs": ("-c", "import tactilerl.envs"),
     "import torch": ("-c", "import torch"),
 }
-FULL_REPLAY = Path(__file__).with_name("full_replay.py")
 
 
 def python(*arguments: str) -> str:
     """What a fresh process prints."""
     command = [sys.executable, *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    return done.stdout
 
 
 def start(arguments: tuple[str, ...]) -> int:
@@ -56,8 +57,8 @@ def show_starting(seconds: dict[str, float]) -> None:
 
 
 def memory() -> dict[str, Any]:
-    """What `full_replay.py` found."""
-    return json.loads(python(str(FULL_REPLAY)).splitlines()[-1])
+    """What `full_replay` found."""
+    return json.loads(python("-m", "benchmarks", "full_replay").splitlines()[-1])
 
 
 def show_memory(found: dict[str, Any]) -> None:
@@ -74,5 +75,6 @@ def show_memory(found: dict[str, Any]) -> None:
 PARTS: dict[str, Part] = {"start": (starting, show_starting), "memory": (memory, show_memory)}
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """All parts or one."""
     run_parts(__doc__, PARTS, "torch", "numpy", "mujoco")

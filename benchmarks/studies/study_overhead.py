@@ -1,11 +1,10 @@
 """What does a study cost beside its runs? Many runs of a toy: time per run, memory of the parent.
 
-python benchmarks/study_overhead.py --runs 1000 --jobs 2 --out docs/data/study_overhead.json
+python -m benchmarks study_overhead --runs 1000 --jobs 2 --out docs/data/study_overhead.json
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import subprocess
 import sys
@@ -16,6 +15,8 @@ from statistics import median
 from typing import Any
 
 import psutil
+
+from benchmarks.command import parser, write
 
 FLAGS = {"env": "lqr", "hidden": 8, "steps_per_epoch": 60, "n_passes": 1, "total_timesteps": 60}
 ALONE = 5  # plain runs to compare with
@@ -72,16 +73,10 @@ def measure(runs: int, jobs: int) -> dict[str, Any]:
 
 def main() -> None:
     """Measure, show, write."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--runs", type=int, default=1000)
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--out", type=Path, help="write JSON here")
-    options = parser.parse_args()
-    text = json.dumps(measure(options.runs, options.jobs), indent=1)
-    print(text)
-    if options.out:
-        options.out.write_text(text + "\n", encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()
+    flags = parser(__doc__)
+    flags.add_argument("--runs", type=int, default=1000)
+    flags.add_argument("--jobs", type=int, default=2)
+    options = flags.parse_args()
+    result = measure(options.runs, options.jobs)
+    print(json.dumps(result, indent=1))
+    write(options.out, result)

@@ -1,10 +1,12 @@
-"""Is float32 enough, and are products in bfloat16? The learners' updates against the same updates
-in float64, and bootstrap intervals, ours and rliable's, against an exact one.
+"""Is float32 enough, and are products in bfloat16?
+
+The learners' updates against the same updates in float64, and bootstrap intervals, ours and
+rliable's, against an exact one.
 
 100 minibatch updates on identical data, at the sizes of the paper's set-ups; then intervals of a
 mean of five numbers, all of whose 3,125 resamples can be listed. Prints tables and writes JSON:
 
-    python benchmarks/precision.py --out docs/data/precision.json
+    python -m benchmarks precision --out docs/data/precision.json
 """
 
 from __future__ import annotations
@@ -17,11 +19,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from random_goals import RandomGoals
 from rich.console import Console
 from rich.table import Table
-from timing import Part, run_parts
 
+from benchmarks.command import Part, run_parts
+from benchmarks.learners.random_goals import RandomGoals
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.networks import FlatAdam, Precision, has_bfloat16, matrix_products
@@ -193,5 +195,6 @@ PARTS: dict[str, Part] = {
 }
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """All parts or one."""
     run_parts(__doc__, PARTS, "torch", "numpy", "scipy", "rliable", "arch")

@@ -1,0 +1,1 @@
+"""What is fast, what is right, and what it costs: figures for the docs, never asserted on time."""

@@ -1,0 +1,1 @@
+"""Learners: precision, two cores, memory, and where the time of a run goes."""

@@ -1,0 +1,1 @@
+"""Peers: against Gymnasium-Robotics, Stable-Baselines3 and the bare simulators."""

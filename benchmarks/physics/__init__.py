@@ -1,0 +1,1 @@
+"""Physics: what scenes cost, what they get wrong, what they survive."""

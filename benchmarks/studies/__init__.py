@@ -1,0 +1,1 @@
+"""Studies and probes: their intervals, their overhead, whether they agree."""

@@ -1,0 +1,1 @@
+"""One module per command: its flags, and `main(args)`, which returns the exit code."""

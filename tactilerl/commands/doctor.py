@@ -1,0 +1,71 @@
+"""`tactilerl doctor`: do the taxels feel?"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import dataclass
+
+from rich.table import Table
+
+from .. import doctor, flags
+from ..errors import InputError, input_errors
+from ..terminal import console
+from .scene import read_scene, require_scene
+
+
+@dataclass(frozen=True)
+class DoctorFlags:
+    """Flags of `tactilerl doctor`, besides the scene's."""
+
+    env: str = "shadow"
+    """Which environment."""
+    grasps: int = 20
+    """Perturbed grasps per layout."""
+    seconds: float = 3.0
+    """Length of each hold, s."""
+    compare: bool = False
+    """Run the same grasps in the other simulator too: how far do the taxels agree?"""
+    verbose: bool = False
+    """Name the taxels that never fired."""
+    json: bool = False
+    """Print JSON instead of a table."""
+
+
+def main(args: list[str]) -> int:
+    """`tactilerl doctor`: exit 1 when a layout is blind."""
+    name = flags.peek(args, "--env", DoctorFlags.env)
+    read, found = read_scene(DoctorFlags, args, name, "tactilerl doctor")
+    scene = require_scene(found, name)
+    flags.at_least("--grasps", read.grasps, 1)
+    if not 0.05 <= read.seconds <= 60:
+        raise InputError(f"--seconds: found {read.seconds}, allowed from 0.05 to 60")
+    chosen = flags.peek(args, "--layout", "")
+    names = [chosen] if chosen else [str(i) for i in range(1, 7)]
+    with input_errors():
+        figures = [
+            doctor.examine(
+                name, dataclasses.replace(scene, layout=layout), read.grasps, read.seconds, read.compare
+            )
+            for layout in names
+        ]
+    blind = [f.layout for f in figures if f.is_blind]
+    if read.json:
+        print(json.dumps([f.as_dict() for f in figures]))
+        return 1 if blind else 0
+    table = Table(title=f"{name} in {scene.simulator}, rule {scene.touch}: taxels during the hold")
+    for column in ("layout", "taxels", "held", "bits on", "steps with any", "never fired", ""):
+        table.add_column(column, justify="right")
+    for f in figures:
+        table.add_row(
+            *(f.layout, str(f.taxels), f"{f.held}/{f.grasps}", f"{f.mean_bits:.2f}"),
+            *(f"{100 * f.share_any:.0f} %", str(len(f.never_fired)), "blind" if f.is_blind else "ok"),
+        )
+    console.print(table)
+    for f in figures if read.compare else ():
+        share = "nothing to compare" if f.agreement is None else f"{100 * f.agreement:.0f} %"
+        console.print(f"layout {f.layout}: of what fires in either simulator, fires in both: {share}")
+    if read.verbose:
+        for f in figures:
+            console.print(f"layout {f.layout} never fired: {', '.join(f.never_fired) or 'none'}")
+    return 1 if blind else 0

@@ -1,0 +1,55 @@
+"""`tactilerl env`: what an environment consists of."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import dataclass
+from typing import Any
+
+from .. import envs, flags
+from ..errors import input_errors
+from .scene import read_scene
+
+
+@dataclass(frozen=True)
+class EnvFlags:
+    """Flags of `tactilerl env`, besides the scene's."""
+
+    env: str = "shadow"
+    """Which environment."""
+    describe: bool = False
+    """List every entry of the observation and of the action."""
+    json: bool = False
+    """Print JSON instead of text."""
+
+
+def main(args: list[str]) -> int:
+    """`tactilerl env --describe`"""
+    name = flags.peek(args, "--env", EnvFlags.env)
+    read, scene = read_scene(EnvFlags, args, name, "tactilerl env")
+    with input_errors():
+        made = envs.make(name, **(dataclasses.asdict(scene) if scene else {}))
+    try:
+        base: Any = made.unwrapped
+        described: dict[str, Any] = {
+            "env": name,
+            "action_space": str(made.action_space),
+            "observation_space": str(made.observation_space),
+        }
+        if scene:
+            described |= {"observation": base.observation_names(), "action": base.hand.action_names}
+            described["taxels"] = len(base.taxels)
+    finally:
+        made.close()
+    if read.json:
+        print(json.dumps(described))
+        return 0
+    for key in ("env", "action_space", "observation_space", "taxels"):
+        if key in described:
+            print(f"{key}: {described[key]}")
+    if read.describe:
+        for key in ("action", "observation"):
+            for index, entry in enumerate(described.get(key, ())):
+                print(f"{key}[{index}] {entry}")
+    return 0

@@ -1,0 +1,146 @@
+"""`tactilerl evaluate`: a trained run, as it was trained or with other sensors."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from .. import evaluate, flags, sweep
+from ..algos.mpi import Communicator
+from ..config import RunConfig, require_workers
+from ..envs.observations import SensorConfig
+from ..errors import InputError, input_errors
+from ..run_dir import RunDir
+from ..terminal import console
+from ..train import start_workers
+
+
+@dataclass(frozen=True)
+class EvaluateFlags:
+    """Flags of `tactilerl evaluate`."""
+
+    run: tyro.conf.Positional[Path]
+    """Run folder."""
+    episodes: int = 100
+    """Episodes to play; their starts are not those of training."""
+    stochastic: bool = False
+    """Keep the exploration noise."""
+    workers: int | None = None
+    """Episodes played side by side; default: the free cores."""
+    env: str = ""
+    """The run's environment once more, when its id names a module that is to be imported."""
+    trust: bool = False
+    """The same without its name: the run's environment may import the module that its id names."""
+    sweep: tuple[str, ...] = ()
+    """A flag of the sensors and several values for it: --sweep taxel-dead 0 0.1 0.2 0.5."""
+    out: Path | None = None
+    """With --sweep: the picture to write, .png, .svg or .pdf (needs 'tactilerl[plots]')."""
+    json: bool = False
+    """Print JSON instead of a table."""
+
+
+def main(args: list[str]) -> int:
+    """`tactilerl evaluate RUN`"""
+    read, sensors = _read_evaluate(args)
+    if read.out is not None and not read.sweep:
+        raise InputError("--out: found it, allowed only with --sweep")
+    with input_errors():
+        require_workers(read.workers)
+        if read.out is not None:
+            sweep.require_drawable(read.out)
+    trained = evaluate.load_policy(read.run, read.env, read.trust)
+    run = trained.config
+    if run.scene is not None and sensors is not None:
+        run = dataclasses.replace(run, scene=dataclasses.replace(run.scene, **vars(sensors)))
+    about = {"run": str(read.run), "epoch": trained.epoch, "env_steps": trained.env_steps}
+    if not read.sweep:
+        result = about | evaluate.summarise(_play(run, trained.policy, read))
+        return _tell(result, read.json, _evaluation_table)
+    name, values, runs = sweep.vary(run, read.sweep)
+    rows = [evaluate.summarise(_play(each, trained.policy, read)) for each in runs]
+    points = [{name: value, **row} for value, row in zip(values, rows, strict=True)]
+    if read.out is not None:
+        sweep.draw(name, values, rows, read.out)
+    return _tell({**about, "sweep": name, "points": points}, read.json, _sweep_table)
+
+
+def _read_evaluate(args: list[str]) -> tuple[EvaluateFlags, SensorConfig | None]:
+    """The flags, and the sensors: the saved ones but for flags that say otherwise; None where the
+    run has no scene of ours."""
+    sensors = SensorConfig()
+    read, _ = _parse_evaluate(args, sensors)  # which run, before its sensors are known
+    flags.at_least("--episodes", read.episodes, 1)
+    scene = RunDir(read.run).read_config(read.env, read.trust)[0].scene
+    if scene is None:
+        return flags.parse(EvaluateFlags, args, "tactilerl evaluate"), None
+    names = [field.name for field in dataclasses.fields(SensorConfig)]
+    return _parse_evaluate(args, SensorConfig(**{name: getattr(scene, name) for name in names}))
+
+
+def _parse_evaluate(args: list[str], sensors: SensorConfig) -> tuple[EvaluateFlags, SensorConfig]:
+    kinds: list[Any] = [("own", EvaluateFlags), ("sensors", SensorConfig, sensors)]
+    options: Any = dataclasses.make_dataclass("Options", kinds)
+    read = flags.parse(options, args, "tactilerl evaluate")
+    return read.own, read.sensors
+
+
+def _play(run: RunConfig, policy: Any, read: EvaluateFlags) -> list[dict[str, Any]]:
+    """Play an evaluation's episodes; a row each."""
+    with input_errors():
+        workers = start_workers(run, Communicator(), read.workers)
+    is_shown = sys.stderr.isatty() and not read.json
+    screen = Console(stderr=True)
+    with closing(workers):
+        played = workers.play(evaluate.task(policy, read.stochastic), range(read.episodes))
+        shown = track(played, "playing", read.episodes, console=screen, disable=not is_shown)
+        return [evaluate.row(episode) for episode in shown]
+
+
+def _tell(result: dict[str, Any], as_json: bool, table: Callable[[dict[str, Any]], Table]) -> int:
+    if as_json:
+        print(json.dumps(result))
+    else:
+        console.print(table(result))
+    return 0
+
+
+def _evaluation_table(result: dict[str, Any]) -> Table:
+    title = f"{result['run']}, epoch {result['epoch']}, {result['episodes']} episodes"
+    table = Table("", "mean", "95 % interval", title=title)
+    if "success_rate" in result:
+        low, high = result["success_rate_ci"]
+        table.add_row("success rate", f"{result['success_rate']:.3f}", f"{low:.3f} – {high:.3f}")
+        table.add_row("steps in success at the end", f"{result['mean_held_steps']:.1f}", "")
+    for part in result.get("by_object", ()):
+        low, high = part["success_rate_ci"]
+        what = f"success rate, {part['object']} ({part['episodes']})"
+        table.add_row(what, f"{part['success_rate']:.3f}", f"{low:.3f} – {high:.3f}")
+    low, high = result["mean_return_ci"]
+    table.add_row("return", f"{result['mean_return']:.2f}", f"{low:.2f} – {high:.2f}")
+    table.add_row("length", f"{result['mean_length']:.1f}", "")
+    for fault, what in (("diverged", "diverged episodes"), ("warnings", "warnings")):
+        if result[fault]:
+            table.add_row(what, str(result[fault]), "")
+    return table
+
+
+def _sweep_table(result: dict[str, Any]) -> Table:
+    name, points = result["sweep"], result["points"]
+    title = f"{result['run']}, epoch {result['epoch']}, {points[0]['episodes']} episodes each"
+    table = Table(name.replace("_", "-"), "success rate", "95 % interval", "return", title=title)
+    for point in points:
+        low, high = point["success_rate_ci"]
+        rate, interval = f"{point['success_rate']:.3f}", f"{low:.3f} – {high:.3f}"
+        table.add_row(str(point[name]), rate, interval, f"{point['mean_return']:.2f}")
+    return table

@@ -1,0 +1,87 @@
+"""`tactilerl train`: all flags of a run, and the run."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from .. import config as configuration
+from .. import flags
+from ..algos import mpi
+from ..config import RunConfig, RunOptions
+from ..errors import InputError, input_errors
+from ..run_dir import RunDir
+from ..terminal import console
+from ..train import train
+
+SETTLED_NOTE = (
+    "hold_verdict=settled decides holds early; how often it is wrong: docs/environments.md, Hold test"
+)
+
+
+def main(args: list[str]) -> int:
+    """`tactilerl train`"""
+    resume = flags.peek(args, "--resume", "")
+    algo = flags.peek(args, "--algo", RunOptions.algo)
+    env = flags.peek(args, "--env", RunOptions.env if not resume else "")
+    saved = RunDir(Path(resume)).read_config(env, "--trust" in args)[0] if resume else None
+    config, options = read_config(args, saved or configuration.defaults(algo, env))
+    for flag in ("any_ranks", "trust"):
+        if getattr(options, flag) and not resume:
+            raise InputError(f"--{flag.replace('_', '-')}: found without --resume, allowed with it")
+    if resume and any(arg.partition("=")[0] == "--out" for arg in args):
+        raise InputError("--out: a resumed run stays in its folder; leave it out")
+    with input_errors():
+        config.validate()
+        comm = mpi.world()
+    if saved and (difference := saved.difference(config.identity())):
+        raise InputError(f"--resume {resume}: {difference}; a run goes on as it began")
+    if comm.rank == 0:
+        console.print(_summary(config, comm.size))
+    path = train(config, comm, Path(resume) if resume else None, options.any_ranks)
+    if comm.rank == 0:
+        console.print(
+            f"\nThe run is in {path}: progress.csv (learning curve), checkpoint.pt, config.json.\n"
+            f"  tactilerl evaluate {path}"
+        )
+    return 0
+
+
+TRUST = "the run's environment may import the module that its id names"
+
+
+def read_config(args: list[str], base: RunConfig) -> tuple[RunConfig, Any]:
+    """All flags of `train`, over the defaults `base`; and those that are not of the configuration."""
+    parts = {"run": base.run, "scene": base.scene, "learner": base.learner}
+    parts = {name: part for name, part in parts.items() if part is not None}
+    about = "go on with the run in this folder, exactly where its last epoch ended"
+    resume = ("resume", Annotated[str, tyro.conf.arg(help=about, metavar="RUN")], "")
+    about = "with --resume: go on with another number of processes, no longer bit for bit"
+    any_ranks = ("any_ranks", Annotated[bool, tyro.conf.arg(help=about)], False)
+    trust = ("trust", Annotated[bool, tyro.conf.arg(help=f"with --resume: {TRUST}")], False)
+    kinds = [(name, type(part)) for name, part in parts.items()]
+    options = dataclasses.make_dataclass("Options", [*kinds, resume, any_ranks, trust])
+    read: Any = flags.parse(
+        options,
+        args,
+        "tactilerl train",
+        options(**parts),
+        "Train a policy. Defaults are the paper's; --algo and --env decide which flags there are.",
+    )
+    config = RunConfig(read.run, getattr(read, "scene", None), read.learner, None, base.is_trusted)
+    return config, read
+
+
+def _summary(config: RunConfig, ranks: int) -> str:
+    """What the run resolved to, one line per part."""
+    several = f"{ranks} processes" if ranks > 1 else "1 process (mpirun -n 2 tactilerl ... for two)"
+    lines = [f"tactilerl train: {several}"]
+    for part, values in config.as_dict().items():
+        if values:
+            lines.append(f"  {part:8}" + "  ".join(f"{k}={v}" for k, v in values.items()))
+    if config.scene is not None and config.scene.hold_verdict == "settled":
+        lines.append(f"  note     {SETTLED_NOTE}")
+    return "\n".join(lines)
