@@ -1,7 +1,7 @@
 """What several probes found, side by side: the tables of docs/probe.md, and the figure of worth
 against number of taxels.
 
-    python benchmarks/probe_tables.py probes/{shadow,mpl}_{mujoco,pybullet} \\
+    python -m benchmarks probe_tables probes/{shadow,mpl}_{mujoco,pybullet} \\
         --figure docs/images/probe_selection.png --out docs/data/probe.json
 
 Each folder is one that `tactilerl probe --select ... --out` wrote.
