@@ -7,7 +7,7 @@ tensor of another shape would make PyTorch write where nothing of it is.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
@@ -15,7 +15,7 @@ import torch
 LARGEST = 2**63  # counters stay below
 
 
-def take(learner: Any, parts: Sequence[str], counters: Sequence[str]) -> dict[str, Any]:
+def save(learner: Any, parts: Sequence[str], counters: Sequence[str]) -> dict[str, Any]:
     """`state_dict` of the attributes `parts`, the values of `counters`, and `learner.rng`'s state."""
     return {
         **{name: getattr(learner, name).state_dict() for name in parts},
@@ -24,13 +24,13 @@ def take(learner: Any, parts: Sequence[str], counters: Sequence[str]) -> dict[st
     }
 
 
-def give(learner: Any, state: dict[str, Any], parts: Sequence[str], counters: Sequence[str]) -> None:
-    """Put back what `take` returned; a state without "rng" leaves the learner its own, as a rank
+def restore(learner: Any, state: dict[str, Any], parts: Sequence[str], counters: Sequence[str]) -> None:
+    """Put back what `save` returned; a state without "rng" leaves the learner its own, as a rank
     that is new needs it.
 
     Raises ValueError, before anything is changed, when the learner's own state is another kind.
     """
-    own = take(learner, parts, counters)
+    own = save(learner, parts, counters)
     rng = own.pop("rng")
     is_dict = isinstance(state, dict)
     require_like({k: v for k, v in state.items() if k != "rng"} if is_dict else state, own)
@@ -42,6 +42,15 @@ def give(learner: Any, state: dict[str, Any], parts: Sequence[str], counters: Se
         setattr(learner, name, state[name])
     if "rng" in state:
         learner.rng.bit_generator.state = state["rng"]
+
+
+def restore_parts(parts: Mapping[str, Any], state: dict[str, Any]) -> None:
+    """Put back only some parts, by name, of what `save` returned; ValueError as of `restore`."""
+    own = {name: part.state_dict() for name, part in parts.items()}
+    is_dict = isinstance(state, dict)
+    require_like({k: v for k, v in state.items() if k in parts} if is_dict else state, own)
+    for name, part in parts.items():
+        part.load_state_dict(state[name])
 
 
 def require_like(found: Any, own: Any, name: str = "state") -> None:

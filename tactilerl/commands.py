@@ -37,7 +37,7 @@ def train(args: list[str]) -> int:
     """`tactilerl train`"""
     from .algos import mpi
     from .run_dir import RunDir
-    from .train import train as run
+    from .training import train as run
 
     resume = flags.peek(args, "--resume", "")
     algo = flags.peek(args, "--algo", RunOptions.algo)
@@ -131,8 +131,7 @@ class EvaluateFlags:
 
 def evaluate(args: list[str]) -> int:
     """`tactilerl evaluate RUN`"""
-    from . import evaluate as evaluation
-    from . import sweep
+    from . import evaluation, policies, sweep
 
     read, sensors = _read_evaluate(args)
     if read.out is not None and not read.sweep:
@@ -141,7 +140,7 @@ def evaluate(args: list[str]) -> int:
         configuration.require_workers(read.workers)
         if read.out is not None:
             sweep.require_drawable(read.out)
-    trained = evaluation.load_policy(read.run, read.env, read.trust)
+    trained = policies.read_run(read.run, read.env, read.trust)
     run = trained.config
     if run.scene is not None and sensors is not None:
         run = dataclasses.replace(run, scene=dataclasses.replace(run.scene, **vars(sensors)))
@@ -183,9 +182,9 @@ def _play(run: RunConfig, policy: Any, read: EvaluateFlags) -> list[dict[str, An
     """Play an evaluation's episodes; a row each."""
     from rich.progress import track
 
-    from . import evaluate as evaluation
+    from . import evaluation
     from .algos.mpi import Communicator
-    from .train import start_workers
+    from .training import start_workers
 
     with input_errors():
         workers = start_workers(run, Communicator(), read.workers)

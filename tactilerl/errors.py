@@ -10,7 +10,7 @@ from contextlib import contextmanager
 RANKS = ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK")  # set by MPI launchers
 
 
-class InputError(Exception):
+class InputError(ValueError):
     """One line: what was wrong, what was found, what is allowed. The command exits with 2."""
 
 
@@ -19,6 +19,8 @@ def input_errors(where: str = "") -> Iterator[None]:
     """Turn what library code raises over bad input into an InputError."""
     try:
         yield
+    except InputError:  # is one line already
+        raise
     except (ValueError, OSError, ImportError, RuntimeError, OverflowError, MemoryError) as error:
         line = " ".join(str(error).split())
         raise InputError(f"{where}: {line}" if where else line) from error
