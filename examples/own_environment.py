@@ -1,9 +1,6 @@
 """PPO on an environment of your own: any Gymnasium environment will do."""
 
-# %% The budget
-STEPS = 20_000
-
-# %% Parse `--steps`, so that the script can be tried with another budget
+# %%
 import argparse
 from typing import Any
 
@@ -12,6 +9,10 @@ import numpy as np
 
 import tactilerl
 
+# %% The budget
+STEPS = 20_000
+
+# %% Parse `--steps`, so that the script can be tried with another budget
 parser = argparse.ArgumentParser()
 parser.add_argument("--steps", type=int, default=STEPS)
 steps = parser.parse_known_args()[0].steps

@@ -1,15 +1,16 @@
 """Put taxels where you want them, see which ones feel a grasp, and train with them."""
 
-# %% The budget. Raise it to learn something: 50_000 are a start.
-STEPS = 300
-
-# %% Parse `--steps`, so that the script can be tried with another budget
+# %%
 import argparse
 import tempfile
 from pathlib import Path
 
 import tactilerl
 
+# %% The budget. Raise it to learn something: 50_000 are a start.
+STEPS = 300
+
+# %% Parse `--steps`, so that the script can be tried with another budget
 parser = argparse.ArgumentParser()
 parser.add_argument("--steps", type=int, default=STEPS)
 steps = parser.parse_known_args()[0].steps

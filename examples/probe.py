@@ -1,9 +1,6 @@
 """What can a layout know? Play grasps once and ask several layouts. Needs 'tactilerl[probe]'."""
 
-# %% The budget: grasps to play. 2_000 give useful intervals.
-STEPS = 60
-
-# %% Parse `--steps`, so that the script can be tried with another budget
+# %%
 import argparse
 import json
 import tempfile
@@ -11,6 +8,10 @@ from pathlib import Path
 
 from tactilerl.cli import main as tactilerl_command
 
+# %% The budget: grasps to play. 2_000 give useful intervals.
+STEPS = 60
+
+# %% Parse `--steps`, so that the script can be tried with another budget
 parser = argparse.ArgumentParser()
 parser.add_argument("--steps", type=int, default=STEPS)
 grasps = parser.parse_known_args()[0].steps

@@ -1,9 +1,6 @@
 """Train on the Shadow Hand with another library: Stable-Baselines3 (pip install stable-baselines3)."""
 
-# %% The budget. Raise it to learn something.
-STEPS = 500
-
-# %% Parse `--steps`, so that the script can be tried with another budget
+# %%
 import argparse
 
 import gymnasium as gym
@@ -11,6 +8,10 @@ from stable_baselines3 import PPO
 
 import tactilerl  # registers the environments
 
+# %% The budget. Raise it to learn something.
+STEPS = 500
+
+# %% Parse `--steps`, so that the script can be tried with another budget
 parser = argparse.ArgumentParser()
 parser.add_argument("--steps", type=int, default=STEPS)
 steps = parser.parse_known_args()[0].steps

@@ -1,4 +1,9 @@
-"""How much does a trained hand lose when taxels break? A policy, and hands with more and more dead ones."""
+"""What does a trained hand lose when taxels break? One policy, more and more dead taxels."""
+
+# %%
+import argparse
+
+import tactilerl
 
 # %% The budgets. A hand that has learned nothing has nothing to lose: 50_000 steps are a start,
 # and 100 episodes tell rates apart that lie 0.15 from each other.
@@ -6,10 +11,6 @@ STEPS = 500
 EPISODES = 2
 
 # %% Parse `--steps` and `--run`: a run folder of yours to look at instead
-import argparse
-
-import tactilerl
-
 parser = argparse.ArgumentParser()
 parser.add_argument("--steps", type=int, default=STEPS)
 parser.add_argument("--run", help="folder of a run on shadow with layout 4")

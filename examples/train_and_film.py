@@ -1,12 +1,9 @@
 """Train the Shadow Hand to lift a cube, then watch it try. Films need 'tactilerl[render]'.
 
-Run it whole, or cell by cell in an editor that knows `# %%`.
+Run it whole, or cell by cell in an editor that knows such cells.
 """
 
-# %% The budget. A few hundred steps only show that it works: 50_000 are a start.
-STEPS = 500
-
-# %% Parse `--steps`, so that the script can be tried with another budget
+# %%
 import argparse
 import tempfile
 from pathlib import Path
@@ -14,6 +11,10 @@ from pathlib import Path
 import tactilerl
 from tactilerl.cli import main as tactilerl_command
 
+# %% The budget. A few hundred steps only show that it works: 50_000 are a start.
+STEPS = 500
+
+# %% Parse `--steps`, so that the script can be tried with another budget
 parser = argparse.ArgumentParser()
 parser.add_argument("--steps", type=int, default=STEPS)
 steps = parser.parse_known_args()[0].steps
