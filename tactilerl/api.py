@@ -1,4 +1,4 @@
-"""tactilerl as a library: learners on any Gymnasium environment, and what the commands do.
+"""tactilerl as a library: train on any Gymnasium environment, evaluate, run what the commands run.
 
 import tactilerl
 
@@ -37,7 +37,7 @@ from .report import Report
 from .run_dir import RunDir
 
 Env = gym.Env[Any, Any] | str | Callable[[], gym.Env[Any, Any]]
-"""An environment, which is played in and stays open; or its id, or a function that makes one."""
+"""An environment, which the caller closes; or an id, or a function that makes one."""
 Callback = Callable[[dict[str, Any]], bool | None]
 
 
@@ -57,16 +57,19 @@ class Learner:
         matmul: Precision = "float32",
         **hyperparameters: Any,
     ) -> None:
-        """A learner that plays in `env`.
+        """A learner for `env`, with untrained networks.
 
-        `env` is an environment with Box or goal-Dict observations and Box actions, wrapped as you
-        like; or its id, or a function that makes one, so that `workers` of them are played in side
-        by side (where these are processes, the function has to be one of a module, or a
-        `functools.partial` of it). Everything random follows from `seed`; the rest are the flags of
-        ``tactilerl train``, with its defaults: for the hyperparameters see `PPOConfig` and
-        `DDPGHERConfig`. `threads` are PyTorch's while it learns.
+        `env` is an environment with Box or goal-Dict observations and bounded Box actions, whose
+        episodes end; wrap it as you like. Or pass an id, or a function that makes one, to play
+        `workers` episodes side by side: results are the same with any number. (Environments that
+        need a process each need a function that can be pickled: one of a module, or a
+        `functools.partial` of it.)
 
-        Raises ValueError, one line, when any of it cannot be.
+        `seed` is the random seed of everything, `device` PyTorch's device for the networks, `threads`
+        PyTorch's threads while learning, `matmul` the precision of the products in updates.
+        Hyperparameters are the flags of ``tactilerl train``, with the same defaults.
+
+        Raises ValueError, in one line, for an invalid argument.
         """
         config_type, _ = algos.load(self.algo)
         options = dict(seed=seed, workers=workers, device=device, threads=threads, matmul=matmul)
@@ -87,13 +90,15 @@ class Learner:
     def learn(
         self, total_timesteps: int, *, progress: bool = False, callback: Callback | None = None
     ) -> Learner:
-        """Learn for `total_timesteps` environment steps, to the end of the epoch in which they are
-        done; called again, for as many more. Returns itself.
+        """Learn for `total_timesteps` environment steps, and to the end of the epoch that reaches
+        them. Call it again to go on, for `total_timesteps` more. Returns the learner.
 
-        `progress` shows what the command shows. `callback` is given each epoch's row of
-        ``progress.csv`` (``env_steps``, ``mean_return``, ``success_rate`` and so on) and ends the
-        learning by returning False. DivergenceError (a FloatingPointError) when something the
-        learner needs is no longer finite; ValueError when the environment's rewards do not suit.
+        `progress` shows what ``tactilerl train`` shows. `callback` is called after every epoch with
+        its row of ``progress.csv`` (``env_steps``, ``mean_return``, ``success_rate``, ...) and stops
+        the learning by returning False.
+
+        Raises DivergenceError (a FloatingPointError) when an observation, a reward, a loss or a
+        parameter is no longer finite, and ValueError when the learner cannot use the rewards.
         """
         typed.validate(dataclasses.replace(self._run, total_timesteps=total_timesteps))
         learner, matmul = self._learner, self._run.matmul
@@ -113,33 +118,37 @@ class Learner:
         return self
 
     def policy(self) -> Policy:
-        """What acts now; learning on does not change it."""
+        """A copy of the current policy; further learning does not change it."""
         return copy.deepcopy(self._learner.policy())
 
     def act(
         self, obs: Any, deterministic: bool = True, rng: np.random.Generator | None = None
     ) -> np.ndarray:
-        """As `policy().act`."""
+        """Actions of the current policy: see `Policy.act`."""
         return self._learner.policy().act(obs, deterministic, rng)
 
     def save(self, path: str | Path) -> None:
-        """Write the policy to a file for `load_policy`; replaces one that is there."""
+        """Write the current policy to a file that `load_policy` reads, replacing an older one.
+
+        The file holds what acting needs. To go on with the learning some day, use `train`.
+        """
         policies.save_policy(path, self.algo, self._learner)
 
     def close(self) -> None:
-        """Close the environments that were made here; one that was passed stays open."""
+        """Close the environments that the learner made; one that it was given stays open."""
         self._workers.close()
 
 
 class PPO(Learner):
-    """Proximal policy optimisation; hyperparameters are the fields of `algos.ppo.PPOConfig`."""
+    """Proximal policy optimisation. Its hyperparameters are the fields of
+    `tactilerl.algos.ppo.PPOConfig`."""
 
     algo = "ppo"
 
 
 class DDPGHER(Learner):
-    """DDPG with hindsight experience replay, for goal environments; hyperparameters are the fields of
-    `algos.ddpg_her.DDPGHERConfig`."""
+    """DDPG with hindsight experience replay, for goal environments. Its hyperparameters are the fields
+    of `tactilerl.algos.ddpg_her.DDPGHERConfig`."""
 
     algo = "ddpg_her"
 
@@ -152,12 +161,12 @@ def evaluate(
     stochastic: bool = False,
     workers: int | None = None,
 ) -> dict[str, Any]:
-    """Play episodes with a policy, from the same starts every time: how good is it?
+    """Play episodes with a policy, from the same starts every time.
 
-    `success_rate` (where the environment has ``is_success``), `mean_return`, both with their
-    95 % intervals (`success_rate_ci`: Wilson's; `mean_return_ci`: bootstrap), `mean_length` in
-    steps and so on, as ``tactilerl evaluate --json``. `stochastic` keeps the exploration noise;
-    `env` and `workers` are as for the learners. ValueError when the policy is for other spaces.
+    Returns `success_rate` (where the environment reports ``is_success``) and `mean_return`, their
+    95 % intervals `success_rate_ci` (Wilson) and `mean_return_ci` (bootstrap), `mean_length` in
+    steps and more, as ``tactilerl evaluate --json`` does. `stochastic` keeps the exploration noise;
+    for `env` and `workers` see `PPO`. Raises ValueError when the policy does not fit `env`.
     """
     if episodes < 1:
         raise ValueError(f"episodes: found {episodes}, allowed 1 or more")
@@ -178,12 +187,15 @@ def train(
     trust: bool = False,
     **flags: Any,
 ) -> Path:
-    """What ``tactilerl train`` does; returns the run folder, for `load_policy` and the commands.
+    """Do what ``tactilerl train`` does, and return the run folder, which `load_policy` and the commands
+    take.
 
-    All its flags are keywords: ``train("shadow", algo="ppo", layout=4, total_timesteps=50_000)``.
-    With `resume` a run goes on from its folder. Raises ValueError naming a flag that there is not or
-    that cannot be, DivergenceError (a FloatingPointError) when learning broke; the last checkpoint
-    stays.
+    Flags of the command are keywords, as in ``train("shadow", algo="ppo", layout=4, seed=1)``.
+    `resume` goes on with the run in a folder, exactly where its last epoch ended.
+
+    Raises ValueError naming an unknown or invalid flag, and DivergenceError (a FloatingPointError)
+    when an observation, a reward, a loss or a parameter is no longer finite; the last checkpoint
+    is kept.
     """
     comm = mpi.world()
     if resume is None:

@@ -93,7 +93,7 @@ class RunConfig:
         return {name: part for name in PARTS if (part := getattr(self, name)) is not None}
 
     def choose(self, choices: Mapping[str, Any]) -> RunConfig:
-        """With some fields chosen otherwise, by name; ValueError naming one that there is not."""
+        """A copy with other values of some fields, by name; ValueError naming an unknown field."""
         own = {name: typed.names(part) for name, part in self.parts.items()}
         typed.require_known(choices, set().union(*own.values()))
         chosen = {name: {k: choices[k] for k in choices if k in own[name]} for name in own}

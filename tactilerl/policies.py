@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from . import algos, sealed, typed
 from .algos.policy import Policy
 from .algos.spaces import Spaces
+from .algos.state import require_like
 from .errors import InputError
 
 if TYPE_CHECKING:
@@ -97,7 +98,7 @@ def read_run(path: Path, env: str = "", trust: bool = False) -> Trained:
         spaces = Spaces.from_json(known) if known else _spaces(saved)
         policy = learner.saved_policy(saved.learner, spaces, data["ranks"][0])
         env_steps = data["ranks"][0]["env_steps"]
-        typed.require_type(env_steps, int, "env_steps")
+        require_like(env_steps, 0, "env_steps")
     run = dataclasses.replace(saved.run, workers=1, device="cpu", matmul="float32")
     scene = saved.scene and dataclasses.replace(saved.scene, hold_verdict="full")
     config = dataclasses.replace(saved, run=run, scene=scene)

@@ -48,7 +48,7 @@ def require_known(names: Iterable[str], known: Iterable[str]) -> None:
 
 
 def validate(instance: Any) -> None:
-    """ValueError naming the first field of a dataclass that is of another type or cannot be."""
+    """ValueError naming the first field of a dataclass that is invalid or of another type."""
     require(type(instance), vars(instance))
     instance.validate()
 
