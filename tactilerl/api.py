@@ -79,7 +79,7 @@ class Learner:
         for part in (self._run, self.config):
             typed.validate(part)
         self._comm, self._epoch = Communicator(), 0
-        start = partial(_start, env, workers)
+        start = partial(_start, env, workers, threads)
         self._learner, self._workers = training.start_learner(self._run, self.config, start, self._comm)
 
     @property
@@ -171,7 +171,7 @@ def evaluate(
     if episodes < 1:
         raise ValueError(f"episodes: found {episodes}, allowed 1 or more")
     config.require_workers(workers)
-    with closing(_start(env, workers)) as played_in:
+    with _threads(1), closing(_start(env, workers)) as played_in:
         policy.require_spaces(Spaces(played_in.observation_space, played_in.action_space))
         played = played_in.play(evaluation.task(policy, stochastic), range(episodes))
         return evaluation.summarise([evaluation.row(episode) for episode in played])
@@ -212,8 +212,9 @@ def train(
     return training.train(chosen, comm, None if resume is None else Path(resume), any_ranks)
 
 
-def _start(env: Env, workers: int | None) -> vector.Workers:
-    """Who plays in `env`; closing them closes only what was made here."""
+def _start(env: Env, workers: int | None, threads: int = 1) -> vector.Workers:
+    """Who plays in `env`; closing them closes only what was made here. Where they are processes,
+    PyTorch computes with `threads` threads in each."""
     if isinstance(env, gym.Env):
         if workers not in (None, 1):
             raise ValueError(
@@ -226,7 +227,7 @@ def _start(env: Env, workers: int | None) -> vector.Workers:
         raise ValueError(
             f"env: found {type(env).__name__}, allowed an environment, an id or a function"
         )
-    return vector.start(make, workers or 1)
+    return vector.start(make, workers or 1, partial(torch.set_num_threads, threads))
 
 
 @contextmanager

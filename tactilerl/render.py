@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import torch
 
 from .envs import scripted
 from .envs.grasp import GraspConfig, GraspEnv
@@ -59,6 +60,7 @@ def film(
     if saved.scene is None:
         raise InputError(f"{run}: found a run on {saved.run.env!r}, allowed one of a grasping scene")
     config, policy, *_ = policies.read_run(run)
+    torch.set_num_threads(config.run.threads)  # as it was trained, to the last digit
     assert config.scene is not None
     config = replace(config, scene=replace(config.scene, hold_seconds=hold_seconds))
     assert config.scene is not None

@@ -33,7 +33,6 @@ def make_algorithm(config: RunConfig, comm: Communicator) -> tuple[algos.Algorit
     run = config.run
     with input_errors():
         config.validate()
-        torch.set_num_threads(run.threads)
         start = partial(start_workers, config, comm, run.workers)
         return start_learner(run, config.learner, start, comm)
 
@@ -41,8 +40,7 @@ def make_algorithm(config: RunConfig, comm: Communicator) -> tuple[algos.Algorit
 def start_learner(
     run: RunOptions, hyperparameters: Any, start: Callable[[], vector.Workers], comm: Communicator
 ) -> tuple[algos.Algorithm, vector.Workers]:
-    """The learner and the workers that `start` starts, which are closed when they do not go together:
-    that is a ValueError."""
+    """The learner and the workers that `start` returns; ValueError when they do not go together."""
     _, algorithm = algos.load(run.algo)
     device = _device(run.device)
     _require_products(run)
@@ -56,14 +54,16 @@ def start_learner(
 
 
 def check(learner: algos.Algorithm) -> None:
-    """ValueError when the learner would find out later that it cannot learn here."""
+    """ValueError when the environment or this machine is not fit for the learner."""
     if isinstance(learner, algos.OffPolicy):
         learner.check()
 
 
 def start_workers(config: RunConfig, comm: Communicator, n: int | None) -> vector.Workers:
-    """`n` environments and who plays in them; by default as many as there are free cores."""
+    """`n` environments and who plays in them; by default as many as there are free cores. PyTorch
+    computes with the run's number of threads from here on, in this process and in theirs."""
     set_up = partial(torch.set_num_threads, config.run.threads)
+    set_up()
     return vector.start(config.make_env, n or free_cores(comm), set_up)
 
 
@@ -144,8 +144,8 @@ def _begun(checkpoint: Checkpoint, any_ranks: bool) -> int:
 
 
 def epochs(learner: algos.Algorithm, matmul: Precision, epoch: int = 0) -> Iterator[dict[str, Any]]:
-    """Learn until `total_timesteps`, after as many epochs as `epoch` says: a row of the progress table
-    after each."""
+    """Learn until `total_timesteps`; yields each epoch's row of the progress table. `epoch` is how many
+    there were before."""
     while learner.env_steps < learner.total_timesteps:
         epoch += 1
         yield {"epoch": epoch, **_epoch(learner, matmul)}

@@ -74,7 +74,9 @@ class TestLearner:
         wanted = ["--algo", algo, "--env", env, "--total-timesteps", str(steps), "--out", "run"]
         assert main(["train", *wanted, "--seed", "3", *flags(choices)]) == 0
         capsys.readouterr()
+        torch.set_num_threads(2)
         assert main(["evaluate", "run", "--episodes", "5", "--json"]) == 0
+        assert torch.get_num_threads() == 1  # as it was trained
         told = json.loads(capsys.readouterr().out)
 
         made = tactilerl.make(env)

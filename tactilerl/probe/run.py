@@ -24,7 +24,7 @@ from ..envs.hands import Hand
 from ..envs.layouts import Layout
 from ..errors import InputError, input_errors
 from ..sealed import replacing
-from ..training import free_cores
+from ..training import free_cores, start_workers
 from . import analysis, figures, files, places, selection
 from .analysis import Choices
 from .files import Played
@@ -133,7 +133,7 @@ def _by_policy(
     felt: tuple[Place, ...] = ()
     if scene.touch == "contact":
         felt = tuple(places.of(layouts.load(scene.layout).place(hand), hand))
-    start = partial(vector.start, config.make_env, workers)
+    start = partial(start_workers, config, comm, workers)
     out = out or Path("probes") / playing.policy.resolve().name
     task = PolicyGrasps(policy, playing.seed)
     return play(out / "grasps.npz", playing.grasps, settings, felt, task, start, comm, show), out
