@@ -5,10 +5,12 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
 
 import gymnasium as gym
 import numpy as np
+
+from .spaces import Spaces
 
 if TYPE_CHECKING:
     from .policy import Policy
@@ -83,17 +85,23 @@ class Algorithm(Protocol):
     cycles_per_epoch: int
     """How often an epoch collects and updates."""
 
-    def prepare(self) -> str:
-        """What the configuration amounts to, in words; ValueError when memory is short."""
+    config: Any
+    """Hyperparameters, with those that the environment decides."""
+
+    policy_parts: tuple[str, ...]
+    """What of `state_dict` the policy is made of."""
+
+    spaces: Spaces
+    """Of the environments it plays in."""
+
+    def describe(self) -> str:
+        """What the configuration amounts to, in words."""
 
     def collect(self) -> dict[str, float]:
         """Gather experience for one cycle; what was seen."""
 
     def update(self) -> dict[str, float]:
         """Learn from it; losses and the like."""
-
-    def test(self) -> dict[str, float]:
-        """How good is it without exploration, at the end of an epoch? Empty where not asked."""
 
     def policy(self) -> Policy:
         """What acts now; good until the next update."""
@@ -104,9 +112,29 @@ class Algorithm(Protocol):
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Go on exactly where `state_dict` was taken; with the own random state if it has none."""
 
+    @staticmethod
+    def saved_policy(config: Any, spaces: Spaces, saved: dict[str, Any]) -> Policy:
+        """The policy in what `state_dict` returned, on the CPU and without a learner around it.
+
+        `config` are the learner's hyperparameters. ValueError when these do not go together.
+        """
+
+
+@runtime_checkable
+class OffPolicy(Algorithm, Protocol):
+    """A learner that remembers: what it plays is much noisier than what it learns, so that has to be
+    tested, and its memory has to fit, be saved, and hold what may be learned from again."""
+
+    def check(self) -> None:
+        """Raise ValueError when memory is short or the environment's rewards do not fit; plays an
+        episode."""
+
+    def test(self) -> dict[str, float]:
+        """How good is it without exploration, at the end of an epoch? Empty where not asked."""
+
     @property
     def experience_bytes(self) -> int:
-        """Memory that the experience takes when it is full; 0 where nothing is remembered."""
+        """Memory that the experience takes when it is full."""
 
     def new_experience(self, everything: bool = False) -> dict[str, Any]:
         """Tensors: what is remembered since the last call, or at all; empty where nothing is."""
@@ -116,7 +144,7 @@ class Algorithm(Protocol):
         whose experience counts as new."""
 
 
-def get(name: str) -> tuple[type, type]:
+def get(name: str) -> tuple[Any, Any]:
     """(Config, Algorithm) by name; PyTorch is imported here and not before."""
     if name not in ALGORITHMS:
         raise ValueError(f"unknown algorithm {name!r}; allowed: {', '.join(ALGORITHMS)}")

@@ -33,10 +33,10 @@ from . import (
 )
 from .mpi import Communicator, same_on_all_ranks
 from .networks import MLP, FlatAdam, flatten, require_finite
-from .normalizer import Normalizer
-from .policy import GoalInputs, GoalObs, Policy, on_cpu
+from .policy import GoalObs, GoalStats, Policy, new_actor, on_cpu
 from .replay import Batch, Replay
 from .rollout import FAULTS, PROBE, TEST, TRAIN, Episode, PlayEpisode, require_transitions, summary
+from .spaces import Spaces
 
 CHECK_EVERY = 100  # updates between two looks at whether the ranks' parameters are equal
 SAVED = ("actor", "critic", "target_actor", "target_critic", "adam", "obs_stats", "goal_stats")
@@ -139,8 +139,15 @@ def _resolved(config: DDPGHERConfig, workers: Workers) -> DDPGHERConfig:
     return dataclasses.replace(config, gamma=gamma, replay_p=replay_p)
 
 
+def _policy(config: DDPGHERConfig, spaces: Spaces, actor: MLP, stats: GoalStats) -> Policy:
+    noise = partial(explore, noise_eps=config.noise_eps, random_eps=config.random_eps)
+    return Policy(on_cpu(actor), stats.inputs(config.clip_obs), noise, spaces)
+
+
 class DDPGHER:
     """Actor, critic, their targets and the replay; the interface is `algos.Algorithm`."""
+
+    policy_parts = ("actor", "obs_stats", "goal_stats")
 
     def __init__(
         self,
@@ -153,21 +160,22 @@ class DDPGHER:
     ) -> None:
         config.validate()
         self.workers, self.comm, self.device = workers, comm, torch.device(device)
-        space, n_actions = workers.observation_space, action_size(workers.action_space)
+        self.spaces = Spaces(workers.observation_space, workers.action_space)
+        space, n_actions = self.spaces.observation, action_size(self.spaces.action)
         n_goal, n_obs = goal_size(space), flat_size(space)
         self.config = config = _resolved(config, workers)
         self.total_timesteps, self.seed = total_timesteps, seed
         self.rng = np.random.default_rng([seed, comm.rank])
         weights = torch.Generator().manual_seed(seed)
-        self.actor = MLP((n_obs, *config.hidden, n_actions), weights, tanh=True).to(self.device)
+        self.actor = new_actor(config.hidden, self.spaces, weights).to(self.device)
         self.critic = MLP((n_obs + n_actions, *config.hidden, 1), weights).to(self.device)
         self.target_actor, self.target_critic = copy.deepcopy((self.actor, self.critic))
         self.adam = FlatAdam((self.actor, config.actor_lr), (self.critic, config.critic_lr))
         self._target_vector = flatten(self.target_actor, self.target_critic).requires_grad_(False)
         self.comm.broadcast_(self.adam.vector)
         self.comm.broadcast_(self._target_vector)
-        self.obs_stats = Normalizer(n_obs - n_goal, comm, config.norm_clip)
-        self.goal_stats = Normalizer(n_goal, comm, config.norm_clip)
+        self.stats = GoalStats.of(self.spaces, config.norm_clip, comm)
+        self.obs_stats, self.goal_stats = self.stats
         self.replay = Replay(
             config.buffer_size,
             workers.max_episode_steps or 0,
@@ -179,14 +187,16 @@ class DDPGHER:
         self.cycles_per_epoch = config.n_cycles
         self.env_steps = self.updates = self.cycles = 0
 
-    def prepare(self) -> str:
-        """What the configuration amounts to, in words.
+    def check(self) -> None:
+        """ValueError when memory is short or the rewards of an episode do not fit."""
+        (episode,) = require_transitions(self._play(1, PROBE))
+        self._check_signs(np.array(episode.rewards))
+        self.replay.require_rewards(episode)
+        self.replay.require_memory(self.comm.local_size)
 
-        Raises ValueError when memory is short or the environment's rewards do not fit.
-        """
+    def describe(self) -> str:
+        """What the configuration amounts to, in words."""
         config, replay = self.config, self.replay
-        self._probe()
-        replay.require_memory(self.comm.local_size)
         epoch = config.n_cycles * config.n_rollouts * replay.max_steps
         return (
             f"epochs of up to {epoch:,} steps and {config.n_cycles * config.n_batches:,} updates in "
@@ -199,13 +209,7 @@ class DDPGHER:
 
     def policy(self) -> Policy:
         """What acts now; good until the next update."""
-        config = self.config
-        noise = partial(explore, noise_eps=config.noise_eps, random_eps=config.random_eps)
-        return Policy(on_cpu(self.actor), self._inputs(), noise, self.workers.action_space)
-
-    def _inputs(self) -> GoalInputs:
-        limit = self.config.clip_obs
-        return GoalInputs(self.obs_stats.scaling(), self.goal_stats.scaling(), limit)
+        return _policy(self.config, self.spaces, self.actor, self.stats)
 
     def _play(self, n: int, purpose: int) -> list[Episode[GoalObs]]:
         """`n` episodes of this rank's own."""
@@ -229,19 +233,6 @@ class DDPGHER:
         self.obs_stats.update(batch.obs.clip(-limit, limit))
         self.goal_stats.update(batch.goal.clip(-limit, limit))
         return seen
-
-    def _probe(self) -> None:
-        """Can the rewards be relabelled and cut? Asked of one episode, before a run begins."""
-        (episode,) = require_transitions(self._play(1, PROBE))
-        rewards = np.array(episode.rewards)
-        self._check_signs(rewards)
-        _, achieved, desired = (np.stack(part[1:]) for part in zip(*episode.obs, strict=True))
-        again = self.workers.compute_reward(achieved, desired)
-        if np.shape(again) != rewards.shape or not np.allclose(again, rewards, 1e-3, 1e-4):
-            raise ValueError(
-                f"compute_reward: found {str(again)[:40]} where steps gave {str(rewards)[:40]}, "
-                "allowed environments whose rewards follow from achieved and desired goals"
-            )
 
     def _check_signs(self, rewards: Array) -> None:
         largest = np.max(rewards, initial=0.0)
@@ -288,7 +279,7 @@ class DDPGHER:
     @torch.no_grad()
     def _prepared(self, batch: Batch[Tensor]) -> tuple[Tensor, Tensor, Tensor]:
         """What both networks see (n, obs + goal), actions (n, d) and the critic's targets (n,)."""
-        config, see = self.config, self._inputs()
+        config, see = self.config, self.stats.inputs(self.config.clip_obs)
         inputs, next_inputs = (see(obs, batch.goal) for obs in (batch.obs, batch.next_obs))
         next_actions = self.target_actor(next_inputs)
         next_values = self.target_critic(torch.cat([next_inputs, next_actions], dim=1)).squeeze(-1)
@@ -334,6 +325,14 @@ class DDPGHER:
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Go on exactly where `state_dict` was taken."""
         state.restore(self, saved, SAVED, COUNTERS)
+
+    @staticmethod
+    def saved_policy(config: DDPGHERConfig, spaces: Spaces, saved: dict[str, Any]) -> Policy:
+        """The policy in what `state_dict` returned, on the CPU and without a learner around it."""
+        actor = new_actor(config.hidden, spaces, torch.Generator())
+        stats = GoalStats.of(spaces, config.norm_clip, Communicator())
+        state.restore_parts({"actor": actor, "obs_stats": stats.obs, "goal_stats": stats.goal}, saved)
+        return _policy(config, spaces, actor, stats)
 
     @property
     def experience_bytes(self) -> int:

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
-import gymnasium as gym
 import numpy as np
 import torch
 from torch import Tensor
 
-from . import Array, action_bounds, flat_observation
+from . import Array, action_bounds, action_size, flat_observation, flat_size, goal_size
+from .mpi import Communicator
 from .networks import MLP
-from .normalizer import Scaling
+from .normalizer import Normalizer, Scaling
+from .spaces import Spaces
 
 Noise = Callable[..., Array]
 """(actions (..., d) in [-1, 1], rng=) -> noisy ones, which may lie beyond."""
@@ -75,30 +76,110 @@ class GoalInputs:
         return torch.cat([scale(part.clamp(-self.limit, self.limit)) for scale, part in parts], dim=1)
 
 
+class GoalStats(NamedTuple):
+    """Moments of what a goal environment's observations are made of."""
+
+    obs: Normalizer
+    goal: Normalizer
+
+    @classmethod
+    def of(cls, spaces: Spaces, clip: float, comm: Communicator) -> GoalStats:
+        """Before anything was seen; normalised values will be cut at ±`clip`."""
+        n_goal, n_seen = goal_size(spaces.observation), flat_size(spaces.observation)
+        return cls(*(Normalizer(n, comm, clip) for n in (n_seen - n_goal, n_goal)))
+
+    def inputs(self, limit: float) -> GoalInputs:
+        """What networks see as of now."""
+        return GoalInputs(self.obs.scaling(), self.goal.scaling(), limit)
+
+
 class Policy:
     """Acts on observations; small, picklable, and the same wherever it is.
 
     It has no random state of its own: who asks for exploration brings a generator.
     """
 
-    def __init__(self, network: MLP, inputs: Inputs, noise: Noise, action_space: gym.Space[Any]):
+    def __init__(self, network: MLP, inputs: Inputs, noise: Noise, spaces: Spaces):
         self.network, self.inputs, self.noise = network, inputs, noise
-        self._low, self._high = action_bounds(action_space)
+        self.shapes = spaces.shapes
+        self._low, self._high = action_bounds(spaces.action)
 
-    def act(self, obs: Any, rng: np.random.Generator | None = None) -> Array:
-        """Action for one observation, in the environment's own range; exploring with `rng`."""
-        return self.to_env(self.choose(self.inputs.read(obs), rng))
+    def act(
+        self, obs: Any, deterministic: bool = True, rng: np.random.Generator | None = None
+    ) -> Array:
+        """The action for one observation, in the environment's own range and units.
 
-    @torch.inference_mode()
+        Of a batch, which has one more axis in front (each part of a Dict has it), a batch of
+        actions: up to rounding those for each observation alone. With `deterministic=False` the
+        policy explores, with random numbers from `rng`. ValueError when the observation has
+        another shape than those it was trained on, or `rng` is missing.
+        """
+        if not deterministic and rng is None:
+            raise ValueError("rng: found none, needed to explore: numpy.random.default_rng(seed)")
+        noise = None if deterministic else rng
+        n = self._batch_size(obs)
+        if n is None:
+            return self.to_env(self.choose(self.inputs.read(obs), noise))
+        if n == 0:
+            return self.to_env(np.empty((0, self._low.size), np.float32))
+        views = [self.inputs.read(_row(obs, i)) for i in range(n)]
+        return self.to_env(self._actions(views, noise))
+
     def choose(self, view: Any, rng: np.random.Generator | None = None) -> Array:
         """Action (d,) for what was kept of one observation, in units where the bounds are ±1."""
-        action: Array = self.network(self.inputs.stack([view]))[0].numpy()
-        return action if rng is None else self.noise(action, rng=rng)
+        return self._actions([view], rng)[0]
 
-    def to_env(self, action: Array) -> Array:
-        """From units where the bounds are ±1 to the environment's own, clipped."""
+    def to_env(self, actions: Array) -> Array:
+        """From units where the bounds are ±1, (..., d), to the environment's own, clipped."""
         half = (self._high - self._low) / 2
-        return self._low + half * (np.clip(action.reshape(self._low.shape), -1.0, 1.0) + 1.0)
+        shaped = actions.reshape(*actions.shape[:-1], *self._low.shape)
+        return self._low + half * (np.clip(shaped, -1.0, 1.0) + 1.0)
+
+    def require_spaces(self, spaces: Spaces) -> None:
+        """ValueError unless observations and actions have the shapes that the policy knows."""
+        for name, found, known in (
+            ("observations", _said(spaces.shapes), _said(self.shapes)),
+            ("actions", str(spaces.action.shape), str(self._low.shape)),
+        ):
+            if found != known:
+                raise ValueError(f"env: found {name} of shape {found}, the policy has {known}")
+
+    @torch.inference_mode()
+    def _actions(self, views: Sequence[Any], rng: np.random.Generator | None) -> Array:
+        actions: Array = self.network(self.inputs.stack(views)).numpy()
+        return actions if rng is None else self.noise(actions, rng=rng)
+
+    def _batch_size(self, obs: Any) -> int | None:
+        """Observations in a batch; None for one observation by itself."""
+        keys = set(obs) if isinstance(obs, Mapping) else {""}
+        if not keys >= set(self.shapes):
+            got = sorted(keys) if isinstance(obs, Mapping) else type(obs).__name__
+            expected = "no Dict" if "" in self.shapes else f"a Dict with {list(self.shapes)}"
+            raise ValueError(f"obs: found {got}, expected {expected}")
+        found = {key: np.shape(obs[key] if key else obs) for key in self.shapes}
+        if found == self.shapes:
+            return None
+        sizes = {shape[:1] for shape in found.values()}
+        if {key: shape[1:] for key, shape in found.items()} == self.shapes and len(sizes) == 1:
+            return sizes.pop()[0]
+        raise ValueError(
+            f"obs: found shape {_said(found)}, expected {_said(self.shapes)}, or a batch of such"
+        )
+
+
+def _said(shapes: dict[str, tuple[int, ...]]) -> str:
+    return str(shapes.get("", shapes))
+
+
+def _row(obs: Any, i: int) -> Any:
+    """One observation of a batch."""
+    return {key: part[i] for key, part in obs.items()} if isinstance(obs, Mapping) else obs[i]
+
+
+def new_actor(hidden: Sequence[int], spaces: Spaces, weights: torch.Generator) -> MLP:
+    """A policy's network, with `hidden` units in its layers and weights drawn from a generator."""
+    sizes = flat_size(spaces.observation), *hidden, action_size(spaces.action)
+    return MLP(sizes, weights, tanh=True)
 
 
 def on_cpu(network: MLP) -> MLP:

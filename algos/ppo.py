@@ -15,11 +15,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from . import Array, DivergenceError, Workers, action_size, check_ranges, flat_size, state
+from . import Array, DivergenceError, Workers, check_ranges, flat_size, state
 from .mpi import Communicator, same_on_all_ranks
 from .networks import MLP, FlatAdam, require_finite
-from .policy import FlatInputs, Policy, on_cpu
+from .policy import FlatInputs, Policy, new_actor, on_cpu
 from .rollout import TRAIN, Episode, PlayEpisode, finite, play_steps, require_transitions, summary
+from .spaces import Spaces
 
 SAVED = ("actor", "critic", "actor_adam", "critic_adam")
 COUNTERS = ("env_steps", "epochs")
@@ -154,8 +155,16 @@ def gaussian(actions: Array, variance: float, rng: np.random.Generator) -> Array
     return actions + np.float32(variance**0.5) * rng.standard_normal(actions.shape, dtype=np.float32)
 
 
+def _policy(config: PPOConfig, spaces: Spaces, actor: MLP) -> Policy:
+    noise = partial(gaussian, variance=config.action_variance)
+    return Policy(on_cpu(actor), FlatInputs(), noise, spaces)
+
+
 class PPO:
     """Actor, critic and the batch of the current epoch; the interface is `algos.Algorithm`."""
+
+    policy_parts = ("actor",)
+    cycles_per_epoch = 1
 
     def __init__(
         self,
@@ -171,19 +180,19 @@ class PPO:
         self.total_timesteps, self.device = total_timesteps, torch.device(device)
         self.seed = seed
         self.rng = np.random.default_rng(seed)  # the same on all ranks: they share every minibatch
-        n_obs, n_actions = flat_size(workers.observation_space), action_size(workers.action_space)
+        self.spaces = Spaces(workers.observation_space, workers.action_space)
         weights = torch.Generator().manual_seed(seed)
-        self.actor = MLP((n_obs, *config.hidden, n_actions), weights, tanh=True).to(self.device)
+        self.actor = new_actor(config.hidden, self.spaces, weights).to(self.device)
+        n_obs = flat_size(self.spaces.observation)
         self.critic = MLP((n_obs, *config.hidden, 1), weights).to(self.device)
         self.actor_adam = FlatAdam((self.actor, config.actor_lr))
         self.critic_adam = FlatAdam((self.critic, config.critic_lr))
         comm.broadcast_(self.actor_adam.vector)
         comm.broadcast_(self.critic_adam.vector)
         self.env_steps = self.epochs = 0
-        self.cycles_per_epoch = 1
         self._episodes: list[Episode[Array]] = []
 
-    def prepare(self) -> str:
+    def describe(self) -> str:
         """What the configuration amounts to, in words."""
         config = self.config
         n = config.minibatches(config.steps_per_epoch)
@@ -196,8 +205,7 @@ class PPO:
 
     def policy(self) -> Policy:
         """What acts now; good until the next update."""
-        noise = partial(gaussian, variance=self.config.action_variance)
-        return Policy(on_cpu(self.actor), FlatInputs(), noise, self.workers.action_space)
+        return _policy(self.config, self.spaces, self.actor)
 
     def collect(self) -> dict[str, float]:
         """Whole episodes, until `steps_per_epoch` are there: the same ones on all ranks."""
@@ -208,10 +216,6 @@ class PPO:
         seen = summary(episodes)
         self.env_steps += int(seen.pop("steps"))
         return seen
-
-    def test(self) -> dict[str, float]:
-        """Nothing: the paper's success rate is that of the training episodes."""
-        return {}
 
     # -- learning ----------------------------------------------------------------------------
 
@@ -328,14 +332,9 @@ class PPO:
         """Go on exactly where `state_dict` was taken."""
         state.restore(self, saved, SAVED, COUNTERS)
 
-    @property
-    def experience_bytes(self) -> int:
-        """Nothing is remembered from epoch to epoch."""
-        return 0
-
-    def new_experience(self, everything: bool = False) -> dict[str, Any]:
-        """Nothing."""
-        return {}
-
-    def add_experience(self, saved: dict[str, Any], is_foreign: bool = False) -> None:
-        """Nothing to remember."""
+    @staticmethod
+    def saved_policy(config: PPOConfig, spaces: Spaces, saved: dict[str, Any]) -> Policy:
+        """The policy in what `state_dict` returned, on the CPU and without a learner around it."""
+        actor = new_actor(config.hidden, spaces, torch.Generator())
+        state.restore_parts({"actor": actor}, saved)
+        return _policy(config, spaces, actor)

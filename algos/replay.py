@@ -98,6 +98,18 @@ class Replay:
                 "that are free here"
             )
 
+    def require_rewards(self, episode: Episode[GoalObs]) -> None:
+        """ValueError when an episode's rewards do not follow from its goals, as those of transitions
+        that are relabelled do."""
+        lived = np.array(episode.rewards)
+        _, achieved, desired = (np.stack(part[1:]) for part in zip(*episode.obs, strict=True))
+        again = self.reward(achieved, desired)
+        if np.shape(again) != lived.shape or not np.allclose(again, lived, 1e-3, 1e-4):
+            raise ValueError(
+                f"compute_reward: found {str(again)[:40]} where steps gave {str(lived)[:40]}, "
+                "allowed environments whose rewards follow from achieved and desired goals"
+            )
+
     def _shapes(self, n_boolean: int | None = None) -> dict[str, tuple[tuple[int, int], type]]:
         """Shape and type of every column; a row is one step of one slot."""
         n_boolean = self.n_boolean if n_boolean is None else n_boolean

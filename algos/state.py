@@ -7,7 +7,7 @@ tensor of another shape would make PyTorch write where nothing of it is.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
@@ -42,6 +42,15 @@ def restore(learner: Any, state: dict[str, Any], parts: Sequence[str], counters:
         setattr(learner, name, state[name])
     if "rng" in state:
         learner.rng.bit_generator.state = state["rng"]
+
+
+def restore_parts(parts: Mapping[str, Any], state: dict[str, Any]) -> None:
+    """Put back only some parts, by name, of what `save` returned; ValueError as of `restore`."""
+    own = {name: part.state_dict() for name, part in parts.items()}
+    is_dict = isinstance(state, dict)
+    require_like({k: v for k, v in state.items() if k in parts} if is_dict else state, own)
+    for name, part in parts.items():
+        part.load_state_dict(state[name])
 
 
 def require_like(found: Any, own: Any, name: str = "state") -> None:

@@ -110,6 +110,8 @@ class Workers:
         """Steps after which an episode is cut off; None where the environment does not say."""
         limits = [getattr(self.env.unwrapped, "max_episode_steps", None)]
         limits += [self.env.spec.max_episode_steps] if self.env.spec else []
+        limit = "_max_episode_steps"  # of a TimeLimit around an environment that is not registered
+        limits += [self.env.get_wrapper_attr(limit)] if self.env.has_wrapper_attr(limit) else []
         return min((limit for limit in limits if limit), default=None)
 
     def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray) -> np.ndarray:

@@ -1,11 +1,41 @@
 """tactilerl: what is touch worth to a robot hand?
 
-Hand-written PPO in PyTorch, and tactile grasping environments behind Gymnasium's interface.
-`tactilerl.envs.make` makes an environment; the command `tactilerl` trains on it.
+Hand-written PPO and DDPG+HER in PyTorch, and tactile grasping environments behind Gymnasium's
+interface; the command `tactilerl` trains on them, and so do the few names here:
+
+    env = tactilerl.make("shadow", layout=4)
+    ppo = tactilerl.PPO(env, seed=0).learn(50_000, progress=True)
+
+Each is imported when it is first used.
 """
 
 from .registration import with_gymnasium
 
+TYPE_CHECKING = False  # as in registration.py
+if TYPE_CHECKING:
+    from typing import Any
+
+    from .api import DDPGHER, PPO, evaluate, train
+    from .envs import make
+    from .policies import load_policy
+
 __version__ = "0.2.0.dev0"
+__all__ = ["DDPGHER", "PPO", "evaluate", "load_policy", "make", "train"]
+
+# No module of this package may have one of these names: importing it would hide the function.
+_WHERE = {"make": "envs", "load_policy": "policies"}
+
+
+def __getattr__(name: str) -> "Any":
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(f".{_WHERE.get(name, 'api')}", __name__), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
 
 with_gymnasium()

@@ -8,20 +8,19 @@ file of its own, and the checkpoint names the epochs that belong to it.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from . import sealed
-from .algos import Algorithm
+from .algos import Algorithm, OffPolicy
 from .algos.mpi import Communicator
 from .config import RunConfig
 from .errors import InputError
 from .run_dir import FORMAT, RunDir
 
+TYPES = {"format": int, "epoch": int, "config": str, "ranks": list, "experience": list, "spaces": str}
 REWRITE = 2.0  # the parts are written anew as one when they take this many times a full memory
 
 
@@ -30,12 +29,13 @@ class Checkpoint:
 
     def __init__(self, run_dir: RunDir, config: RunConfig, learner: Algorithm, comm: Communicator):
         self.run_dir, self.config, self.learner, self.comm = run_dir, config, learner, comm
+        self._memory = learner if isinstance(learner, OffPolicy) else None
         self._parts: list[int] = []  # epochs whose experience is on disk
 
     def save(self, epoch: int) -> None:
         """Write the states of all ranks after `epoch`; every rank must call it."""
         is_anew = self.comm.min(self._has_outgrown() if self.comm.rank == 0 else 1)
-        experience = self.learner.new_experience(everything=bool(is_anew))
+        experience = self._memory.new_experience(everything=bool(is_anew)) if self._memory else {}
         for rank, part in enumerate(self.comm.receive(experience)):
             if part:
                 self.run_dir.experience_folder.mkdir(exist_ok=True)
@@ -50,6 +50,7 @@ class Checkpoint:
                 "config": json.dumps(self.config.identity()),
                 "ranks": states,
                 "experience": self._parts,
+                "spaces": self.learner.spaces.to_json(),
             }
             sealed.write(self.run_dir.checkpoint_file, content)
             self._drop_others()
@@ -74,12 +75,14 @@ class Checkpoint:
         if comm.rank >= n_old and isinstance(state, dict):
             state = {name: value for name, value in state.items() if name != "rng"}
         load_state(self.learner, state, self.run_dir.checkpoint_file)
+        if self._memory is None:
+            return int(data["epoch"])
         for epoch in data["experience"]:
             for rank in range(comm.rank, n_old, comm.size):
                 path = self._part(epoch, rank)
-                with _damage_named(path):
+                with sealed.damage_named(path):
                     part = _read(path)["experience"]
-                    self.learner.add_experience(part, is_foreign=is_other)
+                    self._memory.add_experience(part, is_foreign=is_other)
         # What came from elsewhere counts as new: the next checkpoint writes all of it.
         self._parts = [] if is_other else list(data["experience"])
         return int(data["epoch"])
@@ -91,8 +94,10 @@ class Checkpoint:
         return sorted(self.run_dir.experience_folder.glob("[0-9]" * 8 + "-*.pt"))
 
     def _has_outgrown(self) -> bool:
+        if self._memory is None:
+            return False
         size = sum(path.stat().st_size for path in self._files())
-        return size > REWRITE * self.learner.experience_bytes * self.comm.size > 0
+        return size > REWRITE * self._memory.experience_bytes * self.comm.size
 
     def _drop_others(self) -> None:
         """Remove parts that no checkpoint names: rewritten, or of epochs that were lost."""
@@ -117,10 +122,10 @@ def read(run_dir: RunDir, config: RunConfig) -> dict[str, Any]:
     """
     path = run_dir.checkpoint_file
     data = _read(path)
-    with _damage_named(path):
-        types = {name: type(value) for name, value in data.items()}
-        if types != {"format": int, "epoch": int, "config": str, "ranks": list, "experience": list}:
-            raise ValueError(f"found {', '.join(map(str, types))}")
+    with sealed.damage_named(path):
+        data.setdefault("spaces", "")  # the first checkpoints of this format lack it
+        if {name: type(value) for name, value in data.items()} != TYPES:
+            raise ValueError(f"found {', '.join(map(str, data))}")
         epoch, parts = data["epoch"], data["experience"]
         if not 0 <= epoch < 2**63 or not data["ranks"]:
             raise ValueError(f"epoch {epoch}, {len(data['ranks'])} ranks")
@@ -136,18 +141,8 @@ def read(run_dir: RunDir, config: RunConfig) -> dict[str, Any]:
 
 def load_state(learner: Algorithm, state: dict[str, Any], path: Path) -> None:
     """Give a learner its state; InputError naming the file when they do not fit."""
-    with _damage_named(path):
+    with sealed.damage_named(path):
         learner.load_state_dict(state)
-
-
-@contextmanager
-def _damage_named(path: Path) -> Iterator[None]:
-    """What a file's content breaks is an InputError that names the file."""
-    try:
-        yield
-    except (LookupError, AttributeError, RuntimeError, ValueError, TypeError, OverflowError) as error:
-        reason = " ".join(str(error).split())[:200]
-        raise InputError(f"{path}: damaged ({reason})") from error
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -69,6 +69,7 @@ def require_workers(n: int | None) -> None:
         raise ValueError(f"workers: found {n}, allowed from 1 to {MOST_WORKERS}")
 
 
+PARTS = ("run", "scene", "learner")
 ENV_ID = re.compile(r"(([^\W\d]\w*)(\.[^\W\d]\w*)*:)?[\w/.-]+")  # that of Gymnasium, [module:]id
 # Fields that may differ between a run and its continuation: they do not change its course.
 FREE_ON_RESUME = {"total_timesteps", "workers", "out", "tensorboard"}
@@ -87,12 +88,23 @@ class RunConfig:
     is_trusted: bool = True
     """May a module that the environment's id names be imported?"""
 
+    @property
+    def parts(self) -> dict[str, Any]:
+        """Those that there are, by name."""
+        return {name: part for name in PARTS if (part := getattr(self, name)) is not None}
+
+    def choose(self, choices: Mapping[str, Any]) -> RunConfig:
+        """A copy with other values of some fields, by name; ValueError naming an unknown field."""
+        own = {name: typed.names(part) for name, part in self.parts.items()}
+        typed.require_known(choices, set().union(*own.values()))
+        chosen = {name: {k: choices[k] for k in choices if k in own[name]} for name in own}
+        parts = {name: typed.replace(part, chosen[name]) for name, part in self.parts.items()}
+        return dataclasses.replace(self, **parts)
+
     def validate(self) -> None:
         """Raise ValueError naming the first field that cannot be."""
-        for part in (self.run, self.scene, self.learner):
-            if part is not None:
-                typed.require(type(part), vars(part))
-                part.validate()
+        for part in self.parts.values():
+            typed.validate(part)
         if (self.scene is None) == (self.run.env in HANDS):
             found = "no scene" if self.scene is None else "a scene"
             raise ValueError(f"env: found {self.run.env!r} with {found}")

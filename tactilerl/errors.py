@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 
-class InputError(Exception):
+class InputError(ValueError):
     """One line: what was wrong, what was found, what is allowed. The command exits with 2."""
 
 
@@ -16,6 +16,8 @@ def input_errors(where: str = "") -> Iterator[None]:
     """Turn what library code raises over bad input into an InputError."""
     try:
         yield
+    except InputError:  # is one line already
+        raise
     except (ValueError, OSError, ImportError, RuntimeError, OverflowError, MemoryError) as error:
         line = " ".join(str(error).split())
         raise InputError(f"{where}: {line}" if where else line) from error

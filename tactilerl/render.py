@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import torch
 
 from .envs import scripted
 from .envs.grasp import GraspConfig, GraspEnv
@@ -51,14 +52,15 @@ def film(
     picture. A film that is cut off can be played as far as it got. InputError when the run's
     environment is not a grasping one.
     """
-    from . import evaluate
+    from . import evaluation, policies
 
     _require_writable("--video", out, FILMS)
     imageio = _imageio("imageio.v2", "imageio_ffmpeg")
     saved, _ = RunDir(run).read_config()
     if saved.scene is None:
         raise InputError(f"{run}: found a run on {saved.run.env!r}, allowed one of a grasping scene")
-    config, policy, *_ = evaluate.load_policy(run)
+    config, policy, *_ = policies.read_run(run)
+    torch.set_num_threads(config.run.threads)  # as it was trained, to the last digit
     assert config.scene is not None
     config = replace(config, scene=replace(config.scene, hold_seconds=hold_seconds))
     assert config.scene is not None
@@ -74,7 +76,7 @@ def film(
             tick()
 
         env.simulator = _Filmed(env.simulator, every, show)
-        play = evaluate.task(policy)
+        play = evaluation.task(policy)
         for number in range(episodes):
             played = play(env, number, lambda: True)
             for _ in range(END_PICTURES):

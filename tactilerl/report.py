@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -20,9 +21,7 @@ from rich.progress import (
 from .algos import Algorithm
 from .algos.mpi import Communicator
 from .algos.rollout import FAULTS
-from .config import RunConfig
 from .errors import InputError
-from .run_dir import RunDir
 
 SAID = {  # of a run that has had such faults
     "diverged": "the simulation diverged {:.0f} times; those steps were dropped",
@@ -31,18 +30,16 @@ SAID = {  # of a run that has had such faults
 
 
 class Report:
-    """Shows each epoch; writes TensorBoard events when asked to."""
+    """Shows each epoch; writes TensorBoard events to a folder when given one."""
 
-    def __init__(
-        self, config: RunConfig, run_dir: RunDir, learner: Algorithm, comm: Communicator
-    ) -> None:
+    def __init__(self, learner: Algorithm, comm: Communicator, events: Path | None = None) -> None:
         is_quiet = comm.rank > 0
         self.console = Console(quiet=is_quiet, highlight=False, soft_wrap=True)
         self.total = learner.total_timesteps
         self._first_step, self._started = learner.env_steps, time.perf_counter()
         self._events: Any = None
-        if config.run.tensorboard and not is_quiet:
-            self._events = require_tensorboard()(str(run_dir.path))
+        if events is not None and not is_quiet:
+            self._events = require_tensorboard()(str(events))
         self._faults = dict.fromkeys(FAULTS, 0.0)
         self._bar: Progress | None = None
         # mpirun hands its ranks a terminal that is none: plain lines for several processes

@@ -38,7 +38,7 @@ def write(path: Path, content: dict[str, Any]) -> None:
         file.write(MARK + digest.encode())
 
 
-def read(path: Path) -> Any:
+def read(path: Path, what: str = "checkpoint") -> Any:
     """What `write` was given; InputError when a single bit is another, or it holds anything else.
 
     Tensors are mapped from the file, not copied.
@@ -48,10 +48,22 @@ def read(path: Path) -> Any:
         _require_plain(path)
         return torch.load(path, weights_only=True, map_location="cpu", mmap=True)
     except FileNotFoundError:
-        raise InputError(f"{path}: missing; there is no checkpoint yet, or it was removed") from None
+        raise InputError(f"{path}: missing; there is no {what} yet, or it was removed") from None
     except Exception as error:  # zipfile, pickletools and torch answer garbage with errors of any kind
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"{path}: damaged or not a checkpoint ({reason})") from error
+        raise InputError(f"{path}: damaged or not a {what} ({reason})") from error
+
+
+@contextmanager
+def damage_named(path: Path) -> Iterator[None]:
+    """What a file's content breaks is an InputError that names the file."""
+    try:
+        yield
+    except InputError:
+        raise
+    except (LookupError, AttributeError, RuntimeError, ValueError, TypeError, OverflowError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise InputError(f"{path}: damaged ({reason})") from error
 
 
 def _require_seal(path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, TypeVar, get_args, get_type_hints
 
 from typeguard import CollectionCheckStrategy, TypeCheckError, check_type
@@ -19,14 +19,38 @@ def make(kind: type[T], values: Any, where: str) -> T:
     """
     if not isinstance(values, dict):
         raise ValueError(f"{where}: found {_short(values)}, expected an object")
-    names = {field.name for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
-    if values.keys() != names:
-        different = sorted(values.keys() ^ names)[0]
+    if values.keys() != names(kind):
+        different = sorted(values.keys() ^ names(kind))[0]
         found = "an unknown" if different in values else "no"
         raise ValueError(f"{where}: found {found} field {different[:50]!r}")
     values = {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
     require(kind, values)
     return kind(**values)
+
+
+def names(dataclass: Any) -> set[str]:
+    """Of a dataclass's fields, or of those of an instance."""
+    return {field.name for field in dataclasses.fields(dataclass)}
+
+
+def replace(instance: T, choices: Mapping[str, Any]) -> T:
+    """A copy of a dataclass with some fields chosen otherwise; lists are its tuples."""
+    values = {name: tuple(v) if isinstance(v, list) else v for name, v in choices.items()}
+    return dataclasses.replace(instance, **values)  # type: ignore[type-var]
+
+
+def require_known(names: Iterable[str], known: Iterable[str]) -> None:
+    """ValueError naming the first of `names` that is not known, and all that are."""
+    known = sorted(known)
+    for name in names:
+        if name not in known:
+            raise ValueError(f"{name}: unknown, allowed: {', '.join(known)}")
+
+
+def validate(instance: Any) -> None:
+    """ValueError naming the first field of a dataclass that is invalid or of another type."""
+    require(type(instance), vars(instance))
+    instance.validate()
 
 
 def require(kind: type, values: Mapping[str, Any]) -> None:

@@ -329,7 +329,6 @@ class TestResume:
         "args",
         [
             pytest.param(["train", "--resume", "run"], id="resume"),
-            pytest.param(["evaluate", "run"], id="evaluate"),
             pytest.param(["train", *HER[1:], "--env", "lqr"], id="another kind of environment"),
         ],
     )
@@ -496,7 +495,7 @@ class TestOtherCommands:
         assert "success_rate" not in json.loads(outputs[0])  # the LQR has no success
 
     def test_wilson_interval(self):
-        from tactilerl.evaluate import summarise
+        from tactilerl.evaluation import summarise
 
         played = [
             {"success": float(i < 8), "held": 1, "return": float(i), "length": 5, "object": None}

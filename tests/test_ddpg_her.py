@@ -138,7 +138,7 @@ class TestExploration:
         obs, policy = learner.workers.env._obs(), learner.policy()
         first, again = policy.act(obs), policy.act(obs)
         np.testing.assert_array_equal(first, again)
-        assert not np.array_equal(first, policy.act(obs, np.random.default_rng(0)))
+        assert not np.array_equal(first, policy.act(obs, False, np.random.default_rng(0)))
 
     def test_a_policy_survives_pickling_and_the_next_update(self):
         learner = trained()
@@ -301,7 +301,7 @@ class TestWrappers:
                 return 2 * self.unwrapped.compute_reward(achieved, desired, info)
 
         learner = make(Doubled(GoalEnv()))
-        learner.prepare()
+        learner.check()
         assert set(np.unique(trained(2, learner).replay.sample(50, 0.5).reward)) == {-2.0, 0.0}
 
 
@@ -365,7 +365,7 @@ class TestHardCases:
 
     def test_rewards_that_the_clip_would_spoil_are_refused(self):
         with pytest.raises(ValueError, match="--no-clip-target"):
-            make(GoalEnv(reward=1.8)).prepare()
+            make(GoalEnv(reward=1.8)).check()
 
     def test_relabelled_rewards_count_too(self):
         """0 at the goal's absence, +1 at the goal: none lived, but hindsight finds some."""
@@ -376,7 +376,7 @@ class TestHardCases:
 
     def test_rewards_that_cannot_be_recomputed_are_refused(self):
         with pytest.raises(ValueError, match="compute_reward"):
-            make(GoalEnv(reward=-0.37)).prepare()
+            make(GoalEnv(reward=-0.37)).check()
 
     def test_environments_without_goals_or_time_limit_are_refused(self):
         env = GoalEnv()

@@ -10,7 +10,7 @@ from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.networks import MLP, FlatAdam, matrix_products
 from tactilerl.config import defaults
 from tactilerl.errors import InputError
-from tactilerl.train import make_algorithm
+from tactilerl.training import make_algorithm
 
 
 def random(*shape, seed=0):
@@ -78,6 +78,6 @@ def test_products_in_bfloat16_only_inside():
 def test_emulated_bfloat16_is_refused(monkeypatch):
     config = defaults("ppo", "lqr")
     config = dataclasses.replace(config, run=dataclasses.replace(config.run, matmul="bfloat16"))
-    monkeypatch.setattr("tactilerl.train.has_bfloat16", lambda: False)
+    monkeypatch.setattr("tactilerl.training.has_bfloat16", lambda: False)
     with pytest.raises(InputError, match="matmul: found 'bfloat16' on a processor that has no"):
         make_algorithm(config, Communicator())

@@ -21,20 +21,21 @@ from rich.table import Table
 
 from benchmarks.command import write
 from benchmarks.figures import DOCS, curve
-from tactilerl import evaluate
+from tactilerl import evaluation
 from tactilerl.algos.mpi import Communicator
-from tactilerl.train import start_workers
+from tactilerl.policies import read_run
+from tactilerl.training import start_workers
 
 ENOUGH = 0.9
 
 
 def examined(run: Path, episodes: int) -> dict[str, Any]:
     """The figures of one run folder."""
-    config, policy, epoch, env_steps = evaluate.load_policy(run)
+    config, policy, epoch, env_steps = read_run(run)
     with closing(start_workers(config, Communicator(), None)) as workers:
-        played = workers.play(evaluate.task(policy), range(episodes))
-        rows = [evaluate.row(episode) for episode in played]
-    result = evaluate.summarise(rows)
+        played = workers.play(evaluation.task(policy), range(episodes))
+        rows = [evaluation.row(episode) for episode in played]
+    result = evaluation.summarise(rows)
     steps, rates = curve(run / "progress.csv")
     with (run / "progress.csv").open(newline="") as file:
         seconds = [env_steps / float(row["steps_per_s"]) for row, env_steps in _with_steps(file)]

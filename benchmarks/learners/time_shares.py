@@ -17,9 +17,11 @@ from rich.table import Table
 
 from benchmarks.command import parser, write
 from benchmarks.timing import Watches
+from tactilerl import checkpoint
+from tactilerl.algos.mpi import Communicator
 from tactilerl.envs.hold import HoldTest
-from tactilerl.evaluate import restore
 from tactilerl.run_dir import RunDir
+from tactilerl.training import make_algorithm
 
 
 def shares(run: Path, verdict: str, rounds: int) -> dict[str, float]:
@@ -31,7 +33,9 @@ def shares(run: Path, verdict: str, rounds: int) -> dict[str, float]:
         run=dataclasses.replace(saved.run, workers=1),
         scene=saved.scene and dataclasses.replace(saved.scene, hold_verdict=verdict),
     )
-    learner, workers, _ = restore(run_dir, saved, config)
+    learner, workers = make_algorithm(config, Communicator())
+    state = checkpoint.read(run_dir, saved)["ranks"][0]
+    checkpoint.load_state(learner, state, run_dir.checkpoint_file)
     watches, steps = Watches(), learner.env_steps
     simulator: Any = workers.env.unwrapped.simulator  # type: ignore[attr-defined]
     watches.watch("physics", simulator, "step")

@@ -29,7 +29,7 @@ from tactilerl import envs
 from tactilerl.envs import scripted
 from tactilerl.envs.hands import Array, ClosingAction
 from tactilerl.envs.hold import HoldTest
-from tactilerl.evaluate import load_policy
+from tactilerl.policies import read_run
 
 SEED = 50_000
 PUSH = 1e-6  # m
@@ -93,10 +93,12 @@ class ScriptedPolicy:
 
 def trained(run: Path) -> tuple[str, dict[str, Any], Callable[[Any, int], Act]]:
     """(hand, its scene's choices, policy of an episode) of a run folder."""
-    found = load_policy(run)
+    found = read_run(run)
 
     def policy(env: Any, episode: int) -> Act:
-        return partial(found.policy.act, rng=np.random.default_rng([SEED, episode]))
+        return partial(
+            found.policy.act, deterministic=False, rng=np.random.default_rng([SEED, episode])
+        )
 
     return found.config.run.env, asdict(found.config.scene), policy
 

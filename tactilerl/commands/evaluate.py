@@ -16,14 +16,14 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from .. import evaluate, flags, sweep
+from .. import evaluation, flags, policies, sweep
 from ..algos.mpi import Communicator
 from ..config import RunConfig, require_workers
 from ..envs.observations import SensorConfig
 from ..errors import InputError, input_errors
 from ..run_dir import RunDir
 from ..terminal import console
-from ..train import start_workers
+from ..training import start_workers
 
 
 @dataclass(frozen=True)
@@ -59,16 +59,16 @@ def main(args: list[str]) -> int:
         require_workers(read.workers)
         if read.out is not None:
             sweep.require_drawable(read.out)
-    trained = evaluate.load_policy(read.run, read.env, read.trust)
+    trained = policies.read_run(read.run, read.env, read.trust)
     run = trained.config
     if run.scene is not None and sensors is not None:
         run = dataclasses.replace(run, scene=dataclasses.replace(run.scene, **vars(sensors)))
     about = {"run": str(read.run), "epoch": trained.epoch, "env_steps": trained.env_steps}
     if not read.sweep:
-        result = about | evaluate.summarise(_play(run, trained.policy, read))
+        result = about | evaluation.summarise(_play(run, trained.policy, read))
         return _tell(result, read.json, _evaluation_table)
     name, values, runs = sweep.vary(run, read.sweep)
-    rows = [evaluate.summarise(_play(each, trained.policy, read)) for each in runs]
+    rows = [evaluation.summarise(_play(each, trained.policy, read)) for each in runs]
     points = [{name: value, **row} for value, row in zip(values, rows, strict=True)]
     if read.out is not None:
         sweep.draw(name, values, rows, read.out)
@@ -102,9 +102,9 @@ def _play(run: RunConfig, policy: Any, read: EvaluateFlags) -> list[dict[str, An
     is_shown = sys.stderr.isatty() and not read.json
     screen = Console(stderr=True)
     with closing(workers):
-        played = workers.play(evaluate.task(policy, read.stochastic), range(read.episodes))
+        played = workers.play(evaluation.task(policy, read.stochastic), range(read.episodes))
         shown = track(played, "playing", read.episodes, console=screen, disable=not is_shown)
-        return [evaluate.row(episode) for episode in shown]
+        return [evaluation.row(episode) for episode in shown]
 
 
 def _tell(result: dict[str, Any], as_json: bool, table: Callable[[dict[str, Any]], Table]) -> int:

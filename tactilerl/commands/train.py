@@ -15,7 +15,7 @@ from ..config import RunConfig, RunOptions
 from ..errors import InputError, input_errors
 from ..run_dir import RunDir
 from ..terminal import console
-from ..train import train
+from ..training import train
 
 SETTLED_NOTE = (
     "hold_verdict=settled decides holds early; how often it is wrong: docs/environments.md, Hold test"

@@ -160,7 +160,9 @@ class PolicyGrasps:
             obs, info = env.reset(seed=int(rng.integers(2**31)))
             record, is_done, is_lifted = moment(base), False, False
             while not is_done and is_wanted():
-                obs, _, terminated, truncated, info = env.step(self.policy.act(obs, rng))
+                obs, _, terminated, truncated, info = env.step(
+                    self.policy.act(obs, deterministic=False, rng=rng)
+                )
                 is_done = terminated or truncated
                 # After the step that ended the task, a hold test may have been played.
                 is_lifted = is_lifted or terminated or _clearance(base) > LIFTED

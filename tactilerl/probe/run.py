@@ -24,7 +24,7 @@ from ..envs.hands import Array, Hand
 from ..envs.layouts import Layout
 from ..errors import InputError, input_errors
 from ..sealed import replacing
-from ..train import free_cores
+from ..training import free_cores, start_workers
 from . import analysis, figures, files, places, selection
 from .analysis import Choices
 from .files import Played
@@ -113,13 +113,13 @@ def _union(names: Sequence[str], hand: Hand, folder: Path) -> str:
 def _by_policy(
     playing: Playing, out: Path | None, workers: int, comm: Communicator, show: Callable[[int], None]
 ) -> tuple[Played, Path]:
-    from ..evaluate import load_policy
+    from ..policies import read_run
 
     assert playing.policy is not None
     if changed := _changed(playing, "policy", "grasps", "seed", "touch"):
         raise InputError(f"--{changed}: found it together with --policy, allowed without: a run has "
                          "its own scene")  # fmt: skip
-    config, policy, epoch, env_steps = load_policy(playing.policy)
+    config, policy, epoch, env_steps = read_run(playing.policy)
     if config.scene is None:
         raise InputError(f"--policy {playing.policy}: found a run of {config.run.env}, allowed runs of "
                          f"{', '.join(hands.HANDS)}")  # fmt: skip
@@ -133,7 +133,7 @@ def _by_policy(
     contact_places: tuple[Place, ...] = ()
     if scene.touch == "contact":
         contact_places = tuple(places.of(layouts.load(scene.layout).place(hand), hand))
-    start = partial(vector.start, config.make_env, workers)
+    start = partial(start_workers, config, comm, workers)
     out = out or Path("probes") / playing.policy.resolve().name
     task = PolicyGrasps(policy, playing.seed)
     return play(

@@ -9,7 +9,7 @@ from ..algos.mpi import Communicator
 from ..commands.train import read_config
 from ..config import RunConfig, RunOptions
 from ..errors import InputError, input_errors
-from ..train import make_algorithm
+from ..training import check, make_algorithm
 from .folder import StudyFolder
 from .grid import Run
 
@@ -60,7 +60,7 @@ def start(runs: list[Run], configs: dict[str, RunConfig], folder: StudyFolder) -
             learner, pool = make_algorithm(configs[run.name], Communicator())
             try:
                 with input_errors():
-                    learner.prepare()
+                    check(learner)
             finally:
                 pool.close()
         except InputError as error:

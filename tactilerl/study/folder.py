@@ -145,6 +145,8 @@ def read_study(path: Path, folder: Path) -> Study:
         return study_of(json.loads(path.read_text(encoding="utf-8")), path)
     except FileNotFoundError:
         raise InputError(f"{str(folder)!r} is not a study's folder: no study.json in it") from None
+    except InputError:
+        raise
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: damaged ({' '.join(str(error).split())})") from error
 

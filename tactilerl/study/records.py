@@ -125,6 +125,8 @@ def _unpack(path: Path) -> tuple[Study, list[Record]]:
         for row in rows:
             by_run.setdefault(row["run"], []).append(row)
         return study, [_unpacked(run, by_run[run.name]) for run in study.runs()]
+    except InputError:
+        raise
     except (OSError, EOFError, ValueError, KeyError, TypeError, csv.Error) as error:
         raise InputError(f"{path}: not a collected study ({' '.join(str(error).split())})") from error
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
@@ -31,24 +31,39 @@ COUNTS = ("episodes", *FAULTS, "updates")  # columns of progress.csv that are su
 def make_algorithm(config: RunConfig, comm: Communicator) -> tuple[algos.Algorithm, vector.Workers]:
     """The learner and its workers; InputError when they do not go together."""
     run = config.run
-    _, algorithm = algos.get(run.algo)
     with input_errors():
         config.validate()
-        torch.set_num_threads(run.threads)
-        device = _device(run.device)
-        _require_products(run)
-        workers = start_workers(config, comm, run.workers)
-        try:
-            learner = algorithm(config.learner, workers, comm, run.seed, run.total_timesteps, device)
-        except BaseException:
-            workers.close()
-            raise
+        start = partial(start_workers, config, comm, run.workers)
+        return start_learner(run, config.learner, start, comm)
+
+
+def start_learner(
+    run: RunOptions, hyperparameters: Any, start: Callable[[], vector.Workers], comm: Communicator
+) -> tuple[algos.Algorithm, vector.Workers]:
+    """The learner and the workers that `start` returns; ValueError when they do not go together."""
+    _, algorithm = algos.get(run.algo)
+    device = _device(run.device)
+    _require_products(run)
+    workers = start()
+    try:
+        learner = algorithm(hyperparameters, workers, comm, run.seed, run.total_timesteps, device)
+    except BaseException:
+        workers.close()
+        raise
     return learner, workers
 
 
+def check(learner: algos.Algorithm) -> None:
+    """ValueError when the environment or this machine is not fit for the learner."""
+    if isinstance(learner, algos.OffPolicy):
+        learner.check()
+
+
 def start_workers(config: RunConfig, comm: Communicator, n: int | None) -> vector.Workers:
-    """`n` environments and who plays in them; by default as many as there are free cores."""
+    """`n` environments and who plays in them; by default as many as there are free cores. PyTorch
+    computes with the run's number of threads from here on, in this process and in theirs."""
     set_up = partial(torch.set_num_threads, config.run.threads)
+    set_up()
     return vector.start(config.make_env, n or free_cores(comm), set_up)
 
 
@@ -69,7 +84,7 @@ def train(
         if config.run.tensorboard:
             require_tensorboard()
         with input_errors():
-            resolved = learner.prepare()
+            check(learner)
         run_dir = RunDir(path)
         checkpoint = Checkpoint(run_dir, config, learner, comm)
         with _writing(run_dir, config, comm, is_new=resume is None):
@@ -80,14 +95,18 @@ def train(
                 changed = run_dir.write_config(config, comm.size, epoch, learner.env_steps)
             if epoch == 0:
                 checkpoint.save(0)
-            with Report(config, run_dir, learner, comm) as report:
-                report.note(f"  resolved {resolved}")
+            with Report(learner, comm, run_dir.path if config.run.tensorboard else None) as report:
+                report.note(f"  resolved {learner.describe()}")
                 if changed:
                     report.note(f"  versions {changed}; from epoch {epoch + 1} on")
                 if learner.env_steps >= learner.total_timesteps:
                     done = f"{learner.env_steps:,} of {learner.total_timesteps:,}"
                     report.note(f"  nothing to do: {done} steps are done; --total-timesteps goes on")
-                _loop(learner, config.run.matmul, comm, run_dir, epoch, checkpoint, report)
+                for row in epochs(learner, config.run.matmul, epoch):
+                    if comm.rank == 0:
+                        run_dir.progress.append(row)
+                    checkpoint.save(row["epoch"])
+                    report.epoch(row)
     except algos.RewardError as error:
         raise InputError(str(error)) from error
     finally:
@@ -124,22 +143,12 @@ def _begun(checkpoint: Checkpoint, any_ranks: bool) -> int:
     return 0
 
 
-def _loop(
-    learner: algos.Algorithm,
-    matmul: Precision,
-    comm: Communicator,
-    run_dir: RunDir,
-    epoch: int,
-    checkpoint: Checkpoint,
-    report: Report,
-) -> None:
+def epochs(learner: algos.Algorithm, matmul: Precision, epoch: int = 0) -> Iterator[dict[str, Any]]:
+    """Learn until `total_timesteps`; yields each epoch's row of the progress table. `epoch` is how many
+    there were before."""
     while learner.env_steps < learner.total_timesteps:
         epoch += 1
-        row = {"epoch": epoch, **_epoch(learner, matmul)}
-        if comm.rank == 0:
-            run_dir.progress.append(row)
-        checkpoint.save(epoch)
-        report.epoch(row)
+        yield {"epoch": epoch, **_epoch(learner, matmul)}
 
 
 def _epoch(learner: algos.Algorithm, matmul: Precision) -> dict[str, Any]:
@@ -159,7 +168,7 @@ def _epoch(learner: algos.Algorithm, matmul: Precision) -> dict[str, Any]:
         "env_steps": learner.env_steps,
         **_merged(seen, weights),
         **_merged(learned),
-        **learner.test(),
+        **(learner.test() if isinstance(learner, algos.OffPolicy) else {}),
     }
     seconds = collecting + updating + time.perf_counter() - updated
     return {

@@ -2,61 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from . import algos, checkpoint
-from .algos.mpi import Communicator
 from .algos.policy import Policy
 from .algos.rollout import EVALUATE, FAULTS, Episode, PlayEpisode
-from .config import RunConfig
-from .envs import vector
-from .run_dir import RunDir
-from .train import make_algorithm
 
 SEED = 10_000_000  # evaluation starts are not those of training
 CONFIDENCE = 0.95
-
-
-class Trained(NamedTuple):
-    """What a run has come to."""
-
-    config: RunConfig
-    """As it was trained, but on the CPU, in float32 and with the full hold test."""
-    policy: Policy
-    epoch: int
-    env_steps: int
-
-
-def load_policy(path: Path, env: str = "", trust: bool = False) -> Trained:
-    """The policy of a run folder at its last checkpoint; for `env` and `trust` see
-    `RunDir.read_config`."""
-    run_dir = RunDir(path)
-    saved, _ = run_dir.read_config(env, trust)
-    run = dataclasses.replace(saved.run, workers=1, device="cpu", matmul="float32")
-    scene = saved.scene and dataclasses.replace(saved.scene, hold_verdict="full")
-    config = dataclasses.replace(saved, run=run, scene=scene)
-    learner, workers, epoch = restore(run_dir, saved, config)
-    workers.close()
-    return Trained(config, learner.policy(), epoch, learner.env_steps)
-
-
-def restore(
-    run_dir: RunDir, saved: RunConfig, config: RunConfig
-) -> tuple[algos.Algorithm, vector.Workers, int]:
-    """(learner, its workers, epoch) of the run `saved`, under a configuration that differs only
-    where the learner's state does not depend on it."""
-    data = checkpoint.read(run_dir, saved)
-    learner, workers = make_algorithm(config, Communicator())
-    try:
-        checkpoint.load_state(learner, data["ranks"][0], run_dir.checkpoint_file)
-    except BaseException:
-        workers.close()
-        raise
-    return learner, workers, int(data["epoch"])
 
 
 def task(policy: Policy, stochastic: bool = False) -> PlayEpisode[Any]:

@@ -1,0 +1,60 @@
+"""The spaces of an environment, and what of them a saved policy keeps, as plain values."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+
+GOAL_KEYS = ("observation", "achieved_goal", "desired_goal")
+LARGEST = 10**7  # entries of an observation or an action: more is a damaged file
+
+
+class Spaces(NamedTuple):
+    """An environment's, as Gymnasium has them."""
+
+    observation: gym.Space[Any]
+    action: gym.Space[Any]
+
+    @property
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Shapes of a goal environment's observations by their names; of others, one, named ""."""
+        space = self.observation
+        if isinstance(space, gym.spaces.Dict):
+            return {key: tuple(space[key].shape or ()) for key in GOAL_KEYS if key in space.spaces}
+        return {"": tuple(space.shape or ())}
+
+    def to_json(self) -> str:
+        """What a policy has to know of them: the shapes of observations, the bounds of actions."""
+        low, high = (np.ravel(bound) for bound in (self.action.low, self.action.high))  # type: ignore[attr-defined]
+        action = {"shape": self.action.shape, "dtype": str(self.action.dtype)}
+        action |= {"low": low.tolist(), "high": high.tolist()}
+        return json.dumps({"observation": self.shapes, "action": action})
+
+    @classmethod
+    def from_json(cls, text: str) -> Spaces:
+        """Spaces of which `to_json` would say the same; observations have no bounds in them.
+
+        ValueError when this is not such a text.
+        """
+        try:
+            known = json.loads(text)
+            shapes, action = known["observation"], known["action"]
+            boxes: dict[str, gym.Space[Any]] = {
+                key: _box(-np.inf, np.inf, shape, np.float32) for key, shape in shapes.items()
+            }
+            bounds = (np.array(action[name], action["dtype"]) for name in ("low", "high"))
+            low, high = (bound.reshape(action["shape"]) for bound in bounds)
+            space = boxes[""] if "" in boxes else gym.spaces.Dict(boxes)
+            return cls(space, _box(low, high, action["shape"], np.dtype(action["dtype"])))
+        except (LookupError, AttributeError, TypeError, AssertionError, RecursionError) as error:
+            raise ValueError(f"spaces: found none ({error})") from error
+
+
+def _box(low: Any, high: Any, shape: Any, dtype: Any) -> gym.spaces.Box:
+    if not all(isinstance(n, int) and n >= 0 for n in shape) or math.prod(shape) > LARGEST:
+        raise ValueError(f"spaces: found the shape {str(shape)[:50]}")
+    return gym.spaces.Box(low, high, tuple(shape), dtype)

@@ -1,0 +1,241 @@
+"""tactilerl as a library: train on any Gymnasium environment, evaluate, run what the commands run.
+
+import tactilerl
+
+env = tactilerl.make("shadow", layout=4)
+ppo = tactilerl.PPO(env, seed=0)
+ppo.learn(50_000, progress=True)
+ppo.save("my_policy.pt")
+policy = tactilerl.load_policy("my_policy.pt")
+print(tactilerl.evaluate(policy, env, episodes=20))
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager, nullcontext
+from functools import partial
+from pathlib import Path
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+import torch
+
+from . import algos, config, envs, evaluation, policies, training, typed
+from .algos import mpi
+from .algos.mpi import Communicator
+from .algos.networks import Precision
+from .algos.policy import Policy
+from .algos.spaces import Spaces
+from .config import RunOptions
+from .envs import vector
+from .errors import InputError
+from .report import Report
+from .run_dir import RunDir
+
+Env = gym.Env[Any, Any] | str | Callable[[], gym.Env[Any, Any]]
+"""An environment, which the caller closes; or an id, or a function that makes one."""
+Callback = Callable[[dict[str, Any]], bool | None]
+
+
+class Learner:
+    """What `PPO` and `DDPGHER` have in common."""
+
+    algo: ClassVar[str]
+
+    def __init__(
+        self,
+        env: Env,
+        *,
+        seed: int = 0,
+        workers: int | None = None,
+        device: str = "cpu",
+        threads: int = 1,
+        matmul: Precision = "float32",
+        **hyperparameters: Any,
+    ) -> None:
+        """A learner for `env`, with untrained networks.
+
+        `env` is an environment with Box or goal-Dict observations and bounded Box actions, whose
+        episodes end; wrap it as you like. Or pass an id, or a function that makes one, to play
+        `workers` episodes side by side: results are the same with any number. (Environments that
+        need a process each need a function that can be pickled: one of a module, or a
+        `functools.partial` of it.)
+
+        `seed` is the random seed of everything, `device` PyTorch's device for the networks, `threads`
+        PyTorch's threads while learning, `matmul` the precision of the products in updates.
+        Hyperparameters are the flags of ``tactilerl train``, with the same defaults.
+
+        Raises ValueError, in one line, for an invalid argument.
+        """
+        config_type, _ = algos.get(self.algo)
+        options = dict(seed=seed, workers=workers, device=device, threads=threads, matmul=matmul)
+        typed.require_known(hyperparameters, typed.names(config_type) | set(options))
+        self.config = typed.replace(config_type(), hyperparameters)
+        self._run = RunOptions(algo=self.algo, **options)  # type: ignore[arg-type]
+        for part in (self._run, self.config):
+            typed.validate(part)
+        self._comm, self._epoch = Communicator(), 0
+        start = partial(_start, env, workers, threads)
+        self._learner, self._workers = training.start_learner(self._run, self.config, start, self._comm)
+
+    @property
+    def env_steps(self) -> int:
+        """Environment steps learned from so far."""
+        return self._learner.env_steps
+
+    def learn(
+        self, total_timesteps: int, *, progress: bool = False, callback: Callback | None = None
+    ) -> Learner:
+        """Learn for `total_timesteps` environment steps, and to the end of the epoch that reaches
+        them. Call it again to go on, for `total_timesteps` more. Returns the learner.
+
+        `progress` shows what ``tactilerl train`` shows. `callback` is called after every epoch with
+        its row of ``progress.csv`` (``env_steps``, ``mean_return``, ``success_rate``, ...) and stops
+        the learning by returning False.
+
+        Raises DivergenceError (a FloatingPointError) when an observation, a reward, a loss or a
+        parameter is no longer finite, and ValueError when the learner cannot use the rewards.
+        """
+        typed.validate(dataclasses.replace(self._run, total_timesteps=total_timesteps))
+        learner, matmul = self._learner, self._run.matmul
+        learner.total_timesteps = learner.env_steps + total_timesteps
+        with _threads(self._run.threads):
+            if not self._epoch:
+                training.check(learner)
+            shown = Report(learner, self._comm) if progress else nullcontext()
+            with shown as report:
+                for row in training.epochs(learner, matmul, self._epoch):
+                    self._epoch = row["epoch"]
+                    if report is not None:
+                        report.epoch(row)
+                    answer = callback(row) if callback is not None else None
+                    if answer is not None and not answer:
+                        break
+        return self
+
+    def policy(self) -> Policy:
+        """A copy of the current policy; further learning does not change it."""
+        return copy.deepcopy(self._learner.policy())
+
+    def act(
+        self, obs: Any, deterministic: bool = True, rng: np.random.Generator | None = None
+    ) -> np.ndarray:
+        """Actions of the current policy: see `Policy.act`."""
+        return self._learner.policy().act(obs, deterministic, rng)
+
+    def save(self, path: str | Path) -> None:
+        """Write the current policy to a file that `load_policy` reads, replacing an older one.
+
+        The file holds what acting needs. To go on with the learning some day, use `train`.
+        """
+        policies.save_policy(path, self.algo, self._learner)
+
+    def close(self) -> None:
+        """Close the environments that the learner made; one that it was given stays open."""
+        self._workers.close()
+
+
+class PPO(Learner):
+    """Proximal policy optimisation. Its hyperparameters are the fields of
+    `tactilerl.algos.ppo.PPOConfig`."""
+
+    algo = "ppo"
+
+
+class DDPGHER(Learner):
+    """DDPG with hindsight experience replay, for goal environments. Its hyperparameters are the fields
+    of `tactilerl.algos.ddpg_her.DDPGHERConfig`."""
+
+    algo = "ddpg_her"
+
+
+def evaluate(
+    policy: Policy,
+    env: Env,
+    *,
+    episodes: int = 100,
+    stochastic: bool = False,
+    workers: int | None = None,
+) -> dict[str, Any]:
+    """Play episodes with a policy, from the same starts every time.
+
+    Returns `success_rate` (where the environment reports ``is_success``) and `mean_return`, their
+    95 % intervals `success_rate_ci` (Wilson) and `mean_return_ci` (bootstrap), `mean_length` in
+    steps and more, as ``tactilerl evaluate --json`` does. `stochastic` keeps the exploration noise;
+    for `env` and `workers` see `PPO`. Raises ValueError when the policy does not fit `env`.
+    """
+    if episodes < 1:
+        raise ValueError(f"episodes: found {episodes}, allowed 1 or more")
+    config.require_workers(workers)
+    with _threads(1), closing(_start(env, workers)) as played_in:
+        policy.require_spaces(Spaces(played_in.observation_space, played_in.action_space))
+        played = played_in.play(evaluation.task(policy, stochastic), range(episodes))
+        return evaluation.summarise([evaluation.row(episode) for episode in played])
+
+
+def train(
+    env: str | None = None,
+    *,
+    algo: str | None = None,
+    out: str | Path | None = None,
+    resume: str | Path | None = None,
+    any_ranks: bool = False,
+    trust: bool = False,
+    **flags: Any,
+) -> Path:
+    """Do what ``tactilerl train`` does, and return the run folder, which `load_policy` and the commands
+    take.
+
+    Flags of the command are keywords, as in ``train("shadow", algo="ppo", layout=4, seed=1)``.
+    `resume` goes on with the run in a folder, exactly where its last epoch ended.
+
+    Raises ValueError naming an unknown or invalid flag, and DivergenceError (a FloatingPointError)
+    when an observation, a reward, a loss or a parameter is no longer finite; the last checkpoint
+    is kept.
+    """
+    comm = mpi.world()
+    if resume is None:
+        base = config.defaults(algo or RunOptions.algo, env or RunOptions.env)
+    else:
+        base, _ = RunDir(Path(resume)).read_config(env or "", trust)
+        for name, given in (("algo", algo not in (None, base.run.algo)), ("out", out is not None)):
+            if given:
+                raise ValueError(f"{name}: found it with resume; a run goes on as it began")
+    chosen = base.choose({**flags, **({} if out is None else {"out": str(out)})})
+    chosen.validate()
+    if difference := base.difference(chosen.identity()) if resume is not None else None:
+        raise InputError(f"resume: {difference}; a run goes on as it began")
+    return training.train(chosen, comm, None if resume is None else Path(resume), any_ranks)
+
+
+def _start(env: Env, workers: int | None, threads: int = 1) -> vector.Workers:
+    """Who plays in `env`; closing them closes only what was made here. Where they are processes,
+    PyTorch computes with `threads` threads in each."""
+    if isinstance(env, gym.Env):
+        if workers not in (None, 1):
+            raise ValueError(
+                f"workers: found {workers} with one environment, allowed with an id or a function "
+                "that makes environments"
+            )
+        return vector.Workers([vector.LocalPlayer(env)], env)
+    make = partial(envs.make, env) if isinstance(env, str) else env
+    if not callable(make):
+        raise ValueError(
+            f"env: found {type(env).__name__}, allowed an environment, an id or a function"
+        )
+    return vector.start(make, workers or 1, partial(torch.set_num_threads, threads))
+
+
+@contextmanager
+def _threads(n: int) -> Iterator[None]:
+    """PyTorch computes with `n` threads inside."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(n)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

@@ -1,0 +1,111 @@
+"""Trained policies from disk: a run folder's, or one in a file of its own.
+
+No environment is made for them, and no learner.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from . import algos, sealed, typed
+from .algos.policy import Policy
+from .algos.spaces import Spaces
+from .algos.state import require_like
+from .errors import InputError
+
+if TYPE_CHECKING:
+    from .config import RunConfig
+
+FORMAT = 1  # of a policy's file
+TYPES = {"policy_format": int, "algo": str, "learner": str, "spaces": str, "state": dict}
+
+
+class Trained(NamedTuple):
+    """What a run has come to."""
+
+    config: RunConfig
+    """As it was trained, but on the CPU, in float32 and with the full hold test."""
+    policy: Policy
+    epoch: int
+    env_steps: int
+
+
+def load_policy(path: str | Path) -> Policy:
+    """The policy of a run folder at its last checkpoint, or of a file that `PPO.save` or
+    `DDPGHER.save` wrote.
+
+    `policy.act(obs)` is the action for an observation, or for a batch of observations. Files of
+    others are safe to load: only tensors and plain values are read. Raises ValueError, one line,
+    when there is no policy or its file is damaged.
+    """
+    path = Path(path)
+    return read_run(path).policy if path.is_dir() else _read_file(path)
+
+
+def save_policy(path: str | Path, algo: str, learner: algos.Algorithm) -> None:
+    """Write the policy of a learner, whole or not at all; replaces a file that is there.
+
+    Raises ValueError when `path` cannot be a file, OSError when it cannot be written.
+    """
+    path = Path(path)
+    if path.is_dir() or not path.parent.is_dir():
+        raise ValueError(f"path: found {str(path)!r}, allowed a file in a folder that exists")
+    state = learner.state_dict()
+    content = {
+        "policy_format": FORMAT,
+        "algo": algo,
+        "learner": json.dumps(dataclasses.asdict(learner.config)),
+        "spaces": learner.spaces.to_json(),
+        "state": {name: state[name] for name in learner.policy_parts},
+    }
+    sealed.write(path, content)
+
+
+def _read_file(path: Path) -> Policy:
+    data = sealed.read(path, "policy")
+    if not isinstance(data, dict) or "policy_format" not in data:
+        raise InputError(f"{path}: not a policy's file; of a run, give the folder")
+    if data["policy_format"] != FORMAT:
+        raise InputError(f"{path}: not a policy of format {FORMAT}")
+    with sealed.damage_named(path):
+        if {name: type(value) for name, value in data.items()} != TYPES:
+            raise ValueError(f"found {', '.join(map(str, data))}")
+        config_type, learner = algos.get(data["algo"])
+        config: Any = typed.make(config_type, json.loads(data["learner"]), "learner")
+        config.validate()
+        policy: Policy = learner.saved_policy(config, Spaces.from_json(data["spaces"]), data["state"])
+        return policy
+
+
+def read_run(path: Path, env: str = "", trust: bool = False) -> Trained:
+    """The policy of a run folder at its last checkpoint, and its configuration.
+
+    For `env` and `trust` see `RunDir.read_config`: the first checkpoints of format 3 do not say what
+    the spaces are, so the environment is made once to ask it. InputError as of `load_policy`.
+    """
+    from . import checkpoint  # a policy's file needs no environments' configuration
+    from .run_dir import RunDir
+
+    run_dir = RunDir(path)
+    saved, _ = run_dir.read_config(env, trust)
+    data = checkpoint.read(run_dir, saved)
+    _, learner = algos.get(saved.run.algo)
+    with sealed.damage_named(run_dir.checkpoint_file):
+        known = data["spaces"]
+        spaces = Spaces.from_json(known) if known else _spaces(saved)
+        policy = learner.saved_policy(saved.learner, spaces, data["ranks"][0])
+        env_steps = data["ranks"][0]["env_steps"]
+        require_like(env_steps, 0, "env_steps")
+    run = dataclasses.replace(saved.run, workers=1, device="cpu", matmul="float32")
+    scene = saved.scene and dataclasses.replace(saved.scene, hold_verdict="full")
+    config = dataclasses.replace(saved, run=run, scene=scene)
+    return Trained(config, policy, data["epoch"], env_steps)
+
+
+def _spaces(config: RunConfig) -> Spaces:
+    env: Any = config.make_env()
+    env.close()
+    return Spaces(env.observation_space, env.action_space)

@@ -1,0 +1,414 @@
+"""tactilerl as a library: the same bits as the command, policies that load by themselves, one line for
+each mistake."""
+
+import json
+import math
+import os
+import pickle
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+
+import tactilerl
+from tactilerl import sealed
+from tactilerl.algos import DivergenceError
+from tactilerl.cli import main
+from tactilerl.envs.toy import PointReachEnv
+
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+PPO = dict(hidden=[16], steps_per_epoch=120, n_passes=2)
+HER = dict(hidden=[16], n_cycles=2, n_batches=4, n_test_rollouts=1, batch_size=32)
+LEARNERS = [("PPO", "lqr", PPO, 200), ("DDPGHER", "point-reach", HER, 150)]
+TIMES = {"collect_s", "update_s", "steps_per_s"}
+
+
+@pytest.fixture(autouse=True)
+def _in_tmp(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def learner(name, env, choices, **more):
+    return getattr(tactilerl, name)(env, **choices, **more)
+
+
+def observations(env, n=7):
+    """(single ones, the same as a batch)"""
+    space = tactilerl.make(env).observation_space
+    space.seed(0)
+    single = [space.sample() for _ in range(n)]
+    if isinstance(single[0], dict):
+        return single, {key: np.stack([obs[key] for obs in single]) for key in single[0]}
+    return single, np.stack(single)
+
+
+def flags(choices):
+    """As keywords of `tactilerl train`, to the command's arguments."""
+    for name, value in choices.items():
+        yield f"--{name.replace('_', '-')}"
+        yield from map(str, value if isinstance(value, list) else [value])
+
+
+def same(rows, others):
+    def steady(row):
+        return {key: str(value) for key, value in row.items() if key not in TIMES}
+
+    return list(map(steady, rows)) == list(map(steady, others))
+
+
+def run_python(code):
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    subprocess.run([sys.executable, "-c", code], check=True, env=environment)
+
+
+class TestLearner:
+    @pytest.mark.parametrize(("name", "env", "choices", "steps"), LEARNERS)
+    def test_learns_saves_loads_and_acts_like_the_command(self, name, env, choices, steps, capsys):
+        algo = {"PPO": "ppo", "DDPGHER": "ddpg_her"}[name]
+        wanted = ["--algo", algo, "--env", env, "--total-timesteps", str(steps), "--out", "run"]
+        assert main(["train", *wanted, "--seed", "3", *flags(choices)]) == 0
+        capsys.readouterr()
+        torch.set_num_threads(2)
+        assert main(["evaluate", "run", "--episodes", "5", "--json"]) == 0
+        assert torch.get_num_threads() == 1  # as it was trained
+        told = json.loads(capsys.readouterr().out)
+
+        made = tactilerl.make(env)
+        agent = learner(name, made, choices, seed=3).learn(steps)
+        agent.save("policy.pt")
+        singles, batch = observations(env)
+        policies = [agent.policy(), tactilerl.load_policy("policy.pt"), tactilerl.load_policy("run")]
+        for policy in [*policies, pickle.loads(pickle.dumps(policies[1]))]:
+            for obs in singles:
+                np.testing.assert_array_equal(policy.act(obs), agent.act(obs))
+            np.testing.assert_allclose(policy.act(batch), np.stack([*map(agent.act, singles)]), 1e-4)
+        result = tactilerl.evaluate(policies[1], made, episodes=5)
+        assert result == {key: told[key] for key in result}
+        assert len(told) == len(result) + 3  # which run, and how far it was
+
+    def test_env_stays_open_and_is_played_in_as_it_is_wrapped(self):
+        class Counted(gym.Wrapper):
+            steps = closed = 0
+
+            def step(self, action):
+                assert self.action_space.contains(action.astype(np.float32))
+                self.steps += 1
+                return super().step(action)
+
+            def close(self):
+                self.closed += 1
+
+        env = Counted(gym.wrappers.RescaleAction(gym.make("Pendulum-v1"), -1.0, 1.0))
+        agent = tactilerl.PPO(env, **PPO)
+        agent.learn(1)
+        assert env.steps == agent.env_steps == 200
+        tactilerl.evaluate(agent.policy(), env, episodes=1)
+        agent.close()
+        assert (env.steps, env.closed) == (400, 0)
+
+    def test_time_limits_around_an_unregistered_environment_count(self):
+        class Endless(PointReachEnv):
+            max_episode_steps = 10**9
+
+        env = gym.wrappers.TimeLimit(Endless(), 10)
+        agent = tactilerl.DDPGHER(env, **HER)
+        assert agent.learn(1).env_steps == 2 * 2 * 10
+
+    def test_learning_again_goes_on_and_a_callback_ends_it(self):
+        whole, rows = tactilerl.PPO("lqr", **PPO), []
+        whole.learn(360, callback=rows.append)
+        assert [row["epoch"] for row in rows] == [1, 2, 3]
+        parts, again = tactilerl.PPO("lqr", **PPO), []
+        parts.learn(240, callback=lambda row: again.append(row) or len(again) < 1)
+        assert parts.env_steps == 120
+        parts.learn(1, callback=again.append).learn(1, callback=again.append)
+        assert same(rows, again)
+        obs = np.array([0.1, 0.2], np.float32)
+        assert np.array_equal(whole.act(obs), parts.act(obs))
+
+    def test_a_policy_stays_as_it_was_taken(self):
+        agent, obs = tactilerl.PPO("lqr", **PPO), np.array([0.1, 0.2], np.float32)
+        policy = agent.policy()
+        before = policy.act(obs)
+        agent.learn(1)
+        assert np.array_equal(policy.act(obs), before)
+        assert not np.array_equal(agent.act(obs), before)
+
+    def test_workers_and_makers(self):
+        agent = tactilerl.PPO(lambda: tactilerl.make("lqr"), workers=2, **PPO)
+        assert agent.learn(1).env_steps == 120
+        agent.close()
+
+    def test_progress_is_what_the_command_shows(self, capsys):
+        tactilerl.PPO("lqr", **PPO).learn(120)
+        assert capsys.readouterr().out == ""
+        tactilerl.PPO("lqr", **PPO).learn(120, progress=True)
+        assert "epoch    1  steps 120/120" in capsys.readouterr().out
+
+    def test_diverged_learning_raises(self):
+        env = gym.wrappers.TransformReward(tactilerl.make("lqr"), lambda reward: math.nan)
+        with pytest.raises(DivergenceError, match="reward"):
+            tactilerl.PPO(env, **PPO).learn(1)
+
+    def test_threads_are_only_its_own(self):
+        torch.set_num_threads(2)
+        tactilerl.PPO("lqr", **PPO).learn(1, callback=lambda row: torch.get_num_threads() == 1 or 1 / 0)
+        assert torch.get_num_threads() == 2
+
+
+class TestTrain:
+    def test_makes_and_goes_on_with_a_run_folder(self, capsys):
+        run = tactilerl.train("lqr", out="run", total_timesteps=1, **PPO)
+        assert run == Path("run")
+        assert "epoch    1  steps 120/1" in capsys.readouterr().out
+        assert (
+            main(["train", "--env", "lqr", "--total-timesteps", "1", "--out", "other", *flags(PPO)])
+            == 0
+        )
+        states = [
+            torch.load(f"{r}/checkpoint.pt", weights_only=True)["ranks"][0] for r in (run, "other")
+        ]
+        for one, other in zip(states[0]["actor"].values(), states[1]["actor"].values(), strict=True):
+            assert torch.equal(one, other)
+        assert tactilerl.train(resume=run, total_timesteps=121) == run
+        assert len(Path("run/progress.csv").read_text().splitlines()) == 3
+
+    @pytest.mark.parametrize(
+        ("choices", "words"),
+        [
+            (dict(layers=3), "layers: unknown, allowed: action_variance, actor_lr"),
+            (dict(layout=4), "layout: unknown"),
+            (dict(gamma=2), "gamma: found 2, allowed from 0 to 1"),
+            (dict(env="shadow", layout="44"), "unknown layout '44'"),
+            (dict(algo="sac"), "unknown algorithm 'sac'; allowed: ppo, ddpg_her"),
+            (dict(env="shadow", run_type="x"), "run_type: found 'x'"),
+            (dict(resume="nothing"), "'nothing' is not a run folder"),
+        ],
+    )
+    def test_bad_flags_are_one_line_and_leave_no_folder(self, choices, words):
+        with pytest.raises(ValueError, match=words) as raised:
+            tactilerl.train(**{"env": "lqr", **choices}, out=None if "resume" in choices else "run")
+        assert "\n" not in str(raised.value)
+        assert not list(Path().iterdir())
+
+    def test_a_run_goes_on_as_it_began(self):
+        tactilerl.train("lqr", out="run", total_timesteps=1, **PPO)
+        for choices, words in [
+            (dict(gamma=0.5), "gamma: found 0.5, the run was made with 0.99"),
+            (dict(algo="ddpg_her"), "algo: "),
+            (dict(out="there"), "out: "),
+            (dict(env="shadow"), "env: found 'shadow', the run was made with 'lqr'"),
+        ]:
+            with pytest.raises(ValueError, match=words):
+                tactilerl.train(resume="run", **choices)
+
+
+class TestMistakes:
+    @pytest.mark.parametrize(
+        ("make", "words"),
+        [
+            (lambda: tactilerl.PPO("lqr", layers=3), "layers: unknown, allowed: .*hidden.*seed"),
+            (lambda: tactilerl.PPO("lqr", gamma="x"), "gamma: found 'x'"),
+            (lambda: tactilerl.PPO("lqr", seed=-1), "seed: found -1"),
+            (lambda: tactilerl.PPO("lqr", threads=0), "threads: found 0"),
+            (lambda: tactilerl.PPO("lqr", device="toaster"), "device: found 'toaster'"),
+            (lambda: tactilerl.PPO("nope"), "unknown environment 'nope'"),
+            (lambda: tactilerl.PPO(3), "env: found int, allowed an environment, an id or a function"),
+            (lambda: tactilerl.PPO(tactilerl.make("lqr"), workers=2), "workers: found 2 with one"),
+            (lambda: tactilerl.PPO("CartPole-v1"), "action space: found Discrete"),
+            (lambda: tactilerl.DDPGHER("lqr"), "observation space: found Box"),
+            (lambda: tactilerl.PPO("lqr").learn(0), "total_timesteps: found 0"),
+            (lambda: tactilerl.PPO("lqr").learn("1"), "total_timesteps: found '1'"),
+            (lambda: tactilerl.PPO("lqr").save("no/folder.pt"), "path: found 'no/folder.pt'"),
+            (lambda: tactilerl.PPO("lqr").save("."), "path: found '.'"),
+            (lambda: tactilerl.PPO("lqr").act([1, 2, 3]), r"shape \(3,\), expected \(2,\), or a batch"),
+            (lambda: tactilerl.PPO("lqr").act({"observation": [1, 2]}), "expected no Dict"),
+            (lambda: tactilerl.PPO("lqr").act([1, 2], deterministic=False), "rng: found none"),
+            (lambda: tactilerl.DDPGHER("point-reach").act([1, 2]), "found list, expected a Dict with"),
+            (lambda: tactilerl.load_policy("nothing.pt"), "nothing.pt: missing"),
+            (lambda: tactilerl.load_policy("."), "not a run folder"),
+            (
+                lambda: tactilerl.evaluate(tactilerl.PPO("lqr").policy(), "point-reach"),
+                r"env: found observations of shape .*, the policy has \(2,\)",
+            ),
+            (
+                lambda: tactilerl.evaluate(tactilerl.PPO("lqr").policy(), "lqr", episodes=0),
+                "episodes: ",
+            ),
+        ],
+    )
+    def test_are_value_errors_of_one_line(self, make, words):
+        with pytest.raises(ValueError, match=words) as raised:
+            make()
+        assert "\n" not in str(raised.value)
+
+    def test_a_damaged_policy_is_refused(self):
+        tactilerl.PPO("lqr", **PPO).save("policy.pt")
+        whole = torch.load("policy.pt", weights_only=True)
+        for change in (
+            dict(policy_format=99),
+            dict(algo="sac"),
+            dict(learner="{}"),
+            dict(spaces="[]"),
+            dict(spaces=whole["spaces"].replace("[2]", "[3]")),
+            dict(spaces=whole["spaces"].replace("[2]", "[1e9]")),
+            dict(spaces=whole["spaces"].replace("float32", "nonsense")),
+            dict(state={"actor": {}}),
+            dict(state={}),
+            dict(another=1),
+        ):
+            sealed.write(Path("bad.pt"), {**whole, **change})
+            with pytest.raises(ValueError, match=r"bad\.pt: (damaged|not a policy)") as raised:
+                tactilerl.load_policy("bad.pt")
+            assert "\n" not in str(raised.value)
+        Path("bad.pt").write_bytes(Path("policy.pt").read_bytes()[:-100])
+        with pytest.raises(ValueError, match=r"bad\.pt: damaged"):
+            tactilerl.load_policy("bad.pt")
+
+
+class TestPolicy:
+    def test_exploring_needs_a_generator_and_follows_from_it(self):
+        policy, obs = tactilerl.PPO("lqr").policy(), [[0.1, 0.2], [0.3, 0.4]]
+        explored = [policy.act(obs, False, np.random.default_rng(seed)) for seed in (1, 1, 2)]
+        assert np.array_equal(explored[0], explored[1])
+        assert not np.array_equal(explored[0], explored[2])
+        assert not np.array_equal(explored[0], policy.act(obs))
+        assert policy.act(np.zeros((0, 2))).shape == (0, 1)
+
+    def test_actions_have_the_environments_shape_and_range(self):
+        class Shaped(gym.Env):
+            observation_space = gym.spaces.Box(-1.0, 1.0, (2, 3))
+            action_space = gym.spaces.Box(np.full((2, 2), 5.0), np.full((2, 2), 6.0), dtype=np.float64)
+
+        tactilerl.PPO(Shaped()).save("policy.pt")
+        policy = tactilerl.load_policy("policy.pt")
+        assert policy.act(np.zeros((2, 3))).shape == (2, 2)
+        actions = policy.act(np.zeros((2, 2, 3)))
+        assert actions.shape == (2, 2, 2)
+        assert actions.dtype == np.float64
+        assert ((actions >= 5) & (actions <= 6)).all()
+
+    def test_loading_makes_no_environment_and_no_simulator(self):
+        tactilerl.train("lqr", out="run", total_timesteps=1, **PPO)
+        tactilerl.PPO("lqr", **PPO).save("policy.pt")
+        run_python(
+            """
+import sys, tactilerl
+
+tactilerl.load_policy("policy.pt").act([0.1, 0.2])
+needless = {"mujoco", "tactilerl.training", "tactilerl.config", "tactilerl.envs.grasp"}
+assert not needless & set(sys.modules), needless & set(sys.modules)
+tactilerl.load_policy("run").act([0.1, 0.2])
+needless = {"mujoco", "tactilerl.training", "tactilerl.envs.toy"}
+assert not needless & set(sys.modules), needless & set(sys.modules)
+"""
+        )
+
+    def test_checkpoints_that_do_not_say_the_spaces_load(self):
+        run = tactilerl.train("point-reach", algo="ddpg_her", out="run", total_timesteps=1, **HER)
+        (obs, *_), _ = observations("point-reach")
+        action = tactilerl.load_policy(run).act(obs)
+        content = torch.load(run / "checkpoint.pt", weights_only=True)
+        del content["spaces"]
+        sealed.write(run / "checkpoint.pt", content)
+        assert np.array_equal(tactilerl.load_policy(run).act(obs), action)
+        tactilerl.train(resume=run, total_timesteps=101)
+        assert "spaces" in torch.load(run / "checkpoint.pt", weights_only=True)
+
+
+class TestImport:
+    def test_importing_the_package_imports_nothing(self):
+        run_python(
+            """
+import sys
+
+before = set(sys.modules)
+import tactilerl
+
+new = set(sys.modules) - before
+assert new == {"tactilerl", "tactilerl.registration"}, new
+tactilerl.make("lqr")
+assert "torch" not in sys.modules
+"""
+        )
+
+    def test_no_module_hides_a_function(self):
+        modules = {path.stem for path in (ROOT / "tactilerl").iterdir()}
+        assert not modules & set(tactilerl.__all__)
+        assert set(tactilerl.__all__) <= set(dir(tactilerl))
+        assert all(callable(getattr(tactilerl, name)) for name in tactilerl.__all__)
+        with pytest.raises(AttributeError, match="'tactilerl' has no attribute 'nothing'"):
+            _ = tactilerl.nothing
+
+
+class TestOtherLibraries:
+    @pytest.mark.parametrize("name", ["Shadow", "LQR", "PointReach"])
+    def test_gymnasium_makes_vectors_of_our_environments(self, name):
+        envs = gym.make_vec(f"tactilerl/{name}-v0", num_envs=2, vectorization_mode="sync")
+        envs.reset(seed=0)
+        assert envs.step(envs.action_space.sample())[1].shape == (2,)
+        envs.close()
+
+    @pytest.mark.parametrize("name", ["shadow", "lqr", "point-reach"])
+    @pytest.mark.filterwarnings("error")
+    def test_stable_baselines3_finds_nothing_to_complain_of(self, name):
+        checker = pytest.importorskip("stable_baselines3.common.env_checker")
+        checker.check_env(tactilerl.make(name))
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize("algorithm", ["PPO", "SAC", "HER"])
+    @pytest.mark.parametrize("name", ["Shadow", "LQR", "PointReach"])
+    def test_stable_baselines3_trains_on_our_environments(self, name, algorithm):
+        sb3 = pytest.importorskip("stable_baselines3")
+        if (algorithm == "HER") > (name == "PointReach"):
+            pytest.skip("for sparse goals")
+        env = gym.make(f"tactilerl/{name}-v0")
+        policy = "MlpPolicy" if name == "LQR" else "MultiInputPolicy"
+        if algorithm == "PPO":
+            model = sb3.PPO(policy, env, n_steps=100, batch_size=50, n_epochs=1)
+        else:
+            buffer = sb3.HerReplayBuffer if algorithm == "HER" else None
+            model = sb3.SAC(policy, env, replay_buffer_class=buffer, learning_starts=150)
+        model.learn(200)
+        assert model.num_timesteps == 200
+        env.close()
+
+
+class TestExamples:
+    def test_there_are_some_and_they_compile(self):
+        assert len(EXAMPLES) == 6
+        for path in EXAMPLES:
+            source = path.read_text()
+            compile(source, str(path), "exec")
+            assert "# %%" in source
+
+    def test_the_quickest_runs(self, monkeypatch, capsys):
+        monkeypatch.setattr(sys, "argv", ["own_environment.py", "--steps", "1"])
+        runpy.run_path(str(ROOT / "examples/own_environment.py"), run_name="__main__")
+        assert "mean return" in capsys.readouterr().out
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+    def test_runs(self, path, tmp_path):
+        if path.stem == "train_and_film":
+            pytest.importorskip("imageio")
+        if "stable_baselines3" in path.stem:
+            pytest.importorskip("stable_baselines3")
+        if path.stem == "probe":
+            pytest.importorskip("sklearn")
+        environment = {
+            "MUJOCO_GL": "egl",
+            **os.environ,
+            "PYTHONPATH": str(ROOT),
+            "TMPDIR": str(tmp_path),
+        }
+        command = [sys.executable, str(path), "--steps", "60"]
+        result = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=600)
+        assert result.returncode == 0, result.stderr
+        assert "tactilerl: error" not in result.stderr, result.stderr
