@@ -157,7 +157,7 @@ def _read(path: Path) -> Layout:
 
 
 def parse(data: dict[str, Any], name: str) -> Layout:
-    """A layout from the content of a file (docs/environments.md, "Your own layout")."""
+    """A layout from the content of a file (docs/guides/layouts.md)."""
     _only(data, {"description", "patch"}, "the file")
     patches = data.get("patch")
     if not isinstance(patches, list) or not patches:

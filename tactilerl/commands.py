@@ -26,7 +26,7 @@ from .errors import InputError, input_errors
 
 console = Console(highlight=False, soft_wrap=True, markup=False)
 SETTLED_NOTE = (
-    "hold_verdict=settled decides holds early; how often it is wrong: docs/environments.md, Hold test"
+    "hold_verdict=settled decides holds early; how often it is wrong: docs/concepts/tasks.md"
 )
 
 

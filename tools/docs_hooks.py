@@ -6,16 +6,16 @@ it were written by hand: the flags of every command, and signatures and docstrin
 
 from __future__ import annotations
 
+import contextlib
+import io
 import os
-import subprocess
-import sys
 from typing import Any
 
 import tactilerl
 from tactilerl import cli
 from tactilerl.study.command import PARTS as STUDY
 
-COLUMNS = "96"  # of a help text
+os.environ |= {"COLUMNS": "96", "NO_COLOR": "1"}  # of help texts
 SEVERAL = {  # commands whose flags depend on what follows them
     "train": ("train", "train --algo ddpg_her"),
     "study": tuple(f"study {part}" for part in STUDY),
@@ -48,12 +48,10 @@ def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
 
 def flags(command: str) -> str:
     """A section with the help of one command."""
-    made = subprocess.run(
-        [sys.executable, "-m", "tactilerl", *command.split(), "--help"],
-        env=os.environ | {"COLUMNS": COLUMNS, "NO_COLOR": "1"},
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    return f"\n## tactilerl {command}\n\n```text\n{made.stdout}```\n"
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output), contextlib.suppress(SystemExit):
+        cli.main([*command.split(), "--help"])
+    return f"\n## tactilerl {command}\n\n```text\n{output.getvalue()}```\n"
 
 
 def python() -> list[str]:
