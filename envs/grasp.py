@@ -36,7 +36,7 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
     """main: taxels read; control: all zero, same size (paper); absent: no taxel entries."""
     touch: str = "skin"
     """Touch rule. skin: the taxel's sphere overlaps the object, and its skin touches it; contact: the
-    simulator's own contact points (paper); force: normal force in N. Why skin: docs/concepts/touch.md."""
+    simulator's own contact points (paper); force: normal force in N. See docs/concepts/touch.md."""
     finger_gain: float = 1.0
     """Position gain and force limit of the fingers, relative to the hand model's."""
     timestep: float = 0.004

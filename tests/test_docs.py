@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+
 import tactilerl
 from tactilerl import cli
 
@@ -55,7 +56,9 @@ def test_links_lead_somewhere(page):
 
 
 def test_code_names_pages_that_exist():
-    sources = (p for part in ("algos", "envs", "tactilerl", "benchmarks") for p in ROOT.glob(f"{part}/**/*.py"))
+    sources = (
+        p for part in ("algos", "envs", "tactilerl", "benchmarks") for p in ROOT.glob(f"{part}/**/*.py")
+    )
     for source in sources:
         for named in re.findall(r"docs/[\w/]+\.md", source.read_text(encoding="utf-8")):
             assert (ROOT / named).is_file(), f"{source.relative_to(ROOT)}: {named} does not exist"
@@ -66,7 +69,9 @@ def test_docs_name_files_that_exist():
     for page in PAGES:
         if page.name == "CHANGELOG.md":  # names what was
             continue
-        for named in re.findall(rf"\b({folders}/[\w/]+\.(?:py|toml|json))\b", page.read_text(encoding="utf-8")):
+        for named in re.findall(
+            rf"\b({folders}/[a-z0-9_/]+\.(?:py|toml|json))\b", page.read_text(encoding="utf-8")
+        ):
             assert (ROOT / named).is_file(), f"{page.relative_to(ROOT)}: {named} does not exist"
 
 
@@ -90,7 +95,9 @@ def calls():
         lines = [line for _, text in blocks(page, "", "bash") for line in text.splitlines()]
         lines += re.findall(r"`([^`]+)`", prose(page))
         for line in lines:
-            words = shlex.split(line.replace("\n", " ").partition(" #")[0].replace("...", ""), posix=False)
+            words = shlex.split(
+                line.replace("\n", " ").partition(" #")[0].replace("...", ""), posix=False
+            )
             if "tactilerl" in words[:-1]:
                 yield page, tuple(words[words.index("tactilerl") + 1 :])
 
@@ -157,7 +164,7 @@ def test_examples_run(text, tmp_path):
 def test_layout_example_is_a_layout(tmp_path):
     from tactilerl.envs import layouts
 
-    (_, text), = blocks(ROOT / "docs/guides/layouts.md", "toml")
+    ((_, text),) = blocks(ROOT / "docs/guides/layouts.md", "toml")
     path = tmp_path / "my_layout.toml"
     path.write_text(text, encoding="utf-8")
     assert layouts.load(str(path)).patches
@@ -166,7 +173,7 @@ def test_layout_example_is_a_layout(tmp_path):
 def test_study_example_is_a_study(tmp_path):
     from tactilerl.study import grid
 
-    (_, text), = blocks(ROOT / "docs/guides/study.md", "toml")
+    ((_, text),) = blocks(ROOT / "docs/guides/study.md", "toml")
     path = tmp_path / "pilot.toml"
     path.write_text(text, encoding="utf-8")
     assert grid.read(path).runs()
