@@ -199,7 +199,7 @@ def _patch(data: Any, where: str) -> Patch:
         if max(abs(value) for value in offset) > 50:
             raise ValueError(f"{where}: offsets_mm: found {offset!r}, allowed up to 50 mm")
     if len({tuple(offset) for offset in offsets}) < len(offsets):
-        raise ValueError(f"{where}: offsets_mm: the same [row, column] stands twice")
+        raise ValueError(f"{where}: offsets_mm: the same [row, column] is given twice")
     metres = tuple((1e-3 * row, 1e-3 * column) for row, column in offsets)
     return Patch(digits, segments, metres, 1e-3 * radius)
 

@@ -125,7 +125,7 @@ def read(run_dir: RunDir, config: RunConfig) -> dict[str, Any]:
         if not 0 <= epoch < 2**63 or not data["ranks"]:
             raise ValueError(f"epoch {epoch}, {len(data['ranks'])} ranks")
         if any(type(part) is not int for part in parts):
-            raise ValueError("experience of epochs that are no numbers")
+            raise ValueError("experience of epochs that are not numbers")
         if parts != sorted(set(parts)) or (parts and not 1 <= parts[0] <= parts[-1] <= epoch):
             raise ValueError("experience of epochs that the run has not had")
         difference = config.difference(json.loads(data["config"]))

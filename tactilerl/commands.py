@@ -25,9 +25,7 @@ from .envs.simulators import Camera
 from .errors import InputError, input_errors
 
 console = Console(highlight=False, soft_wrap=True, markup=False)
-SETTLED_NOTE = (
-    "hold_verdict=settled decides holds early; how often it is wrong: docs/concepts/tasks.md"
-)
+SETTLED_NOTE = "hold_verdict=settled decides holds early; how often it is wrong: docs/concepts/tasks.md"
 
 
 # -- train -----------------------------------------------------------------------------------

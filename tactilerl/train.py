@@ -86,7 +86,7 @@ def train(
                     report.note(f"  versions {changed}; from epoch {epoch + 1} on")
                 if learner.env_steps >= learner.total_timesteps:
                     done = f"{learner.env_steps:,} of {learner.total_timesteps:,}"
-                    report.note(f"  nothing to do: {done} steps are done; --total-timesteps goes on")
+                    report.note(f"  nothing to do: {done} steps done; raise --total-timesteps")
                 _loop(learner, config.run.matmul, comm, run_dir, epoch, checkpoint, report)
     except algos.RewardError as error:
         raise InputError(str(error)) from error
