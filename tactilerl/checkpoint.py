@@ -68,7 +68,7 @@ class Checkpoint:
         if is_other and not any_ranks:
             raise InputError(
                 f"ranks: found {comm.size}, the run was made with {n_old}; start it with "
-                f"mpirun -n {n_old}, or give --any-ranks to go on all the same"
+                f"mpirun -n {n_old}, or give --any-ranks to go on anyway"
             )
         state = data["ranks"][comm.rank % n_old]
         if comm.rank >= n_old and isinstance(state, dict):

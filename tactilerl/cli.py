@@ -12,13 +12,13 @@ from . import __version__, interrupts
 from .errors import InputError, let_rank_0_speak
 
 COMMANDS = {
-    "train": "train a policy (start here; --resume goes on with a run)",
+    "train": "train a policy (start here; --resume continues a run)",
     "evaluate": "success rate and return of a trained run, with confidence intervals",
     "env": "describe an environment: its observations, actions and taxels",
     "doctor": "do the taxels feel? scripted grasps, figures per layout",
-    "probe": "what can a layout know? grasps played once, answers with intervals",
+    "probe": "what can a layout know? answers from played grasps, with intervals",
     "render": "a picture of a grasp with its taxels, or a film of a run",
-    "study": "many runs from one file, and what they say together: tables, figures, a report",
+    "study": "many runs from one file, compared: tables, figures, a report",
 }
 LONGEST = 600  # characters of an error's line: a path may have 5,000
 

@@ -51,7 +51,7 @@ def train(args: list[str]) -> int:
         config.validate()
         comm = mpi.world()
     if saved and (difference := saved.difference(config.identity())):
-        raise InputError(f"--resume {resume}: {difference}; a run goes on as it began")
+        raise InputError(f"--resume {resume}: {difference}; a resumed run keeps its settings")
     if comm.rank == 0:
         console.print(_summary(config, comm.size))
     path = run(config, comm, Path(resume) if resume else None, options.any_ranks)
@@ -63,16 +63,16 @@ def train(args: list[str]) -> int:
     return 0
 
 
-TRUST = "the run's environment may import the module that its id names"
+TRUST = "allow the import of the module in the environment's id"
 
 
 def read_config(args: list[str], base: RunConfig) -> tuple[RunConfig, Any]:
     """All flags of `train`, over the defaults `base`; and those that are not of the configuration."""
     parts = {"run": base.run, "scene": base.scene, "learner": base.learner}
     parts = {name: part for name, part in parts.items() if part is not None}
-    about = "go on with the run in this folder, exactly where its last epoch ended"
+    about = "continue the run in this folder from its last whole epoch"
     resume = ("resume", Annotated[str, tyro.conf.arg(help=about, metavar="RUN")], "")
-    about = "with --resume: go on with another number of processes, no longer bit for bit"
+    about = "with --resume: allow another number of processes; no longer the same bit for bit"
     any_ranks = ("any_ranks", Annotated[bool, tyro.conf.arg(help=about)], False)
     trust = ("trust", Annotated[bool, tyro.conf.arg(help=f"with --resume: {TRUST}")], False)
     kinds = [(name, type(part)) for name, part in parts.items()]
@@ -116,13 +116,13 @@ class EvaluateFlags:
     workers: int | None = None
     """Episodes played side by side; default: the free cores."""
     env: str = ""
-    """The run's environment once more, when its id names a module that is to be imported."""
+    """The run's environment again: allows the import of the module in its id."""
     trust: bool = False
-    """The same without its name: the run's environment may import the module that its id names."""
+    """Allow that import without naming the environment."""
     sweep: tuple[str, ...] = ()
-    """A flag of the sensors and several values for it: --sweep taxel-dead 0 0.1 0.2 0.5."""
+    """A sensor flag and the values to try: --sweep taxel-dead 0 0.1 0.2 0.5."""
     out: Path | None = None
-    """With --sweep: the picture to write, .png, .svg or .pdf (needs 'tactilerl[plots]')."""
+    """With --sweep: picture to write, .png, .svg or .pdf (needs 'tactilerl[plots]')."""
     json: bool = False
     """Print JSON instead of a table."""
 
@@ -134,7 +134,7 @@ def evaluate(args: list[str]) -> int:
 
     read, sensors = _read_evaluate(args)
     if read.out is not None and not read.sweep:
-        raise InputError("--out: found it, allowed only with --sweep")
+        raise InputError("--out: found without --sweep, allowed only with it")
     with input_errors():
         configuration.require_workers(read.workers)
         if read.out is not None:
@@ -242,7 +242,7 @@ class EnvFlags:
     """Flags of `tactilerl env`, besides the scene's."""
 
     env: str = "shadow"
-    """Which environment."""
+    """Name of the environment."""
     describe: bool = False
     """List every entry of the observation and of the action."""
     json: bool = False
@@ -304,7 +304,7 @@ class DoctorFlags:
     """Flags of `tactilerl doctor`, besides the scene's."""
 
     env: str = "shadow"
-    """Which environment."""
+    """Name of the environment."""
     grasps: int = 20
     """Perturbed grasps per layout."""
     seconds: float = 3.0
@@ -367,24 +367,24 @@ class RenderFlags:
     """Flags of `tactilerl render`, besides the scene's."""
 
     run: tyro.conf.Positional[Path | None] = None
-    """Run folder: film its policy, in its own scene. Without: a picture of a scripted grasp."""
+    """Run folder: film its policy in its own scene. Without one: picture of a scripted grasp."""
     video: Path = Path("episodes.mp4")
     """The film of a run's policy to write."""
     episodes: int = 1
-    """Episodes in the film, those that `evaluate` plays first. Its hold tests last 2 s unless
-    --hold-seconds says otherwise."""
+    """Episodes in the film: the first that `evaluate` would play. Hold tests last 2 s unless
+    --hold-seconds is given."""
     env: str = "shadow"
-    """Which environment (picture)."""
+    """Environment of the picture."""
     out: Path = Path("grasp.png")
     """The picture to write."""
     pose: Literal["start", "grasp"] = "grasp"
     """The start of an episode, or a scripted grasp (picture)."""
     azimuth: float = Camera.azimuth
-    """Direction of the camera, degrees."""
+    """Direction of the camera, degrees; 300 looks at the palm."""
     elevation: float = Camera.elevation
-    """Degrees; positive looks up from below."""
+    """Elevation of the camera, degrees; positive looks up from below."""
     distance: float = Camera.distance
-    """Of the camera, m."""
+    """Distance of the camera, m."""
 
     @property
     def camera(self) -> Camera:
@@ -403,7 +403,7 @@ def render(args: list[str]) -> int:
     for flag in ("video", "episodes") if read.run is None else ("env", "out", "pose"):
         if getattr(read, flag) != getattr(RenderFlags, flag):
             needed = "with" if read.run is None else "without"
-            raise InputError(f"--{flag}: found it, allowed only {needed} RUN; see --help")
+            raise InputError(f"--{flag}: allowed only {needed} RUN; see --help")
     if read.run is not None:
         return _film(args, read, scene)
     if scene is None:
@@ -427,7 +427,7 @@ def _film(args: list[str], read: RenderFlags, scene: GraspConfig | None) -> int:
         scene = dataclasses.replace(scene, hold_seconds=setup(read.env).hold_seconds)
     if scene != setup(read.env):
         raise InputError(
-            "render RUN: found flags of a scene, allowed only --hold-seconds: a run has its own"
+            "render RUN: found scene flags, allowed only --hold-seconds: a run keeps its scene"
         )
     _at_least("--episodes", read.episodes, 1)
     columns = SpinnerColumn(), TextColumn("{task.completed:.0f} pictures"), TimeElapsedColumn()

@@ -265,7 +265,7 @@ def _needs_extra(part: str) -> Iterator[None]:
 
 
 PARTS: dict[str, tuple[Callable[[list[str]], int], str]] = {
-    "run": (run, "run a study file's runs, or go on with them"),
+    "run": (run, "run or continue the runs of a study file"),
     "status": (status, "done, running, failed, left, ETA"),
     "plan": (plan, "how many seeds an effect needs, from the spread of a pilot"),
     "collect": (collect, "pack all that a study has recorded into one file"),
