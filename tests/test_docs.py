@@ -134,10 +134,12 @@ def test_flags_in_prose_exist():
 
 def benchmark_flags(page):
     """Flags of the benchmarks that a page names."""
-    scripts = re.findall(r"benchmarks/[\w/]+\.py", page.read_text(encoding="utf-8"))
-    text = "".join((ROOT / script).read_text(encoding="utf-8") for script in scripts)
-    shared = next(ROOT.glob("benchmarks/**/timing.py"))
-    text += shared.read_text(encoding="utf-8")
+    names = re.findall(r"python\s+-m\s+benchmarks\s+(\w+)", page.read_text(encoding="utf-8"))
+    scripts = [next(ROOT.glob(f"benchmarks/**/{name}.py"), None) for name in names]
+    assert None not in scripts, f"{page.relative_to(ROOT)}: no such benchmark among {names}"
+    text = "".join(script.read_text(encoding="utf-8") for script in scripts)
+    shared = (*ROOT.glob("benchmarks/**/timing.py"), *ROOT.glob("benchmarks/command.py"))
+    text += "".join(path.read_text(encoding="utf-8") for path in shared)
     return set(re.findall(r"--[\w-]+", text))
 
 
