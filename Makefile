@@ -72,7 +72,7 @@ bench-%: $(DEVELOPMENT)
 figures: $(DEVELOPMENT)
 	$(BIN)/python benchmarks/figures.py
 
-# The site, from docs/*.md and the code: build/site/index.html. A warning or a broken link fails.
+# The site, from docs/*.md and the code. A warning or a broken link fails.
 DOCS := $(VENV)/.installed-docs
 $(DOCS): $(TRAINING)
 	$(INSTALL) --editable ".[docs]"
@@ -81,6 +81,7 @@ $(DOCS): $(TRAINING)
 docs: export NO_MKDOCS_2_WARNING := 1
 docs: $(DOCS)
 	$(BIN)/mkdocs build --strict
+	@echo "The site is in build/site; to read it: $(PYTHON) -m http.server -d build/site"
 
 clean:
 	rm -rf $(VENV) build *.egg-info
