@@ -11,7 +11,7 @@ JOBS ?= 2
 export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 
-.PHONY: train test test-slow lint bench figures clean
+.PHONY: train test test-slow lint bench figures docs clean
 .NOTPARALLEL:
 
 # What training needs: no PyBullet, no MPI, nothing for tests.
@@ -71,6 +71,17 @@ bench-%: $(DEVELOPMENT)
 
 figures: $(DEVELOPMENT)
 	$(BIN)/python -m benchmarks figures
+
+# The site, from docs/*.md and the code. A warning or a broken link fails.
+DOCS := $(VENV)/.installed-docs
+$(DOCS): $(TRAINING)
+	$(INSTALL) --editable ".[docs]"
+	touch $@
+
+docs: export NO_MKDOCS_2_WARNING := 1
+docs: $(DOCS)
+	$(BIN)/mkdocs build --strict
+	@echo "The site is in build/site; to read it: $(PYTHON) -m http.server -d build/site"
 
 clean:
 	rm -rf $(VENV) build *.egg-info

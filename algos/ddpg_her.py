@@ -46,7 +46,7 @@ COUNTERS = ("env_steps", "updates", "cycles")
 
 @dataclass(frozen=True)
 class DDPGHERConfig:
-    """Hyperparameters; defaults are the paper's (Methods, MuJoCo set-up) unless said."""
+    """Hyperparameters; defaults are the paper's (Methods, MuJoCo set-up) unless noted."""
 
     hidden: tuple[int, ...] = (256, 256, 256)
     """Units of each hidden layer, actor and critic alike."""
@@ -55,7 +55,7 @@ class DDPGHERConfig:
     critic_lr: float = 1e-3
     """Adam step size of the critic."""
     buffer_size: int = 1_000_000
-    """Transitions each process remembers."""
+    """Transitions in the replay of each process."""
     polyak: float = 0.95
     """Share of itself that the target network keeps, once per cycle."""
     gamma: float | None = None
@@ -63,9 +63,9 @@ class DDPGHERConfig:
     action_l2: float = 1.0
     """Weight of the mean squared action in the actor's loss."""
     clip_obs: float = 200.0
-    """Observations and goals are cut at ± this before anything else."""
+    """Observations and goals are clipped to ± this first."""
     norm_clip: float = 5.0
-    """And at ± this after normalisation."""
+    """They are clipped to ± this after normalisation."""
     batch_size: int = 256
     """Transitions per update and process."""
     n_rollouts: int = 2
@@ -79,20 +79,20 @@ class DDPGHERConfig:
     random_eps: float = 0.3
     """Probability of a uniformly random action."""
     noise_eps: float = 0.2
-    """Standard deviation of the noise on the others, relative to half the action range."""
+    """Standard deviation of the noise on all other actions, relative to half the action range."""
     replay_p: float | None = None
     """Probability that a sampled transition is relabelled (HER); default: 0.8 (paper), or 0 where
-    a task has a single goal, for then the others are never asked for."""
+    the task has a single goal."""
     reduction: Literal["sum", "mean"] = "sum"
-    """Gradients over processes (source: sum)."""
+    """How gradients of several processes are combined (source: sum)."""
     clip_target: bool = True
-    """Cut targets at -1/(1 - gamma) and 0 (source): for rewards from -1 to 0."""
+    """Clip targets to -1/(1 - gamma) and 0 (source): for rewards from -1 to 0."""
     termination: Literal["bootstrap", "terminal"] = "bootstrap"
     """What follows the last step of an episode that terminated: the target network's value
     (the source has no done mask), or nothing."""
 
     def validate(self) -> None:
-        """Raise ValueError naming the first field that cannot be."""
+        """Raise ValueError naming the first invalid field."""
         check_ranges(
             self,
             positive=("actor_lr", "critic_lr", "clip_obs", "norm_clip"),

@@ -29,7 +29,7 @@ MAX_LOG_RATIO = 20.0  # exp(20) = 5e8: far outside any clip range, far inside fl
 
 @dataclass(frozen=True)
 class PPOConfig:
-    """Hyperparameters; defaults are the paper's (Methods, PyBullet set-up) unless said."""
+    """Hyperparameters; defaults are the paper's (Methods, PyBullet set-up) unless noted."""
 
     hidden: tuple[int, ...] = (256, 256, 256)
     """Units of each hidden layer, actor and critic alike."""
@@ -46,16 +46,16 @@ class PPOConfig:
     clip_range: float = 0.2
     """Clip range of the probability ratio."""
     steps_per_epoch: int = 1000
-    """Environment steps per epoch over all processes, at least: episodes are finished."""
+    """Least environment steps per epoch, over all processes; episodes are played to their end."""
     n_passes: int = 80
     """Passes over the batch per epoch ("Updates per epoch")."""
     n_minibatches: int | None = None
-    """Minibatches per pass; 6 when --minibatch-size is not given either. The paper's
-    "Minibatch size: 6" read as its source reads it."""
+    """Minibatches per pass; default: 6, unless --minibatch-size is given. (The paper's
+    "Minibatch size: 6", read as its source reads it.)"""
     minibatch_size: int | None = None
-    """Transitions per minibatch: the other reading. Not together with --n-minibatches."""
+    """Transitions per minibatch: the other reading. Excludes --n-minibatches."""
     max_grad_norm: float = 0.5
-    """Gradient norm is clipped to this, actor and critic separately."""
+    """Largest gradient norm, of actor and critic separately; larger gradients are scaled down."""
     truncation: Literal["bootstrap", "terminal"] = "bootstrap"
     """What follows the last step before a time limit: the critic's value of the last observation,
     or nothing. In the paper's task a time-out ends the task itself, with -100."""
@@ -66,7 +66,7 @@ class PPOConfig:
     source, not in the paper)."""
 
     def validate(self) -> None:
-        """Raise ValueError naming the first field that cannot be."""
+        """Raise ValueError naming the first invalid field."""
         check_ranges(
             self,
             positive=(

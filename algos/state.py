@@ -99,7 +99,7 @@ def _require_random_state(generator: Any, found: Any, own: Any) -> None:
     except (TypeError, ValueError, KeyError, OverflowError):
         raise ValueError(f"rng: found {_short(found)}, expected {_short(own)}") from None
     if probe.state != found:
-        raise ValueError(f"rng: found what is not a state of {type(generator).__name__}")
+        raise ValueError(f"rng: found something other than a state of {type(generator).__name__}")
 
 
 def _short(value: Any) -> str:

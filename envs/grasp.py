@@ -23,9 +23,9 @@ EJECTED = 10.0  # m/s, of the object during an action: twice what random actions
 
 @dataclass(frozen=True)
 class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
-    """Every choice a grasping scene leaves open. SI units and radians.
+    """Options of a grasping scene. SI units and radians.
 
-    The defaults are the Shadow Hand's; `setup` gives those of another hand.
+    Defaults are the Shadow Hand's; `setup` gives those of another hand.
     """
 
     simulator: str = "mujoco"
@@ -36,7 +36,7 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
     """main: taxels read; control: all zero, same size (paper); absent: no taxel entries."""
     touch: str = "skin"
     """Touch rule. skin: the taxel's sphere overlaps the object, and its skin touches it; contact: the
-    simulator's own contact points (paper); force: normal force in N. Why skin: docs/environments.md."""
+    simulator's own contact points (paper); force: normal force in N. See docs/concepts/touch.md."""
     finger_gain: float = 1.0
     """Position gain and force limit of the fingers, relative to the hand model's."""
     timestep: float = 0.004
@@ -57,7 +57,7 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
         return round(self.control_dt / self.timestep)
 
     def validate(self) -> None:
-        """Raise ValueError naming the first field that cannot be."""
+        """Raise ValueError naming the first invalid field."""
         self._validate_choices()
         for name in ("finger_gain", "timestep", "control_dt"):
             value = getattr(self, name)
@@ -299,7 +299,7 @@ class GraspEnv(gym.Env[Any, Array]):
         return observation
 
     def _info(self, is_end: bool, **info: Any) -> dict[str, Any]:
-        """With the warnings that no step has told of yet, also those of a reset; at the end of an
+        """With the warnings that no step has told of yet, including a reset's; at the end of an
         episode with its object."""
         if is_end:
             info["object"] = self._item.describe()

@@ -9,7 +9,7 @@ at the end.
 The verdict "settled" runs the same test with time compressed. What decides a long hold is how far
 the object creeps, so creep is sped up (`Simulator.set_creep`), and a success is called as soon as
 the object's movement would not take it far by the end. How often that is wrong was measured:
-docs/environments.md, "Hold test".
+docs/concepts/tasks.md, "The hold test".
 """
 
 from __future__ import annotations

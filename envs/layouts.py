@@ -157,7 +157,7 @@ def _read(path: Path) -> Layout:
 
 
 def parse(data: dict[str, Any], name: str) -> Layout:
-    """A layout from the content of a file (docs/environments.md, "Your own layout")."""
+    """A layout from the content of a file (docs/guides/layouts.md)."""
     _only(data, {"description", "patch"}, "the file")
     patches = data.get("patch")
     if not isinstance(patches, list) or not patches:
@@ -199,7 +199,7 @@ def _patch(data: Any, where: str) -> Patch:
         if max(abs(value) for value in offset) > 50:
             raise ValueError(f"{where}: offsets_mm: found {offset!r}, allowed up to 50 mm")
     if len({tuple(offset) for offset in offsets}) < len(offsets):
-        raise ValueError(f"{where}: offsets_mm: the same [row, column] stands twice")
+        raise ValueError(f"{where}: offsets_mm: the same [row, column] is given twice")
     metres = tuple((1e-3 * row, 1e-3 * column) for row, column in offsets)
     return Patch(digits, segments, metres, 1e-3 * radius)
 

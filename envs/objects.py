@@ -25,20 +25,20 @@ class ObjectConfig:
     """Which objects there are, and where they start."""
 
     object: str = "box"
-    """box, sphere or cylinder; several, as in box,sphere: another in every episode."""
+    """box, sphere or cylinder; with several (box,sphere), each episode draws one."""
     object_size: tuple[Number, ...] = (0.05,)
     """Edge of the cube or three edges of a box, diameter of a sphere, diameter and height of a
-    standing cylinder, m; each may be a range such as 0.04..0.05, as may the two that follow."""
+    standing cylinder, m. This, density and friction may be ranges, such as 0.04..0.05."""
     object_density: Number = 567.0
-    """kg/m^3 (manipulate_block.xml of the Shadow Hand's model; mpl: 800, a cube of 0.1 kg)."""
+    """Density, kg/m^3 (manipulate_block.xml of the Shadow Hand's model; mpl: 800, a cube of 0.1 kg)."""
     friction: Number = 1.0
     """Sliding friction of the object (the models' own value)."""
     jitter: bool = True
-    """Move the start a little in every episode, seeded (the paper does not)."""
+    """Vary the start a little in every episode (the paper does not)."""
     start_offset: float = OFFSET
-    """With jitter: the object is moved by up to this along x and y, m."""
+    """With jitter: how far the object may be moved along x and y, m."""
     start_yaw: float = YAW
-    """With jitter: the object is turned by up to this, rad."""
+    """With jitter: how far the object may be turned, rad."""
 
     def __post_init__(self) -> None:
         size = (self.object_size,) if np.ndim(self.object_size) == 0 else self.object_size
@@ -210,7 +210,7 @@ def bounds(name: str, value: Number) -> tuple[float, float]:
 
 
 def validate(config: ObjectConfig) -> None:
-    """ValueError naming the first field that cannot be."""
+    """ValueError naming the first invalid field."""
     items = Items(config)
     for size, most, where in (
         (items.width, WIDEST, "across"),

@@ -25,30 +25,30 @@ LONGEST = 100  # control steps of history or delay: more is a slip
 
 @dataclass(frozen=True)
 class SensorConfig:
-    """How well the hand knows itself, its object and what it touches. Perfectly, by default."""
+    """How well the hand senses its joints, the object and touch. Perfectly, by default."""
 
     object_seen: Literal["exact", "noisy", "start", "hidden"] = "exact"
     """How the policy sees the object's position and orientation: exact (paper), noisy (--sight-noise),
-    start (as they were when the episode began), hidden (zero)."""
+    start (as at the start of the episode), hidden (zeros)."""
     sight_noise: tuple[float, float] | None = None
-    """Standard deviation of each coordinate, m, and about each axis, rad, with --object-seen noisy;
-    default: 0.01 0.1."""
+    """With --object-seen noisy: standard deviation of the noise on each coordinate, m, and about each
+    axis, rad; default: 0.01 0.1."""
     sight_noise_kind: Literal["white", "held"] = "white"
-    """white: drawn anew at every step; held: once an episode."""
+    """white: drawn at every step; held: drawn once an episode."""
     joint_noise: float = 0.0
-    """Standard deviation of each joint angle that the policy is told, rad, drawn at every step."""
+    """Standard deviation of the noise on each observed joint angle, rad, drawn at every step."""
     taxel_false_on: float = 0.0
-    """Probability at every step that a taxel that is off reads on."""
+    """Probability, at every step, that a taxel that is off reads on."""
     taxel_false_off: float = 0.0
-    """Probability at every step that a taxel that is on reads off."""
+    """Probability, at every step, that a taxel that is on reads off."""
     taxel_dead: float = 0.0
-    """Share of the taxels that never fire; which ones follows from --hand-seed."""
+    """Share of the taxels that never fire; --hand-seed decides which."""
     taxel_stuck: float = 0.0
-    """Share of the taxels that always fire; which ones follows from --hand-seed."""
+    """Share of the taxels that always fire; --hand-seed decides which."""
     taxel_delay: int = 0
-    """Control steps by which the taxels' readings are late."""
+    """Delay of the taxels' readings, in control steps."""
     hand_seed: int | None = None
-    """Which taxels are broken follows from this; default: the run's seed."""
+    """Seed that decides which taxels are broken; default: the run's seed."""
 
     def __post_init__(self) -> None:
         if self.sight_noise is not None:
@@ -60,14 +60,14 @@ class ObservationConfig(SensorConfig):
     """What the policy is told."""
 
     history: int = 1
-    """The last so many observations side by side."""
+    """How many of the latest observations are given side by side."""
 
 
 SHARES = ("taxel_false_on", "taxel_false_off", "taxel_dead", "taxel_stuck")
 
 
 def validate(config: ObservationConfig, run_type: str, is_boolean: bool) -> None:
-    """ValueError naming the first field that cannot be, or does nothing in a run of this type."""
+    """ValueError naming the first field that is invalid, or does nothing in a run of this type."""
     _validate_values(config)
     if config.object_seen != "noisy":
         _require_defaults(config, ("sight_noise", "sight_noise_kind"), "object_seen noisy")

@@ -33,18 +33,18 @@ class TaskConfig:
     hold_seconds: float = 20.0
     """lift-and-hold: length of the hold test, s (5,000 timesteps, paper; mpl: 20.83)."""
     hold_verdict: Verdict = "full"
-    """lift-and-hold: full, or settled (the same test with creep sped up and time compressed, ended once
-    the object rests in the hand)."""
+    """lift-and-hold: full, or settled (a compressed test of about 1 s, sometimes wrong; see
+    docs/concepts/tasks.md)."""
     goal_height: float = 0.08
     """reach-goal: the goal is this far above the object's start, m."""
     goal_range: float = 0.0
-    """reach-goal: each episode's goal is drawn up to this far from there along x, y and z, m."""
+    """reach-goal: how far each episode's goal may be from there along x, y and z, m."""
     goal_tolerance: float = 0.03
     """reach-goal: success within this distance, m."""
 
 
 def validate(config: TaskConfig) -> None:
-    """ValueError naming the first field that cannot be."""
+    """ValueError naming the first invalid field."""
     if config.task not in TASKS:
         raise ValueError(f"task: found {config.task!r}, allowed: {', '.join(TASKS)}")
     for name in ("lift_clearance", "hold_seconds", "goal_height", "goal_tolerance"):

@@ -204,11 +204,11 @@ def train(
         base, _ = RunDir(Path(resume)).read_config(env or "", trust)
         for name, given in (("algo", algo not in (None, base.run.algo)), ("out", out is not None)):
             if given:
-                raise ValueError(f"{name}: found it with resume; a run goes on as it began")
+                raise ValueError(f"{name}: found it with resume; a resumed run keeps its settings")
     chosen = base.choose({**flags, **({} if out is None else {"out": str(out)})})
     chosen.validate()
     if difference := base.difference(chosen.identity()) if resume is not None else None:
-        raise InputError(f"resume: {difference}; a run goes on as it began")
+        raise InputError(f"resume: {difference}; a resumed run keeps its settings")
     return training.train(chosen, comm, None if resume is None else Path(resume), any_ranks)
 
 

@@ -69,7 +69,7 @@ class Checkpoint:
         if is_other and not any_ranks:
             raise InputError(
                 f"ranks: found {comm.size}, the run was made with {n_old}; start it with "
-                f"mpirun -n {n_old}, or give --any-ranks to go on all the same"
+                f"mpirun -n {n_old}, or give --any-ranks to go on anyway"
             )
         state = data["ranks"][comm.rank % n_old]
         if comm.rank >= n_old and isinstance(state, dict):
@@ -130,7 +130,7 @@ def read(run_dir: RunDir, config: RunConfig) -> dict[str, Any]:
         if not 0 <= epoch < 2**63 or not data["ranks"]:
             raise ValueError(f"epoch {epoch}, {len(data['ranks'])} ranks")
         if any(type(part) is not int for part in parts):
-            raise ValueError("experience of epochs that are no numbers")
+            raise ValueError("experience of epochs that are not numbers")
         if parts != sorted(set(parts)) or (parts and not 1 <= parts[0] <= parts[-1] <= epoch):
             raise ValueError("experience of epochs that the run has not had")
         difference = config.difference(json.loads(data["config"]))

@@ -13,18 +13,18 @@ from . import __version__, interrupts
 from .errors import InputError, let_rank_0_speak
 
 COMMANDS = {  # module with `main(args)`, imported when the command runs; what it does
-    "train": ("commands.train", "train a policy (start here; --resume goes on with a run)"),
+    "train": ("commands.train", "train a policy (start here; --resume continues a run)"),
     "evaluate": (
         "commands.evaluate",
         "success rate and return of a trained run, with confidence intervals",
     ),
     "env": ("commands.env", "describe an environment: its observations, actions and taxels"),
     "doctor": ("commands.doctor", "do the taxels feel? scripted grasps, figures per layout"),
-    "probe": ("probe.command", "what can a layout know? grasps played once, answers with intervals"),
+    "probe": ("probe.command", "what can a layout know? answers from played grasps, with intervals"),
     "render": ("commands.render", "a picture of a grasp with its taxels, or a film of a run"),
     "study": (
         "study.command",
-        "many runs from one file, and what they say together: tables, figures, a report",
+        "many runs from one file, compared: tables, figures, a report",
     ),
 }
 LONGEST = 600  # characters of an error's line: a path may have 5,000

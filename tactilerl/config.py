@@ -35,24 +35,24 @@ class RunOptions:
     total_timesteps: int = 500_000
     """Environment steps of the whole run, over all processes; the paper's by default."""
     workers: int | None = None
-    """Episodes that each process plays side by side; default: the free cores. The results are the
-    same with any number."""
+    """Episodes that each process plays side by side; default: one per free core. Results do not
+    depend on it."""
     seed: int = 0
-    """Everything random follows from this."""
+    """Random seed of the whole run."""
     out: str | None = None
-    """Run folder; default: runs/ALGO_ENV_..._sSEED. It must not exist."""
+    """Run folder, which must not exist yet; default: runs/ALGO_ENV_..._sSEED."""
     device: str = "cpu"
     """PyTorch device of the networks."""
     threads: int = 1
-    """Threads of PyTorch; another number can change the last digits of a run."""
+    """PyTorch threads; another number can change the last digits of the results."""
     matmul: Literal["float32", "bfloat16"] = "float32"
-    """What the matrix products of updates multiply: bfloat16 is faster and coarser, and allowed where
-    the processor has it (AMX or AVX512-BF16) and --device is cpu. Acting stays in float32."""
+    """Precision of the matrix products in updates. bfloat16 is faster and coarser; it needs a processor
+    with AMX or AVX512-BF16, and --device cpu. Acting stays in float32."""
     tensorboard: bool = False
     """Write TensorBoard events as well (needs the extra: pip install 'tactilerl[tensorboard]')."""
 
     def validate(self) -> None:
-        """Raise ValueError naming the first field that cannot be."""
+        """Raise ValueError naming the first invalid field."""
         for name, most in (("total_timesteps", 10**15), ("threads", 1000)):
             if not 1 <= getattr(self, name) <= most:
                 raise ValueError(f"{name}: found {getattr(self, name)}, allowed from 1 to {most}")
@@ -102,7 +102,7 @@ class RunConfig:
         return dataclasses.replace(self, **parts)
 
     def validate(self) -> None:
-        """Raise ValueError naming the first field that cannot be."""
+        """Raise ValueError naming the first invalid field."""
         for part in self.parts.values():
             typed.validate(part)
         if (self.scene is None) == (self.run.env in HANDS):

@@ -73,7 +73,7 @@ class Progress:
             lines = [line + "\n" for line in text.split("\n")[:-1]]
             rows = list(csv.reader(lines, strict=True))
             if len(rows) != len(lines):
-                raise ValueError("a line break inside of a field")
+                raise ValueError("a line break inside a field")
             for number, row in enumerate(rows, 1):
                 _require_row(number, row, rows[0])
         except (OSError, ValueError, csv.Error) as error:

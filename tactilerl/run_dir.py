@@ -50,7 +50,7 @@ class RunDir:
         except FileExistsError:
             raise InputError(
                 f"run folder {str(self.path)!r} exists; choose another with --out, "
-                f"or go on with it: --resume {self.path}"
+                f"or continue it: --resume {self.path}"
             ) from None
         except OSError as error:
             raise InputError(
@@ -115,7 +115,7 @@ class RunDir:
                 data = json.loads(file.read(MAX_CONFIG))
             if not isinstance(data, dict) or data.get("format") != FORMAT:
                 raise ValueError(
-                    f"not of format {FORMAT}; a run of version 0.1 goes on with that version only"
+                    f"not of format {FORMAT}; continue runs of version 0.1 with that version"
                 )
             for name in ("run", "scene", "learner"):
                 if name not in data:

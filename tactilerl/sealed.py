@@ -76,7 +76,7 @@ def _require_seal(path: Path) -> None:
         file.seek(0)
         digest = _digest(file, size)
     if seal != MARK + digest.encode():
-        raise ValueError("its checksum is another: it was changed after it was written")
+        raise ValueError("its checksum does not match: it was changed after it was written")
 
 
 def _digest(file: BinaryIO, size: int) -> str:
@@ -95,7 +95,7 @@ def _require_plain(path: Path) -> None:
         if any(entry.compress_type != zipfile.ZIP_STORED for entry in entries):
             raise ValueError("it is compressed")
         if sum(entry.file_size for entry in entries) > path.stat().st_size:
-            raise ValueError("it unpacks to more than it is")
+            raise ValueError("it unpacks to more than its size")
         (pickled,) = (entry for entry in entries if entry.filename.endswith("data.pkl"))
         if pickled.file_size > MAX_PICKLE:
             raise ValueError(f"{pickled.file_size:,} bytes of plain values, allowed {MAX_PICKLE:,}")

@@ -101,7 +101,7 @@ def train(
                     report.note(f"  versions {changed}; from epoch {epoch + 1} on")
                 if learner.env_steps >= learner.total_timesteps:
                     done = f"{learner.env_steps:,} of {learner.total_timesteps:,}"
-                    report.note(f"  nothing to do: {done} steps are done; --total-timesteps goes on")
+                    report.note(f"  nothing to do: {done} steps done; raise --total-timesteps")
                 for row in epochs(learner, config.run.matmul, epoch):
                     if comm.rank == 0:
                         run_dir.progress.append(row)

@@ -397,7 +397,7 @@ class TestBadInput:
             (["render", "--out", "no/x.png"], ["--out: found no folder no"]),
             (["render", "--out", "x.foo"], ["--out: found 'x.foo'", ".png"]),
             (["render", "none"], ["none"]),
-            (["render", "none", "--layout", "1"], ["found flags of a scene"]),
+            (["render", "none", "--layout", "1"], ["found scene flags"]),
             (["render", "none", "--pose", "start"], ["--pose", "without RUN"]),
             (["render", "--video", "x.mp4"], ["--video", "with RUN"]),
             (["doctor", "--env", "lqr"], ["--env: found 'lqr'", "shadow"]),

@@ -372,7 +372,7 @@ class TestConfig:
             (None, "run", 3, "run: found 3"),
             (None, "learner", {}, "learner: found no field"),
             (None, "provenance", [{"epoch": 0}], "provenance"),
-            (None, "format", 2, "a run of version 0.1 goes on with that version"),
+            (None, "format", 2, "continue runs of version 0.1 with that version"),
         ],
     )
     def test_another_type_in_any_field(self, ppo, capsys, part, name, value, words):

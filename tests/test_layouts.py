@@ -98,7 +98,7 @@ GOOD = 'digits = ["thumb"]\nsegments = ["distal"]\noffsets_mm = [[0, 0]]\nradius
         ("[[patch]]\n" + GOOD.replace("2.0", "nan"), "radius_mm: found nan"),
         ("[[patch]]\n" + GOOD.replace("[[0, 0]]", "[[0]]"), "expected [row, column]"),
         ("[[patch]]\n" + GOOD.replace("[[0, 0]]", "[[0, 80]]"), "up to 50 mm"),
-        ("[[patch]]\n" + GOOD.replace("[[0, 0]]", "[[0, 0], [0, 0]]"), "stands twice"),
+        ("[[patch]]\n" + GOOD.replace("[[0, 0]]", "[[0, 0], [0, 0]]"), "given twice"),
         ("[[patch]]\n" + GOOD.replace("[[0, 0]]", '"centre"'), "offsets_mm"),
         (2 * ("[[patch]]\n" + GOOD), "patch 2: thumb.distal has a taxel at [0, 0] mm already"),
         ("[[patch]]\n" + GOOD.replace("2.0", "9" * 400), "radius_mm: found 9"),

@@ -135,7 +135,7 @@ class TestEvaluateWithOtherSensors:
             (["--sweep", "taxel-dead", "0", "2"], "taxel_dead: found 2.0, allowed from 0 to 1"),
             (["--sweep", "taxel-dead", "0", "--out", "a.bmp"], "--out: found 'a.bmp'"),
             (["--sweep", "taxel-dead", "0", "--out", "no/a.png"], "--out: the folder 'no'"),
-            (["--out", "a.png"], "--out: found it, allowed only with --sweep"),
+            (["--out", "a.png"], "--out: found without --sweep, allowed only with it"),
             (["--taxel-dead", "-1"], "taxel_dead: found -1.0, allowed from 0 to 1"),
             (["--history", "2"], "--history"),
         ],

@@ -1,4 +1,4 @@
-"""What several probes found, side by side: the tables of docs/probe.md, and the figure of worth
+"""What several probes found, side by side: the tables of docs/probe_results.md, and the figure of worth
 against number of taxels.
 
     python -m benchmarks probe_tables probes/{shadow,mpl}_{mujoco,pybullet} \\

@@ -188,7 +188,7 @@ class Hand:
     hand hangs higher; over what is wider it starts further up its slide (`start_above`)."""
     added_inertia: float = 1e-4
     """Rotational inertia that every link gets in Bullet, kg m²: the solver needs it, and the value
-    is the one that comes nearest to small timesteps (docs/accuracy_and_speed.md)."""
+    is the one that comes nearest to small timesteps (docs/appendix/physics_settings.md)."""
     grasps: tuple[ScriptedGrasp, ...] = ()
 
     def start_above(self, width: float, height: float) -> Hand:

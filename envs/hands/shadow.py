@@ -75,7 +75,7 @@ FINGER_CAPSULES = {
 }
 THUMB_CAPSULES = {"proximal": (0.019, 0.013), "middle": (0.016, 0.011), "distal": (0.013, 0.00918)}
 # Fingertips meet objects on the pulp, near the tip: contacts of held grasps lie 14 mm beyond the
-# middle of the distal capsule, and a grid centred there misses them (docs/environments.md).
+# middle of the distal capsule, and a grid centred there misses them (docs/concepts/touch.md).
 DISTAL_SHIFT = 0.005  # m towards the tip
 
 

@@ -24,7 +24,7 @@ OBJECT_FIGURES = {
     "body": ("body_pos", "body_ipos", "body_iquat", "body_mass", "body_inertia"),
     "geom": ("geom_type", "geom_size", "geom_rbound", "geom_aabb", "geom_friction"),
 }
-SOLVER_ITERATIONS = 20  # enough for the grasps' contacts: docs/accuracy_and_speed.md
+SOLVER_ITERATIONS = 20  # enough for the grasps' contacts: docs/appendix/physics_settings.md
 # Warnings after which the state is not the physics' any more.
 BROKEN = [
     int(warning)

@@ -160,7 +160,7 @@ class PyBulletSimulator:
 
     def reset(self, joint_positions: Array, object_position: Array, yaw: float) -> None:
         if not pybullet.isConnected(self.client):
-            raise OSError("PyBullet's client is gone: make the environment anew")
+            raise OSError("PyBullet's client is gone: make the environment again")
         try:
             self._put(joint_positions, object_position, yaw)
         except pybullet.error as error:

@@ -19,7 +19,7 @@ class DoctorFlags:
     """Flags of `tactilerl doctor`, besides the scene's."""
 
     env: str = "shadow"
-    """Which environment."""
+    """Name of the environment."""
     grasps: int = 20
     """Perturbed grasps per layout."""
     seconds: float = 3.0

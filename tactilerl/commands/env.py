@@ -17,7 +17,7 @@ class EnvFlags:
     """Flags of `tactilerl env`, besides the scene's."""
 
     env: str = "shadow"
-    """Which environment."""
+    """Name of the environment."""
     describe: bool = False
     """List every entry of the observation and of the action."""
     json: bool = False

@@ -39,13 +39,13 @@ class EvaluateFlags:
     workers: int | None = None
     """Episodes played side by side; default: the free cores."""
     env: str = ""
-    """The run's environment once more, when its id names a module that is to be imported."""
+    """The run's environment again: allows the import of the module in its id."""
     trust: bool = False
-    """The same without its name: the run's environment may import the module that its id names."""
+    """Allow that import without naming the environment."""
     sweep: tuple[str, ...] = ()
-    """A flag of the sensors and several values for it: --sweep taxel-dead 0 0.1 0.2 0.5."""
+    """A sensor flag and the values to try: --sweep taxel-dead 0 0.1 0.2 0.5."""
     out: Path | None = None
-    """With --sweep: the picture to write, .png, .svg or .pdf (needs 'tactilerl[plots]')."""
+    """With --sweep: picture to write, .png, .svg or .pdf (needs 'tactilerl[plots]')."""
     json: bool = False
     """Print JSON instead of a table."""
 
@@ -54,7 +54,7 @@ def main(args: list[str]) -> int:
     """`tactilerl evaluate RUN`"""
     read, sensors = _read_evaluate(args)
     if read.out is not None and not read.sweep:
-        raise InputError("--out: found it, allowed only with --sweep")
+        raise InputError("--out: found without --sweep, allowed only with it")
     with input_errors():
         require_workers(read.workers)
         if read.out is not None:

@@ -25,24 +25,24 @@ class RenderFlags:
     """Flags of `tactilerl render`, besides the scene's."""
 
     run: tyro.conf.Positional[Path | None] = None
-    """Run folder: film its policy, in its own scene. Without: a picture of a scripted grasp."""
+    """Run folder: film its policy in its own scene. Without one: picture of a scripted grasp."""
     video: Path = Path("episodes.mp4")
     """The film of a run's policy to write."""
     episodes: int = 1
-    """Episodes in the film, those that `evaluate` plays first. Its hold tests last 2 s unless
-    --hold-seconds says otherwise."""
+    """Episodes in the film: the first that `evaluate` would play. Hold tests last 2 s unless
+    --hold-seconds is given."""
     env: str = "shadow"
-    """Which environment (picture)."""
+    """Environment of the picture."""
     out: Path = Path("grasp.png")
     """The picture to write."""
     pose: Literal["start", "grasp"] = "grasp"
     """The start of an episode, or a scripted grasp (picture)."""
     azimuth: float = Camera.azimuth
-    """Direction of the camera, degrees."""
+    """Direction of the camera, degrees; 300 looks at the palm."""
     elevation: float = Camera.elevation
-    """Degrees; positive looks up from below."""
+    """Elevation of the camera, degrees; positive looks up from below."""
     distance: float = Camera.distance
-    """Of the camera, m."""
+    """Distance of the camera, m."""
 
     @property
     def camera(self) -> Camera:
@@ -77,7 +77,7 @@ def _film(args: list[str], read: RenderFlags, scene: GraspConfig | None) -> int:
         scene = dataclasses.replace(scene, hold_seconds=setup(read.env).hold_seconds)
     if scene != setup(read.env):
         raise InputError(
-            "render RUN: found flags of a scene, allowed only --hold-seconds: a run has its own"
+            "render RUN: found scene flags, allowed only --hold-seconds: a run keeps its scene"
         )
     flags.at_least("--episodes", read.episodes, 1)
     columns = SpinnerColumn(), TextColumn("{task.completed:.0f} pictures"), TimeElapsedColumn()

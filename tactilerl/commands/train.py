@@ -17,9 +17,7 @@ from ..run_dir import RunDir
 from ..terminal import console
 from ..training import train
 
-SETTLED_NOTE = (
-    "hold_verdict=settled decides holds early; how often it is wrong: docs/environments.md, Hold test"
-)
+SETTLED_NOTE = "hold_verdict=settled decides holds early; how often it is wrong: docs/concepts/tasks.md"
 
 
 def main(args: list[str]) -> int:
@@ -38,7 +36,7 @@ def main(args: list[str]) -> int:
         config.validate()
         comm = mpi.world()
     if saved and (difference := saved.difference(config.identity())):
-        raise InputError(f"--resume {resume}: {difference}; a run goes on as it began")
+        raise InputError(f"--resume {resume}: {difference}; a resumed run keeps its settings")
     if comm.rank == 0:
         console.print(_summary(config, comm.size))
     path = train(config, comm, Path(resume) if resume else None, options.any_ranks)
@@ -50,16 +48,16 @@ def main(args: list[str]) -> int:
     return 0
 
 
-TRUST = "the run's environment may import the module that its id names"
+TRUST = "allow the import of the module in the environment's id"
 
 
 def read_config(args: list[str], base: RunConfig) -> tuple[RunConfig, Any]:
     """All flags of `train`, over the defaults `base`; and those that are not of the configuration."""
     parts = {"run": base.run, "scene": base.scene, "learner": base.learner}
     parts = {name: part for name, part in parts.items() if part is not None}
-    about = "go on with the run in this folder, exactly where its last epoch ended"
+    about = "continue the run in this folder from its last whole epoch"
     resume = ("resume", Annotated[str, tyro.conf.arg(help=about, metavar="RUN")], "")
-    about = "with --resume: go on with another number of processes, no longer bit for bit"
+    about = "with --resume: allow another number of processes; no longer the same bit for bit"
     any_ranks = ("any_ranks", Annotated[bool, tyro.conf.arg(help=about)], False)
     trust = ("trust", Annotated[bool, tyro.conf.arg(help=f"with --resume: {TRUST}")], False)
     kinds = [(name, type(part)) for name, part in parts.items()]

@@ -31,7 +31,7 @@ SIX = ("1", "2", "3", "4", "5", "6")
 
 @dataclass(frozen=True)
 class Playing:
-    """Which grasps are played."""
+    """The grasps to play."""
 
     env: str = "shadow"
     """Which hand: shadow, mpl or allegro."""
@@ -40,14 +40,14 @@ class Playing:
     policy: Path | None = None
     """Grasps of a trained policy with its noise, in its run's own scene, instead of scripted ones."""
     grasps: int = 2_000
-    """How many."""
+    """Number of grasps."""
     seed: int = 0
-    """Grasps, folds, noise and bootstrap samples follow from this."""
+    """Random seed of grasps, folds, noise and bootstrap samples."""
     touch: Literal["skin", "contact"] = "skin"
     """Touch rule. skin: any layout can be read afterwards; contact: the simulator's own contacts are
     recorded for the layouts of this call."""
     object: tuple[objects.Kind, ...] = ("box",)
-    """Kinds of objects: box, sphere, cylinder."""
+    """Kinds of object: box, sphere, cylinder."""
     object_size: tuple[float, ...] = (0.04, 0.045, 0.05)
     """Edges of cubes, diameters (and heights) of others, m."""
     friction: tuple[float, ...] = (0.5, 1.0)
@@ -74,7 +74,7 @@ class Playing:
         )  # fmt: skip
 
     def validate(self) -> None:
-        """Raise ValueError naming the first flag that cannot be."""
+        """Raise ValueError naming the first invalid flag."""
         if self.env not in HANDS:
             raise ValueError(f"env: found {self.env!r}, allowed: {', '.join(HANDS)}")
         if self.grasps < 1:
@@ -96,29 +96,29 @@ class Playing:
 
 @dataclass(frozen=True)
 class Asking:
-    """What they are asked."""
+    """The questions to ask."""
 
     layout: tuple[str, ...] = SIX
     """Layouts: 1-6, named designs, or paths of .toml files."""
     estimator: Literal["linear", "boosting"] = "linear"
-    """linear: regularised linear models; boosting: trees, at many times the time."""
+    """linear: regularised linear models; boosting: boosted trees, which take many times as long."""
     joint_noise: tuple[float, ...] = (0.0, 0.05)
     """Standard deviations of noise on the joint angles, rad; each is reported."""
     folds: int = 5
-    """Of the cross-validation."""
+    """Folds of the cross-validation."""
     hold_out: Literal["grasps", "objects"] = "grasps"
-    """What a fold holds back: grasps, or all grasps of some objects, which are new to it then."""
+    """What a fold holds back: some grasps, or all grasps of some objects, so that these are new."""
     resamples: int = 2_000
     """Bootstrap samples behind an interval."""
     shuffles: int = 10
-    """How often outcomes are dealt out at random, to check that nothing is gained then."""
+    """How often outcomes are shuffled, to check that nothing is gained then."""
     select: tuple[int, ...] = ()
-    """Choose this many taxels of a dense skin; with several numbers, a layout file for each."""
+    """Choose this many taxels from a dense skin; several numbers give a layout file each."""
     skin: str = "1"
-    """The skin to choose from: a layout, or the spacing of a grid over all phalanges, as 2mm."""
+    """The skin to choose from: a layout, or the spacing of a grid over all phalanges, such as 2mm."""
 
     def validate(self) -> None:
-        """Raise ValueError naming the first flag that cannot be."""
+        """Raise ValueError naming the first invalid flag."""
         for name, least in (("folds", 2), ("resamples", 100), ("shuffles", 2)):
             if getattr(self, name) < least:
                 raise ValueError(f"{name}: found {getattr(self, name)}, allowed {least} or more")
@@ -136,15 +136,15 @@ class Asking:
 
 @dataclass(frozen=True)
 class Showing:
-    """Where it is done and what is shown."""
+    """Where results go and how they are shown."""
 
     out: Path | None = None
     """Folder of grasps.npz, probe.json and figures; default: probes/ENV_SIMULATOR. The same command
-    goes on with what is there."""
+    continues what is there."""
     grasps_file: Annotated[Path | None, tyro.conf.arg(name="from", metavar="FILE")] = None
-    """Ask the grasps of this file again instead of playing any."""
+    """Read the grasps from this file instead of playing any."""
     workers: int | None = None
-    """Grasps played side by side; default: the free cores. The numbers are the same with any."""
+    """Grasps played side by side; default: one per free core. Results do not depend on it."""
     json: bool = False
     """Print JSON instead of a table."""
 

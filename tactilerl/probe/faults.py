@@ -12,19 +12,19 @@ from ..envs.observations import SensorConfig, taxel_stages
 
 @dataclass(frozen=True)
 class TaxelFaults:
-    """Shares of taxels, and probabilities of readings, that are wrong."""
+    """Broken taxels and false readings."""
 
     taxel_dead: float = 0.0
     """Share of taxels that never fire."""
     taxel_stuck: float = 0.0
     """Share of taxels that always fire."""
     taxel_false_on: float = 0.0
-    """Probability that a taxel fires which should not."""
+    """Probability that a taxel fires when it should not."""
     taxel_false_off: float = 0.0
-    """Probability that a taxel does not fire which should."""
+    """Probability that a taxel does not fire when it should."""
 
     def validate(self) -> None:
-        """Raise ValueError naming the first share that cannot be."""
+        """Raise ValueError naming the first invalid share."""
         for field in fields(self):
             value = getattr(self, field.name)
             if not 0.0 <= value <= 1.0:

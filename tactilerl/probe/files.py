@@ -71,7 +71,7 @@ def _check(arrays: Record) -> None:
             raise ValueError(f"{name} is missing")
     for name, values in arrays.items():
         if values.ndim == 0 or len(values) != len(arrays["held"]):
-            raise ValueError(f"{name} is not of the others' length")
+            raise ValueError(f"{name} differs in length from the others")
         if not np.isfinite(values).all():
             raise ValueError(f"{name} is not finite")
 

@@ -147,7 +147,9 @@ def _layout(name: str, hand: Hand) -> Layout:
         try:
             spacing = float(name[:-2])
         except ValueError:
-            raise ValueError(f"skin: found {name!r}, allowed a layout, or a spacing as 2mm") from None
+            raise ValueError(
+                f"skin: found {name!r}, allowed a layout, or a spacing such as 2mm"
+            ) from None
         return places.dense_skin(hand, 1e-3 * spacing)
     return layouts.load(name)
 

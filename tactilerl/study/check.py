@@ -22,7 +22,7 @@ def arguments(run: Run) -> list[str]:
 
 
 def configure(runs: list[Run]) -> dict[str, RunConfig]:
-    """The configuration of every run, by name; InputError naming the first run that cannot be.
+    """The configuration of every run, by name; InputError naming the first invalid run.
 
     Flags are read once for all runs that differ only in the seed.
     """

@@ -33,13 +33,13 @@ class RunFlags:
     study: tyro.conf.Positional[Path]
     """Study file (TOML)."""
     out: Path | None = None
-    """Folder of the study; the default is studies/NAME. Runs that are in it go on."""
+    """Folder of the study; default: studies/NAME. Runs already in it are continued."""
     jobs: int | None = None
-    """Runs side by side on this machine; default: one per core. Under mpirun, its other ranks."""
+    """Runs trained at a time; default: one per core, or under mpirun one per rank but the first."""
     ranks_per_run: int = 1
     """Processes of each run (DDPG+HER with several workers)."""
     retry_failed: bool = False
-    """Try again what failed earlier."""
+    """Try failed runs again."""
 
 
 def run(args: list[str]) -> int:
@@ -77,7 +77,7 @@ def _run(read: RunFlags, pool: Executor, parallel: int) -> int:
         if read.retry_failed and (before := files.outcome()) and before.state == "failed":
             files.outcome_file.unlink()
         if one.name in damaged:
-            console.print(f"{one.name}: {damaged[one.name]}; mend or remove it, then --retry-failed")
+            console.print(f"{one.name}: {damaged[one.name]}; repair or remove it, then --retry-failed")
             files.write_outcome(Outcome("failed", total, damaged[one.name]))
         outcome = files.outcome()
         if outcome is None or (outcome.state == "done" and outcome.total_timesteps < total):
@@ -161,11 +161,11 @@ class ReportFlags:
     """Flags of `tactilerl study report`."""
 
     study: tyro.conf.Positional[Path]
-    """Folder of the study, or what `collect` made of it."""
+    """Folder of the study, or the file that `collect` wrote."""
     out: Path | None = None
     """Folder for the report; default: report/ beside the runs or the collected file."""
     resamples: int = 50_000
-    """Of every bootstrap and permutation test; fewer are faster and less exact."""
+    """Resamples of every bootstrap and permutation test; fewer are faster and less exact."""
 
 
 def report(args: list[str]) -> int:
@@ -194,11 +194,11 @@ class PlanFlags:
     """Flags of `tactilerl study plan`."""
 
     study: tyro.conf.Positional[Path]
-    """Folder of a pilot study, or what `collect` made of it."""
+    """Folder of a pilot study, or the file that `collect` wrote."""
     effect: float = 0.05
-    """Difference of success rates that is to be found."""
+    """Difference of success rates to detect."""
     power: float = 0.8
-    """How likely it is to be found."""
+    """Probability of detecting it."""
     alpha: float = 0.05
     """Level of the test."""
     score: Literal["converged", "final", "area"] = "converged"
@@ -262,7 +262,7 @@ def _needs_extra(part: str) -> Iterator[None]:
 
 
 PARTS: dict[str, tuple[Callable[[list[str]], int], str]] = {
-    "run": (run, "run a study file's runs, or go on with them"),
+    "run": (run, "run or continue the runs of a study file"),
     "status": (status, "done, running, failed, left, ETA"),
     "plan": (plan, "how many seeds an effect needs, from the spread of a pilot"),
     "collect": (collect, "pack all that a study has recorded into one file"),

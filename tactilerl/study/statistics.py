@@ -29,7 +29,7 @@ N_RESAMPLES = 50_000  # as the paper's learning curves have them
 N_BINS = 50  # of the histogram behind the converged rate
 TAIL = 0.1  # share of a run's points that count as its end
 TRIM = 0.25  # the IQM leaves out this share of the runs at each end
-FEW_RUNS = 10  # below this an interval is too narrow: docs/study.md has the measured coverage
+FEW_RUNS = 10  # below this an interval is too narrow: docs/statistics.md has the measured coverage
 
 
 class Estimate(NamedTuple):

@@ -1,0 +1,178 @@
+"""The docs hold: links lead somewhere, commands and flags exist, examples in Python run."""
+
+import contextlib
+import io
+import os
+import re
+import shlex
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from tactilerl import cli
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
+NOT_RUN = "<!-- not run"  # on the line before a block
+BLOCK = re.compile(r"(?:(<!-- not run[^\n]*)\n)?^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
+
+
+def blocks(page, *languages):
+    """(marked as not run, text) of each code block of a page in one of the languages."""
+    found = BLOCK.findall(page.read_text(encoding="utf-8"))
+    return [(bool(mark), text) for mark, language, text in found if language in languages]
+
+
+def prose(page):
+    """A page without its code blocks."""
+    return BLOCK.sub("", page.read_text(encoding="utf-8"))
+
+
+def anchors(page):
+    """The anchors of a page's headings, as a repository's browser and mkdocs make them."""
+    headings = re.findall(r"^#+ (.+)$", prose(page), re.MULTILINE)
+    texts = (re.sub(r"[`*]|\]\([^)]*\)|\[", "", heading).lower() for heading in headings)
+    return {re.sub(r"[^\w -]", "", text).strip().replace(" ", "-") for text in texts}
+
+
+# -- links -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_somewhere(page):
+    for link in re.findall(r"\]\(([^)\s]+)\)", prose(page)):
+        if re.match(r"\w+:", link):
+            continue
+        path, _, anchor = link.partition("#")
+        target = (page.parent / path).resolve() if path else page
+        assert target.exists(), f"{link}: no such file"
+        if anchor:
+            assert anchor in anchors(target), f"{link}: no such heading"
+
+
+def test_code_names_pages_that_exist():
+    sources = (
+        p for part in ("algos", "envs", "tactilerl", "benchmarks") for p in ROOT.glob(f"{part}/**/*.py")
+    )
+    for source in sources:
+        for named in re.findall(r"docs/[\w/]+\.md", source.read_text(encoding="utf-8")):
+            assert (ROOT / named).is_file(), f"{source.relative_to(ROOT)}: {named} does not exist"
+
+
+def test_docs_name_files_that_exist():
+    folders = r"(?:algos|envs|tactilerl|benchmarks|tests|tools|studies|docs/data)"
+    for page in PAGES:
+        if page.name == "CHANGELOG.md":  # names what was
+            continue
+        for named in re.findall(
+            rf"\b({folders}/[a-z0-9_/]+\.(?:py|toml|json))\b", page.read_text(encoding="utf-8")
+        ):
+            assert (ROOT / named).is_file(), f"{page.relative_to(ROOT)}: {named} does not exist"
+
+
+# -- commands --------------------------------------------------------------------------------
+
+
+@cache
+def help_of(*command):
+    """What `tactilerl COMMAND --help` prints."""
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output), contextlib.suppress(SystemExit):
+        cli._command(command[0])([*command[1:], "--help"])
+    return output.getvalue()
+
+
+def calls():
+    """(page, words) of every call of tactilerl in the docs, in blocks and between backticks."""
+    for page in PAGES:
+        if page.name == "CHANGELOG.md":
+            continue
+        lines = [line for _, text in blocks(page, "", "bash") for line in text.splitlines()]
+        lines += re.findall(r"`([^`]+)`", prose(page))
+        for line in lines:
+            words = shlex.split(
+                line.replace("\n", " ").partition(" #")[0].replace("...", ""), posix=False
+            )
+            if "tactilerl" in words[:-1]:
+                yield page, tuple(words[words.index("tactilerl") + 1 :])
+
+
+def test_commands_and_flags_exist():
+    found = list(calls())
+    assert len(found) > 50
+    for page, words in found:
+        where = f"{page.relative_to(ROOT)}: tactilerl {' '.join(words)}"
+        if words[0].isupper() or words[0].startswith("-"):  # COMMAND, --help, --version
+            continue
+        assert words[0] in cli.COMMANDS, where
+        command = words[: 2 if words[0] == "study" else 1]
+        extra = ("--algo", "ddpg_her") if {"--algo", "ddpg_her"} <= set(words) else ()
+        known = set(re.findall(r"--[\w-]+", help_of(*command, *extra)))
+        for flag in (word.partition("=")[0] for word in words if word.startswith("--")):
+            assert flag in known, f"{where}: no flag {flag}"
+
+
+def test_flags_in_prose_exist():
+    commands = [(name,) for name in cli.COMMANDS if name != "study"]
+    commands += [("train", "--algo", "ddpg_her")]
+    commands += [("study", part) for part in ("run", "status", "plan", "collect", "report")]
+    known = {flag for command in commands for flag in re.findall(r"--[\w-]+", help_of(*command))}
+    others = {"--oversubscribe", "--hostfile", "--bind-to", "--mpi", "--version"}  # of MPI and Slurm
+    for page in PAGES:
+        if page.name == "CHANGELOG.md":
+            continue
+        spans = (span for span in re.findall(r"`([^`]+)`", prose(page)) if "python " not in span)
+        flags = {flag for span in spans for flag in re.findall(r"(?<![\w-])--[a-z][\w-]*", span)}
+        found = flags - known - others - benchmark_flags(page)
+        assert not found, f"{page.relative_to(ROOT)}: no such flags: {sorted(found)}"
+
+
+def benchmark_flags(page):
+    """Flags of the benchmarks that a page names."""
+    names = re.findall(r"python\s+-m\s+benchmarks\s+(\w+)", page.read_text(encoding="utf-8"))
+    scripts = [next(ROOT.glob(f"benchmarks/**/{name}.py"), None) for name in names]
+    assert None not in scripts, f"{page.relative_to(ROOT)}: no such benchmark among {names}"
+    text = "".join(script.read_text(encoding="utf-8") for script in scripts)
+    shared = (*ROOT.glob("benchmarks/**/timing.py"), *ROOT.glob("benchmarks/command.py"))
+    text += "".join(path.read_text(encoding="utf-8") for path in shared)
+    return set(re.findall(r"--[\w-]+", text))
+
+
+# -- examples --------------------------------------------------------------------------------
+
+EXAMPLES = [
+    pytest.param(text, id=f"{page.relative_to(ROOT)}-{number}")
+    for page in PAGES
+    for number, (is_marked, text) in enumerate(blocks(page, "python"))
+    if not is_marked
+]
+
+
+@pytest.mark.parametrize("text", EXAMPLES)
+def test_examples_run(text, tmp_path):
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    ran = subprocess.run(
+        [sys.executable, "-c", text], cwd=tmp_path, env=environment, capture_output=True, text=True
+    )
+    assert ran.returncode == 0, ran.stderr
+
+
+def test_layout_example_is_a_layout(tmp_path):
+    from tactilerl.envs import layouts
+
+    ((_, text),) = blocks(ROOT / "docs/guides/layouts.md", "toml")
+    path = tmp_path / "my_layout.toml"
+    path.write_text(text, encoding="utf-8")
+    assert layouts.load(str(path)).patches
+
+
+def test_study_example_is_a_study(tmp_path):
+    from tactilerl.study import grid
+
+    ((_, text),) = blocks(ROOT / "docs/guides/study.md", "toml")
+    path = tmp_path / "pilot.toml"
+    path.write_text(text, encoding="utf-8")
+    assert grid.read(path).runs()
