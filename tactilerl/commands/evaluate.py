@@ -89,10 +89,10 @@ def _read_evaluate(args: list[str]) -> tuple[EvaluateFlags, SensorConfig | None]
 
 
 def _parse_evaluate(args: list[str], sensors: SensorConfig) -> tuple[EvaluateFlags, SensorConfig]:
-    kinds: list[Any] = [("own", EvaluateFlags), ("sensors", SensorConfig, sensors)]
+    kinds: list[Any] = [("command", EvaluateFlags), ("sensor", SensorConfig, sensors)]
     options: Any = dataclasses.make_dataclass("Options", kinds)
     read = flags.parse(options, args, "tactilerl evaluate")
-    return read.own, read.sensors
+    return read.command, read.sensor
 
 
 def _play(run: RunConfig, policy: Any, read: EvaluateFlags) -> list[dict[str, Any]]:

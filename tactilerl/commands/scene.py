@@ -16,12 +16,12 @@ T = TypeVar("T")
 
 def read_scene(kind: type[T], args: Sequence[str], env: str, prog: str) -> tuple[T, GraspConfig | None]:
     """The command's own flags, and the scene's where `env` has a scene."""
-    parts: dict[str, Any] = {"own": kind()}
+    parts: dict[str, Any] = {"command": kind()}
     if env in HANDS:
         parts["scene"] = setup(env)
     options = dataclasses.make_dataclass("Options", [(name, type(it)) for name, it in parts.items()])
     read: Any = flags.parse(options, args, prog, options(**parts))
-    return read.own, getattr(read, "scene", None)
+    return read.command, getattr(read, "scene", None)
 
 
 def require_scene(scene: GraspConfig | None, env: str) -> GraspConfig:
