@@ -16,6 +16,7 @@ from .envs import scripted
 from .envs.grasp import GraspConfig, GraspEnv
 from .envs.simulators import Camera, Simulator
 from .errors import InputError
+from .hand_map import TaxelMap
 from .run_dir import RunDir
 
 Pose = Literal["start", "grasp"]
@@ -69,10 +70,13 @@ def film(
     fps = 1 / (every * config.scene.timestep)
     options = dict(fps=fps, macro_block_size=2, output_params=PLAYABLE)
     env = config.make_env(render_mode="rgb_array")
+    taxel_map = (
+        TaxelMap(env.hand, env.taxels, camera.height) if config.scene.run_type == "main" else None
+    )
     with closing(env), imageio.get_writer(out, **options) as writer:
 
         def show() -> None:
-            writer.append_data(env.picture(camera))
+            writer.append_data(_with_map(env, camera, taxel_map))
             tick()
 
         env.simulator = _Filmed(env.simulator, every, show)
@@ -82,6 +86,14 @@ def film(
             for _ in range(END_PICTURES):
                 show()
             yield played.success == 1.0
+
+
+def _with_map(env: GraspEnv, camera: Camera, taxel_map: TaxelMap | None) -> np.ndarray:
+    """The scene, and beside it what each taxel feels: in the hand's shade they are hard to see."""
+    picture = env.picture(camera)
+    if taxel_map is None:
+        return picture
+    return np.hstack([picture, taxel_map.picture(env.taxel_readings() > 0)])
 
 
 def _require_writable(flag: str, out: Path, endings: tuple[str, ...]) -> None:

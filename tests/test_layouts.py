@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from tactilerl.envs import hands, layouts
+from tactilerl.envs.hands import HANDS
+from tactilerl.hand_map import LIT, TaxelMap
 
 HAND = hands.get("shadow")
 COUNTS = {"1": 139, "2": 79, "3": 64, "4": 79, "5": 19, "6": 19}
@@ -126,3 +128,15 @@ def test_unknown_names():
         layouts.load("nowhere.toml")
     with pytest.raises(ValueError, match="unknown layout"):
         layouts.load("../layout_files/zhang")
+
+
+@pytest.mark.parametrize("hand", HANDS)
+def test_the_map_of_a_hand_lights_the_taxels_that_fire(hand):
+    built = hands.get(hand)
+    taxels = layouts.load("1").place(built)
+    drawn = TaxelMap(built, taxels, 240)
+    dark = drawn.picture(np.zeros(len(taxels), bool))
+    assert not (dark == LIT).all(axis=-1).any()
+    changed = [(drawn.picture(one) != dark).any(axis=-1) for one in np.eye(len(taxels), dtype=bool)]
+    assert all(places.any() for places in changed)  # every taxel is seen, in a place of its own
+    assert (np.sum(changed, axis=0) <= 1).all()

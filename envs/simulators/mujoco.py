@@ -14,6 +14,7 @@ from ..touch import taxel_points
 from . import Camera, Contacts, Scene, SimulationError, joint_limits
 
 OBJECT = "object"
+LIT_SCALE = 2.0  # a taxel that fires is drawn larger: between hand and object it is hard to see
 GEOMS = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -301,7 +302,7 @@ class MujocoSimulator:
             mujoco.mjv_initGeom(
                 scene.geoms[scene.ngeom],
                 mujoco.mjtGeom.mjGEOM_SPHERE,
-                np.full(3, radius),
+                np.full(3, LIT_SCALE * radius if on else radius),
                 point,
                 np.eye(3).ravel(),
                 np.array([1.0, 0.85, 0.0, 1.0] if on else [0.05, 0.25, 0.9, 1.0], np.float32),

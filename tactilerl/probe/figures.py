@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ..envs.hands import DIGITS, SEGMENTS, Hand
-from .places import Place, offset
+from ..envs.hands import Hand
+from ..hand_map import ROUND, panels, point
+from .places import Place
 
 BARE, LAYOUT, CHANCE = "tab:blue", "tab:orange", "0.7"
 
@@ -126,42 +127,22 @@ def hand_map(hand: Hand, places: Sequence[Place], title: str, worth: np.ndarray 
     from matplotlib.patches import FancyBboxPatch
 
     figure, (axes,) = _figure(6, 6)
-    at = _drawn_at(hand)
-    for (x, y), half_width, (low, high) in at:
+    drawn = panels(hand)
+    for x, y, half_width, low, high in drawn:
         corner, size = (x - half_width, y + low), (2 * half_width, high - low)
         shape = FancyBboxPatch(
-            corner, *size, boxstyle=f"round,pad=0,rounding_size={0.4 * half_width}",
+            corner, *size, boxstyle=f"round,pad=0,rounding_size={ROUND * half_width}",
             facecolor="0.95", edgecolor="0.6",
         )  # fmt: skip
         axes.add_patch(shape)
-    points = np.array([(at[p.surface][0][0] + p.column, at[p.surface][0][1] + p.row) for p in places])
+    points = np.array([point(place, drawn) for place in places])
     colour = np.arange(1, len(places) + 1) if worth is None else worth
     dots = axes.scatter(*points.T, c=colour, s=14, cmap="viridis_r" if worth is None else "inferno")
     figure.colorbar(dots, label="rank" if worth is None else "bits a grasp", shrink=0.7)
-    for surface, ((x, y), _, (_, high)) in zip(hand.surfaces, at, strict=True):
+    for surface, panel in zip(hand.surfaces, drawn, strict=True):
         if surface.segment == "distal":
-            axes.text(x, y + high + 5, surface.digit, ha="center")
+            axes.text(panel.x, panel.y + panel.high + 5, surface.digit, ha="center")
     axes.set(aspect="equal", title=title)
     axes.axis("off")
     axes.autoscale_view()
     return figure
-
-
-Drawn = tuple[tuple[float, float], float, tuple[float, float]]
-"""Where a surface's grid has its centre on the map, half its width, and its ends from there, mm."""
-
-
-def _drawn_at(hand: Hand) -> list[Drawn]:
-    drawn: list[Drawn] = []
-    for surface in hand.surfaces:
-        x = 38.0 * DIGITS.index(surface.digit)
-        if surface.bone is None:
-            drawn.append(((x, -45.0), 9.0, (-9.0, 9.0)))
-            continue
-        assert surface.radius is not None
-        ends = sorted(1e3 * offset(surface, np.array(point))[0] for point in surface.bone)
-        if surface.segment == "distal":  # a fingertip is round
-            ends[1] += 1e3 * surface.radius
-        y = 52.0 * SEGMENTS.index(surface.segment)
-        drawn.append(((x, y), 1e3 * surface.radius, (ends[0], ends[1])))
-    return drawn
