@@ -161,6 +161,15 @@ class TestPlaces:
         # Bone of 32 mm around its centre, radius 11 mm: rows -16 to 16, columns -10 to 10, every 2.
         assert len(rows) == 17 * 11
 
+    @pytest.mark.parametrize("hand", hands.HANDS)
+    def test_the_skin_reaches_as_far_as_the_papers_layouts(self, hand):
+        """Over the round fingertips too: no taxel of layout 1 is far out beyond the skin."""
+        built = hands.get(hand)
+        skin = places.of(places.dense_skin(built, 0.001).place(built), built)
+        for place in places.of(layouts.load("1").place(built), built):
+            beside = [other for other in skin if other.surface == place.surface]
+            assert min(np.hypot(o.row - place.row, o.column - place.column) for o in beside) < 2.5
+
 
 class TestEarlyVerdict:
     @pytest.mark.pybullet

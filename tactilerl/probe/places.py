@@ -52,21 +52,27 @@ def dense_skin(hand: Hand, spacing: float) -> Layout:
     the palm; all of the radius of the hand's own. ValueError for a spacing that is none."""
     if not 0.0005 <= spacing <= 0.05:
         raise ValueError(f"skin: found {1e3 * spacing:g} mm, allowed from 0.5 to 50 mm")
-    patches = []
+    patches, radius = [], hand.pitch.radius
     for surface in hand.surfaces:
-        offsets = ((0.0, 0.0),) if surface.bone is None else _grid(surface, spacing)
-        patches.append(Patch((surface.digit,), (surface.segment,), offsets, hand.pitch.radius))
+        offsets = ((0.0, 0.0),) if surface.bone is None else _grid(surface, spacing, radius)
+        patches.append(Patch((surface.digit,), (surface.segment,), offsets, radius))
     return Layout(f"{1e3 * spacing:g}mm", f"a taxel every {1e3 * spacing:g} mm", tuple(patches))
 
 
-def _grid(phalanx: Surface, spacing: float) -> tuple[tuple[float, float], ...]:
-    """As many rows and columns as the bone and its radius carry, through the centre."""
+def _grid(phalanx: Surface, spacing: float, radius: float) -> tuple[tuple[float, float], ...]:
+    """As many rows and columns as the bone and its radius carry, through the centre.
+
+    A fingertip is round and its taxels stand as on a cylinder: rows go on over the tip as long as a
+    taxel of `radius` m still reaches the skin under it.
+    """
     assert phalanx.bone is not None
     assert phalanx.radius is not None
-    begin, end = (offset(phalanx, np.array(point))[0] for point in phalanx.bone)
+    begin, end = sorted(offset(phalanx, np.array(point))[0] for point in phalanx.bone)
+    if phalanx.segment == "distal":
+        end += np.sqrt((phalanx.radius + radius) ** 2 - phalanx.radius**2)
     rows = np.arange(np.ceil(begin / spacing), np.floor(end / spacing) + 1) * spacing
     beside = np.floor(phalanx.radius / spacing)
-    columns = np.arange(-beside, beside + 1) * spacing
+    columns = np.clip(np.arange(-beside, beside + 1) * spacing, -phalanx.radius, phalanx.radius)
     return tuple((float(row), float(column)) for row in rows for column in columns)
 
 
