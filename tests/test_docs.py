@@ -81,7 +81,7 @@ def help_of(*command):
     """What `tactilerl COMMAND --help` prints."""
     output = io.StringIO()
     with contextlib.redirect_stdout(output), contextlib.suppress(SystemExit):
-        cli._command(command[0])([*command[1:], "--help"])
+        cli.main([*command, "--help"])
     return output.getvalue()
 
 

@@ -80,7 +80,7 @@ class TestGrasps:
         class Still:
             """Keeps the hand where it starts: there is no lift, and the episode times out."""
 
-            def act(self, obs, rng):
+            def act(self, obs, deterministic, rng):
                 return np.zeros(7)
 
         env = GraspEnv("mpl", setup("mpl", simulator="mujoco", max_episode_steps=3))
