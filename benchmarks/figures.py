@@ -25,15 +25,27 @@ RUNS = {
     "learning_shadow_ppo": (
         "PPO, Shadow Hand in MuJoCo, lift-and-hold, layout 4",
         f"success rate, last {WINDOW} episodes",
-        {"main, seed 0": "ppo_shadow_layout4_main_s0.csv"},
+        {f"main, seed {seed}": f"ppo_shadow_layout4_main_s{seed}.csv" for seed in range(3)},
     ),
     "learning_shadow_ddpg_her": (
         "DDPG+HER, Shadow Hand in MuJoCo, reach-goal, layout 2",
         "success rate of 20 test episodes",
-        {"main, seed 0": "ddpg_her_shadow_layout2_main_s0.csv"},
+        {"40 updates a cycle, seed 0": "ddpg_her_shadow_layout2_main_s0.csv"}
+        | {
+            f"{n} updates a cycle, seed {k}": f"ddpg_her_shadow_layout2_n_batches{n}_main_s{k}.csv"
+            for n in (16, 8)
+            for k in range(3)
+        },
     ),
 }
-COLOURS = {"main": "#e0a800", "control": "#2b6cb0", "absent": "#777777"}  # as in the paper
+COLOURS = {
+    "main": "#e0a800",  # as in the paper
+    "control": "#2b6cb0",
+    "absent": "#777777",
+    "40 updates a cycle": "#777777",
+    "16 updates a cycle": "#e0a800",
+    "8 updates a cycle": "#2b6cb0",
+}
 
 
 def curve(path: Path) -> tuple[np.ndarray, np.ndarray]:
