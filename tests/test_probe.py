@@ -396,6 +396,16 @@ class TestAnalysis:
         skin = np.column_stack([rng.random(400) < 0.5, a, a, b])
         assert selection.forward(np.zeros((400, 1)), skin, held, 2) == [1, 3]
 
+    def test_no_taxel_is_chosen_twice_nor_beside_its_copy(self):
+        rng = np.random.default_rng(0)
+        skin = rng.random((2000, 12)) < 0.3
+        skin[:, 5] = skin[:, 3]
+        held = 3.0 * skin[:, 3] - 1.5 * skin[:, 7] + rng.logistic(size=2000) > 0.3
+        chosen = selection.forward(rng.standard_normal((2000, 4)), skin, held, 12)
+        assert chosen[:2] == [3, 7]
+        assert len(set(chosen)) == len(chosen)
+        assert 5 not in chosen
+
     def test_table_in_words(self, one_taxel, capsys):
         assert main(["probe", *ASKED, "--from", str(one_taxel), "--layout", "5"]) == 0
         text = capsys.readouterr().out

@@ -22,7 +22,9 @@ from . import metrics
 from .analysis import JOINTS, Choices, FeatureBuilder, Inputs, bootstrap, hold_question, kept_folds
 from .readings import Grasps
 
-PENALTY = 1.0  # C of the regression from which candidates are judged, of standardised features
+# C of the regression from which candidates are judged, of standardised features. Weak: a penalty
+# pulls at the weights of what is chosen, so that copies of it would seem to tell something.
+PENALTY = 100.0
 REDUNDANT = 1e-6  # share of a candidate's variance that the others leave unexplained
 CURVE = (1, 2, 3, 5, 7, 10, 14, 19, 28, 40, 56, 79, 110, 160)  # taxels at which the gain is scored
 
@@ -36,16 +38,18 @@ def worth(known: Array, candidates: Array, held: Array) -> Array:
 
 def forward(known: Array, candidates: Array, held: Array, n: int) -> list[int]:
     """Indices of up to `n` candidates (n, m), in the order in which they were chosen; fewer when
-    the others tell nothing new."""
+    the others tell nothing new. Of candidates that are alike one is chosen at most."""
     features, pool = StandardScaler().fit_transform(known), candidates.astype(float)
     chosen: list[int] = []
+    is_free = np.ones(candidates.shape[1], bool)
     for _ in range(min(n, candidates.shape[1])):
-        score = _scores(features, pool, held)
+        score = np.where(is_free, _scores(features, pool, held), 0.0)
         best = int(np.argmax(score))
         if not score[best] > 0.0:
             break
         chosen.append(best)
         column = pool[:, best]
+        is_free &= (pool != column[:, None]).any(axis=0)
         features = np.column_stack([features, (column - column.mean()) / column.std()])
     return chosen
 
