@@ -34,7 +34,7 @@ RUNS = {
         | {
             f"{n} updates a cycle, seed {k}": f"ddpg_her_shadow_layout2_n_batches{n}_main_s{k}.csv"
             for n in (16, 8)
-            for k in range(3)
+            for k in range(2)
         },
     ),
 }
