@@ -1,5 +1,7 @@
 """Layouts: the paper's counts, the geometry of the grids, files and their errors."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -140,3 +142,12 @@ def test_the_map_of_a_hand_lights_the_taxels_that_fire(hand):
     changed = [(drawn.picture(one) != dark).any(axis=-1) for one in np.eye(len(taxels), dtype=bool)]
     assert all(places.any() for places in changed)  # every taxel is seen, in a place of its own
     assert (np.sum(changed, axis=0) <= 1).all()
+
+
+CHOSEN = sorted((Path(__file__).resolve().parents[1] / "docs" / "data" / "chosen").glob("*.toml"))
+
+
+@pytest.mark.parametrize("file", CHOSEN, ids=lambda file: file.stem)
+def test_layouts_that_the_probe_chose_have_the_taxels_they_say(file):
+    hand, _, number = file.stem.split("_")
+    assert len(layouts.load(str(file)).place(hands.get(hand))) == int(number)
