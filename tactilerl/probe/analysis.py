@@ -166,11 +166,11 @@ def all_inputs(layouts: Sequence[str], noises: Sequence[float]) -> list[Inputs]:
 def ask(
     asked: Sequence[Question], inputs: Sequence[Inputs], builder: FeatureBuilder, jobs: int
 ) -> dict[Cell, Array]:
-    """Everybody's predictions. Threads share the data, and the models let go of the GIL; with one
+    """Everybody's predictions. In processes, for the solvers are Python half of the time; with one
     thread each, so that the digits do not depend on how many cores there are."""
     pairs = [(q, t) for q, t in itertools.product(asked, inputs) if q.is_asked(t.what)]
     with threadpool_limits(1):
-        predictions = Parallel(jobs, prefer="threads")(
+        predictions = Parallel(jobs, prefer="processes")(
             delayed(lambda q, t: q.predict(builder.features(t)))(q, t) for q, t in pairs
         )
     return {Cell(q.name, t): p for (q, t), p in zip(pairs, predictions, strict=True)}

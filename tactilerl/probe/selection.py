@@ -32,7 +32,8 @@ CURVE = (1, 2, 3, 5, 7, 10, 14, 19, 28, 40, 56, 79, 110, 160)  # taxels at which
 def worth(known: Array, candidates: Array, held: Array) -> Array:
     """What each candidate (n, m) would tell of `held` (n,) alone, beyond `known` (n, d): bits a
     grasp (m,), less what a taxel of noise would seem to tell."""
-    score = _scores(StandardScaler().fit_transform(known), candidates.astype(float), held)
+    with threadpool_limits(1):  # as everywhere here: the digits do not depend on the cores
+        score = _scores(StandardScaler().fit_transform(known), candidates.astype(float), held)
     return np.maximum(score - 1.0, 0.0) / (2.0 * len(held) * math.log(2.0))
 
 
