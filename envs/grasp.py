@@ -174,9 +174,8 @@ class GraspEnv(gym.Env[Any, Array]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Array], dict[str, Any]]:
         super().reset(seed=seed)
-        observer_rng, goal_rng, object_rng = self.np_random.spawn(
-            3
-        )  # draws nothing from the generator itself
+        # To spawn draws nothing from the generator itself.
+        observer_rng, goal_rng, object_rng = self.np_random.spawn(3)
         self._item = item = self._items.draw(object_rng)
         positions = self._start_positions.copy()
         position, yaw = np.array([0.0, 0.0, self.shape.half_size[2]]), 0.0

@@ -23,7 +23,7 @@ def make(kind: type[T], values: Any, where: str) -> T:
         different = sorted(values.keys() ^ names(kind))[0]
         found = "an unknown" if different in values else "no"
         raise ValueError(f"{where}: found {found} field {different[:50]!r}")
-    values = {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
+    values = _with_tuples(values)
     require(kind, values)
     return kind(**values)
 
@@ -35,8 +35,12 @@ def names(dataclass: Any) -> set[str]:
 
 def replace(instance: T, choices: Mapping[str, Any]) -> T:
     """A copy of a dataclass with some fields chosen otherwise; lists are its tuples."""
-    values = {name: tuple(v) if isinstance(v, list) else v for name, v in choices.items()}
-    return dataclasses.replace(instance, **values)  # type: ignore[type-var]
+    return dataclasses.replace(instance, **_with_tuples(choices))  # type: ignore[type-var]
+
+
+def _with_tuples(values: Mapping[str, Any]) -> dict[str, Any]:
+    """JSON's lists are the tuples of dataclasses."""
+    return {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
 
 
 def require_known(names: Iterable[str], known: Iterable[str]) -> None:

@@ -2,17 +2,19 @@
 
 import json
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from sklearn.metrics import balanced_accuracy_score, r2_score, roc_auc_score
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from tactilerl.algos.mpi import Communicator
 from tactilerl.cli import main
 from tactilerl.envs import hands, layouts, vector
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.touch import SkinTouch
-from tactilerl.probe import estimators, files, metrics, places, selection
+from tactilerl.probe import analysis, estimators, files, metrics, places, selection
 from tactilerl.probe.command import Playing
 from tactilerl.probe.faults import TaxelFaults, noisy_angles
 from tactilerl.probe.grasps import (
@@ -395,6 +397,19 @@ class TestAnalysis:
         held = rng.random(400) < 0.2 + 0.4 * a + 0.2 * b
         skin = np.column_stack([rng.random(400) < 0.5, a, a, b])
         assert selection.forward(np.zeros((400, 1)), skin, held, 2) == [1, 3]
+
+    def test_predictions_are_made_with_one_thread(self):
+        """However many the caller has: the last digits of a product depend on it."""
+
+        def threads(features):
+            return np.array([max(pool["num_threads"] for pool in threadpool_info())])
+
+        question = analysis.Question("threads", (), np.zeros(1), threads)
+        builder = SimpleNamespace(features=lambda inputs: np.zeros((1, 1)))
+        with threadpool_limits(2):
+            assert threads(None) == 2
+            (found,) = analysis.ask([question], [analysis.Inputs(0.0, "joints")], builder, 1).values()
+        assert found == 1
 
     def test_no_taxel_is_chosen_twice_nor_beside_its_copy(self):
         rng = np.random.default_rng(0)

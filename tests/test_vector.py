@@ -251,10 +251,11 @@ def only_here(process, side_by_side):
 
 
 def test_workers_that_cannot_start_close_what_they_have():
+    before = set(multiprocessing.active_children())  # joblib keeps its own for the next call
     with pytest.raises(ValueError, match="no environment in this process"):
         vector.start(partial(only_here, os.getpid(), "processes"), 2)
     assert Plain.open == 0
-    assert not multiprocessing.active_children()
+    assert set(multiprocessing.active_children()) <= before
 
 
 def test_all_is_closed_at_the_end():

@@ -9,13 +9,13 @@ Each folder is one that `tactilerl probe --select ... --out` wrote.
 
 from __future__ import annotations
 
-import argparse
 import json
 from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
 
+from benchmarks.command import parser, write
 from tactilerl.probe.figures import draw_selection
 
 NAMES = {"shadow": "Shadow", "mpl": "MPL", "allegro": "Allegro"}
@@ -123,11 +123,10 @@ def _interval(value: float, interval: list[float]) -> str:
 
 def main() -> None:
     """Print the tables; draw and write what was asked for."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folders", nargs="+", type=Path)
-    parser.add_argument("--figure", type=Path, help="draw worth against number of taxels here")
-    parser.add_argument("--out", type=Path, help="write the results as one JSON here")
-    options = parser.parse_args()
+    flags = parser(__doc__)
+    flags.add_argument("folders", nargs="+", type=Path)
+    flags.add_argument("--figure", type=Path, help="draw worth against number of taxels here")
+    options = flags.parse_args()
     results: Results = {}
     for folder in options.folders:
         found = json.loads((folder / "probe.json").read_text(encoding="utf-8"))
@@ -139,8 +138,7 @@ def main() -> None:
     chosen(results)
     if options.figure:
         figure(results, options.figure)
-    if options.out:
-        options.out.write_text(json.dumps(results) + "\n", encoding="utf-8")
+    write(options.out, results)
 
 
 if __name__ == "__main__":

@@ -53,24 +53,22 @@ TRUST = "allow the import of the module in the environment's id"
 
 def read_config(args: list[str], base: RunConfig) -> tuple[RunConfig, Any]:
     """All flags of `train`, over the defaults `base`; and those that are not of the configuration."""
-    parts = {"run": base.run, "scene": base.scene, "learner": base.learner}
-    parts = {name: part for name, part in parts.items() if part is not None}
     about = "continue the run in this folder from its last whole epoch"
     resume = ("resume", Annotated[str, tyro.conf.arg(help=about, metavar="RUN")], "")
     about = "with --resume: allow another number of processes; no longer the same bit for bit"
     any_ranks = ("any_ranks", Annotated[bool, tyro.conf.arg(help=about)], False)
     trust = ("trust", Annotated[bool, tyro.conf.arg(help=f"with --resume: {TRUST}")], False)
-    kinds = [(name, type(part)) for name, part in parts.items()]
+    kinds = [(name, type(part)) for name, part in base.parts.items()]
     options = dataclasses.make_dataclass("Options", [*kinds, resume, any_ranks, trust])
     read: Any = flags.parse(
         options,
         args,
         "tactilerl train",
-        options(**parts),
+        options(**base.parts),
         "Train a policy. Defaults are the paper's; --algo and --env decide which flags there are.",
     )
-    config = RunConfig(read.run, getattr(read, "scene", None), read.learner, None, base.is_trusted)
-    return config, read
+    parts = {name: getattr(read, name) for name in base.parts}
+    return dataclasses.replace(base, folder=None, **parts), read
 
 
 def _summary(config: RunConfig, ranks: int) -> str:

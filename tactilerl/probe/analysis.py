@@ -166,14 +166,18 @@ def all_inputs(layouts: Sequence[str], noises: Sequence[float]) -> list[Inputs]:
 def ask(
     asked: Sequence[Question], inputs: Sequence[Inputs], builder: FeatureBuilder, jobs: int
 ) -> dict[Cell, Array]:
-    """Everybody's predictions. In processes, for the solvers are Python half of the time; with one
-    thread each, so that the digits do not depend on how many cores there are."""
+    """All predictions. In processes, for the solvers are Python half of the time."""
     pairs = [(q, t) for q, t in itertools.product(asked, inputs) if q.is_asked(t.what)]
-    with threadpool_limits(1):
-        predictions = Parallel(jobs, prefer="processes")(
-            delayed(lambda q, t: q.predict(builder.features(t)))(q, t) for q, t in pairs
-        )
+    predictions = Parallel(jobs, prefer="processes")(
+        delayed(_predictions)(q, builder.features(t)) for q, t in pairs
+    )
     return {Cell(q.name, t): p for (q, t), p in zip(pairs, predictions, strict=True)}
+
+
+def _predictions(question: Question, features: Array) -> Array:
+    """With one thread, in whichever process: the digits must not depend on the number of cores."""
+    with threadpool_limits(1):
+        return question.predict(features)
 
 
 def measured(

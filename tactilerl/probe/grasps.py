@@ -118,16 +118,16 @@ class ScriptedGrasps:
         record = moment(env)
         for targets in lift:
             env.simulator.step(targets, n_substeps)
-        return {**record, "held": np.array(is_wanted() and self._holds(env, lift[-1], dt))}
+        return {**record, "held": np.array(self._holds(env, lift[-1], dt, is_wanted))}
 
-    def _holds(self, env: GraspEnv, targets: Array, dt: float) -> bool:
+    def _holds(self, env: GraspEnv, targets: Array, dt: float, is_wanted: IsWanted) -> bool:
         """Is the object still up after HOLD_SECONDS? What has fallen stays down; what is at rest
         where nothing creeps stays up."""
         up = env.shape.half_size[2] + scripted.LIFT_HEIGHT / 2
         is_final = self.verdict == "settled" and not env.simulator.creeps
         position, n_looks = _in_hand(env), round(HOLD_SECONDS / dt)
         for left in reversed(range(n_looks)):
-            if env.simulator.object_state().position[2] <= up:
+            if env.simulator.object_state().position[2] <= up or not is_wanted():
                 return False
             env.simulator.step(targets, round(dt / env.config.timestep))
             before, position = position, _in_hand(env)
