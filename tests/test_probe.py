@@ -490,6 +490,8 @@ class TestBadInput:
             (["--joint-noise", "-1"], "joint_noise: found -1"),
             (["--folds", "1"], "folds: found 1"),
             (["--select", "0"], "select: found 0"),
+            (["--select", "5", "100000"], "select: found 100000, allowed up to the"),
+            (["--out", "/dev/null/x"], "cannot make the folder '/dev/null/x'"),
             (["--from", "x.npz", "--friction", "2"], "--friction"),
             (["--policy", "nowhere"], "not a run folder"),
         ],

@@ -33,6 +33,15 @@ class Played(NamedTuple):
     contact_places: tuple[Place, ...]
 
 
+def folder(path: Path) -> Path:
+    """Make the folder of the results, where there is none; InputError when that cannot be."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot make the folder {str(path)!r}: {error.strerror}") from error
+    return path
+
+
 def write(path: Path, played: Played) -> None:
     """Write the file, or leave what is there."""
     about = {
@@ -40,7 +49,6 @@ def write(path: Path, played: Played) -> None:
         **played.settings,
         "contact_places": [asdict(place) for place in played.contact_places],
     }
-    path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as file:
         arrays: dict[str, Any] = {SETTINGS: np.array(json.dumps(about)), **played.records}
         np.savez_compressed(file, **arrays)

@@ -42,25 +42,35 @@ Show = Callable[[int, int], None]
 
 
 def grasps(read: ProbeFlags, comm: Communicator, show: Show) -> tuple[Played, Path]:
-    """The grasps, played or read, and the folder where everything goes."""
+    """The grasps, played or read, and the folder where everything goes. Whatever cannot be asked
+    is refused before minutes of playing."""
     source, playing = read.showing.grasps_file, read.playing
-    # Before minutes of playing: can these layouts be?
-    if source is None:
-        asked = (*read.asking.layout, *((read.asking.skin,) if read.asking.select else ()))
-        _of_layouts(asked, hands.get(playing.env))
-    elif changed := _changed(playing):
-        raise InputError(f"--{changed}: found it together with --from, allowed when grasps are played")
     if source is not None:
+        if changed := _changed(playing):
+            raise InputError(
+                f"--{changed}: found it together with --from, allowed when grasps are played"
+            )
         played = files.read(source)
         if played.settings.get("env") not in hands.HANDS:
             raise InputError(f"{source}: found grasps of {played.settings.get('env')!r}, "
                              f"allowed: {', '.join(hands.HANDS)}")  # fmt: skip
-        return played, read.showing.out or source.parent
+        _require_answerable(read.asking, hands.get(played.settings["env"]))
+        return played, files.folder(read.showing.out or source.parent)
     out, workers = read.showing.out, read.showing.workers or free_cores(comm)
     report = partial(_report, show, playing.grasps)
     if playing.policy is not None:
-        return _by_policy(playing, out, workers, comm, report)
+        return _by_policy(playing, read.asking, out, workers, comm, report)
     return _scripted(playing, read.asking, out, workers, comm, report)
+
+
+def _require_answerable(asking: Asking, hand: Hand) -> None:
+    """InputError unless the hand has the layouts, and the skin as many taxels as to select."""
+    _of_layouts(asking.layout, hand)
+    if asking.select:
+        found, allowed = max(asking.select), len(_of_layouts([asking.skin], hand)[asking.skin])
+        if found > allowed:
+            raise InputError(f"select: found {found}, allowed up to the {allowed} taxels of the skin "
+                             f"({asking.skin})")  # fmt: skip
 
 
 def _report(show: Show, total: int, done: int) -> None:
@@ -79,8 +89,9 @@ def _scripted(
     show: Callable[[int], None],
 ) -> tuple[Played, Path]:  # fmt: skip
     simulator = playing.simulator or setup(playing.env).simulator
-    out = out or Path("probes") / f"{playing.env}_{simulator}"
     hand, drawn = hands.get(playing.env), playing.perturbation
+    _require_answerable(asking, hand)
+    out = out or Path("probes") / f"{playing.env}_{simulator}"
     config = setup(playing.env, simulator=simulator, touch=playing.touch)
     settings: dict[str, Any] = {
         "env": playing.env, "simulator": simulator, "touch": playing.touch, "seed": playing.seed,
@@ -98,7 +109,7 @@ def _scripted(
                 replace(config, **variant).validate()
         start = partial(vector.start, partial(Scenes, playing.env, config, drawn.variants()), workers)
         task = ScriptedGrasps(drawn, playing.seed, playing.hold_verdict)
-        path = out / "grasps.npz"
+        path = files.folder(out) / "grasps.npz"
         return play(path, playing.grasps, settings, contact_places, task, start, comm, show), out
 
 
@@ -111,8 +122,9 @@ def _union(names: Sequence[str], hand: Hand, folder: Path) -> str:
 
 
 def _by_policy(
-    playing: Playing, out: Path | None, workers: int, comm: Communicator, show: Callable[[int], None]
-) -> tuple[Played, Path]:
+    playing: Playing, asking: Asking, out: Path | None, workers: int, comm: Communicator,
+    show: Callable[[int], None],
+) -> tuple[Played, Path]:  # fmt: skip
     from ..policies import read_run
 
     assert playing.policy is not None
@@ -130,11 +142,12 @@ def _by_policy(
         "env_steps": env_steps,
     }  # fmt: skip
     hand = hands.get(config.run.env)
+    _require_answerable(asking, hand)
     contact_places: tuple[Place, ...] = ()
     if scene.touch == "contact":
         contact_places = tuple(places.of(layouts.load(scene.layout).place(hand), hand))
     start = partial(start_workers, config, comm, workers)
-    out = out or Path("probes") / playing.policy.resolve().name
+    out = files.folder(out or Path("probes") / playing.policy.resolve().name)
     task = PolicyGrasps(policy, playing.seed)
     return play(
         out / "grasps.npz", playing.grasps, settings, contact_places, task, start, comm, show
@@ -183,7 +196,6 @@ def analyse(read: ProbeFlags, played: Played, out: Path) -> dict[str, Any]:
         }
         if asking.select:
             result["selection"] = _select(read, asked, settings, readings, choices, out)
-    out.mkdir(parents=True, exist_ok=True)
     with replacing(out / "probe.json") as file:
         file.write((json.dumps(result, indent=1) + "\n").encode())
     figures.draw(result, hand, out)
@@ -248,7 +260,6 @@ def _answers(asked: Grasps, readings: dict[str, Array], choices: Choices, out: P
         for cell, metric in samples
         if metric is AUC and cell.inputs.what == analysis.TAXELS
     }
-    out.mkdir(parents=True, exist_ok=True)
     with replacing(out / "gains.npz") as file:
         arrays: dict[str, Any] = {k: v.astype(np.float32) for k, v in gains.items() if v is not None}
         np.savez_compressed(file, **arrays)
@@ -285,7 +296,6 @@ def _select(
     spots = _of_layouts([name], hand)[name]
     skin = _feel(read, asked, settings, spots)
     path, found = selection.select(asked, skin, read.asking.select, readings, choices)
-    out.mkdir(parents=True, exist_ok=True)
     written = []
     for n in sorted({min(n, len(path)) for n in read.asking.select}):
         chosen = [spots[i] for i in path[:n]]
