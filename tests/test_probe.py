@@ -15,7 +15,7 @@ from tactilerl.envs import hands, layouts, vector
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.touch import SkinTouch
 from tactilerl.probe import analysis, estimators, files, metrics, places, selection
-from tactilerl.probe.command import Playing
+from tactilerl.probe.command import GraspFlags
 from tactilerl.probe.faults import TaxelFaults, noisy_angles
 from tactilerl.probe.grasps import (
     Perturbation,
@@ -198,7 +198,7 @@ class TestEarlyVerdict:
 
 @pytest.mark.parametrize("hand", hands.HANDS)
 def test_every_hand_can_be_asked(hand):
-    playing = Playing(env=hand)
+    playing = GraspFlags(env=hand)
     playing.validate()
     assert 0 < playing.perturbation.closing[0] < playing.perturbation.closing[1]
 

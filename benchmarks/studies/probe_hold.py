@@ -16,7 +16,7 @@ from scipy import stats
 
 from benchmarks.command import parser, write
 from tactilerl.envs.grasp import setup
-from tactilerl.probe.command import Playing
+from tactilerl.probe.command import GraspFlags
 from tactilerl.probe.grasps import Scenes, ScriptedGrasps
 
 SEED = 20_000  # not that of any probe that is reported
@@ -24,7 +24,7 @@ SEED = 20_000  # not that of any probe that is reported
 
 def compare(hand: str, n: int) -> dict[str, float]:
     """Verdicts and processor time of `n` grasps, both ways in turn."""
-    drawn = Playing(env=hand).perturbation
+    drawn = GraspFlags(env=hand).perturbation
     held: dict[str, list[bool]] = {"full": [], "settled": []}
     seconds = dict.fromkeys(held, 0.0)
     with closing(Scenes(hand, setup(hand, simulator="pybullet"), drawn.variants())) as scenes:

@@ -30,7 +30,7 @@ SIX = ("1", "2", "3", "4", "5", "6")
 
 
 @dataclass(frozen=True)
-class Playing:
+class GraspFlags:
     """The grasps to play."""
 
     env: str = "shadow"
@@ -95,7 +95,7 @@ class Playing:
 
 
 @dataclass(frozen=True)
-class Asking:
+class AnalysisFlags:
     """The questions to ask."""
 
     layout: tuple[str, ...] = SIX
@@ -135,7 +135,7 @@ class Asking:
 
 
 @dataclass(frozen=True)
-class Showing:
+class OutputFlags:
     """Where results go and how they are shown."""
 
     out: Path | None = None
@@ -153,10 +153,10 @@ class Showing:
 class ProbeFlags:
     """Flags of `tactilerl probe`."""
 
-    playing: Playing = Playing()
-    asking: Asking = Asking()
-    faults: TaxelFaults = field(default_factory=TaxelFaults)
-    showing: Showing = Showing()
+    grasp: GraspFlags = GraspFlags()
+    analysis: AnalysisFlags = AnalysisFlags()
+    fault: TaxelFaults = field(default_factory=TaxelFaults)
+    output: OutputFlags = OutputFlags()
 
 
 def main(args: list[str]) -> int:
@@ -164,27 +164,27 @@ def main(args: list[str]) -> int:
     about = "What do taxels tell of a grasp, at the moment before the lift? Needs the extra probe."
     read = flags.parse(ProbeFlags, args, "tactilerl probe", about=about)
     with input_errors():
-        for part in (read.playing, read.asking, read.faults):
+        for part in (read.grasp, read.analysis, read.fault):
             part.validate()
-        require_workers(read.showing.workers)
+        require_workers(read.output.workers)
         comm = mpi.world()
     _require_extra()
     from . import run
 
-    with _Bar(is_shown=comm.rank == 0 and not read.showing.json) as bar:
+    with _Bar(is_shown=comm.rank == 0 and not read.output.json) as bar:
         try:
             with interrupts.in_order():
                 played, out = run.grasps(read, comm, bar.show)
         except KeyboardInterrupt:
-            kept = f"{bar.done} of {read.playing.grasps} grasps are kept; the same command goes on"
+            kept = f"{bar.done} of {read.grasp.grasps} grasps are kept; the same command goes on"
             print(f"tactilerl: interrupted; {kept}", file=sys.stderr)
             return 130
     if comm.rank > 0:
         return 0
-    if not read.showing.json:
+    if not read.output.json:
         console.print(f"asking {len(played.records['held'])} grasps")
     result = run.analyse(read, played, out)
-    if read.showing.json:
+    if read.output.json:
         print(json.dumps(result))
         return 0
     _print(result, out)

@@ -35,7 +35,7 @@ from .play import play
 from .readings import Grasps
 
 if TYPE_CHECKING:
-    from .command import Asking, Playing, ProbeFlags
+    from .command import AnalysisFlags, GraspFlags, ProbeFlags
 
 PACKAGES = ("numpy", "scipy", "scikit-learn", "mujoco", "pybullet", "torch")
 Show = Callable[[int, int], None]
@@ -44,7 +44,7 @@ Show = Callable[[int, int], None]
 def grasps(read: ProbeFlags, comm: Communicator, show: Show) -> tuple[Played, Path]:
     """The grasps, played or read, and the folder where everything goes. Whatever cannot be asked
     is refused before minutes of playing."""
-    source, playing = read.showing.grasps_file, read.playing
+    source, playing = read.output.grasps_file, read.grasp
     if source is not None:
         if changed := _changed(playing):
             raise InputError(
@@ -54,16 +54,16 @@ def grasps(read: ProbeFlags, comm: Communicator, show: Show) -> tuple[Played, Pa
         if played.settings.get("env") not in hands.HANDS:
             raise InputError(f"{source}: found grasps of {played.settings.get('env')!r}, "
                              f"allowed: {', '.join(hands.HANDS)}")  # fmt: skip
-        _require_answerable(read.asking, hands.get(played.settings["env"]))
-        return played, files.folder(read.showing.out or source.parent)
-    out, workers = read.showing.out, read.showing.workers or free_cores(comm)
+        _require_answerable(read.analysis, hands.get(played.settings["env"]))
+        return played, files.folder(read.output.out or source.parent)
+    out, workers = read.output.out, read.output.workers or free_cores(comm)
     report = partial(_report, show, playing.grasps)
     if playing.policy is not None:
-        return _by_policy(playing, read.asking, out, workers, comm, report)
-    return _scripted(playing, read.asking, out, workers, comm, report)
+        return _by_policy(playing, read.analysis, out, workers, comm, report)
+    return _scripted(playing, read.analysis, out, workers, comm, report)
 
 
-def _require_answerable(asking: Asking, hand: Hand) -> None:
+def _require_answerable(asking: AnalysisFlags, hand: Hand) -> None:
     """InputError unless the hand has the layouts, and the skin as many taxels as to select."""
     _of_layouts(asking.layout, hand)
     if asking.select:
@@ -77,7 +77,7 @@ def _report(show: Show, total: int, done: int) -> None:
     show(done, total)
 
 
-def _changed(playing: Playing, *allowed: str) -> str | None:
+def _changed(playing: GraspFlags, *allowed: str) -> str | None:
     """The first flag that is not at its default."""
     mine, usual = asdict(playing), asdict(type(playing)())
     names = (name for name in mine if mine[name] != usual[name] and name not in allowed)
@@ -85,7 +85,7 @@ def _changed(playing: Playing, *allowed: str) -> str | None:
 
 
 def _scripted(
-    playing: Playing, asking: Asking, out: Path | None, workers: int, comm: Communicator,
+    playing: GraspFlags, asking: AnalysisFlags, out: Path | None, workers: int, comm: Communicator,
     show: Callable[[int], None],
 ) -> tuple[Played, Path]:  # fmt: skip
     simulator = playing.simulator or setup(playing.env).simulator
@@ -122,7 +122,7 @@ def _union(names: Sequence[str], hand: Hand, folder: Path) -> str:
 
 
 def _by_policy(
-    playing: Playing, asking: Asking, out: Path | None, workers: int, comm: Communicator,
+    playing: GraspFlags, asking: AnalysisFlags, out: Path | None, workers: int, comm: Communicator,
     show: Callable[[int], None],
 ) -> tuple[Played, Path]:  # fmt: skip
     from ..policies import read_run
@@ -175,7 +175,7 @@ def _of_layouts(names: Sequence[str], hand: Hand) -> dict[str, list[Place]]:
 
 def analyse(read: ProbeFlags, played: Played, out: Path) -> dict[str, Any]:
     """Ask the grasps; writes probe.json, the figures and what was selected to `out`."""
-    hand, asking, settings = hands.get(played.settings["env"]), read.asking, played.settings
+    hand, asking, settings = hands.get(played.settings["env"]), read.analysis, played.settings
     is_whole = ~played.records["broken"].astype(bool)
     kept = {name: values[is_whole] for name, values in played.records.items()}
     asked = Grasps(hand, kept, played.contact_places)
@@ -210,7 +210,7 @@ def _feel(read: ProbeFlags, asked: Grasps, settings: dict[str, Any], spots: Sequ
         readings = asked.feel(places.layout(list(spots), asked.hand, "asked", "").place(asked.hand))
         readings = readings[:, _order(spots, asked.hand)]
     rng = np.random.default_rng([settings["seed"], analysis.FAULTS])
-    return read.faults.apply(readings, rng)
+    return read.fault.apply(readings, rng)
 
 
 def _order(spots: Sequence[Place], hand: Hand) -> list[int]:
@@ -225,8 +225,8 @@ def _about(read: ProbeFlags, played: Played, asked: Grasps) -> dict[str, Any]:
     return {
         **{name: played.settings[name] for name in ("env", "simulator", "touch", "seed")},
         "playing": played.settings,
-        "asking": json.loads(json.dumps(asdict(read.asking))),
-        "faults": asdict(read.faults),
+        "asking": json.loads(json.dumps(asdict(read.analysis))),
+        "faults": asdict(read.fault),
         "grasps": len(asked),
         "broken": len(played.records["held"]) - len(asked),
         "held": float(asked.held.mean()) if len(asked) else 0.0,
@@ -292,12 +292,12 @@ def _select(
     out: Path,
 ) -> dict[str, Any]:
     """Choose from the skin; a layout file for each number that was asked for."""
-    name, hand = read.asking.skin, asked.hand
+    name, hand = read.analysis.skin, asked.hand
     spots = _of_layouts([name], hand)[name]
     skin = _feel(read, asked, settings, spots)
-    path, found = selection.select(asked, skin, read.asking.select, readings, choices)
+    path, found = selection.select(asked, skin, read.analysis.select, readings, choices)
     written = []
-    for n in sorted({min(n, len(path)) for n in read.asking.select}):
+    for n in sorted({min(n, len(path)) for n in read.analysis.select}):
         chosen = [spots[i] for i in path[:n]]
         about = f"{n} taxels chosen from skin {name} by {len(asked)} grasps"
         written.append(f"selected_{n}.toml")
