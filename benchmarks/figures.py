@@ -25,7 +25,7 @@ RUNS = {
     "learning_shadow_ppo": (
         "PPO, Shadow Hand in MuJoCo, lift-and-hold, layout 4",
         f"success rate, last {WINDOW} episodes",
-        {f"main, seed {seed}": f"ppo_shadow_layout4_main_s{seed}.csv" for seed in range(2)},
+        {f"main, seed {seed}": f"ppo_shadow_layout4_main_s{seed}.csv" for seed in range(3)},
     ),
     "learning_shadow_ddpg_her": (
         "DDPG+HER, Shadow Hand in MuJoCo, reach-goal, layout 2",

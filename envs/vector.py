@@ -12,12 +12,14 @@ import itertools
 import multiprocessing
 import pickle
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from multiprocessing.connection import Connection
+from multiprocessing.context import ForkServerContext, SpawnContext
 from typing import Any, Generic, Protocol, TypeVar
 
 import gymnasium as gym
@@ -184,8 +186,7 @@ class RemotePlayer:
     """
 
     def __init__(self, make: Make, set_up: Callable[[], None]) -> None:
-        # A fork would copy threads' locks and an MPI process's connections.
-        context = multiprocessing.get_context("spawn")
+        context = _processes()
         self._connection, there = context.Pipe()
         self._process = context.Process(target=_serve, args=(there, make, set_up), daemon=True)
         with _ignore_interrupts():  # Ctrl-C reaches the whole group: this process ends the others
@@ -228,6 +229,17 @@ class RemotePlayer:
         """End the process."""
         self._connection.close()
         self._process.join()
+
+
+def _processes() -> ForkServerContext | SpawnContext:
+    """How processes start. Never as forks of this one, which would copy threads' locks and an MPI
+    process's connections. On Linux they are forks of a server that has imported what takes seconds,
+    which is Python's own default from 3.14 on."""
+    if sys.platform != "linux":
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["gymnasium", "torch"])  # no matter when one is not installed
+    return context
 
 
 @contextmanager

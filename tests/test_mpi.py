@@ -13,6 +13,8 @@ import psutil
 import pytest
 import torch
 
+from tactilerl.cli import main
+
 pytest.importorskip("mpi4py")
 MPIRUN = Path(sys.executable).with_name("mpirun")
 pytestmark = [
@@ -48,59 +50,42 @@ def _in_tmp(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-def test_two_ranks_train_one_writes_and_resume_is_exact():
-    whole = tactilerl(*TOY, "--total-timesteps", "960", "--out", "whole")
+@pytest.mark.parametrize("toy", [TOY, REACH], ids=["ppo", "ddpg_her"])
+def test_two_ranks_train_one_writes_and_resume_is_exact(toy):
+    whole = tactilerl(*toy, "--total-timesteps", "600", "--out", "whole")
     assert whole.returncode == 0, whole.stderr
     assert whole.stdout.count("The run is in whole") == 1
     assert json.loads(Path("whole/config.json").read_text())["ranks"] == 2
-    tactilerl(*TOY, "--total-timesteps", "480", "--out", "parts")
-    assert tactilerl("train", "--resume", "parts", "--total-timesteps", "960").returncode == 0
-    states = [Path(run, "checkpoint.pt") for run in ("whole", "parts")]
-    code = (
-        "import sys, torch; a, b = (torch.load(p, weights_only=True)['ranks'] for p in sys.argv[1:])\n"
-        "for x, y in zip(a, b, strict=True):\n"
-        "    for k in x['actor']: assert torch.equal(x['actor'][k], y['actor'][k])\n"
-        "    assert x['rng'] == y['rng']\n"
-        "assert all(torch.equal(a[0]['actor'][k], a[1]['actor'][k]) for k in a[0]['actor'])\n"
-    )
-    checked = subprocess.run([sys.executable, "-c", code, *states], capture_output=True, text=True)
-    assert checked.returncode == 0, checked.stderr
-
-
-def test_ppo_learns_the_same_on_any_number_of_ranks():
-    """The same episodes, and the same steps up to rounding; an epoch is not longer for it."""
-    args = ["train", "--env", "lqr", "--hidden", "16", "--steps-per-epoch", "300", "--n-passes", "3"]
-    args += ["--total-timesteps", "600"]
-    tables = []
-    for ranks in (1, 2, 3):
-        mpirun(["-m", "tactilerl.cli", *args, "--out", str(ranks)], ranks=ranks)
-        with open(f"{ranks}/progress.csv", newline="") as file:
-            tables.append([{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)])
-    one, *others = tables
-    assert [row["env_steps"] for row in one] == [300, 600]
-    for table in others:
-        for key in ("env_steps", "episodes", "mean_return", "policy_loss", "value_loss", "kl"):
-            np.testing.assert_allclose(
-                [row[key] for row in table], [row[key] for row in one], rtol=1e-3, atol=1e-4
-            )
-        assert table[0]["mean_return"] == one[0]["mean_return"]  # before anything was learned
-
-
-def test_ddpg_trains_on_two_ranks_and_resumes_exactly():
-    args = [*REACH, "--total-timesteps", "600"]
-    whole = tactilerl(*args, "--out", "whole")
-    assert whole.returncode == 0, whole.stderr
-    assert whole.stdout.count("The run is in whole") == 1
-    tactilerl(*REACH, "--total-timesteps", "200", "--out", "parts")
+    tactilerl(*toy, "--total-timesteps", "200", "--out", "parts")
     resumed = tactilerl("train", "--resume", "parts", "--total-timesteps", "600")
     assert resumed.returncode == 0, resumed.stderr
     whole, parts = (torch.load(Path(run, "checkpoint.pt"), weights_only=True) for run in PARTS)
-    assert [rank["env_steps"] for rank in whole["ranks"]] == [600, 600]
+    assert all(rank["env_steps"] >= 600 for rank in whole["ranks"])
     for a, b in zip(whole["ranks"], parts["ranks"], strict=True):
         assert flat(a) == flat(b)
     first, second = whole["ranks"]
     assert flat({**first, "rng": None}) == flat({**second, "rng": None})  # bit-equal parameters
     assert first["rng"] != second["rng"]
+
+
+@pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.slow)])
+def test_ppo_learns_the_same_on_any_number_of_ranks(ranks):
+    """The same episodes, and the same steps up to rounding; an epoch is not longer for it."""
+    args = ["train", "--env", "lqr", "--hidden", "16", "--steps-per-epoch", "300", "--n-passes", "3"]
+    args += ["--total-timesteps", "600"]
+    assert main([*args, "--out", "1"]) == 0
+    mpirun(["-m", "tactilerl.cli", *args, "--out", "more"], ranks=ranks)
+    tables = []
+    for run in ("1", "more"):
+        with open(f"{run}/progress.csv", newline="") as file:
+            tables.append([{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)])
+    one, more = tables
+    assert [row["env_steps"] for row in one] == [300, 600]
+    for key in ("env_steps", "episodes", "mean_return", "policy_loss", "value_loss", "kl"):
+        np.testing.assert_allclose(
+            [row[key] for row in more], [row[key] for row in one], rtol=1e-3, atol=1e-4
+        )
+    assert more[0]["mean_return"] == one[0]["mean_return"]  # before anything was learned
 
 
 @pytest.mark.slow
@@ -115,21 +100,19 @@ def test_ddpg_reaches_points_from_sparse_rewards_on_two_ranks():
 
 
 @pytest.mark.parametrize("toy", [pytest.param("ppo", marks=pytest.mark.slow), "ddpg_her"])
-def test_another_number_of_ranks_is_refused_unless_asked_for(toy):
+def test_another_number_of_ranks_is_refused_unless_asked_for(toy, capsys):
     toy = TOY if toy == "ppo" else REACH
     tactilerl(*toy, "--total-timesteps", "1", "--out", "run")
-    command = [sys.executable, "-m", "tactilerl.cli", "train", "--resume", "run"]
-    more = ["--total-timesteps", "800"]
-    alone = subprocess.run([*command, *more], capture_output=True, text=True)
-    assert alone.returncode == 2
-    assert "ranks: found 1, the run was made with 2" in alone.stderr
-    alone = subprocess.run([*command, *more, "--any-ranks"], capture_output=True, text=True)
-    assert alone.returncode == 0, alone.stderr
+    resume = ["train", "--resume", "run"]
+    assert main([*resume, "--total-timesteps", "800"]) == 2
+    assert "ranks: found 1, the run was made with 2" in capsys.readouterr().err
+    assert main([*resume, "--total-timesteps", "800", "--any-ranks"]) == 0
     if toy is REACH:  # four episodes of each of two ranks, and those that followed, all with rank 0
         parts = [torch.load(path, weights_only=True) for path in Path("run/experience").iterdir()]
         steps = torch.load("run/checkpoint.pt", weights_only=True)["ranks"][0]["env_steps"]
         assert 25 * sum(len(p["experience"]["slots"]) for p in parts) == steps == 800
-    three = mpirun(["-m", *command[2:], "--total-timesteps", "1600", "--any-ranks"], ranks=3)
+    more = [*resume, "--total-timesteps", "1600", "--any-ranks"]
+    three = mpirun(["-m", "tactilerl.cli", *more], ranks=3)
     assert three.returncode == 0, three.stderr
     assert json.loads(Path("run/config.json").read_text())["ranks"] == 3
 
