@@ -28,13 +28,18 @@ class Record(TypedDict):
 
 def record(epoch: int = 0, env_steps: int = 0) -> Record:
     """What is here now."""
-    versions = {"tactilerl": __version__, "python": platform.python_version()}
-    for package in PACKAGES:
+    return {"epoch": epoch, "env_steps": env_steps, "versions": versions(), "commit": commit(HERE)}
+
+
+def versions(*more: str) -> dict[str, str]:
+    """Of Python, our own, our packages and `more` of them, as far as they are installed."""
+    found = {"tactilerl": __version__, "python": platform.python_version()}
+    for package in (*PACKAGES, *more):
         try:
-            versions[package] = version(package)
+            found[package] = version(package)
         except PackageNotFoundError:
             continue
-    return {"epoch": epoch, "env_steps": env_steps, "versions": versions, "commit": commit(HERE)}
+    return found
 
 
 def difference(before: Record, now: Record) -> str:

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import json
-import platform
 import tempfile
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from functools import partial
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from sklearn.exceptions import ConvergenceWarning
 
-from .. import __version__
+from .. import provenance
 from ..algos.mpi import Communicator
 from ..envs import hands, layouts, vector
 from ..envs.grasp import setup
@@ -37,7 +35,6 @@ from .readings import Grasps
 if TYPE_CHECKING:
     from .command import AnalysisFlags, GraspFlags, ProbeFlags
 
-PACKAGES = ("numpy", "scipy", "scikit-learn", "mujoco", "pybullet", "torch")
 Show = Callable[[int, int], None]
 
 
@@ -231,18 +228,8 @@ def _about(read: ProbeFlags, played: Played, asked: Grasps) -> dict[str, Any]:
         "broken": len(played.records["held"]) - len(asked),
         "held": float(asked.held.mean()) if len(asked) else 0.0,
         "objects": asked.object_names,
-        "versions": _versions(),
+        "versions": provenance.versions("scipy", "scikit-learn"),
     }
-
-
-def _versions() -> dict[str, str]:
-    found = {"tactilerl": __version__, "python": platform.python_version()}
-    for package in PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    return found
 
 
 def _answers(asked: Grasps, readings: dict[str, Array], choices: Choices, out: Path) -> dict[str, Any]:
