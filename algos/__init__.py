@@ -45,8 +45,8 @@ class DivergenceError(FloatingPointError):
     """Something the learner needs is no longer a finite number."""
 
 
-class RewardError(ValueError):
-    """Rewards are not what the configuration takes for granted."""
+class UnfitError(ValueError):
+    """The environment is not what the learner takes for granted."""
 
 
 class Workers(Protocol):

@@ -21,7 +21,7 @@ from torch import Tensor
 from . import (
     Array,
     DivergenceError,
-    RewardError,
+    UnfitError,
     Workers,
     action_size,
     check_ranges,
@@ -237,9 +237,9 @@ class DDPGHER:
     def _check_signs(self, rewards: Array) -> None:
         largest = np.max(rewards, initial=0.0)
         if self.config.clip_target and largest > 0:
-            raise RewardError(
+            raise UnfitError(
                 f"clip_target: found a reward of {largest:g}, allowed 0 or less while targets are "
-                "cut at 0; give --no-clip-target"
+                "cut at 0; give --no-clip-target (clip_target=False)"
             )
 
     def test(self) -> dict[str, float]:

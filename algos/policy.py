@@ -112,12 +112,14 @@ class Policy:
         Of a batch, which has one more axis in front (each part of a Dict has it), a batch of
         actions: up to rounding those for each observation alone. With `deterministic=False` the
         policy explores, with random numbers from `rng`. ValueError when the observation has
-        another shape than those it was trained on, or `rng` is missing.
+        another shape than those it was trained on or is not finite, or `rng` is missing.
         """
         if not deterministic and rng is None:
             raise ValueError("rng: found none, needed to explore: numpy.random.default_rng(seed)")
         noise = None if deterministic else rng
         n = self._batch_size(obs)
+        if not all(np.isfinite(obs[key] if key else obs).all() for key in self.shapes):
+            raise ValueError("obs: found what is not finite, allowed finite numbers")
         if n is None:
             return self.to_env(self.choose(self.inputs.read(obs), noise))
         if n == 0:

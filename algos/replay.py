@@ -106,8 +106,8 @@ class Replay:
         again = self.reward(achieved, desired)
         if np.shape(again) != lived.shape or not np.allclose(again, lived, 1e-3, 1e-4):
             raise ValueError(
-                f"compute_reward: found {str(again)[:40]} where steps gave {str(lived)[:40]}, "
-                "allowed environments whose rewards follow from achieved and desired goals"
+                f"compute_reward: found {str(again)[:40]} for an episode's goals where its steps gave "
+                f"{str(lived)[:40]}, allowed the same: an array, with one for each row of goals"
             )
 
     def _shapes(self, n_boolean: int | None = None) -> dict[str, tuple[tuple[int, int], type]]:

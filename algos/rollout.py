@@ -15,12 +15,13 @@ from typing import Any, Generic, TypeVar
 import gymnasium as gym
 import numpy as np
 
-from . import Array, DivergenceError, IsWanted, Workers
+from . import Array, DivergenceError, IsWanted, UnfitError, Workers
 from .mpi import Communicator
 from .policy import Policy
 
 Obs = TypeVar("Obs")
 FAULTS = ("diverged", "warnings")  # what `info` may say of a step, and is counted
+LONGEST = 100_000  # steps of an episode that is thought to have an end
 TRAIN, TEST, EVALUATE, PROBE = 1, 2, 3, 4  # what episodes are for: each has random numbers of its own
 
 
@@ -60,7 +61,8 @@ class PlayEpisode(Generic[Obs]):
     def __call__(self, env: gym.Env[Any, Any], number: int, is_wanted: IsWanted) -> Episode[Obs]:
         """The episode; cut short when it is not wanted any more.
 
-        Raises DivergenceError when an observation or a reward is not finite.
+        Raises DivergenceError when an observation or a reward is not finite, and UnfitError when
+        it does not end.
         """
         policy, rng = self.policy, np.random.default_rng([*self.key, number])
         noise = rng if self.explores else None
@@ -70,6 +72,11 @@ class PlayEpisode(Generic[Obs]):
         while not is_done and is_wanted():
             action = policy.choose(episode.obs[-1], noise)
             is_done = _step(env, policy, action, episode)
+            if not is_done and len(episode) == LONGEST:
+                raise UnfitError(
+                    f"env: found an episode that goes on after {LONGEST:,} steps, allowed are episodes "
+                    "that end: give it a time limit (max_episode_steps)"
+                )
         return episode
 
 
@@ -163,5 +170,7 @@ def finite(values: Any, what: str) -> Any:
     """`values`, an array or a tuple of arrays; DivergenceError unless all are finite."""
     parts = values if isinstance(values, tuple) else (values,)
     if not all(np.isfinite(part).all() for part in parts):
-        raise DivergenceError(f"{what} of the environment is not finite")
+        flat = np.concatenate([np.ravel(part) for part in parts])
+        which = f" (entry {np.flatnonzero(~np.isfinite(flat))[0]})" if flat.size > 1 else ""
+        raise DivergenceError(f"{what} of the environment is not finite{which}")
     return values

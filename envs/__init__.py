@@ -9,6 +9,8 @@ imported when an environment that uses it is made.
 
 from __future__ import annotations
 
+import os
+import sys
 from typing import Any
 
 import gymnasium as gym
@@ -31,6 +33,8 @@ def make(name: str, *, render_mode: str | None = None, **choices: Any) -> gym.En
         return GraspEnv(name, setup(name, **choices), render_mode)
     if render_mode is not None:
         choices["render_mode"] = render_mode
+    if ":" in name and os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())  # "my_module:MyEnv-v0": as `python -m` finds modules
     try:
         return gym.make(TOYS.get(name, name), **choices)
     except gym.error.Error as error:

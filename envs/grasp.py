@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Literal, get_args, get_type_hints
 
 import gymnasium as gym
 import numpy as np
 
 from . import hands, layouts, objects, observations, simulators, tasks, touch
+from .choices import require_known
 from .hands import Array
 from .hold import HoldTest
 from .objects import ObjectConfig
@@ -91,7 +92,9 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
 
 
 def setup(hand: str, **choices: Any) -> GraspConfig:
-    """The configuration of a hand's set-up, with some fields chosen otherwise."""
+    """The configuration of a hand's set-up, with some fields chosen otherwise; ValueError when there is
+    no such field."""
+    require_known(choices, (field.name for field in fields(GraspConfig)))
     return GraspConfig(**{**hands.HANDS[hand].scene, **choices})
 
 

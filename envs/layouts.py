@@ -7,6 +7,7 @@ distances; files are in millimetres. `place` puts a layout on a hand.
 
 from __future__ import annotations
 
+import os
 import tomllib
 from dataclasses import dataclass
 from itertools import product
@@ -80,6 +81,17 @@ class Layout:
         return Taxels(tuple(links), np.array(index), np.array(positions), np.array(radii), tuple(names))
 
 
+def left_out(layout: Layout, hand: Hand) -> list[str]:
+    """Where a layout wants taxels and the hand has no surface: names such as thumb.palm."""
+    there = {(surface.digit, surface.segment) for surface in hand.surfaces}
+    wanted = (place for p in layout.patches for place in product(p.digits, p.segments))
+    return [
+        f"{digit}.{segment}"
+        for digit, segment in dict.fromkeys(wanted)
+        if (digit, segment) not in there
+    ]
+
+
 def _scale(patch: Patch, surface: Surface, hand: Hand) -> tuple[float, float, float]:
     """(row pitch, column pitch, radius) in m of a patch on one surface."""
     if patch.radius is not None:
@@ -131,11 +143,11 @@ def load(name: str) -> Layout:
         return paper_layout(name)
     if name.endswith(".toml"):
         path = Path(name)
-        if not path.is_file():
+        if not os.path.isfile(path):  # False for any name; Path.is_file raises when it is too long
             raise FileNotFoundError(f"layout file {name!r} does not exist")
         return _read(path)
     path = NAMED / f"{name}.toml"
-    if Path(name).name != name or not path.is_file():
+    if Path(name).name != name or not os.path.isfile(path):
         raise ValueError(
             f"unknown layout {name!r}; allowed: {', '.join(names())} or the path of a .toml file"
         )

@@ -32,6 +32,7 @@ from .algos.policy import Policy
 from .algos.spaces import Spaces
 from .config import RunOptions
 from .envs import vector
+from .envs.choices import require_known
 from .errors import InputError
 from .report import Report
 from .run_dir import RunDir
@@ -73,7 +74,7 @@ class Learner:
         """
         config_type, _ = algos.get(self.algo)
         options = dict(seed=seed, workers=workers, device=device, threads=threads, matmul=matmul)
-        typed.require_known(hyperparameters, typed.names(config_type) | set(options))
+        require_known(hyperparameters, typed.names(config_type) | set(options))
         self.config = typed.replace(config_type(), hyperparameters)
         self._run = RunOptions(algo=self.algo, **options)  # type: ignore[arg-type]
         for part in (self._run, self.config):
@@ -227,7 +228,11 @@ def _start(env: Env, workers: int | None, threads: int = 1) -> vector.Workers:
         raise ValueError(
             f"env: found {type(env).__name__}, allowed an environment, an id or a function"
         )
-    return vector.start(make, workers or 1, partial(torch.set_num_threads, threads))
+    try:
+        return vector.start(make, workers or 1, partial(torch.set_num_threads, threads))
+    except OSError as error:
+        error.add_note('a script that plays in processes needs `if __name__ == "__main__":`')
+        raise
 
 
 @contextmanager

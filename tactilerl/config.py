@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from . import algos, envs, typed
+from .envs.choices import require_known
 from .envs.grasp import GraspConfig, setup
 from .envs.hands import HANDS
 from .errors import InputError, input_errors
@@ -96,7 +97,7 @@ class RunConfig:
     def choose(self, choices: Mapping[str, Any]) -> RunConfig:
         """A copy with other values of some fields, by name; ValueError naming an unknown field."""
         own = {name: typed.names(part) for name, part in self.parts.items()}
-        typed.require_known(choices, set().union(*own.values()))
+        require_known(choices, set().union(*own.values()))
         chosen = {name: {k: choices[k] for k in choices if k in own[name]} for name in own}
         parts = {name: typed.replace(part, chosen[name]) for name, part in self.parts.items()}
         return dataclasses.replace(self, **parts)

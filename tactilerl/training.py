@@ -68,12 +68,17 @@ def start_workers(config: RunConfig, comm: Communicator, n: int | None) -> vecto
 
 
 def train(
-    config: RunConfig, comm: Communicator, resume: Path | None = None, any_ranks: bool = False
+    config: RunConfig,
+    comm: Communicator,
+    resume: Path | None = None,
+    any_ranks: bool = False,
+    summary: str = "",
 ) -> Path:
     """Train until the learner's `total_timesteps`; returns the run folder.
 
     With `resume`, goes on from that folder's checkpoint, bit for bit as if the run had never
     been cut off. `any_ranks` allows another number of processes, which ends that equality.
+    `summary` is shown when the run begins.
     Raises InputError over bad input and DivergenceError when the learner or every episode
     breaks; the last checkpoint stays.
     """
@@ -96,7 +101,11 @@ def train(
             if epoch == 0:
                 checkpoint.save(0)
             with Report(learner, comm, run_dir.path if config.run.tensorboard else None) as report:
+                if summary:
+                    report.note(summary)
                 report.note(f"  resolved {learner.describe()}")
+                if epoch:
+                    report.note(f"  resumed  after epoch {epoch}, {learner.env_steps:,} steps")
                 if changed:
                     report.note(f"  versions {changed}; from epoch {epoch + 1} on")
                 if learner.env_steps >= learner.total_timesteps:
@@ -107,7 +116,7 @@ def train(
                         run_dir.progress.append(row)
                     checkpoint.save(row["epoch"])
                     report.epoch(row)
-    except algos.RewardError as error:
+    except algos.UnfitError as error:
         raise InputError(str(error)) from error
     finally:
         workers.close()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any, TypeVar, get_args, get_type_hints
 
 from typeguard import CollectionCheckStrategy, TypeCheckError, check_type
@@ -41,14 +41,6 @@ def replace(instance: T, choices: Mapping[str, Any]) -> T:
 def _with_tuples(values: Mapping[str, Any]) -> dict[str, Any]:
     """JSON's lists are the tuples of dataclasses."""
     return {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
-
-
-def require_known(names: Iterable[str], known: Iterable[str]) -> None:
-    """ValueError naming the first of `names` that is not known, and all that are."""
-    known = sorted(known)
-    for name in names:
-        if name not in known:
-            raise ValueError(f"{name}: unknown, allowed: {', '.join(known)}")
 
 
 def validate(instance: Any) -> None:

@@ -182,7 +182,7 @@ class TestTrain:
     @pytest.mark.parametrize(
         ("choices", "words"),
         [
-            (dict(layers=3), "layers: unknown, allowed: action_variance, actor_lr"),
+            (dict(layers=3), "layers: unknown; allowed: action_variance, actor_lr"),
             (dict(layout=4), "layout: unknown"),
             (dict(gamma=2), "gamma: found 2, allowed from 0 to 1"),
             (dict(env="shadow", layout="44"), "unknown layout '44'"),
@@ -213,7 +213,9 @@ class TestMistakes:
     @pytest.mark.parametrize(
         ("make", "words"),
         [
-            (lambda: tactilerl.PPO("lqr", layers=3), "layers: unknown, allowed: .*hidden.*seed"),
+            (lambda: tactilerl.PPO("lqr", layers=3), "layers: unknown; allowed: .*hidden.*seed"),
+            (lambda: tactilerl.PPO("lqr", clip_rang=1), "clip_rang: unknown; did you mean clip_range?"),
+            (lambda: tactilerl.make("shadow", laout=4), "laout: unknown; did you mean layout?"),
             (lambda: tactilerl.PPO("lqr", gamma="x"), "gamma: found 'x'"),
             (lambda: tactilerl.PPO("lqr", seed=-1), "seed: found -1"),
             (lambda: tactilerl.PPO("lqr", threads=0), "threads: found 0"),
@@ -228,6 +230,8 @@ class TestMistakes:
             (lambda: tactilerl.PPO("lqr").save("no/folder.pt"), "path: found 'no/folder.pt'"),
             (lambda: tactilerl.PPO("lqr").save("."), "path: found '.'"),
             (lambda: tactilerl.PPO("lqr").act([1, 2, 3]), r"shape \(3,\), expected \(2,\), or a batch"),
+            (lambda: tactilerl.PPO("lqr").act([1, np.nan]), "obs: found what is not finite"),
+            (lambda: tactilerl.PPO("lqr").act([[1, 2], [np.inf, 0]]), "obs: found what is not finite"),
             (lambda: tactilerl.PPO("lqr").act({"observation": [1, 2]}), "expected no Dict"),
             (lambda: tactilerl.PPO("lqr").act([1, 2], deterministic=False), "rng: found none"),
             (lambda: tactilerl.DDPGHER("point-reach").act([1, 2]), "found list, expected a Dict with"),
@@ -247,6 +251,21 @@ class TestMistakes:
         with pytest.raises(ValueError, match=words) as raised:
             make()
         assert "\n" not in str(raised.value)
+
+    def test_an_episode_without_an_end_is_said(self, monkeypatch):
+        monkeypatch.setattr("tactilerl.algos.rollout.LONGEST", 50)
+        endless = gym.make("Pendulum-v1", max_episode_steps=-1)
+        with pytest.raises(ValueError, match=r"goes on after 50 steps.*max_episode_steps"):
+            tactilerl.PPO(endless, **PPO).learn(10)
+
+    def test_a_script_that_starts_processes_without_its_guard(self):
+        Path("script.py").write_text(
+            "import tactilerl\ntactilerl.PPO('Pendulum-v1', workers=2, steps_per_epoch=20)\n"
+        )
+        command = [sys.executable, "script.py"]
+        result = subprocess.run(command, capture_output=True, text=True, timeout=200)
+        assert result.returncode == 1
+        assert 'needs `if __name__ == "__main__":`' in result.stderr
 
     def test_a_damaged_policy_is_refused(self):
         tactilerl.PPO("lqr", **PPO).save("policy.pt")

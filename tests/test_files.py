@@ -314,6 +314,18 @@ class TestLock:
             pass
 
 
+def test_modules_of_the_folder_where_the_command_runs_are_found(capsys):
+    """And the command that is named at the end works."""
+    Path("my_own.py").write_text(
+        "import gymnasium\nfrom tactilerl.envs.toy import LQREnv\n"
+        "gymnasium.register('My-v0', entry_point=LQREnv)\n"
+    )
+    args = ["--env", "my_own:My-v0", "--hidden", "8", "--steps-per-epoch", "60", "--n-passes", "1"]
+    command = [sys.executable, "-m", "tactilerl.cli", "train", *args, "--total-timesteps", "60"]
+    told = subprocess.run([*command, "--out", "run"], check=True, capture_output=True, text=True).stdout
+    assert "tactilerl evaluate run --env my_own:My-v0" in told
+
+
 class TestTrust:
     @pytest.fixture
     def foreign(self, tmp_path, monkeypatch):

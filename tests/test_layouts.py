@@ -33,6 +33,15 @@ def test_a_hand_carries_taxels_on_the_fingers_it_has():
         layout.place(hand)
 
 
+def test_what_a_hand_has_no_place_for_is_named():
+    hand = hands.get("allegro")
+    assert layouts.left_out(layouts.load("5"), HAND) == []
+    little = [f"little.{segment}" for segment in ("proximal", "middle", "distal", "palm")]
+    assert sorted(layouts.left_out(layouts.load("5"), hand)) == sorted(little)
+    patch = {"digits": ["thumb", "index"], "segments": ["palm"], "offsets_mm": [[0, 0]], "radius_mm": 2}
+    assert layouts.left_out(layouts.parse({"patch": [patch]}, "palm"), HAND) == ["thumb.palm"]
+
+
 @pytest.mark.parametrize(("name", "count"), {"smarthand": 4, "zhang": 13, "abbass": 15}.items())
 def test_designs_from_the_literature(name, count):
     assert len(layouts.load(name).place(HAND)) == count

@@ -11,7 +11,9 @@ from rich.table import Table
 from .. import doctor, flags
 from ..errors import InputError, input_errors
 from ..terminal import console
-from .scene import read_scene, require_scene
+from .scene import left_out, read_scene, require_scene
+
+FEW = 10  # taxels that are named anyway
 
 
 @dataclass(frozen=True)
@@ -27,7 +29,7 @@ class DoctorFlags:
     compare: bool = False
     """Run the same grasps in the other simulator too: how far do the taxels agree?"""
     verbose: bool = False
-    """Name the taxels that never fired."""
+    """Name the taxels that never fired, however many they are."""
     json: bool = False
     """Print JSON instead of a table."""
 
@@ -65,7 +67,9 @@ def main(args: list[str]) -> int:
     for f in figures if read.compare else ():
         share = "nothing to compare" if f.agreement is None else f"{100 * f.agreement:.0f} %"
         console.print(f"layout {f.layout}: of what fires in either simulator, fires in both: {share}")
-    if read.verbose:
-        for f in figures:
+    for f in figures:
+        if read.verbose or 0 < len(f.never_fired) <= FEW:
             console.print(f"layout {f.layout} never fired: {', '.join(f.never_fired) or 'none'}")
+        if note := left_out(name, f.layout):
+            console.print(note)
     return 1 if blind else 0

@@ -9,7 +9,7 @@ from typing import Any
 
 from .. import envs, flags
 from ..errors import input_errors
-from .scene import read_scene
+from .scene import left_out, read_scene
 
 
 @dataclass(frozen=True)
@@ -40,13 +40,14 @@ def main(args: list[str]) -> int:
         if scene:
             described |= {"observation": base.observation_names(), "action": base.hand.action_names}
             described["taxels"] = len(base.taxels)
+            described["note"] = left_out(name, scene.layout)
     finally:
         made.close()
     if read.json:
         print(json.dumps(described))
         return 0
-    for key in ("env", "action_space", "observation_space", "taxels"):
-        if key in described:
+    for key in ("env", "action_space", "observation_space", "taxels", "note"):
+        if described.get(key):
             print(f"{key}: {described[key]}")
     if read.describe:
         for key in ("action", "observation"):

@@ -61,9 +61,11 @@ def main(args: list[str]) -> int:
             sweep.require_drawable(read.out)
     trained = policies.read_run(read.run, read.env, read.trust)
     run = trained.config
-    if run.scene is not None and sensors is not None:
-        run = dataclasses.replace(run, scene=dataclasses.replace(run.scene, **vars(sensors)))
     about = {"run": str(read.run), "epoch": trained.epoch, "env_steps": trained.env_steps}
+    if run.scene is not None and sensors is not None:
+        others = {k: v for k, v in vars(sensors).items() if v != getattr(run.scene, k)}
+        run = dataclasses.replace(run, scene=dataclasses.replace(run.scene, **others))
+        about |= {"sensors": others} if others else {}
     if not read.sweep:
         result = about | evaluation.summarise(_play(run, trained.policy, read))
         return _tell(result, read.json, _evaluation_table)
@@ -115,13 +117,20 @@ def _tell(result: dict[str, Any], as_json: bool, table: Callable[[dict[str, Any]
     return 0
 
 
+def _about(result: dict[str, Any]) -> str:
+    """Which policy, and with which sensors where they are not those of the run."""
+    others = (f"{name.replace('_', '-')} {value}" for name, value in result.get("sensors", {}).items())
+    return ", ".join([result["run"], f"epoch {result['epoch']}", *others])
+
+
 def _evaluation_table(result: dict[str, Any]) -> Table:
-    title = f"{result['run']}, epoch {result['epoch']}, {result['episodes']} episodes"
+    title = f"{_about(result)}, {result['episodes']} episodes"
     table = Table("", "mean", "95 % interval", title=title)
     if "success_rate" in result:
         low, high = result["success_rate_ci"]
         table.add_row("success rate", f"{result['success_rate']:.3f}", f"{low:.3f} – {high:.3f}")
-        table.add_row("steps in success at the end", f"{result['mean_held_steps']:.1f}", "")
+        if result["mean_held_steps"] > 1:  # where success does not end the episode
+            table.add_row("steps at the goal, at the end", f"{result['mean_held_steps']:.1f}", "")
     for part in result.get("by_object", ()):
         low, high = part["success_rate_ci"]
         what = f"success rate, {part['object']} ({part['episodes']})"
@@ -137,7 +146,7 @@ def _evaluation_table(result: dict[str, Any]) -> Table:
 
 def _sweep_table(result: dict[str, Any]) -> Table:
     name, points = result["sweep"], result["points"]
-    title = f"{result['run']}, epoch {result['epoch']}, {points[0]['episodes']} episodes each"
+    title = f"{_about(result)}, {points[0]['episodes']} episodes each"
     table = Table(name.replace("_", "-"), "success rate", "95 % interval", "return", title=title)
     for point in points:
         low, high = point["success_rate_ci"]

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import Any, TypeVar
 
 from .. import flags
+from ..envs import hands, layouts
 from ..envs.grasp import GraspConfig, setup
-from ..envs.hands import HANDS
 from ..errors import InputError
 
 T = TypeVar("T")
@@ -17,7 +17,7 @@ T = TypeVar("T")
 def read_scene(kind: type[T], args: Sequence[str], env: str, prog: str) -> tuple[T, GraspConfig | None]:
     """The command's own flags, and the scene's where `env` has a scene."""
     parts: dict[str, Any] = {"command": kind()}
-    if env in HANDS:
+    if env in hands.HANDS:
         parts["scene"] = setup(env)
     options = dataclasses.make_dataclass("Options", [(name, type(it)) for name, it in parts.items()])
     read: Any = flags.parse(options, args, prog, options(**parts))
@@ -27,5 +27,13 @@ def read_scene(kind: type[T], args: Sequence[str], env: str, prog: str) -> tuple
 def require_scene(scene: GraspConfig | None, env: str) -> GraspConfig:
     """The scene; InputError where `env` has none."""
     if scene is None:
-        raise InputError(f"--env: found {env!r}, allowed: {', '.join(HANDS)}")
+        raise InputError(f"--env: found {env!r}, allowed: {', '.join(hands.HANDS)}")
     return scene
+
+
+def left_out(name: str, layout: str) -> str:
+    """A note about taxels that a layout wants where the hand has no surface; empty when there are
+    none."""
+    missing = layouts.left_out(layouts.load(layout), hands.get(name))
+    places = ", ".join(missing)
+    return f"layout {layout}: no taxels at {places}, which {name} does not have" if missing else ""

@@ -16,6 +16,7 @@ from ..errors import InputError, input_errors
 from ..run_dir import RunDir
 from ..terminal import console
 from ..training import train
+from .scene import left_out
 
 SETTLED_NOTE = "hold_verdict=settled decides holds early; how often it is wrong: docs/concepts/tasks.md"
 
@@ -35,15 +36,15 @@ def main(args: list[str]) -> int:
     with input_errors():
         config.validate()
         comm = mpi.world()
+        summary = _summary(config, comm.size)
     if saved and (difference := saved.difference(config.identity())):
         raise InputError(f"--resume {resume}: {difference}; a resumed run keeps its settings")
+    path = train(config, comm, Path(resume) if resume else None, options.any_ranks, summary)
     if comm.rank == 0:
-        console.print(_summary(config, comm.size))
-    path = train(config, comm, Path(resume) if resume else None, options.any_ranks)
-    if comm.rank == 0:
+        again = f" --env {config.run.env}" if ":" in config.run.env else ""
         console.print(
             f"\nThe run is in {path}: progress.csv (learning curve), checkpoint.pt, config.json.\n"
-            f"  tactilerl evaluate {path}"
+            f"  tactilerl evaluate {path}{again}"
         )
     return 0
 
@@ -80,4 +81,6 @@ def _summary(config: RunConfig, ranks: int) -> str:
             lines.append(f"  {part:8}" + "  ".join(f"{k}={v}" for k, v in values.items()))
     if config.scene is not None and config.scene.hold_verdict == "settled":
         lines.append(f"  note     {SETTLED_NOTE}")
+    if config.scene is not None and (note := left_out(config.run.env, config.scene.layout)):
+        lines.append(f"  note     {note}")
     return "\n".join(lines)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
+import time
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
@@ -182,7 +184,7 @@ def main(args: list[str]) -> int:
     if comm.rank > 0:
         return 0
     if not read.output.json:
-        console.print(f"asking {len(played.records['held'])} grasps")
+        console.print(f"analysing {len(played.records['held'])} grasps")
     result = run.analyse(read, played, out)
     if read.output.json:
         print(json.dumps(result))
@@ -199,8 +201,11 @@ def _require_extra() -> None:
             )
 
 
+EVERY = 30.0  # s between lines
+
+
 class _Bar:
-    """Grasps played so far, on a terminal."""
+    """Grasps played so far: a bar on a terminal, elsewhere a line now and then."""
 
     def __init__(self, is_shown: bool) -> None:
         screen = Console(stderr=True)
@@ -209,11 +214,15 @@ class _Bar:
             *columns, console=screen, disable=not (is_shown and screen.is_terminal)
         )
         self._task = self._progress.add_task("", total=None)
+        self._said = time.monotonic() if is_shown and not screen.is_terminal else math.inf
         self.done = 0
 
     def show(self, done: int, total: int) -> None:
         """So many are there."""
         self.done = done
+        if time.monotonic() - self._said > EVERY:
+            self._said = time.monotonic()
+            print(f"grasps {done:,}/{total:,}", file=sys.stderr, flush=True)
         self._progress.update(self._task, completed=done, total=total)
 
     def __enter__(self) -> _Bar:
@@ -283,7 +292,7 @@ def _table(
     for heading in ("taxels", *(columns[metric][0] for metric in metrics)):
         table.add_column(heading, justify="right", no_wrap=True)
     if "auc" in metrics:
-        table.add_column("gain in AUC (95 %)", no_wrap=True)
+        table.add_column("gain by taxels (95 %)", no_wrap=True)
     for told, layout in dict.fromkeys((row["told"], row["layout"]) for row in rows):
         cells = [(found.get((told, layout, metric)), columns[metric][1]) for metric in metrics]
         if not any(row for row, _ in cells):
