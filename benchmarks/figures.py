@@ -17,6 +17,8 @@ import numpy as np
 from adjustText import adjust_text
 
 from benchmarks.command import ROOT
+from tactilerl.envs import hands, layouts
+from tactilerl.hand_map import TaxelMap
 
 DOCS = ROOT / "docs"
 WINDOW = 100  # episodes of the running success rate
@@ -127,8 +129,23 @@ def learning_curves(title: str, what: str, files: dict[str, str]) -> plt.Figure:
     return figure
 
 
+def layouts_unrolled() -> None:
+    """The paper's six, on the Shadow Hand."""
+    hand = hands.get("shadow")
+    figure, grid = plt.subplots(2, 3, figsize=(8, 6.4))
+    for axes, name in zip(grid.flat, layouts.PAPER, strict=True):
+        layout = layouts.load(name)
+        taxels = layout.place(hand)
+        axes.imshow(TaxelMap(hand, taxels, 600).picture(np.zeros(len(taxels), bool)))
+        axes.set_title(f"{name}: {layout.description}, {len(taxels)} taxels", fontsize=9)
+        axes.axis("off")
+    figure.tight_layout()
+    figure.savefig(DOCS / "images" / "layouts.png", dpi=120)
+
+
 def main() -> None:
-    """Speed against error, and one picture for each entry of RUNS."""
+    """Speed against error, the layouts, and one picture for each entry of RUNS."""
     speed_against_error()
+    layouts_unrolled()
     for name, (title, what, files) in RUNS.items():
         learning_curves(title, what, files).savefig(DOCS / "images" / f"{name}.png", dpi=110)

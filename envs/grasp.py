@@ -26,7 +26,7 @@ EJECTED = 10.0  # m/s, of the object during an action: twice what random actions
 class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
     """Options of a grasping scene. SI units and radians.
 
-    Defaults are the Shadow Hand's; `setup` gives those of another hand.
+    Defaults are the Shadow Hand's; some differ for other hands (`setup`).
     """
 
     simulator: str = "mujoco"

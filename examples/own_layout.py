@@ -16,7 +16,7 @@ parser.add_argument("--steps", type=int, default=STEPS)
 steps = parser.parse_known_args()[0].steps
 
 # %% A layout is a file: patches of taxels, each on some segments of some digits.
-# Offsets are along and across the segment, from its middle, in millimetres.
+# Offsets are rows towards the fingertip and columns towards the little finger, in millimetres.
 layout = Path(tempfile.mkdtemp(prefix="tactilerl_")) / "fingertips.toml"
 layout.write_text("""
 description = "Two taxels on the tips of thumb, index and middle finger."

@@ -19,7 +19,7 @@ COMMANDS = {  # module with `main(args)`, imported when the command runs; what i
         "success rate and return of a trained run, with confidence intervals",
     ),
     "env": ("commands.env", "describe an environment: its observations, actions and taxels"),
-    "doctor": ("commands.doctor", "do the taxels feel? scripted grasps, figures per layout"),
+    "doctor": ("commands.doctor", "do the taxels respond? scripted grasps, figures per layout"),
     "probe": ("probe.command", "what can a layout know? answers from played grasps, with intervals"),
     "render": ("commands.render", "a picture of a grasp with its taxels, or a film of a run"),
     "study": (

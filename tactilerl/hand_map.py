@@ -52,6 +52,17 @@ def point(place: Place, drawn: list[Panel]) -> tuple[float, float]:
     return panel.x + place.column, panel.y + place.row
 
 
+def beyond(hand: Hand, taxels: Taxels) -> list[str]:
+    """Names of the taxels that lie beyond an end of their segment, where nothing carries them."""
+    drawn, found = panels(hand), []
+    for name, place in zip(taxels.names, places.of(taxels, hand), strict=True):
+        panel, is_tip = drawn[place.surface], hand.surfaces[place.surface].segment == "distal"
+        low, high = panel.low - panel.half_width, panel.high + (0.0 if is_tip else panel.half_width)
+        if not low - place.radius <= place.row <= high + place.radius:
+            found.append(name)
+    return found
+
+
 class TaxelMap:
     """Pictures of the unrolled hand, `height` pixels high, with the taxels that fire lit."""
 

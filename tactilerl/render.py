@@ -30,7 +30,8 @@ END_PICTURES = FPS // 2  # of the last moment, repeated: so one sees how it ende
 
 
 def picture(env_name: str, config: GraspConfig, pose: Pose, camera: Camera, out: Path) -> int:
-    """Write a picture of the start or of a scripted grasp; how many taxels fire in it."""
+    """Write a picture of the start or of a scripted grasp, beside it the hand unrolled; how many
+    taxels fire in it."""
     _require_writable("--out", out, PICTURES)
     imageio = _imageio("imageio.v2")
     env = GraspEnv(env_name, config, render_mode="rgb_array")
@@ -40,7 +41,7 @@ def picture(env_name: str, config: GraspConfig, pose: Pose, camera: Camera, out:
             start = scripted.Start(np.zeros(2), 0.0, np.zeros(len(env.hand.joints)))
             for _ in scripted.hold_steps(env, scripted.grasp_for(env), start, seconds=0.5):
                 pass
-        imageio.imwrite(out, env.picture(camera))
+        imageio.imwrite(out, _with_map(env, camera, _map_of(env, camera)))
         return int((env.taxel_readings() > 0).sum())
 
 
@@ -70,9 +71,7 @@ def film(
     fps = 1 / (every * config.scene.timestep)
     options = dict(fps=fps, macro_block_size=2, output_params=PLAYABLE)
     env = config.make_env(render_mode="rgb_array")
-    taxel_map = (
-        TaxelMap(env.hand, env.taxels, camera.height) if config.scene.run_type == "main" else None
-    )
+    taxel_map = _map_of(env, camera)
     with closing(env), imageio.get_writer(out, **options) as writer:
 
         def show() -> None:
@@ -86,6 +85,12 @@ def film(
             for _ in range(END_PICTURES):
                 show()
             yield played.success == 1.0
+
+
+def _map_of(env: GraspEnv, camera: Camera) -> TaxelMap | None:
+    """As high as the camera's pictures; None where nothing is felt."""
+    feels = env.config.run_type == "main"
+    return TaxelMap(env.hand, env.taxels, camera.height) if feels else None
 
 
 def _with_map(env: GraspEnv, camera: Camera, taxel_map: TaxelMap | None) -> np.ndarray:

@@ -537,7 +537,9 @@ class TestOtherCommands:
         imageio = pytest.importorskip("imageio.v2")
         result = render("--layout", "1", "--out", "x.png")
         picture = imageio.imread("x.png")
+        picture, taxel_map = np.split(picture, [720], axis=1)
         assert picture.shape == (540, 720, 3)
+        assert (taxel_map[0] > 240).all()  # the hand unrolled, on white
         red, _, blue = np.moveaxis(picture.astype(int), -1, 0)
         assert ((blue > 100) & (red < 60)).sum() > 20  # taxels that are off
         assert "taxels fire" in result.stdout

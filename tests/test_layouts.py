@@ -7,7 +7,7 @@ import pytest
 
 from tactilerl.envs import hands, layouts
 from tactilerl.envs.hands import HANDS
-from tactilerl.hand_map import LIT, TaxelMap
+from tactilerl.hand_map import LIT, TaxelMap, beyond
 
 HAND = hands.get("shadow")
 COUNTS = {"1": 139, "2": 79, "3": 64, "4": 79, "5": 19, "6": 19}
@@ -40,6 +40,18 @@ def test_what_a_hand_has_no_place_for_is_named():
     assert sorted(layouts.left_out(layouts.load("5"), hand)) == sorted(little)
     patch = {"digits": ["thumb", "index"], "segments": ["palm"], "offsets_mm": [[0, 0]], "radius_mm": 2}
     assert layouts.left_out(layouts.parse({"patch": [patch]}, "palm"), HAND) == ["thumb.palm"]
+
+
+@pytest.mark.parametrize("name", hands.HANDS)
+def test_taxels_beyond_their_segment_are_named(name):
+    hand = hands.get(name)
+    for known in layouts.names():
+        assert beyond(hand, layouts.load(known).place(hand)) == []
+    patch = {"digits": ["index"], "segments": ["distal"], "radius_mm": 2}
+    for offset in ([30, 0], [-45, 0]):
+        far = layouts.parse({"patch": [{**patch, "offsets_mm": [offset, [0, 0]]}]}, "far")
+        taxels = far.place(hand)
+        assert beyond(hand, taxels) == [taxels.names[0]]
 
 
 @pytest.mark.parametrize(("name", "count"), {"smarthand": 4, "zhang": 13, "abbass": 15}.items())

@@ -112,6 +112,8 @@ class TestEvaluateWithOtherSensors:
         same = self.evaluated(capsys, "--taxel-dead", "0", "--object-seen", "exact")
         blind = self.evaluated(capsys, "--object-seen", "hidden", "--taxel-stuck", "1")
         assert plain == same
+        assert "sensors" not in plain
+        assert blind["sensors"] == {"object_seen": "hidden", "taxel_stuck": 1.0}
         assert blind["mean_return"] != plain["mean_return"]
         assert Path("run/config.json").read_text() == before
 
@@ -125,6 +127,10 @@ class TestEvaluateWithOtherSensors:
         assert Path("sweep.png").read_bytes().startswith(b"\x89PNG")
         assert main(["evaluate", "run", "--episodes", "1", "--workers", "1", *given[:3]]) == 0
         assert "taxel-stuck" in capsys.readouterr().out
+        assert (
+            main(["evaluate", "run", "--episodes", "1", "--taxel-dead", "0.2", "--workers", "1"]) == 0
+        )
+        assert "taxel-dead 0.2" in capsys.readouterr().out
 
     @pytest.mark.parametrize(
         ("given", "named"),

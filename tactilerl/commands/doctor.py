@@ -11,7 +11,7 @@ from rich.table import Table
 from .. import doctor, flags
 from ..errors import InputError, input_errors
 from ..terminal import console
-from .scene import left_out, read_scene, require_scene
+from .scene import layout_notes, read_scene, require_scene
 
 FEW = 10  # taxels that are named anyway
 
@@ -70,6 +70,6 @@ def main(args: list[str]) -> int:
     for f in figures:
         if read.verbose or 0 < len(f.never_fired) <= FEW:
             console.print(f"layout {f.layout} never fired: {', '.join(f.never_fired) or 'none'}")
-        if note := left_out(name, f.layout):
+        for note in layout_notes(name, f.layout):
             console.print(note)
     return 1 if blind else 0

@@ -9,7 +9,7 @@ from typing import Any
 
 from .. import envs, flags
 from ..errors import input_errors
-from .scene import left_out, read_scene
+from .scene import layout_notes, read_scene
 
 
 @dataclass(frozen=True)
@@ -40,15 +40,17 @@ def main(args: list[str]) -> int:
         if scene:
             described |= {"observation": base.observation_names(), "action": base.hand.action_names}
             described["taxels"] = len(base.taxels)
-            described["note"] = left_out(name, scene.layout)
+            described["notes"] = layout_notes(name, scene.layout)
     finally:
         made.close()
     if read.json:
         print(json.dumps(described))
         return 0
-    for key in ("env", "action_space", "observation_space", "taxels", "note"):
-        if described.get(key):
+    for key in ("env", "action_space", "observation_space", "taxels"):
+        if key in described:
             print(f"{key}: {described[key]}")
+    for note in described.get("notes", ()):
+        print(f"note: {note}")
     if read.describe:
         for key in ("action", "observation"):
             for index, entry in enumerate(described.get(key, ())):

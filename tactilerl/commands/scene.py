@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any, TypeVar
 
-from .. import flags
+from .. import flags, hand_map
 from ..envs import hands, layouts
 from ..envs.grasp import GraspConfig, setup
 from ..errors import InputError
@@ -31,9 +31,12 @@ def require_scene(scene: GraspConfig | None, env: str) -> GraspConfig:
     return scene
 
 
-def left_out(name: str, layout: str) -> str:
-    """A note about taxels that a layout wants where the hand has no surface; empty when there are
-    none."""
-    missing = layouts.left_out(layouts.load(layout), hands.get(name))
-    places = ", ".join(missing)
-    return f"layout {layout}: no taxels at {places}, which {name} does not have" if missing else ""
+def layout_notes(name: str, layout: str) -> list[str]:
+    """What to know about a layout on a hand: where it wants taxels and the hand has no surface, and
+    which of its taxels lie beyond theirs."""
+    wanted, hand = layouts.load(layout), hands.get(name)
+    found = {
+        f"no taxels at {{}}, which {name} does not have": layouts.left_out(wanted, hand),
+        "beyond the skin of their segment: {}": hand_map.beyond(hand, wanted.place(hand)),
+    }
+    return [f"layout {layout}: {t.format(', '.join(names))}" for t, names in found.items() if names]

@@ -16,7 +16,7 @@ from ..errors import InputError, input_errors
 from ..run_dir import RunDir
 from ..terminal import console
 from ..training import train
-from .scene import left_out
+from .scene import layout_notes
 
 SETTLED_NOTE = "hold_verdict=settled decides holds early; how often it is wrong: docs/concepts/tasks.md"
 
@@ -81,6 +81,7 @@ def _summary(config: RunConfig, ranks: int) -> str:
             lines.append(f"  {part:8}" + "  ".join(f"{k}={v}" for k, v in values.items()))
     if config.scene is not None and config.scene.hold_verdict == "settled":
         lines.append(f"  note     {SETTLED_NOTE}")
-    if config.scene is not None and (note := left_out(config.run.env, config.scene.layout)):
-        lines.append(f"  note     {note}")
+    if config.scene is not None:
+        notes = layout_notes(config.run.env, config.scene.layout)
+        lines += [f"  note     {note}" for note in notes]
     return "\n".join(lines)
