@@ -148,8 +148,9 @@ def load(name: str) -> Layout:
         return _read(path)
     path = NAMED / f"{name}.toml"
     if Path(name).name != name or not os.path.isfile(path):
+        meant = f"did you mean {name}.toml? " if os.path.isfile(f"{name}.toml") else ""
         raise ValueError(
-            f"unknown layout {name!r}; allowed: {', '.join(names())} or the path of a .toml file"
+            f"unknown layout {name!r}; {meant}allowed: {', '.join(names())} or the path of a .toml file"
         )
     return _read(path)
 

@@ -144,7 +144,11 @@ def test_taxel_beside_the_phalanx_is_refused(tmp_path):
         layouts.load(str(path)).place(HAND)
 
 
-def test_unknown_names():
+def test_unknown_names(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("mine.toml").touch()
+    with pytest.raises(ValueError, match=r"unknown layout 'mine'; did you mean mine\.toml\?"):
+        layouts.load("mine")
     with pytest.raises(ValueError, match="allowed: 1, 2"):
         layouts.load("7")
     with pytest.raises(FileNotFoundError, match="does not exist"):

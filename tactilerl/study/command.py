@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import tyro
+from rich import box
 from rich.table import Table
 
 from .. import flags
@@ -233,7 +234,7 @@ def plan(args: list[str]) -> int:
 def _plan_table(title: str, needs: list[Need]) -> Table:
     at = list(needs[0].power)
     caption = "at: power with so many seeds; test: power of the permutation test, simulated"
-    table = Table(title=title, caption=caption)
+    table = Table(title=title, caption=caption, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for column in ("set-up", "cell", "runs", "sd", "seeds", "Holm", *(f"at {n}" for n in at), "test"):
         table.add_column(column, no_wrap=True)
     for need in needs:
