@@ -37,6 +37,9 @@ def main(args: list[str]) -> int:
         config.validate()
         comm = mpi.world()
         summary = _summary(config, comm.size)
+        if config.scene is not None and not resume:
+            for note in layout_notes(config.run.env, config.scene.layout):
+                summary += f"\n  note     {note}"
     if saved and (difference := saved.difference(config.identity())):
         raise InputError(f"--resume {resume}: {difference}; a resumed run keeps its settings")
     path = train(config, comm, Path(resume) if resume else None, options.any_ranks, summary)
@@ -81,7 +84,4 @@ def _summary(config: RunConfig, ranks: int) -> str:
             lines.append(f"  {part:8}" + "  ".join(f"{k}={v}" for k, v in values.items()))
     if config.scene is not None and config.scene.hold_verdict == "settled":
         lines.append(f"  note     {SETTLED_NOTE}")
-    if config.scene is not None:
-        notes = layout_notes(config.run.env, config.scene.layout)
-        lines += [f"  note     {note}" for note in notes]
     return "\n".join(lines)
