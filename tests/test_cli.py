@@ -209,7 +209,7 @@ class TestResume:
         assert progress(Path("whole")) == progress(Path("parts"))
         assert same_checkpoint(Path("whole"), Path("parts"))
 
-    @pytest.mark.parametrize("algo", ["ppo", "ddpg_her"])
+    @pytest.mark.parametrize("algo", [pytest.param("ppo", marks=pytest.mark.slow), "ddpg_her"])
     def test_killed_run_equals_the_uninterrupted_one(self, algo):
         """kill -9 in the middle of an epoch, several times, on the real hand."""
         args = ["train", *FAST, "--hold-seconds", "0.2"] if algo == "ppo" else HER

@@ -50,7 +50,9 @@ def _in_tmp(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-@pytest.mark.parametrize("toy", [TOY, REACH], ids=["ppo", "ddpg_her"])
+@pytest.mark.parametrize(
+    "toy", [pytest.param(TOY, marks=pytest.mark.slow), REACH], ids=["ppo", "ddpg_her"]
+)
 def test_two_ranks_train_one_writes_and_resume_is_exact(toy):
     whole = tactilerl(*toy, "--total-timesteps", "600", "--out", "whole")
     assert whole.returncode == 0, whole.stderr
