@@ -56,6 +56,16 @@ def table(result, name):
 
 
 class TestNumbers:
+    def test_runs_of_the_same_seed_are_compared_with_each_other(self, folder, result):
+        one = result.setups[0]
+        arms = [one.groups["layout 2", arm] for arm in ("main", "control")]
+        shared = set(arms[0].seeds) & set(arms[1].seeds)
+        by_seed = [dict(zip(arm.seeds, arm.scores["converged"], strict=True)) for arm in arms]
+        expected = np.mean([by_seed[0][seed] - by_seed[1][seed] for seed in shared])
+        found = one.comparisons["layout 2"].within
+        assert found.value == pytest.approx(expected)
+        assert found.low < found.value < found.high
+
     def test_a_group_is_its_runs(self, folder, result):
         group = result.setups[1].groups["layout 2", "main"]
         _, own = records.load(folder.path)

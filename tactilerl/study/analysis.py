@@ -52,13 +52,17 @@ class Group:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Treatment against control in one cell, by converged rate and IQM."""
+    """Treatment against control in one cell, by converged rate."""
 
     cell: str
     difference: Estimate
+    """Of IQMs."""
     overlap: float
     improvement: Estimate
     p_value: float
+    within: Estimate
+    """Mean difference between runs of the same seed, of those that both arms have."""
+    p_within: float
     p_holm: float = math.nan
 
 
@@ -180,12 +184,28 @@ def _comparisons(
             statistics.interval_overlap(treatment.estimate("iqm")[1:], control.estimate("iqm")[1:]),
             statistics.probability_of_improvement(a, b, drawn),
             statistics.permutation_p(a, b, "iqm", rng, n_resamples),
+            *_within_seeds(treatment, control, rng, n_resamples),
         )
     corrected = statistics.holm([one.p_value for one in found.values()])
     return {
         cell: replace(one, p_holm=float(p))
         for (cell, one), p in zip(found.items(), corrected, strict=True)
     }
+
+
+def _within_seeds(
+    treatment: Group, control: Group, rng: np.random.Generator, n_resamples: int
+) -> tuple[Estimate, float]:
+    """The mean difference between runs of the same seed, and its p-value; NaN without such runs."""
+    shared = sorted(set(treatment.seeds) & set(control.seeds))
+    if not shared:
+        return Estimate(math.nan, math.nan, math.nan), math.nan
+    a, b = (
+        np.array([group.scores["converged"][group.seeds.index(seed)] for seed in shared])
+        for group in (treatment, control)
+    )
+    counts = statistics.resample(rng, len(shared), n_resamples)
+    return statistics.estimate(a - b, "mean", counts), statistics.paired_p(a, b, rng, n_resamples)
 
 
 def _agreements(setups: list[SetupResult]) -> list[Agreement]:

@@ -263,6 +263,28 @@ def permutation_p(
     return float(test.pvalue)
 
 
+def paired_p(
+    treatment: Array, control: Array, rng: np.random.Generator, n_resamples: int = N_RESAMPLES
+) -> float:
+    """Two-sided p-value of the mean difference of pairs (runs,) when the labels of each pair are
+    exchanged (scipy).
+
+    Exact up to `n_resamples` ways to exchange them; with three pairs it cannot fall below 0.25. NaN
+    for a single pair.
+    """
+    if len(treatment) < 2:
+        return math.nan
+
+    def statistic(a: Array, b: Array, axis: int) -> Array:
+        return np.asarray(np.round(np.mean(a - b, axis=axis), 12))
+
+    test = stats.permutation_test(
+        (treatment, control), statistic, permutation_type="samples", vectorized=True,
+        n_resamples=n_resamples, rng=rng, batch=10_000,
+    )  # fmt: skip
+    return float(test.pvalue)
+
+
 def holm(p_values: Sequence[float]) -> Array:
     """p-values of several comparisons, corrected so that the family keeps its level (Holm 1979,
     statsmodels). NaN stays NaN and does not count as a comparison.
