@@ -40,15 +40,15 @@ train: $(TRAINING)
 			--hold-verdict settled --out $(RUN); fi
 	$(BIN)/tactilerl evaluate $(RUN) --episodes 50
 
-# Several tests at a time, each with one thread: `make test JOBS=8` on more cores.
+# Several files of tests at a time, each with one thread: `make test JOBS=8` on more cores.
 test test-slow: export OMP_NUM_THREADS := 1
 test test-slow: export OPENBLAS_NUM_THREADS := 1
 test test-slow: export MKL_NUM_THREADS := 1
 test: $(DEVELOPMENT)
-	$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup -m "not slow"
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m "not slow"
 
 test-slow: $(DEVELOPMENT)
-	$(BIN)/python -m pytest -n $(JOBS) --dist loadgroup -m slow
+	$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m slow
 
 lint: $(DEVELOPMENT)
 	$(BIN)/ruff check .

@@ -31,11 +31,7 @@ def needs_pybullet(item):
     return item.get_closest_marker("pybullet") or any(str(p) == "pybullet" for p in parameters)
 
 
-@pytest.hookimpl(tryfirst=True)  # before xdist looks for groups
 def pytest_collection_modifyitems(items):
-    for item in items:
-        if "one_launch" in item.fixturenames:  # on one worker, so that no other waits for the lock
-            item.add_marker(pytest.mark.xdist_group("mpi"))
     if find_spec("pybullet") is None:
         for item in filter(needs_pybullet, items):
             item.add_marker(pytest.mark.skip(reason=NO_PYBULLET))
