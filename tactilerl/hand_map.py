@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from . import places
 from .envs.hands import DIGITS, SEGMENTS, Array, Hand
 from .envs.layouts import Taxels
-from .probe import places
-from .probe.places import Place
+from .places import Place
 
 COLUMN, ROW = 38.0, 52.0  # mm between digits and between segments on the map
 MARGIN = 6.0  # mm around all of it

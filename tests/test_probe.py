@@ -9,12 +9,13 @@ import pytest
 from sklearn.metrics import balanced_accuracy_score, r2_score, roc_auc_score
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from tactilerl import places
 from tactilerl.algos.mpi import Communicator
 from tactilerl.cli import main
 from tactilerl.envs import hands, layouts, vector
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.touch import SkinTouch
-from tactilerl.probe import analysis, estimators, files, metrics, places, selection
+from tactilerl.probe import analysis, estimators, files, metrics, selection
 from tactilerl.probe.command import GraspFlags
 from tactilerl.probe.faults import TaxelFaults, noisy_angles
 from tactilerl.probe.grasps import (
@@ -436,7 +437,11 @@ class TestPlayed:
         first = result(capsys, *args, "--grasps", "14")
         assert first["grasps"] == 14
         assert {"probe.json", "grasps.npz"} <= {p.name for p in tmp_path.glob("probes/*/*")}
-        assert result(capsys, *args, "--grasps", "16")["grasps"] == 16
+        monkeypatch.setattr("tactilerl.probe.command.EVERY", 0.0)
+        assert main(["probe", *ASKED, *args, "--grasps", "16"]) == 0
+        told = capsys.readouterr()
+        assert "grasps 16/16" in told.err
+        assert ": 16 grasps, " in told.out
         assert main(["probe", *args, "--grasps", "14", "--friction", "0.7"]) == 2
         assert "friction" in capsys.readouterr().err
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..envs.hands import Hand
 from ..hand_map import ROUND, panels, point
-from .places import Place
+from ..places import Place
 
 BARE, LAYOUT, CHANCE = "tab:blue", "tab:orange", "0.7"
 

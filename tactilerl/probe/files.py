@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import InputError
+from ..places import Place
 from ..sealed import replacing
 from .grasps import Record
-from .places import Place
 
 FORMAT = 1
 SETTINGS = "settings"

@@ -11,10 +11,10 @@ from typing import Any
 from ..algos.mpi import Communicator
 from ..envs.vector import Task, Workers
 from ..errors import InputError
+from ..places import Place
 from . import files
 from .files import Played
 from .grasps import Record, iterate, stack
-from .places import Place
 
 SAVE_EVERY = 20.0  # s
 ROUND = 8  # grasps of each worker between two gatherings of all ranks

@@ -13,8 +13,8 @@ from ..envs.hands import SLIDES, Array, Hand, Surface
 from ..envs.layouts import Taxels
 from ..envs.objects import ObjectState, Shape
 from ..envs.touch import SkinTouch
+from ..places import Place
 from .grasps import Record, links_of
-from .places import Place
 
 BATCH = 200  # grasps read at once: what is in between takes memory
 

@@ -14,21 +14,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from sklearn.exceptions import ConvergenceWarning
 
-from .. import provenance
+from .. import places, provenance
 from ..algos.mpi import Communicator
 from ..envs import hands, layouts, vector
 from ..envs.grasp import setup
 from ..envs.hands import Array, Hand
 from ..envs.layouts import Layout
 from ..errors import InputError, input_errors
+from ..places import Place
 from ..sealed import replacing
 from ..training import free_cores, start_workers
-from . import analysis, figures, files, places, selection
+from . import analysis, figures, files, selection
 from .analysis import Choices
 from .files import Played
 from .grasps import PolicyGrasps, Scenes, ScriptedGrasps
 from .metrics import AUC
-from .places import Place
 from .play import play
 from .readings import Grasps
 

@@ -8,8 +8,8 @@ from itertools import groupby
 
 import numpy as np
 
-from ..envs.hands import Hand, Surface
-from ..envs.layouts import Layout, Patch, Taxels
+from .envs.hands import Hand, Surface
+from .envs.layouts import Layout, Patch, Taxels
 
 DIGITS_OF_MM = 4  # a place is known to 0.1 µm: more than enough to tell two taxels apart
 
