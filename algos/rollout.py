@@ -136,22 +136,14 @@ def _weight(episode: Episode[Any]) -> int:
 def summary(episodes: list[Episode[Any]], comm: Communicator | None = None) -> dict[str, float]:
     """Counts and means over episodes, also those that diverged; with `comm`, over those of all
     ranks. Each has some."""
-    sums = (
-        (comm or Communicator())
-        .sum(
-            np.array(
-                [
-                    sum(len(e) for e in episodes),
-                    len(episodes),
-                    sum(e.success for e in episodes),
-                    sum(sum(e.rewards) for e in episodes),
-                    *(sum(e.faults[fault] for e in episodes) for fault in FAULTS),
-                ],
-                dtype=np.float64,
-            )
-        )
-        .tolist()
-    )
+    own = [
+        sum(len(e) for e in episodes),
+        len(episodes),
+        sum(e.success for e in episodes),
+        sum(sum(e.rewards) for e in episodes),
+        *(sum(e.faults[fault] for e in episodes) for fault in FAULTS),
+    ]
+    sums = (comm or Communicator()).sum(np.array(own, np.float64)).tolist()
     return {
         "steps": sums[0],
         "episodes": sums[1],
