@@ -13,6 +13,7 @@ import pytest
 from study_records import PAPER_LIKE, make_study
 
 from tactilerl import study as package
+from tactilerl import terminal
 from tactilerl.cli import main
 from tactilerl.study import analysis, figures, published, records, report, statistics, tables
 from tactilerl.study.folder import Outcome
@@ -263,9 +264,12 @@ class TestPlan:
         assert needs[0]["seeds"] == statistics.runs_needed(0.1, sd, 0.8, 0.05)
         assert needs[0]["seeds"] < needs[0]["seeds_holm"]
 
-    def test_table_and_bad_flags(self, folder, capsys):
+    def test_table_and_bad_flags(self, folder, capsys, monkeypatch):
+        monkeypatch.setattr(terminal.console, "width", 80)
         assert main(["study", "plan", str(folder.path)]) == 0
-        assert "layout 5" in capsys.readouterr().out
+        assert "…" not in (shown := capsys.readouterr().out)
+        assert max(map(len, shown.splitlines())) <= 80
+        assert "layout 5" in shown
         assert main(["study", "plan", str(folder.path), "--power", "1"]) == 2
         assert "--power" in capsys.readouterr().err
 

@@ -193,17 +193,20 @@ class TestComparisons:
     def test_within_pairs_a_small_difference_shows_through_a_large_spread(self, rng):
         level = rng.random(8)
         better = level + 0.01 + 0.001 * rng.random(8)
-        assert s.paired_p(better, level, rng) == pytest.approx(2 / 2**8)  # all signs alike: exact
+        assert s.permutation_p(better, level, "mean", rng, paired=True) == pytest.approx(
+            2 / 2**8
+        )  # all signs alike: exact
         assert s.permutation_p(better, level, "mean", rng) > 0.5
         three = np.array([1.0, 2.0, 3.0])
-        assert s.paired_p(three + 1, three, rng) == pytest.approx(0.25)
-        assert math.isnan(s.paired_p(three[:1], three[:1], rng))
+        assert s.permutation_p(three + 1, three, "mean", rng, paired=True) == pytest.approx(0.25)
+        assert math.isnan(s.permutation_p(three[:1], three[:1], "mean", rng, paired=True))
 
     def test_paired_test_keeps_its_level(self, rng):
         p = []
         for _ in range(300):
             level = rng.random(7)
-            p.append(s.paired_p(level + rng.normal(size=7), level + rng.normal(size=7), rng, 500))
+            pair = level + rng.normal(size=(2, 7))
+            p.append(s.permutation_p(*pair, "mean", rng, 500, paired=True))
         assert np.mean(np.array(p) <= 0.05) < 0.09
 
     def test_holm(self):

@@ -205,7 +205,8 @@ def _within_seeds(
         for group in (treatment, control)
     )
     counts = statistics.resample(rng, len(shared), n_resamples)
-    return statistics.estimate(a - b, "mean", counts), statistics.paired_p(a, b, rng, n_resamples)
+    p_value = statistics.permutation_p(a, b, "mean", rng, n_resamples, paired=True)
+    return statistics.estimate(a - b, "mean", counts), p_value
 
 
 def _agreements(setups: list[SetupResult]) -> list[Agreement]:

@@ -242,11 +242,14 @@ def permutation_p(
     metric: Metric,
     rng: np.random.Generator,
     n_resamples: int = N_RESAMPLES,
+    paired: bool = False,
 ) -> float:
-    """Two-sided p-value of a difference of aggregates when the labels are exchanged (scipy).
+    """Two-sided p-value of a difference of aggregates when the labels are exchanged (scipy); with
+    `paired` only within pairs of runs.
 
     Exact where there are no more than `n_resamples` ways to deal out the labels; with three runs
-    against three it cannot fall below 0.1. NaN where a group is a single run.
+    against three it cannot fall below 0.1, with three pairs below 0.25. NaN where a group is a
+    single run.
     """
     if min(len(treatment), len(control)) < 2:
         return math.nan
@@ -258,29 +261,7 @@ def permutation_p(
 
     test = stats.permutation_test(
         (treatment, control), statistic, vectorized=True, n_resamples=n_resamples, rng=rng,
-        batch=10_000,
-    )  # fmt: skip
-    return float(test.pvalue)
-
-
-def paired_p(
-    treatment: Array, control: Array, rng: np.random.Generator, n_resamples: int = N_RESAMPLES
-) -> float:
-    """Two-sided p-value of the mean difference of pairs (runs,) when the labels of each pair are
-    exchanged (scipy).
-
-    Exact up to `n_resamples` ways to exchange them; with three pairs it cannot fall below 0.25. NaN
-    for a single pair.
-    """
-    if len(treatment) < 2:
-        return math.nan
-
-    def statistic(a: Array, b: Array, axis: int) -> Array:
-        return np.asarray(np.round(np.mean(a - b, axis=axis), 12))
-
-    test = stats.permutation_test(
-        (treatment, control), statistic, permutation_type="samples", vectorized=True,
-        n_resamples=n_resamples, rng=rng, batch=10_000,
+        batch=10_000, permutation_type="samples" if paired else "independent",
     )  # fmt: skip
     return float(test.pvalue)
 
