@@ -177,12 +177,16 @@ class LocalPlayer:
         return task(self.env, number, is_wanted)
 
 
+class WorkerDiedError(OSError):
+    """A worker's process has ended, and nobody asked it to."""
+
+
 class RemotePlayer:
     """Plays in an environment of a process of its own, which ends when this one does.
 
     `make` and `set_up`, which the process calls first, are pickled: functions of a module, or
     `functools.partial` of them; a script that uses this needs its ``if __name__ == "__main__"``.
-    What is raised there is raised here; a process that dies is an OSError.
+    What is raised there is raised here; a process that dies is a WorkerDiedError.
     """
 
     def __init__(self, make: Make, set_up: Callable[[], None]) -> None:
@@ -223,7 +227,7 @@ class RemotePlayer:
         try:
             yield
         except (EOFError, ConnectionError) as error:
-            raise OSError("a worker's process has died") from error
+            raise WorkerDiedError("a worker's process has died") from error
 
     def close(self) -> None:
         """End the process."""

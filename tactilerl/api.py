@@ -230,7 +230,7 @@ def _start(env: Env, workers: int | None, threads: int = 1) -> vector.Workers:
         )
     try:
         return vector.start(make, workers or 1, partial(torch.set_num_threads, threads))
-    except OSError as error:
+    except vector.WorkerDiedError as error:
         error.add_note('a script that plays in processes needs `if __name__ == "__main__":`')
         raise
 
