@@ -34,7 +34,7 @@ class Report:
 
     def __init__(self, learner: Algorithm, comm: Communicator, events: Path | None = None) -> None:
         is_quiet = comm.rank > 0
-        self.console = Console(quiet=is_quiet, highlight=False, soft_wrap=True)
+        self.console = Console(quiet=is_quiet, highlight=False, soft_wrap=True, markup=False)
         self.total = learner.total_timesteps
         self._first_step, self._started = learner.env_steps, time.perf_counter()
         self._events: Any = None

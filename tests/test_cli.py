@@ -202,10 +202,12 @@ class TestTrain:
 
 class TestResume:
     @pytest.mark.parametrize("toy", [TOY, REACH], ids=["ppo", "ddpg_her"])
-    def test_resumed_run_equals_the_uninterrupted_one(self, toy):
+    def test_resumed_run_equals_the_uninterrupted_one(self, toy, capsys):
         main([*toy, "--total-timesteps", "600", "--out", "whole"])
         main([*toy, "--total-timesteps", "240", "--out", "parts"])
+        capsys.readouterr()
         assert main(["train", "--resume", "parts", "--total-timesteps", "600"]) == 0
+        assert "resumed  after epoch " in capsys.readouterr().out
         assert progress(Path("whole")) == progress(Path("parts"))
         assert same_checkpoint(Path("whole"), Path("parts"))
 
@@ -506,6 +508,39 @@ class TestOtherCommands:
         assert (result["diverged"], result["warnings"]) == (1, 20)
         low, high = result["success_rate_ci"]
         assert (low, high) == pytest.approx((0.4902, 0.9433), abs=1e-4)  # Wilson 1927, 8 of 10
+
+    @pytest.mark.parametrize(("few", "named"), [(0, False), (139, True)])
+    def test_doctor_names_a_few_taxels_that_never_fired(self, few, named, capsys, monkeypatch):
+        monkeypatch.setattr("tactilerl.commands.doctor.FEW", few)
+        main(["doctor", "--layout", "5", "--grasps", "1", "--seconds", "0.1"])
+        assert ("layout 5 never fired: thumb" in capsys.readouterr().out) == named
+
+    def test_a_layouts_notes_are_shown(self, capsys):
+        Path("far.toml").write_text(
+            '[[patch]]\ndigits = ["thumb", "index"]\nsegments = ["distal", "palm"]\n'
+            "offsets_mm = [[0, 0], [30, 0]]\nradius_mm = 2\n"
+        )
+        scene = ["--env", "shadow", "--layout", "far.toml"]
+        train = [
+            "train",
+            *scene,
+            *FAST,
+            "--hold-seconds",
+            "0.2",
+            "--total-timesteps",
+            "1",
+            "--out",
+            "run",
+        ]
+        for command in (
+            ["env", *scene],
+            train,
+            ["doctor", *scene, "--grasps", "1", "--seconds", "0.1"],
+        ):
+            main(command)
+            out = capsys.readouterr().out
+            assert "no taxels at thumb.palm, which shadow does not have" in out
+            assert "beyond the end of their segment: thumb.distal[+30,+0 mm], index.distal[" in out
 
     def test_env_describe(self, capsys):
         assert main(["env", "--env", "shadow", "--layout", "5", "--describe"]) == 0

@@ -321,7 +321,8 @@ def test_modules_of_the_folder_where_the_command_runs_are_found(capsys):
         "gymnasium.register('My-v0', entry_point=LQREnv)\n"
     )
     args = ["--env", "my_own:My-v0", "--hidden", "8", "--steps-per-epoch", "60", "--n-passes", "1"]
-    command = [sys.executable, "-m", "tactilerl.cli", "train", *args, "--total-timesteps", "60"]
+    tactilerl = str(Path(sys.executable).with_name("tactilerl"))  # `python -m` would look here anyway
+    command = [tactilerl, "train", *args, "--total-timesteps", "60"]
     told = subprocess.run([*command, "--out", "run"], check=True, capture_output=True, text=True).stdout
     assert "tactilerl evaluate run --env my_own:My-v0" in told
 

@@ -17,6 +17,7 @@ from rich.progress import track
 from rich.table import Table
 
 from .. import evaluation, flags, policies, sweep
+from ..algos import UnfitError
 from ..algos.mpi import Communicator
 from ..config import RunConfig, require_workers
 from ..envs.observations import SensorConfig
@@ -106,7 +107,10 @@ def _play(run: RunConfig, policy: Any, read: EvaluateFlags) -> list[dict[str, An
     with closing(workers):
         played = workers.play(evaluation.task(policy, read.stochastic), range(read.episodes))
         shown = track(played, "playing", read.episodes, console=screen, disable=not is_shown)
-        return [evaluation.row(episode) for episode in shown]
+        try:
+            return [evaluation.row(episode) for episode in shown]
+        except UnfitError as error:
+            raise InputError(str(error)) from error
 
 
 def _tell(result: dict[str, Any], as_json: bool, table: Callable[[dict[str, Any]], Table]) -> int:

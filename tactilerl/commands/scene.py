@@ -35,8 +35,9 @@ def layout_notes(name: str, layout: str) -> list[str]:
     """What to know about a layout on a hand: where it wants taxels and the hand has no surface, and
     which of its taxels lie beyond theirs."""
     wanted, hand = layouts.load(layout), hands.get(name)
-    found = {
-        f"no taxels at {{}}, which {name} does not have": layouts.left_out(wanted, hand),
-        "beyond the skin of their segment: {}": hand_map.beyond(hand, wanted.place(hand)),
-    }
-    return [f"layout {layout}: {t.format(', '.join(names))}" for t, names in found.items() if names]
+    notes = []
+    if missing := layouts.left_out(wanted, hand):
+        notes.append(f"layout {layout}: no taxels at {', '.join(missing)}, which {name} does not have")
+    if beyond := hand_map.beyond(hand, wanted.place(hand)):
+        notes.append(f"layout {layout}: beyond the end of their segment: {', '.join(beyond)}")
+    return notes

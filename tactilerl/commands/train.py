@@ -36,10 +36,9 @@ def main(args: list[str]) -> int:
     with input_errors():
         config.validate()
         comm = mpi.world()
-        summary = _summary(config, comm.size)
-        if config.scene is not None and not resume:
-            for note in layout_notes(config.run.env, config.scene.layout):
-                summary += f"\n  note     {note}"
+        # A resumed run has its layout's own copy: the file may be gone.
+        notes = layout_notes(config.run.env, config.scene.layout) if config.scene and not resume else []
+        summary = _summary(config, comm.size, notes)
     if saved and (difference := saved.difference(config.identity())):
         raise InputError(f"--resume {resume}: {difference}; a resumed run keeps its settings")
     path = train(config, comm, Path(resume) if resume else None, options.any_ranks, summary)
@@ -75,7 +74,7 @@ def read_config(args: list[str], base: RunConfig) -> tuple[RunConfig, Any]:
     return dataclasses.replace(base, folder=None, **parts), read
 
 
-def _summary(config: RunConfig, ranks: int) -> str:
+def _summary(config: RunConfig, ranks: int, notes: list[str]) -> str:
     """What the run resolved to, one line per part."""
     several = f"{ranks} processes" if ranks > 1 else "1 process (mpirun -n 2 tactilerl ... for two)"
     lines = [f"tactilerl train: {several}"]
@@ -83,5 +82,6 @@ def _summary(config: RunConfig, ranks: int) -> str:
         if values:
             lines.append(f"  {part:8}" + "  ".join(f"{k}={v}" for k, v in values.items()))
     if config.scene is not None and config.scene.hold_verdict == "settled":
-        lines.append(f"  note     {SETTLED_NOTE}")
+        notes = [SETTLED_NOTE, *notes]
+    lines += [f"  note     {note}" for note in notes]
     return "\n".join(lines)
