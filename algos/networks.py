@@ -44,16 +44,27 @@ class MLP(nn.Sequential):
     """Linear layers with ReLU between them, and optionally Tanh at the end.
 
     Weights and biases start uniform in ±1/sqrt(fan-in) (PyTorch's own default), drawn from
-    `generator`, so that no global random state is involved.
+    `generator`, so that no global random state is involved. With a `last_gain` they start
+    orthogonal, with gain sqrt(2) and in the last layer that one, and without biases.
     """
 
-    def __init__(self, sizes: Sequence[int], generator: torch.Generator, tanh: bool = False):
+    def __init__(
+        self,
+        sizes: Sequence[int],
+        generator: torch.Generator,
+        tanh: bool = False,
+        last_gain: float | None = None,
+    ):
         layers: list[nn.Module] = []
         for fan_in, fan_out in itertools.pairwise(sizes):
             linear = nn.Linear(fan_in, fan_out)
             bound = 1.0 / math.sqrt(fan_in)
             for parameter in linear.parameters():
                 nn.init.uniform_(parameter, -bound, bound, generator=generator)
+            if last_gain is not None:
+                gain = last_gain if len(layers) == 2 * (len(sizes) - 2) else math.sqrt(2.0)
+                nn.init.orthogonal_(linear.weight, gain, generator=generator)
+                nn.init.zeros_(linear.bias)
             layers += [linear, nn.ReLU()]
         layers[-1:] = [nn.Tanh()] if tanh else []
         super().__init__(*layers)

@@ -31,14 +31,18 @@ class Inputs(Protocol):
         """What the network sees (n, size) of n such."""
 
 
+@dataclass(frozen=True)
 class FlatInputs:
-    """The observation as it is, flat; a goal environment's with its desired goal."""
+    """The observation, flat; a goal environment's with its desired goal. As it is, or scaled."""
+
+    scaling: Scaling | None = None
 
     def read(self, obs: Any) -> Array:
         return flat_observation(obs)
 
     def stack(self, views: Sequence[Array]) -> Tensor:
-        return torch.from_numpy(np.stack(views))
+        flat = torch.from_numpy(np.stack(views))
+        return flat if self.scaling is None else self.scaling(flat)
 
 
 class GoalObs(NamedTuple):
@@ -178,10 +182,13 @@ def _row(obs: Any, i: int) -> Any:
     return {key: part[i] for key, part in obs.items()} if isinstance(obs, Mapping) else obs[i]
 
 
-def new_actor(hidden: Sequence[int], spaces: Spaces, weights: torch.Generator) -> MLP:
-    """A policy's network, with `hidden` units in its layers and weights drawn from a generator."""
+def new_actor(
+    hidden: Sequence[int], spaces: Spaces, weights: torch.Generator, last_gain: float | None = None
+) -> MLP:
+    """A policy's network, with `hidden` units in its layers and weights drawn from a generator; as
+    of `MLP` with a `last_gain`."""
     sizes = flat_size(spaces.observation), *hidden, action_size(spaces.action)
-    return MLP(sizes, weights, tanh=True)
+    return MLP(sizes, weights, tanh=True, last_gain=last_gain)
 
 
 def on_cpu(network: MLP) -> MLP:

@@ -1,30 +1,33 @@
 """Proximal policy optimisation (Schulman et al. 2017), as the paper uses it.
 
-Read from top to bottom: the choices, pure functions, the learner. The source of what
-the paper leaves open is PPO-for-Beginners (yu2023ppo in the paper): whole episodes, GAE with
-returns = advantage + value, advantages normalised over the batch, separate Adams.
+Read from top to bottom: the choices, the learner. The source of what the paper leaves open is
+PPO-for-Beginners (yu2023ppo in the paper): whole episodes, GAE with returns = advantage + value,
+advantages normalised over the batch, separate Adams.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from . import Array, DivergenceError, Workers, check_ranges, flat_size, state
+from . import Array, DivergenceError, Workers, action_size, check_ranges, flat_size, state
 from .mpi import Communicator, same_on_all_ranks
 from .networks import MLP, FlatAdam, require_finite
+from .normalizer import Normalizer
 from .policy import FlatInputs, Policy, new_actor, on_cpu
+from .policy_gradient import Spread, gae, gaussian, normalise, surrogate
 from .rollout import TRAIN, Episode, PlayEpisode, finite, play_steps, require_transitions, summary
 from .spaces import Spaces
 
-SAVED = ("actor", "critic", "actor_adam", "critic_adam")
+SAVED = ("actor", "spread", "obs_stats", "critic", "actor_adam", "critic_adam")
 COUNTERS = ("env_steps", "epochs")
-MAX_LOG_RATIO = 20.0  # exp(20) = 5e8: far outside any clip range, far inside float32
+LAST_GAIN = 0.01  # of the actor's last layer when weights start orthogonal
+OBS_CLIP = 5.0  # normalised observations are cut there, as DDPG+HER's are
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,17 @@ class PPOConfig:
     """Transitions per minibatch: the other reading. Excludes --n-minibatches."""
     max_grad_norm: float = 0.5
     """Largest gradient norm, of actor and critic separately; larger gradients are scaled down."""
+    exploration: Literal["fixed", "annealed", "learned"] = "fixed"
+    """The policy's variance. fixed: --action-variance; annealed: from there to --final-variance,
+    linearly over the run; learned: one for each action dimension, which starts there."""
+    final_variance: float = 0.005
+    """Where an annealed variance ends."""
+    orthogonal_init: bool = False
+    """Let weights start orthogonal, and the actor's last layer near zero, so that the first policy
+    is the same everywhere; default: uniform in ±1/sqrt(inputs)."""
+    normalise_obs: bool = False
+    """Show the networks observations with mean 0 and standard deviation 1, by all that were seen in
+    the epochs before."""
     truncation: Literal["bootstrap", "terminal"] = "bootstrap"
     """What follows the last step before a time limit: the critic's value of the last observation,
     or nothing. In the paper's task a time-out ends the task itself, with -100."""
@@ -73,6 +87,7 @@ class PPOConfig:
                 "actor_lr",
                 "critic_lr",
                 "action_variance",
+                "final_variance",
                 "clip_range",
                 "max_grad_norm",
                 "target_kl",
@@ -90,80 +105,24 @@ class PPOConfig:
         return min(self.n_minibatches or 6, n)
 
 
-def gae(rewards: Array, values: Array, last_value: float, gamma: float, lam: float) -> Array:
-    """Generalised advantages (n,) of one episode, float64 (Schulman et al. 2016, eq. 16).
-
-    `values` (n,) are the critic's at each step, `last_value` the one after the last step:
-    0 where nothing follows.
-    """
-    next_values = np.append(values[1:], last_value)
-    deltas = (rewards + gamma * next_values - values).tolist()
-    advantages = np.empty(len(deltas))
-    running = 0.0
-    for t in range(len(deltas) - 1, -1, -1):
-        running = deltas[t] + gamma * lam * running
-        advantages[t] = running
-    return advantages
+def _parts(config: PPOConfig, spaces: Spaces, weights: torch.Generator) -> tuple[Any, ...]:
+    """What a policy is made of, in the order of `PPO.policy_parts`, before anything was learned."""
+    stats = Normalizer(flat_size(spaces.observation), Communicator(), OBS_CLIP)
+    last_gain = LAST_GAIN if config.orthogonal_init else None
+    actor = new_actor(config.hidden, spaces, weights, last_gain)
+    return actor, Spread(action_size(spaces.action)), stats
 
 
-def log_prob(actions: Tensor, mean: Tensor, variance: float) -> Tensor:
-    """Log density (n,) of a Gaussian with diagonal covariance `variance`, at `actions` (n, d)."""
-    squared = (actions - mean).square().sum(dim=-1)
-    dimensions = actions.shape[-1]
-    return -0.5 * (squared / variance + dimensions * float(np.log(2 * np.pi * variance)))
-
-
-def normalise(advantages: Array) -> Array:
-    """Advantages (n,) with mean 0 and standard deviation 1; zeros where all are alike."""
-    centred = advantages - advantages.mean()
-    std = np.sqrt(np.square(centred).mean())
-    return centred / std if std > 1e-10 * np.abs(advantages).max() else np.zeros_like(centred)
-
-
-class Surrogate(NamedTuple):
-    """The clipped surrogate objective, negated, of each transition (n,), and what it is made of."""
-
-    loss: Tensor
-    slope: Tensor
-    """Gradient of the loss by the log ratio."""
-    kl: Tensor
-    """Unbiased estimate of the KL divergence from the old policy."""
-    is_clipped: Tensor
-    """Is the ratio outside the clip range?"""
-
-
-def surrogate(log_ratio: Tensor, advantages: Tensor, clip_range: float) -> Surrogate:
-    """Schulman et al. 2017, eq. 7, from log ratios and advantages (n,).
-
-    Log ratios are cut at ±20 first: no minimum changes, and an overflow cannot happen.
-    """
-    cut = log_ratio.clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO)
-    ratio = cut.exp()
-    clipped = ratio.clamp(1 - clip_range, 1 + clip_range)
-    gain, bounded = ratio * advantages, clipped * advantages
-    counts = (gain <= bounded) & (cut == log_ratio)
-    return Surrogate(
-        loss=-torch.minimum(gain, bounded),
-        slope=-gain * counts,
-        kl=ratio - 1 - log_ratio,
-        is_clipped=clipped != ratio,
-    )
-
-
-def gaussian(actions: Array, variance: float, rng: np.random.Generator) -> Array:
-    """Actions (..., d) with independent normal noise."""
-    return actions + np.float32(variance**0.5) * rng.standard_normal(actions.shape, dtype=np.float32)
-
-
-def _policy(config: PPOConfig, spaces: Spaces, actor: MLP) -> Policy:
-    noise = partial(gaussian, variance=config.action_variance)
-    return Policy(on_cpu(actor), FlatInputs(), noise, spaces)
+def _policy(config: PPOConfig, spaces: Spaces, actor: MLP, spread: Spread, stats: Normalizer) -> Policy:
+    std = np.float32(config.action_variance**0.5) * spread.log.detach().exp().cpu().numpy()
+    inputs = FlatInputs(stats.scaling() if config.normalise_obs and stats.count else None)
+    return Policy(on_cpu(actor), inputs, partial(gaussian, std=std), spaces)
 
 
 class PPO:
     """Actor, critic and the batch of the current epoch; the interface is `algos.Algorithm`."""
 
-    policy_parts = ("actor",)
+    policy_parts = ("actor", "spread", "obs_stats")
     cycles_per_epoch = 1
 
     def __init__(
@@ -182,10 +141,14 @@ class PPO:
         self.rng = np.random.default_rng(seed)  # the same on all ranks: they share every minibatch
         self.spaces = Spaces(workers.observation_space, workers.action_space)
         weights = torch.Generator().manual_seed(seed)
-        self.actor = new_actor(config.hidden, self.spaces, weights).to(self.device)
+        self.actor, self.spread, self.obs_stats = _parts(config, self.spaces, weights)
         n_obs = flat_size(self.spaces.observation)
-        self.critic = MLP((n_obs, *config.hidden, 1), weights).to(self.device)
-        self.actor_adam = FlatAdam((self.actor, config.actor_lr))
+        gain = 1.0 if config.orthogonal_init else None
+        self.critic = MLP((n_obs, *config.hidden, 1), weights, last_gain=gain)
+        for network in (self.actor, self.spread, self.critic):
+            network.to(self.device)
+        learned = [self.actor, *([self.spread] if config.exploration == "learned" else [])]
+        self.actor_adam = FlatAdam(*((part, config.actor_lr) for part in learned))
         self.critic_adam = FlatAdam((self.critic, config.critic_lr))
         comm.broadcast_(self.actor_adam.vector)
         comm.broadcast_(self.critic_adam.vector)
@@ -205,12 +168,16 @@ class PPO:
 
     def policy(self) -> Policy:
         """What acts now; good until the next update."""
-        return _policy(self.config, self.spaces, self.actor)
+        return _policy(self.config, self.spaces, *(getattr(self, name) for name in self.policy_parts))
 
     def collect(self) -> dict[str, float]:
         """Whole episodes, until `steps_per_epoch` are there: the same ones on all ranks."""
+        config = self.config
+        if config.exploration == "annealed":
+            end = config.final_variance / config.action_variance
+            self.spread.set(end + (1.0 - end) * self._left())
         task = PlayEpisode[Array](self.policy(), (self.seed, 0, TRAIN, self.epochs))
-        episodes = play_steps(self.workers, task, self.config.steps_per_epoch, self.comm)
+        episodes = play_steps(self.workers, task, config.steps_per_epoch, self.comm)
         self._episodes = require_transitions(episodes)
         self.epochs += 1
         seen = summary(episodes)
@@ -223,9 +190,8 @@ class PPO:
         """`n_passes` over the batch in shuffled minibatches; each rank computes its share of each."""
         config = self.config
         if config.anneal_lr:
-            left = max(0.0, 1.0 - self.env_steps / self.total_timesteps)
-            self.actor_adam.set_lr(config.actor_lr * left)
-            self.critic_adam.set_lr(config.critic_lr * left)
+            self.actor_adam.set_lr(config.actor_lr * self._left())
+            self.critic_adam.set_lr(config.critic_lr * self._left())
         batch = self._batch()
         n = len(batch[0])
         n_minibatches = config.minibatches(n)
@@ -242,6 +208,8 @@ class PPO:
                 break
         means = self._total(sums / n_updates)
         self._check(torch.from_numpy(means))
+        if config.normalise_obs:
+            self.obs_stats.update(np.concatenate([np.stack(e.obs) for e in self._episodes]))
         policy_loss, value_loss, kl, clip_fraction = means.tolist()
         return {
             "policy_loss": policy_loss,
@@ -251,6 +219,10 @@ class PPO:
             "updates": n_updates,
         }
 
+    def _left(self) -> float:
+        """Share of the run that lies ahead."""
+        return max(0.0, 1.0 - self.env_steps / self.total_timesteps)
+
     def _total(self, stats: Tensor) -> Array:
         """The shares of all ranks together."""
         return self.comm.sum(stats.double().cpu().numpy())
@@ -259,7 +231,8 @@ class PPO:
     def _batch(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """The epoch as tensors: obs, actions, old log-probabilities, advantages, returns."""
         config, episodes = self.config, self._episodes
-        all_obs = torch.from_numpy(np.concatenate([np.stack(e.obs) for e in episodes])).to(self.device)
+        views = [obs for episode in episodes for obs in episode.obs]
+        all_obs = self.policy().inputs.stack(views).to(self.device)
         all_values = self.critic(all_obs).squeeze(-1).double().cpu().numpy()
         is_last = np.concatenate([[False] * len(e) + [True] for e in episodes])
         advantages, start = [], 0
@@ -276,7 +249,8 @@ class PPO:
         obs = all_obs[torch.from_numpy(~is_last).to(self.device)]
         actions = torch.from_numpy(np.concatenate([np.stack(e.actions) for e in episodes]))
         actions = actions.to(self.device)
-        old_log_prob = log_prob(actions, self.actor(obs), config.action_variance)
+        away = self.spread.away(actions, self.actor(obs))
+        old_log_prob = self.spread.log_prob(away, config.action_variance)
         normalised, target = (
             torch.from_numpy(x.astype(np.float32)).to(self.device)
             for x in (normalise(advantage), returns)
@@ -304,10 +278,10 @@ class PPO:
                 for t in (obs, actions, old, advantages, returns)
             )
         seen, judged = self.actor.run(obs), self.critic.run(obs)
-        away, error = actions - seen[-1], judged[-1] - returns[:, None]
-        log_ratio = log_prob(actions, seen[-1], config.action_variance) - old
+        away, error = self.spread.away(actions, seen[-1]), judged[-1] - returns[:, None]
+        log_ratio = self.spread.log_prob(away, config.action_variance) - old
         loss, slope, kl, is_clipped = surrogate(log_ratio, advantages, config.clip_range)
-        self.actor.backward(seen, (slope / (n * config.action_variance))[:, None] * away)
+        self.actor.backward(seen, self.spread.backward(away, slope, config.action_variance, n))
         self.critic.backward(judged, error * (2 / n))
         for adam in (self.actor_adam, self.critic_adam):
             adam.reduce(self.comm)
@@ -335,6 +309,6 @@ class PPO:
     @staticmethod
     def saved_policy(config: PPOConfig, spaces: Spaces, saved: dict[str, Any]) -> Policy:
         """The policy in what `state_dict` returned, on the CPU and without a learner around it."""
-        actor = new_actor(config.hidden, spaces, torch.Generator())
-        state.restore_parts({"actor": actor}, saved)
-        return _policy(config, spaces, actor)
+        parts = _parts(config, spaces, torch.Generator())
+        state.restore_parts(dict(zip(PPO.policy_parts, parts, strict=True)), saved)
+        return _policy(config, spaces, *parts)

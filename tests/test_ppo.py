@@ -10,7 +10,8 @@ import torch
 
 from tactilerl.algos import DivergenceError
 from tactilerl.algos.mpi import Communicator
-from tactilerl.algos.ppo import PPO, PPOConfig, gae, log_prob, normalise, surrogate
+from tactilerl.algos.policy_gradient import Spread, gae, normalise, surrogate
+from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.envs import vector
 
 
@@ -72,13 +73,23 @@ class TestGAE:
 class TestDensityAndLoss:
     def test_log_prob_of_a_standard_case(self):
         # variance 1/4, distances (1/2, 1): -(1/4 + 1) / (2/4) - 2/2 * log(2 pi / 4)
-        got = log_prob(torch.tensor([[0.5, 1.0]]), torch.zeros(1, 2), 0.25)
+        got = Spread(2).log_prob(torch.tensor([[0.5, 1.0]]), 0.25)
         assert got.item() == pytest.approx(-2.5 - math.log(math.pi / 2), rel=1e-6)
 
-    def test_log_prob_agrees_with_torch(self):
+    def test_density_and_its_gradients_agree_with_torch(self):
         x, mean = torch.randn(2, 10, 23)
-        reference = torch.distributions.Normal(mean, math.sqrt(0.05)).log_prob(x).sum(-1)
-        torch.testing.assert_close(log_prob(x, mean, 0.05), reference)
+        slope, spread = torch.randn(10), Spread(23)
+        spread.log.data.copy_(0.3 * torch.randn(23))
+        mean.requires_grad_()
+        normal = torch.distributions.Normal(mean, math.sqrt(0.05) * spread.log.exp())
+        reference = normal.log_prob(x).sum(-1)
+        away = spread.away(x, mean).detach()
+        torch.testing.assert_close(spread.log_prob(away, 0.05), reference)
+        (slope * reference).sum().backward()
+        by_log = spread.log.grad.clone()
+        with torch.no_grad():
+            torch.testing.assert_close(spread.backward(away, slope, 0.05, 1), mean.grad)
+        torch.testing.assert_close(spread.log.grad, by_log, rtol=1e-4, atol=1e-4)
 
     def test_clipped_loss_case_by_case(self):
         # ratios 1.5, 1.5, 0.5, 0.5 and advantages 1, -1, 1, -1 at clip 0.2:
@@ -190,9 +201,14 @@ class TestLearning:
             for mine, theirs in zip(net.parameters(), copy.parameters(), strict=True):
                 torch.testing.assert_close(mine, theirs, atol=2e-6, rtol=1e-4)
 
-    def test_same_seed_same_run_and_resume(self):
+    @pytest.mark.parametrize(
+        "choices",
+        [{}, {"exploration": "learned"}, {"exploration": "annealed"}, {"normalise_obs": True}],
+        ids=["paper", "learned", "annealed", "normalised"],
+    )
+    def test_same_seed_same_run_and_resume(self, choices):
         def run(epochs, state=None):
-            ppo = make_ppo(scripted(), seed=3)
+            ppo = make_ppo(scripted(), seed=3, **choices)
             if state is not None:
                 ppo.load_state_dict(state)
             for _ in range(epochs):
@@ -203,6 +219,58 @@ class TestLearning:
         whole, resumed = run(4), run(2, run(2).state_dict())
         for a, b in zip(whole.actor.parameters(), resumed.actor.parameters(), strict=True):
             assert torch.equal(a, b)
+        obs, noise = np.full(3, 0.3, np.float32), np.random.default_rng
+        saved = PPO.saved_policy(whole.config, whole.spaces, whole.state_dict())
+        for policy in (resumed.policy(), saved):
+            assert (policy.act(obs, False, noise(0)) == whole.policy().act(obs, False, noise(0))).all()
+
+    def test_a_learned_spread_follows_its_gradient_and_a_fixed_one_stays(self):
+        def spread(**choices):
+            ppo = make_ppo(scripted(), n_passes=1, n_minibatches=1, **choices)
+            ppo.collect()
+            obs, actions, old, advantages, _ = ppo._batch()
+            log = torch.zeros(actions.shape[1], requires_grad=True)
+            std = math.sqrt(0.05) * log.exp()
+            density = torch.distributions.Normal(ppo.actor(obs).detach(), std).log_prob(actions)
+            (-(density.sum(-1) - old).exp() * advantages).mean().backward()
+            ppo.update()
+            return ppo.spread.log.detach(), log.grad
+
+        learned, gradient = spread(exploration="learned")
+        assert torch.equal(learned.sign(), -gradient.sign())  # Adam's first step is its step size
+        torch.testing.assert_close(learned.abs(), torch.full_like(learned, 3e-4))
+        assert not spread()[0].any()
+
+    def test_annealed_variance_falls_to_its_end(self):
+        ppo = make_ppo(scripted(), exploration="annealed", action_variance=0.04, final_variance=0.01)
+        found = []
+        for env_steps in (0, 500, 1000, 2000):
+            ppo.env_steps = env_steps
+            ppo.collect()
+            found.append(0.04 * float(ppo.spread.log.detach().exp()[0]) ** 2)
+        assert found == pytest.approx([0.04, 0.025, 0.01, 0.01])
+
+    def test_orthogonal_weights_start_a_policy_that_is_the_same_everywhere(self):
+        ppo = make_ppo(scripted(), orthogonal_init=True, hidden=(32, 32))
+        first, second, last = ppo.actor.linears
+        assert torch.allclose(second.weight @ second.weight.t(), 2.0 * torch.eye(32), atol=1e-5)
+        assert torch.allclose(first.weight.t() @ first.weight, 2.0 * torch.eye(3), atol=1e-5)
+        for layer, gain in ((last, 0.01), (ppo.critic.linears[-1], 1.0)):
+            assert torch.linalg.matrix_norm(layer.weight, 2).item() == pytest.approx(gain, rel=1e-4)
+        assert not any(linear.bias.any() for linear in ppo.actor.linears)
+
+    def test_normalised_observations_are_those_of_the_epochs_before(self):
+        def obs(rng):
+            return (1e4 + 100 * rng.standard_normal(3)).astype(np.float32)
+
+        ppo = make_ppo(scripted(obs=obs), normalise_obs=True)
+        ppo.collect()
+        assert ppo._batch()[0].mean() > 5e3  # nothing was seen before
+        ppo.update()
+        ppo.collect()
+        shown = ppo._batch()[0]
+        assert shown.mean().abs() < 0.5
+        assert shown.std().item() == pytest.approx(1.0, abs=0.3)
 
     def test_target_kl_ends_the_passes(self):
         ppo = make_ppo(scripted(), n_passes=50, target_kl=1e-6)

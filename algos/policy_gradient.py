@@ -1,0 +1,102 @@
+"""What a policy gradient is made of: advantages, densities, the clipped surrogate objective."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from . import Array
+
+MAX_LOG_RATIO = 20.0  # exp(20) = 5e8: far outside any clip range, far inside float32
+
+
+def gae(rewards: Array, values: Array, last_value: float, gamma: float, lam: float) -> Array:
+    """Generalised advantages (n,) of one episode, float64 (Schulman et al. 2016, eq. 16).
+
+    `values` (n,) are the critic's at each step, `last_value` the one after the last step:
+    0 where nothing follows.
+    """
+    next_values = np.append(values[1:], last_value)
+    deltas = (rewards + gamma * next_values - values).tolist()
+    advantages = np.empty(len(deltas))
+    running = 0.0
+    for t in range(len(deltas) - 1, -1, -1):
+        running = deltas[t] + gamma * lam * running
+        advantages[t] = running
+    return advantages
+
+
+class Spread(nn.Module):
+    """How far each action dimension explores, relative to the configured standard deviation."""
+
+    def __init__(self, n_actions: int) -> None:
+        super().__init__()
+        self.log = nn.Parameter(torch.zeros(n_actions))
+
+    def set(self, relative_variance: float) -> None:
+        """The same for all dimensions."""
+        self.log.data.fill_(0.5 * math.log(relative_variance))
+
+    def away(self, actions: Tensor, mean: Tensor) -> Tensor:
+        """How far (n, d) actions are from their mean, in units of the spread."""
+        return (actions - mean) / self.log.exp()
+
+    def log_prob(self, away: Tensor, variance: float) -> Tensor:
+        """Log density (n,) of normal actions with `variance` times the spread squared."""
+        squared, dimensions = away.square().sum(dim=-1), away.shape[-1]
+        density = -0.5 * (squared / variance + dimensions * math.log(2 * math.pi * variance))
+        return density - self.log.sum()
+
+    def backward(self, away: Tensor, slope: Tensor, variance: float, n: int) -> Tensor:
+        """Gradient (m, d) by the mean of a loss, the `n`th part of the sum of what has `slope` (m,)
+        by the log density. Writes the one by the logarithms where they are learned."""
+        if self.log.grad is not None:
+            by_log = (slope / n)[:, None] * (away.square() / variance - 1.0)
+            self.log.grad.copy_(by_log.sum(dim=0))
+        return (slope / (n * variance))[:, None] * away / self.log.exp()
+
+
+def normalise(advantages: Array) -> Array:
+    """Advantages (n,) with mean 0 and standard deviation 1; zeros where all are alike."""
+    centred = advantages - advantages.mean()
+    std = np.sqrt(np.square(centred).mean())
+    return centred / std if std > 1e-10 * np.abs(advantages).max() else np.zeros_like(centred)
+
+
+class Surrogate(NamedTuple):
+    """The clipped surrogate objective, negated, of each transition (n,), and what it is made of."""
+
+    loss: Tensor
+    slope: Tensor
+    """Gradient of the loss by the log ratio."""
+    kl: Tensor
+    """Unbiased estimate of the KL divergence from the old policy."""
+    is_clipped: Tensor
+    """Is the ratio outside the clip range?"""
+
+
+def surrogate(log_ratio: Tensor, advantages: Tensor, clip_range: float) -> Surrogate:
+    """Schulman et al. 2017, eq. 7, from log ratios and advantages (n,).
+
+    Log ratios are cut at ±20 first: no minimum changes, and an overflow cannot happen.
+    """
+    cut = log_ratio.clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO)
+    ratio = cut.exp()
+    clipped = ratio.clamp(1 - clip_range, 1 + clip_range)
+    gain, bounded = ratio * advantages, clipped * advantages
+    counts = (gain <= bounded) & (cut == log_ratio)
+    return Surrogate(
+        loss=-torch.minimum(gain, bounded),
+        slope=-gain * counts,
+        kl=ratio - 1 - log_ratio,
+        is_clipped=clipped != ratio,
+    )
+
+
+def gaussian(actions: Array, std: Array, rng: np.random.Generator) -> Array:
+    """Actions (..., d) with independent normal noise of standard deviations `std` (d,), float32."""
+    return actions + std * rng.standard_normal(actions.shape, dtype=np.float32)
