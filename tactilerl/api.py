@@ -56,6 +56,7 @@ class Learner:
         device: str = "cpu",
         threads: int = 1,
         matmul: Precision = "float32",
+        recipe: str = algos.PAPER,
         **hyperparameters: Any,
     ) -> None:
         """A learner for `env`, with untrained networks.
@@ -68,14 +69,14 @@ class Learner:
 
         `seed` is the random seed of everything, `device` PyTorch's device for the networks, `threads`
         PyTorch's threads while learning, `matmul` the precision of the products in updates.
-        Hyperparameters are the flags of ``tactilerl train``, with the same defaults.
+        Hyperparameters are the flags of ``tactilerl train``, with the same defaults: those of `recipe`.
 
         Raises ValueError, in one line, for an invalid argument.
         """
-        config_type, _ = algos.get(self.algo)
+        defaults = algos.recipe(self.algo, recipe)
         options = dict(seed=seed, workers=workers, device=device, threads=threads, matmul=matmul)
-        require_known(hyperparameters, typed.names(config_type) | set(options))
-        self.config = typed.replace(config_type(), hyperparameters)
+        require_known(hyperparameters, typed.names(defaults) | {*options, "recipe"})
+        self.config = typed.replace(defaults, hyperparameters)
         self._run = RunOptions(algo=self.algo, **options)  # type: ignore[arg-type]
         for part in (self._run, self.config):
             typed.validate(part)
@@ -182,6 +183,7 @@ def train(
     env: str | None = None,
     *,
     algo: str | None = None,
+    recipe: str = algos.PAPER,
     out: str | Path | None = None,
     resume: str | Path | None = None,
     any_ranks: bool = False,
@@ -200,10 +202,14 @@ def train(
     """
     comm = mpi.world()
     if resume is None:
-        base = config.defaults(algo or RunOptions.algo, env or RunOptions.env)
+        base = config.defaults(algo or RunOptions.algo, env or RunOptions.env, recipe)
     else:
         base, _ = RunDir(Path(resume)).read_config(env or "", trust)
-        for name, given in (("algo", algo not in (None, base.run.algo)), ("out", out is not None)):
+        for name, given in (
+            ("algo", algo not in (None, base.run.algo)),
+            ("out", out is not None),
+            ("recipe", recipe != algos.PAPER),
+        ):
             if given:
                 raise ValueError(f"{name}: found it with resume; a resumed run keeps its settings")
     chosen = base.choose({**flags, **({} if out is None else {"out": str(out)})})

@@ -166,18 +166,21 @@ class RunConfig:
 
 def _anneals(learner: Any) -> bool:
     """Does the learner's course depend on how long the run will be?"""
-    return bool(getattr(learner, "anneal_lr", False))
+    is_annealed = getattr(learner, "exploration", None) == "annealed"
+    return is_annealed or bool(getattr(learner, "anneal_lr", False))
 
 
-def defaults(algo: str, env: str) -> RunConfig:
-    """The configuration before any flag; InputError for an unknown algorithm or environment."""
+def defaults(algo: str, env: str, recipe: str = algos.PAPER) -> RunConfig:
+    """The configuration before any flag; InputError for an unknown algorithm, recipe or environment."""
     with input_errors("--algo"):
-        config_type, _ = algos.get(algo)
+        algos.get(algo)
+    with input_errors():
+        learner = algos.recipe(algo, recipe)
     paper = algos.ALGORITHMS[algo]
     return RunConfig(
         RunOptions(algo=algo, env=env, total_timesteps=paper.total_timesteps),
         setup(env, task=paper.task) if env in HANDS else None,
-        config_type(),
+        learner,
     )
 
 

@@ -25,7 +25,11 @@ ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 PPO = dict(hidden=[16], steps_per_epoch=120, n_passes=2)
 HER = dict(hidden=[16], n_cycles=2, n_batches=4, n_test_rollouts=1, batch_size=32)
-LEARNERS = [("PPO", "lqr", PPO, 200), ("DDPGHER", "point-reach", HER, 150)]
+LEARNERS = [
+    ("PPO", "lqr", PPO, 200),
+    ("PPO", "lqr", PPO | {"recipe": "steady"}, 200),
+    ("DDPGHER", "point-reach", HER, 150),
+]
 TIMES = {"collect_s", "update_s", "steps_per_s"}
 
 
@@ -184,6 +188,7 @@ class TestTrain:
         [
             (dict(layers=3), "layers: unknown; allowed: action_variance, actor_lr"),
             (dict(layout=4), "layout: unknown"),
+            (dict(recipe="x"), "recipe: found 'x', allowed for ppo: paper, steady"),
             (dict(gamma=2), "gamma: found 2, allowed from 0 to 1"),
             (dict(env="shadow", layout="44"), "unknown layout '44'"),
             (dict(algo="sac"), "unknown algorithm 'sac'; allowed: ppo, ddpg_her"),
@@ -203,6 +208,7 @@ class TestTrain:
             (dict(gamma=0.5), "gamma: found 0.5, the run was made with 0.99"),
             (dict(algo="ddpg_her"), "algo: "),
             (dict(out="there"), "out: "),
+            (dict(recipe="steady"), "recipe: "),
             (dict(env="shadow"), "env: found 'shadow', the run was made with 'lqr'"),
         ]:
             with pytest.raises(ValueError, match=words):
@@ -216,6 +222,7 @@ class TestMistakes:
             (lambda: tactilerl.PPO("lqr", layers=3), "layers: unknown; allowed: .*hidden.*seed"),
             (lambda: tactilerl.PPO("lqr", clip_rang=1), "clip_rang: unknown; did you mean clip_range?"),
             (lambda: tactilerl.make("shadow", laout=4), "laout: unknown; did you mean layout?"),
+            (lambda: tactilerl.DDPGHER("point-reach", recipe="steady"), "recipe: found 'steady'"),
             (lambda: tactilerl.PPO("lqr", gamma="x"), "gamma: found 'x'"),
             (lambda: tactilerl.PPO("lqr", seed=-1), "seed: found -1"),
             (lambda: tactilerl.PPO("lqr", threads=0), "threads: found 0"),

@@ -17,6 +17,7 @@ import torch
 import tyro
 
 from tactilerl import flags, sealed
+from tactilerl.algos import STEADY
 from tactilerl.cli import main
 from tactilerl.envs.vector import Workers
 
@@ -300,6 +301,22 @@ class TestResume:
         main([*TOY, "--anneal-lr", "--total-timesteps", "1", "--out", "run"])
         more = ["train", "--resume", "run", "--anneal-lr", "--total-timesteps", "240"]
         fails_with(capsys, more, "total_timesteps: found 240")
+
+    def test_length_counts_when_the_variance_is_annealed(self, capsys):
+        main([*TOY, "--exploration", "annealed", "--total-timesteps", "1", "--out", "run"])
+        more = ["train", "--resume", "run", "--exploration", "annealed", "--total-timesteps", "240"]
+        fails_with(capsys, more, "total_timesteps: found 240")
+
+    def test_a_recipe_is_where_the_other_flags_start(self, capsys):
+        main([*TOY, "--recipe", "steady", "--gamma", "0.9", "--total-timesteps", "1", "--out", "run"])
+        chosen = json.loads(Path("run/config.json").read_text())["learner"]
+        mine = {"gamma": 0.9, "hidden": [16], "steps_per_epoch": 120, "n_passes": 2}
+        assert chosen.items() >= {**STEADY, **mine}.items()
+        assert main(["train", "--resume", "run", "--total-timesteps", "240"]) == 0
+        again = ["train", "--resume", "run", "--recipe", "steady"]
+        fails_with(capsys, again, "--recipe: a resumed run keeps its settings")
+        fails_with(capsys, [*TOY, "--recipe", "stedy"], "recipe: found 'stedy'", "paper, steady")
+        fails_with(capsys, [*REACH, "--recipe", "steady"], "allowed for ddpg_her: paper")
 
     def test_the_runs_own_copy_of_a_layout_file_counts(self):
         patch = {"digits": ["thumb"], "segments": ["distal"], "offsets_mm": [[0, 0]], "radius_mm": 2}

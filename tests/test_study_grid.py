@@ -64,6 +64,11 @@ class TestGrid:
         assert (ppo.learner.anneal_lr, ppo.learner.hidden, ppo.learner.n_passes) == (True, (16, 16), 4)
         assert first.run.workers == 1
 
+    def test_a_recipe_is_a_flag_like_others(self, tmp_path):
+        text = GOOD.replace("grid = {n_passes", 'recipe = "steady"\ngrid = {n_passes')
+        ppo = check.configure(read(tmp_path, text).runs())["ppo_n_passes-4_s3"].learner
+        assert (ppo.exploration, ppo.hidden, ppo.n_passes) == ("learned", (16, 16), 4)
+
     def test_dictionary_and_back(self, tmp_path):
         study = read(tmp_path, GOOD)
         assert grid.from_dict(study.as_dict()) == study

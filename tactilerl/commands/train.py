@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 
+from .. import algos, flags
 from .. import config as configuration
-from .. import flags
 from ..algos import mpi
 from ..config import RunConfig, RunOptions
 from ..errors import InputError, input_errors
@@ -24,15 +24,15 @@ SETTLED_NOTE = "hold_verdict=settled decides holds early; how often it is wrong:
 def main(args: list[str]) -> int:
     """`tactilerl train`"""
     resume = flags.peek(args, "--resume", "")
-    algo = flags.peek(args, "--algo", RunOptions.algo)
-    env = flags.peek(args, "--env", RunOptions.env if not resume else "")
+    env = flags.peek(args, "--env", "")
     saved = RunDir(Path(resume)).read_config(env, "--trust" in args)[0] if resume else None
-    config, options = read_config(args, saved or configuration.defaults(algo, env))
+    config, options = read_config(args, saved or defaults(args))
     for flag in ("any_ranks", "trust"):
         if getattr(options, flag) and not resume:
             raise InputError(f"--{flag.replace('_', '-')}: found without --resume, allowed with it")
-    if resume and any(arg.partition("=")[0] == "--out" for arg in args):
-        raise InputError("--out: a resumed run stays in its folder; leave it out")
+    for flag, reason in (("--out", "stays in its folder"), ("--recipe", "keeps its settings")):
+        if resume and any(arg.partition("=")[0] == flag for arg in args):
+            raise InputError(f"{flag}: a resumed run {reason}; leave it out")
     with input_errors():
         config.validate()
         comm = mpi.world()
@@ -51,6 +51,13 @@ def main(args: list[str]) -> int:
     return 0
 
 
+def defaults(args: list[str]) -> RunConfig:
+    """The configuration before most flags: it depends on the algorithm, the environment, the recipe."""
+    algo = flags.peek(args, "--algo", RunOptions.algo)
+    env = flags.peek(args, "--env", RunOptions.env)
+    return configuration.defaults(algo, env, flags.peek(args, "--recipe", algos.PAPER))
+
+
 TRUST = "allow the import of the module in the environment's id"
 
 
@@ -61,8 +68,11 @@ def read_config(args: list[str], base: RunConfig) -> tuple[RunConfig, Any]:
     about = "with --resume: allow another number of processes; no longer the same bit for bit"
     any_ranks = ("any_ranks", Annotated[bool, tyro.conf.arg(help=about)], False)
     trust = ("trust", Annotated[bool, tyro.conf.arg(help=f"with --resume: {TRUST}")], False)
+    about = "hyperparameters that go together; other flags change them one by one"
+    recipes = algos.recipes(base.run.algo)
+    recipe = ("recipe", Annotated[Literal[recipes], tyro.conf.arg(help=about)], algos.PAPER)
     kinds = [(name, type(part)) for name, part in base.parts.items()]
-    options = dataclasses.make_dataclass("Options", [*kinds, resume, any_ranks, trust])
+    options = dataclasses.make_dataclass("Options", [*kinds, recipe, resume, any_ranks, trust])
     read: Any = flags.parse(
         options,
         args,

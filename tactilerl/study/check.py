@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 
-from .. import config as configuration
 from ..algos.mpi import Communicator
-from ..commands.train import read_config
-from ..config import RunConfig, RunOptions
+from ..commands.train import defaults, read_config
+from ..config import RunConfig
 from ..errors import InputError, input_errors
 from ..training import check, make_algorithm
 from .folder import StudyFolder
@@ -43,9 +42,8 @@ def configure(runs: list[Run]) -> dict[str, RunConfig]:
 
 
 def _read(run: Run) -> RunConfig:
-    given = run.flags.get("algo", RunOptions.algo), run.flags.get("env", RunOptions.env)
-    algo, env = map(str, given)
-    return read_config(arguments(run), configuration.defaults(algo, env))[0]
+    flags = arguments(run)
+    return read_config(flags, defaults(flags))[0]
 
 
 def start(runs: list[Run], configs: dict[str, RunConfig], folder: StudyFolder) -> None:

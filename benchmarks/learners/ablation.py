@@ -1,0 +1,176 @@
+"""Which choices make PPO a steady learner? The recipe without each of them, the paper's values, a peer.
+
+Five Gymnasium control tasks, 30,000 steps, five seeds. What counts is the return of the policy
+that a run ends with, without exploration. Every run is written as soon as it ends, and a second
+call goes on from there:
+
+    python -m benchmarks ablation --jobs 2 --out docs/data/ablation.json
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import time
+import warnings
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, replace
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from benchmarks.command import earlier, parser, write
+from tactilerl import algos
+from tactilerl.algos.mpi import Communicator
+from tactilerl.algos.ppo import PPO, PPOConfig
+from tactilerl.envs import vector
+from tactilerl.study import statistics
+
+STEPS = 30_000
+SEEDS = 5
+EPISODES = 20  # of the evaluation
+FIRST_START = 10_000_000  # not a start of training
+TASKS = (
+    "Pendulum-v1",
+    "Reacher-v5",
+    "InvertedDoublePendulum-v5",
+    "HalfCheetah-v5",
+    "Hopper-v5",
+)
+PAPER = PPOConfig()
+STEADY = algos.recipe("ppo", "steady")
+PEER = "stable-baselines3"
+
+
+def without(*names: str) -> PPOConfig:
+    """The recipe with the paper's values of some fields."""
+    return replace(STEADY, **{name: getattr(PAPER, name) for name in names})
+
+
+VARIANTS = {
+    "paper": PAPER,
+    "steady": STEADY,
+    "steady, fixed variance": without("exploration"),
+    "steady, uniform start": without("orthogonal_init"),
+    "steady, raw observations": without("normalise_obs"),
+    "steady, no target KL": without("target_kl"),
+    "steady, critic steps 1e-3": without("critic_lr"),
+    "steady, 6 minibatches": without("minibatch_size"),
+    "steady, 80 passes": without("n_passes"),
+}
+
+
+def score(act: Any, task: str) -> float:
+    """Mean return without exploration."""
+    env, returns = gym.make(task), []
+    for index in range(EPISODES):
+        obs, _ = env.reset(seed=FIRST_START + index)
+        total, is_done = 0.0, False
+        while not is_done:
+            obs, reward, terminated, truncated, _ = env.step(act(obs))
+            total, is_done = total + float(reward), terminated or truncated
+        returns.append(total)
+    return float(np.mean(returns))
+
+
+def ours(config: PPOConfig, task: str, seed: int) -> tuple[Any, float]:
+    """The policy after STEPS, and the largest mean KL divergence of an epoch."""
+    workers = vector.start(lambda: gym.make(task))
+    learner, kl = PPO(config, workers, Communicator(), seed, STEPS), 0.0
+    while learner.env_steps < STEPS:
+        learner.collect()
+        kl = max(kl, learner.update()["kl"])
+    return learner.policy().act, kl
+
+
+def theirs(config: PPOConfig, task: str, seed: int) -> tuple[Any, float]:
+    """Stable-Baselines3's PPO with the recipe's network, batch, passes and step size; all else is its
+    own default."""
+    import stable_baselines3 as sb3
+
+    model = sb3.PPO(
+        "MlpPolicy", gym.make(task), learning_rate=config.actor_lr, n_steps=config.steps_per_epoch,
+        batch_size=config.minibatch_size or config.steps_per_epoch // config.minibatches(10**6),
+        n_epochs=config.n_passes, gamma=config.gamma, gae_lambda=config.gae_lambda,
+        clip_range=config.clip_range, max_grad_norm=config.max_grad_norm,
+        policy_kwargs={"net_arch": list(config.hidden)}, seed=seed, device="cpu",
+    )  # fmt: skip
+    model.learn(STEPS)
+    return lambda obs: model.predict(obs, deterministic=True)[0], float("nan")
+
+
+def run(name: str, task: str, seed: int) -> dict[str, float]:
+    """One run."""
+    torch.set_num_threads(1)
+    warnings.filterwarnings("ignore")
+    started = time.perf_counter()
+    act, kl = theirs(STEADY, task, seed) if name == PEER else ours(VARIANTS[name], task, seed)
+    seconds = time.perf_counter() - started
+    return {"return": score(act, task), "seconds": seconds, "largest_kl": kl}
+
+
+def summary(runs: dict[str, dict[str, float]], seeds: range) -> dict[str, Any]:
+    """Interquartile mean return of each contender on each task, with its interval and the cost."""
+    rng, table = np.random.default_rng(0), {}
+    for name in (*VARIANTS, PEER):
+        for task in TASKS:
+            found = [runs[key] for seed in seeds if (key := f"{name} {task} {seed}") in runs]
+            if not found:
+                continue
+            returns = np.array([[row["return"] for row in found]]).T
+            counts = statistics.resample([len(found)], 10_000, rng)
+            estimate = statistics.estimate(returns, "iqm", counts)
+            table.setdefault(name, {})[task] = {
+                "runs": len(found),
+                "return": list(estimate),
+                "seconds": float(np.median([row["seconds"] for row in found])),
+                "largest_kl": float(np.median([row["largest_kl"] for row in found])),
+            }
+    return table
+
+
+def show(table: dict[str, Any]) -> None:
+    """Contenders in rows, tasks in columns."""
+    shown = Table("", *TASKS, "s", title="return after 30,000 steps: IQM and 95 % interval")
+    for name, row in table.items():
+        cells = [
+            "{:,.1f} ({:,.1f} to {:,.1f})".format(*row[t]["return"]) if t in row else "" for t in TASKS
+        ]
+        seconds = np.median([cell["seconds"] for cell in row.values()])
+        shown.add_row(name, *cells, f"{seconds:.0f}")
+    Console(width=200).print(shown)
+
+
+def main() -> None:
+    """What is missing of all contenders, tasks and seeds; seeds outermost."""
+    flags = parser(__doc__)
+    flags.add_argument("--jobs", type=int, default=2)
+    flags.add_argument("--seeds", type=int, default=SEEDS)
+    flags.add_argument("--first-seed", type=int, default=0, help="10000 and more for pilots")
+    flags.add_argument("--only", nargs="+", default=[*VARIANTS, PEER], help="contenders")
+    flags.add_argument("--tasks", nargs="+", default=TASKS)
+    options = flags.parse_args()
+    runs: dict[str, Any] = earlier(options.out).get("runs", {})
+    seeds = range(options.first_seed, options.first_seed + options.seeds)
+    todo = [
+        (name, task, seed)
+        for seed in seeds
+        for task in options.tasks
+        for name in options.only
+        if f"{name} {task} {seed}" not in runs
+    ]
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(options.jobs, mp_context=context) as pool:
+        futures = {pool.submit(run, *each): each for each in todo}
+        done = as_completed(futures)
+        for future in track(done, "runs", total=len(todo), console=Console(stderr=True)):
+            runs[" ".join(map(str, futures[future]))] = future.result()
+            write(options.out, {"runs": runs})
+    table = summary(runs, seeds)
+    show(table)
+    configs = {name: asdict(config) for name, config in VARIANTS.items()}
+    write(options.out, {"steps": STEPS, "configs": configs, "table": table, "runs": runs})
