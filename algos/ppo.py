@@ -114,9 +114,14 @@ def _parts(config: PPOConfig, spaces: Spaces, weights: torch.Generator) -> tuple
 
 
 def _policy(config: PPOConfig, spaces: Spaces, actor: MLP, spread: Spread, stats: Normalizer) -> Policy:
-    std = np.float32(config.action_variance**0.5) * spread.log.detach().exp().cpu().numpy()
     inputs = FlatInputs(stats.scaling() if config.normalise_obs and stats.count else None)
-    return Policy(on_cpu(actor), inputs, partial(gaussian, std=std), spaces)
+    return Policy(on_cpu(actor), inputs, partial(gaussian, std=_std(config, spread)), spaces)
+
+
+def _std(config: PPOConfig, spread: Spread) -> Array:
+    """Standard deviation (d,) of each action dimension, in units where the bounds are ±1."""
+    relative: Array = spread.log.detach().exp().cpu().numpy()
+    return np.float32(config.action_variance**0.5) * relative
 
 
 class PPO:
@@ -216,6 +221,7 @@ class PPO:
             "value_loss": value_loss,
             "kl": kl,
             "clip_fraction": clip_fraction,
+            "action_std": float(_std(config, self.spread).mean()),
             "updates": n_updates,
         }
 
