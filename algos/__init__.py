@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
 
 import gymnasium as gym
@@ -32,23 +32,10 @@ class Registration:
     """Length of the paper's runs, in environment steps of all processes."""
     task: str
     """The paper's task with it, where an environment has several."""
-    recipes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    """Hyperparameters that go together, by name; what a recipe does not name is the paper's."""
 
 
-PAPER = "paper"
-# What makes PPO learn faster and keep it: docs/concepts/learners.md has the evidence.
-STEADY = {
-    "exploration": "learned",
-    "orthogonal_init": True,
-    "normalise_obs": True,
-    "n_passes": 10,
-    "minibatch_size": 64,
-    "critic_lr": 3e-4,
-    "target_kl": 0.05,
-}
 ALGORITHMS = {
-    "ppo": Registration("PPOConfig", "PPO", 500_000, "lift-and-hold", {"steady": STEADY}),
+    "ppo": Registration("PPOConfig", "PPO", 500_000, "lift-and-hold"),
     # 19 workers took 5,000,000 steps each.
     "ddpg_her": Registration("DDPGHERConfig", "DDPGHER", 19 * 5_000_000, "reach-goal"),
 }
@@ -164,19 +151,6 @@ def get(name: str) -> tuple[Any, Any]:
     module = importlib.import_module(f".{name}", __name__)
     registered = ALGORITHMS[name]
     return getattr(module, registered.config), getattr(module, registered.algorithm)
-
-
-def recipes(name: str) -> tuple[str, ...]:
-    """Names of a learner's recipes, the paper's first."""
-    return (PAPER, *ALGORITHMS[name].recipes)
-
-
-def recipe(name: str, recipe: str = PAPER) -> Any:
-    """A learner's hyperparameters by the names of both; ValueError when it has no such recipe."""
-    config_type, _ = get(name)
-    if recipe not in recipes(name):
-        raise ValueError(f"recipe: found {recipe!r}, allowed for {name}: {', '.join(recipes(name))}")
-    return config_type(**ALGORITHMS[name].recipes.get(recipe, {}))
 
 
 def flat_observation(obs: Any) -> Array:

@@ -44,27 +44,16 @@ class MLP(nn.Sequential):
     """Linear layers with ReLU between them, and optionally Tanh at the end.
 
     Weights and biases start uniform in ±1/sqrt(fan-in) (PyTorch's own default), drawn from
-    `generator`, so that no global random state is involved. With a `last_gain` they start
-    orthogonal, with gain sqrt(2) and in the last layer that one, and without biases.
+    `generator`, so that no global random state is involved.
     """
 
-    def __init__(
-        self,
-        sizes: Sequence[int],
-        generator: torch.Generator,
-        tanh: bool = False,
-        last_gain: float | None = None,
-    ):
+    def __init__(self, sizes: Sequence[int], generator: torch.Generator, tanh: bool = False):
         layers: list[nn.Module] = []
         for fan_in, fan_out in itertools.pairwise(sizes):
             linear = nn.Linear(fan_in, fan_out)
             bound = 1.0 / math.sqrt(fan_in)
             for parameter in linear.parameters():
                 nn.init.uniform_(parameter, -bound, bound, generator=generator)
-            if last_gain is not None:
-                gain = last_gain if len(layers) == 2 * (len(sizes) - 2) else math.sqrt(2.0)
-                nn.init.orthogonal_(linear.weight, gain, generator=generator)
-                nn.init.zeros_(linear.bias)
             layers += [linear, nn.ReLU()]
         layers[-1:] = [nn.Tanh()] if tanh else []
         super().__init__(*layers)
@@ -115,6 +104,14 @@ class MLP(nn.Sequential):
         """Pickles and copies as sizes and numbers: the parameters may be views of much more."""
         values = [parameter.detach().cpu().numpy() for parameter in self.parameters()]
         return _with_parameters, (*self._shape, values)
+
+
+def start_orthogonal(network: MLP, last_gain: float, generator: torch.Generator) -> None:
+    """Draw orthogonal weights with gain sqrt(2), in the last layer `last_gain`; biases are zero."""
+    for linear in network.linears:
+        gain = last_gain if linear is network.linears[-1] else math.sqrt(2.0)
+        nn.init.orthogonal_(linear.weight, gain, generator)
+        nn.init.zeros_(linear.bias)
 
 
 def _with_parameters(sizes: Sequence[int], tanh: bool, values: Sequence[Any]) -> MLP:

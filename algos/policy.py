@@ -182,13 +182,10 @@ def _row(obs: Any, i: int) -> Any:
     return {key: part[i] for key, part in obs.items()} if isinstance(obs, Mapping) else obs[i]
 
 
-def new_actor(
-    hidden: Sequence[int], spaces: Spaces, weights: torch.Generator, last_gain: float | None = None
-) -> MLP:
-    """A policy's network, with `hidden` units in its layers and weights drawn from a generator; as
-    of `MLP` with a `last_gain`."""
+def new_actor(hidden: Sequence[int], spaces: Spaces, weights: torch.Generator) -> MLP:
+    """A policy's network, with `hidden` units in its layers and weights drawn from a generator."""
     sizes = flat_size(spaces.observation), *hidden, action_size(spaces.action)
-    return MLP(sizes, weights, tanh=True, last_gain=last_gain)
+    return MLP(sizes, weights, tanh=True)
 
 
 def on_cpu(network: MLP) -> MLP:

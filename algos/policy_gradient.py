@@ -31,33 +31,44 @@ def gae(rewards: Array, values: Array, last_value: float, gamma: float, lam: flo
 
 
 class Spread(nn.Module):
-    """How far each action dimension explores, relative to the configured standard deviation."""
+    """Standard deviations (d,) with which actions explore, in units where the bounds are ±1:
+    sqrt(variance) · exp(log)."""
 
-    def __init__(self, n_actions: int) -> None:
+    def __init__(self, n_actions: int, variance: float) -> None:
         super().__init__()
-        self.log = nn.Parameter(torch.zeros(n_actions))
+        self.variance, self.log = variance, nn.Parameter(torch.zeros(n_actions))
 
-    def set(self, relative_variance: float) -> None:
-        """The same for all dimensions."""
-        self.log.data.fill_(0.5 * math.log(relative_variance))
+    def set(self, variance: float) -> None:
+        """The same variance for all dimensions."""
+        self.log.data.fill_(0.5 * math.log(variance / self.variance))
+
+    def std(self) -> Array:
+        """float32 (d,)."""
+        relative: Array = self.log.detach().cpu().exp().numpy()
+        return np.float32(self.variance**0.5) * relative
 
     def away(self, actions: Tensor, mean: Tensor) -> Tensor:
-        """How far (n, d) actions are from their mean, in units of the spread."""
+        """How far (n, d) actions are from their mean, in units of exp(log)."""
         return (actions - mean) / self.log.exp()
 
-    def log_prob(self, away: Tensor, variance: float) -> Tensor:
-        """Log density (n,) of normal actions with `variance` times the spread squared."""
+    def log_prob(self, away: Tensor) -> Tensor:
+        """Log density (n,) of normal actions that are so far `away` (n, d)."""
         squared, dimensions = away.square().sum(dim=-1), away.shape[-1]
-        density = -0.5 * (squared / variance + dimensions * math.log(2 * math.pi * variance))
-        return density - self.log.sum()
+        density = squared / self.variance + dimensions * math.log(2 * math.pi * self.variance)
+        return -0.5 * density - self.log.sum()
 
-    def backward(self, away: Tensor, slope: Tensor, variance: float, n: int) -> Tensor:
-        """Gradient (m, d) by the mean of a loss, the `n`th part of the sum of what has `slope` (m,)
-        by the log density. Writes the one by the logarithms where they are learned."""
+    @torch.no_grad()
+    def backward(self, away: Tensor, slope: Tensor, n: int) -> Tensor:
+        """Gradient (m, d) of a loss by the means of the actions.
+
+        `slope` (m,) is that of each transition's loss by its log density, `n` the size of the whole
+        minibatch, of which the loss is the mean. Where `log` is learned, its gradient is written
+        into its `grad`.
+        """
         if self.log.grad is not None:
-            by_log = (slope / n)[:, None] * (away.square() / variance - 1.0)
+            by_log = (slope / n)[:, None] * (away.square() / self.variance - 1.0)
             self.log.grad.copy_(by_log.sum(dim=0))
-        return (slope / (n * variance))[:, None] * away / self.log.exp()
+        return (slope / (n * self.variance))[:, None] * away / self.log.exp()
 
 
 def normalise(advantages: Array) -> Array:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -17,7 +17,7 @@ from torch import Tensor
 
 from . import Array, DivergenceError, Workers, action_size, check_ranges, flat_size, state
 from .mpi import Communicator, same_on_all_ranks
-from .networks import MLP, FlatAdam, require_finite
+from .networks import MLP, FlatAdam, require_finite, start_orthogonal
 from .normalizer import Normalizer
 from .policy import FlatInputs, Policy, new_actor, on_cpu
 from .policy_gradient import Spread, gae, gaussian, normalise, surrogate
@@ -26,7 +26,7 @@ from .spaces import Spaces
 
 SAVED = ("actor", "spread", "obs_stats", "critic", "actor_adam", "critic_adam")
 COUNTERS = ("env_steps", "epochs")
-LAST_GAIN = 0.01  # of the actor's last layer when weights start orthogonal
+ACTOR_GAIN = 0.01  # of the last layer when weights start orthogonal
 OBS_CLIP = 5.0  # normalised observations are cut there, as DDPG+HER's are
 
 
@@ -41,7 +41,7 @@ class PPOConfig:
     critic_lr: float = 1e-3
     """Adam step size of the critic."""
     action_variance: float = 0.05
-    """Fixed variance of the Gaussian policy in every action dimension."""
+    """Variance of the Gaussian policy in every action dimension, in units where the bounds are ±1."""
     gamma: float = 0.99
     """Discount factor."""
     gae_lambda: float = 0.97
@@ -60,16 +60,16 @@ class PPOConfig:
     max_grad_norm: float = 0.5
     """Largest gradient norm, of actor and critic separately; larger gradients are scaled down."""
     exploration: Literal["fixed", "annealed", "learned"] = "fixed"
-    """The policy's variance. fixed: --action-variance; annealed: from there to --final-variance,
+    """The policy's variance. fixed: --action-variance; annealed: from there towards --final-variance,
     linearly over the run; learned: one for each action dimension, which starts there."""
-    final_variance: float = 0.005
-    """Where an annealed variance ends."""
+    final_variance: float | None = None
+    """With --exploration annealed: where the variance ends; default: a tenth of --action-variance."""
     orthogonal_init: bool = False
     """Let weights start orthogonal, and the actor's last layer near zero, so that the first policy
     is the same everywhere; default: uniform in ±1/sqrt(inputs)."""
     normalise_obs: bool = False
     """Show the networks observations with mean 0 and standard deviation 1, by all that were seen in
-    the epochs before."""
+    the epochs before, cut at ±5."""
     truncation: Literal["bootstrap", "terminal"] = "bootstrap"
     """What follows the last step before a time limit: the critic's value of the last observation,
     or nothing. In the paper's task a time-out ends the task itself, with -100."""
@@ -96,7 +96,19 @@ class PPOConfig:
             counts=("steps_per_epoch", "n_passes", "n_minibatches", "minibatch_size"),
         )
         if self.n_minibatches is not None and self.minibatch_size is not None:
-            raise ValueError("n_minibatches and minibatch_size: found both, allowed one of them")
+            raise ValueError(
+                "n_minibatches and minibatch_size: found both, allowed one of them; "
+                "None takes back that of a recipe"
+            )
+        if self.final_variance is not None and self.exploration != "annealed":
+            raise ValueError(
+                f"final_variance: found with exploration {self.exploration}, allowed annealed"
+            )
+
+    @property
+    def anneals(self) -> bool:
+        """Does the course of a run depend on how long it will be?"""
+        return self.anneal_lr or self.exploration == "annealed"
 
     def minibatches(self, n: int) -> int:
         """Minibatches per pass over a batch of `n` transitions."""
@@ -105,29 +117,34 @@ class PPOConfig:
         return min(self.n_minibatches or 6, n)
 
 
-def _parts(config: PPOConfig, spaces: Spaces, weights: torch.Generator) -> tuple[Any, ...]:
-    """What a policy is made of, in the order of `PPO.policy_parts`, before anything was learned."""
-    stats = Normalizer(flat_size(spaces.observation), Communicator(), OBS_CLIP)
-    last_gain = LAST_GAIN if config.orthogonal_init else None
-    actor = new_actor(config.hidden, spaces, weights, last_gain)
-    return actor, Spread(action_size(spaces.action)), stats
+class Parts(NamedTuple):
+    """What a policy is made of."""
 
+    actor: MLP
+    spread: Spread
+    obs_stats: Normalizer
 
-def _policy(config: PPOConfig, spaces: Spaces, actor: MLP, spread: Spread, stats: Normalizer) -> Policy:
-    inputs = FlatInputs(stats.scaling() if config.normalise_obs and stats.count else None)
-    return Policy(on_cpu(actor), inputs, partial(gaussian, std=_std(config, spread)), spaces)
+    @classmethod
+    def new(cls, config: PPOConfig, spaces: Spaces, weights: torch.Generator) -> Parts:
+        """Before anything was learned; the same on all ranks."""
+        stats = Normalizer(flat_size(spaces.observation), Communicator(), OBS_CLIP)
+        spread = Spread(action_size(spaces.action), config.action_variance)
+        return cls(new_actor(config.hidden, spaces, weights), spread, stats)
 
+    def inputs(self, config: PPOConfig) -> FlatInputs:
+        """What networks see as of now."""
+        return FlatInputs(self.obs_stats.scaling() if config.normalise_obs else None)
 
-def _std(config: PPOConfig, spread: Spread) -> Array:
-    """Standard deviation (d,) of each action dimension, in units where the bounds are ±1."""
-    relative: Array = spread.log.detach().exp().cpu().numpy()
-    return np.float32(config.action_variance**0.5) * relative
+    def policy(self, config: PPOConfig, spaces: Spaces) -> Policy:
+        """Acts as these parts do now."""
+        noise = partial(gaussian, std=self.spread.std())
+        return Policy(on_cpu(self.actor), self.inputs(config), noise, spaces)
 
 
 class PPO:
     """Actor, critic and the batch of the current epoch; the interface is `algos.Algorithm`."""
 
-    policy_parts = ("actor", "spread", "obs_stats")
+    policy_parts = Parts._fields
     cycles_per_epoch = 1
 
     def __init__(
@@ -146,10 +163,13 @@ class PPO:
         self.rng = np.random.default_rng(seed)  # the same on all ranks: they share every minibatch
         self.spaces = Spaces(workers.observation_space, workers.action_space)
         weights = torch.Generator().manual_seed(seed)
-        self.actor, self.spread, self.obs_stats = _parts(config, self.spaces, weights)
+        self.parts = Parts.new(config, self.spaces, weights)
+        self.actor, self.spread, self.obs_stats = self.parts
         n_obs = flat_size(self.spaces.observation)
-        gain = 1.0 if config.orthogonal_init else None
-        self.critic = MLP((n_obs, *config.hidden, 1), weights, last_gain=gain)
+        self.critic = MLP((n_obs, *config.hidden, 1), weights)
+        if config.orthogonal_init:
+            start_orthogonal(self.actor, ACTOR_GAIN, weights)
+            start_orthogonal(self.critic, 1.0, weights)
         for network in (self.actor, self.spread, self.critic):
             network.to(self.device)
         learned = [self.actor, *([self.spread] if config.exploration == "learned" else [])]
@@ -173,14 +193,14 @@ class PPO:
 
     def policy(self) -> Policy:
         """What acts now; good until the next update."""
-        return _policy(self.config, self.spaces, *(getattr(self, name) for name in self.policy_parts))
+        return self.parts.policy(self.config, self.spaces)
 
     def collect(self) -> dict[str, float]:
         """Whole episodes, until `steps_per_epoch` are there: the same ones on all ranks."""
         config = self.config
         if config.exploration == "annealed":
-            end = config.final_variance / config.action_variance
-            self.spread.set(end + (1.0 - end) * self._left())
+            start, left = config.action_variance, self._left()
+            self.spread.set(left * start + (1.0 - left) * (config.final_variance or start / 10))
         task = PlayEpisode[Array](self.policy(), (self.seed, 0, TRAIN, self.epochs))
         episodes = play_steps(self.workers, task, config.steps_per_epoch, self.comm)
         self._episodes = require_transitions(episodes)
@@ -221,7 +241,7 @@ class PPO:
             "value_loss": value_loss,
             "kl": kl,
             "clip_fraction": clip_fraction,
-            "action_std": float(_std(config, self.spread).mean()),
+            "action_std": float(self.spread.std().mean()),
             "updates": n_updates,
         }
 
@@ -238,7 +258,7 @@ class PPO:
         """The epoch as tensors: obs, actions, old log-probabilities, advantages, returns."""
         config, episodes = self.config, self._episodes
         views = [obs for episode in episodes for obs in episode.obs]
-        all_obs = self.policy().inputs.stack(views).to(self.device)
+        all_obs = self.parts.inputs(config).stack(views).to(self.device)
         all_values = self.critic(all_obs).squeeze(-1).double().cpu().numpy()
         is_last = np.concatenate([[False] * len(e) + [True] for e in episodes])
         advantages, start = [], 0
@@ -256,7 +276,7 @@ class PPO:
         actions = torch.from_numpy(np.concatenate([np.stack(e.actions) for e in episodes]))
         actions = actions.to(self.device)
         away = self.spread.away(actions, self.actor(obs))
-        old_log_prob = self.spread.log_prob(away, config.action_variance)
+        old_log_prob = self.spread.log_prob(away)
         normalised, target = (
             torch.from_numpy(x.astype(np.float32)).to(self.device)
             for x in (normalise(advantage), returns)
@@ -285,9 +305,9 @@ class PPO:
             )
         seen, judged = self.actor.run(obs), self.critic.run(obs)
         away, error = self.spread.away(actions, seen[-1]), judged[-1] - returns[:, None]
-        log_ratio = self.spread.log_prob(away, config.action_variance) - old
+        log_ratio = self.spread.log_prob(away) - old
         loss, slope, kl, is_clipped = surrogate(log_ratio, advantages, config.clip_range)
-        self.actor.backward(seen, self.spread.backward(away, slope, config.action_variance, n))
+        self.actor.backward(seen, self.spread.backward(away, slope, n))
         self.critic.backward(judged, error * (2 / n))
         for adam in (self.actor_adam, self.critic_adam):
             adam.reduce(self.comm)
@@ -298,8 +318,9 @@ class PPO:
     def _check(self, sums: Tensor) -> None:
         """Stop with DivergenceError when something broke or the ranks have parted."""
         require_finite([self.actor_adam, self.critic_adam], sums, self.env_steps)
-        for adam in (self.actor_adam, self.critic_adam):
-            if not same_on_all_ranks(self.comm, adam.vector):
+        mean = torch.from_numpy(self.obs_stats.mean)
+        for own in (self.actor_adam.vector, self.critic_adam.vector, mean):
+            if not same_on_all_ranks(self.comm, own):
                 raise DivergenceError("the ranks' parameters differ")
 
     # -- saving ------------------------------------------------------------------------------
@@ -315,6 +336,6 @@ class PPO:
     @staticmethod
     def saved_policy(config: PPOConfig, spaces: Spaces, saved: dict[str, Any]) -> Policy:
         """The policy in what `state_dict` returned, on the CPU and without a learner around it."""
-        parts = _parts(config, spaces, torch.Generator())
-        state.restore_parts(dict(zip(PPO.policy_parts, parts, strict=True)), saved)
-        return _policy(config, spaces, *parts)
+        parts = Parts.new(config, spaces, torch.Generator())
+        state.restore_parts(parts._asdict(), saved)
+        return parts.policy(config, spaces)

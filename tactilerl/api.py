@@ -24,8 +24,8 @@ import gymnasium as gym
 import numpy as np
 import torch
 
-from . import algos, config, envs, evaluation, policies, training, typed
-from .algos import mpi
+from . import config, envs, evaluation, policies, training, typed
+from .algos import mpi, recipes
 from .algos.mpi import Communicator
 from .algos.networks import Precision
 from .algos.policy import Policy
@@ -56,7 +56,7 @@ class Learner:
         device: str = "cpu",
         threads: int = 1,
         matmul: Precision = "float32",
-        recipe: str = algos.PAPER,
+        recipe: str = recipes.PAPER,
         **hyperparameters: Any,
     ) -> None:
         """A learner for `env`, with untrained networks.
@@ -69,11 +69,12 @@ class Learner:
 
         `seed` is the random seed of everything, `device` PyTorch's device for the networks, `threads`
         PyTorch's threads while learning, `matmul` the precision of the products in updates.
-        Hyperparameters are the flags of ``tactilerl train``, with the same defaults: those of `recipe`.
+        Hyperparameters are the flags of ``tactilerl train``, with the same defaults:
+        those of `recipe`, "paper" or, for PPO, "steady".
 
         Raises ValueError, in one line, for an invalid argument.
         """
-        defaults = algos.recipe(self.algo, recipe)
+        defaults = recipes.recipe(self.algo, recipe)
         options = dict(seed=seed, workers=workers, device=device, threads=threads, matmul=matmul)
         require_known(hyperparameters, typed.names(defaults) | {*options, "recipe"})
         self.config = typed.replace(defaults, hyperparameters)
@@ -93,7 +94,8 @@ class Learner:
         self, total_timesteps: int, *, progress: bool = False, callback: Callback | None = None
     ) -> Learner:
         """Learn for `total_timesteps` environment steps, and to the end of the epoch that reaches
-        them. Call it again to go on, for `total_timesteps` more. Returns the learner.
+        them. Call it again to go on, for `total_timesteps` more; what is annealed ends with this call.
+        Returns the learner.
 
         `progress` shows what ``tactilerl train`` shows. `callback` is called after every epoch with
         its row of ``progress.csv`` (``env_steps``, ``mean_return``, ``success_rate``, ...) and stops
@@ -183,7 +185,7 @@ def train(
     env: str | None = None,
     *,
     algo: str | None = None,
-    recipe: str = algos.PAPER,
+    recipe: str | None = None,
     out: str | Path | None = None,
     resume: str | Path | None = None,
     any_ranks: bool = False,
@@ -193,7 +195,8 @@ def train(
     """Do what ``tactilerl train`` does, and return the run folder, which `load_policy` and the commands
     take.
 
-    Flags of the command are keywords, as in ``train("shadow", algo="ppo", layout=4, seed=1)``.
+    Flags of the command are keywords, as in ``train("shadow", algo="ppo", layout=4, seed=1)``;
+    `recipe` is "paper" where nothing is said.
     `resume` goes on with the run in a folder, exactly where its last epoch ended.
 
     Raises ValueError naming an unknown or invalid flag, and DivergenceError (a FloatingPointError)
@@ -202,13 +205,13 @@ def train(
     """
     comm = mpi.world()
     if resume is None:
-        base = config.defaults(algo or RunOptions.algo, env or RunOptions.env, recipe)
+        base = config.defaults(algo or RunOptions.algo, env or RunOptions.env, recipe or recipes.PAPER)
     else:
         base, _ = RunDir(Path(resume)).read_config(env or "", trust)
         for name, given in (
             ("algo", algo not in (None, base.run.algo)),
             ("out", out is not None),
-            ("recipe", recipe != algos.PAPER),
+            ("recipe", recipe is not None),
         ):
             if given:
                 raise ValueError(f"{name}: found it with resume; a resumed run keeps its settings")

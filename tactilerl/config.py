@@ -1,7 +1,7 @@
 """What a run is made of: options of the run, choices of the scene, hyperparameters.
 
-Each command-line flag is a field of one of these dataclasses; `--algo` and `--env` decide
-which dataclasses there are and what the defaults are.
+Each command-line flag is a field of one of these dataclasses; `--algo`, `--env` and `--recipe`
+decide which dataclasses there are and what the defaults are.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from . import algos, envs, typed
+from .algos import recipes
 from .envs.choices import require_known
 from .envs.grasp import GraspConfig, setup
 from .envs.hands import HANDS
@@ -150,7 +151,9 @@ class RunConfig:
     def identity(self) -> dict[str, Any]:
         """What makes it this run: plain values without those that may change on resume."""
         parts = json.loads(json.dumps(self.as_dict()))
-        for name in FREE_ON_RESUME - ({"total_timesteps"} if _anneals(self.learner) else set()):
+        for name in FREE_ON_RESUME - (
+            {"total_timesteps"} if getattr(self.learner, "anneals", False) else set()
+        ):
             del parts["run"][name]
         return parts
 
@@ -164,18 +167,12 @@ class RunConfig:
         return None
 
 
-def _anneals(learner: Any) -> bool:
-    """Does the learner's course depend on how long the run will be?"""
-    is_annealed = getattr(learner, "exploration", None) == "annealed"
-    return is_annealed or bool(getattr(learner, "anneal_lr", False))
-
-
-def defaults(algo: str, env: str, recipe: str = algos.PAPER) -> RunConfig:
+def defaults(algo: str, env: str, recipe: str = recipes.PAPER) -> RunConfig:
     """The configuration before any flag; InputError for an unknown algorithm, recipe or environment."""
     with input_errors("--algo"):
         algos.get(algo)
     with input_errors():
-        learner = algos.recipe(algo, recipe)
+        learner = recipes.recipe(algo, recipe)
     paper = algos.ALGORITHMS[algo]
     return RunConfig(
         RunOptions(algo=algo, env=env, total_timesteps=paper.total_timesteps),

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ import torch
 import tyro
 
 from tactilerl import flags, sealed
-from tactilerl.algos import STEADY
+from tactilerl.algos import recipes
 from tactilerl.cli import main
 from tactilerl.envs.vector import Workers
 
@@ -310,13 +311,17 @@ class TestResume:
     def test_a_recipe_is_where_the_other_flags_start(self, capsys):
         main([*TOY, "--recipe", "steady", "--gamma", "0.9", "--total-timesteps", "1", "--out", "run"])
         chosen = json.loads(Path("run/config.json").read_text())["learner"]
+        steady = json.loads(json.dumps(asdict(recipes.recipe("ppo", "steady"))))
         mine = {"gamma": 0.9, "hidden": [16], "steps_per_epoch": 120, "n_passes": 2}
-        assert chosen.items() >= {**STEADY, **mine}.items()
+        assert chosen.items() >= {**steady, **mine}.items()
         assert main(["train", "--resume", "run", "--total-timesteps", "240"]) == 0
         again = ["train", "--resume", "run", "--recipe", "steady"]
         fails_with(capsys, again, "--recipe: a resumed run keeps its settings")
         fails_with(capsys, [*TOY, "--recipe", "stedy"], "recipe: found 'stedy'", "paper, steady")
         fails_with(capsys, [*REACH, "--recipe", "steady"], "allowed for ddpg_her: paper")
+        both = [*TOY, "--recipe", "steady", "--n-minibatches", "6"]
+        fails_with(capsys, both, "found both", "None takes back")
+        assert main([*both, "--minibatch-size", "None", "--total-timesteps", "1", "--out", "six"]) == 0
 
     def test_the_runs_own_copy_of_a_layout_file_counts(self):
         patch = {"digits": ["thumb"], "segments": ["distal"], "offsets_mm": [[0, 0]], "radius_mm": 2}

@@ -9,10 +9,13 @@ call goes on from there:
 
 from __future__ import annotations
 
+import json
 import multiprocessing
 import time
 import warnings
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import closing
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -24,7 +27,7 @@ from rich.progress import track
 from rich.table import Table
 
 from benchmarks.command import earlier, parser, write
-from tactilerl import algos
+from tactilerl.algos import recipes
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.envs import vector
@@ -42,8 +45,9 @@ TASKS = (
     "Hopper-v5",
 )
 PAPER = PPOConfig()
-STEADY = algos.recipe("ppo", "steady")
+STEADY = recipes.recipe("ppo", "steady")
 PEER = "stable-baselines3"
+Act = Callable[[Any], Any]
 
 
 def without(*names: str) -> PPOConfig:
@@ -64,7 +68,7 @@ VARIANTS = {
 }
 
 
-def score(act: Any, task: str) -> float:
+def score(act: Act, task: str) -> float:
     """Mean return without exploration."""
     env, returns = gym.make(task), []
     for index in range(EPISODES):
@@ -77,30 +81,30 @@ def score(act: Any, task: str) -> float:
     return float(np.mean(returns))
 
 
-def ours(config: PPOConfig, task: str, seed: int) -> tuple[Any, float]:
-    """The policy after STEPS, and the largest mean KL divergence of an epoch."""
-    workers = vector.start(lambda: gym.make(task))
-    learner, kl = PPO(config, workers, Communicator(), seed, STEPS), 0.0
-    while learner.env_steps < STEPS:
-        learner.collect()
-        kl = max(kl, learner.update()["kl"])
-    return learner.policy().act, kl
+def ours(config: PPOConfig, task: str, seed: int) -> Act:
+    """What acts after STEPS."""
+    with closing(vector.start(lambda: gym.make(task))) as workers:
+        learner = PPO(config, workers, Communicator(), seed, STEPS)
+        while learner.env_steps < STEPS:
+            learner.collect()
+            learner.update()
+    return learner.policy().act
 
 
-def theirs(config: PPOConfig, task: str, seed: int) -> tuple[Any, float]:
-    """Stable-Baselines3's PPO with the recipe's network, batch, passes and step size; all else is its
-    own default."""
+def theirs(config: PPOConfig, task: str, seed: int) -> Act:
+    """The same of Stable-Baselines3's PPO, with our layers, step size, batch, passes, discounts and
+    clipping; the rest is its own default."""
     import stable_baselines3 as sb3
 
     model = sb3.PPO(
         "MlpPolicy", gym.make(task), learning_rate=config.actor_lr, n_steps=config.steps_per_epoch,
-        batch_size=config.minibatch_size or config.steps_per_epoch // config.minibatches(10**6),
+        batch_size=config.minibatch_size,
         n_epochs=config.n_passes, gamma=config.gamma, gae_lambda=config.gae_lambda,
         clip_range=config.clip_range, max_grad_norm=config.max_grad_norm,
         policy_kwargs={"net_arch": list(config.hidden)}, seed=seed, device="cpu",
     )  # fmt: skip
     model.learn(STEPS)
-    return lambda obs: model.predict(obs, deterministic=True)[0], float("nan")
+    return lambda obs: model.predict(obs, deterministic=True)[0]
 
 
 def run(name: str, task: str, seed: int) -> dict[str, float]:
@@ -108,9 +112,9 @@ def run(name: str, task: str, seed: int) -> dict[str, float]:
     torch.set_num_threads(1)
     warnings.filterwarnings("ignore")
     started = time.perf_counter()
-    act, kl = theirs(STEADY, task, seed) if name == PEER else ours(VARIANTS[name], task, seed)
+    act = theirs(STEADY, task, seed) if name == PEER else ours(VARIANTS[name], task, seed)
     seconds = time.perf_counter() - started
-    return {"return": score(act, task), "seconds": seconds, "largest_kl": kl}
+    return {"return": score(act, task), "seconds": seconds}
 
 
 def summary(runs: dict[str, dict[str, float]], seeds: range) -> dict[str, Any]:
@@ -121,14 +125,13 @@ def summary(runs: dict[str, dict[str, float]], seeds: range) -> dict[str, Any]:
             found = [runs[key] for seed in seeds if (key := f"{name} {task} {seed}") in runs]
             if not found:
                 continue
-            returns = np.array([[row["return"] for row in found]]).T
+            returns = np.array([row["return"] for row in found])
             counts = statistics.resample([len(found)], 10_000, rng)
             estimate = statistics.estimate(returns, "iqm", counts)
             table.setdefault(name, {})[task] = {
                 "runs": len(found),
                 "return": list(estimate),
                 "seconds": float(np.median([row["seconds"] for row in found])),
-                "largest_kl": float(np.median([row["largest_kl"] for row in found])),
             }
     return table
 
@@ -154,7 +157,12 @@ def main() -> None:
     flags.add_argument("--only", nargs="+", default=[*VARIANTS, PEER], help="contenders")
     flags.add_argument("--tasks", nargs="+", default=TASKS)
     options = flags.parse_args()
-    runs: dict[str, Any] = earlier(options.out).get("runs", {})
+    configs = {name: asdict(config) for name, config in VARIANTS.items()}
+    about = json.loads(json.dumps({"steps": STEPS, "configs": configs}))
+    before = earlier(options.out)
+    if before and {key: before[key] for key in about} != about:
+        raise SystemExit(f"{options.out}: of other configurations; give another --out")
+    runs: dict[str, Any] = before.get("runs", {})
     seeds = range(options.first_seed, options.first_seed + options.seeds)
     todo = [
         (name, task, seed)
@@ -169,8 +177,7 @@ def main() -> None:
         done = as_completed(futures)
         for future in track(done, "runs", total=len(todo), console=Console(stderr=True)):
             runs[" ".join(map(str, futures[future]))] = future.result()
-            write(options.out, {"runs": runs})
+            write(options.out, {**about, "runs": runs})
     table = summary(runs, seeds)
     show(table)
-    configs = {name: asdict(config) for name, config in VARIANTS.items()}
-    write(options.out, {"steps": STEPS, "configs": configs, "table": table, "runs": runs})
+    write(options.out, {**about, "table": table, "runs": runs})

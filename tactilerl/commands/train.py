@@ -8,9 +8,9 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from .. import algos, flags
 from .. import config as configuration
-from ..algos import mpi
+from .. import flags
+from ..algos import mpi, recipes
 from ..config import RunConfig, RunOptions
 from ..errors import InputError, input_errors
 from ..run_dir import RunDir
@@ -55,7 +55,7 @@ def defaults(args: list[str]) -> RunConfig:
     """The configuration before most flags: it depends on the algorithm, the environment, the recipe."""
     algo = flags.peek(args, "--algo", RunOptions.algo)
     env = flags.peek(args, "--env", RunOptions.env)
-    return configuration.defaults(algo, env, flags.peek(args, "--recipe", algos.PAPER))
+    return configuration.defaults(algo, env, flags.peek(args, "--recipe", recipes.PAPER))
 
 
 TRUST = "allow the import of the module in the environment's id"
@@ -69,8 +69,8 @@ def read_config(args: list[str], base: RunConfig) -> tuple[RunConfig, Any]:
     any_ranks = ("any_ranks", Annotated[bool, tyro.conf.arg(help=about)], False)
     trust = ("trust", Annotated[bool, tyro.conf.arg(help=f"with --resume: {TRUST}")], False)
     about = "hyperparameters that go together; other flags change them one by one"
-    recipes = algos.recipes(base.run.algo)
-    recipe = ("recipe", Annotated[Literal[recipes], tyro.conf.arg(help=about)], algos.PAPER)
+    known = tuple(recipes.recipes(base.run.algo))
+    recipe = ("recipe", Annotated[Literal[known], tyro.conf.arg(help=about)], recipes.PAPER)
     kinds = [(name, type(part)) for name, part in base.parts.items()]
     options = dataclasses.make_dataclass("Options", [*kinds, recipe, resume, any_ranks, trust])
     read: Any = flags.parse(
@@ -78,7 +78,8 @@ def read_config(args: list[str], base: RunConfig) -> tuple[RunConfig, Any]:
         args,
         "tactilerl train",
         options(**base.parts),
-        "Train a policy. Defaults are the paper's; --algo and --env decide which flags there are.",
+        "Train a policy. --algo and --env decide which flags there are; their defaults are the "
+        "paper's, or those of --recipe.",
     )
     parts = {name: getattr(read, name) for name in base.parts}
     return dataclasses.replace(base, folder=None, **parts), read

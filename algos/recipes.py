@@ -1,0 +1,38 @@
+"""Hyperparameters that go together, by name: the paper's, and others for a purpose."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from . import get
+from .ppo import PPOConfig
+
+PAPER = "paper"  # every learner's own defaults
+BEYOND: dict[str, dict[str, Any]] = {
+    "ppo": {
+        # Learns faster and keeps it: docs/concepts/learners.md has the evidence.
+        "steady": PPOConfig(
+            exploration="learned",
+            orthogonal_init=True,
+            normalise_obs=True,
+            n_passes=10,
+            minibatch_size=64,
+            critic_lr=3e-4,
+            target_kl=0.05,
+        ),
+    },
+}
+
+
+def recipes(algorithm: str) -> dict[str, Any]:
+    """The learner's recipes by name, the paper's first; ValueError for an unknown learner."""
+    config_type, _ = get(algorithm)
+    return {PAPER: config_type(), **BEYOND.get(algorithm, {})}
+
+
+def recipe(algorithm: str, name: str = PAPER) -> Any:
+    """The learner's hyperparameters; ValueError when it has no such recipe."""
+    known = recipes(algorithm)
+    if name not in known:
+        raise ValueError(f"recipe: found {name!r}, allowed for {algorithm}: {', '.join(known)}")
+    return known[name]
