@@ -509,7 +509,7 @@ class TestHardCases:
         dict(n_passes=0),
         dict(hidden=()),
         dict(target_kl=0.0),
-        dict(exploration="annealed", final_variance=0.0),
+        dict(final_variance=0.0, exploration="annealed"),
         dict(final_variance=0.01),
     ],
 )
