@@ -13,7 +13,6 @@ import json
 import multiprocessing
 import time
 import warnings
-from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import closing
 from dataclasses import asdict, replace
@@ -21,12 +20,14 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+import stable_baselines3 as sb3
 import torch
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
 from benchmarks.command import earlier, parser, write
+from benchmarks.peers.solve import Act, play
 from tactilerl.algos import recipes
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
@@ -36,7 +37,6 @@ from tactilerl.study import statistics
 STEPS = 30_000
 SEEDS = 5
 EPISODES = 20  # of the evaluation
-FIRST_START = 10_000_000  # not a start of training
 TASKS = (
     "Pendulum-v1",
     "Reacher-v5",
@@ -47,7 +47,6 @@ TASKS = (
 PAPER = PPOConfig()
 STEADY = recipes.recipe("ppo", "steady")
 PEER = "stable-baselines3"
-Act = Callable[[Any], Any]
 
 
 def without(*names: str) -> PPOConfig:
@@ -68,19 +67,6 @@ VARIANTS = {
 }
 
 
-def score(act: Act, task: str) -> float:
-    """Mean return without exploration."""
-    env, returns = gym.make(task), []
-    for index in range(EPISODES):
-        obs, _ = env.reset(seed=FIRST_START + index)
-        total, is_done = 0.0, False
-        while not is_done:
-            obs, reward, terminated, truncated, _ = env.step(act(obs))
-            total, is_done = total + float(reward), terminated or truncated
-        returns.append(total)
-    return float(np.mean(returns))
-
-
 def ours(config: PPOConfig, task: str, seed: int) -> Act:
     """What acts after STEPS."""
     with closing(vector.start(lambda: gym.make(task))) as workers:
@@ -94,8 +80,6 @@ def ours(config: PPOConfig, task: str, seed: int) -> Act:
 def theirs(config: PPOConfig, task: str, seed: int) -> Act:
     """The same of Stable-Baselines3's PPO, with our layers, step size, batch, passes, discounts and
     clipping; the rest is its own default."""
-    import stable_baselines3 as sb3
-
     model = sb3.PPO(
         "MlpPolicy", gym.make(task), learning_rate=config.actor_lr, n_steps=config.steps_per_epoch,
         batch_size=config.minibatch_size,
@@ -114,7 +98,8 @@ def run(name: str, task: str, seed: int) -> dict[str, float]:
     started = time.perf_counter()
     act = theirs(STEADY, task, seed) if name == PEER else ours(VARIANTS[name], task, seed)
     seconds = time.perf_counter() - started
-    return {"return": score(act, task), "seconds": seconds}
+    returns = [total for total, _ in play(task, act, EPISODES)]
+    return {"return": float(np.mean(returns)), "seconds": seconds}
 
 
 def summary(runs: dict[str, dict[str, float]], seeds: range) -> dict[str, Any]:
