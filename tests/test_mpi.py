@@ -12,8 +12,10 @@ import numpy as np
 import psutil
 import pytest
 import torch
+from tiny_study import TINY, learned, write
 
 from tactilerl.cli import main
+from tactilerl.study import records
 
 pytest.importorskip("mpi4py")
 MPIRUN = Path(sys.executable).with_name("mpirun")
@@ -278,3 +280,20 @@ def test_two_ranks_play_the_grasps_of_one():
     with np.load("1/grasps.npz") as one, np.load("2/grasps.npz") as two:
         assert set(one.files) == set(two.files)
         assert all(np.array_equal(one[name], two[name]) for name in one.files if name != "settings")
+
+
+def test_a_study_over_the_ranks_of_a_launch(tmp_path):
+    study = ["study", "run", str(write(tmp_path)), "--out"]
+    assert main([*study, "alone", "--jobs", "2"]) == 0
+    shown = tactilerl(*study, "together")
+    assert shown.returncode == 0, shown.stdout + shown.stderr
+    assert "[2/2]" in shown.stdout
+    assert learned(Path("together")) == learned(Path("alone"))
+
+
+def test_several_ranks_for_each_run_of_a_study(tmp_path):
+    text = TINY.replace("polyak = [0.9, 0.95]\n", "").replace("polyak = [0.95, 0.9]\n", "")
+    args = ["study", "run", str(write(tmp_path, text)), "--out", "out"]
+    assert main([*args, "--ranks-per-run", "2"]) == 0
+    _, (record,) = records.load(Path("out"))
+    assert record.config["ranks"] == 2

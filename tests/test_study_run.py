@@ -8,34 +8,16 @@ import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 
 import filelock
 import numpy as np
 import pytest
+from tiny_study import TINY, learned, write
 
 from tactilerl.cli import main
-from tactilerl.study import analysis, check, display, records, report, runner, tables
+from tactilerl.study import analysis, check, display, records, report, runner
 from tactilerl.study.folder import Outcome, StudyFolder
 
-TINY = """
-name = "tiny"
-measure = "test_success_rate"
-[compare]
-polyak = [0.95, 0.9]
-[grid]
-polyak = [0.9, 0.95]
-seed = 0
-[setups.reach]
-algo = "ddpg_her"
-env = "point-reach"
-hidden = [8]
-batch_size = 16
-n_cycles = 1
-n_batches = 2
-n_test_rollouts = 1
-total_timesteps = 200
-"""
 LAUNCH = [sys.executable, "-m", "tactilerl.cli", "study", "run"]
 BROKEN = """
 import gymnasium as gym
@@ -51,22 +33,6 @@ class Broken(gym.Env):
         return np.zeros(1, np.float32), reward, False, Broken.steps % 10 == 0, {}
 gym.register("Broken-v0", entry_point=Broken)
 """
-
-
-def write(tmp_path, text=TINY):
-    path = tmp_path / "study.toml"
-    path.write_text(text)
-    return path
-
-
-def learned(folder):
-    """Every table that depends on what was learned and on nothing else, as bytes."""
-    result = analysis.analyse(*records.load(folder), 200)
-    return {
-        (table.name, ending): text
-        for table in tables.learning_tables(result)
-        for ending, text in table.formats().items()
-    }
 
 
 @pytest.fixture(scope="module")
@@ -203,25 +169,6 @@ class TestSharing:
         assert learned(tmp_path / "out") == learned(undisturbed)
         logs = [path.read_text() for path in (tmp_path / "out").rglob("*.log")]
         assert [log.count("epoch    1") for log in logs] == [1] * 2
-
-    @pytest.mark.usefixtures("one_launch")
-    def test_ranks_of_an_mpi_launch(self, undisturbed, tmp_path):
-        mpirun = str(Path(sys.executable).with_name("mpirun"))
-        command = [mpirun, "-n", "2", "--oversubscribe", *LAUNCH, str(write(tmp_path))]
-        shown = subprocess.run(
-            [*command, "--out", str(tmp_path / "out")], capture_output=True, text=True, timeout=600
-        )
-        assert shown.returncode == 0, shown.stdout + shown.stderr
-        assert "[2/2]" in shown.stdout
-        assert learned(tmp_path / "out") == learned(undisturbed)
-
-    @pytest.mark.usefixtures("one_launch")
-    def test_several_ranks_per_run(self, tmp_path):
-        text = TINY.replace("polyak = [0.9, 0.95]\n", "").replace("polyak = [0.95, 0.9]\n", "")
-        args = ["study", "run", str(write(tmp_path, text)), "--out", str(tmp_path / "out")]
-        assert main([*args, "--ranks-per-run", "2"]) == 0
-        _, (record,) = records.load(tmp_path / "out")
-        assert record.config["ranks"] == 2
 
 
 def killed_at(moments, tmp_path):
