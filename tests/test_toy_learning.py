@@ -35,7 +35,7 @@ def play(learner, episodes=20):
 def test_ppo_comes_within_5_percent_of_the_riccati_optimum(seed):
     config = PPOConfig(
         hidden=(64, 64), actor_lr=1e-3, n_passes=20, n_minibatches=12, gae_lambda=0.9,
-        anneal_lr=True,
+        action_variance=0.02, orthogonal_init=True, anneal_lr=True,
     )  # fmt: skip
     episodes = play(train(PPO, "lqr", config, 40_000, seed))
     returns = np.array([sum(episode.rewards) for episode in episodes])

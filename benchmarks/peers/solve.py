@@ -3,8 +3,8 @@
 Both libraries get the hyperparameters of tests/test_toy_learning.py. What cannot be made equal:
 
 - PPO: Stable-Baselines3 clips the gradient of actor and critic together, normalises advantages
-  in each minibatch, draws its first weights orthogonally, and its mean action has no tanh. Its
-  policy's variance is fixed as ours is.
+  in each minibatch, and its mean action has no tanh. Its policy's variance is fixed and its first
+  weights are orthogonal, as ours are here.
 - DDPG+HER: Stable-Baselines3 has no penalty on actions, no normaliser of observations, no bounds
   on targets and no uniformly random actions but in the first episodes. Its target networks move
   a little with every update, as far in forty as ours do in one step after them.
@@ -44,7 +44,8 @@ Act = Callable[[Any], np.ndarray]
 """Observation -> action without exploration."""
 PPO_CONFIG = PPOConfig(
     hidden=(64, 64), actor_lr=1e-3, n_passes=20, n_minibatches=12, gae_lambda=0.9,
-    steps_per_epoch=17 * LQREnv.max_episode_steps, truncation="bootstrap", anneal_lr=True,
+    action_variance=0.02, orthogonal_init=True, anneal_lr=True,
+    steps_per_epoch=17 * LQREnv.max_episode_steps, truncation="bootstrap",
 )  # fmt: skip
 DDPG_CONFIG = DDPGHERConfig(hidden=(64, 64), action_l2=0.1, polyak=0.9, batch_size=128)
 
