@@ -22,31 +22,31 @@ from tactilerl.hand_map import TaxelMap
 
 DOCS = ROOT / "docs"
 WINDOW = 100  # episodes of the running success rate
-# Picture: title, what is drawn, the runs.
+SEEDS = range(3)
+# Picture: title, what is drawn, what the runs' files begin with.
 RUNS = {
     "learning_shadow_ppo": (
         "PPO, Shadow Hand in MuJoCo, lift-and-hold, layout 4",
         f"success rate, last {WINDOW} episodes",
-        {f"main, seed {seed}": f"ppo_shadow_layout4_main_s{seed}.csv" for seed in range(3)},
+        {"main": "ppo_shadow_layout4"},
     ),
     "learning_shadow_ddpg_her": (
         "DDPG+HER, Shadow Hand in MuJoCo, reach-goal, layout 2",
         "success rate of 20 test episodes",
-        {"40 updates a cycle, seed 0": "ddpg_her_shadow_layout2_main_s0.csv"}
-        | {
-            f"{n} updates a cycle, seed {k}": f"ddpg_her_shadow_layout2_n_batches{n}_main_s{k}.csv"
-            for n in (16, 8)
-            for k in range(2)
+        {
+            "40 updates a cycle": "ddpg_her_shadow_layout2",
+            "16 updates a cycle": "ddpg_her_shadow_layout2_n_batches16",
+            "8 updates a cycle": "ddpg_her_shadow_layout2_n_batches8",
+            "16, bfloat16": "ddpg_her_shadow_layout2_n_batches16_bfloat16",
         },
     ),
 }
 COLOURS = {
     "main": "#e0a800",  # as in the paper
-    "control": "#2b6cb0",
-    "absent": "#777777",
     "40 updates a cycle": "#777777",
     "16 updates a cycle": "#e0a800",
     "8 updates a cycle": "#2b6cb0",
+    "16, bfloat16": "#38a169",
 }
 
 
@@ -106,22 +106,18 @@ def pareto(points: list[tuple[float, float]]) -> list[bool]:
 
 
 def learning_curves(title: str, what: str, files: dict[str, str]) -> plt.Figure:
-    """Seeds thin, and the mean of those with the same label before the comma thick."""
+    """Seeds thin, their mean thick."""
     figure, axes = plt.subplots(figsize=(7, 4))
-    by_type: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
-    for label, file in files.items():
-        by_type.setdefault(label.partition(",")[0], []).append(curve(DOCS / "data" / file))
-    for run_type, curves in by_type.items():
-        alone = {"lw": 2.0, "label": f"{run_type}, one seed"}
-        thin = {"lw": 0.8, "alpha": 0.6} if len(curves) > 1 else alone
+    for label, name in files.items():
+        curves = [curve(DOCS / "data" / f"{name}_main_s{seed}.csv") for seed in SEEDS]
         for steps, rate in curves:
-            axes.plot(steps, rate, color=COLOURS[run_type], **thin)
-        if len(curves) > 1:
-            steps = np.unique(np.concatenate([steps for steps, _ in curves]))
-            steps = steps[steps <= min(steps[-1] for steps, _ in curves)]
-            mean = np.mean([np.interp(steps, *each) for each in curves], axis=0)
-            label = f"{run_type}, mean of {len(curves)} seeds"
-            axes.plot(steps, mean, color=COLOURS[run_type], lw=2.5, label=label)
+            axes.plot(steps, rate, color=COLOURS[label], lw=0.8, alpha=0.6)
+        steps = np.unique(np.concatenate([steps for steps, _ in curves]))
+        steps = steps[steps <= min(steps[-1] for steps, _ in curves)]
+        mean = np.mean([np.interp(steps, *each) for each in curves], axis=0)
+        axes.plot(
+            steps, mean, color=COLOURS[label], lw=2.5, label=f"{label}, mean of {len(curves)} seeds"
+        )
     axes.set(title=title, xlabel="environment steps", ylabel=what, ylim=(0, 1.02))
     axes.grid(alpha=0.3)
     axes.legend()
