@@ -185,6 +185,7 @@ def killed_at(moments, tmp_path):
     return tmp_path / "out"
 
 
+@pytest.mark.slow
 def test_killed_once_and_run_again_the_tables_are_the_same(undisturbed, tmp_path):
     assert learned(killed_at([9.0], tmp_path)) == learned(undisturbed)
 
