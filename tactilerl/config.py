@@ -151,9 +151,8 @@ class RunConfig:
     def identity(self) -> dict[str, Any]:
         """What makes it this run: plain values without those that may change on resume."""
         parts = json.loads(json.dumps(self.as_dict()))
-        for name in FREE_ON_RESUME - (
-            {"total_timesteps"} if getattr(self.learner, "anneals", False) else set()
-        ):
+        counts = {"total_timesteps"} if getattr(self.learner, "anneals", False) else set()
+        for name in FREE_ON_RESUME - counts:
             del parts["run"][name]
         return parts
 

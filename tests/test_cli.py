@@ -543,22 +543,9 @@ class TestOtherCommands:
             "offsets_mm = [[0, 0], [30, 0]]\nradius_mm = 2\n"
         )
         scene = ["--env", "shadow", "--layout", "far.toml"]
-        train = [
-            "train",
-            *scene,
-            *FAST,
-            "--hold-seconds",
-            "0.2",
-            "--total-timesteps",
-            "1",
-            "--out",
-            "run",
-        ]
-        for command in (
-            ["env", *scene],
-            train,
-            ["doctor", *scene, "--grasps", "1", "--seconds", "0.1"],
-        ):
+        short = [*FAST, "--hold-seconds", "0.2", "--total-timesteps", "1", "--out", "run"]
+        doctor = ["doctor", *scene, "--grasps", "1", "--seconds", "0.1"]
+        for command in (["env", *scene], ["train", *scene, *short], doctor):
             main(command)
             out = capsys.readouterr().out
             assert "no taxels at thumb.palm, which shadow does not have" in out

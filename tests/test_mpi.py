@@ -12,6 +12,7 @@ import numpy as np
 import psutil
 import pytest
 import torch
+from states import flat
 from tiny_study import TINY, learned, write
 
 from tactilerl.cli import main
@@ -32,15 +33,6 @@ TOY = ["train", "--env", "lqr", "--hidden", "16", "--steps-per-epoch", "240", "-
 def mpirun(args, ranks=2, timeout=400):
     command = [str(MPIRUN), "--oversubscribe", "-n", str(ranks), sys.executable, *args]
     return subprocess.run(command, capture_output=True, text=True, timeout=timeout)
-
-
-def flat(state):
-    """A state as one comparable string: every bit of every tensor."""
-    if isinstance(state, torch.Tensor):
-        return state.numpy().tobytes().hex()
-    if isinstance(state, dict):
-        return str({key: flat(value) for key, value in state.items()})
-    return str([flat(x) for x in state]) if isinstance(state, list | tuple) else repr(state)
 
 
 def tactilerl(*args):

@@ -1,20 +1,23 @@
 """PPO against numbers derived by hand, and on inputs that break careless code."""
 
 import math
+from dataclasses import asdict
 from functools import partial
 
 import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from states import flat
 
-from tactilerl.algos import DivergenceError
+from tactilerl.algos import DivergenceError, recipes
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.policy_gradient import Spread, gae, normalise, surrogate
 from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.envs import vector
 
-STEADY = dict(exploration="learned", orthogonal_init=True, normalise_obs=True, minibatch_size=16)
+SMALL = dict(hidden=(32, 32), steps_per_epoch=60, n_passes=5)
+STEADY = {**asdict(recipes.recipe("ppo", "steady")), **SMALL, "minibatch_size": 16}
 
 
 class ScriptedEnv(gym.Env):
@@ -48,18 +51,8 @@ def scripted(**choices):
 
 
 def make_ppo(workers, seed=0, comm=None, **choices):
-    defaults = dict(hidden=(32, 32), steps_per_epoch=60, n_passes=5)
-    config = PPOConfig(**{**defaults, **choices})
+    config = PPOConfig(**{**SMALL, **choices})
     return PPO(config, workers, comm or Communicator(), seed, total_timesteps=1000)
-
-
-def flat(state):
-    """A state as one comparable string: every bit of every tensor."""
-    if isinstance(state, dict):
-        return str({key: flat(value) for key, value in state.items()})
-    if isinstance(state, torch.Tensor | np.ndarray):
-        return np.asarray(state).tobytes().hex()
-    return str([flat(x) for x in state]) if isinstance(state, list | tuple) else repr(state)
 
 
 class TestGAE:

@@ -111,7 +111,7 @@ def summary(runs: dict[str, dict[str, float]], seeds: range) -> dict[str, Any]:
             if not found:
                 continue
             returns = np.array([row["return"] for row in found])
-            counts = statistics.resample([len(found)], 10_000, rng)
+            counts = statistics.resample(rng, len(found))
             estimate = statistics.estimate(returns, "iqm", counts)
             table.setdefault(name, {})[task] = {
                 "runs": len(found),
@@ -145,7 +145,7 @@ def main() -> None:
     configs = {name: asdict(config) for name, config in VARIANTS.items()}
     about = json.loads(json.dumps({"steps": STEPS, "configs": configs}))
     before = earlier(options.out)
-    if before and {key: before[key] for key in about} != about:
+    if before and {key: before.get(key) for key in about} != about:
         raise SystemExit(f"{options.out}: of other configurations; give another --out")
     runs: dict[str, Any] = before.get("runs", {})
     seeds = range(options.first_seed, options.first_seed + options.seeds)

@@ -1,7 +1,7 @@
 """How much faster is a trained policy's PPO run than in an earlier version of this library?
 
-A checkout of that version trains for one epoch, is given the networks of a trained run, and goes on
-for some epochs; so does the run itself. They take turns, with the same number of episodes at a time:
+A checkout of that version trains for one epoch and is given the networks of a trained run. Then it
+and the run itself take turns to go on, an epoch each, with the same number of episodes at a time:
 
     git worktree add ../first 2287763
     python -m benchmarks versions --checkout ../first --run RUN [RUN ...] --out docs/data/versions.json
@@ -27,8 +27,7 @@ from tactilerl import checkpoint
 from tactilerl.config import RunConfig
 from tactilerl.run_dir import RunDir
 
-ROUNDS = 3
-EPOCHS = 1  # of a round
+ROUNDS = 3  # of one epoch
 NETWORKS = ("actor", "critic")
 
 
@@ -61,20 +60,19 @@ def begin(checkout: Path, config: RunConfig, networks: dict[str, Any], cores: in
 
 
 def rate(checkout: Path, run: Path, *flags: str) -> tuple[float, float]:
-    """Environment steps per second of the next epochs, and their success rate."""
-    before = rows(run)
-    length = float(before[-1]["env_steps"]) + 1000 * EPOCHS - 999
-    tactilerl(checkout, "train", "--resume", str(run), f"--total-timesteps={length:.0f}", *flags)
-    new = rows(run)[len(before) :]
-    steps = float(new[-1]["env_steps"]) - float(before[-1]["env_steps"])
-    seconds = sum(float(row[name]) for row in new for name in ("collect_s", "update_s"))
-    return steps / seconds, sum(float(row["success_rate"]) for row in new) / len(new)
+    """Environment steps per second of the next epoch, and its success rate."""
+    before = last_row(run)
+    goal = f"--total-timesteps={int(before['env_steps']) + 1}"
+    tactilerl(checkout, "train", "--resume", str(run), goal, *flags)
+    after = last_row(run)
+    steps = int(after["env_steps"]) - int(before["env_steps"])
+    return steps / (float(after["collect_s"]) + float(after["update_s"])), float(after["success_rate"])
 
 
-def rows(run: Path) -> list[dict[str, str]]:
-    """The progress table."""
+def last_row(run: Path) -> dict[str, str]:
+    """Of the progress table."""
     with (run / "progress.csv").open(newline="") as file:
-        return list(csv.DictReader(file))
+        return list(csv.DictReader(file))[-1]
 
 
 def compare(checkout: Path, run: Path, cores: int, folder: Path) -> dict[str, Any]:
