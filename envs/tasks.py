@@ -36,7 +36,7 @@ class TaskConfig:
     """lift-and-hold: full, or settled (a compressed test of about 1 s, sometimes wrong; see
     docs/concepts/tasks.md)."""
     goal_height: float = 0.08
-    """reach-goal: the goal is this far above the object's start, m."""
+    """reach-goal: the goal is this far above where the object stands without jitter, m."""
     goal_range: float = 0.0
     """reach-goal: how far each episode's goal may be from there along x, y and z, m."""
     goal_tolerance: float = 0.03

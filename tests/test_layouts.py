@@ -144,6 +144,13 @@ def test_taxel_beside_the_phalanx_is_refused(tmp_path):
         layouts.load(str(path)).place(HAND)
 
 
+def test_a_taxel_on_the_very_edge_is_allowed(tmp_path):
+    path = tmp_path / "edge.toml"
+    there = GOOD.replace("distal", "proximal").replace("[0, 0]", "[0, 13]")
+    path.write_text("[[patch]]\n" + there)  # 13 / 1000 is a little more than the radius, 0.013
+    layouts.load(str(path)).place(HAND)
+
+
 def test_unknown_names(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("mine.toml").touch()

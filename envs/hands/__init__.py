@@ -58,8 +58,8 @@ class Surface:
         across = np.cross(palmar, along)
         if self.radius is None:
             height = 0.0
-        elif abs(column) <= self.radius:
-            height = np.sqrt(self.radius**2 - column**2)
+        elif abs(column) <= self.radius + 1e-9:  # its very edge, in mm, is not exact in m
+            height = np.sqrt(max(0.0, self.radius**2 - column**2))
         else:
             raise ValueError(
                 f"a taxel {1e3 * abs(column):.1f} mm off the middle of {self.digit}.{self.segment} "
