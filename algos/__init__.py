@@ -230,11 +230,19 @@ def has_single_goal(space: gym.Space[Any]) -> bool:
     return isinstance(desired, gym.spaces.Box) and np.array_equal(desired.low, desired.high)
 
 
+def may_be_boolean(space: gym.Space[Any]) -> Array:
+    """Which entries (n,) of `flat_observation` lie between 0 and 1, and so may be Boolean?"""
+    if isinstance(space, gym.spaces.Dict):
+        parts = [may_be_boolean(space[key]) for key in ("observation", "desired_goal")]
+        return np.concatenate(parts)
+    assert isinstance(space, gym.spaces.Box)
+    return (np.ravel(space.low) == 0.0) & (np.ravel(space.high) == 1.0)
+
+
 def n_boolean(space: gym.Space[Any]) -> int:
-    """How many entries at the end of a goal environment's observation lie between 0 and 1, and so
-    may be Boolean."""
+    """How many entries at the end of a goal environment's observation may be Boolean."""
     box = space["observation"] if isinstance(space, gym.spaces.Dict) else None
     if not isinstance(box, gym.spaces.Box):
         return 0
-    within = (np.ravel(box.low) == 0.0) & (np.ravel(box.high) == 1.0)
+    within = may_be_boolean(box)
     return len(within) - 1 - int(np.max(np.flatnonzero(~within), initial=-1))

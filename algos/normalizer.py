@@ -37,10 +37,14 @@ class Normalizer:
 
     Moments are merged batch by batch in float64 (Chan, Golub & LeVeque 1979), because
     E[x²] - E[x]² loses every digit when the mean is large against the spread.
+
+    Columns of `as_is`, bool (size,), count as having mean 0 and standard deviation 1.
     """
 
-    def __init__(self, size: int, comm: Communicator, clip: float = np.inf) -> None:
-        self.comm, self.clip = comm, clip
+    def __init__(
+        self, size: int, comm: Communicator, clip: float = np.inf, as_is: Array | None = None
+    ) -> None:
+        self.comm, self.clip, self.as_is = comm, clip, as_is
         self.count = 0.0
         self.mean = np.zeros(size)
         self._squares = np.zeros(size)  # sum of squared deviations from the mean
@@ -66,6 +70,8 @@ class Normalizer:
         self._squares += squares + np.square(gap) * (self.count * count / all_count)
         self.mean += gap * (count / all_count)
         self.count = all_count
+        if self.as_is is not None:
+            self.mean[self.as_is], self._squares[self.as_is] = 0.0, all_count
         self._scaling = None
 
     def scaling(self) -> Scaling:

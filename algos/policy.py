@@ -11,7 +11,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from . import Array, action_bounds, action_size, flat_observation, flat_size, goal_size
+from . import (
+    Array,
+    action_bounds,
+    action_size,
+    flat_observation,
+    flat_size,
+    goal_size,
+    may_be_boolean,
+)
 from .mpi import Communicator
 from .networks import MLP
 from .normalizer import Normalizer, Scaling
@@ -43,6 +51,12 @@ class FlatInputs:
     def stack(self, views: Sequence[Array]) -> Tensor:
         flat = torch.from_numpy(np.stack(views))
         return flat if self.scaling is None else self.scaling(flat)
+
+
+def flat_stats(spaces: Spaces, clip: float) -> Normalizer:
+    """Moments of flat observations, without those of entries that may be Boolean; nothing seen yet."""
+    as_is = may_be_boolean(spaces.observation)
+    return Normalizer(len(as_is), Communicator(), clip, as_is)
 
 
 class GoalObs(NamedTuple):

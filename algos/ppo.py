@@ -19,7 +19,7 @@ from . import Array, DivergenceError, Workers, action_size, check_ranges, flat_s
 from .mpi import Communicator, same_on_all_ranks
 from .networks import MLP, FlatAdam, require_finite, start_orthogonal
 from .normalizer import Normalizer
-from .policy import FlatInputs, Policy, new_actor, on_cpu
+from .policy import FlatInputs, Policy, flat_stats, new_actor, on_cpu
 from .policy_gradient import Spread, gae, gaussian, normalise, surrogate
 from .rollout import TRAIN, Episode, PlayEpisode, finite, play_steps, require_transitions, summary
 from .spaces import Spaces
@@ -69,7 +69,8 @@ class PPOConfig:
     is the same everywhere; default: uniform in ±1/sqrt(inputs)."""
     normalise_obs: bool = False
     """Show the networks observations with mean 0 and standard deviation 1, by all that were seen in
-    the epochs before, cut at ±5."""
+    the epochs before, cut at ±5. Entries between 0 and 1, such as Boolean taxels, stay as they are:
+    one that seldom fires would be shown as a 5."""
     truncation: Literal["bootstrap", "terminal"] = "bootstrap"
     """What follows the last step before a time limit: the critic's value of the last observation,
     or nothing. In the paper's task a time-out ends the task itself, with -100."""
@@ -127,9 +128,8 @@ class Parts(NamedTuple):
     @classmethod
     def new(cls, config: PPOConfig, spaces: Spaces, weights: torch.Generator) -> Parts:
         """Before anything was learned; the same on all ranks."""
-        stats = Normalizer(flat_size(spaces.observation), Communicator(), OBS_CLIP)
         spread = Spread(action_size(spaces.action), config.action_variance)
-        return cls(new_actor(config.hidden, spaces, weights), spread, stats)
+        return cls(new_actor(config.hidden, spaces, weights), spread, flat_stats(spaces, OBS_CLIP))
 
     def inputs(self, config: PPOConfig) -> FlatInputs:
         """What networks see as of now."""

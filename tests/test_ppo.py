@@ -14,6 +14,7 @@ from tactilerl.algos import DivergenceError, recipes
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.policy_gradient import Spread, gae, normalise, surrogate
 from tactilerl.algos.ppo import PPO, PPOConfig
+from tactilerl.algos.spaces import Spaces
 from tactilerl.envs import vector
 
 SMALL = dict(hidden=(32, 32), steps_per_epoch=60, n_passes=5)
@@ -23,8 +24,11 @@ STEADY = {**asdict(recipes.recipe("ppo", "steady")), **SMALL, "minibatch_size": 
 class ScriptedEnv(gym.Env):
     """Rewards, observations and ends of episodes are given; random ones follow from the seed."""
 
-    def __init__(self, obs=None, reward=None, length=5, terminated=True, n_actions=2, info=None):
-        self.observation_space = gym.spaces.Box(-np.inf, np.inf, (3,), np.float32)
+    def __init__(
+        self, obs=None, reward=None, length=5, terminated=True, n_actions=2, info=None, high=np.inf
+    ):
+        high = np.broadcast_to(np.float32(high), (3,))  # the low bound of what is up to 1 is 0
+        self.observation_space = gym.spaces.Box(np.where(high == 1, 0, -high), high)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (n_actions,), np.float32)
         self.obs = obs or (lambda rng: rng.standard_normal(3).astype(np.float32))
         self.reward = reward or (lambda rng: float(rng.standard_normal()))
@@ -274,6 +278,23 @@ class TestLearning:
         shown = ppo._batch()[0]
         assert shown.mean().abs() < 0.5
         assert shown.std().item() == pytest.approx(1.0, abs=0.3)
+
+    def test_boolean_entries_are_not_normalised(self):
+        """A rare 1 would be shown as a 5, and every epoch would end at its first surprise."""
+
+        def obs(rng):
+            return np.append(rng.normal(7.0, 2.0, 2), rng.random() < 0.02).astype(np.float32)
+
+        ppo = make_ppo(scripted(obs=obs, high=(np.inf, np.inf, 1.0)), normalise_obs=True)
+        ppo.collect()
+        ppo.update()
+        ppo.collect()
+        shown = ppo._batch()[0]
+        assert shown[:, :2].mean().abs() < 0.5
+        assert set(shown[:, 2].tolist()) <= {0.0, 1.0}
+        again = PPO.saved_policy(ppo.config, Spaces.from_json(ppo.spaces.to_json()), ppo.state_dict())
+        rare = np.array([7.0, 7.0, 1.0], np.float32)
+        assert np.array_equal(again.act(rare), ppo.policy().act(rare))
 
     def test_what_acts_is_what_learns(self):
         """Old log-probabilities are those of the noise that was drawn, in units of the spread."""
