@@ -33,7 +33,8 @@ class RunOptions:
     """The algorithm: ppo or ddpg_her."""
     env: str = "shadow"
     """shadow (Shadow Hand in MuJoCo), mpl (MPL hand in PyBullet), allegro (Allegro Hand in MuJoCo),
-    a toy (lqr, point-reach), or any registered Gymnasium id with Box or goal-Dict observations and Box actions."""
+    a toy (lqr, point-reach), or any registered Gymnasium id with Box or goal-Dict observations and
+    Box actions."""
     total_timesteps: int = 500_000
     """Environment steps of the whole run, over all processes; the paper's by default."""
     workers: int | None = None

@@ -24,11 +24,10 @@ STEADY = {**asdict(recipes.recipe("ppo", "steady")), **SMALL, "minibatch_size": 
 class ScriptedEnv(gym.Env):
     """Rewards, observations and ends of episodes are given; random ones follow from the seed."""
 
-    def __init__(
-        self, obs=None, reward=None, length=5, terminated=True, n_actions=2, info=None, high=np.inf
-    ):
-        high = np.broadcast_to(np.float32(high), (3,))  # the low bound of what is up to 1 is 0
-        self.observation_space = gym.spaces.Box(np.where(high == 1, 0, -high), high)
+    space = gym.spaces.Box(-np.inf, np.inf, (3,), np.float32)
+
+    def __init__(self, obs=None, reward=None, length=5, terminated=True, n_actions=2, info=None, **own):
+        self.observation_space = own.get("space", self.space)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (n_actions,), np.float32)
         self.obs = obs or (lambda rng: rng.standard_normal(3).astype(np.float32))
         self.reward = reward or (lambda rng: float(rng.standard_normal()))
@@ -285,7 +284,8 @@ class TestLearning:
         def obs(rng):
             return np.append(rng.normal(7.0, 2.0, 2), rng.random() < 0.02).astype(np.float32)
 
-        ppo = make_ppo(scripted(obs=obs, high=(np.inf, np.inf, 1.0)), normalise_obs=True)
+        space = gym.spaces.Box(np.float32([-np.inf, -np.inf, 0]), np.float32([np.inf, np.inf, 1]))
+        ppo = make_ppo(scripted(obs=obs, space=space), normalise_obs=True)
         ppo.collect()
         ppo.update()
         ppo.collect()
