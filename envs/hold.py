@@ -29,7 +29,7 @@ Verdict = Literal["full", "settled"]
 RAISE_SPEED = 0.3  # m/s
 OUT_OF_REACH = 0.25  # m from the palm; the longest finger reaches 0.15 m
 CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
-LOOK_STEPS = 25  # of the set-up's own timestep
+LOOK_STEPS = 25  # of the set-up's own timestep, whatever timestep it is run with
 
 
 @dataclass(frozen=True)
@@ -54,14 +54,6 @@ class HoldTest:
     settle_distance: float = 2e-3
     """"settled": the object is at rest when no point of it will move by more than this, m, before
     the compressed test ends and for one look more."""
-
-    @classmethod
-    def of_setup(
-        cls, own_timestep: float, seconds: float, shape: Shape, verdict: Verdict = "full"
-    ) -> HoldTest:
-        """The test of a set-up whose own timestep is `own_timestep` s, whatever timestep it is run
-        with: looked at every 25 of those."""
-        return cls(seconds, LOOK_STEPS * own_timestep, shape, verdict)
 
     def run(self, simulator: Simulator, joint_targets: Array, timestep: float) -> bool:
         """Does the object stay in the hand? Leaves the simulator wherever the test ended."""

@@ -163,7 +163,7 @@ class Items:
         self._friction = bounds("friction", config.friction)
         ranges = (*self._sizes, self._density, self._friction)
         self.vary = len(self._kinds) > 1 or any(low < high for low, high in ranges)
-        largest = [self._make(kind, [high for _, high in self._sizes]) for kind in self._kinds]
+        largest = [make(kind, tuple(high for _, high in self._sizes)) for kind in self._kinds]
         self.width = max(shape.width for shape in largest)
         """Of the widest, m."""
         self.height = max(shape.height for shape in largest)
@@ -176,11 +176,8 @@ class Items:
         if not self.vary:
             return self.first
         kind = self._kinds[rng.integers(len(self._kinds))]
-        shape = self._make(kind, [rng.uniform(*size) for size in self._sizes])
+        shape = make(kind, tuple(rng.uniform(*size) for size in self._sizes))
         return Item(shape, rng.uniform(*self._density), rng.uniform(*self._friction))
-
-    def _make(self, kind: Kind, size: list[float]) -> Shape:
-        return make(kind, tuple(size))
 
 
 def _kinds(names: str) -> tuple[Kind, ...]:

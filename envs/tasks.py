@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 import numpy as np
 
 from .hands import Array
-from .hold import HoldTest, Verdict
+from .hold import LOOK_STEPS, HoldTest, Verdict
 from .objects import Shape
 from .snapshot import Snapshot
 
@@ -191,7 +191,8 @@ class LiftAndHold:
 
     @classmethod
     def of(cls, config: TaskConfig, n_digits: int, own_timestep: float, shape: Shape) -> LiftAndHold:
-        test = HoldTest.of_setup(own_timestep, config.hold_seconds, shape, config.hold_verdict)
+        every = LOOK_STEPS * own_timestep
+        test = HoldTest(config.hold_seconds, every, shape, config.hold_verdict)
         return cls(config.lift_clearance, test, shape, n_digits)
 
     @property

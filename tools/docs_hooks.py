@@ -56,7 +56,6 @@ def flags(command: str) -> str:
 
 def python() -> list[str]:
     """Full names of what is documented: what the package exports, then PYTHON."""
-    exported = [getattr(tactilerl, name) for name in getattr(tactilerl, "__all__", ())]
-    objects = [each for each in exported if hasattr(each, "__qualname__")]
-    names = [f"{each.__module__}.{each.__qualname__}" for each in objects]
+    exported = [getattr(tactilerl, name) for name in tactilerl.__all__]
+    names = [f"{each.__module__}.{each.__qualname__}" for each in exported]
     return list(dict.fromkeys([*names, *PYTHON]))

@@ -16,6 +16,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
@@ -38,7 +39,8 @@ def examined(run: Path, episodes: int) -> dict[str, Any]:
     result = evaluation.summarise(rows)
     steps, rates = curve(run / "progress.csv")
     with (run / "progress.csv").open(newline="") as file:
-        seconds = [env_steps / float(row["steps_per_s"]) for row, env_steps in _with_steps(file)]
+        speeds = np.array([float(row["steps_per_s"]) for row in csv.DictReader(file)])
+    seconds = (np.diff(steps, prepend=0.0) / speeds).tolist()
     reached = next((i for i, rate in enumerate(rates) if rate >= ENOUGH), None)
     return {
         "seed": config.run.seed,
@@ -53,15 +55,6 @@ def examined(run: Path, episodes: int) -> dict[str, Any]:
         "success_rate": result["success_rate"],
         "success_rate_ci": result["success_rate_ci"],
     }
-
-
-def _with_steps(file: Any) -> list[tuple[dict[str, str], float]]:
-    """The rows of a progress table, each with the steps that it added."""
-    rows, before, found = csv.DictReader(file), 0.0, []
-    for row in rows:
-        found.append((row, float(row["env_steps"]) - before))
-        before = float(row["env_steps"])
-    return found
 
 
 def show(name: str, runs: list[dict[str, Any]], episodes: int) -> None:

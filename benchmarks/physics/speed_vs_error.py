@@ -163,7 +163,7 @@ def _change_bullet(stack: ExitStack, hand: str, config: Any, setting: Setting) -
     module, shipped = importlib.import_module(BULLET), hands.get(hand)
     if setting.added_inertia is not None:
         changed = replace(shipped, added_inertia=setting.added_inertia)
-        stack.enter_context(patch.object(hands, "load", lambda name: changed))
+        stack.enter_context(patch.object(hands, "get", lambda name: changed))
     stack.enter_context(patch.dict(module.ENGINE, setting.options))
     constants = setting.constants | ({"LOADING": self_contact()} if setting.self_contact else {})
     for name, value in constants.items():

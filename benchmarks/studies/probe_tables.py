@@ -139,7 +139,3 @@ def main() -> None:
     if options.figure:
         figure(results, options.figure)
     write(options.out, results)
-
-
-if __name__ == "__main__":
-    main()

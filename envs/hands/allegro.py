@@ -18,7 +18,6 @@ from .servos import add_servo, add_slides
 FIGURES = figures.read(Path(__file__).with_name("allegro.toml"))
 JOINTS = figures.joints(FIGURES)
 FINGERS = ("index", "middle", "ring")
-DIGITS = ("thumb", *FINGERS)
 DENSITY = 800.0  # kg/m³, the source's
 # The source's gain; its damping, halved, follows a target within one action.
 FINGER_GAIN, FINGER_DAMPING, FINGER_ARMATURE = 10.0, 0.5, 0.01
@@ -110,7 +109,6 @@ def hand() -> Hand:
             half_range=np.concatenate([SLIDE_HALF_RANGE, np.ptp(ranges, axis=1) / 2]),
         ),
         action_names=(*SLIDES, *JOINTS),
-        first_joints=tuple(f"{digit}_0" for digit in DIGITS),
         start=_start(),
         observation=(
             "joint_positions",

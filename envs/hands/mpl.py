@@ -100,16 +100,8 @@ def _trajectory(end: int) -> dict[str, float]:
 def _action() -> ClosingAction:
     actuators = (*SLIDES, *JOINTS)
     opened, closed = _trajectory(0), _trajectory(1)
-    groups = tuple(
-        np.array(
-            [
-                i
-                for i, name in enumerate(actuators)
-                if name in closed and name.partition("_")[0] in group
-            ]
-        )
-        for group in GROUPS
-    )
+    digits = [name.partition("_")[0] if name in closed else "" for name in actuators]
+    groups = tuple(np.flatnonzero(np.isin(digits, group)) for group in GROUPS)
     return ClosingAction(
         slide_step=np.array(SLIDE_STEP),
         slide_limits=np.array(SLIDE_LIMITS),

@@ -27,14 +27,8 @@ OBJECT_FIGURES = {
 }
 SOLVER_ITERATIONS = 20  # enough for the grasps' contacts: docs/appendix/physics_settings.md
 # Warnings after which the state is not the physics' any more.
-BROKEN = [
-    int(warning)
-    for warning in (
-        mujoco.mjtWarning.mjWARN_BADQPOS,
-        mujoco.mjtWarning.mjWARN_BADQVEL,
-        mujoco.mjtWarning.mjWARN_BADQACC,
-    )
-]
+KINDS = mujoco.mjtWarning
+BROKEN = [int(kind) for kind in (KINDS.mjWARN_BADQPOS, KINDS.mjWARN_BADQVEL, KINDS.mjWARN_BADQACC)]
 
 # Dry friction does not creep, MuJoCo's soft contacts do: with the model's pyramidal cones and
 # ratio 1 a held cube slides out of the fingers within the 20 s of a hold test.

@@ -53,7 +53,7 @@ def main(args: list[str]) -> int:
         ]
     blind = [f.layout for f in figures if f.is_blind]
     if read.json:
-        print(json.dumps([f.as_dict() for f in figures]))
+        print(json.dumps([dataclasses.asdict(f) for f in figures]))
         return 1 if blind else 0
     table = Table(title=f"{name} in {scene.simulator}, rule {scene.touch}: taxels during the hold")
     for column in ("layout", "taxels", "held", "bits on", "steps with any", "never fired", ""):

@@ -173,7 +173,7 @@ def main(args: list[str]) -> int:
     _require_extra()
     from . import run
 
-    with _Bar(is_shown=comm.rank == 0 and not read.output.json) as bar:
+    with _Bar(read.grasp.grasps, is_shown=comm.rank == 0 and not read.output.json) as bar:
         try:
             with interrupts.in_order():
                 played, out = run.grasps(read, comm, bar.show)
@@ -207,7 +207,7 @@ EVERY = 30.0  # s between lines
 class _Bar:
     """Grasps played so far: a bar on a terminal, elsewhere a line now and then."""
 
-    def __init__(self, is_shown: bool) -> None:
+    def __init__(self, total: int, is_shown: bool) -> None:
         screen = Console(stderr=True)
         columns = (TextColumn("grasps"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
         self._progress = Progress(
@@ -215,15 +215,15 @@ class _Bar:
         )
         self._task = self._progress.add_task("", total=None)
         self._said = time.monotonic() if is_shown and not screen.is_terminal else math.inf
-        self.done = 0
+        self.done, self._total = 0, total
 
-    def show(self, done: int, total: int) -> None:
+    def show(self, done: int) -> None:
         """So many are there."""
         self.done = done
         if time.monotonic() - self._said > EVERY:
             self._said = time.monotonic()
-            print(f"grasps {done:,}/{total:,}", file=sys.stderr, flush=True)
-        self._progress.update(self._task, completed=done, total=total)
+            print(f"grasps {done:,}/{self._total:,}", file=sys.stderr, flush=True)
+        self._progress.update(self._task, completed=done, total=self._total)
 
     def __enter__(self) -> _Bar:
         self._progress.start()

@@ -235,11 +235,6 @@ def stack(records: list[Record]) -> Record:
     return {name: np.stack([record[name] for record in records]) for name in records[0]}
 
 
-def join(parts: list[Record]) -> Record:
-    """Stacked records, one after another."""
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-
-
 def iterate(records: Record) -> Iterator[Record]:
     """Single records of a stack."""
     for k in range(len(records["held"])):

@@ -35,10 +35,8 @@ from .readings import Grasps
 if TYPE_CHECKING:
     from .command import AnalysisFlags, GraspFlags, ProbeFlags
 
-Show = Callable[[int, int], None]
 
-
-def grasps(read: ProbeFlags, comm: Communicator, show: Show) -> tuple[Played, Path]:
+def grasps(read: ProbeFlags, comm: Communicator, show: Callable[[int], None]) -> tuple[Played, Path]:
     """The grasps, played or read, and the folder where everything goes. Whatever cannot be asked
     is refused before minutes of playing."""
     source, playing = read.output.grasps_file, read.grasp
@@ -54,10 +52,9 @@ def grasps(read: ProbeFlags, comm: Communicator, show: Show) -> tuple[Played, Pa
         _require_answerable(read.analysis, hands.get(played.settings["env"]))
         return played, files.folder(read.output.out or source.parent)
     out, workers = read.output.out, read.output.workers or free_cores(comm)
-    report = partial(_report, show, playing.grasps)
     if playing.policy is not None:
-        return _by_policy(playing, read.analysis, out, workers, comm, report)
-    return _scripted(playing, read.analysis, out, workers, comm, report)
+        return _by_policy(playing, read.analysis, out, workers, comm, show)
+    return _scripted(playing, read.analysis, out, workers, comm, show)
 
 
 def _require_answerable(asking: AnalysisFlags, hand: Hand) -> None:
@@ -68,10 +65,6 @@ def _require_answerable(asking: AnalysisFlags, hand: Hand) -> None:
         if found > allowed:
             raise InputError(f"select: found {found}, allowed up to the {allowed} taxels of the skin "
                              f"({asking.skin})")  # fmt: skip
-
-
-def _report(show: Show, total: int, done: int) -> None:
-    show(done, total)
 
 
 def _changed(playing: GraspFlags, *allowed: str) -> str | None:
@@ -204,17 +197,11 @@ def _feel(read: ProbeFlags, asked: Grasps, settings: dict[str, Any], spots: Sequ
     if settings["touch"] == "contact":
         readings = asked.feel_contact(spots)
     else:
-        readings = asked.feel(places.layout(list(spots), asked.hand, "asked", "").place(asked.hand))
-        readings = readings[:, _order(spots, asked.hand)]
+        taxels = places.layout(list(spots), asked.hand, "asked", "").place(asked.hand)
+        column = {spot: i for i, spot in enumerate(places.of(taxels, asked.hand))}
+        readings = asked.feel(taxels)[:, [column[spot] for spot in spots]]
     rng = np.random.default_rng([settings["seed"], analysis.FAULTS])
     return read.fault.apply(readings, rng)
-
-
-def _order(spots: Sequence[Place], hand: Hand) -> list[int]:
-    """Where each place's taxel is in the layout made of them."""
-    placed = places.of(places.layout(list(spots), hand, "asked", "").place(hand), hand)
-    column = {spot: i for i, spot in enumerate(placed)}
-    return [column[spot] for spot in spots]
 
 
 def _about(read: ProbeFlags, played: Played, asked: Grasps) -> dict[str, Any]:

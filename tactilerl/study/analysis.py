@@ -172,8 +172,7 @@ def _comparisons(
         return {}
     found = {}
     for cell in setup.cells:
-        pair = [groups.get((cell, arm)) for arm in (setup.compare.treatment, setup.compare.control)]
-        treatment, control = pair
+        treatment, control = (groups.get((cell, arm)) for arm in setup.arms[:2])
         if treatment is None or control is None:
             continue
         a, b = treatment.scores["converged"], control.scores["converged"]
@@ -225,23 +224,21 @@ def _agreements(setups: list[SetupResult]) -> list[Agreement]:
     return found
 
 
-def _pair(one: SetupResult, cell: str) -> tuple[Group, Group]:
-    assert one.setup.compare is not None
-    return (
-        one.groups[cell, one.setup.compare.treatment],
-        one.groups[cell, one.setup.compare.control],
-    )
+def pair(one: SetupResult, cell: str) -> tuple[Group, Group]:
+    """Treatment and control of a cell that has both."""
+    treatment, control = one.setup.arms[:2]
+    return one.groups[cell, treatment], one.groups[cell, control]
 
 
 def _value(one: SetupResult, cell: str, by: str) -> float:
-    treatment, control = (group.estimate("iqm").value for group in _pair(one, cell))
+    treatment, control = (group.estimate("iqm").value for group in pair(one, cell))
     return treatment if by == "treatment" else treatment - control
 
 
 def _resampled(one: SetupResult, cell: str, by: str) -> Array:
     treatment, control = (
         statistics.bootstrap(group.scores["converged"], "iqm", group.counts)
-        for group in _pair(one, cell)
+        for group in pair(one, cell)
     )
     return treatment if by == "treatment" else treatment - control
 
@@ -264,11 +261,10 @@ def _mixed(setups: list[SetupResult]) -> list[Term] | str:
             "so the effect of one cannot be told from that of another"
         )
     rows = [
-        (score, group.arm == one.setup.compare.treatment, *kinds[one.setup.name], one.setup.name + cell)
+        (score, group.arm == one.setup.arms[0], *kinds[one.setup.name], one.setup.name + cell)
         for one in compared
-        if one.setup.compare is not None
         for cell in one.comparisons
-        for group in _pair(one, cell)
+        for group in pair(one, cell)
         for score in group.scores["converged"]
     ]
     scores, treated, hands, simulators, algorithms, cells = zip(*rows, strict=True)

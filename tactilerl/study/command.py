@@ -88,21 +88,20 @@ def _run(read: RunFlags, pool: Executor, parallel: int) -> int:
     console.print(f"{title}: {len(runs)} runs, {len(jobs)} to do, in {folder.path}")
     with display.Watch(overview, getattr(pool, "num_workers", parallel), title) as watch:
         endings = runner.run_all(jobs, pool, watch)
-    return _closing(folder, runs, list(endings.values()).count("busy"))
-
-
-def _closing(folder: StudyFolder, runs: list[grid.Run], elsewhere: int) -> int:
-    failed = {}
-    for one in runs:
-        outcome = folder.files(one).outcome()
-        if outcome is not None and outcome.state == "failed":
-            failed[one.name] = outcome.reason
-    for name, reason in failed.items():
-        console.print(f"failed: {name}: {reason}")
-    if elsewhere:
+    failures = _print_failures(folder, runs)
+    if elsewhere := list(endings.values()).count("busy"):
         console.print(f"{elsewhere} runs are trained by another `study run`")
     console.print(f"  tactilerl study report {folder.path}")
-    return 1 if failed else 0
+    return 1 if failures else 0
+
+
+def _print_failures(folder: StudyFolder, runs: list[grid.Run]) -> int:
+    """Every run that failed, and why; how many."""
+    outcomes = {one.name: folder.files(one).outcome() for one in runs}
+    reasons = {name: o.reason for name, o in outcomes.items() if o and o.state == "failed"}
+    for name, reason in reasons.items():
+        console.print(f"failed: {name}: {reason}")
+    return len(reasons)
 
 
 @dataclass(frozen=True)
@@ -130,10 +129,7 @@ def status(args: list[str]) -> int:
     console.print(overview.table(f"study {study.name}, {len(overview.runs)} runs"))
     is_over = not any(overview.counts()[state] for state in ("running", "interrupted", "left"))
     console.print("nothing left to do" if is_over else f"ETA {display.duration(eta)}")
-    for one in overview.runs:
-        outcome = folder.files(one).outcome()
-        if outcome is not None and outcome.state == "failed":
-            console.print(f"failed: {one.name}: {outcome.reason}")
+    _print_failures(folder, overview.runs)
     return 0
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from .statistics import METRICS, Estimate
 
 INK, FAINT = "#010203", "#b0b0b1"  # become colours of the page in report.html
 ARMS = ("#e0a800", "#2b6cb0", "#8a5a9e", "#4d8f5b")  # treatment and control as in the paper
-STYLE: dict[Any, Any] = {
+STYLE: dict[Any, Any] = {  # with it the same input gives the same bytes
     "svg.hashsalt": "tactilerl",
     "svg.fonttype": "none",
     "font.family": "sans-serif",
@@ -43,18 +43,11 @@ LABELS = {"median": "median of runs", "iqm": "IQM", "mean": "mean"}
 Draw = Callable[[Axes], None]
 
 
-@contextmanager
-def style() -> Iterator[None]:
-    """matplotlib's settings for these figures; the same input gives the same bytes."""
-    with matplotlib.rc_context(STYLE):
-        yield
-
-
 class Picture:
     """Panels that stand together: one file, and side by side on a page as wide as it is."""
 
     def __init__(
-        self, name: str, title: str, panels: list[tuple[str, Draw]], size: tuple[float, float]
+        self, name: str, title: str, panels: Sequence[tuple[str, Draw]], size: tuple[float, float]
     ) -> None:
         self.name, self.title, self.panels, self.size = name, title, panels, size
 
@@ -62,7 +55,7 @@ class Picture:
         """Write NAME.png and NAME.svg."""
         columns = min(3, len(self.panels))
         rows = -(-len(self.panels) // columns)
-        with style():
+        with matplotlib.rc_context(STYLE):
             figure = Figure(figsize=(self.size[0] * columns, self.size[1] * rows), layout="constrained")
             axes = figure.subplots(rows, columns, squeeze=False).ravel()
             for (title, draw), one in zip(self.panels, axes, strict=False):
@@ -78,7 +71,7 @@ class Picture:
         return [self._panel(index, *panel) for index, panel in enumerate(self.panels)]
 
     def _panel(self, index: int, title: str, draw: Draw) -> str:
-        with style():
+        with matplotlib.rc_context(STYLE):
             figure = Figure(figsize=self.size, layout="constrained")
             figure.patch.set_alpha(0)
             axes = figure.subplots()
@@ -124,12 +117,8 @@ def _arm_colours(one: SetupResult) -> dict[str, str]:
 
 def curves(one: SetupResult) -> Picture:
     """The paper's Figures 3 and 5: a panel per cell, IQM with interval, runs behind it."""
-
-    def drawing(cell: str) -> Draw:
-        return lambda axes: _curves_of(one, cell, axes)
-
     title = f"Learning curves, {one.setup.name}: IQM, 95 % interval, every run"
-    panels = [(cell, drawing(cell)) for cell in one.cells]
+    panels = [(cell, partial(_curves_of, one, cell)) for cell in one.cells]
     return Picture(f"{one.setup.name}_curves", title, panels, (3.6, 2.7))
 
 
@@ -152,14 +141,10 @@ def _curves_of(one: SetupResult, cell: str, axes: Axes) -> None:
 
 def converged(one: SetupResult) -> Picture:
     """The paper's Figures 4 and 6: median, IQM and mean of converged rates, a panel per arm."""
-
-    def drawing(arm: str) -> Draw:
-        return lambda axes: _converged_of(one, arm, axes)
-
     arms = [arm for arm in one.setup.arms if any(arm == a for _, a in one.groups)]
     height = 1.1 + 0.62 * len(one.cells)
     title = f"Converged success rates, {one.setup.name}: mean, IQM and median of runs, 95 % intervals"
-    panels = [(arm or "all", drawing(arm)) for arm in arms]
+    panels = [(arm or "all", partial(_converged_of, one, arm)) for arm in arms]
     return Picture(f"{one.setup.name}_converged", title, panels, (4.2, height))
 
 
@@ -194,20 +179,15 @@ def _bar(
 
 def forest(analysis: Analysis) -> Picture:
     """Differences of IQMs with intervals, a panel per set-up; the paper's beside ours."""
-
-    def drawing(one: SetupResult) -> Draw:
-        return lambda axes: _forest_of(one, axes)
-
     compared = [one for one in analysis.setups if one.comparisons]
     height = 1.2 + 0.5 * max(len(one.comparisons) for one in compared)
     title = "Treatment minus control: differences of IQMs of converged rates, 95 % intervals"
-    panels = [(one.setup.name, drawing(one)) for one in compared]
+    panels = [(one.setup.name, partial(_forest_of, one)) for one in compared]
     return Picture("differences", title, panels, (4.2, height))
 
 
 def _forest_of(one: SetupResult, axes: Axes) -> None:
-    assert one.setup.compare is not None
-    arms = one.setup.compare.treatment, one.setup.compare.control
+    arms = one.setup.arms[:2]
     axes.axvline(0, color=INK, linewidth=0.8)
     for row, (cell, found) in enumerate(one.comparisons.items()):
         _bar(axes, row, found.difference, ARMS[0], "s", "this study" if row == 0 else None)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import statistics
-from .analysis import SEED, Analysis, SetupResult
+from .analysis import SEED, Analysis, SetupResult, pair
 
 
 @dataclass(frozen=True)
@@ -55,8 +55,7 @@ def _need(
     score: str,
     rng: np.random.Generator,
 ) -> Need | None:
-    assert one.setup.compare is not None
-    groups = [one.groups[cell, arm] for arm in (one.setup.compare.treatment, one.setup.compare.control)]
+    groups = pair(one, cell)
     scores = [group.scores[score] for group in groups]
     freedom = sum(len(group) - 1 for group in groups)
     squares = sum(float(((s - s.mean()) ** 2).sum()) for s in scores)

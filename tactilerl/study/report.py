@@ -56,9 +56,9 @@ def _summary(analysis: Analysis) -> list[str]:
     done = sum(record.state == "done" for record in analysis.records)
     said = [f"{done} of {len(analysis.records)} runs in {len(analysis.setups)} set-ups are finished."]
     for one in analysis.setups:
-        if not one.comparisons or one.setup.compare is None:
+        if not one.comparisons:
             continue
-        arms = one.setup.compare.treatment, one.setup.compare.control
+        arms = one.setup.arms[:2]
         clear = [c for c in one.comparisons.values() if c.p_holm <= 0.05]
         names = ", ".join(f"{c.cell} ({c.difference.value:+.2f})" for c in clear)
         result = f"in {names}" if clear else f"in none of {len(one.comparisons)} comparisons"

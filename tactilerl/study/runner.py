@@ -24,6 +24,7 @@ from .folder import Outcome, RunFiles
 from .worker import BUSY
 
 ATTEMPTS = 2
+LOOK = 1.0  # s between looks at what runs
 BAD_INPUT = 2  # exit code of what a second attempt cannot mend
 INTERRUPTED = (130, -signal.SIGINT)
 LAUNCHER_PREFIXES = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "MPI_LOCAL")
@@ -156,36 +157,24 @@ def _stop(pool: concurrent.futures.Executor) -> None:
         child.terminate()
 
 
-def run_all(
-    jobs: list[Job],
-    pool: concurrent.futures.Executor,
-    watch: Watch,
-    every: float = 1.0,
-) -> dict[Path, Ending]:
+def run_all(jobs: list[Job], pool: concurrent.futures.Executor, watch: Watch) -> dict[Path, Ending]:
     """Run the jobs in order; the endings by `Job.base`.
 
-    `watch` is called `every` so many seconds and whenever jobs end, with the jobs that run and the
+    `watch` is called every second and whenever jobs end, with the jobs that run and the
     endings so far. Jobs that somebody else was training are asked for once more at the end.
     """
     endings: dict[Path, Ending] = {}
-    _run_batch(jobs, pool, watch, every, endings)
-    busy = [job for job in jobs if endings[job.base] == "busy"]
-    _run_batch(busy, pool, watch, every, endings)
+    _run_batch(jobs, pool, watch, endings)
+    _run_batch([job for job in jobs if endings[job.base] == "busy"], pool, watch, endings)
     return endings
 
 
 def _run_batch(
-    jobs: list[Job],
-    pool: concurrent.futures.Executor,
-    watch: Watch,
-    every: float,
-    endings: dict[Path, Ending],
+    jobs: list[Job], pool: concurrent.futures.Executor, watch: Watch, endings: dict[Path, Ending]
 ) -> None:
     waiting = {pool.submit(run_job, job): job for job in jobs}
     while waiting:
-        ended, _ = concurrent.futures.wait(
-            waiting, every, return_when=concurrent.futures.FIRST_COMPLETED
-        )
+        ended, _ = concurrent.futures.wait(waiting, LOOK, concurrent.futures.FIRST_COMPLETED)
         for future in ended:
             endings[waiting.pop(future).base] = future.result()
         watch([job for future, job in waiting.items() if future.running()], endings)

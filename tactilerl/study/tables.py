@@ -14,7 +14,7 @@ import numpy as np
 
 from .. import config as configuration
 from ..errors import InputError
-from .analysis import SCORES, THRESHOLDS, Analysis, Group, SetupResult
+from .analysis import SCORES, THRESHOLDS, Analysis, Group, SetupResult, pair
 from .statistics import Estimate, bca_interval, power_from_intervals
 
 NAMES = {"median": "Median", "iqm": "IQM", "mean": "Mean"}
@@ -87,12 +87,6 @@ def all_tables(analysis: Analysis) -> list[Table]:
     return [*tables, cost(analysis), deviations(analysis), versions(analysis), runs(analysis)]
 
 
-def learning_tables(analysis: Analysis) -> list[Table]:
-    """Those that depend on nothing but what was learned: the same however often the study was cut
-    off, on any machine of the kind."""
-    return [table for table in all_tables(analysis) if table.name not in ("cost", "versions")]
-
-
 def converged(one: SetupResult) -> Table:
     """The paper's Tables 1 and 2: converged success rates of every group."""
     columns = ["Config.", "Type", "Runs", *NAMES.values()]
@@ -143,22 +137,20 @@ def other_measures(one: SetupResult) -> Table:
 
 def comparisons(one: SetupResult) -> Table:
     """Treatment against control in every cell."""
-    assert one.setup.compare is not None
+    treatment, control = one.setup.arms[:2]
     columns = ["Config.", "Runs", "Difference of IQMs", "Overlap of CIs", "P(improvement)"]
     columns += ["p", "p, Holm", "Within seeds", "p within seeds"]
     if one.published:
         columns += ["Paper: difference", "Paper: overlap", "Paper: power"]
     rows = []
     for cell, found in one.comparisons.items():
-        arms = (one.setup.compare.treatment, one.setup.compare.control)
-        sizes = " / ".join(str(len(one.groups[cell, arm])) for arm in arms)
+        sizes = " / ".join(str(len(group)) for group in pair(one, cell))
         row = [cell, sizes, shown(found.difference, 3), share(found.overlap)]
         row += [shown(found.improvement), p_value(found.p_value), p_value(found.p_holm)]
         row += [shown(found.within, 3), p_value(found.p_within)]
         if one.published:
-            row += _published_comparison(one, cell, arms)
+            row += _published_comparison(one, cell, (treatment, control))
         rows.append(row)
-    treatment, control = one.setup.compare.treatment, one.setup.compare.control
     note = (
         "Of converged rates. Overlap: share of the control's interval, as in the paper. "
         f"P(improvement): a run of {treatment} beats one of {control}. p: permutation test of the "
@@ -216,14 +208,8 @@ def cost(analysis: Analysis) -> Table:
         hours = sum(s * n for s, n in zip(seconds, ranks, strict=True)) / 3600
         minutes = float(np.median(seconds)) / 60 if seconds else math.nan
         speed = steps / sum(seconds) if sum(seconds) else math.nan
-        cells = [
-            one.setup.name,
-            str(len(begun)),
-            number(hours, 3),
-            number(minutes, 1),
-            number(speed, 0),
-        ]
-        rows.append(cells)
+        figures = [number(hours, 3), number(minutes, 1), number(speed, 0)]
+        rows.append([one.setup.name, str(len(begun)), *figures])
     columns = ["Set-up", "Runs begun", "Core-hours", "Median minutes per run", "Steps per second"]
     note = "Time in epochs, without starting and saving; core-hours: times the processes of a run."
     return Table("cost", "Cost", columns, rows, note)

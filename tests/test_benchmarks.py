@@ -1,0 +1,22 @@
+"""The benchmarks that reach into the library still find what they change."""
+
+import importlib
+
+import pytest
+
+from benchmarks.physics.speed_vs_error import BULLET, Setting, environment
+
+
+@pytest.mark.pybullet
+def test_bullet_with_other_settings():
+    engine = importlib.import_module(BULLET).ENGINE
+    setting = Setting(options={"contactERP": 0.4}, added_inertia=0.5)
+    with environment("mpl", "pybullet", 0.05, setting) as env:
+        assert env.hand.added_inertia == 0.5
+        assert engine["contactERP"] == 0.4
+    assert engine["contactERP"] != 0.4
+
+
+def test_mujoco_with_other_settings():
+    with environment("mpl", "mujoco", 0.05, Setting(timestep=2, options={"iterations": 7})) as env:
+        assert env.simulator.model.opt.iterations == 7
