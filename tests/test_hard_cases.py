@@ -13,10 +13,14 @@ from tactilerl.envs.grasp import GraspEnv, setup
 
 ROOT = Path(__file__).resolve().parents[1]
 PAIRS = [(hand, simulator) for hand in ("shadow", "mpl") for simulator in ("mujoco", "pybullet")]
+SLOWEST = ("shadow", "pybullet")
 
 
 @pytest.mark.parametrize("steps", [8, pytest.param(25, marks=pytest.mark.slow)])
-@pytest.mark.parametrize(("hand", "simulator"), PAIRS)
+@pytest.mark.parametrize(
+    ("hand", "simulator"),
+    [pytest.param(*pair, marks=pytest.mark.slow if pair == SLOWEST else ()) for pair in PAIRS],
+)
 def test_every_case_stays_within_its_stated_limits(hand, simulator, steps, tmp_path):
     out = tmp_path / "hard.json"
     command = [sys.executable, "-m", "benchmarks", "hard_cases", "--hand", hand]

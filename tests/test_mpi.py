@@ -96,7 +96,8 @@ def test_ddpg_reaches_points_from_sparse_rewards_on_two_ranks():
     assert json.loads(evaluated.stdout)["success_rate"] >= 0.95
 
 
-@pytest.mark.parametrize("toy", [pytest.param("ppo", marks=pytest.mark.slow), "ddpg_her"])
+@pytest.mark.slow
+@pytest.mark.parametrize("toy", ["ppo", "ddpg_her"])
 def test_another_number_of_ranks_is_refused_unless_asked_for(toy, capsys):
     toy = TOY if toy == "ppo" else REACH
     tactilerl(*toy, "--total-timesteps", "1", "--out", "run")
@@ -175,7 +176,8 @@ def ranks_of(process):
     return [p for p in below if "tactilerl.cli" in p.cmdline() and "python" in p.name()]
 
 
-@pytest.mark.parametrize("how", ["kill -9 of a rank", pytest.param("Ctrl-C", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("how", ["kill -9 of a rank", "Ctrl-C"])
 def test_an_end_from_outside_ends_all_and_loses_nothing(how):
     args = [*REACH, "--total-timesteps", "1000"]
     process = start(*args)
@@ -274,6 +276,7 @@ def test_two_ranks_play_the_grasps_of_one():
         assert all(np.array_equal(one[name], two[name]) for name in one.files if name != "settings")
 
 
+@pytest.mark.slow
 def test_a_study_over_the_ranks_of_a_launch(tmp_path):
     study = ["study", "run", str(write(tmp_path)), "--out"]
     assert main([*study, "alone", "--jobs", "2"]) == 0

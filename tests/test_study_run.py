@@ -68,6 +68,7 @@ class TestRun:
         for column in ("env_steps", "critic_loss", "test_success_rate"):
             np.testing.assert_array_equal(ours.column(column), theirs.column(column))
 
+    @pytest.mark.slow
     def test_a_longer_study_goes_on_and_more_seeds_join(self, undisturbed, tmp_path, capsys):
         shutil.copytree(undisturbed, tmp_path / "out")
         text = TINY.replace("= 200", "= 300") + "grid = {polyak = [0.9, 0.95, 0.99], seed = 0}\n"
@@ -91,6 +92,7 @@ class TestRun:
 
 
 class TestFailures:
+    @pytest.mark.slow
     def test_a_run_that_diverges_is_tried_twice_and_the_study_goes_on(
         self, tmp_path, monkeypatch, capsys
     ):
@@ -149,6 +151,7 @@ def kill_first_child():
 
 
 class TestSharing:
+    @pytest.mark.slow
     def test_a_run_that_somebody_else_trains_is_left_to_them(self, undisturbed, tmp_path, capsys):
         shutil.copytree(undisturbed, tmp_path / "out")
         folder = StudyFolder(tmp_path / "out")
