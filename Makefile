@@ -36,7 +36,7 @@ $(DEVELOPMENT): $(TRAINING)
 # Goes on with the run when it is there already.
 train: $(TRAINING)
 	if [ -e $(RUN)/config.json ]; then $(BIN)/tactilerl train --resume $(RUN); else \
-		$(BIN)/tactilerl train --algo ppo --env shadow --layout 4 --total-timesteps 50000 \
+		$(BIN)/tactilerl train --algo ppo --env shadow --layout 4 --total-timesteps 40000 \
 			--hold-verdict settled --out $(RUN); fi
 	$(BIN)/tactilerl evaluate $(RUN) --episodes 50
 

@@ -170,6 +170,8 @@ def report(args: list[str]) -> int:
     read = flags.parse(ReportFlags, args, "tactilerl study report")
     flags.at_least("--resamples", read.resamples, 100)
     with _needs_extra("report"):
+        import statsmodels  # noqa: F401
+
         from . import report as page
         from . import tables
         from .analysis import analyse
