@@ -1,6 +1,5 @@
 """The physics under what it was not made for: the benchmark hard_cases, few steps of each case."""
 
-import importlib
 import json
 import subprocess
 import sys
@@ -9,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.physics import hard_cases
 from tactilerl.envs.grasp import GraspEnv, setup
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -35,29 +35,23 @@ def test_every_case_stays_within_its_stated_limits(hand, simulator, steps, tmp_p
     assert {row["steps"] for row in rows.values()} == {steps}
 
 
-@pytest.fixture
-def hard_cases(monkeypatch):
-    monkeypatch.syspath_prepend(ROOT)
-    return importlib.import_module("benchmarks.physics.hard_cases")
-
-
-def worst(hard_cases, case, steps=5):
+def worst(case, steps=5):
     return list(hard_cases.run("shadow", "mujoco", case, steps))[-1]
 
 
-def test_a_case_beyond_its_limits_is_a_failure(hard_cases):
+def test_a_case_beyond_its_limits_is_a_failure():
     strict = hard_cases.Case(hard_cases.squeeze, {}, hard_cases.Limits(overlap=0.0))
-    assert not worst(hard_cases, strict)["ok"]
+    assert not worst(strict)["ok"]
 
 
-def test_warnings_are_a_failure(hard_cases, little_memory):
-    row = worst(hard_cases, hard_cases.CASES["pressed down"])
+def test_warnings_are_a_failure(little_memory):
+    row = worst(hard_cases.CASES["pressed down"])
     assert row["warnings"] > 0
     assert not row["ok"]
 
 
 @pytest.mark.parametrize("harm", ["accepts", "moves"])
-def test_bad_actions_that_are_let_through_are_a_failure(hard_cases, monkeypatch, harm):
+def test_bad_actions_that_are_let_through_are_a_failure(monkeypatch, harm):
     step = GraspEnv.step
 
     def careless(env, action):
@@ -67,12 +61,12 @@ def test_bad_actions_that_are_let_through_are_a_failure(hard_cases, monkeypatch,
         return done
 
     monkeypatch.setattr(GraspEnv, "step", careless)
-    row = worst(hard_cases, hard_cases.CASES["actions that are not finite"], 10)
+    row = worst(hard_cases.CASES["actions that are not finite"], 10)
     assert row["let_through"] > 0
     assert not row["ok"]
 
 
-def test_without_a_reset_there_is_one_episode_and_it_leaves_figures_on_the_way(hard_cases, monkeypatch):
+def test_without_a_reset_there_is_one_episode_and_it_leaves_figures_on_the_way(monkeypatch):
     begun = []
     begin = hard_cases.begin
     monkeypatch.setattr(hard_cases, "begin", lambda *args: begun.append(begin(*args)))
@@ -87,7 +81,7 @@ def test_without_a_reset_there_is_one_episode_and_it_leaves_figures_on_the_way(h
     ]
 
 
-def test_cases_already_in_the_file_are_kept(hard_cases, monkeypatch, tmp_path):
+def test_cases_already_in_the_file_are_kept(monkeypatch, tmp_path):
     out = tmp_path / "hard.json"
     for case, steps in (("full squeeze", "2"), ("pressed down", "3")):
         flags = ["--hand", "mpl", "--simulator", "mujoco", "--case", case, "--steps", steps]

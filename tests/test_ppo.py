@@ -24,10 +24,10 @@ STEADY = {**asdict(recipes.recipe("ppo", "steady")), **SMALL, "minibatch_size": 
 class ScriptedEnv(gym.Env):
     """Rewards, observations and ends of episodes are given; random ones follow from the seed."""
 
-    space = gym.spaces.Box(-np.inf, np.inf, (3,), np.float32)
-
-    def __init__(self, obs=None, reward=None, length=5, terminated=True, n_actions=2, info=None, **own):
-        self.observation_space = own.get("space", self.space)
+    def __init__(
+        self, obs=None, reward=None, length=5, terminated=True, n_actions=2, info=None, space=None
+    ):
+        self.observation_space = space or gym.spaces.Box(-np.inf, np.inf, (3,), np.float32)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (n_actions,), np.float32)
         self.obs = obs or (lambda rng: rng.standard_normal(3).astype(np.float32))
         self.reward = reward or (lambda rng: float(rng.standard_normal()))
