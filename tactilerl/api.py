@@ -206,19 +206,16 @@ def train(
     comm = mpi.world()
     if resume is None:
         base = config.defaults(algo or RunOptions.algo, env or RunOptions.env, recipe or recipes.PAPER)
+        chosen = base.choose({**flags, **({} if out is None else {"out": str(out)})})
     else:
-        base, _ = RunDir(Path(resume)).read_config(env or "", trust)
-        for name, given in (
-            ("algo", algo not in (None, base.run.algo)),
-            ("out", out is not None),
-            ("recipe", recipe is not None),
-        ):
+        saved, _ = RunDir(Path(resume)).read_config(env or "", trust)
+        for name, given in (("algo", algo not in (None, saved.run.algo)), ("out", out is not None)):
             if given:
                 raise ValueError(f"{name}: found it with resume; a resumed run keeps its settings")
-    chosen = base.choose({**flags, **({} if out is None else {"out": str(out)})})
+        chosen = (saved.with_recipe(recipe) if recipe else saved).choose(flags)
+        if difference := saved.difference(chosen.identity()):
+            raise InputError(f"resume: {difference}; a resumed run keeps its settings")
     chosen.validate()
-    if difference := base.difference(chosen.identity()) if resume is not None else None:
-        raise InputError(f"resume: {difference}; a resumed run keeps its settings")
     return training.train(chosen, comm, None if resume is None else Path(resume), any_ranks)
 
 

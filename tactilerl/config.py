@@ -104,6 +104,11 @@ class RunConfig:
         parts = {name: typed.replace(part, chosen[name]) for name, part in self.parts.items()}
         return dataclasses.replace(self, **parts)
 
+    def with_recipe(self, name: str) -> RunConfig:
+        """A copy with the hyperparameters of a recipe; InputError when the learner has no such recipe."""
+        with input_errors():
+            return dataclasses.replace(self, learner=recipes.recipe(self.run.algo, name))
+
     def validate(self) -> None:
         """Raise ValueError naming the first invalid field."""
         for part in self.parts.values():

@@ -315,8 +315,10 @@ class TestResume:
         mine = {"gamma": 0.9, "hidden": [16], "steps_per_epoch": 120, "n_passes": 2}
         assert chosen.items() >= {**steady, **mine}.items()
         assert main(["train", "--resume", "run", "--total-timesteps", "240"]) == 0
-        again = ["train", "--resume", "run", "--recipe", "steady"]
-        fails_with(capsys, again, "--recipe: a resumed run keeps its settings")
+        again = ["train", "--resume", "run", "--total-timesteps", "360", "--recipe"]
+        fails_with(capsys, [*again, "steady", *FAST], "gamma: found 0.99, the run was made with 0.9")
+        fails_with(capsys, [*again, "paper", *FAST], "the run was made with")
+        assert main([*again, "steady", *FAST, "--gamma", "0.9"]) == 0  # as `study run` does
         fails_with(capsys, [*TOY, "--recipe", "stedy"], "recipe: found 'stedy'", "paper, steady")
         fails_with(capsys, [*REACH, "--recipe", "steady"], "allowed for ddpg_her: paper")
         both = [*TOY, "--recipe", "steady", "--n-minibatches", "6"]

@@ -12,6 +12,7 @@ polyak = [0.9, 0.95]
 seed = 0
 [setups.reach]
 algo = "ddpg_her"
+recipe = "paper"  # of which a run that goes on hears again
 env = "point-reach"
 hidden = [8]
 batch_size = 16

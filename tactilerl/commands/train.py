@@ -26,13 +26,14 @@ def main(args: list[str]) -> int:
     resume = flags.peek(args, "--resume", "")
     env = flags.peek(args, "--env", "")
     saved = RunDir(Path(resume)).read_config(env, "--trust" in args)[0] if resume else None
-    config, options = read_config(args, saved or defaults(args))
+    recipe = flags.peek(args, "--recipe", "")
+    base = saved.with_recipe(recipe) if saved and recipe else saved
+    config, options = read_config(args, base or defaults(args))
     for flag in ("any_ranks", "trust"):
         if getattr(options, flag) and not resume:
             raise InputError(f"--{flag.replace('_', '-')}: found without --resume, allowed with it")
-    for flag, reason in (("--out", "stays in its folder"), ("--recipe", "keeps its settings")):
-        if resume and any(arg.partition("=")[0] == flag for arg in args):
-            raise InputError(f"{flag}: a resumed run {reason}; leave it out")
+    if resume and any(arg.partition("=")[0] == "--out" for arg in args):
+        raise InputError("--out: a resumed run stays in its folder; leave it out")
     with input_errors():
         config.validate()
         comm = mpi.world()
