@@ -2,7 +2,8 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt
+# Without --no-compile, pip would compile for half a minute, mostly what nobody imports.
+INSTALL := $(BIN)/pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt
 # Where the CPU build of PyTorch is. `make CUDA=1` takes what pip finds by itself, on Linux with CUDA.
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 CUDA ?=
@@ -30,13 +31,14 @@ $(DEVELOPMENT): $(TRAINING)
 	$(INSTALL) --editable ".[dev]"
 	$(INSTALL) -qq --only-binary pybullet pybullet || \
 		echo "PyBullet: found no wheel for this Python; going on without it"
+	$(BIN)/python -m compileall -qq -j 0 $(VENV)/lib || true  # tests start many processes
 	touch $@
 
 # The early hold verdict is for speed.
 # Goes on with the run when it is there already.
 train: $(TRAINING)
 	if [ -e $(RUN)/config.json ]; then $(BIN)/tactilerl train --resume $(RUN); else \
-		$(BIN)/tactilerl train --algo ppo --env shadow --layout 4 --total-timesteps 40000 \
+		$(BIN)/tactilerl train --algo ppo --env shadow --layout 4 --total-timesteps 36000 \
 			--hold-verdict settled --out $(RUN); fi
 	$(BIN)/tactilerl evaluate $(RUN) --episodes 50
 

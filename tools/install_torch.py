@@ -11,7 +11,7 @@ import subprocess
 import sys
 import urllib.request
 
-PIP = (sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check")
+PIP = (sys.executable, "-m", "pip", "install", "--quiet", "--no-compile", "--disable-pip-version-check")
 SECONDS = 5  # to wait for the index
 
 
