@@ -139,8 +139,9 @@ def main() -> None:
     flags.add_argument("--jobs", type=int, default=2)
     flags.add_argument("--seeds", type=int, default=SEEDS)
     flags.add_argument("--first-seed", type=int, default=0, help="10000 and more for pilots")
-    flags.add_argument("--only", nargs="+", default=[*VARIANTS, PEER], help="contenders")
-    flags.add_argument("--tasks", nargs="+", default=TASKS)
+    contenders = [*VARIANTS, PEER]
+    flags.add_argument("--only", nargs="+", choices=contenders, default=contenders, metavar="NAME")
+    flags.add_argument("--tasks", nargs="+", choices=TASKS, default=TASKS, metavar="TASK")
     options = flags.parse_args()
     configs = {name: asdict(config) for name, config in VARIANTS.items()}
     about = json.loads(json.dumps({"steps": STEPS, "configs": configs}))
