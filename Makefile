@@ -2,7 +2,8 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-# Without --no-compile, pip would compile for half a minute, mostly what nobody imports.
+# pip would compile for half a minute, mostly what nobody imports: Python does it at the first import.
+unexport PYTHONDONTWRITEBYTECODE
 INSTALL := $(BIN)/pip install --quiet --no-compile --disable-pip-version-check --constraint constraints.txt
 # Where the CPU build of PyTorch is. `make CUDA=1` takes what pip finds by itself, on Linux with CUDA.
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
@@ -31,7 +32,6 @@ $(DEVELOPMENT): $(TRAINING)
 	$(INSTALL) --editable ".[dev]"
 	$(INSTALL) -qq --only-binary pybullet pybullet || \
 		echo "PyBullet: found no wheel for this Python; going on without it"
-	$(BIN)/python -m compileall -qq -j 0 $(VENV)/lib || true  # tests start many processes
 	touch $@
 
 # The early hold verdict is for speed.
