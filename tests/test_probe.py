@@ -32,7 +32,7 @@ from tactilerl.probe.readings import Grasps
 
 DRAWN = Perturbation(("box",), (0.04, 0.05), (1.0,), 0.02, 0.5, (0.7, 1.1), 0.1)
 MPL = setup("mpl", simulator="mujoco")
-ASKED = ["--joint-noise", "0", "--resamples", "200", "--shuffles", "2", "--folds", "2"]
+ASKED = ["--workers", "1", "--joint-noise", "0", "--resamples", "200", "--shuffles", "2", "--folds", "2"]
 
 
 def start(workers=1, config=MPL):
@@ -432,17 +432,17 @@ class TestAnalysis:
 class TestPlayed:
     def test_from_playing_to_the_answer_and_on(self, tmp_path, monkeypatch, capsys):
         monkeypatch.chdir(tmp_path)
-        args = ["--env", "mpl", "--simulator", "mujoco", "--layout", "5"]
-        args += ["--object-size", "0.045", "0.05", "--closing", "0.4", "1.1"]
-        first = result(capsys, *args, "--grasps", "14")
-        assert first["grasps"] == 14
+        args = ["--env", "shadow", "--simulator", "mujoco", "--layout", "5"]
+        args += ["--object-size", "0.04", "0.06", "--closing", "0.6", "1.4"]
+        first = result(capsys, *args, "--grasps", "18")
+        assert first["grasps"] == 18
         assert {"probe.json", "grasps.npz"} <= {p.name for p in tmp_path.glob("probes/*/*")}
         monkeypatch.setattr("tactilerl.probe.command.EVERY", 0.0)
-        assert main(["probe", *ASKED, *args, "--grasps", "16"]) == 0
+        assert main(["probe", *ASKED, *args, "--grasps", "20"]) == 0
         told = capsys.readouterr()
-        assert "grasps 16/16" in told.err
-        assert ": 16 grasps, " in told.out
-        assert main(["probe", *args, "--grasps", "14", "--friction", "0.7"]) == 2
+        assert "grasps 20/20" in told.err
+        assert ": 20 grasps, " in told.out
+        assert main(["probe", *args, "--grasps", "18", "--friction", "0.7"]) == 2
         assert "friction" in capsys.readouterr().err
 
 
