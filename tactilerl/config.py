@@ -105,7 +105,7 @@ class RunConfig:
         return dataclasses.replace(self, **parts)
 
     def with_recipe(self, name: str) -> RunConfig:
-        """A copy with the hyperparameters of a recipe; InputError when the learner has no such recipe."""
+        """A copy with the hyperparameters of a recipe; InputError where the learner has none such."""
         with input_errors():
             return dataclasses.replace(self, learner=recipes.recipe(self.run.algo, name))
 

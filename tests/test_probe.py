@@ -32,7 +32,7 @@ from tactilerl.probe.readings import Grasps
 
 DRAWN = Perturbation(("box",), (0.04, 0.05), (1.0,), 0.02, 0.5, (0.7, 1.1), 0.1)
 MPL = setup("mpl", simulator="mujoco")
-ASKED = ["--workers", "1", "--joint-noise", "0", "--resamples", "200", "--shuffles", "2", "--folds", "2"]
+ASKED = ["--joint-noise", "0", "--resamples", "200", "--shuffles", "2", "--folds", "2", "--workers=1"]
 
 
 def start(workers=1, config=MPL):
