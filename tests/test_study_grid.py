@@ -73,7 +73,7 @@ class TestGrid:
         study = read(tmp_path, GOOD)
         assert grid.from_dict(study.as_dict()) == study
 
-    @pytest.mark.parametrize("name", ["dark_mpl", "paper", "pilot", "quick"])
+    @pytest.mark.parametrize("name", sorted(path.stem for path in ROOT.glob("studies/*.toml")))
     def test_the_studies_of_the_project_can_be_configured(self, name):
         study = grid.read(ROOT / "studies" / f"{name}.toml")
         runs = study.runs()
