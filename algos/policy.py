@@ -13,6 +13,7 @@ from torch import Tensor
 
 from . import (
     Array,
+    UnfitError,
     action_bounds,
     action_size,
     flat_observation,
@@ -137,13 +138,24 @@ class Policy:
         noise = None if deterministic else rng
         n = self._batch_size(obs)
         if not all(np.isfinite(obs[key] if key else obs).all() for key in self.shapes):
-            raise ValueError("obs: found what is not finite, allowed finite numbers")
+            raise ValueError("obs: not finite, allowed finite numbers")
         if n is None:
             return self.to_env(self.choose(self.inputs.read(obs), noise))
         if n == 0:
             return self.to_env(np.empty((0, self._low.size), np.float32))
         views = [self.inputs.read(_row(obs, i)) for i in range(n)]
         return self.to_env(self._actions(views, noise))
+
+    def read(self, obs: Any) -> Any:
+        """What is kept of an observation from an environment; UnfitError where it is not of the shape
+        that the environment's space says."""
+        try:
+            is_one = self._batch_size(obs) is None
+        except ValueError as error:
+            raise UnfitError(f"env: what it returns is not what its space says: {error}") from error
+        if not is_one:
+            raise UnfitError("env: found a batch of observations, allowed one of the space's shape")
+        return self.inputs.read(obs)
 
     def choose(self, view: Any, rng: np.random.Generator | None = None) -> Array:
         """Action (d,) for what was kept of one observation, in units where the bounds are ±1."""
@@ -171,10 +183,12 @@ class Policy:
 
     def _batch_size(self, obs: Any) -> int | None:
         """Observations in a batch; None for one observation by itself."""
+        if isinstance(obs, tuple):
+            raise ValueError("obs: found a tuple; env.reset() returns the observation and more")
         keys = set(obs) if isinstance(obs, Mapping) else {""}
         if not keys >= set(self.shapes):
             got = sorted(keys) if isinstance(obs, Mapping) else type(obs).__name__
-            expected = "no Dict" if "" in self.shapes else f"a Dict with {list(self.shapes)}"
+            expected = "an array" if "" in self.shapes else f"a Dict with {list(self.shapes)}"
             raise ValueError(f"obs: found {got}, expected {expected}")
         found = {key: np.shape(obs[key] if key else obs) for key in self.shapes}
         if found == self.shapes:

@@ -62,12 +62,12 @@ class PlayEpisode(Generic[Obs]):
         """The episode; cut short when it is not wanted any more.
 
         Raises DivergenceError when an observation or a reward is not finite, and UnfitError when
-        it does not end.
+        the episode does not end or the environment returns what its spaces do not say.
         """
         policy, rng = self.policy, np.random.default_rng([*self.key, number])
         noise = rng if self.explores else None
         first, _ = env.reset(seed=int(rng.integers(2**31)))
-        episode = Episode([finite(policy.inputs.read(first), "an observation")])
+        episode = Episode([finite(policy.read(first), "an observation")])
         is_done = False
         while not is_done and is_wanted():
             action = policy.choose(episode.obs[-1], noise)
@@ -90,11 +90,18 @@ def _step(env: gym.Env[Any, Any], policy: Policy, action: Array, episode: Episod
     episode.held = episode.held + 1 if episode.success == 1.0 else 0
     if info.get("diverged"):
         return True
-    episode.obs.append(finite(policy.inputs.read(obs), "an observation"))
+    episode.obs.append(finite(policy.read(obs), "an observation"))
     episode.actions.append(action)
-    episode.rewards.append(float(finite(reward, "a reward")))
+    episode.rewards.append(finite(_number(reward), "a reward"))
     episode.terminated = terminated
     return bool(terminated or truncated)
+
+
+def _number(reward: Any) -> float:
+    """The reward; UnfitError where it is no number."""
+    if np.ndim(reward) or np.asarray(reward).dtype.kind not in "bifu":
+        raise UnfitError(f"env: found the reward {str(reward)[:50]}, allowed a number")
+    return float(reward)
 
 
 def play_steps(

@@ -104,6 +104,8 @@ class Learner:
         Raises DivergenceError (a FloatingPointError) when an observation, a reward, a loss or a
         parameter is no longer finite, and ValueError when the learner cannot use the rewards.
         """
+        if isinstance(total_timesteps, float) and total_timesteps % 1 == 0:  # 1e5
+            total_timesteps = int(total_timesteps)
         typed.validate(dataclasses.replace(self._run, total_timesteps=total_timesteps))
         learner, matmul = self._learner, self._run.matmul
         learner.total_timesteps = learner.env_steps + total_timesteps
@@ -158,14 +160,14 @@ class DDPGHER(Learner):
 
 
 def evaluate(
-    policy: Policy,
+    policy: Policy | Learner,
     env: Env,
     *,
     episodes: int = 100,
     stochastic: bool = False,
     workers: int | None = None,
 ) -> dict[str, Any]:
-    """Play episodes with a policy, from the same starts every time.
+    """Play episodes with a policy, or with that of a learner, from the same starts every time.
 
     Returns `success_rate` (where the environment reports ``is_success``) and `mean_return`, their
     95 % intervals `success_rate_ci` (Wilson) and `mean_return_ci` (bootstrap), `mean_length` in
@@ -175,6 +177,11 @@ def evaluate(
     if episodes < 1:
         raise ValueError(f"episodes: found {episodes}, allowed 1 or more")
     config.require_workers(workers)
+    if isinstance(policy, Learner):
+        policy = policy.policy()
+    if not isinstance(policy, Policy):
+        found = type(policy).__name__
+        raise ValueError(f"policy: found {found}, allowed what load_policy reads, or a learner")
     with _threads(1), closing(_start(env, workers)) as played_in:
         policy.require_spaces(Spaces(played_in.observation_space, played_in.action_space))
         played = played_in.play(evaluation.task(policy, stochastic), range(episodes))
@@ -236,6 +243,8 @@ def _start(env: Env, workers: int | None, threads: int = 1) -> vector.Workers:
         )
     try:
         return vector.start(make, workers or 1, partial(torch.set_num_threads, threads))
+    except ImportError as error:
+        raise ValueError(f"env: {error}") from error
     except vector.WorkerDiedError as error:
         error.add_note('a script that plays in processes needs `if __name__ == "__main__":`')
         raise

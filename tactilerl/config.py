@@ -125,7 +125,7 @@ class RunConfig:
         if colon and not self.is_trusted:
             raise InputError(
                 f"{self.folder}: this run's environment imports the module {module!r}; "
-                f"if you trust it, give --env {self.run.env} once more, or --trust"
+                f"if you trust it, repeat --env {self.run.env} or give --trust"
             )
         choices = dataclasses.asdict(self.scene) if self.scene is not None else {}
         if choices.get("hand_seed", 0) is None:
@@ -140,9 +140,14 @@ class RunConfig:
         is_file = self.scene is not None and self.scene.layout.endswith(".toml")
         return Path(self.scene.layout) if self.scene is not None and is_file else None
 
+    @property
+    def again(self) -> str:
+        """What a command needs besides the folder: the id, where it names a module."""
+        return f" --env {self.run.env}" if ":" in self.run.env else ""
+
     def name(self) -> str:
         """Default name of the run's folder."""
-        parts = [self.run.algo, self.run.env.replace("/", "-")]
+        parts = [self.run.algo, re.sub("[/:]", "-", self.run.env)]
         if self.scene is not None:
             layout = Path(self.scene.layout).stem
             parts += [self.scene.task, f"layout{layout}", self.scene.run_type]

@@ -67,7 +67,7 @@ def save_policy(path: str | Path, algo: str, learner: algos.Algorithm) -> None:
 def _read_file(path: Path) -> Policy:
     data = sealed.read(path, "policy")
     if not isinstance(data, dict) or "policy_format" not in data:
-        raise InputError(f"{path}: not a policy's file; of a run, give the folder")
+        raise InputError(f"{path}: not a saved policy; for a run, give its folder")
     if data["policy_format"] != FORMAT:
         raise InputError(f"{path}: not a policy of format {FORMAT}")
     with sealed.damage_named(path):

@@ -126,6 +126,11 @@ class RunDir:
             require_type(data.get("provenance"), list[provenance.Record], "provenance")
         except FileNotFoundError:
             raise InputError(f"{str(self.path)!r} is not a run folder: no config.json in it") from None
+        except NotADirectoryError:
+            raise InputError(
+                f"{str(self.path)!r} is a file, allowed the folder of a run; a saved policy is for "
+                "Python (tactilerl.load_policy)"
+            ) from None
         except RecursionError:
             raise InputError(
                 f"{self.config_file}: not a run's configuration: nested too deeply"

@@ -94,6 +94,8 @@ def train(
         checkpoint = Checkpoint(run_dir, config, learner, comm)
         with _writing(run_dir, config, comm, is_new=resume is None):
             epoch = _begun(checkpoint, any_ranks) if resume else 0
+            if resume:
+                _require_ahead(run_dir, config, learner.env_steps)
             changed = ""
             if comm.rank == 0:
                 run_dir.progress.cut(epoch)
@@ -135,8 +137,18 @@ def _writing(run_dir: RunDir, config: RunConfig, comm: Communicator, is_new: boo
         try:
             yield
         except (FloatingPointError, OSError, KeyboardInterrupt) as error:
-            error.add_note(f"the last checkpoint is kept: --resume {run_dir.path}")
+            error.add_note(f"the last checkpoint is kept: --resume {run_dir.path}{config.again}")
             raise
+
+
+def _require_ahead(run_dir: RunDir, config: RunConfig, env_steps: int) -> None:
+    """InputError where the goal was made smaller, and the run is beyond it already."""
+    saved, goal = run_dir.read_config()[0], config.run.total_timesteps
+    if goal < min(env_steps, saved.run.total_timesteps):
+        raise InputError(
+            f"total_timesteps: found {goal:,} for a run that has made {env_steps:,} steps, allowed "
+            "more: they count from the run's beginning"
+        )
 
 
 def _begun(checkpoint: Checkpoint, any_ranks: bool) -> int:

@@ -237,9 +237,9 @@ class TestMistakes:
             (lambda: tactilerl.PPO("lqr").save("no/folder.pt"), "path: found 'no/folder.pt'"),
             (lambda: tactilerl.PPO("lqr").save("."), "path: found '.'"),
             (lambda: tactilerl.PPO("lqr").act([1, 2, 3]), r"shape \(3,\), expected \(2,\), or a batch"),
-            (lambda: tactilerl.PPO("lqr").act([1, np.nan]), "obs: found what is not finite"),
-            (lambda: tactilerl.PPO("lqr").act([[1, 2], [np.inf, 0]]), "obs: found what is not finite"),
-            (lambda: tactilerl.PPO("lqr").act({"observation": [1, 2]}), "expected no Dict"),
+            (lambda: tactilerl.PPO("lqr").act([1, np.nan]), "obs: not finite"),
+            (lambda: tactilerl.PPO("lqr").act([[1, 2], [np.inf, 0]]), "obs: not finite"),
+            (lambda: tactilerl.PPO("lqr").act({"observation": [1, 2]}), "expected an array"),
             (lambda: tactilerl.PPO("lqr").act([1, 2], deterministic=False), "rng: found none"),
             (lambda: tactilerl.DDPGHER("point-reach").act([1, 2]), "found list, expected a Dict with"),
             (lambda: tactilerl.load_policy("nothing.pt"), "nothing.pt: missing"),
@@ -252,12 +252,33 @@ class TestMistakes:
                 lambda: tactilerl.evaluate(tactilerl.PPO("lqr").policy(), "lqr", episodes=0),
                 "episodes: ",
             ),
+            (
+                lambda: tactilerl.evaluate("policy.pt", "lqr"),
+                "policy: found str, allowed what load_policy",
+            ),
+            (lambda: tactilerl.PPO("nowhere:Env-v0"), "env: No module named 'nowhere'"),
+            (lambda: tactilerl.PPO("lqr").act(tactilerl.make("lqr").reset()), "obs: found a tuple"),
         ],
     )
     def test_are_value_errors_of_one_line(self, make, words):
         with pytest.raises(ValueError, match=words) as raised:
             make()
         assert "\n" not in str(raised.value)
+
+    @pytest.mark.parametrize(
+        ("obs", "reward", "words"),
+        [
+            (np.zeros(3), 0.0, r"env: .*: obs: found shape \(3,\), expected \(2,\)"),
+            (np.zeros((1, 2)), 0.0, "env: found a batch of observations"),
+            (np.zeros(2), [0.0], r"env: found the reward \[0.0\], allowed a number"),
+            (np.zeros(2), None, "env: found the reward None"),
+        ],
+    )
+    def test_what_an_environment_should_not_return_is_said(self, obs, reward, words):
+        env = tactilerl.make("lqr")
+        env.unwrapped.step = lambda action: (obs, reward, False, False, {})
+        with pytest.raises(ValueError, match=words):
+            tactilerl.PPO(env.unwrapped, **PPO).learn(100)
 
     def test_an_episode_without_an_end_is_said(self, monkeypatch):
         monkeypatch.setattr("tactilerl.algos.rollout.LONGEST", 50)

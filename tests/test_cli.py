@@ -308,6 +308,15 @@ class TestResume:
         more = ["train", "--resume", "run", "--exploration", "annealed", "--total-timesteps", "240"]
         fails_with(capsys, more, "total_timesteps: found 240")
 
+    def test_a_goal_that_is_behind_the_run_is_refused_and_changes_nothing(self, capsys):
+        main([*TOY, "--total-timesteps", "240", "--out", "run"])
+        before = Path("run/config.json").read_bytes()
+        again = ["train", "--resume", "run", "--total-timesteps"]
+        fails_with(capsys, [*again, "100"], "found 100 for a run that has made 2", "from the run's beg")
+        assert Path("run/config.json").read_bytes() == before
+        assert main([*again, "240"]) == 0
+        assert "nothing to do" in capsys.readouterr().out
+
     def test_a_recipe_is_where_the_other_flags_start(self, capsys):
         main([*TOY, "--recipe", "steady", "--gamma", "0.9", "--total-timesteps", "1", "--out", "run"])
         chosen = json.loads(Path("run/config.json").read_text())["learner"]
@@ -559,6 +568,17 @@ class TestOtherCommands:
         assert "action[0] slide_x" in out
         assert "observation[61] taxel thumb.proximal[+0,+0]" in out
         assert out.count("observation[") == 80
+
+    @pytest.mark.parametrize(
+        ("flags", "words"),
+        [
+            (["--taxel-dead", "0.9"], "--taxel-dead: found 0.9, which changes nothing here"),
+            (["--run-type", "control"], "--run-type: "),
+            (["--object-size", "0.04..0.05"], "object: found several, or a range"),
+        ],
+    )
+    def test_doctor_refuses_what_its_grasps_do_not_depend_on(self, flags, words, capsys):
+        fails_with(capsys, ["doctor", "--layout", "4", *flags], words)
 
     def test_doctor_passes_the_skin_rule_and_fails_the_contact_rule(self, capsys):
         few = ["--grasps", "4", "--json"]

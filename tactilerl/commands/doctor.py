@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from rich.table import Table
 
 from .. import doctor, flags
+from ..envs.grasp import GraspConfig, setup
+from ..envs.objects import Items, ObjectConfig
 from ..errors import InputError, input_errors
 from ..terminal import console
 from .scene import layout_notes, read_scene, require_scene
@@ -34,11 +36,27 @@ class DoctorFlags:
     """Print JSON instead of a table."""
 
 
+USED = {"simulator", "layout", "touch", "timestep", "finger_gain", "start_offset", "start_yaw"}
+USED |= {field.name for field in dataclasses.fields(ObjectConfig)} - {"jitter"}
+
+
+def _require_used(scene: GraspConfig, env: str) -> None:
+    """InputError for flags of the scene on which scripted grasps of one object do not depend."""
+    for name, usual in vars(setup(env)).items():
+        if name not in USED and (found := getattr(scene, name)) != usual:
+            flag = name.replace("_", "-")
+            raise InputError(f"--{flag}: found {found}, which changes nothing here; leave it out")
+    with input_errors():
+        if Items(scene).vary:
+            raise ValueError("object: found several, or a range; the grasps here are of one object")
+
+
 def main(args: list[str]) -> int:
     """`tactilerl doctor`: exit 1 when a layout is blind."""
     name = flags.peek(args, "--env", DoctorFlags.env)
     read, found = read_scene(DoctorFlags, args, name, "tactilerl doctor")
     scene = require_scene(found, name)
+    _require_used(scene, name)
     flags.at_least("--grasps", read.grasps, 1)
     if not 0.05 <= read.seconds <= 60:
         raise InputError(f"--seconds: found {read.seconds}, allowed from 0.05 to 60")

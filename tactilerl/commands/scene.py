@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, TypeVar
 
 from .. import flags, hand_map
@@ -20,8 +21,20 @@ def read_scene(kind: type[T], args: Sequence[str], env: str, prog: str) -> tuple
     if env in hands.HANDS:
         parts["scene"] = setup(env)
     options = dataclasses.make_dataclass("Options", [(name, type(it)) for name, it in parts.items()])
-    read: Any = flags.parse(options, args, prog, options(**parts))
+    with hands_named(env):
+        read: Any = flags.parse(options, args, prog, options(**parts))
     return read.command, getattr(read, "scene", None)
+
+
+@contextmanager
+def hands_named(env: str) -> Iterator[None]:
+    """A refused flag may be one of a scene, and `env` no hand by mistake: say which hands there are."""
+    try:
+        yield
+    except InputError as error:
+        if env in hands.HANDS:
+            raise
+        raise InputError(f"{error} (--env {env} is none of {', '.join(hands.HANDS)})") from error
 
 
 def require_scene(scene: GraspConfig | None, env: str) -> GraspConfig:

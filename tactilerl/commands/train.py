@@ -16,7 +16,7 @@ from ..errors import InputError, input_errors
 from ..run_dir import RunDir
 from ..terminal import console
 from ..training import train
-from .scene import layout_notes
+from .scene import hands_named, layout_notes
 
 SETTLED_NOTE = "hold_verdict=settled decides holds early; how often it is wrong: docs/concepts/tasks.md"
 
@@ -44,10 +44,9 @@ def main(args: list[str]) -> int:
         raise InputError(f"--resume {resume}: {difference}; a resumed run keeps its settings")
     path = train(config, comm, Path(resume) if resume else None, options.any_ranks, summary)
     if comm.rank == 0:
-        again = f" --env {config.run.env}" if ":" in config.run.env else ""
         console.print(
             f"\nThe run is in {path}: progress.csv (learning curve), checkpoint.pt, config.json.\n"
-            f"  tactilerl evaluate {path}{again}"
+            f"  tactilerl evaluate {path}{config.again}"
         )
     return 0
 
@@ -74,14 +73,12 @@ def read_config(args: list[str], base: RunConfig) -> tuple[RunConfig, Any]:
     recipe = ("recipe", Annotated[Literal[known], tyro.conf.arg(help=about)], recipes.PAPER)
     kinds = [(name, type(part)) for name, part in base.parts.items()]
     options = dataclasses.make_dataclass("Options", [*kinds, recipe, resume, any_ranks, trust])
-    read: Any = flags.parse(
-        options,
-        args,
-        "tactilerl train",
-        options(**base.parts),
+    about = (
         "Train a policy. --algo and --env decide which flags there are; their defaults are the "
-        "paper's, or those of --recipe.",
+        "paper's, or those of --recipe."
     )
+    with hands_named(base.run.env):
+        read: Any = flags.parse(options, args, "tactilerl train", options(**base.parts), about)
     parts = {name: getattr(read, name) for name in base.parts}
     return dataclasses.replace(base, folder=None, **parts), read
 
