@@ -17,7 +17,7 @@ from ..envs.grasp import GraspConfig, setup
 from ..envs.simulators import Camera
 from ..errors import InputError, input_errors
 from ..terminal import console
-from .scene import read_scene, require_scene
+from .scene import layout_notes, read_scene, require_scene
 
 
 @dataclass(frozen=True)
@@ -62,9 +62,12 @@ def main(args: list[str]) -> int:
             raise InputError(f"--{flag}: found it, allowed only {needed} RUN; see --help")
     if read.run is not None:
         return _film(args, read, scene)
+    scene = require_scene(scene, name)
     with input_errors():
-        lit = render.picture(name, require_scene(scene, name), read.pose, read.camera, read.out)
+        lit = render.picture(name, scene, read.pose, read.camera, read.out)
     console.print(f"{read.out}: {lit} taxels fire")
+    for note in layout_notes(name, scene.layout):
+        console.print(note)
     return 0
 
 

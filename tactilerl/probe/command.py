@@ -256,20 +256,12 @@ def _print(result: dict[str, Any], out: Path) -> None:
         console.print(_table("where is the object, and which is it?", rows, OBJECT, taxels))
     check = result["shuffled"]
     low, high = check["interval"]
-    verdict = "as it should be" if check["is_zero"] else "which should be 0: do not trust the gains"
+    verdict = "no gain, as it should be" if check["is_zero"] else "not 0: do not trust the gains"
     console.print(
         f"outcomes shuffled: layout {check['layout']} gains {check['gain']:+.3f} "
-        f"({low:+.3f} – {high:+.3f}), {verdict}"
+        f"({low:+.3f} … {high:+.3f}), {verdict}"
     )
-    told = [d for d in result["differences"] if d["question"] == "hold" and d["p_holm"] < 0.05]
-    for d in told:
-        console.print(
-            f"joint noise {d['joint_noise']:g}: layout {d['a']} − {d['b']}: AUC "
-            f"{d['difference']:+.3f} ({d['interval'][0]:+.3f} – {d['interval'][1]:+.3f}), "
-            f"p {d['p_holm']:.3f} (Holm)"
-        )
-    if not told:
-        console.print("no two layouts differ in what they tell of the outcome (p < 0.05, Holm)")
+    _print_differences([d for d in result["differences"] if d["question"] == "hold"])
     for row in result.get("selection", {}).get("layouts", ()):
         if "lead" in row:
             low, high = row["lead_interval"]
@@ -279,7 +271,25 @@ def _print(result: dict[str, Any], out: Path) -> None:
             )
     for path in result.get("selection", {}).get("files", ()):
         console.print(f"chosen: {out / path}    tactilerl train --layout {out / path}")
-    console.print(f"{out}: probe.json, grasps.npz, figures")
+    console.print(f"{out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+
+
+FEW = 6  # comparisons that are all shown
+
+
+def _print_differences(found: list[dict[str, Any]]) -> None:
+    """What one layout tells of the outcome more than another; of many pairs, those that surely do."""
+    clear = [d for d in found if d["p_holm"] < 0.05]
+    for d in found if len(found) <= FEW else clear:
+        console.print(
+            f"joint noise {d['joint_noise']:g}: layout {d['a']} − {d['b']}: AUC "
+            f"{d['difference']:+.3f} ({d['interval'][0]:+.3f} … {d['interval'][1]:+.3f}), "
+            f"p {d['p_holm']:.3f} (Holm)"
+        )
+    if found and not clear:
+        console.print(
+            f"of {len(found)} comparisons, none shows that a layout tells more of the outcome"
+        )
 
 
 def _table(
