@@ -106,8 +106,8 @@ class Replay:
         again = self.reward(achieved, desired)
         if np.shape(again) != lived.shape or not np.allclose(again, lived, 1e-3, 1e-4):
             raise ValueError(
-                f"compute_reward: found {str(again)[:40]} for an episode's goals where its steps gave "
-                f"{str(lived)[:40]}, allowed the same: an array, with one for each row of goals"
+                f"compute_reward: found {_short(again)} for an episode's goals, allowed what its steps "
+                f"gave: an array with a reward for each row of goals, here {_short(lived)}"
             )
 
     def _shapes(self, n_boolean: int | None = None) -> dict[str, tuple[tuple[int, int], type]]:
@@ -274,3 +274,8 @@ class Replay:
         for name, least, end in (("slots", 0, self.n_slots), ("lengths", 1, self._rows)):
             if n and not (least <= int(saved[name].min()) and int(saved[name].max()) < end):
                 raise ValueError(f"experience.{name}: found others than from {least} to {end - 1}")
+
+
+def _short(rewards: Array) -> str:
+    text = " ".join(str(rewards).split())
+    return text if len(text) <= 40 else f"{text[:36]} ..."

@@ -41,7 +41,8 @@ def make(name: str, *, render_mode: str | None = None, **choices: Any) -> gym.En
         known = ", ".join((*HANDS, *TOYS))
         reason = str(error).strip().splitlines()[0]
         raise ValueError(
-            f"unknown environment {name!r}; allowed: {known} or a Gymnasium id ({reason})"
+            f"unknown environment {name!r}; allowed: {known}, a Gymnasium id, or MODULE:ID with the "
+            f"module that registers it ({reason})"
         ) from None
 
 
