@@ -46,7 +46,7 @@ TASKS = (
 )
 PAPER = PPOConfig()
 STEADY = recipes.recipe("ppo", "steady")
-PEER = "stable-baselines3"
+PEERS = ("stable-baselines3", "stable-baselines3, its defaults")
 
 
 def without(*names: str) -> PPOConfig:
@@ -77,16 +77,23 @@ def ours(config: PPOConfig, task: str, seed: int) -> Act:
     return learner.policy().act
 
 
-def theirs(config: PPOConfig, task: str, seed: int) -> Act:
-    """The same of Stable-Baselines3's PPO, with our layers, step size, batch, passes, discounts and
-    clipping; the rest is its own default."""
-    model = sb3.PPO(
-        "MlpPolicy", gym.make(task), learning_rate=config.actor_lr, n_steps=config.steps_per_epoch,
-        batch_size=config.minibatch_size,
-        n_epochs=config.n_passes, gamma=config.gamma, gae_lambda=config.gae_lambda,
-        clip_range=config.clip_range, max_grad_norm=config.max_grad_norm,
-        policy_kwargs={"net_arch": list(config.hidden)}, seed=seed, device="cpu",
-    )  # fmt: skip
+def as_theirs(config: PPOConfig) -> dict[str, Any]:
+    """Our layers, step size, batch, passes, discounts and clipping, as Stable-Baselines3's PPO calls
+    them; the rest stays its own default."""
+    names = ("gamma", "gae_lambda", "clip_range", "max_grad_norm")
+    return {
+        **{name: getattr(config, name) for name in names},
+        "learning_rate": config.actor_lr,
+        "n_steps": config.steps_per_epoch,
+        "batch_size": config.minibatch_size,
+        "n_epochs": config.n_passes,
+        "policy_kwargs": {"net_arch": list(config.hidden)},
+    }
+
+
+def theirs(settings: dict[str, Any], task: str, seed: int) -> Act:
+    """The same of Stable-Baselines3's PPO."""
+    model = sb3.PPO("MlpPolicy", gym.make(task), seed=seed, device="cpu", **settings)
     model.learn(STEPS)
     return lambda obs: model.predict(obs, deterministic=True)[0]
 
@@ -96,7 +103,10 @@ def run(name: str, task: str, seed: int) -> dict[str, float]:
     torch.set_num_threads(1)
     warnings.filterwarnings("ignore")
     started = time.perf_counter()
-    act = theirs(STEADY, task, seed) if name == PEER else ours(VARIANTS[name], task, seed)
+    if name in PEERS:
+        act = theirs(as_theirs(STEADY) if name == PEERS[0] else {}, task, seed)
+    else:
+        act = ours(VARIANTS[name], task, seed)
     seconds = time.perf_counter() - started
     returns = [total for total, _ in play(task, act, EPISODES)]
     return {"return": float(np.mean(returns)), "seconds": seconds}
@@ -105,7 +115,7 @@ def run(name: str, task: str, seed: int) -> dict[str, float]:
 def summary(runs: dict[str, dict[str, float]], seeds: range) -> dict[str, Any]:
     """Interquartile mean return of each contender on each task, with its interval and the cost."""
     rng, table = np.random.default_rng(0), {}
-    for name in (*VARIANTS, PEER):
+    for name in (*VARIANTS, *PEERS):
         for task in TASKS:
             found = [runs[key] for seed in seeds if (key := f"{name} {task} {seed}") in runs]
             if not found:
@@ -139,7 +149,7 @@ def main() -> None:
     flags.add_argument("--jobs", type=int, default=2)
     flags.add_argument("--seeds", type=int, default=SEEDS)
     flags.add_argument("--first-seed", type=int, default=0, help="10000 and more for pilots")
-    contenders = [*VARIANTS, PEER]
+    contenders = [*VARIANTS, *PEERS]
     flags.add_argument("--only", nargs="+", choices=contenders, default=contenders, metavar="NAME")
     flags.add_argument("--tasks", nargs="+", choices=TASKS, default=TASKS, metavar="TASK")
     options = flags.parse_args()
