@@ -111,18 +111,21 @@ class TestTrain:
         assert progress(Path("a")) == progress(Path("b")) != progress(Path("c"))
         assert same_checkpoint(Path("a"), Path("b"))
 
-    @pytest.mark.parametrize("algo", ["ppo", "ddpg_her"])
     @pytest.mark.parametrize(
-        "hand", ["shadow", pytest.param("mpl", marks=pytest.mark.pybullet), "Pendulum-v1"]
+        ("hand", "algo"),
+        [
+            ("shadow", "ppo"),
+            pytest.param("shadow", "ddpg_her", marks=pytest.mark.slow),
+            pytest.param("mpl", "ppo", marks=[pytest.mark.pybullet, pytest.mark.slow]),
+            pytest.param("mpl", "ddpg_her", marks=pytest.mark.pybullet),
+            ("Pendulum-v1", "ppo"),  # has no goals for the other
+        ],
     )
     def test_same_run_with_any_number_of_workers(self, algo, hand, capsys):
         """In threads and in processes, of ours and not; a run may also go on with another number."""
         args = HER if algo == "ddpg_her" else ["train", *FAST, "--steps-per-epoch", "40"]
         args = [*args, "--env", hand]
-        if hand == "Pendulum-v1":
-            if algo == "ddpg_her":
-                pytest.skip("has no goals")
-        else:
+        if hand != "Pendulum-v1":
             args += ["--max-episode-steps", "8", "--layout", "5"]
         more = "5" if hand == "shadow" else "2"  # a process takes seconds to start, a thread does not
         for workers in ("1", more):
