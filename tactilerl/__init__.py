@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from .envs import make
     from .policies import load_policy
 
-__version__ = "0.2.0.dev0"
+__version__ = "0.2.0"
 __all__ = ["DDPGHER", "PPO", "evaluate", "load_policy", "make", "train"]
 
 # No module of this package may have one of these names: importing it would hide the function.
