@@ -9,7 +9,7 @@ INSTALL := $(BIN)/pip install --quiet --no-compile --disable-pip-version-check -
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 CUDA ?=
 RUN ?= runs/shadow_layout4
-JOBS ?= 2
+JOBS ?= 3
 export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 
@@ -42,7 +42,8 @@ train: $(TRAINING)
 			--hold-verdict settled --out $(RUN); fi
 	$(BIN)/tactilerl evaluate $(RUN) --episodes 50
 
-# Several files of tests at a time, each with one thread: `make test JOBS=8` on more cores.
+# Several files of tests at a time, each with one thread; some wait, so three keep two cores busy.
+# `make test JOBS=12` on eight.
 test test-slow: export OMP_NUM_THREADS := 1
 test test-slow: export OPENBLAS_NUM_THREADS := 1
 test test-slow: export MKL_NUM_THREADS := 1

@@ -286,6 +286,7 @@ class TestMistakes:
         with pytest.raises(ValueError, match=r"goes on after 50 steps.*max_episode_steps"):
             tactilerl.PPO(pendulum, **PPO).learn(10)
 
+    @pytest.mark.slow
     def test_a_script_that_starts_processes_without_its_guard(self):
         Path("script.py").write_text(
             "import tactilerl\ntactilerl.PPO('Pendulum-v1', workers=2, steps_per_epoch=20)\n"

@@ -152,7 +152,7 @@ class TestTrain:
         assert main([*args, "--out", "run"]) == 0
         assert len(progress(Path("run"))) == 2
 
-    @pytest.mark.parametrize("algo", ["ppo", "ddpg_her"])
+    @pytest.mark.parametrize("algo", ["ppo", pytest.param("ddpg_her", marks=pytest.mark.slow)])
     def test_warnings_of_the_simulator_are_counted(self, algo, capsys, little_memory):
         args = HER if algo == "ddpg_her" else ["train", *FAST]
         args = [*args, "--env", "shadow", "--simulator", "mujoco", "--task", "reach-goal"]
@@ -474,7 +474,9 @@ class TestBadInput:
             fails_with(capsys, ["evaluate", "run"], "configuration")
             fails_with(capsys, ["train", "--resume", "run"], "configuration")
 
-    @pytest.mark.parametrize("toy", [TOY, REACH], ids=["ppo", "ddpg_her"])
+    @pytest.mark.parametrize(
+        "toy", [pytest.param(TOY, id="ppo", marks=pytest.mark.slow), pytest.param(REACH, id="ddpg_her")]
+    )
     def test_full_disk_stops_with_one_line_and_keeps_the_checkpoint(self, toy):
         """A limit on file sizes stands in for a full disk: the next checkpoint does not fit."""
         main([*toy, "--total-timesteps", "1", "--out", "run"])

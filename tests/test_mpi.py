@@ -146,7 +146,7 @@ gym.register("Faulty-v0", entry_point=Faulty)
 """
 
 
-@pytest.mark.parametrize("fault", ["nan", "raise"])
+@pytest.mark.parametrize("fault", ["nan", pytest.param("raise", marks=pytest.mark.slow)])
 def test_a_fault_on_one_rank_ends_all_with_the_reason(fault, monkeypatch):
     Path("faulty.py").write_text(FAULTY)
     monkeypatch.setenv("PYTHONPATH", str(Path.cwd()))
