@@ -10,7 +10,7 @@ from .ppo import PPOConfig
 PAPER = "paper"  # every learner's own defaults
 BEYOND: dict[str, dict[str, Any]] = {
     "ppo": {
-        # For runs that learn faster and keep it: docs/concepts/learners.md.
+        # For runs that learn faster: docs/concepts/learners.md.
         "steady": PPOConfig(
             exploration="learned",
             orthogonal_init=True,
