@@ -585,6 +585,15 @@ class TestOtherCommands:
     def test_doctor_refuses_what_its_grasps_do_not_depend_on(self, flags, words, capsys):
         fails_with(capsys, ["doctor", "--layout", "4", *flags], words)
 
+    def test_a_mistyped_hand_is_not_blamed_on_its_flags(self, capsys):
+        for command in (
+            ["train", "--env", "shadov", "--layout", "4"],
+            ["doctor", "--env=s", "--layout=4"],
+        ):
+            fails_with(capsys, command, "'--layout", "is none of shadow, mpl, allegro")
+        assert main([*TOY, "--gamm", "0.9"]) == 2
+        assert "shadow" not in capsys.readouterr().err
+
     def test_doctor_passes_the_skin_rule_and_fails_the_contact_rule(self, capsys):
         few = ["--grasps", "4", "--json"]
         assert main(["doctor", "--env", "shadow", *few]) == 0

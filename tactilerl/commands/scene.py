@@ -28,11 +28,15 @@ def read_scene(kind: type[T], args: Sequence[str], env: str, prog: str) -> tuple
 
 @contextmanager
 def hands_named(env: str) -> Iterator[None]:
-    """A refused flag may be one of a scene, and `env` no hand by mistake: say which hands there are."""
+    """Where a flag of a scene is refused because `env` is no hand, say which hands there are."""
     try:
         yield
     except InputError as error:
-        if env in hands.HANDS:
+        refused = str(error).partition("'--")[2].partition("'")[0].partition("=")[0]
+        is_scene = refused.replace("-", "_") in {
+            field.name for field in dataclasses.fields(GraspConfig)
+        }
+        if env in hands.HANDS or not is_scene:
             raise
         raise InputError(f"{error} (--env {env} is none of {', '.join(hands.HANDS)})") from error
 
