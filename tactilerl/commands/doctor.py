@@ -36,7 +36,7 @@ class DoctorFlags:
     """Print JSON instead of a table."""
 
 
-USED = {"simulator", "layout", "touch", "timestep", "finger_gain", "start_offset", "start_yaw"}
+USED = {"simulator", "layout", "touch", "timestep", "finger_gain"}
 USED |= {field.name for field in dataclasses.fields(ObjectConfig)} - {"jitter"}
 
 
