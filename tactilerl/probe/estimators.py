@@ -6,12 +6,16 @@ hyperparameters were chosen, on the others.
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, Literal
 
 import numpy as np
 from sklearn.base import BaseEstimator
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 from sklearn.ensemble import HistGradientBoostingClassifier, HistGradientBoostingRegressor
+from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LogisticRegressionCV, RidgeCV
 from sklearn.model_selection import GridSearchCV, GroupKFold, KFold, StratifiedKFold
 from sklearn.multioutput import MultiOutputRegressor
@@ -28,6 +32,16 @@ PENALTIES = [0.003, 0.03, 0.3, 3.0]  # C of the logistic regression, of standard
 RIDGES = np.logspace(-1, 4, 11)
 LEAVES = [4, 16]  # of a tree
 TREES: dict[str, Any] = {"learning_rate": 0.1, "early_stopping": True, "random_state": 0}
+
+
+@contextmanager
+def expected_warnings() -> Iterator[None]:
+    """What estimators warn of when they see few grasps, as early in the learning curve, is not said."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        warnings.filterwarnings("ignore", "The least populated class")
+        warnings.filterwarnings("ignore", "Only one sample available")
+        yield
 
 
 def folds(held: Array, n: int, groups: Array | None, seed: int) -> list[Fold]:

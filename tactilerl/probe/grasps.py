@@ -10,18 +10,20 @@ import itertools
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
 
-from ..algos.policy import Policy
 from ..envs import objects, scripted
 from ..envs.grasp import GraspConfig, GraspEnv
 from ..envs.hands import Array, Hand
 from ..envs.hold import Verdict
 from ..envs.simulators import SimulationError
 from ..envs.vector import IsWanted
+
+if TYPE_CHECKING:  # the processes that fit estimators start without PyTorch
+    from ..algos.policy import Policy
 
 Record = dict[str, Array]
 STREAM = 5  # keeps these random numbers apart from those of training and evaluation

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import tempfile
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from functools import partial
@@ -12,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from sklearn.exceptions import ConvergenceWarning
 
 from .. import places, provenance
 from ..algos.mpi import Communicator
@@ -24,7 +22,7 @@ from ..errors import InputError, input_errors
 from ..places import Place
 from ..sealed import replacing
 from ..training import free_cores, start_workers
-from . import analysis, figures, files, selection
+from . import analysis, estimators, figures, files, selection
 from .analysis import Choices
 from .files import Played
 from .grasps import PolicyGrasps, Scenes, ScriptedGrasps
@@ -174,9 +172,7 @@ def analyse(read: ProbeFlags, played: Played, out: Path) -> dict[str, Any]:
         asking.shuffles, asking.hold_out == "objects", free_cores(Communicator()),
     )  # fmt: skip
     where = _of_layouts(asking.layout, hand)
-    with input_errors(), warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        warnings.filterwarnings("ignore", "The least populated class")  # early in the learning curve
+    with input_errors(), estimators.expected_warnings():
         readings = {name: _feel(read, asked, settings, spots) for name, spots in where.items()}
         result = {
             **_about(read, played, asked),
