@@ -66,7 +66,7 @@ class HoldTest:
             simulator.set_creep(1.0)
 
     def _settles(self, simulator: Simulator, looks: Iterator[tuple[bool, Array]]) -> bool:
-        """The early verdict: at rest, or still in the hand when that is at the top."""
+        """The early verdict: at rest; or at the top, the compressed time is up, and still in the hand."""
         corners = self._corners_in_hand(simulator)
         n_shaken = round(self.shake_seconds / self.look_every)
         for n_looks, (is_at_top, position) in enumerate(looks, start=1):
@@ -75,17 +75,18 @@ class HoldTest:
             before, corners = corners, self._corners_in_hand(simulator)
             compressed = (n_looks - n_shaken) * self.look_every
             if compressed > 0:
+                left = self._time_left(compressed)
                 speed = np.linalg.norm(corners - before, axis=1).max() / self.look_every
-                if is_at_top or speed * self._time_left(compressed) < self.settle_distance:
+                if speed * (left + self.look_every) < self.settle_distance or (is_at_top and left == 0):
                     return True
             if compressed >= 0:
                 simulator.set_creep(self.creep)
         return True
 
     def _time_left(self, compressed: float) -> float:
-        """Of a test that is `compressed` s in its compressed part, and one look more, s."""
+        """Of a test that is `compressed` s in its compressed part, s."""
         whole = self.seconds + self.height / RAISE_SPEED
-        return max(0.0, whole / self.creep - compressed) + self.look_every
+        return max(0.0, whole / self.creep - compressed)
 
     def positions(
         self, simulator: Simulator, joint_targets: Array, timestep: float

@@ -42,22 +42,28 @@ Act = Callable[[Any], Array]
 
 @dataclass
 class Watched:
-    """A hold test that remembers its verdict and what it took."""
+    """The hold tests of an environment, by other parameters; remembers the last verdict and what it
+    took."""
 
-    test: HoldTest
+    env: Any
+    fields: dict[str, Any]
+    """Of HoldTest."""
     aside: float = 0.0
-    """By how much the hand moves along x when the test begins, m."""
+    """By how much the hand moves along x when a test begins, m."""
     held: bool | None = None
     seconds: float = 0.0
 
-    def run(self, simulator: Any, joint_targets: Array, timestep: float) -> bool:
-        """As the test does."""
-        targets = joint_targets.copy()
+    def __post_init__(self) -> None:
+        self.env._hold = self.run
+
+    def run(self, test: HoldTest) -> bool:
+        """As the environment does."""
+        targets = self.env._targets.copy()
         targets[0] += self.aside
         started = time.process_time()
-        self.held = self.test.run(simulator, targets, timestep)
-        self.seconds = time.process_time() - started
-        return self.held
+        held = replace(test, **self.fields).run(self.env.simulator, targets, self.env.config.timestep)
+        self.held, self.seconds = held, time.process_time() - started
+        return held
 
 
 class ScriptedPolicy:
@@ -120,32 +126,29 @@ def measure(
     tests: dict[str, tuple[dict[str, Any], float]],
 ) -> dict[str, Any]:
     """Verdicts and times of `holds` lifts by `tests`: each has fields of HoldTest and a push."""
-    world: list[Any] = [envs.make(hand, **choices) for _ in tests]
-    for env, (fields, push) in zip(world, tests.values(), strict=True):
-        env.task.hold = Watched(replace(env.task.hold, **fields), push)
+    world = [Watched(envs.make(hand, **choices), *test) for test in tests.values()]
     rows: list[dict[str, Any]] = []
     playing, episode = 0.0, 0
     while len(rows) < holds:
         first, *others = world
-        obs, _ = first.reset(seed=SEED + episode)
+        obs, _ = first.env.reset(seed=SEED + episode)
         for other in others:
-            other.reset(seed=SEED + episode)
-        act, done, first.task.hold.held = policy(first, episode), False, None
+            other.env.reset(seed=SEED + episode)
+        act, done, first.held = policy(first.env, episode), False, None
         episode += 1
         while not done:
             started = time.process_time()
             action = act(obs)
-            obs, _, terminated, truncated, _ = first.step(action)
+            obs, _, terminated, truncated, _ = first.env.step(action)
             playing += time.process_time() - started
             for other in others:
-                other.step(action)
+                other.env.step(action)
             done = terminated or truncated
-        if first.task.hold.held is not None:
-            playing -= first.task.hold.seconds
-            watched = [(env.task.hold.held, env.task.hold.seconds) for env in world]
-            rows.append(dict(zip(tests, watched, strict=True)))
-    for env in world:
-        env.close()
+        if first.held is not None:
+            playing -= first.seconds
+            rows.append(dict(zip(tests, ((one.held, one.seconds) for one in world), strict=True)))
+    for one in world:
+        one.env.close()
     return summary(rows, playing)
 
 
