@@ -66,7 +66,7 @@ class HoldTest:
             simulator.set_creep(1.0)
 
     def _settles(self, simulator: Simulator, looks: Iterator[tuple[bool, Array]]) -> bool:
-        """The early verdict: at rest; or at the top, the compressed time is up, and still in the hand."""
+        """The early verdict: at rest, or still in the hand when time is up and that is at the top."""
         corners = self._corners_in_hand(simulator)
         n_shaken = round(self.shake_seconds / self.look_every)
         for n_looks, (is_at_top, position) in enumerate(looks, start=1):
