@@ -6,11 +6,11 @@ import contextlib
 import io
 from collections.abc import Iterator, Sequence
 from dataclasses import is_dataclass
-from difflib import get_close_matches
 from typing import Any, TypeVar, get_type_hints
 
 import tyro
 
+from .envs.choices import meant
 from .errors import InputError
 
 try:
@@ -31,7 +31,7 @@ def parse(kind: type[T], args: Sequence[str], prog: str, default: Any = None, ab
         with contextlib.suppress(AttributeError, TypeError):  # where tyro's types have changed
             reason = _reason(event, args, kind)
         if reason:
-            raise InputError(f"{reason}; see {prog} --help")
+            raise InputError(f"{reason}{' See' if reason.endswith('?') else '; see'} {prog} --help")
 
     try:
         with on_parse_error(refuse), contextlib.redirect_stderr(io.StringIO()):
@@ -63,9 +63,9 @@ def _reason(event: Any, args: Sequence[str], kind: type) -> str | None:
     """What tyro's event says is wrong, found and allowed; None for one that is not known here."""
     match type(event).__name__, vars(event):
         case "UnrecognizedArgs", {"tokens": [token, *_]}:
-            flag = token.partition("=")[0].replace("_", "-")
-            similar = get_close_matches(flag, _names(kind), n=1, cutoff=0.8)
-            hint = f"did you mean {similar[0]}?" if similar else "which is no flag"
+            name = token.partition("=")[0].removeprefix("--").replace("-", "_")
+            likely = " or ".join(_flag(known) for known in meant(name, list(_names(kind))))
+            hint = f"did you mean {likely}?" if likely else "which is no flag"
             return f"found {token!r}, {hint}"
         case "MissingArgs", {"missing_arguments": [missing, *_]}:
             return f"found no {_name(missing.arg).upper()}"
@@ -82,9 +82,13 @@ def _reason(event: Any, args: Sequence[str], kind: type) -> str | None:
 
 
 def _names(kind: Any) -> Iterator[str]:
-    """The flags of a dataclass and of those in it."""
+    """The fields of a dataclass and of those in it."""
     for name, hint in get_type_hints(kind).items():
-        yield from _names(hint) if is_dataclass(hint) else [f"--{name.replace('_', '-')}"]
+        yield from _names(hint) if is_dataclass(hint) else [name]
+
+
+def _flag(field: str) -> str:
+    return f"--{field.replace('_', '-')}"
 
 
 def _name(argument: Any) -> str:

@@ -407,7 +407,12 @@ class TestBadInput:
             (["train", "--layout", "no.toml"], ["no.toml", "does not exist"]),
             (["train", "--run-type", "half"], ["'half'", "--run-type", "main"]),
             (["train", "--total-timesteps", "-5"], ["total_timesteps: found -5", "from 1 to"]),
-            (["train", "--gama", "0.9"], ["found '--gama'", "did you mean --gamma?"]),
+            (
+                ["train", "--gama", "0.9"],
+                ["found '--gama'", "did you mean --gamma? See"],
+            ),
+            (["train", "--algo", "ddpg_her", "--tau", "0.9"], ["did you mean --polyak?"]),
+            (["train", "--tau", "0.9"], ["found '--tau', which is no flag; see tactilerl train"]),
             (["train", "more"], ["found 'more'", "is no flag", "tactilerl train --help"]),
             (["train", "--gamma", "much"], ["--gamma: found 'much', allowed FLOAT"]),
             (["train", "--steps_per_epoch=1.5"], ["--steps-per-epoch: found '1.5', allowed INT"]),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import textwrap
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -18,6 +19,10 @@ from ..terminal import console
 from ..training import train
 from .scene import hands_named, layout_notes
 
+COLUMNS = 100
+HANGING: dict[str, Any] = {
+    "subsequent_indent": 10 * " ", "break_long_words": False, "break_on_hyphens": False
+}  # fmt: skip
 SETTLED_NOTE = "hold_verdict=settled decides holds early; how often it is wrong: docs/concepts/tasks.md"
 
 
@@ -84,12 +89,13 @@ def read_config(args: list[str], base: RunConfig) -> tuple[RunConfig, Any]:
 
 
 def _summary(config: RunConfig, ranks: int, notes: list[str]) -> str:
-    """What the run resolved to, one line per part."""
+    """What the run resolved to, a paragraph per part."""
     several = f"{ranks} processes" if ranks > 1 else "1 process (mpirun -n 2 tactilerl ... for two)"
     lines = [f"tactilerl train: {several}"]
     for part, values in config.as_dict().items():
         if values:
-            lines.append(f"  {part:8}" + "  ".join(f"{k}={v}" for k, v in values.items()))
+            pairs = "  ".join(f"{name}={value}".replace(", ", ",") for name, value in values.items())
+            lines += textwrap.wrap(pairs, COLUMNS, initial_indent=f"  {part:8}", **HANGING)
     if config.scene is not None and config.scene.hold_verdict == "settled":
         notes = [SETTLED_NOTE, *notes]
     lines += [f"  note     {note}" for note in notes]
