@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import time
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -140,6 +141,7 @@ def environments() -> dict[str, Any]:
 
 def _compared(ours: dict[str, Steps], others: dict[str, Contender]) -> dict[str, Any]:
     """Rates of all, and ratios of ours to the others' and of a layout's to that of the one before."""
-    rates = rounds({name: steps.ours for name, steps in ours.items()} | others)
+    contenders = {name: steps.ours for name, steps in ours.items()} | others
+    rates = rounds(contenders, time.process_time)
     pairs = (*itertools.product(ours, others), *((b, a) for a, b in itertools.pairwise(ours)))
     return {"per_s": rates, "ratios": quotients(rates, *pairs)}

@@ -58,14 +58,14 @@ class Run:
     seconds: float = 0.0
     steps: int = 0
     is_solved: bool = False
-    _since: float = field(default_factory=time.perf_counter)
+    _since: float = field(default_factory=time.process_time)
 
     def look(self, steps: int, act: Act) -> bool:
         """Is it solved? Called between updates; plays `act` every `toy.every` steps."""
         if steps - self.steps >= self.toy.every:
-            self.seconds += time.perf_counter() - self._since
+            self.seconds += time.process_time() - self._since
             self.steps, self.is_solved = steps, self.toy.is_solved(act)
-            self._since = time.perf_counter()
+            self._since = time.process_time()
         return self.is_solved
 
 

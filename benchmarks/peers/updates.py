@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import time
 from functools import partial
 from typing import Any
 
@@ -165,7 +166,7 @@ def updates() -> dict[str, Any]:
     }
     result = {}
     for title, contenders in contests.items():
-        rates = rounds(contenders)
+        rates = rounds(contenders, time.process_time)
         pairs = [(name, THEIRS) for name in contenders if name != THEIRS]
         result[title] = {"per_s": rates, "ratios": quotients(rates, *pairs)}
     return result
