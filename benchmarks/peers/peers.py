@@ -1,8 +1,8 @@
 """How fast are we, against our peers and against the limits?
 
 Environments against gymnasium-robotics and the bare simulators, updates against Stable-Baselines3
-and the bare matrix products, and the time until toys are solved. One thread, contenders in turn, by the processor's
-time; what counts are the ratios. Prints tables and writes JSON:
+and the bare matrix products, and the time until toys are solved. One thread, contenders in turn, the
+processor's time; what counts are the ratios. Prints tables and writes JSON:
 
     python -m benchmarks peers --out docs/data/peers.json
     python -m benchmarks peers --only solve
