@@ -527,7 +527,9 @@ class TestOtherCommands:
         low, high = result["mean_return_ci"]
         assert low <= result["mean_return"] <= high
         assert main(["evaluate", "run", "--episodes", "8"]) == 0
-        assert "success rate" in capsys.readouterr().out
+        told = capsys.readouterr().out
+        assert "success rate" in told
+        assert " ".join(told.split()).endswith("without exploration noise; --stochastic plays with it")
 
     def test_evaluation_is_repeatable(self, capsys):
         main([*TOY, "--total-timesteps", "1", "--out", "run"])

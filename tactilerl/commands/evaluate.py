@@ -62,7 +62,8 @@ def main(args: list[str]) -> int:
             sweep.require_drawable(read.out)
     trained = policies.read_run(read.run, read.env, read.trust)
     run = trained.config
-    about = {"run": str(read.run), "epoch": trained.epoch, "env_steps": trained.env_steps}
+    about: dict[str, Any] = {"run": str(read.run), "epoch": trained.epoch}
+    about |= {"env_steps": trained.env_steps, "stochastic": read.stochastic}
     if run.scene is not None and sensors is not None:
         others = {k: v for k, v in vars(sensors).items() if v != getattr(run.scene, k)}
         run = dataclasses.replace(run, scene=dataclasses.replace(run.scene, **others))
@@ -127,9 +128,16 @@ def _about(result: dict[str, Any]) -> str:
     return ", ".join([result["run"], f"epoch {result['epoch']}", *others])
 
 
+def _caption(result: dict[str, Any]) -> str:
+    """A policy that has just begun to learn may succeed with its exploration noise only."""
+    if result["stochastic"]:
+        return "with exploration noise"
+    return "without exploration noise; --stochastic plays with it"
+
+
 def _evaluation_table(result: dict[str, Any]) -> Table:
     title = f"{_about(result)}, {result['episodes']} episodes"
-    table = Table("", "mean", "95 % interval", title=title)
+    table = Table("", "mean", "95 % interval", title=title, caption=_caption(result))
     if "success_rate" in result:
         low, high = result["success_rate_ci"]
         table.add_row("success rate", f"{result['success_rate']:.3f}", f"{low:.3f} – {high:.3f}")
@@ -151,7 +159,8 @@ def _evaluation_table(result: dict[str, Any]) -> Table:
 def _sweep_table(result: dict[str, Any]) -> Table:
     name, points = result["sweep"], result["points"]
     title = f"{_about(result)}, {points[0]['episodes']} episodes each"
-    table = Table(name.replace("_", "-"), "success rate", "95 % interval", "return", title=title)
+    columns = (name.replace("_", "-"), "success rate", "95 % interval", "return")
+    table = Table(*columns, title=title, caption=_caption(result))
     for point in points:
         low, high = point["success_rate_ci"]
         rate, interval = f"{point['success_rate']:.3f}", f"{low:.3f} – {high:.3f}"
