@@ -480,15 +480,21 @@ class TestTerminal:
             result = subprocess.run(run, capture_output=True, text=True)
             assert (result.returncode, result.stderr) == (130, "tactilerl: interrupted\n")
 
-    def test_an_interrupt_of_training_is_put_in_order(self, monkeypatch, capsys):
+    @pytest.mark.parametrize(("env", "again"), [("lqr", ""), ("cut:Cut-v0", " --env cut:Cut-v0")])
+    def test_an_interrupt_of_training_is_put_in_order(self, env, again, tmp_path, monkeypatch, capsys):
         def append(table, row):
             os.kill(os.getpid(), signal.SIGINT)
             time.sleep(5)
 
+        Path("cut.py").write_text(
+            "import gymnasium\nfrom tactilerl.envs.toy import LQREnv\n"
+            "gymnasium.register('Cut-v0', entry_point=LQREnv)\n"
+        )
+        monkeypatch.syspath_prepend(tmp_path)
         monkeypatch.setattr(Progress, "append", append)
-        assert main([*PPO, "--total-timesteps", "240", "--out", "new"]) == 130
+        assert main([*PPO, "--env", env, "--total-timesteps", "240", "--out", "new"]) == 130
         assert capsys.readouterr().err == (
-            "tactilerl: interrupted; the last checkpoint is kept: --resume new\n"
+            f"tactilerl: interrupted; the last checkpoint is kept: --resume new{again}\n"
         )
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
         with interrupts.leaving_at_once():
