@@ -221,7 +221,7 @@ class TestResume:
         """kill -9 in the middle of an epoch, twice, on the real hand."""
         args = ["train", *FAST, "--hold-seconds", "0.2"] if algo == "ppo" else HER
         args = [*args, "--env", "shadow", "--layout", "6", "--max-episode-steps", "20"]
-        args += ["--total-timesteps", "400"]
+        args += ["--total-timesteps", "240"]
         main([*args, "--out", "whole"])
         command = [sys.executable, "-m", "tactilerl.cli"]
         env = os.environ | {"OMP_NUM_THREADS": "1"}
