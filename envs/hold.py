@@ -66,7 +66,7 @@ class HoldTest:
             simulator.set_creep(1.0)
 
     def _settles(self, simulator: Simulator, looks: Iterator[tuple[bool, Array]]) -> bool:
-        """The early verdict: at rest, or still in the hand when time is up and that is at the top."""
+        """The early verdict: at rest, or still in the hand when time is up and it is at the top."""
         corners = self._corners_in_hand(simulator)
         n_shaken = round(self.shake_seconds / self.look_every)
         for n_looks, (is_at_top, position) in enumerate(looks, start=1):
@@ -100,8 +100,7 @@ class HoldTest:
             way = RAISE_SPEED * timestep * every
             targets[2] += np.clip(top - targets[2], -way, way)
             simulator.step(targets, every)
-            yield False, _in_hand(simulator)
-        yield True, _in_hand(simulator)
+            yield bool(targets[2] == top), _in_hand(simulator)
         n_steps = _n_steps(self.seconds, timestep)
         for done in range(0, n_steps, every):
             simulator.step(targets, min(every, n_steps - done))

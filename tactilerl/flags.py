@@ -64,7 +64,9 @@ def _reason(event: Any, args: Sequence[str], kind: type) -> str | None:
     match type(event).__name__, vars(event):
         case "UnrecognizedArgs", {"tokens": [token, *_]}:
             name = token.partition("=")[0].removeprefix("--").replace("-", "_")
-            likely = " or ".join(_flag(known) for known in meant(name, list(_names(kind))))
+            no = "no_" if name.startswith("no_") else ""
+            known = meant(name.removeprefix(no), list(_names(kind)))
+            likely = " or ".join(_flag(no + field) for field in known)
             hint = f"did you mean {likely}?" if likely else "which is no flag"
             return f"found {token!r}, {hint}"
         case "MissingArgs", {"missing_arguments": [missing, *_]}:

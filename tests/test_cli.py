@@ -411,6 +411,7 @@ class TestBadInput:
                 ["train", "--gama", "0.9"],
                 ["found '--gama'", "did you mean --gamma? See"],
             ),
+            (["train", "--no-orthogonal-int"], ["did you mean --no-orthogonal-init?"]),
             (["train", "--algo", "ddpg_her", "--tau", "0.9"], ["did you mean --polyak?"]),
             (["train", "--tau", "0.9"], ["found '--tau', which is no flag; see tactilerl train"]),
             (["train", "more"], ["found 'more'", "is no flag", "tactilerl train --help"]),

@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+import itertools
 import pickle
 import subprocess
 import sys
@@ -14,7 +15,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from tactilerl import envs
-from tactilerl.envs import tasks
+from tactilerl.envs import hold, tasks
 from tactilerl.envs.grasp import GraspConfig, GraspEnv
 from tactilerl.envs.simulators import SimulationError
 from tactilerl.envs.simulators import mujoco as mujoco_simulator
@@ -505,6 +506,13 @@ class TestHoldTest:
         assert self.verdict(env, close=True, verdict="settled", test=test, seconds=20.0)
         assert env.simulator.link_positions()[0, 2] > 0.9
         assert env.simulator.data.time == pytest.approx(ends, abs=0.25)
+
+    def test_settled_is_not_called_at_the_top_while_the_object_slides(self, monkeypatch):
+        """A long test, whose compressed part lasts 6 s, of a cube that slides all the time."""
+        env = make()
+        looks = itertools.count()
+        monkeypatch.setattr(hold, "_in_hand", lambda simulator: np.array([3e-3 * next(looks), 0, 0]))
+        assert not self.verdict(env, close=True, verdict="settled", seconds=120.0)
 
     def test_what_was_thrown_up_is_not_held_while_it_flies(self):
         env = make(hold_seconds=0.2)

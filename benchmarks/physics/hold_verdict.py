@@ -134,7 +134,9 @@ def measure(
         obs, _ = first.env.reset(seed=SEED + episode)
         for other in others:
             other.env.reset(seed=SEED + episode)
-        act, done, first.held = policy(first.env, episode), False, None
+        act, done = policy(first.env, episode), False
+        for one in world:
+            one.held = None
         episode += 1
         while not done:
             started = time.process_time()
@@ -145,6 +147,8 @@ def measure(
                 other.env.step(action)
             done = terminated or truncated
         if first.held is not None:
+            if any(one.held is None for one in others):
+                raise RuntimeError(f"episode {episode - 1}: not all environments held the object")
             playing -= first.seconds
             rows.append(dict(zip(tests, ((one.held, one.seconds) for one in world), strict=True)))
     for one in world:

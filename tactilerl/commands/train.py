@@ -88,13 +88,18 @@ def read_config(args: list[str], base: RunConfig) -> tuple[RunConfig, Any]:
     return dataclasses.replace(base, folder=None, **parts), read
 
 
+def _short(value: Any) -> str:
+    """Tuples without spaces, where lines would be broken."""
+    return str(value).replace(" ", "") if isinstance(value, tuple) else str(value)
+
+
 def _summary(config: RunConfig, ranks: int, notes: list[str]) -> str:
     """What the run resolved to, a paragraph per part."""
     several = f"{ranks} processes" if ranks > 1 else "1 process (mpirun -n 2 tactilerl ... for two)"
     lines = [f"tactilerl train: {several}"]
     for part, values in config.as_dict().items():
         if values:
-            pairs = "  ".join(f"{name}={value}".replace(", ", ",") for name, value in values.items())
+            pairs = "  ".join(f"{name}={_short(value)}" for name, value in values.items())
             lines += textwrap.wrap(pairs, COLUMNS, initial_indent=f"  {part:8}", **HANGING)
     if config.scene is not None and config.scene.hold_verdict == "settled":
         notes = [SETTLED_NOTE, *notes]

@@ -36,7 +36,7 @@ TREES: dict[str, Any] = {"learning_rate": 0.1, "early_stopping": True, "random_s
 
 @contextmanager
 def expected_warnings() -> Iterator[None]:
-    """What estimators warn of when they see few grasps, as early in the learning curve, is not said."""
+    """Silences what estimators warn of when they see few grasps, as early in the learning curve."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
         warnings.filterwarnings("ignore", "The least populated class")
