@@ -13,8 +13,6 @@ from rich.table import Table
 ROUNDS = 7
 Contender = Callable[[], int]
 """Does its work once and says how many things it did."""
-
-
 Clock = Callable[[], float]
 """`time.perf_counter`; for work of one process and thread `time.process_time`, which stands still
 while the machine does something else."""

@@ -66,7 +66,7 @@ def _reason(event: Any, args: Sequence[str], kind: type) -> str | None:
             name = token.partition("=")[0].removeprefix("--").replace("-", "_")
             no = "no_" if name.startswith("no_") else ""
             known = meant(name.removeprefix(no), list(_names(kind)))
-            likely = " or ".join(_flag(no + field) for field in known)
+            likely = " or ".join(of_field(no + field) for field in known)
             hint = f"did you mean {likely}?" if likely else "which is no flag"
             return f"found {token!r}, {hint}"
         case "MissingArgs", {"missing_arguments": [missing, *_]}:
@@ -89,7 +89,8 @@ def _names(kind: Any) -> Iterator[str]:
         yield from _names(hint) if is_dataclass(hint) else [name]
 
 
-def _flag(field: str) -> str:
+def of_field(field: str) -> str:
+    """The flag of a field."""
     return f"--{field.replace('_', '-')}"
 
 

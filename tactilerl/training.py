@@ -24,6 +24,7 @@ from .envs import vector
 from .errors import InputError, input_errors
 from .report import Report, require_tensorboard
 from .run_dir import RunDir
+from .terminal import paragraph
 
 COUNTS = ("episodes", *FAULTS, "updates")  # columns of progress.csv that are sums
 
@@ -105,11 +106,13 @@ def train(
             with Report(learner, comm, run_dir.path if config.run.tensorboard else None) as report:
                 if summary:
                     report.note(summary)
-                report.note(f"  resolved {learner.describe()}")
+                report.note(paragraph("resolved", learner.describe()))
                 if epoch:
-                    report.note(f"  resumed  after epoch {epoch}, {learner.env_steps:,} steps")
+                    report.note(
+                        paragraph("resumed", f"after epoch {epoch}, {learner.env_steps:,} steps")
+                    )
                 if changed:
-                    report.note(f"  versions {changed}; from epoch {epoch + 1} on")
+                    report.note(paragraph("versions", f"{changed}; from epoch {epoch + 1} on"))
                 if learner.env_steps >= learner.total_timesteps:
                     done = f"{learner.env_steps:,} of {learner.total_timesteps:,}"
                     report.note(f"  nothing to do: {done} steps done; raise --total-timesteps")

@@ -4,6 +4,7 @@ import importlib
 
 import pytest
 
+from benchmarks.physics import hold_verdict
 from benchmarks.physics.speed_vs_error import BULLET, Setting, environment
 
 
@@ -20,3 +21,11 @@ def test_bullet_with_other_settings():
 def test_mujoco_with_other_settings():
     with environment("mpl", "mujoco", 0.05, Setting(timestep=2, options={"iterations": 7})) as env:
         assert env.simulator.model.opt.iterations == 7
+
+
+def test_verdicts_on_objects_that_vary():
+    hand, choices, policy = hold_verdict.disturbed("mpl", "mujoco")
+    choices |= {"object_size": ("0.04..0.05",), "hold_seconds": 0.2}
+    tests = {"full": ({"verdict": "full"}, 0.0), "early": ({"verdict": "settled"}, 0.0)}
+    found = hold_verdict.measure(hand, choices, policy, 2, tests)
+    assert (found["holds"], found["changed_by_push"]) == (2, None)

@@ -171,7 +171,7 @@ class TestTrain:
 
     def test_ddpg_her_means_the_papers_mujoco_set_up(self, capsys):
         assert main([*HER, "--max-episode-steps", "3", "--total-timesteps", "12"]) == 0
-        out = capsys.readouterr().out
+        out = " ".join(capsys.readouterr().out.split())
         assert "epochs of up to 12 steps and 8 updates in each process, gamma 0.666667" in out
         assert "HER probability 0.8, replay of 1,000,000 transitions: 0." in out
         run = Path("runs/ddpg_her_shadow_reach-goal_layout2_main_s0")
@@ -407,10 +407,7 @@ class TestBadInput:
             (["train", "--layout", "no.toml"], ["no.toml", "does not exist"]),
             (["train", "--run-type", "half"], ["'half'", "--run-type", "main"]),
             (["train", "--total-timesteps", "-5"], ["total_timesteps: found -5", "from 1 to"]),
-            (
-                ["train", "--gama", "0.9"],
-                ["found '--gama'", "did you mean --gamma? See"],
-            ),
+            (["train", "--gama", "0.9"], ["found '--gama'", "did you mean --gamma? See"]),
             (["train", "--no-orthogonal-int"], ["did you mean --no-orthogonal-init?"]),
             (["train", "--algo", "ddpg_her", "--tau", "0.9"], ["did you mean --polyak?"]),
             (["train", "--tau", "0.9"], ["found '--tau', which is no flag; see tactilerl train"]),

@@ -44,8 +44,8 @@ def _require_used(scene: GraspConfig, env: str) -> None:
     """InputError for flags of the scene on which scripted grasps of one object do not depend."""
     for name, usual in vars(setup(env)).items():
         if name not in USED and (found := getattr(scene, name)) != usual:
-            flag = name.replace("_", "-")
-            raise InputError(f"--{flag}: found {found}, which changes nothing here; leave it out")
+            flag = flags.of_field(name)
+            raise InputError(f"{flag}: found {found}, which changes nothing here; leave it out")
     with input_errors():
         if Items(scene).vary:
             raise ValueError("object: found several, or a range; the grasps here are of one object")

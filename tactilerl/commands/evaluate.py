@@ -62,8 +62,10 @@ def main(args: list[str]) -> int:
             sweep.require_drawable(read.out)
     trained = policies.read_run(read.run, read.env, read.trust)
     run = trained.config
-    about: dict[str, Any] = {"run": str(read.run), "epoch": trained.epoch}
-    about |= {"env_steps": trained.env_steps, "stochastic": read.stochastic}
+    about: dict[str, Any] = {
+        "run": str(read.run), "epoch": trained.epoch, "env_steps": trained.env_steps,
+        "stochastic": read.stochastic,
+    }  # fmt: skip
     if run.scene is not None and sensors is not None:
         others = {k: v for k, v in vars(sensors).items() if v != getattr(run.scene, k)}
         run = dataclasses.replace(run, scene=dataclasses.replace(run.scene, **others))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import textwrap
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -15,14 +14,10 @@ from ..algos import mpi, recipes
 from ..config import RunConfig, RunOptions
 from ..errors import InputError, input_errors
 from ..run_dir import RunDir
-from ..terminal import console
+from ..terminal import console, paragraph
 from ..training import train
 from .scene import hands_named, layout_notes
 
-COLUMNS = 100
-HANGING: dict[str, Any] = {
-    "subsequent_indent": 10 * " ", "break_long_words": False, "break_on_hyphens": False
-}  # fmt: skip
 SETTLED_NOTE = "hold_verdict=settled decides holds early; how often it is wrong: docs/concepts/tasks.md"
 
 
@@ -34,9 +29,9 @@ def main(args: list[str]) -> int:
     recipe = flags.peek(args, "--recipe", "")
     base = saved.with_recipe(recipe) if saved and recipe else saved
     config, options = read_config(args, base or defaults(args))
-    for flag in ("any_ranks", "trust"):
-        if getattr(options, flag) and not resume:
-            raise InputError(f"--{flag.replace('_', '-')}: found without --resume, allowed with it")
+    for name in ("any_ranks", "trust"):
+        if getattr(options, name) and not resume:
+            raise InputError(f"{flags.of_field(name)}: found without --resume, allowed with it")
     if resume and any(arg.partition("=")[0] == "--out" for arg in args):
         raise InputError("--out: a resumed run stays in its folder; leave it out")
     with input_errors():
@@ -100,8 +95,8 @@ def _summary(config: RunConfig, ranks: int, notes: list[str]) -> str:
     for part, values in config.as_dict().items():
         if values:
             pairs = "  ".join(f"{name}={_short(value)}" for name, value in values.items())
-            lines += textwrap.wrap(pairs, COLUMNS, initial_indent=f"  {part:8}", **HANGING)
+            lines.append(paragraph(part, pairs))
     if config.scene is not None and config.scene.hold_verdict == "settled":
         notes = [SETTLED_NOTE, *notes]
-    lines += [f"  note     {note}" for note in notes]
+    lines += [paragraph("note", note) for note in notes]
     return "\n".join(lines)
