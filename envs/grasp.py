@@ -38,6 +38,11 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
     touch: str = "skin"
     """Touch rule. skin: the taxel's sphere overlaps the object, and its skin touches it; contact: the
     simulator's own contact points (paper); force: normal force in N. See docs/concepts/touch.md."""
+    actions: Literal["all", "fingers", "grip"] = "all"
+    """all: the hand's own (paper); fingers: the slides stand still, groups of fingers close and open;
+    grip: one action closes and opens the whole hand."""
+    start_closing: float = 0.2
+    """With actions fingers or grip: how far the hand is closed at the start, 1 being all the way."""
     finger_gain: float = 1.0
     """Position gain and force limit of the fingers, relative to the hand model's."""
     timestep: float = 0.004
@@ -72,6 +77,8 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
                 f"control_dt: found {self.control_dt} s, allowed a whole number of timesteps "
                 f"of {self.timestep} s"
             )
+        if not 0 <= self.start_closing < 1:
+            raise ValueError(f"start_closing: found {self.start_closing}, allowed from 0 to below 1")
         objects.validate(self)
         tasks.validate(self)
         observations.validate(self, self.run_type, touch.RULES[self.touch].is_boolean)
@@ -130,10 +137,12 @@ class GraspEnv(gym.Env[Any, Array]):
         self._item = items.first
         width = items.width if config.is_near else math.inf
         self.hand = hands.get(hand).start_above(width, items.height)
+        if config.actions != "all":
+            self.hand = self.hand.closing_from(config.start_closing, config.actions)
         self.taxels = layouts.load(config.layout).place(self.hand)
         self._touch = touch.RULES[config.touch](self.taxels, self.hand)
         self.task: tasks.Task = tasks.TASKS[config.task].of(
-            config, len(self.hand.fingertips), setup(hand).timestep, items.first.shape
+            config, self.hand, setup(hand).timestep, items.first.shape
         )
         self.max_episode_steps = config.max_episode_steps or self.task.max_episode_steps
         self.simulator = simulators.make(
@@ -145,8 +154,9 @@ class GraspEnv(gym.Env[Any, Array]):
                 friction=self._item.friction,
                 timestep=config.timestep,
                 finger_gain=config.finger_gain,
-                rise=max(0.0, items.height - self.hand.start_clearance),
+                rise=self.task.rise + max(0.0, items.height - self.hand.start_clearance),
                 contact_taxels=self._touch.sensed,
+                giver=self.task.giver,
                 visual=render_mode is not None,
             ),
         )
@@ -155,11 +165,21 @@ class GraspEnv(gym.Env[Any, Array]):
         self._observer = Observer(config, self.hand, names, self._touch.is_boolean)
         self._start_positions = self.hand.start_positions()
         self._targets = self.hand.start_targets()
+        self.simulator.reset(self._start_positions, np.array([0.0, 0.0, items.height / 2]), 0.0)
+        self._palm = self._palm_skin()
         self._steps, self._object_position = 0, np.zeros(3)
         self._obs: dict[str, Array] = {}
         self._desired_goal = np.zeros(self.task.goal_size, np.float32)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (len(self.hand.action_names),), np.float32)
         self.observation_space = self._spaces()
+
+    def _palm_skin(self) -> Array:
+        """The place (3,) on the palm's skin where objects are handed over."""
+        hand = self.hand
+        palm = [s for s in hand.surfaces if s.segment == "palm" and s.digit not in hand.handed_beside]
+        positions, rotations = self.simulator.link_poses(tuple(surface.link for surface in palm))
+        centres = np.array([surface.centre for surface in palm])[:, :, None]
+        return np.asarray((positions + (rotations @ centres)[:, :, 0]).mean(axis=0))
 
     def _spaces(self) -> gym.spaces.Dict:
         """Taxels lie between 0 and 1; a task with a single goal has it as its only one."""
@@ -181,11 +201,10 @@ class GraspEnv(gym.Env[Any, Array]):
         observer_rng, goal_rng, object_rng = self.np_random.spawn(3)
         self._item = item = self._items.draw(object_rng)
         positions = self._start_positions.copy()
-        position, yaw = np.array([0.0, 0.0, self.shape.half_size[2]]), 0.0
+        offset, yaw = np.zeros(2), 0.0
         if self.config.jitter:
-            rng = self.np_random
-            offset, turn = self.config.start_offset, self.config.start_yaw
-            position[:2] += rng.uniform(-offset, offset, 2)
+            rng, furthest, turn = self.np_random, self.config.start_offset, self.config.start_yaw
+            offset = rng.uniform(-furthest, furthest, 2)
             yaw = rng.uniform(-turn, turn)
             positions[3:] += rng.uniform(-JITTER_JOINT, JITTER_JOINT, len(positions) - 3)
             positions = np.clip(positions, *self.simulator.joint_limits.T)
@@ -194,6 +213,7 @@ class GraspEnv(gym.Env[Any, Array]):
         self._observer.begin(observer_rng)
         try:
             self.simulator.change_object(item.shape, item.mass, item.friction)
+            position = self.task.place(self._palm, item.shape, offset)
             self.simulator.reset(positions, position, yaw)
             snapshot = self._look()
             observation = self._observation(snapshot)
@@ -202,6 +222,7 @@ class GraspEnv(gym.Env[Any, Array]):
         self._object_position = snapshot.object.position
         achieved, desired = self.task.begin(snapshot, goal_rng)
         self._desired_goal = desired.astype(np.float32)
+        self.task.act(self.simulator, self._steps)
         self._obs = self._goal_obs(observation, achieved)
         return self._obs, {"is_success": False, "object": item.describe()}
 
@@ -214,6 +235,7 @@ class GraspEnv(gym.Env[Any, Array]):
         self._targets = self.hand.action_map(np.clip(action, -1.0, 1.0), self._targets)
         self._steps += 1
         try:
+            self.task.act(self.simulator, self._steps)
             self.simulator.step(self._targets, self.config.n_substeps)
             snapshot = self._look()
             self._follow(snapshot.object.position)

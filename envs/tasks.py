@@ -1,4 +1,5 @@
-"""The two tasks of the paper: which goal, what is achieved, what is rewarded, what is success.
+"""The two tasks of the paper, and handover: where the object is at first and who moves it, which goal,
+what is achieved, what is rewarded, what is success.
 
 A task owns all of that, its thresholds and its hold test; the environment tells it what is true after
 each action. Rewards are pure functions of the achieved and the desired goal, so that hindsight
@@ -13,9 +14,11 @@ from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
 import numpy as np
 
-from .hands import Array
+from .givers import Giver
+from .hands import Array, Hand
 from .hold import LOOK_STEPS, HoldTest, Verdict
 from .objects import Shape
+from .simulators import Simulator
 from .snapshot import Snapshot
 
 
@@ -24,16 +27,17 @@ class TaskConfig:
     """Which task, and its thresholds."""
 
     task: str = "lift-and-hold"
-    """lift-and-hold: the paper's PPO task; reach-goal: its DDPG+HER task."""
-    reward: Literal["staged", "sparse", "dense"] | None = None
-    """staged (lift-and-hold), sparse 0/-1 or dense -10 x distance (reach-goal); default: the
-    task's first."""
+    """lift-and-hold: the paper's PPO task; reach-goal: its DDPG+HER task; handover: close the hand
+    while somebody holds the object against it."""
+    reward: Literal["staged", "sparse", "dense", "outcome"] | None = None
+    """staged (lift-and-hold), sparse 0/-1 or dense -10 x distance (reach-goal), outcome (handover);
+    default: the task's first."""
     lift_clearance: float = 0.03
     """lift-and-hold: the object counts as lifted when its lowest point is this high, m."""
     hold_seconds: float = 20.0
-    """lift-and-hold: length of the hold test, s (5,000 timesteps, paper; mpl: 20.83)."""
+    """lift-and-hold and handover: length of the hold test, s (5,000 timesteps, paper; mpl: 20.83)."""
     hold_verdict: Verdict = "full"
-    """lift-and-hold: full, or settled (a compressed test of about 1 s, sometimes wrong; see
+    """lift-and-hold and handover: full, or settled (a compressed test of about 1 s, sometimes wrong; see
     docs/concepts/tasks.md)."""
     goal_height: float = 0.08
     """reach-goal: the goal is this far above where the object stands without jitter, m."""
@@ -93,10 +97,22 @@ class Task(Protocol):
     def max_episode_steps(self) -> int:
         """Length of an episode unless the configuration says otherwise."""
 
+    rise: ClassVar[float]
+    """How much higher than usual the hand hangs, m."""
+
+    giver: ClassVar[Giver | None]
+    """Who carries the object before the hand has it."""
+
     @classmethod
-    def of(cls, config: TaskConfig, n_digits: int, own_timestep: float, shape: Shape) -> Task:
-        """The task as configured, for a hand of `n_digits` whose own timestep is that, s, and a
-        first object."""
+    def of(cls, config: TaskConfig, hand: Hand, own_timestep: float, shape: Shape) -> Task:
+        """The task as configured, for a hand whose own timestep is that, s, and a first object."""
+
+    def place(self, palm: Array, shape: Shape, offset: Array) -> Array:
+        """Where an object (3,) starts that is `offset` (2,) from its place, m. `palm` (3,) is a
+        place on the palm's skin, at the bases of the fingers."""
+
+    def act(self, simulator: Simulator, step: int) -> None:
+        """What others do in the scene before the hand's action number `step`, or at the start (0)."""
 
     def begin(self, start: Snapshot, rng: np.random.Generator) -> tuple[Array, Array]:
         """(achieved, desired goal) of a new episode, each (goal_size,)."""
@@ -112,8 +128,21 @@ class Task(Protocol):
         """bool (...)"""
 
 
+class FromTheGround:
+    """The object lies on the ground, and nobody but the hand moves it."""
+
+    rise: ClassVar[float] = 0.0
+    giver: ClassVar[Giver | None] = None
+
+    def place(self, palm: Array, shape: Shape, offset: Array) -> Array:
+        return np.array([*offset, shape.half_size[2]])
+
+    def act(self, simulator: Simulator, step: int) -> None:
+        """Nothing."""
+
+
 @dataclass(frozen=True)
-class ReachGoal:
+class ReachGoal(FromTheGround):
     """Bring the object to a place above the ground and keep it there (paper, MuJoCo set-up)."""
 
     rewards: ClassVar[tuple[str, ...]] = ("sparse", "dense")
@@ -129,7 +158,7 @@ class ReachGoal:
     """How far the goal may be drawn from there along each axis, m."""
 
     @classmethod
-    def of(cls, config: TaskConfig, n_digits: int, own_timestep: float, shape: Shape) -> ReachGoal:
+    def of(cls, config: TaskConfig, hand: Hand, own_timestep: float, shape: Shape) -> ReachGoal:
         kind = config.reward or cls.rewards[0]
         return cls(config.goal_height, config.goal_tolerance, kind, config.goal_range)
 
@@ -153,10 +182,11 @@ class ReachGoal:
         return _distance(achieved_goal, desired_goal) <= self.tolerance
 
 
-Outcome = Literal["undecided", "fell_back", "lifted", "dropped", "held", "timed_out"]
-# How the outcome of a step of lift-and-hold stands at the end of its achieved goal.
+Outcome = Literal["undecided", "fell_back", "lifted", "dropped", "held", "timed_out", "missed"]
+# How the outcome of a step of lift-and-hold or handover stands at the end of its achieved goal.
 OUTCOMES: dict[Outcome, float] = {
     "timed_out": -1.0,
+    "missed": -0.5,
     "undecided": 0.0,
     "fell_back": 0.25,  # had left the ground, and lies on it again
     "lifted": 0.4,  # the hold test decides between the next two
@@ -168,7 +198,7 @@ OFF_GROUND = 0.005  # m under the object's lowest point: an attempt has begun
 
 
 @dataclass
-class LiftAndHold:
+class LiftAndHold(FromTheGround):
     """Grasp, lift, and survive a long unrecorded hold at 1 m (paper, PyBullet set-up).
 
     The achieved goal holds the distances the reward is made of (palm, then fingertips, to the
@@ -190,10 +220,9 @@ class LiftAndHold:
     _is_off_ground: bool = field(default=False, repr=False)
 
     @classmethod
-    def of(cls, config: TaskConfig, n_digits: int, own_timestep: float, shape: Shape) -> LiftAndHold:
-        every = LOOK_STEPS * own_timestep
-        test = HoldTest(config.hold_seconds, every, shape, config.hold_verdict)
-        return cls(config.lift_clearance, test, shape, n_digits)
+    def of(cls, config: TaskConfig, hand: Hand, own_timestep: float, shape: Shape) -> LiftAndHold:
+        test = _hold_test(config, own_timestep, shape)
+        return cls(config.lift_clearance, test, shape, len(hand.fingertips))
 
     @property
     def goal_size(self) -> int:
@@ -244,6 +273,87 @@ class LiftAndHold:
         return _split(achieved_goal)[1] == OUTCOMES["held"]
 
 
+@dataclass
+class Handover:
+    """Close the hand while somebody holds an object against the palm, and keep it.
+
+    The arm stands still. At a time that is not known, somebody brings the object up from below,
+    presses it softly against the palm, and lets go a second after setting off. It is missed when
+    it falls; if it is still in the hand a little later, the hold test decides.
+    """
+
+    rewards: ClassVar[tuple[str, ...]] = ("outcome",)
+    goal_size: ClassVar[int] = 1
+    only_goal: ClassVar[Array] = np.array([OUTCOMES["held"]])
+    max_episode_steps: ClassVar[int] = 60
+    rise: ClassVar[float] = 0.2
+    giver: ClassVar[Giver] = Giver()
+    below: ClassVar[float] = 0.12
+    """How far under the palm the object waits, m."""
+    beyond: ClassVar[float] = 0.004
+    """How far beyond contact the giver wants to move it, m."""
+    waits: ClassVar[tuple[int, int]] = (5, 35)
+    """Before which action, from and to, the giver sets off."""
+    stays: ClassVar[int] = 10
+    """Actions from setting off to letting go."""
+    settles: ClassVar[int] = 8
+    """Actions from letting go to the hold test."""
+    fallen: ClassVar[float] = 0.2
+    """m from the palm: it was missed."""
+
+    hold: HoldTest
+    _step: int = field(default=0, repr=False)
+    _sets_off: int = field(default=0, repr=False)
+    _wait: Array = field(default_factory=lambda: np.zeros(3), repr=False)
+
+    @classmethod
+    def of(cls, config: TaskConfig, hand: Hand, own_timestep: float, shape: Shape) -> Handover:
+        return cls(_hold_test(config, own_timestep, shape))
+
+    def place(self, palm: Array, shape: Shape, offset: Array) -> Array:
+        return palm - [0.0, 0.0, shape.half_size[2] + self.below] + [*offset, 0.0]
+
+    def begin(self, start: Snapshot, rng: np.random.Generator) -> tuple[Array, Array]:
+        self.hold = replace(self.hold, shape=start.shape)
+        self._sets_off = int(rng.integers(self.waits[0], self.waits[1], endpoint=True))
+        self._wait = start.object.position
+        return self._achieved("undecided"), self.only_goal
+
+    def act(self, simulator: Simulator, step: int) -> None:
+        self._step = step
+        if step == 0:
+            simulator.carry(self._wait)
+        elif step == self._sets_off:
+            simulator.carry(self._wait + [0.0, 0.0, self.below + self.beyond])
+        elif step == self._sets_off + self.stays:
+            simulator.let_go()
+
+    def judge(self, now: Snapshot, is_last: bool, hold: Hold) -> Judgement:
+        outcome, since = "undecided", self._step - self._sets_off - self.stays
+        if is_last or (since >= 0 and _distance(now.hand, now.object.position) > self.fallen):
+            outcome = "missed"
+        elif since >= self.settles:
+            outcome = "held" if hold(self.hold) else "missed"
+        return Judgement(self._achieved(outcome), outcome != "undecided")
+
+    def _achieved(self, outcome: Outcome) -> Array:
+        return np.array([OUTCOMES[outcome]])
+
+    def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
+        """1000 for an object that is held in the end, -100 for one that is missed."""
+        outcome = np.asarray(achieved_goal)[..., 0]
+        reward = np.where(outcome == OUTCOMES["missed"], -100.0, 0.0)
+        return np.where(outcome == OUTCOMES["held"], 1000.0, reward)
+
+    def is_success(self, achieved_goal: Array, desired_goal: Array) -> Array:
+        return np.asarray(achieved_goal)[..., 0] == OUTCOMES["held"]
+
+
+def _hold_test(config: TaskConfig, own_timestep: float, shape: Shape) -> HoldTest:
+    every = LOOK_STEPS * own_timestep
+    return HoldTest(config.hold_seconds, every, shape, config.hold_verdict)
+
+
 def _with_outcome(distances: Array, outcome: Outcome) -> Array:
     """A goal of lift-and-hold."""
     return np.append(distances, OUTCOMES[outcome])
@@ -259,7 +369,8 @@ def _distance(a: Any, b: Any) -> Array:
     return np.linalg.norm(np.asarray(a) - np.asarray(b), axis=-1)
 
 
-TASKS: dict[str, type[LiftAndHold] | type[ReachGoal]] = {
+TASKS: dict[str, type[LiftAndHold] | type[ReachGoal] | type[Handover]] = {
     "lift-and-hold": LiftAndHold,
     "reach-goal": ReachGoal,
+    "handover": Handover,
 }

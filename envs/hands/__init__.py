@@ -20,6 +20,7 @@ SLIDES = ("slide_x", "slide_y", "slide_z")
 DIGITS = ("thumb", "index", "middle", "ring", "little")
 """What digits are called, in order; a hand has those that its ``fingertips`` have."""
 SEGMENTS = ("proximal", "middle", "distal")
+CLOSING_STEP = 0.5  # how far an action of 1 closes fingers that go from open to closed
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,8 @@ class LinearAction:
 @dataclass(frozen=True)
 class ClosingAction:
     """Increments "in relation to the current position and within the limits" (paper, PyBullet
-    set-up): the slides move, groups of joints go along their closing trajectories.
+    set-up): the slides move, where they are actions, and groups of joints go along their closing
+    trajectories.
 
     The position is the one last asked for, not the one reached: a finger that the object stops is
     asked for more with each increment and presses the harder, up to its force limit. From the
@@ -106,9 +108,9 @@ class ClosingAction:
     """
 
     slide_step: Array
-    """(3,) how far an action of 1 moves each slide's target, m."""
+    """(3,) how far an action of 1 moves each slide's target, m; (0,) where the slides are no actions."""
     slide_limits: Array
-    """(3, 2) lowest and highest target of each slide, m."""
+    """(3, 2) lowest and highest target of each slide, m; (0, 2) likewise."""
     closing_step: float
     """How far an action of 1 closes a group; 1 is from open to closed."""
     groups: tuple[Array, ...]
@@ -119,22 +121,22 @@ class ClosingAction:
     """(n_actuators,) targets at the closed end."""
 
     def __call__(self, action: Array, joint_targets: Array) -> Array:
-        """New joint targets (n_actuators,) from an action (3 + number of groups,) in [-1, 1]."""
-        targets = joint_targets.copy()
-        moved = targets[:3] + self.slide_step * action[:3]
-        targets[:3] = np.clip(moved, self.slide_limits[:, 0], self.slide_limits[:, 1])
+        """New joint targets (n_actuators,) from an action (slides, then groups) in [-1, 1]."""
+        targets, n_slides = joint_targets.copy(), len(self.slide_step)
+        moved = targets[:n_slides] + self.slide_step * action[:n_slides]
+        targets[:n_slides] = np.clip(moved, self.slide_limits[:, 0], self.slide_limits[:, 1])
         first, members, group = self._indices
         way = self.closed - self.open
         closing = (targets[first] - self.open[first]) / way[first]
-        closing = np.clip(closing + self.closing_step * action[3:], 0.0, 1.0)
+        closing = np.clip(closing + self.closing_step * action[n_slides:], 0.0, 1.0)
         targets[members] = self.open[members] + closing[group] * way[members]
         return targets
 
     @cached_property
     def _indices(self) -> tuple[Array, Array, Array]:
-        """The first actuator of each group; all that are in groups; and the group of each."""
-        sizes = [len(group) for group in self.groups]
-        first = np.array([group[0] for group in self.groups])
+        """The first actuator of each group that moves; all that are in groups; and the group of each."""
+        sizes, way = [len(group) for group in self.groups], self.closed - self.open
+        first = np.array([group[way[group] != 0][0] for group in self.groups])
         return first, np.concatenate(self.groups), np.repeat(np.arange(len(sizes)), sizes)
 
 
@@ -190,6 +192,46 @@ class Hand:
     """Rotational inertia that every link gets in Bullet, kg m²: the solver needs it, and the value
     is the one that comes nearest to small timesteps (docs/appendix/physics_settings.md)."""
     grasps: tuple[ScriptedGrasp, ...] = ()
+    opened: dict[str, float] = field(default_factory=dict)
+    """Targets by actuator of the open hand, from where fingers that close in groups set off, rad."""
+    closed: dict[str, float] = field(default_factory=dict)
+    """Targets of the same actuators where the hand is closed, rad."""
+    groups: tuple[tuple[str, ...], ...] = ()
+    """The actuators that close together, each in one group."""
+    group_names: tuple[str, ...] = ()
+    handed_beside: tuple[str, ...] = ()
+    """Fingers at whose bases no object is handed over: it comes to the middle of the others'."""
+
+    def closing_from(self, start: float, actions: str) -> Hand:
+        """The hand with its slides standing still and fingers that close and open again, from where
+        they are `start` of the way from open to closed: all by one action ("grip") or group by group
+        ("fingers")."""
+        opened, closed = (
+            np.array([ends.get(name, self.start.get(joint, 0.0)) for name, joint in self._driven])
+            for ends in (self.opened, self.closed)
+        )
+        opened += start * (closed - opened)
+        members = [np.array([self.actuators.index(name) for name in group]) for group in self.groups]
+        pose = dict(zip(self.actuated, opened.tolist(), strict=True))
+        pose |= {joint: ratio * pose[driver] for joint, driver, ratio in self.couplings}
+        is_grip = actions == "grip"
+        return replace(
+            self,
+            action_map=ClosingAction(
+                slide_step=np.zeros(0),
+                slide_limits=np.zeros((0, 2)),
+                closing_step=CLOSING_STEP,
+                groups=(np.concatenate(members),) if is_grip else tuple(members),
+                open=opened,
+                closed=closed,
+            ),
+            action_names=("closing of the hand",) if is_grip else self.group_names,
+            start={joint: angle for joint, angle in pose.items() if angle},
+        )
+
+    @property
+    def _driven(self) -> list[tuple[str, str]]:
+        return list(zip(self.actuators, self.actuated, strict=True))
 
     def start_above(self, width: float, height: float) -> Hand:
         """The hand as it starts over an object of these measures, m.

@@ -92,6 +92,16 @@ def _grasp(
 GRASPS = (_grasp(0.05, (-0.031, 0.059, 0.072), (1.105, 0.665, 0.761), (1.334, 0.072, 0.845, 0.993)),)
 
 
+# Fingers that close in groups go from straight, the thumb opposed, to a fist.
+OPENED = {f"{f}_{j}": 0.0 for f in FINGERS for j in "123"} | {
+    **{"thumb_0": 1.3, "thumb_1": 0.1, "thumb_2": 0.0, "thumb_3": 0.0}
+}
+CLOSED = {f"{f}_{j}": 1.5 for f in FINGERS for j in "123"} | {
+    **{"thumb_0": 1.3, "thumb_1": 0.1, "thumb_2": 1.2, "thumb_3": 1.2}
+}
+DIGITS = ("thumb", *FINGERS)
+
+
 def hand() -> Hand:
     """The Allegro Hand with 3 slides and 16 joints, each of which is an action."""
     ranges = np.array([body["range"] for body in FIGURES.values() if "joint" in body])
@@ -117,4 +127,8 @@ def hand() -> Hand:
             "object_orientation",
         ),
         grasps=GRASPS,
+        opened=OPENED,
+        closed=CLOSED,
+        groups=tuple(tuple(name for name in CLOSED if name.startswith(digit)) for digit in DIGITS),
+        group_names=tuple(f"closing of {digit}" for digit in DIGITS),
     )

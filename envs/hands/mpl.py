@@ -23,6 +23,7 @@ FIGURES = figures.read(Path(__file__).with_name("mpl.toml"))
 JOINTS = figures.joints(FIGURES)
 FINGERS = DIGITS[1:]
 GROUPS = (("thumb", "little"), ("index",), ("middle",), ("ring",))
+GROUP_NAMES = tuple("closing of " + " and ".join(group) for group in GROUPS)
 # Joint angles at the open and the closed end of the trajectories, rad; other joints stay at 0.
 THUMB_CLOSING = {"ABD": (0.6, 1.95), "MCP": (0.0, 0.67), "PIP": (0.0, 0.73), "DIP": (0.0, 0.68)}
 FINGER_CLOSING = {"MCP": (0.0, 1.57), "PIP": (0.0, 1.0), "DIP": (0.0, 0.88)}
@@ -153,10 +154,15 @@ def hand() -> Hand:
             rows=dict.fromkeys(SEGMENTS, 4.5e-3), column=6.5e-3, radius=2e-3, large_radius=3.8e-3
         ),
         action_map=action,
-        action_names=(*SLIDES, *("closing of " + " and ".join(group) for group in GROUPS)),
+        action_names=(*SLIDES, *GROUP_NAMES),
         first_joints=tuple(f"{digit}_{'ABD' if digit == 'thumb' else 'MCP'}" for digit in DIGITS),
         start={name: value for name, value in zip(names, start, strict=True) if value},
         observation=("object_id", "hand_position", "object_position", "finger_joints"),
         added_inertia=1e-3,
         grasps=GRASPS,
+        opened=_trajectory(0),
+        closed=_trajectory(1),
+        groups=tuple(tuple(names[i] for i in group) for group in action.groups),
+        group_names=GROUP_NAMES,
+        handed_beside=("ring", "little"),
     )

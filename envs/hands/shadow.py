@@ -221,6 +221,15 @@ GRASPS = (
 )
 
 
+# Fingers that close in groups go from straight, the thumb opposed, to a fist around small things.
+CLOSED = {
+    **{f"{finger}J{j}": 1.571 for finger in ("FF", "MF", "RF", "LF") for j in (1, 2)},
+    **{"THJ4": 1.0, "THJ3": 0.6, "THJ2": 0.209, "THJ1": -0.3, "THJ0": -1.2},
+}
+OPENED = {**dict.fromkeys(CLOSED, 0.0), "THJ4": 1.0, "THJ3": 0.2}
+GROUPS = {"thumb": "TH", "index": "FF", "middle": "MF", "ring": "RF", "little": "LF"}
+
+
 def hand() -> Hand:
     """The Shadow Hand with 3 slides, 24 joints and 23 actuators (paper, MuJoCo set-up)."""
     ranges = np.array([ACTUATOR_RANGES[joint] for joint in ACTUATED])
@@ -261,4 +270,11 @@ def hand() -> Hand:
             "object_orientation",
         ),
         grasps=GRASPS,
+        opened={f"{PREFIX}A_{joint}": angle for joint, angle in OPENED.items()},
+        closed={f"{PREFIX}A_{joint}": angle for joint, angle in CLOSED.items()},
+        groups=tuple(
+            tuple(f"{PREFIX}A_{joint}" for joint in CLOSED if joint.startswith(group))
+            for group in GROUPS.values()
+        ),
+        group_names=tuple(f"closing of {digit}" for digit in GROUPS),
     )

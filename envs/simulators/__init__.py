@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from ..givers import Giver
 from ..hands import Array, Hand
 from ..layouts import Taxels
 from ..objects import ObjectState, Shape
@@ -35,6 +36,8 @@ class Scene:
     """How much higher than usual the hand hangs."""
     contact_taxels: Taxels | None = None
     """Taxels to read by the simulator's own contact rule."""
+    giver: Giver | None = None
+    """Who may carry the object."""
     visual: bool = False
     """Keep the meshes, for pictures."""
 
@@ -101,6 +104,13 @@ class Simulator(Protocol):
 
     def step(self, joint_targets: Array, n_substeps: int) -> None:
         """Advance by `n_substeps` timesteps; SimulationError when that broke the state."""
+
+    def carry(self, goal: Array) -> None:
+        """The scene's giver carries the object towards `goal` (3,), m, from where it is. After a reset
+        nobody carries it."""
+
+    def let_go(self) -> None:
+        """Nobody carries the object any more."""
 
     def set_creep(self, factor: float) -> None:
         """From now on, let what sticks creep this many times as fast as it does in the scene as it

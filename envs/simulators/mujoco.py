@@ -7,13 +7,15 @@ import math
 import mujoco
 import numpy as np
 
+from ..givers import Giver
 from ..hands import Array
 from ..layouts import Taxels
 from ..objects import ObjectState, Shape
 from ..touch import taxel_points
 from . import Camera, Contacts, Scene, SimulationError, joint_limits
 
-OBJECT = "object"
+OBJECT, GIVER = "object", "giver"
+GIVERS_GROUP = 1  # of actuators: the hand's are in group 0
 LIT_SCALE = 2.0  # a taxel that fires is drawn larger: between hand and object it is hard to see
 GEOMS = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
@@ -52,9 +54,38 @@ def build_spec(scene: Scene) -> mujoco.MjSpec:
     spec.worldbody.add_light(pos=[0.1, -0.2, -0.6], dir=[-0.1, 0.2, 0.6], diffuse=[0.5] * 3)
     spec.worldbody.add_light(pos=[0.3, -0.5, 1.0], dir=[-0.3, 0.5, -1.0], diffuse=[0.8] * 3)
     _add_object(spec, scene)
+    if scene.giver is not None:
+        _add_giver(spec, scene.giver)
     if scene.contact_taxels is not None:
         _add_touch_sensors(spec, scene.contact_taxels)
     return spec
+
+
+def _add_giver(spec: mujoco.MjSpec, giver: Giver) -> None:
+    """A damped spring along each axis of the world, whose rest point, the actuator's activation, goes
+    at the speed that is its control and stays within the activation's range."""
+    spec.worldbody.add_site(name=GIVER, group=4)  # not drawn
+    spec.body(OBJECT).add_site(name=OBJECT, group=4)
+    for axis in range(3):
+        gear = np.zeros(6)
+        gear[axis] = 1.0
+        spec.add_actuator(
+            name=f"{GIVER}{axis}",
+            trntype=mujoco.mjtTrn.mjTRN_SITE,
+            target=OBJECT,
+            refsite=GIVER,
+            gear=gear,
+            dyntype=mujoco.mjtDyn.mjDYN_INTEGRATOR,
+            gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+            gainprm=[giver.stiffness] + [0] * 9,
+            biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+            biasprm=[0, -giver.stiffness, -giver.damping] + [0] * 7,
+            forcelimited=True,
+            forcerange=[-giver.force, giver.force],
+            actlimited=True,
+            actrange=[-1, 1],
+            group=GIVERS_GROUP,
+        )
 
 
 def _add_object(spec: mujoco.MjSpec, scene: Scene) -> None:
@@ -141,6 +172,9 @@ class MujocoSimulator:
         self._object_qvel = int(model.joint(OBJECT).dofadr[0])
         self._object_body = model.body(OBJECT).id
         self._object_geom = model.geom(OBJECT).id
+        self._giver: Array | None = None
+        if scene.giver is not None:
+            self._giver = np.array([model.actuator(f"{GIVER}{axis}").id for axis in range(3)])
         points = [(hand.palm, hand.palm_point), *hand.fingertips]
         self._point_bodies = np.array([model.body(body).id for body, _ in points])
         self._points = np.array([point for _, point in points])[:, :, None]
@@ -174,6 +208,7 @@ class MujocoSimulator:
     def reset(self, joint_positions: Array, object_position: Array, yaw: float) -> None:
         self._past_warnings = self.warnings  # MuJoCo forgets them
         mujoco.mj_resetData(self.model, self.data)
+        self.let_go()
         turn = np.array([np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
         try:
             self.place(joint_positions, object_position, turn)
@@ -217,6 +252,20 @@ class MujocoSimulator:
             mujoco.mj_step(model, data, 1)
         # mj_step leaves body poses one substep behind qpos.
         mujoco.mj_kinematics(model, data)
+
+    def carry(self, goal: Array) -> None:
+        assert self.scene.giver is not None
+        model, data, position = self.model, self.data, self.data.xpos[self._object_body]
+        way = goal - position
+        model.opt.disableactuator &= ~(1 << GIVERS_GROUP)
+        model.actuator_actrange[self._giver] = np.sort([position, goal], axis=0).T
+        data.act[:] = position
+        data.ctrl[self._giver] = self.scene.giver.speed * way / max(np.linalg.norm(way), 1e-9)
+        data.xfrc_applied[self._object_body, :3] = -self.scene.mass * model.opt.gravity
+
+    def let_go(self) -> None:
+        self.model.opt.disableactuator |= 1 << GIVERS_GROUP
+        self.data.xfrc_applied[self._object_body] = 0.0
 
     def set_creep(self, factor: float) -> None:
         """A soft contact that sticks moves at (friction force) / (friction impedance)."""

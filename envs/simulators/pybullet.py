@@ -76,6 +76,8 @@ class PyBulletSimulator:
         taxels = scene.contact_taxels
         self._taxels = None if taxels is None else taxel_points(taxels)
         self._painter: MujocoSimulator | None = None
+        self._rest: Array | None = None  # of the giver's spring, while the object is carried
+        self._goal = np.zeros(3)
 
     def __reduce__(self) -> Any:
         """Bullet's worlds cannot be copied whole: a copy would share this one's."""
@@ -169,6 +171,7 @@ class PyBulletSimulator:
 
     def _put(self, joint_positions: Array, object_position: Array, yaw: float) -> None:
         client = self.client
+        self.let_go()
         self._build()  # a world that has been stepped keeps pairs and contacts of its past
         for index, position in zip(self._joints, joint_positions, strict=True):
             pybullet.resetJointState(self.hand, index, position, physicsClientId=client)
@@ -199,10 +202,29 @@ class PyBulletSimulator:
         )  # fmt: skip
         for _ in range(n_substeps):  # external forces last one step
             position, _ = pybullet.getBasePositionAndOrientation(self.object, physicsClientId=client)
+            force = self._weight if self._rest is None else self._pull(np.array(position))
             pybullet.applyExternalForce(
-                self.object, -1, self._weight, position, pybullet.WORLD_FRAME, physicsClientId=client
+                self.object, -1, force, position, pybullet.WORLD_FRAME, physicsClientId=client
             )
             pybullet.stepSimulation(physicsClientId=client)
+
+    def _pull(self, position: Array) -> Array:
+        """The giver's force (3,) on the object, N, whose weight is carried; the spring's rest point
+        goes on by a timestep."""
+        giver, rest = self.scene.giver, self._rest
+        assert giver is not None
+        assert rest is not None
+        way, step = self._goal - rest, giver.speed * self.scene.timestep
+        distance = float(np.linalg.norm(way))
+        self._rest = rest = self._goal if distance <= step else rest + way * (step / distance)
+        velocity, _ = pybullet.getBaseVelocity(self.object, physicsClientId=self.client)
+        return giver.pull(rest, position, np.array(velocity))
+
+    def carry(self, goal: Array) -> None:
+        self._rest, self._goal = self.object_state().position, goal
+
+    def let_go(self) -> None:
+        self._rest = None
 
     def set_creep(self, factor: float) -> None:
         """Friction anchors do not creep."""
