@@ -37,8 +37,8 @@ class TaskConfig:
     hold_seconds: float = 20.0
     """lift-and-hold and handover: length of the hold test, s (5,000 timesteps, paper; mpl: 20.83)."""
     hold_verdict: Verdict = "full"
-    """lift-and-hold and handover: full, or settled (a compressed test of about 1 s, sometimes wrong; see
-    docs/concepts/tasks.md)."""
+    """lift-and-hold and handover: full, or settled (a compressed test of about 1 s, sometimes wrong;
+    see docs/concepts/tasks.md)."""
     goal_height: float = 0.08
     """reach-goal: the goal is this far above where the object stands without jitter, m."""
     goal_range: float = 0.0
@@ -97,11 +97,13 @@ class Task(Protocol):
     def max_episode_steps(self) -> int:
         """Length of an episode unless the configuration says otherwise."""
 
-    rise: ClassVar[float]
-    """How much higher than usual the hand hangs, m."""
+    @property
+    def rise(self) -> float:
+        """How much higher than usual the hand hangs, m."""
 
-    giver: ClassVar[Giver | None]
-    """Who carries the object before the hand has it."""
+    @property
+    def giver(self) -> Giver | None:
+        """Who carries the object before the hand has it."""
 
     @classmethod
     def of(cls, config: TaskConfig, hand: Hand, own_timestep: float, shape: Shape) -> Task:
@@ -324,12 +326,13 @@ class Handover:
         if step == 0:
             simulator.carry(self._wait)
         elif step == self._sets_off:
-            simulator.carry(self._wait + [0.0, 0.0, self.below + self.beyond])
+            simulator.carry(self._wait + np.array([0.0, 0.0, self.below + self.beyond]))
         elif step == self._sets_off + self.stays:
             simulator.let_go()
 
     def judge(self, now: Snapshot, is_last: bool, hold: Hold) -> Judgement:
-        outcome, since = "undecided", self._step - self._sets_off - self.stays
+        since = self._step - self._sets_off - self.stays
+        outcome: Outcome = "undecided"
         if is_last or (since >= 0 and _distance(now.hand, now.object.position) > self.fallen):
             outcome = "missed"
         elif since >= self.settles:

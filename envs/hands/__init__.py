@@ -108,7 +108,7 @@ class ClosingAction:
     """
 
     slide_step: Array
-    """(3,) how far an action of 1 moves each slide's target, m; (0,) where the slides are no actions."""
+    """(3,) how far an action of 1 moves each slide's target, m; (0,) where no slide is an action."""
     slide_limits: Array
     """(3, 2) lowest and highest target of each slide, m; (0, 2) likewise."""
     closing_step: float
@@ -134,7 +134,7 @@ class ClosingAction:
 
     @cached_property
     def _indices(self) -> tuple[Array, Array, Array]:
-        """The first actuator of each group that moves; all that are in groups; and the group of each."""
+        """The first actuator of each group that moves; all in groups; and the group of each."""
         sizes, way = [len(group) for group in self.groups], self.closed - self.open
         first = np.array([group[way[group] != 0][0] for group in self.groups])
         return first, np.concatenate(self.groups), np.repeat(np.arange(len(sizes)), sizes)
