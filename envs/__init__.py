@@ -15,18 +15,33 @@ from typing import Any
 
 import gymnasium as gym
 
+from . import scenes
 from .hands import HANDS
 
 TOYS = {"lqr": "tactilerl/LQR-v0", "point-reach": "tactilerl/PointReach-v0"}
 
 
-def make(name: str, *, render_mode: str | None = None, **choices: Any) -> gym.Env[Any, Any]:
+def make(
+    name: str | None = None,
+    *,
+    scene: str | None = None,
+    render_mode: str | None = None,
+    **choices: Any,
+) -> gym.Env[Any, Any]:
     """An environment by name.
 
     `name` is one of the grasping environments (`choices` are then fields of
-    `grasp.GraspConfig`), a toy ("lqr", "point-reach"), or a Gymnasium id. Raises ValueError
+    `grasp.GraspConfig`), a toy ("lqr", "point-reach"), or a Gymnasium id. `scene` is a named scene
+    (`scenes.names`) or its file; `name` and `choices` then change what it says. Raises ValueError
     when there is none of that name.
     """
+    if scene is not None:
+        named = scenes.load(scene)
+        name, choices = name or named.env, {**named.scene, **choices}
+        if name not in HANDS:
+            raise ValueError(f"env: found {name!r} with a scene, allowed: {', '.join(HANDS)}")
+    if name is None:
+        raise ValueError("found neither the name of an environment nor a scene")
     if name in HANDS:
         from .grasp import GraspEnv, setup
 
@@ -46,11 +61,15 @@ def make(name: str, *, render_mode: str | None = None, **choices: Any) -> gym.En
         ) from None
 
 
-for _name, _registered in HANDS.items():
+_OURS: dict[str, dict[str, Any]] = {
+    **{registered.id: {"name": hand} for hand, registered in HANDS.items()},
+    **{scenes.gymnasium_id(scene): {"scene": scene} for scene in scenes.names()},
+}
+for _id, _kwargs in _OURS.items():
     gym.register(
-        _registered.id,
+        _id,
         entry_point="tactilerl.envs:make",
-        kwargs={"name": _name},
+        kwargs=_kwargs,
         order_enforce=False,
         disable_env_checker=True,
     )

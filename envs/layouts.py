@@ -8,7 +8,6 @@ distances; files are in millimetres. `place` puts a layout on a hand.
 from __future__ import annotations
 
 import os
-import tomllib
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -16,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from . import toml_files
 from .hands import DIGITS, SEGMENTS, Array, Hand, Surface
 
 FINGERS = DIGITS[1:]
-LARGEST = 1_000_000  # bytes of a layout file
 NAMED = Path(__file__).with_name("layout_files")
 
 
@@ -142,10 +141,7 @@ def load(name: str) -> Layout:
     if name in PAPER:
         return paper_layout(name)
     if name.endswith(".toml"):
-        path = Path(name)
-        if not os.path.isfile(path):  # False for any name; Path.is_file raises when it is too long
-            raise FileNotFoundError(f"layout file {name!r} does not exist")
-        return _read(path)
+        return _read(Path(name))
     path = NAMED / f"{name}.toml"
     if Path(name).name != name or not os.path.isfile(path):
         meant = f"did you mean {name}.toml? " if os.path.isfile(f"{name}.toml") else ""
@@ -156,13 +152,7 @@ def load(name: str) -> Layout:
 
 
 def _read(path: Path) -> Layout:
-    try:
-        with path.open("rb") as file:
-            data = tomllib.loads(file.read(LARGEST).decode("utf-8"))
-    except RecursionError:
-        raise ValueError(f"layout file {path}: nested too deeply") from None
-    except ValueError as error:
-        raise ValueError(f"layout file {path}: not valid TOML: {error}") from None
+    data = toml_files.read(path, "layout file")
     try:
         return parse(data, path.stem)
     except ValueError as error:

@@ -193,6 +193,7 @@ def train(
     *,
     algo: str | None = None,
     recipe: str | None = None,
+    scene: str | None = None,
     out: str | Path | None = None,
     resume: str | Path | None = None,
     any_ranks: bool = False,
@@ -203,7 +204,7 @@ def train(
     take.
 
     Flags of the command are keywords, as in ``train("shadow", algo="ppo", layout=4, seed=1)``;
-    `recipe` is "paper" where nothing is said.
+    `recipe` is "paper" where nothing is said; `scene` is a named scene or its file.
     `resume` goes on with the run in a folder, exactly where its last epoch ended.
 
     Raises ValueError naming an unknown or invalid flag, and DivergenceError (a FloatingPointError)
@@ -212,11 +213,15 @@ def train(
     """
     comm = mpi.world()
     if resume is None:
-        base = config.defaults(algo or RunOptions.algo, env or RunOptions.env, recipe or recipes.PAPER)
+        base = config.defaults(algo, env, recipe, scene)
         chosen = base.choose({**flags, **({} if out is None else {"out": str(out)})})
     else:
         saved, _ = RunDir(Path(resume)).read_config(env or "", trust)
-        for name, given in (("algo", algo not in (None, saved.run.algo)), ("out", out is not None)):
+        for name, given in (
+            ("algo", algo not in (None, saved.run.algo)),
+            ("out", out is not None),
+            ("scene", scene is not None),
+        ):
             if given:
                 raise ValueError(f"{name}: found it with resume; a resumed run keeps its settings")
         chosen = (saved.with_recipe(recipe) if recipe else saved).choose(flags)

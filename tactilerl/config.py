@@ -17,9 +17,11 @@ from typing import Any, Literal
 
 from . import algos, envs, typed
 from .algos import recipes
+from .envs import scenes
 from .envs.choices import require_known
 from .envs.grasp import GraspConfig, setup
 from .envs.hands import HANDS
+from .envs.scenes import NamedScene
 from .errors import InputError, input_errors
 
 MOST_WORKERS = 256  # more than any machine's cores: a slip, and a process each
@@ -177,18 +179,34 @@ class RunConfig:
         return None
 
 
-def defaults(algo: str, env: str, recipe: str = recipes.PAPER) -> RunConfig:
-    """The configuration before any flag; InputError for an unknown algorithm, recipe or environment."""
+def defaults(
+    algo: str | None = None,
+    env: str | None = None,
+    recipe: str | None = None,
+    scene: str | None = None,
+) -> RunConfig:
+    """The configuration before any flag: the paper's, but for what a named scene says. InputError for
+    an unknown algorithm, recipe, environment or scene.
+
+    With another learner than the scene's own, the scene's hyperparameters are left out.
+    """
+    with input_errors("--scene"):
+        named = scenes.load(scene) if scene else NamedScene(env=RunOptions.env)
+    algo, env = algo or named.train.get("algo", RunOptions.algo), env or named.env
+    is_own = algo == named.train.get("algo")
+    train = {k: v for k, v in named.train.items() if is_own and k not in ("algo", "recipe")}
     with input_errors("--algo"):
         algos.get(algo)
-    with input_errors():
-        learner = recipes.recipe(algo, recipe)
+    if scene and env not in HANDS:
+        raise InputError(f"--env: found {env!r} with --scene, allowed: {', '.join(HANDS)}")
     paper = algos.ALGORITHMS[algo]
-    return RunConfig(
-        RunOptions(algo=algo, env=env, total_timesteps=paper.total_timesteps),
-        setup(env, task=paper.task) if env in HANDS else None,
-        learner,
-    )
+    with input_errors(f"scene {scene}" if scene else ""):
+        usual = named.train.get("recipe", recipes.PAPER) if is_own else recipes.PAPER
+        return RunConfig(
+            RunOptions(algo=algo, env=env, total_timesteps=paper.total_timesteps),
+            setup(env, **{"task": paper.task, **named.scene}) if env in HANDS else None,
+            recipes.recipe(algo, recipe or usual),
+        ).choose(train)
 
 
 def from_dict(data: dict[str, Any]) -> RunConfig:

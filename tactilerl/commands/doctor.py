@@ -53,8 +53,8 @@ def _require_used(scene: GraspConfig, env: str) -> None:
 
 def main(args: list[str]) -> int:
     """`tactilerl doctor`: exit 1 when a layout is blind."""
-    name = flags.peek(args, "--env", DoctorFlags.env)
-    read, found = read_scene(DoctorFlags, args, name, "tactilerl doctor")
+    read, found = read_scene(DoctorFlags, args, "tactilerl doctor")
+    name = read.env
     scene = require_scene(found, name)
     _require_used(scene, name)
     flags.at_least("--grasps", read.grasps, 1)

@@ -7,7 +7,8 @@ import json
 from dataclasses import dataclass
 from typing import Any
 
-from .. import envs, flags
+from .. import envs
+from ..envs import scenes
 from ..errors import input_errors
 from .scene import layout_notes, read_scene
 
@@ -26,8 +27,8 @@ class EnvFlags:
 
 def main(args: list[str]) -> int:
     """`tactilerl env --describe`"""
-    name = flags.peek(args, "--env", EnvFlags.env)
-    read, scene = read_scene(EnvFlags, args, name, "tactilerl env")
+    read, scene = read_scene(EnvFlags, args, "tactilerl env")
+    name = read.env
     with input_errors():
         made = envs.make(name, **(dataclasses.asdict(scene) if scene else {}))
     try:
@@ -51,6 +52,10 @@ def main(args: list[str]) -> int:
             print(f"{key}: {described[key]}")
     for note in described.get("notes", ()):
         print(f"note: {note}")
+    if not args:
+        print("named scenes (--scene NAME):")
+        for scene_name in scenes.names():
+            print(f"  {scene_name:18} {scenes.load(scene_name).about}")
     if read.describe:
         for key in ("action", "observation"):
             for index, entry in enumerate(described.get(key, ())):

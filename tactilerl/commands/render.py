@@ -52,8 +52,8 @@ class RenderFlags:
 
 def main(args: list[str]) -> int:
     """`tactilerl render`: a scripted grasp with its taxels; `tactilerl render RUN`: a film."""
-    name = flags.peek(args, "--env", RenderFlags.env)
-    read, scene = read_scene(RenderFlags, args, name, "tactilerl render")
+    read, scene = read_scene(RenderFlags, args, "tactilerl render")
+    name = read.env
     if not 0.05 <= read.distance <= 10:
         raise InputError(f"--distance: found {read.distance}, allowed from 0.05 to 10")
     for flag in ("video", "episodes") if read.run is None else ("env", "out", "pose"):

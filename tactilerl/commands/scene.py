@@ -5,22 +5,39 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
+
+import tyro
 
 from .. import flags, hand_map
-from ..envs import hands, layouts
+from ..envs import hands, layouts, scenes
 from ..envs.grasp import GraspConfig, setup
-from ..errors import InputError
+from ..errors import InputError, input_errors
 
 T = TypeVar("T")
 
 
-def read_scene(kind: type[T], args: Sequence[str], env: str, prog: str) -> tuple[T, GraspConfig | None]:
-    """The command's own flags, and the scene's where `env` has a scene."""
-    parts: dict[str, Any] = {"command": kind()}
+ABOUT = (
+    f"a named scene ({', '.join(scenes.names())}) or its .toml file; other flags change what it says"
+)
+NAMED_SCENE = ("named_scene", Annotated[str, tyro.conf.arg(name="scene", help=ABOUT)], "")
+
+
+def read_scene(kind: type[T], args: Sequence[str], prog: str) -> tuple[T, GraspConfig | None]:
+    """The command's own flags, and the scene's where its environment has a scene."""
+    with input_errors("--scene"):
+        name = flags.peek(args, "--scene", "")
+        named = scenes.load(name) if name else None
+    command: Any = kind()
+    env = flags.peek(args, "--env", named.env if named else command.env)
+    if named and env not in hands.HANDS:
+        raise InputError(f"--env: found {env!r} with --scene, allowed: {', '.join(hands.HANDS)}")
+    parts: dict[str, Any] = {"command": dataclasses.replace(command, env=env)}
     if env in hands.HANDS:
-        parts["scene"] = setup(env)
-    options = dataclasses.make_dataclass("Options", [(name, type(it)) for name, it in parts.items()])
+        with input_errors(f"scene {name}" if named else ""):
+            parts["scene"] = setup(env, **(named.scene if named else {}))
+    kinds = [(name, type(it)) for name, it in parts.items()]
+    options = dataclasses.make_dataclass("Options", [*kinds, NAMED_SCENE])
     with hands_named(env):
         read: Any = flags.parse(options, args, prog, options(**parts))
     return read.command, getattr(read, "scene", None)

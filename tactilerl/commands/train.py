@@ -11,12 +11,12 @@ import tyro
 from .. import config as configuration
 from .. import flags
 from ..algos import mpi, recipes
-from ..config import RunConfig, RunOptions
+from ..config import RunConfig
 from ..errors import InputError, input_errors
 from ..run_dir import RunDir
 from ..terminal import console, paragraph
 from ..training import train
-from .scene import hands_named, layout_notes
+from .scene import NAMED_SCENE, hands_named, layout_notes
 
 SETTLED_NOTE = "hold_verdict=settled decides holds early; how often it is wrong: docs/concepts/tasks.md"
 
@@ -26,9 +26,9 @@ def main(args: list[str]) -> int:
     resume = flags.peek(args, "--resume", "")
     env = flags.peek(args, "--env", "")
     saved = RunDir(Path(resume)).read_config(env, "--trust" in args)[0] if resume else None
-    recipe = flags.peek(args, "--recipe", "")
+    recipe, scene = flags.peek(args, "--recipe", ""), flags.peek(args, "--scene", "")
     base = saved.with_recipe(recipe) if saved and recipe else saved
-    config, options = read_config(args, base or defaults(args))
+    config, options = read_config(args, defaults(args) if scene or base is None else base)
     for name in ("any_ranks", "trust"):
         if getattr(options, name) and not resume:
             raise InputError(f"{flags.of_field(name)}: found without --resume, allowed with it")
@@ -52,10 +52,9 @@ def main(args: list[str]) -> int:
 
 
 def defaults(args: list[str]) -> RunConfig:
-    """The configuration before most flags: it depends on the algorithm, the environment, the recipe."""
-    algo = flags.peek(args, "--algo", RunOptions.algo)
-    env = flags.peek(args, "--env", RunOptions.env)
-    return configuration.defaults(algo, env, flags.peek(args, "--recipe", recipes.PAPER))
+    """The configuration before most flags: it depends on these four."""
+    deciding = ("algo", "env", "recipe", "scene")
+    return configuration.defaults(**{name: flags.peek(args, f"--{name}", "") for name in deciding})
 
 
 TRUST = "allow the import of the module in the environment's id"
@@ -72,10 +71,12 @@ def read_config(args: list[str], base: RunConfig) -> tuple[RunConfig, Any]:
     known = tuple(recipes.recipes(base.run.algo))
     recipe = ("recipe", Annotated[Literal[known], tyro.conf.arg(help=about)], recipes.PAPER)
     kinds = [(name, type(part)) for name, part in base.parts.items()]
-    options = dataclasses.make_dataclass("Options", [*kinds, recipe, resume, any_ranks, trust])
+    options = dataclasses.make_dataclass(
+        "Options", [*kinds, recipe, NAMED_SCENE, resume, any_ranks, trust]
+    )
     about = (
         "Train a policy. --algo and --env decide which flags there are; their defaults are the "
-        "paper's, or those of --recipe."
+        "paper's, or those of --recipe and --scene."
     )
     with hands_named(base.run.env):
         read: Any = flags.parse(options, args, "tactilerl train", options(**base.parts), about)
