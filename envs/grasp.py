@@ -166,7 +166,7 @@ class GraspEnv(gym.Env[Any, Array]):
         self._start_positions = self.hand.start_positions()
         self._targets = self.hand.start_targets()
         self.simulator.reset(self._start_positions, np.array([0.0, 0.0, items.height / 2]), 0.0)
-        self._palm = self._palm_skin()
+        self.palm_skin = self._palm_skin()
         self._steps, self._object_position = 0, np.zeros(3)
         self._obs: dict[str, Array] = {}
         self._desired_goal = np.zeros(self.task.goal_size, np.float32)
@@ -213,7 +213,7 @@ class GraspEnv(gym.Env[Any, Array]):
         self._observer.begin(observer_rng)
         try:
             self.simulator.change_object(item.shape, item.mass, item.friction)
-            position = self.task.place(self._palm, item.shape, offset)
+            position = self.task.place(self.palm_skin, item.shape, offset)
             self.simulator.reset(positions, position, yaw)
             snapshot = self._look()
             observation = self._observation(snapshot)
@@ -232,7 +232,11 @@ class GraspEnv(gym.Env[Any, Array]):
             raise ValueError(f"action: found shape {action.shape}, allowed {self.action_space.shape}")
         if not np.isfinite(action).all():
             raise ValueError(f"action: found {action[~np.isfinite(action)][0]}, allowed finite numbers")
-        self._targets = self.hand.action_map(np.clip(action, -1.0, 1.0), self._targets)
+        return self.follow(self.hand.action_map(np.clip(action, -1.0, 1.0), self._targets))
+
+    def follow(self, targets: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
+        """A step towards joint targets (n_actuators,), rad and m, that no action need stand for."""
+        self._targets = targets
         self._steps += 1
         try:
             self.task.act(self.simulator, self._steps)

@@ -21,6 +21,7 @@ COMMANDS = {  # module with `main(args)`, imported when the command runs; what i
     "env": ("commands.env", "describe an environment: its observations, actions and taxels"),
     "doctor": ("commands.doctor", "do the taxels respond? scripted grasps, figures per layout"),
     "probe": ("probe.command", "what can a layout know? answers from played grasps, with intervals"),
+    "gate": ("commands.gate", "what can touch win in a scene? scripted reflexes, with intervals"),
     "render": ("commands.render", "a picture of a grasp with its taxels, or a film of a run"),
     "study": (
         "study.command",

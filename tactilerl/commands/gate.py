@@ -1,0 +1,67 @@
+"""`tactilerl gate`: what can be won by touch in a scene, before any training?"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import dataclass
+
+from rich.progress import Progress
+from rich.table import Table
+
+from .. import flags, gate
+from ..algos.mpi import Communicator
+from ..config import require_workers
+from ..errors import InputError, input_errors
+from ..terminal import console
+from ..training import free_cores
+from .scene import read_scene, require_scene
+
+
+@dataclass(frozen=True)
+class GateFlags:
+    """Flags of `tactilerl gate`, besides the scene's."""
+
+    env: str = "mpl"
+    """The hand."""
+    starts: int = 200
+    """Starts from which the chosen reflexes are compared."""
+    search: int = 20
+    """Starts from which each candidate is tried: each sense has 15."""
+    seed: int = 0
+    """Random seed of the starts."""
+    workers: int | None = None
+    """Episodes played side by side; default: the free cores."""
+    json: bool = False
+    """Print JSON instead of a table."""
+
+
+def main(args: list[str]) -> int:
+    """`tactilerl gate --scene handover`"""
+    read, found = read_scene(GateFlags, args, "tactilerl gate")
+    scene = require_scene(found, read.env)
+    for name in ("starts", "search"):
+        flags.at_least(flags.of_field(name), getattr(read, name), 1)
+    if not 0 <= read.seed < 10**6:
+        raise InputError(f"--seed: found {read.seed}, allowed from 0 to 999,999")
+    with input_errors():
+        require_workers(read.workers)
+        dataclasses.replace(scene, run_type="main").validate()
+    with Progress(console=console, transient=True) as progress, input_errors():
+        task = progress.add_task("trying reflexes", total=None)
+        rows = gate.examine(
+            read.env, scene, read.starts, read.search, read.seed,
+            read.workers or free_cores(Communicator()), lambda: progress.advance(task),
+        )  # fmt: skip
+    sentence = gate.verdict(rows)
+    if read.json:
+        print(json.dumps({"reflexes": [dataclasses.asdict(r) for r in rows], "verdict": sentence}))
+        return 0
+    table = Table("reflex", "goes over when", "success", "95 % interval")
+    for row in rows:
+        low, high = row.interval
+        about = gate.SENSES[row.name][1]
+        table.add_row(row.name, about, f"{row.rate:.2f}", f"{low:.2f} – {high:.2f}")
+    console.print(table)
+    console.print(sentence)
+    return 0

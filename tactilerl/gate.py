@@ -1,0 +1,107 @@
+"""What can touch win in a scene? Scripted reflexes of each sense, chosen fairly and compared."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from contextlib import closing
+from functools import partial
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from .envs import reflexes, vector
+from .envs.grasp import GraspConfig, GraspEnv
+from .envs.reflexes import Reflex
+from .evaluation import success_rate
+
+SEARCH = 1_000_000  # starts of the search are not those of the comparison
+TELLS, OPEN = 0.3, 0.05  # what a scene must leave to win to tell anything; what counts as closed
+SENSES = {
+    "blind": ("time", "waits a fixed time"),
+    "joints": ("joints", "goes by the joints and the hand's position"),
+    "sight": ("sight", "goes by the object as the scene shows it"),
+    "touch": ("touch", "goes by the number of taxels that fire"),
+    "sighted": ("sight", "sees the object exactly"),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Found:
+    """The best reflex of a sense and how often it succeeds."""
+
+    name: str
+    """One of SENSES."""
+    reflex: Reflex
+    rate: float
+    interval: tuple[float, float]
+    """Wilson's, 95 %."""
+    episodes: int
+
+
+def examine(
+    hand: str,
+    scene: GraspConfig,
+    starts: int,
+    search: int,
+    seed: int,
+    workers: int,
+    tick: Callable[[], None] = lambda: None,
+) -> list[Found]:
+    """The best reflex of each sense in a scene, `starts` starts each.
+
+    Each has as many candidates, and each candidate the same `search` starts. `tick` is called after
+    every candidate.
+    """  # fmt: skip
+    found = []
+    for name, (sense, _) in SENSES.items():
+        if name == "sight" and scene.object_seen in ("hidden", "exact"):
+            continue  # nothing to go by, or what "sighted" is
+        own = dataclasses.replace(scene, run_type="main" if sense == "touch" else "absent")
+        if name == "sighted":
+            own = dataclasses.replace(
+                own, object_seen="exact", sight_noise=None, sight_noise_kind="white"
+            )
+        make = partial(GraspEnv, hand, own)
+        with closing(vector.start(make, workers)) as played_in:
+            rates = []
+            with closing(make()) as example:
+                candidates = reflexes.candidates(example, sense)
+            for reflex in candidates:
+                rates.append(_play(played_in, reflex, SEARCH + seed, search).mean())
+                tick()
+            best = candidates[int(np.argmax(rates))]
+            said = success_rate(_play(played_in, best, seed, starts))
+            found.append(
+                Found(name, best, said["success_rate"], tuple(said["success_rate_ci"]), starts)
+            )
+    return found
+
+
+def _play(workers: vector.Workers, reflex: Reflex, seed: int, n: int) -> np.ndarray:
+    """(n,) whether each start succeeds."""
+    return np.array(list(workers.play(partial(_one, reflex, seed), range(n))))
+
+
+def _one(
+    reflex: Reflex, seed: int, env: gym.Env[Any, Any], number: int, is_wanted: vector.IsWanted
+) -> bool:
+    return reflex.play(env.unwrapped, seed + number)  # type: ignore[arg-type]
+
+
+def verdict(found: list[Found]) -> str:
+    """One sentence about the scene."""
+    rates = {each.name: each.rate for each in found}
+    without = {name: rate for name, rate in rates.items() if name not in ("touch", "sighted")}
+    best = max(without, key=without.__getitem__)
+    room, won = rates["sighted"] - without[best], rates["touch"] - without[best]
+    if room < TELLS:
+        return (
+            f"This scene cannot tell: the best reflex without touch ({best}) succeeds in "
+            f"{without[best]:.2f} of its starts, a sighted one in {rates['sighted']:.2f}."
+        )
+    return (
+        f"Touch can win {max(0.0, won):.2f} of the {room:.2f} that lie between the best reflex without "
+        f"touch ({best}, {without[best]:.2f}) and a sighted one ({rates['sighted']:.2f})."
+    )
