@@ -120,7 +120,7 @@ HANDED: dict[str, tuple[float, ...]] = {
     "time": tuple(range(6, 51, 3)),
     "joints": tuple(np.geomspace(2.0, 100.0, 15).tolist()),
     "touch": tuple(range(1, 16)),
-    "sight": tuple(np.linspace(-0.014, 0.003, 15).tolist()),
+    "sight": tuple(np.linspace(-0.053, 0.003, 15).tolist()),
 }
 LIFTED: dict[str, tuple[float, ...]] = {
     "time": (0, 2, 5),

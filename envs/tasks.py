@@ -21,6 +21,8 @@ from .objects import Shape
 from .simulators import Simulator
 from .snapshot import Snapshot
 
+LONGEST_REACH = 0.1  # m: about the length of a finger
+
 
 @dataclass(frozen=True)
 class TaskConfig:
@@ -39,6 +41,9 @@ class TaskConfig:
     hold_verdict: Verdict = "full"
     """lift-and-hold and handover: full, or settled (a compressed test of about 1 s, sometimes wrong;
     see docs/concepts/tasks.md)."""
+    handover_reach: float = 0.0
+    """handover: how far beyond the bases of the fingers, towards their tips, the object is held against
+    the hand, m; 0: against the palm."""
     goal_height: float = 0.08
     """reach-goal: the goal is this far above where the object stands without jitter, m."""
     goal_range: float = 0.0
@@ -60,6 +65,14 @@ def validate(config: TaskConfig) -> None:
         raise ValueError(f"goal_range: found {config.goal_range} m, allowed {allowed}")
     if config.goal_range and config.task != "reach-goal":
         raise ValueError(f"goal_range: found {config.goal_range}, allowed only with task reach-goal")
+    if not 0 <= config.handover_reach <= LONGEST_REACH:
+        raise ValueError(
+            f"handover_reach: found {config.handover_reach} m, allowed from 0 to {LONGEST_REACH} m"
+        )
+    if config.handover_reach and config.task != "handover":
+        raise ValueError(
+            f"handover_reach: found {config.handover_reach}, allowed only with task handover"
+        )
     rewards = TASKS[config.task].rewards
     if config.reward is not None and config.reward not in rewards:
         allowed = ", ".join(rewards)
@@ -277,11 +290,11 @@ class LiftAndHold(FromTheGround):
 
 @dataclass
 class Handover:
-    """Close the hand while somebody holds an object against the palm, and keep it.
+    """Close the hand while somebody holds an object against it, and keep it.
 
     The arm stands still. At a time that is not known, somebody brings the object up from below,
-    presses it softly against the palm, and lets go a second after setting off. It is missed when
-    it falls; if it is still in the hand a little later, the hold test decides.
+    presses it softly against the palm or the fingers, and lets go a second after setting off. It is
+    missed when it falls; if it is still in the hand a little later, the hold test decides.
     """
 
     rewards: ClassVar[tuple[str, ...]] = ("outcome",)
@@ -304,16 +317,19 @@ class Handover:
     """m from the palm: it was missed."""
 
     hold: HoldTest
+    reach: float = 0.0
+    """Of where the object is held, from the bases of the fingers towards their tips, m."""
     _step: int = field(default=0, repr=False)
     _sets_off: int = field(default=0, repr=False)
     _wait: Array = field(default_factory=lambda: np.zeros(3), repr=False)
 
     @classmethod
     def of(cls, config: TaskConfig, hand: Hand, own_timestep: float, shape: Shape) -> Handover:
-        return cls(_hold_test(config, own_timestep, shape))
+        return cls(_hold_test(config, own_timestep, shape), config.handover_reach)
 
     def place(self, palm: Array, shape: Shape, offset: Array) -> Array:
-        return palm - [0.0, 0.0, shape.half_size[2] + self.below] + [*offset, 0.0]
+        x, y = offset  # fingers point along -y
+        return palm + np.array([x, y - self.reach, -shape.half_size[2] - self.below])
 
     def begin(self, start: Snapshot, rng: np.random.Generator) -> tuple[Array, Array]:
         self.hold = replace(self.hold, shape=start.shape)
