@@ -33,13 +33,16 @@ from . import (
 )
 from .mpi import Communicator, same_on_all_ranks
 from .networks import MLP, FlatAdam, flatten, require_finite
-from .policy import GoalObs, GoalStats, Policy, new_actor, on_cpu
+from .policy import GoalObs, GoalStats, Policy, flat_stats, new_actor, on_cpu
 from .replay import Batch, Replay
 from .rollout import FAULTS, PROBE, TEST, TRAIN, Episode, PlayEpisode, require_transitions, summary
 from .spaces import Spaces
 
 CHECK_EVERY = 100  # updates between two looks at whether the ranks' parameters are equal
-SAVED = ("actor", "critic", "target_actor", "target_critic", "adam", "obs_stats", "goal_stats")
+SAVED = (
+    *("actor", "critic", "target_actor", "target_critic", "adam"),
+    *("obs_stats", "goal_stats", "truth_stats"),
+)
 REPLAY_P = 0.8  # paper
 COUNTERS = ("env_steps", "updates", "cycles")
 
@@ -163,12 +166,15 @@ class DDPGHER:
         self.spaces = Spaces(workers.observation_space, workers.action_space)
         space, n_actions = self.spaces.observation, action_size(self.spaces.action)
         n_goal, n_obs = goal_size(space), flat_size(space)
+        self._n_obs = n_obs
         self.config = config = _resolved(config, workers)
         self.total_timesteps, self.seed = total_timesteps, seed
         self.rng = np.random.default_rng([seed, comm.rank])
         weights = torch.Generator().manual_seed(seed)
         self.actor = new_actor(config.hidden, self.spaces, weights).to(self.device)
-        self.critic = MLP((n_obs + n_actions, *config.hidden, 1), weights).to(self.device)
+        n_truth = flat_size(self.spaces.truth)
+        n_judged = n_obs + n_truth + n_actions
+        self.critic = MLP((n_judged, *config.hidden, 1), weights).to(self.device)
         self.target_actor, self.target_critic = copy.deepcopy((self.actor, self.critic))
         self.adam = FlatAdam((self.actor, config.actor_lr), (self.critic, config.critic_lr))
         self._target_vector = flatten(self.target_actor, self.target_critic).requires_grad_(False)
@@ -176,10 +182,11 @@ class DDPGHER:
         self.comm.broadcast_(self._target_vector)
         self.stats = GoalStats.of(self.spaces, config.norm_clip, comm)
         self.obs_stats, self.goal_stats = self.stats
+        self.truth_stats = flat_stats(self.spaces.truth, config.norm_clip, comm)
         self.replay = Replay(
             config.buffer_size,
             workers.max_episode_steps or 0,
-            (n_obs - n_goal, n_goal, n_actions),
+            (n_obs - n_goal, n_goal, n_actions, n_truth),
             n_boolean(space),
             workers.compute_reward,
             self.rng,
@@ -232,6 +239,7 @@ class DDPGHER:
         limit = config.clip_obs
         self.obs_stats.update(batch.obs.clip(-limit, limit))
         self.goal_stats.update(batch.goal.clip(-limit, limit))
+        self.truth_stats.update(batch.truth)
         return seen
 
     def _check_signs(self, rewards: Array) -> None:
@@ -278,10 +286,13 @@ class DDPGHER:
 
     @torch.no_grad()
     def _prepared(self, batch: Batch[Tensor]) -> tuple[Tensor, Tensor, Tensor]:
-        """What both networks see (n, obs + goal), actions (n, d) and the critic's targets (n,)."""
+        """What is seen (n, obs + goal + truth), actions (n, d) and the critic's targets (n,)."""
         config, see = self.config, self.stats.inputs(self.config.clip_obs)
-        inputs, next_inputs = (see(obs, batch.goal) for obs in (batch.obs, batch.next_obs))
-        next_actions = self.target_actor(next_inputs)
+        steps = (batch.obs, batch.truth), (batch.next_obs, batch.next_truth)
+        inputs, next_inputs = (
+            torch.cat([see(obs, batch.goal), self.truth_stats(truth)], dim=1) for obs, truth in steps
+        )
+        next_actions = self.target_actor(next_inputs[:, : self._n_obs])
         next_values = self.target_critic(torch.cat([next_inputs, next_actions], dim=1)).squeeze(-1)
         terminal = batch.terminal * (config.termination == "terminal")
         assert config.gamma is not None
@@ -292,7 +303,7 @@ class DDPGHER:
     def _minibatch(self, inputs: Tensor, actions: Tensor, target: Tensor) -> Tensor:
         """One step of both networks from the same parameters; critic's and actor's loss, mean Q."""
         n, n_seen = inputs.shape
-        seen = self.actor.run(inputs)
+        seen = self.actor.run(inputs[:, : self._n_obs])
         own = seen[-1]
         # The critic judges the actions that were taken and the actor's own in one pass.
         pairs = torch.cat([inputs, actions], dim=1), torch.cat([inputs, own], dim=1)

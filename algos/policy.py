@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
+import gymnasium as gym
 import numpy as np
 import torch
 from torch import Tensor
@@ -54,10 +55,10 @@ class FlatInputs:
         return flat if self.scaling is None else self.scaling(flat)
 
 
-def flat_stats(spaces: Spaces, clip: float) -> Normalizer:
+def flat_stats(space: gym.Space[Any], clip: float, comm: Communicator | None = None) -> Normalizer:
     """Moments of flat observations, without those of entries that may be Boolean; nothing seen yet."""
-    as_is = may_be_boolean(spaces.observation)
-    return Normalizer(len(as_is), Communicator(), clip, as_is)
+    as_is = may_be_boolean(space)
+    return Normalizer(len(as_is), comm or Communicator(), clip, as_is)
 
 
 class GoalObs(NamedTuple):

@@ -24,7 +24,7 @@ from .policy_gradient import Spread, gae, gaussian, normalise, surrogate
 from .rollout import TRAIN, Episode, PlayEpisode, finite, play_steps, require_transitions, summary
 from .spaces import Spaces
 
-SAVED = ("actor", "spread", "obs_stats", "critic", "actor_adam", "critic_adam")
+SAVED = ("actor", "spread", "obs_stats", "truth_stats", "critic", "actor_adam", "critic_adam")
 COUNTERS = ("env_steps", "epochs")
 ACTOR_GAIN = 0.01  # of the last layer when weights start orthogonal
 OBS_CLIP = 5.0  # normalised observations are cut there, as DDPG+HER's are
@@ -129,7 +129,9 @@ class Parts(NamedTuple):
     def new(cls, config: PPOConfig, spaces: Spaces, weights: torch.Generator) -> Parts:
         """Before anything was learned; the same on all ranks."""
         spread = Spread(action_size(spaces.action), config.action_variance)
-        return cls(new_actor(config.hidden, spaces, weights), spread, flat_stats(spaces, OBS_CLIP))
+        return cls(
+            new_actor(config.hidden, spaces, weights), spread, flat_stats(spaces.observation, OBS_CLIP)
+        )
 
     def inputs(self, config: PPOConfig) -> FlatInputs:
         """What networks see as of now."""
@@ -165,8 +167,10 @@ class PPO:
         weights = torch.Generator().manual_seed(seed)
         self.parts = Parts.new(config, self.spaces, weights)
         self.actor, self.spread, self.obs_stats = self.parts
-        n_obs = flat_size(self.spaces.observation)
-        self.critic = MLP((n_obs, *config.hidden, 1), weights)
+        self.truth_stats = flat_stats(self.spaces.truth, OBS_CLIP)
+        self._n_obs = flat_size(self.spaces.observation)
+        n_seen = self._n_obs + flat_size(self.spaces.truth)
+        self.critic = MLP((n_seen, *config.hidden, 1), weights)
         if config.orthogonal_init:
             start_orthogonal(self.actor, ACTOR_GAIN, weights)
             start_orthogonal(self.critic, 1.0, weights)
@@ -235,6 +239,7 @@ class PPO:
         self._check(torch.from_numpy(means))
         if config.normalise_obs:
             self.obs_stats.update(np.concatenate([np.stack(e.obs) for e in self._episodes]))
+            self.truth_stats.update(np.concatenate([np.stack(e.truth) for e in self._episodes]))
         policy_loss, value_loss, kl, clip_fraction = means.tolist()
         return {
             "policy_loss": policy_loss,
@@ -255,11 +260,17 @@ class PPO:
 
     @torch.no_grad()
     def _batch(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """The epoch as tensors: obs, actions, old log-probabilities, advantages, returns."""
+        """The epoch as tensors: what the critic sees, which begins with what the actor sees, actions,
+        old log-probabilities, advantages, returns."""
         config, episodes = self.config, self._episodes
         views = [obs for episode in episodes for obs in episode.obs]
-        all_obs = self.parts.inputs(config).stack(views).to(self.device)
-        all_values = self.critic(all_obs).squeeze(-1).double().cpu().numpy()
+        truth = FlatInputs(self.truth_stats.scaling() if config.normalise_obs else None)
+        parts = (
+            self.parts.inputs(config).stack(views),
+            truth.stack([t for e in episodes for t in e.truth]),
+        )
+        all_seen = torch.cat(parts, dim=1).to(self.device)
+        all_values = self.critic(all_seen).squeeze(-1).double().cpu().numpy()
         is_last = np.concatenate([[False] * len(e) + [True] for e in episodes])
         advantages, start = [], 0
         for episode in episodes:
@@ -272,16 +283,16 @@ class PPO:
             start = end + 1
         advantage = np.concatenate(advantages)
         returns = finite(advantage + all_values[~is_last], "a return")
-        obs = all_obs[torch.from_numpy(~is_last).to(self.device)]
+        seen = all_seen[torch.from_numpy(~is_last).to(self.device)]
         actions = torch.from_numpy(np.concatenate([np.stack(e.actions) for e in episodes]))
         actions = actions.to(self.device)
-        away = self.spread.away(actions, self.actor(obs))
+        away = self.spread.away(actions, self.actor(seen[:, : self._n_obs]))
         old_log_prob = self.spread.log_prob(away)
         normalised, target = (
             torch.from_numpy(x.astype(np.float32)).to(self.device)
             for x in (normalise(advantage), returns)
         )
-        return obs, actions, old_log_prob, normalised, target
+        return seen, actions, old_log_prob, normalised, target
 
     def _goes_on(self, episode: Episode[Array]) -> bool:
         """Would more have followed its last transition? What diverged did not end by itself."""
@@ -291,23 +302,23 @@ class PPO:
 
     @torch.no_grad()
     def _minibatch(
-        self, obs: Tensor, actions: Tensor, old: Tensor, advantages: Tensor, returns: Tensor
+        self, seen: Tensor, actions: Tensor, old: Tensor, advantages: Tensor, returns: Tensor
     ) -> Tensor:
         """One step of both networks along the gradient of the whole minibatch.
 
         This rank's shares of policy loss, value loss, KL estimate and clipped share.
         """
-        config, n = self.config, len(obs)
+        config, n = self.config, len(seen)
         if self.comm.size > 1:
-            obs, actions, old, advantages, returns = (
+            seen, actions, old, advantages, returns = (
                 torch.tensor_split(t, self.comm.size)[self.comm.rank]
-                for t in (obs, actions, old, advantages, returns)
+                for t in (seen, actions, old, advantages, returns)
             )
-        seen, judged = self.actor.run(obs), self.critic.run(obs)
-        away, error = self.spread.away(actions, seen[-1]), judged[-1] - returns[:, None]
+        acted, judged = self.actor.run(seen[:, : self._n_obs]), self.critic.run(seen)
+        away, error = self.spread.away(actions, acted[-1]), judged[-1] - returns[:, None]
         log_ratio = self.spread.log_prob(away) - old
         loss, slope, kl, is_clipped = surrogate(log_ratio, advantages, config.clip_range)
-        self.actor.backward(seen, self.spread.backward(away, slope, n))
+        self.actor.backward(acted, self.spread.backward(away, slope, n))
         self.critic.backward(judged, error * (2 / n))
         for adam in (self.actor_adam, self.critic_adam):
             adam.reduce(self.comm)

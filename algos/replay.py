@@ -27,6 +27,9 @@ class Batch(NamedTuple, Generic[Values]):
     reward: Values
     """(n,)"""
     next_obs: Values
+    truth: Values
+    """What critics see besides, (n, size), of this step."""
+    next_truth: Values
     terminal: Values
     """(n,) 1 where the episode was terminated by this transition, else 0."""
 
@@ -57,12 +60,12 @@ class Replay:
         self,
         capacity: int,
         max_steps: int,
-        sizes: tuple[int, int, int],
+        sizes: tuple[int, int, int, int],
         n_boolean: int,
         reward: Reward,
         rng: np.random.Generator,
     ) -> None:
-        """`capacity` in transitions; `sizes` of observation, goal and action.
+        """`capacity` in transitions; `sizes` of observation, goal, action and truth.
 
         Raises ValueError when not a single episode has room.
         """
@@ -113,7 +116,7 @@ class Replay:
     def _shapes(self, n_boolean: int | None = None) -> dict[str, tuple[tuple[int, int], type]]:
         """Shape and type of every column; a row is one step of one slot."""
         n_boolean = self.n_boolean if n_boolean is None else n_boolean
-        n_obs, n_goal, n_action = self.sizes
+        n_obs, n_goal, n_action, n_truth = self.sizes
         rows = self.n_slots * self._rows
         return {
             "obs": ((rows, n_obs - n_boolean), np.float32),
@@ -121,6 +124,7 @@ class Replay:
             "achieved": ((rows, n_goal), np.float32),
             "desired": ((rows, n_goal), np.float32),
             "action": ((rows, n_action), np.float32),
+            "truth": ((rows, n_truth), np.float32),
             "terminal": ((rows, 1), np.uint8),
         }
 
@@ -156,6 +160,7 @@ class Replay:
             "achieved": achieved,
             "desired": desired,
             "action": action,
+            "truth": np.stack(episode.truth),
             "terminal": terminal,
         }
 
@@ -201,6 +206,8 @@ class Replay:
             action=self._columns["action"][row],
             reward=np.asarray(reward, np.float32),
             next_obs=self._observations(row + 1),
+            truth=self._columns["truth"][row],
+            next_truth=self._columns["truth"][row + 1],
             terminal=self._columns["terminal"][row, 0].astype(np.float32),
         )
 

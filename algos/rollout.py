@@ -18,6 +18,7 @@ import numpy as np
 from . import Array, DivergenceError, IsWanted, UnfitError, Workers
 from .mpi import Communicator
 from .policy import Policy
+from .spaces import TRUTH
 
 Obs = TypeVar("Obs")
 FAULTS = ("diverged", "warnings")  # what `info` may say of a step, and is counted
@@ -32,7 +33,7 @@ class Episode(Generic[Obs]):
     A step that diverged is void: its observation, action and reward are not here.
     """
 
-    obs: list[Obs]
+    obs: list[Obs] = field(default_factory=list)
     actions: list[Array] = field(default_factory=list)
     rewards: list[float] = field(default_factory=list)
     terminated: bool = False
@@ -43,6 +44,14 @@ class Episode(Generic[Obs]):
     faults: dict[str, int] = field(default_factory=lambda: dict.fromkeys(FAULTS, 0))
     info: dict[str, Any] = field(default_factory=dict)
     """What the environment said with the last step."""
+    truth: list[Array] = field(default_factory=list)
+    """What critics see besides, of every observation; each of no size where there is nothing."""
+
+    def add(self, policy: Policy, obs: Any) -> None:
+        """What is kept of the next observation; DivergenceError where it is not finite."""
+        self.obs.append(finite(policy.read(obs), "an observation"))
+        truth = obs.get(TRUTH, ()) if isinstance(obs, dict) else ()
+        self.truth.append(finite(np.array(truth, np.float32).ravel(), "the truth"))
 
     def __len__(self) -> int:
         """Transitions."""
@@ -67,7 +76,8 @@ class PlayEpisode(Generic[Obs]):
         policy, rng = self.policy, np.random.default_rng([*self.key, number])
         noise = rng if self.explores else None
         first, _ = env.reset(seed=int(rng.integers(2**31)))
-        episode = Episode([finite(policy.read(first), "an observation")])
+        episode = Episode[Obs]()
+        episode.add(policy, first)
         is_done = False
         while not is_done and is_wanted():
             action = policy.choose(episode.obs[-1], noise)
@@ -90,7 +100,7 @@ def _step(env: gym.Env[Any, Any], policy: Policy, action: Array, episode: Episod
     episode.held = episode.held + 1 if episode.success == 1.0 else 0
     if info.get("diverged"):
         return True
-    episode.obs.append(finite(policy.read(obs), "an observation"))
+    episode.add(policy, obs)
     episode.actions.append(action)
     episode.rewards.append(finite(_number(reward), "a reward"))
     episode.terminated = terminated

@@ -10,6 +10,7 @@ import gymnasium as gym
 import numpy as np
 
 GOAL_KEYS = ("observation", "achieved_goal", "desired_goal")
+TRUTH = "truth"  # of a Dict: what a critic may see besides, and no policy
 LARGEST = 10**7  # entries of an observation or an action: more is a damaged file
 
 
@@ -26,6 +27,12 @@ class Spaces(NamedTuple):
         if isinstance(space, gym.spaces.Dict):
             return {key: tuple(space[key].shape or ()) for key in GOAL_KEYS if key in space.spaces}
         return {"": tuple(space.shape or ())}
+
+    @property
+    def truth(self) -> gym.spaces.Box:
+        """What critics see besides observation and goal; of no size where there is nothing."""
+        found = self.observation.get(TRUTH) if isinstance(self.observation, gym.spaces.Dict) else None
+        return found if isinstance(found, gym.spaces.Box) else gym.spaces.Box(0.0, 0.0, (0,))
 
     def to_json(self) -> str:
         """What a policy has to know of them: the shapes of observations, the bounds of actions."""

@@ -162,7 +162,8 @@ class GraspEnv(gym.Env[Any, Array]):
         )
         self._warnings = self.simulator.warnings
         names = () if config.run_type == "absent" else self.taxels.names
-        self._observer = Observer(config, self.hand, names, self._touch.is_boolean)
+        is_boolean = self._touch.is_boolean
+        self._observer = Observer(config, self.hand, names, is_boolean, config.control_dt)
         self._start_positions = self.hand.start_positions()
         self._targets = self.hand.start_targets()
         self.simulator.reset(self._start_positions, np.array([0.0, 0.0, items.height / 2]), 0.0)
@@ -185,8 +186,16 @@ class GraspEnv(gym.Env[Any, Array]):
         """Taxels lie between 0 and 1; a task with a single goal has it as its only one."""
         unbounded, goal = np.full(self.task.goal_size, np.inf), self.task.only_goal
         lowest, highest = (-unbounded, unbounded) if goal is None else (goal, goal)
+        truth = {}
+        if self.config.critic_sees == "truth":
+            n = len(self._truth(self._look()))
+            low, high = np.full((2, n), np.inf) * [[-1.0], [1.0]]
+            low[n - len(self.taxels) :] = 0.0
+            high[n - len(self.taxels) :] = 1.0 if self._touch.is_boolean else np.inf
+            truth["truth"] = _float_box(low, high)
         return gym.spaces.Dict(
             {
+                **truth,
                 "observation": _float_box(self._observer.low, self._observer.high),
                 "achieved_goal": _float_box(-unbounded, unbounded),
                 "desired_goal": _float_box(lowest, highest),
@@ -223,7 +232,7 @@ class GraspEnv(gym.Env[Any, Array]):
         achieved, desired = self.task.begin(snapshot, goal_rng)
         self._desired_goal = desired.astype(np.float32)
         self.task.act(self.simulator, self._steps)
-        self._obs = self._goal_obs(observation, achieved)
+        self._obs = self._goal_obs(snapshot, observation, achieved)
         return self._obs, {"is_success": False, "object": item.describe()}
 
     def step(self, action: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
@@ -249,7 +258,7 @@ class GraspEnv(gym.Env[Any, Array]):
             info = self._info(True, is_success=False, diverged=True, error=str(error))
             last = {key: value.copy() for key, value in self._obs.items()}
             return last, 0.0, False, True, info
-        self._obs = obs = self._goal_obs(observation, judged.achieved_goal)
+        self._obs = obs = self._goal_obs(snapshot, observation, judged.achieved_goal)
         goals = obs["achieved_goal"], obs["desired_goal"]
         terminated = judged.is_over
         truncated = not terminated and self._steps >= self.max_episode_steps
@@ -296,7 +305,7 @@ class GraspEnv(gym.Env[Any, Array]):
         """What is true now, asked of the simulator once for all that follows."""
         points = self.simulator.link_positions()
         joints, state = self.simulator.joint_state(), self.simulator.object_state()
-        return Snapshot(points[0], points[1:], *joints, state, self.shape)
+        return Snapshot(points[0], points[1:], *joints, self._targets, state, self.shape)
 
     def _follow(self, position: Array) -> None:
         """Where is the object after this action? SimulationError when it got there too fast: the
@@ -338,10 +347,15 @@ class GraspEnv(gym.Env[Any, Array]):
         """A hold test from here on, with the joint targets of the last action."""
         return test.run(self.simulator, self._targets, self.config.timestep)
 
-    def _goal_obs(self, observation: Array, achieved_goal: Array) -> dict[str, Array]:
+    def _truth(self, now: Snapshot) -> Array:
+        return observations.truth(self.hand, now, self._read_taxels(now.object))
+
+    def _goal_obs(self, now: Snapshot, observation: Array, achieved: Array) -> dict[str, Array]:
+        truth = {"truth": self._truth(now)} if self.config.critic_sees == "truth" else {}
         return {
+            **truth,
             "observation": observation,
-            "achieved_goal": achieved_goal.astype(np.float32),
+            "achieved_goal": achieved.astype(np.float32),
             "desired_goal": self._desired_goal.copy(),
         }
 

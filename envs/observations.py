@@ -36,7 +36,14 @@ class SensorConfig:
     sight_noise_kind: Literal["white", "held"] = "white"
     """white: drawn at every step; held: drawn once an episode."""
     joint_noise: float = 0.0
-    """Standard deviation of the noise on each observed joint angle, rad, drawn at every step."""
+    """Standard deviation of the noise on each observed joint angle, rad, drawn at every step. Observed
+    velocities err by what that makes of the change of an angle in a control step."""
+    joint_noise_held: float = 0.0
+    """Standard deviation of an error of each observed joint angle, rad, drawn once an episode."""
+    slide_noise: float = 0.0
+    """The same as --joint-noise for the slides, and so for the hand's position, m."""
+    slide_noise_held: float = 0.0
+    """The same as --joint-noise-held for the slides, m."""
     taxel_false_on: float = 0.0
     """Probability, at every step, that a taxel that is off reads on."""
     taxel_false_off: float = 0.0
@@ -61,8 +68,15 @@ class ObservationConfig(SensorConfig):
 
     history: int = 1
     """How many of the latest observations are given side by side."""
+    observe_targets: bool = False
+    """Observe what the actions have asked for so far: joint targets, or how far groups of fingers are
+    to be closed. Not so in the paper, where increments add up unseen."""
+    critic_sees: Literal["observation", "truth"] = "observation"
+    """truth: the critic also sees the object's pose, exact joints and what touches; the policy does
+    not."""
 
 
+NOISES = ("joint_noise", "joint_noise_held", "slide_noise", "slide_noise_held")
 SHARES = ("taxel_false_on", "taxel_false_off", "taxel_dead", "taxel_stuck")
 
 
@@ -85,7 +99,7 @@ def _validate_values(config: ObservationConfig) -> None:
             raise ValueError(f"{name}: found {getattr(config, name)}, allowed from 0 to 1")
     if (together := config.taxel_dead + config.taxel_stuck) > 1:
         raise ValueError(f"taxel_stuck: found {together:g} with taxel_dead, allowed together up to 1")
-    for name in ("joint_noise", "sight_noise"):
+    for name in (*NOISES, "sight_noise"):
         for value in np.ravel(getattr(config, name) or 0.0):
             if not (np.isfinite(value) and value >= 0):
                 raise ValueError(f"{name}: found {value}, allowed a finite number from 0")
@@ -151,7 +165,12 @@ TERMS = {
         lambda hand: [f"object quaternion {axis}" for axis in "wxyz"],
         lambda hand, snapshot: snapshot.object.orientation,
     ),
+    "asked": Term(
+        lambda hand: [f"asked for: {name}" for name in hand.action_names],
+        lambda hand, snapshot: hand.action_map.asked(snapshot.targets),
+    ),
 }
+TRUE = ("joint_positions", "joint_velocities", "object_position", "object_orientation")
 
 
 # -- stages ----------------------------------------------------------------------------------
@@ -167,17 +186,33 @@ class Stage(Protocol):
         """What comes out of one control step's reading; the first is the episode's start."""
 
 
-class White:
-    """Gaussian noise of standard deviation `scale` (n,), drawn anew at every step."""
+class JointErrors:
+    """Errors of joint sensors: at every step, and for an episode.
 
-    def __init__(self, scale: Array) -> None:
-        self.scale = scale
+    Velocities are taken for differences of angles, so that what is held does not show in them.
+    """
+
+    def __init__(self, white: Array, held: Array, control_dt: float) -> None:
+        """Standard deviations (n,) of both, rad or m."""
+        self.white, self.held, self.control_dt = white, held, control_dt
 
     def begin(self, rng: np.random.Generator) -> None:
-        self._rng = rng
+        (held,) = rng.spawn(1)  # draws nothing from `rng`
+        self._rng, self._error = rng, self.held * held.standard_normal(self.held.shape)
+        self._noise: Array | None = None
 
-    def __call__(self, reading: Array) -> Array:
-        return reading + self.scale * self._rng.standard_normal(reading.shape)
+    def __call__(self, truth: Snapshot) -> Snapshot:
+        """What is sensed of joints and hand; once a control step."""
+        noise, before = self.white * self._rng.standard_normal(self.white.shape), self._noise
+        self._noise = noise
+        error = self._error + noise
+        speed = 0.0 if before is None else (noise - before) / self.control_dt
+        return replace(
+            truth,
+            joint_positions=truth.joint_positions + error,
+            joint_velocities=truth.joint_velocities + speed,
+            hand=truth.hand + error[: len(SLIDES)],  # carried by the slides, along the world's axes
+        )
 
 
 class FalseReadings:
@@ -321,15 +356,23 @@ class Observer:
     """
 
     def __init__(
-        self, config: ObservationConfig, hand: Hand, taxel_names: tuple[str, ...], is_boolean: bool
+        self,
+        config: ObservationConfig,
+        hand: Hand,
+        taxel_names: tuple[str, ...],
+        is_boolean: bool,
+        control_dt: float,
     ) -> None:
         """`taxel_names` are those in the observation; `is_boolean` says whether they read 0 or 1."""
-        self.hand, self._terms = hand, [TERMS[name] for name in hand.observation]
+        terms = (*hand.observation, *(["asked"] if config.observe_targets else []))
+        self.hand, self._terms = hand, [TERMS[name] for name in terms]
         self._sight = sight(config)
-        is_angle = np.array([joint not in SLIDES for joint in hand.joints], float)
-        self._joints: list[Stage] = []
-        if config.joint_noise:
-            self._joints = [White(config.joint_noise * is_angle)]
+        is_slide = np.isin(hand.joints, SLIDES)
+        white = np.where(is_slide, config.slide_noise, config.joint_noise)
+        held = np.where(is_slide, config.slide_noise_held, config.joint_noise_held)
+        self._joints: JointErrors | None = None
+        if white.any() or held.any():
+            self._joints = JointErrors(white, held, control_dt)
         self._taxels = taxel_stages(config, len(taxel_names))
         self._history: list[tuple[History, History]] = []
         if config.history > 1:
@@ -347,22 +390,32 @@ class Observer:
         """A new episode, which the next snapshot starts."""
         sight, joints, taxels, history = rng.spawn(4)
         self._sight.begin(sight)
-        for stages, child in ((self._joints, joints), (self._taxels, taxels)):
-            for stage in stages:
-                stage.begin(child)
+        if self._joints is not None:
+            self._joints.begin(joints)
+        for stage in self._taxels:
+            stage.begin(taxels)
         for pair in self._history:
             for past in pair:
                 past.begin(history)
 
     def observe(self, truth: Snapshot, taxels: Array) -> Array:
         """(n,) float32 from what is true and what the taxels feel; once a control step."""
-        positions = _through(self._joints, truth.joint_positions)
-        sensed = replace(truth, object=self._sight(truth.object), joint_positions=positions)
+        sensed = replace(truth, object=self._sight(truth.object))
+        if self._joints is not None:
+            sensed = self._joints(sensed)
         parts = [np.concatenate([term.read(self.hand, sensed) for term in self._terms])]
-        parts.append(_through(self._taxels, taxels))
+        for stage in self._taxels:
+            taxels = stage(taxels)
+        parts.append(taxels)
         for pair in self._history:
             parts = [past(part) for past, part in zip(pair, parts, strict=True)]
         return np.concatenate(parts, dtype=np.float32, casting="same_kind")
+
+
+def truth(hand: Hand, now: Snapshot, taxels: Array) -> Array:
+    """(n,) float32: what a critic may see of an episode, whatever the policy is told."""
+    parts = [TERMS[name].read(hand, now) for name in TRUE]
+    return np.concatenate([*parts, taxels], dtype=np.float32, casting="same_kind")
 
 
 def taxel_stages(config: SensorConfig, n: int) -> list[Stage]:
@@ -376,12 +429,6 @@ def taxel_stages(config: SensorConfig, n: int) -> list[Stage]:
     if config.taxel_delay:
         stages.append(Delay(config.taxel_delay))
     return stages
-
-
-def _through(stages: list[Stage], reading: Array) -> Array:
-    for stage in stages:
-        reading = stage(reading)
-    return reading
 
 
 def _remembered(names: list[str], history: int) -> list[str]:

@@ -20,5 +20,7 @@ class Snapshot:
     """(n_joints,) in the order of the hand's ``joints``."""
     joint_velocities: Array
     """(n_joints,)"""
+    targets: Array
+    """(n_actuators,) the joint targets last asked for."""
     object: ObjectState
     shape: Shape

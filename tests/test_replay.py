@@ -22,12 +22,18 @@ def episode(number, length=MAX_STEPS, terminated=False):
         for t in range(length + 1)
     ]
     actions = [np.array([number, t], np.float32) for t in range(length)]
-    return Episode(obs, actions, [0.0] * length, terminated)
+    return Episode(
+        obs,
+        actions,
+        [0.0] * length,
+        terminated,
+        truth=[np.array([number * 100.0 + t]) for t in range(length + 1)],
+    )
 
 
 def make_replay(slots=10, seed=0):
     rng = np.random.default_rng(seed)
-    return Replay(slots * MAX_STEPS, MAX_STEPS, (3, 3, 2), n_boolean=1, reward=reward, rng=rng)
+    return Replay(slots * MAX_STEPS, MAX_STEPS, (3, 3, 2, 1), n_boolean=1, reward=reward, rng=rng)
 
 
 def filled(numbers, slots=10, lengths=None):
@@ -92,6 +98,12 @@ class TestRelabelling:
         is_last = (batch.obs[:, 0] == 1) & (batch.obs[:, 1] == 3)
         np.testing.assert_array_equal(batch.terminal, is_last)
 
+    def test_what_critics_see_is_that_of_both_steps_whatever_the_goal(self):
+        batch = filled([1, 2]).sample(1000, 0.8)
+        step = batch.obs[:, 0] * 100 + batch.obs[:, 1]
+        np.testing.assert_array_equal(batch.truth[:, 0], step)
+        np.testing.assert_array_equal(batch.next_truth[:, 0], step + 1)
+
     def test_pure_in_its_generator(self):
         t, lengths = np.array([0, 3, 7]), np.array([8, 8, 8])
         a, b = (future_goal_steps(t, lengths, 0.8, np.random.default_rng(1)) for _ in range(2))
@@ -133,7 +145,7 @@ class TestStoring:
     def test_bytes_for_booleans(self):
         replay = filled([1])
         n_rows = 10 * (MAX_STEPS + 1)
-        assert replay.nbytes == n_rows * (2 * 4 + 1 + 3 * 4 + 3 * 4 + 2 * 4 + 1)
+        assert replay.nbytes == n_rows * (2 * 4 + 1 + 3 * 4 + 3 * 4 + 2 * 4 + 4 + 1)
 
     def test_what_turns_out_not_to_be_boolean_is_kept_as_it_is(self):
         """Also what came before it, and what was saved before it."""
@@ -152,14 +164,14 @@ class TestStoring:
             assert set(batch.obs[batch.obs[:, 0] == 3][:, 2]) == {0.0, 0.5, 1.0}
 
     def test_a_million_transitions_of_layout_1_take_half_a_gigabyte(self):
-        replay = Replay(10**6, 20, (61 + 139, 3, 23), 139, reward, np.random.default_rng(0))
+        replay = Replay(10**6, 20, (61 + 139, 3, 23, 0), 139, reward, np.random.default_rng(0))
         assert replay.nbytes < 0.55e9
 
     def test_too_small_and_too_large(self):
         with pytest.raises(ValueError, match="buffer_size: found 7, allowed 8"):
-            Replay(7, 8, (3, 3, 2), 0, reward, np.random.default_rng(0))
+            Replay(7, 8, (3, 3, 2, 0), 0, reward, np.random.default_rng(0))
         with pytest.raises(ValueError, match=r"buffer_size: found 10,000,000,000,000.*GB"):
-            Replay(10**13, 8, (3, 3, 2), 0, reward, np.random.default_rng(0)).require_memory()
+            Replay(10**13, 8, (3, 3, 2, 0), 0, reward, np.random.default_rng(0)).require_memory()
 
     def test_longer_episodes_than_a_slot_are_refused(self):
         with pytest.raises(ValueError, match="max_episode_steps: 8, but found 9"):

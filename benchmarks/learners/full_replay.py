@@ -43,7 +43,7 @@ def synthetic(replay: Replay, rng: np.random.Generator) -> Episode[GoalObs]:
     actions = rng.standard_normal((rows - 1, n_action), np.float32)
     desired = np.zeros(n_goal, np.float32)
     seen = [GoalObs(o, a, desired) for o, a in zip(obs, achieved, strict=True)]
-    return Episode(seen, list(actions), [-1.0] * len(actions))
+    return Episode(seen, list(actions), [-1.0] * len(actions), truth=[np.zeros(0)] * len(seen))
 
 
 def main() -> None:

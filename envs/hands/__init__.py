@@ -95,6 +95,10 @@ class LinearAction:
         """New joint targets, shape (n_actuators,), from an action in [-1, 1] of the same shape."""
         return self.centre + action * self.half_range
 
+    def asked(self, joint_targets: Array) -> Array:
+        """What each action has asked for last: the targets themselves."""
+        return joint_targets
+
 
 @dataclass(frozen=True)
 class ClosingAction:
@@ -125,12 +129,19 @@ class ClosingAction:
         targets, n_slides = joint_targets.copy(), len(self.slide_step)
         moved = targets[:n_slides] + self.slide_step * action[:n_slides]
         targets[:n_slides] = np.clip(moved, self.slide_limits[:, 0], self.slide_limits[:, 1])
-        first, members, group = self._indices
-        way = self.closed - self.open
-        closing = (targets[first] - self.open[first]) / way[first]
-        closing = np.clip(closing + self.closing_step * action[n_slides:], 0.0, 1.0)
-        targets[members] = self.open[members] + closing[group] * way[members]
+        _, members, group = self._indices
+        closing = np.clip(self._closing(targets) + self.closing_step * action[n_slides:], 0.0, 1.0)
+        targets[members] = self.open[members] + closing[group] * (self.closed - self.open)[members]
         return targets
+
+    def asked(self, joint_targets: Array) -> Array:
+        """What each action has asked for last: the slides' targets, m, and how far each group is to be
+        closed."""
+        return np.concatenate([joint_targets[: len(self.slide_step)], self._closing(joint_targets)])
+
+    def _closing(self, targets: Array) -> Array:
+        first, way = self._indices[0], self.closed - self.open
+        return np.asarray((targets[first] - self.open[first]) / way[first])
 
     @cached_property
     def _indices(self) -> tuple[Array, Array, Array]:
