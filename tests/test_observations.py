@@ -59,7 +59,8 @@ def test_only_what_is_told_changes_and_a_seed_repeats_it(hand, simulator, choice
     np.testing.assert_array_equal(plain[1], told[1])  # achieved goals and rewards keep the truth
     np.testing.assert_array_equal(plain[2], told[2])
     changed = {name for name in plain[0] if not np.array_equal(plain[0][name], told[0][name])}
-    concerns = {"object_seen": "object ", "joint_noise": "position of ", "taxel": "taxel "}
+    joints = ("position of ", "velocity of ")
+    concerns = {"object_seen": "object ", "joint_noise": joints, "taxel": "taxel "}
     concern = next(what for key, what in concerns.items() if next(iter(choices)).startswith(key))
     assert changed
     assert all(name.startswith(concern) for name in changed)
@@ -104,13 +105,40 @@ class TestSight:
 
 
 class TestJoints:
-    def test_noise_is_on_the_angles_and_not_on_the_slides(self):
+    def errors(self, start, **choices):
         plain, _, _ = episode(make(), n=15)
-        noisy, _, _ = episode(make(joint_noise=0.1), n=15)
-        error = entries(noisy, "position of ") - entries(plain, "position of ")
+        noisy, _, _ = episode(make(**choices), n=15)
+        return entries(noisy, start) - entries(plain, start)
+
+    def test_noise_is_on_the_angles_and_not_on_the_slides(self):
+        error = self.errors("position of ", joint_noise=0.1)
         assert not error[:, :3].any()
         assert error[:, 3:].std() == pytest.approx(0.1, rel=0.15)
-        np.testing.assert_array_equal(entries(noisy, "velocity"), entries(plain, "velocity"))
+
+    def test_velocities_err_as_differences_of_the_angles_do(self):
+        angle, speed = (
+            self.errors(start, joint_noise=0.1) for start in ("position of ", "velocity of ")
+        )
+        np.testing.assert_allclose(speed[1:], np.diff(angle, axis=0) / 0.2, atol=1e-5)
+        assert not speed[0].any()
+
+    def test_held_errors_stay_for_an_episode_and_do_not_show_in_velocities(self):
+        error = self.errors("position of ", joint_noise_held=0.1)
+        assert not error[:, :3].any()
+        assert error[0, 3:].std() == pytest.approx(0.1, rel=0.5)
+        np.testing.assert_allclose(error, np.tile(error[0], (len(error), 1)), atol=1e-6)
+        assert not self.errors("velocity of ", joint_noise_held=0.1).any()
+
+    def test_what_is_held_moves_no_other_draws(self):
+        white = self.errors("position of ", joint_noise=0.1)
+        both = self.errors("position of ", joint_noise=0.1, joint_noise_held=0.2)
+        np.testing.assert_allclose(np.diff(both, axis=0), np.diff(white, axis=0), atol=1e-5)
+
+    def test_the_hand_is_felt_where_its_slides_are_felt(self):
+        choices = {"hand": "mpl", "slide_noise": 0.001, "slide_noise_held": 0.002}
+        seen, true = (entries(episode(make(**c), n=15)[0], "hand ") for c in (choices, {"hand": "mpl"}))
+        error = seen - true
+        assert 1e-4 < error.std(axis=0).min() < error.std(axis=0).max() < 0.003
 
 
 class TestTaxels:
@@ -208,3 +236,42 @@ class TestHistory:
 def test_what_cannot_be_is_named(choices, named):
     with pytest.raises(ValueError, match=named):
         make(**choices)
+
+
+class TestTargets:
+    def test_of_increments_how_far_each_group_is_to_be_closed(self):
+        env = make("mpl", observe_targets=True)
+        env.reset(seed=0)
+        for step in (1.0, -0.2):
+            obs, *_ = env.step(np.array([0.5, 0, 0, step, 0, 0, 0]))
+        told = dict(zip(env.observation_names(), obs["observation"], strict=True))
+        assert told["asked for: slide_x"] == pytest.approx(0.01)
+        assert told["asked for: closing of thumb and little"] == pytest.approx(0.8, abs=1e-6)
+        assert told["asked for: closing of index"] == pytest.approx(0.4, abs=1e-6)
+
+    def test_of_others_the_joint_targets(self):
+        env = make(observe_targets=True)
+        env.reset(seed=0)
+        action = np.linspace(-0.5, 0.5, 23)
+        told = dict(zip(env.observation_names(), env.step(action)[0]["observation"], strict=True))
+        asked = [value for name, value in told.items() if name.startswith("asked for")]
+        np.testing.assert_allclose(asked, env.hand.action_map(action, np.zeros(23)), atol=1e-6)
+
+
+class TestTruth:
+    @pytest.mark.parametrize("run_type", ["main", "control"])
+    def test_is_there_whatever_is_hidden_from_the_policy(self, run_type):
+        choices = {"object_seen": "hidden", "joint_noise": 0.1, "run_type": run_type, "layout": "1"}
+        env = make(critic_sees="truth", **choices)
+        told, _, _ = episode(env)
+        plain, _, _ = episode(make(**choices))
+        for name, values in plain.items():
+            np.testing.assert_array_equal(told[name], values)
+        obs, _ = env.reset(seed=3)
+        assert env.observation_space["truth"].contains(obs["truth"])
+        n_joints = len(env.hand.joints)
+        exact = env.simulator.joint_state()[0].astype(np.float32)
+        np.testing.assert_array_equal(obs["truth"][:n_joints], exact)
+        position = obs["truth"][2 * n_joints : 2 * n_joints + 3]
+        np.testing.assert_allclose(position, env.simulator.object_state().position, atol=1e-7)
+        np.testing.assert_array_equal(obs["truth"][-139:], env.taxel_readings())
