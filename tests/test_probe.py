@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from tactilerl import places
 from tactilerl.algos.mpi import Communicator
 from tactilerl.cli import main
-from tactilerl.envs import hands, layouts, vector
+from tactilerl.envs import hands, layouts, scripted, vector
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.touch import SkinTouch
 from tactilerl.probe import analysis, estimators, files, metrics, selection
@@ -172,6 +172,23 @@ class TestPlaces:
         for place in places.of(layouts.load("1").place(built), built):
             beside = [other for other in skin if other.surface == place.surface]
             assert min(np.hypot(o.row - place.row, o.column - place.column) for o in beside) < 2.5
+
+
+@pytest.mark.parametrize("hand", hands.HANDS)
+def test_grasps_start_where_nothing_overlaps(hand):
+    """Of 100 widely perturbed starts none is more than 0.1 mm deep in the object."""
+    drawn = Perturbation(("box",), (0.04, 0.05), (1.0,), 0.025, 0.6, (0.5, 0.9), 0.1)
+    scenes = Scenes(hand, setup(hand, simulator="mujoco"), drawn.variants())
+    task, deepest = ScriptedGrasps(drawn, 0), []
+    for number in range(100):
+        env = scenes.scene(number % 2)
+        scripted.place(env, task._start(env, np.random.default_rng(number)))
+        model, data = env.simulator.model, env.simulator.data
+        thing, ground = model.geom("object").id, model.geom("ground").id
+        touching = [c for c in data.contact if thing in c.geom and ground not in c.geom]
+        deepest.append(max((-c.dist for c in touching), default=0.0))
+    scenes.close()
+    assert max(deepest) < 1e-4
 
 
 class TestEarlyVerdict:

@@ -67,7 +67,9 @@ class Scenes(gym.Wrapper[Any, Any, Any, Any]):
     def scene(self, variant: int) -> GraspEnv:
         """The environment with this object."""
         if variant not in self._made:
-            env = GraspEnv(self._hand, replace(self._config, **self._variants[variant]))
+            # Where objects start far off, the hand hangs high enough to be free of all of them.
+            choices = {**self._variants[variant], "start_offset": objects.FURTHEST}
+            env = GraspEnv(self._hand, replace(self._config, **choices))
             self._opened.callback(env.close)
             self._made[variant] = env
         return self._made[variant]
