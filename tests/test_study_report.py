@@ -191,7 +191,7 @@ class TestWarnings:
         folder.files(runs[4]).run_dir.config_file.write_text("{")
         assert main(["study", "report", str(folder.path), "--resamples", "100"]) == 0
         out = capsys.readouterr().out
-        assert "Of 24 runs 2 failed, 1 interrupted" in out
+        assert "Of 24 runs 1 damaged, 1 failed, 1 interrupted" in out
         assert "different versions" in out
         assert "diverged in 1 runs" in out
         rows = (folder.path / "report/tables/runs.csv").read_text().splitlines()

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import InputError
+from ..files import replacing
 from ..places import Place
-from ..sealed import replacing
 from .grasps import Record
 
 FORMAT = 1

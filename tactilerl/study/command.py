@@ -18,6 +18,7 @@ from rich.table import Table
 
 from .. import flags
 from ..errors import InputError
+from ..files import pasted
 from ..terminal import console
 from . import display, grid
 from .folder import StudyFolder
@@ -75,6 +76,10 @@ def _run(read: RunFlags, pool: Executor, parallel: int) -> int:
     jobs = []
     for one in runs:
         files, total = folder.files(one), configs[one.name].run.total_timesteps
+        if found := files.damage():
+            console.print(f"{one.name}: {found}; recorded as done, it is trained again")
+            if place := files.set_aside():
+                console.print(f"  what is left of it: {pasted(place)}")
         if read.retry_failed and (before := files.outcome()) and before.state == "failed":
             files.outcome_file.unlink()
         if one.name in damaged:
@@ -91,7 +96,7 @@ def _run(read: RunFlags, pool: Executor, parallel: int) -> int:
     failures = _print_failures(folder, runs)
     if elsewhere := list(endings.values()).count("busy"):
         console.print(f"{elsewhere} runs are trained by another `study run`")
-    console.print(f"  tactilerl study report {folder.path}")
+    console.print(f"  tactilerl study report {pasted(folder.path)}")
     return 1 if failures else 0
 
 
@@ -127,7 +132,7 @@ def status(args: list[str]) -> int:
         print(json.dumps({"study": study.name, **counts, "eta_s": eta, "states": states}))
         return 0
     console.print(overview.table(f"study {study.name}, {len(overview.runs)} runs"))
-    is_over = not any(overview.counts()[state] for state in ("running", "interrupted", "left"))
+    is_over = overview.counts()["done"] + overview.counts()["failed"] == len(overview.runs)
     console.print("nothing left to do" if is_over else f"ETA {display.duration(eta)}")
     _print_failures(folder, overview.runs)
     return 0
