@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 Array = np.ndarray
 IsWanted = Callable[[], bool]
 T = TypeVar("T")
+MOST = 1e30  # of a hyperparameter: float32 has room for it
 MOST_UNITS, MOST_WEIGHTS = 100_000, 10**8  # of hidden layers: more is a slip, and takes all memory
 
 
@@ -176,7 +177,7 @@ def check_ranges(
     `positive` are finite and above 0, `shares` lie in [0, 1], `counts` are 1 or more.
     """
     ranges: list[tuple[Sequence[str], Callable[[float], bool], str]] = [
-        (positive, lambda x: 0 < x < np.inf, "a finite number above 0"),
+        (positive, lambda x: 0 < x <= MOST, f"a number above 0, up to {MOST:g}"),
         (shares, lambda x: 0 <= x <= 1, "from 0 to 1"),
         (counts, lambda x: x >= 1, "1 or more"),
     ]

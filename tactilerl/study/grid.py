@@ -191,7 +191,8 @@ def _study(data: dict[str, Any]) -> Study:
 
 
 def _setup(name: str, setups: dict[str, Any], study: dict[str, Any]) -> Setup:
-    where = f"setups.{require_name(name, 'setups')}"
+    where = f"setups.{name}"
+    require_name(name, where[:60])
     own = _table(setups, name, "setups.")
     flags = {_flag(key, where): value for key, value in own.items() if key not in OWN_KEYS}
     for flag, value in flags.items():

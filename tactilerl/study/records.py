@@ -7,7 +7,8 @@ its `record`. Then come the epochs of every run, at least one row a run:
     run       name of the run
     state     done, failed, running, interrupted or left, when it was collected
     reason    why it failed
-    record    on a run's first row: its config.json (all values, versions, commit, ranks)
+    record    on a run's first row: its config.json (all values, versions, commit, ranks), but where
+              it was written
     ...       the columns of progress.csv, word for word; empty where a run has none
 """
 
@@ -90,11 +91,17 @@ def _record(run: Run, files: RunFiles) -> Record:
     if files.exists:
         try:
             files.run_dir.read_config()
-            config = files.run_dir.record()
-            config["run"].pop("out", None)  # of the machine that it was made on
+            config = _anywhere(files.run_dir.record())
         except InputError as error:
             state, reason = "failed" if state != "damaged" else state, str(error)
+    for place in (files.base, files.base.resolve()):
+        reason = reason.replace(str(place), run.name)
     return Record(run, state, reason, config, files.rows())
+
+
+def _anywhere(config: dict[str, Any]) -> dict[str, Any]:
+    """A record without the folder of the machine that it was made on."""
+    return {**config, "run": {k: v for k, v in config["run"].items() if k != "out"}}
 
 
 def collect(path: Path, out: Path | None = None) -> Path:
@@ -137,6 +144,7 @@ def _unpacked(run: Run, rows: list[dict[str, str]]) -> Record:
     config = json.loads(head["record"])
     if config is not None:
         require_record(config)
+        config = _anywhere(config)
     progress = [{k: v for k, v in row.items() if k not in FIXED} for row in rows]
     progress = [row for row in progress if any(row.values())]
     if fault := whole(progress)[1]:
