@@ -33,7 +33,7 @@ from typing import Any
 
 from ..errors import InputError
 from ..files import MAX_JSON, content, damage_named, require_name
-from ..typed import names
+from ..typed import require
 
 MEASURES = ("success_rate", "test_success_rate")  # columns of progress.csv that are shares
 KEYS = ("name", "measure", "compare", "grid", "setups")
@@ -69,6 +69,21 @@ class Setup:
     def n_runs(self) -> int:
         """How many runs it stands for."""
         return len(self.seeds) * math.prod(map(len, self.grid.values()))
+
+    def validate(self) -> None:
+        """InputError or ValueError naming the first value that no study file has."""
+        where = f"setups.{self.name}"[:60]
+        require_name(self.name, where)
+        for one in (self, self.compare):
+            if one is not None:
+                require(type(one), vars(one))
+        _one_of(self.measure, MEASURES, "measure")
+        _flags(self.flags, where)
+        _seeds(list(self.seeds), where)
+        _grid(self.grid, where)
+        if self.compare is not None:
+            pair = [self.compare.treatment, self.compare.control]
+            _compare({self.compare.flag: pair}, self.grid)
 
     @property
     def cell_flags(self) -> list[str]:
@@ -139,6 +154,20 @@ class Study:
             )
         return runs
 
+    def validate(self) -> None:
+        """InputError or ValueError naming the first thing that no study file says: names that lead
+        out of its folder, values of other types, too many runs."""
+        require_name(self.name, "name")
+        for setup in self.setups:
+            setup.validate()
+        twice = [name for name, n in Counter(setup.name for setup in self.setups).items() if n > 1]
+        n_runs = sum(setup.n_runs for setup in self.setups)
+        if twice or not 1 <= n_runs <= MOST_RUNS:
+            found = f"{twice[0]} twice" if twice else f"{n_runs:,} runs"
+            raise InputError(f"setups: found {found}, allowed are up to {MOST_RUNS:,} runs in a study")
+        for run in self.runs():  # of which no two have the same name
+            require_name(run.name, "the name of a run")
+
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
         return dataclasses.asdict(self)
@@ -149,20 +178,13 @@ def from_dict(data: Any) -> Study:
 
     Anybody may have written it: it is checked as a study file is.
     """
-    setups = {}
-    for one in data["setups"]:
-        if one.keys() != names(Setup) or one["name"] in setups:
-            raise InputError(
-                f"setups: found {', '.join(map(str, one))}, expected those of a set-up, once"
-            )
-        versus = one["compare"] and Compare(**one["compare"])
-        setups[one["name"]] = {
-            **one["flags"],
-            "measure": one["measure"],
-            "compare": {versus.flag: [versus.treatment, versus.control]} if versus else {},
-            "grid": {**one["grid"], SEED: one["seeds"]},
-        }
-    return _study({"name": data["name"], "setups": setups})
+    setups = [
+        Setup(**{**one, "compare": one["compare"] and Compare(**one["compare"])})
+        for one in data["setups"]
+    ]
+    study = Study(data["name"], setups)
+    study.validate()
+    return study
 
 
 def read(path: Path) -> Study:
@@ -177,28 +199,19 @@ def read(path: Path) -> Study:
 def _study(data: dict[str, Any]) -> Study:
     for key in data:
         _one_of(key, KEYS, "study file")
-    name = require_name(data.get("name"), "name")
     setups = _table(data, "setups")
     if not setups:
         raise InputError("setups: found none, expected one or more tables [setups.NAME]")
+    name: Any = data.get("name")
     study = Study(name, [_setup(key, setups, data) for key in setups])
-    n_runs = sum(setup.n_runs for setup in study.setups)
-    if n_runs > MOST_RUNS:
-        raise InputError(f"grid: found {n_runs:,} runs, allowed up to {MOST_RUNS:,} in a study")
-    for run in study.runs():  # names that collide
-        require_name(run.name, "grid: a run's folder")
+    study.validate()
     return study
 
 
 def _setup(name: str, setups: dict[str, Any], study: dict[str, Any]) -> Setup:
     where = f"setups.{name}"
-    require_name(name, where[:60])
     own = _table(setups, name, "setups.")
-    flags = {_flag(key, where): value for key, value in own.items() if key not in OWN_KEYS}
-    for flag, value in flags.items():
-        if flag in TAKEN:
-            raise InputError(f"{where}.{flag}: {_taken(flag)}")
-        _require_values(value, f"{where}.{flag}")
+    flags = _flags({key: value for key, value in own.items() if key not in OWN_KEYS}, where)
     source = where + ".grid" if "grid" in own else "grid"
     grid = _grid(_table(own if "grid" in own else study, "grid"), source)
     seeds = _seeds(grid.pop(SEED, [0]), source)
@@ -209,6 +222,15 @@ def _setup(name: str, setups: dict[str, Any], study: dict[str, Any]) -> Setup:
     _one_of(measure, MEASURES, "measure")
     compare = _compare(_table(own if "compare" in own else study, "compare"), grid)
     return Setup(name, flags, grid, seeds, compare, measure)
+
+
+def _flags(table: dict[str, Any], where: str) -> dict[str, Any]:
+    flags = {_flag(key, where): value for key, value in table.items()}
+    for flag, value in flags.items():
+        if flag in TAKEN:
+            raise InputError(f"{where}.{flag}: {_taken(flag)}")
+        _require_values(value, f"{where}.{flag}")
+    return flags
 
 
 def _grid(table: dict[str, Any], where: str) -> dict[str, list[Any]]:
