@@ -50,8 +50,10 @@ class Progress:
         A table that is missing begins anew. InputError when this is not the checkpoint's table:
         damaged, of other epochs, or of more than the one that a checkpoint may lack.
         """
-        if not self.path.exists():
+        if not os.path.lexists(self.path):
             return
+        if self.path.is_symlink():  # which would have us write somewhere else
+            raise InputError(f"{self.path}: found a link, allowed a file")
         lines, epochs = self._read()
         if epochs and epochs != list(range(epochs[0], epochs[0] + len(epochs))):
             raise InputError(f"{self.path}: damaged (the epochs do not follow one another)")
