@@ -267,7 +267,9 @@ def descendants(pid):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs /proc, and PR_SET_PDEATHSIG for SIGKILL")
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "number", [signal.SIGTERM, pytest.param(signal.SIGKILL, marks=pytest.mark.slow)]
+)
 def test_ranks_of_a_run_end_with_the_study(tmp_path, one_launch, number):
     text = TINY.replace("= 200", "= 100_000_000").replace(
         "polyak = [0.9, 0.95]", "polyak = [0.95, 0.9]"
