@@ -88,16 +88,17 @@ class Progress:
 
 def whole(rows: list[Row]) -> tuple[list[Row], str]:
     """The rows before the first that no run writes, and what is wrong with that one."""
-    steps = -1
+    last = (-1, -1)
     for index, row in enumerate(rows):
         try:
             _require_row(1, list(row), list(row))
             _require_row(index + 2, list(row.values()), list(row))
-            if int(row["env_steps"]) <= steps:
-                raise ValueError(f"line {index + 2}: found {row['env_steps']} steps after {steps}")
+            now = int(row["epoch"]), int(row["env_steps"])
+            if now[0] <= last[0] or now[1] < last[1]:
+                raise ValueError(f"line {index + 2}: epoch and steps {now} after {last}")
         except ValueError as error:
             return rows[:index], str(error)
-        steps = int(row["env_steps"])
+        last = now
     return rows, ""
 
 

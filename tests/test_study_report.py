@@ -272,7 +272,7 @@ class TestWarnings:
         text = gzip.decompress(path.read_bytes()).decode()
         first = text.splitlines()[2]
         files = folder.files(folder.study().runs()[0])
-        for row in ("1,inf", "1,-1", "1,1000,7", "1,1000,-1", "1,1000,0.5\n2,1000,0.5"):
+        for row in ("1,inf", "1,-1", "1,1000,7", "1,1000,-1", "1,1000,0.5\n1,2000,0.5"):
             files.run_dir.progress.path.write_text(f"epoch,env_steps,success_rate\n{row}\n")
             assert files.state() == "damaged"
             assert main(["study", "status", str(folder.path)]) == 0

@@ -69,6 +69,8 @@ def _run(read: RunFlags, pool: Executor, parallel: int) -> int:
     study = grid.read(read.study)
     folder = StudyFolder(read.out or Path("studies") / study.name)
     runs = study.runs()
+    title = f"study {study.name}"
+    console.print(f"{title}: checking {len(runs)} runs")
     configs = check.configure(runs)
     damaged = check.find_damage(runs, configs, folder)
     check.start(runs, configs, folder)
@@ -89,7 +91,6 @@ def _run(read: RunFlags, pool: Executor, parallel: int) -> int:
         if outcome is None or (outcome.state == "done" and outcome.total_timesteps < total):
             jobs.append(runner.Job(files.base, check.arguments(one), total, read.ranks_per_run))
     overview = display.Overview(folder, runs)
-    title = f"study {study.name}"
     console.print(f"{title}: {len(runs)} runs, {len(jobs)} to do, in {folder.path}")
     with display.Watch(overview, getattr(pool, "num_workers", parallel), title) as watch:
         endings = runner.run_all(jobs, pool, watch)

@@ -93,8 +93,10 @@ class RunFiles:
     def set_aside(self) -> Path | None:
         """Make room for a damaged run to be trained again; where what is left of it went. Nothing
         happens where another process has done so."""
+        if self.is_running():
+            return None
         with writable(self.base), filelock.FileLock(self.lock_file, timeout=PATIENCE):
-            if not self.damage():
+            if not self.damage():  # any more
                 return None
             numbers = (self.base.with_name(f"{self.base.name}.damaged{n}") for n in itertools.count(1))
             place = next(path for path in numbers if not os.path.lexists(path))
