@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
 
 import gymnasium as gym
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 Array = np.ndarray
 IsWanted = Callable[[], bool]
 T = TypeVar("T")
+MOST = 1e30  # of a hyperparameter: float32 has room for it
+MOST_UNITS, MOST_WEIGHTS = 100_000, 10**8  # of hidden layers: more is a slip, and takes all memory
 
 
 @dataclass(frozen=True)
@@ -174,7 +177,7 @@ def check_ranges(
     `positive` are finite and above 0, `shares` lie in [0, 1], `counts` are 1 or more.
     """
     ranges: list[tuple[Sequence[str], Callable[[float], bool], str]] = [
-        (positive, lambda x: 0 < x < np.inf, "a finite number above 0"),
+        (positive, lambda x: 0 < x <= MOST, f"a number above 0, up to {MOST:g}"),
         (shares, lambda x: 0 <= x <= 1, "from 0 to 1"),
         (counts, lambda x: x >= 1, "1 or more"),
     ]
@@ -183,8 +186,11 @@ def check_ranges(
             value = getattr(config, name)
             if value is not None and not is_allowed(value):
                 raise ValueError(f"{name}: found {value}, allowed {allowed}")
-    if not config.hidden or min(config.hidden) < 1:
-        raise ValueError(f"hidden: found {config.hidden}, allowed one or more sizes of 1 or more")
+    hidden = config.hidden
+    if not hidden or not 1 <= min(hidden) <= max(hidden) <= MOST_UNITS:
+        raise ValueError(f"hidden: found {hidden}, allowed one or more sizes from 1 to {MOST_UNITS}")
+    if sum(a * b for a, b in pairwise(hidden)) > MOST_WEIGHTS:
+        raise ValueError(f"hidden: found {hidden}, allowed up to {MOST_WEIGHTS} weights between them")
 
 
 def action_bounds(space: gym.Space[Any]) -> tuple[Array, Array]:

@@ -213,8 +213,12 @@ def _row(obs: Any, i: int) -> Any:
 
 def new_actor(hidden: Sequence[int], spaces: Spaces, weights: torch.Generator) -> MLP:
     """A policy's network, with `hidden` units in its layers and weights drawn from a generator."""
-    sizes = flat_size(spaces.observation), *hidden, action_size(spaces.action)
-    return MLP(sizes, weights, tanh=True)
+    return MLP(network_sizes(hidden, spaces), weights, tanh=True)
+
+
+def network_sizes(hidden: Sequence[int], spaces: Spaces) -> tuple[int, ...]:
+    """Values that each layer of a policy's network gives, the inputs first."""
+    return flat_size(spaces.observation), *hidden, action_size(spaces.action)
 
 
 def on_cpu(network: MLP) -> MLP:

@@ -278,6 +278,9 @@ class Replay:
             values = torch.from_numpy(np.empty((0, width), dtype)).to("meta")
             whole[name] = values.new_empty((n * self._rows, width))
         require_like(saved, whole, "experience")
+        for name, values in saved.items():
+            if not torch.isfinite(values).all():
+                raise ValueError(f"experience.{name}: found numbers that are not finite")
         for name, least, end in (("slots", 0, self.n_slots), ("lengths", 1, self._rows)):
             if n and not (least <= int(saved[name].min()) and int(saved[name].max()) < end):
                 raise ValueError(f"experience.{name}: found others than from {least} to {end - 1}")

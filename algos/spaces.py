@@ -53,6 +53,8 @@ class Spaces(NamedTuple):
             boxes: dict[str, gym.Space[Any]] = {
                 key: _box(-np.inf, np.inf, shape, np.float32) for key, shape in shapes.items()
             }
+            if np.dtype(action["dtype"]).kind not in "fiub":
+                raise ValueError(f"spaces: found actions of type {action['dtype']!r}"[:100])
             bounds = (np.array(action[name], action["dtype"]) for name in ("low", "high"))
             low, high = (bound.reshape(action["shape"]) for bound in bounds)
             space = boxes[""] if "" in boxes else gym.spaces.Dict(boxes)

@@ -59,6 +59,11 @@ def make(
             f"unknown environment {name!r}; allowed: {known}, a Gymnasium id, or MODULE:ID with the "
             f"module that registers it ({reason})"
         ) from None
+    except (ValueError, OSError, ImportError, RuntimeError):  # say what is wrong
+        raise
+    except Exception as error:  # of an environment that is not ours
+        reason = f"{type(error).__name__} {error}".strip()
+        raise ValueError(f"env: {name!r} cannot be made here ({reason})") from error
 
 
 _OURS: dict[str, dict[str, Any]] = {

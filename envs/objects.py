@@ -14,6 +14,7 @@ Kind = Literal["box", "sphere", "cylinder"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 Number = float | str
 """A value, or LOW..HIGH: drawn uniformly from there in every episode."""
+SMALLEST = 0.001  # m: below, a simulator finds no mass in it
 WIDEST = 0.08  # m, of an object across; the benchmark hard_cases goes up to it
 TALLEST = 0.15  # m, of an object: held at its top, its centre is well above what counts as dropped
 OFFSET, YAW = 0.005, 0.15  # m and rad: where the hand leaves room for what is 5 cm across
@@ -168,6 +169,8 @@ class Items:
         """Of the widest, m."""
         self.height = max(shape.height for shape in largest)
         """Of the highest, m."""
+        self.smallest = min(low for low, _ in self._sizes)
+        """Of all measures, m."""
         self.first = Item(largest[0], self._density[1], self._friction[1])
         """The largest of the first kind; the only one where they do not vary."""
 
@@ -209,6 +212,8 @@ def bounds(name: str, value: Number) -> tuple[float, float]:
 def validate(config: ObjectConfig) -> None:
     """ValueError naming the first invalid field."""
     items = Items(config)
+    if items.smallest < SMALLEST:
+        raise ValueError(f"object_size: found {items.smallest:g} m, allowed {SMALLEST} m or more")
     for size, most, where in (
         (items.width, WIDEST, "across"),
         (items.height, TALLEST, "in height"),

@@ -18,6 +18,7 @@ from .algos import Algorithm, OffPolicy
 from .algos.mpi import Communicator
 from .config import RunConfig
 from .errors import InputError
+from .files import damage_named
 from .run_dir import FORMAT, RunDir
 
 TYPES = {"format": int, "epoch": int, "config": str, "ranks": list, "experience": list, "spaces": str}
@@ -39,7 +40,8 @@ class Checkpoint:
         for rank, part in enumerate(self.comm.receive(experience)):
             if part:
                 self.run_dir.experience_folder.mkdir(exist_ok=True)
-                sealed.write(self._part(epoch, rank), {"format": FORMAT, "experience": part})
+                about = self._about(epoch, rank)
+                sealed.write(self._part(epoch, rank), {**about, "experience": part})
         states = list(self.comm.receive(_compact(self.learner.state_dict())))
         if experience:
             self._parts = [*([] if is_anew else self._parts), epoch]
@@ -80,12 +82,26 @@ class Checkpoint:
         for epoch in data["experience"]:
             for rank in range(comm.rank, n_old, comm.size):
                 path = self._part(epoch, rank)
-                with sealed.damage_named(path):
-                    part = _read(path)["experience"]
+                with damage_named(path):
+                    part = self._experience(path, self._about(epoch, rank))
                     self._memory.add_experience(part, is_foreign=is_other)
         # What came from elsewhere counts as new: the next checkpoint writes all of it.
         self._parts = [] if is_other else list(data["experience"])
         return int(data["epoch"])
+
+    def _about(self, epoch: int, rank: int) -> dict[str, Any]:
+        """To what a file of experience belongs; says so, for it could be moved."""
+        config = json.dumps(self.config.identity())
+        return {"format": FORMAT, "config": config, "epoch": epoch, "rank": rank}
+
+    @staticmethod
+    def _experience(path: Path, about: dict[str, Any]) -> Any:
+        """What a file holds; ValueError when it is of another epoch, rank or run."""
+        data = about | _read(path)  # the first files of this format say nothing
+        other = next((name for name in about if data[name] != about[name]), None)
+        if other:
+            raise ValueError(f"it is the experience of another {other}")
+        return data["experience"]
 
     def _part(self, epoch: int, rank: int) -> Path:
         return self.run_dir.experience_folder / f"{epoch:08d}-{rank:04d}.pt"
@@ -122,7 +138,7 @@ def read(run_dir: RunDir, config: RunConfig) -> dict[str, Any]:
     """
     path = run_dir.checkpoint_file
     data = _read(path)
-    with sealed.damage_named(path):
+    with damage_named(path):
         data.setdefault("spaces", "")  # the first checkpoints of this format lack it
         if {name: type(value) for name, value in data.items()} != TYPES:
             raise ValueError(f"found {', '.join(map(str, data))}")
@@ -141,12 +157,13 @@ def read(run_dir: RunDir, config: RunConfig) -> dict[str, Any]:
 
 def load_state(learner: Algorithm, state: dict[str, Any], path: Path) -> None:
     """Give a learner its state; InputError naming the file when they do not fit."""
-    with sealed.damage_named(path):
+    with damage_named(path):
         learner.load_state_dict(state)
 
 
 def _read(path: Path) -> dict[str, Any]:
     data = sealed.read(path)
-    if not isinstance(data, dict) or data.get("format") != FORMAT:
+    found = data.get("format") if isinstance(data, dict) else None
+    if type(found) is not int or found != FORMAT:
         raise InputError(f"{path}: not a checkpoint of format {FORMAT}")
     return data

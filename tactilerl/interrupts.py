@@ -1,9 +1,11 @@
-"""What Ctrl-C does: end the process on the spot, or let it put things in order first."""
+"""How processes end: by Ctrl-C, on the spot or in order, or with the process that started them."""
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -50,6 +52,18 @@ def _handling(before: Callable[..., object], now: Callable[..., object]) -> Iter
     finally:
         if is_ours:
             signal.signal(signal.SIGINT, before)
+
+
+PR_SET_PDEATHSIG = 1  # of prctl, linux/prctl.h
+
+
+def end_with(parent: int) -> None:
+    """From now on this process gets SIGTERM when the one that started it ends, however that ends;
+    Linux only."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+    if os.getppid() != parent:  # it has ended already
+        os._exit(128 + signal.SIGTERM)
 
 
 def _leave(number: int, frame: FrameType | None) -> NoReturn:

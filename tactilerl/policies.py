@@ -7,19 +7,22 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from . import algos, sealed, typed
-from .algos.policy import Policy
+from .algos.policy import Policy, network_sizes
 from .algos.spaces import Spaces
 from .algos.state import require_like
 from .errors import InputError
+from .files import damage_named
 
 if TYPE_CHECKING:
     from .config import RunConfig
 
 FORMAT = 1  # of a policy's file
+FLOAT = 4  # bytes
 TYPES = {"policy_format": int, "algo": str, "learner": str, "spaces": str, "state": dict}
 
 
@@ -68,16 +71,26 @@ def _read_file(path: Path) -> Policy:
     data = sealed.read(path, "policy")
     if not isinstance(data, dict) or "policy_format" not in data:
         raise InputError(f"{path}: not a saved policy; for a run, give its folder")
-    if data["policy_format"] != FORMAT:
-        raise InputError(f"{path}: not a policy of format {FORMAT}")
-    with sealed.damage_named(path):
+    with damage_named(path):
         if {name: type(value) for name, value in data.items()} != TYPES:
             raise ValueError(f"found {', '.join(map(str, data))}")
+        if data["policy_format"] != FORMAT:
+            raise InputError(f"{path}: not a policy of format {FORMAT}")
         config_type, learner = algos.get(data["algo"])
         config: Any = typed.make(config_type, json.loads(data["learner"]), "learner")
         config.validate()
-        policy: Policy = learner.saved_policy(config, Spaces.from_json(data["spaces"]), data["state"])
-        return policy
+        return _policy(path, learner, config, Spaces.from_json(data["spaces"]), data["state"])
+
+
+def _policy(
+    path: Path, learner: type[algos.Algorithm], config: Any, spaces: Spaces, state: dict[str, Any]
+) -> Policy:
+    """The policy in a learner's state; ValueError before a network is made that no such file holds."""
+    sizes = network_sizes(config.hidden, spaces)
+    if FLOAT * sum(a * b for a, b in pairwise(sizes)) > path.stat().st_size:
+        raise ValueError(f"hidden: found {config.hidden}, more than the file holds")
+    policy: Policy = learner.saved_policy(config, spaces, state)
+    return policy
 
 
 def read_run(path: Path, env: str = "", trust: bool = False) -> Trained:
@@ -93,10 +106,10 @@ def read_run(path: Path, env: str = "", trust: bool = False) -> Trained:
     saved, _ = run_dir.read_config(env, trust)
     data = checkpoint.read(run_dir, saved)
     _, learner = algos.get(saved.run.algo)
-    with sealed.damage_named(run_dir.checkpoint_file):
+    with damage_named(run_dir.checkpoint_file):
         known = data["spaces"]
         spaces = Spaces.from_json(known) if known else _spaces(saved)
-        policy = learner.saved_policy(saved.learner, spaces, data["ranks"][0])
+        policy = _policy(run_dir.checkpoint_file, learner, saved.learner, spaces, data["ranks"][0])
         env_steps = data["ranks"][0]["env_steps"]
         require_like(env_steps, 0, "env_steps")
     run = dataclasses.replace(saved.run, workers=1, device="cpu", matmul="float32")

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import csv
+import math
 import os
 from pathlib import Path
 from typing import Any
 
 from .errors import InputError
-from .sealed import replacing
+from .files import content, no_link, replacing
 
 FIRST = ["epoch", "env_steps"]  # the columns that every table begins with
+SHARE = "success_rate"  # ends the names of columns that are shares
 LONGEST = 100  # characters of a field
+Row = dict[str, str]
 
 
 class Progress:
@@ -22,7 +25,7 @@ class Progress:
 
     def append(self, row: dict[str, Any]) -> None:
         """Add one row; the first decides the columns, also those of a version that had fewer."""
-        with self.path.open("a+", newline="", encoding="utf-8") as file:
+        with open(self.path, "a+", newline="", encoding="utf-8", opener=no_link) as file:
             file.seek(0)
             columns = next(csv.reader(file), None)
             unknown = sorted(set(columns or ()) - set(row))
@@ -47,8 +50,10 @@ class Progress:
         A table that is missing begins anew. InputError when this is not the checkpoint's table:
         damaged, of other epochs, or of more than the one that a checkpoint may lack.
         """
-        if not self.path.exists():
+        if not os.path.lexists(self.path):
             return
+        if self.path.is_symlink():  # which would have us write somewhere else
+            raise InputError(f"{self.path}: found a link, allowed a file")
         lines, epochs = self._read()
         if epochs and epochs != list(range(epochs[0], epochs[0] + len(epochs))):
             raise InputError(f"{self.path}: damaged (the epochs do not follow one another)")
@@ -69,7 +74,7 @@ class Progress:
         """The header's and all rows' lines, without a last one that was cut off, and the rows'
         epochs; InputError when damaged."""
         try:
-            text = self.path.read_bytes().decode("utf-8")
+            text = content(self.path).decode("utf-8")
             lines = [line + "\n" for line in text.split("\n")[:-1]]
             rows = list(csv.reader(lines, strict=True))
             if len(rows) != len(lines):
@@ -79,6 +84,22 @@ class Progress:
         except (OSError, ValueError, csv.Error) as error:
             raise InputError(f"{self.path}: damaged ({error})") from error
         return lines, [int(row[0]) for row in rows[1:]]
+
+
+def whole(rows: list[Row]) -> tuple[list[Row], str]:
+    """The rows before the first that no run writes, and what is wrong with that one."""
+    last = (-1, -1)
+    for index, row in enumerate(rows):
+        try:
+            _require_row(1, list(row), list(row))
+            _require_row(index + 2, list(row.values()), list(row))
+            now = int(row["epoch"]), int(row["env_steps"])
+            if now[0] <= last[0] or now[1] < last[1]:
+                raise ValueError(f"line {index + 2}: epoch and steps {now} after {last}")
+        except ValueError as error:
+            return rows[:index], str(error)
+        last = now
+    return rows, ""
 
 
 def _require_row(number: int, row: list[str], columns: list[str]) -> None:
@@ -91,6 +112,9 @@ def _require_row(number: int, row: list[str], columns: list[str]) -> None:
         raise ValueError(f"line {number} has {len(row)} fields, the header {len(columns)}")
     if any(len(field) > LONGEST for field in row):
         raise ValueError(f"line {number} has a field of more than {LONGEST} characters")
-    int(row[0])
-    for field in row:
-        float(field or 0)
+    if min(int(row[0]), int(row[1])) < 0:
+        raise ValueError(f"line {number}: found {row[0]} epochs and {row[1]} steps, allowed 0 or more")
+    for column, field in zip(columns, row, strict=True):
+        value = float(field or 0)
+        if column.endswith(SHARE) and not (0 <= value <= 1 or math.isnan(value)):
+            raise ValueError(f"line {number}: {column}: found {value:g}, allowed from 0 to 1")

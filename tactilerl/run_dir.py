@@ -13,7 +13,7 @@ import os
 import platform
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +22,14 @@ import filelock
 from . import provenance
 from .config import LAYOUT_COPY, RunConfig, from_dict
 from .errors import InputError
+from .files import damage_named, no_link, pasted, read_json, remove_leftovers, replacing, writable
 from .progress import Progress
-from .sealed import replacing
 from .typed import require_type
 
 FORMAT = 3  # of all files in a run folder; 1 and 2 are those of 0.1
-MAX_CONFIG = 1_000_000  # bytes
+Values = dict[str, Any]
+PARTS: dict[str, Any] = {"run": Values, "scene": Values | None, "learner": Values, "ranks": int}
+PARTS |= {"provenance": list[provenance.Record]}
 
 
 class RunDir:
@@ -50,7 +52,7 @@ class RunDir:
         except FileExistsError:
             raise InputError(
                 f"run folder {str(self.path)!r} exists; choose another with --out, "
-                f"or continue it: --resume {self.path}"
+                f"or continue it: --resume {pasted(self.path)}"
             ) from None
         except OSError as error:
             raise InputError(
@@ -65,8 +67,13 @@ class RunDir:
         """
         path = self.path / ".lock"
         try:
-            with filelock.FileLock(path, blocking=False):
-                path.write_text(f"process {os.getpid()} on {platform.node()}", encoding="utf-8")
+            with ExitStack() as held:
+                with writable(path):
+                    held.enter_context(filelock.FileLock(path, blocking=False))
+                    with open(path, "w", encoding="utf-8", opener=no_link) as file:
+                        file.write(f"process {os.getpid()} on {platform.node()}")
+                for folder in (self.path, self.experience_folder):
+                    remove_leftovers(folder)
                 yield
         except filelock.Timeout:
             holder = path.read_text(encoding="utf-8", errors="replace")[:200] or "another process"
@@ -82,7 +89,7 @@ class RunDir:
         A run that goes on after `epoch` with other versions keeps the record of those before;
         returns in words what changed.
         """
-        records = self._content()["provenance"] if self.config_file.exists() else []
+        records = self.record()["provenance"] if self.config_file.exists() else []
         now = provenance.record(epoch, env_steps)
         changed = provenance.difference(records[-1], now) if records else ""
         if changed or not records:
@@ -98,7 +105,7 @@ class RunDir:
         A module that its environment's id names is imported only when the caller named the same
         (`env`) or trusts the folder: the folder may be somebody else's.
         """
-        data = self._content()
+        data = self.record()
         try:
             config = from_dict({name: data[name] for name in ("run", "scene", "learner")})
         except InputError as error:
@@ -108,34 +115,34 @@ class RunDir:
         is_trusted = trust or env == config.run.env
         return dataclasses.replace(config, folder=self.path, is_trusted=is_trusted), data["ranks"]
 
-    def _content(self) -> dict[str, Any]:
-        """What config.json holds, of this format."""
-        try:
-            with self.config_file.open("rb") as file:
-                data = json.loads(file.read(MAX_CONFIG))
-            if not isinstance(data, dict) or data.get("format") != FORMAT:
-                raise ValueError(
-                    f"not of format {FORMAT}; continue runs of version 0.1 with that version"
-                )
-            for name in ("run", "scene", "learner"):
-                if name not in data:
-                    raise ValueError(f"no {name!r} in it")
-            require_type(data.get("ranks"), int, "ranks")
-            if data["ranks"] < 1:
-                raise ValueError(f"ranks: found {data['ranks']}, allowed 1 or more")
-            require_type(data.get("provenance"), list[provenance.Record], "provenance")
-        except FileNotFoundError:
-            raise InputError(f"{str(self.path)!r} is not a run folder: no config.json in it") from None
-        except NotADirectoryError:
-            raise InputError(
-                f"{str(self.path)!r} is a file, allowed the folder of a run; a saved policy is for "
-                "Python (tactilerl.load_policy)"
-            ) from None
-        except RecursionError:
-            raise InputError(
-                f"{self.config_file}: not a run's configuration: nested too deeply"
-            ) from None
-        except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", error)
-            raise InputError(f"{self.config_file}: not a run's configuration: {reason}") from error
+    def record(self) -> dict[str, Any]:
+        """What config.json holds, with values of this version or another; InputError when damaged."""
+        with damage_named(self.config_file, "a run's configuration"):
+            try:
+                data = read_json(self.config_file)
+            except FileNotFoundError:
+                raise InputError(
+                    f"{str(self.path)!r} is not a run folder: no config.json in it"
+                ) from None
+            except NotADirectoryError:
+                raise InputError(
+                    f"{str(self.path)!r} is a file, allowed the folder of a run; a saved policy is for "
+                    "Python (tactilerl.load_policy)"
+                ) from None
+            require_record(data)
         return data
+
+
+def require_record(data: Any) -> None:
+    """ValueError unless these are the values of a config.json, of this version or another."""
+    require_type(data, dict[str, Any], "record")
+    if data.get("format") != FORMAT:
+        raise ValueError(f"not of format {FORMAT}; continue runs of version 0.1 with that version")
+    for name, kind in PARTS.items():
+        if name not in data:
+            raise ValueError(f"no {name!r} in it")
+        require_type(data[name], kind, name)
+    if data["ranks"] < 1:
+        raise ValueError(f"ranks: found {data['ranks']}, allowed 1 or more")
+    for name in ("algo", "env"):
+        require_type(data["run"].get(name), str, name)

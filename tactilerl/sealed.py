@@ -1,4 +1,4 @@
-"""A file of tensors with its checksum: written whole or not at all, read without running its code.
+"""A file of tensors with its checksum, read without running its code.
 
 The checksum stands behind what `torch.save` wrote, so `torch.load(path, weights_only=True)` reads
 the file as well, only without looking at it.
@@ -10,14 +10,13 @@ import hashlib
 import os
 import pickletools
 import zipfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import torch
 
 from .errors import InputError
+from .files import open_regular, replacing
 
 MARK = b"\ntactilerl sha256 "
 SEAL_SIZE = len(MARK) + 2 * hashlib.sha256().digest_size
@@ -54,20 +53,8 @@ def read(path: Path, what: str = "checkpoint") -> Any:
         raise InputError(f"{path}: damaged or not a {what} ({reason})") from error
 
 
-@contextmanager
-def damage_named(path: Path) -> Iterator[None]:
-    """What a file's content breaks is an InputError that names the file."""
-    try:
-        yield
-    except InputError:
-        raise
-    except (LookupError, AttributeError, RuntimeError, ValueError, TypeError, OverflowError) as error:
-        reason = " ".join(str(error).split())[:200]
-        raise InputError(f"{path}: damaged ({reason})") from error
-
-
 def _require_seal(path: Path) -> None:
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         size = os.fstat(file.fileno()).st_size - SEAL_SIZE
         file.seek(max(0, size))
         seal = file.read()
@@ -102,28 +89,3 @@ def _require_plain(path: Path) -> None:
         for opcode, name, _ in pickletools.genops(archive.read(pickled)):
             if "GLOBAL" in opcode.name and name not in KNOWN:
                 raise ValueError(f"it holds {name}, which is neither a tensor nor a plain value")
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[BinaryIO]:
-    """A file to write to that takes the place of `path` when it is whole, or not at all."""
-    temporary = path.with_name(path.name + ".tmp")
-    try:
-        with temporary.open("w+b") as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-        sync_folder(path.parent)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def sync_folder(folder: Path) -> None:
-    """Have the names of the files in a folder survive a power cut, where the system can."""
-    if os.name == "posix":
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)

@@ -22,6 +22,7 @@ from .checkpoint import Checkpoint
 from .config import RunConfig, RunOptions
 from .envs import vector
 from .errors import InputError, input_errors
+from .files import pasted
 from .report import Report, require_tensorboard
 from .run_dir import RunDir
 from .terminal import paragraph
@@ -140,7 +141,9 @@ def _writing(run_dir: RunDir, config: RunConfig, comm: Communicator, is_new: boo
         try:
             yield
         except (FloatingPointError, OSError, KeyboardInterrupt) as error:
-            error.add_note(f"the last checkpoint is kept: --resume {run_dir.path}{config.again}")
+            error.add_note(
+                f"the last checkpoint is kept: --resume {pasted(run_dir.path)}{config.again}"
+            )
             raise
 
 

@@ -1,10 +1,13 @@
 """Damaged and hostile files: each is refused with one line, before any of it is used."""
 
+import gzip
 import hashlib
+import io
 import json
 import os
 import pickle
 import random
+import shlex
 import shutil
 import signal
 import subprocess
@@ -14,10 +17,11 @@ import zipfile
 from pathlib import Path
 
 import filelock
+import numpy as np
 import pytest
 import torch
 
-from tactilerl import interrupts, provenance, sealed
+from tactilerl import files, interrupts, provenance, sealed
 from tactilerl.algos import memory
 from tactilerl.cli import main
 from tactilerl.errors import InputError
@@ -81,6 +85,12 @@ def seal(path):
     path.write_bytes(content + sealed.MARK + hashlib.sha256(content).hexdigest().encode())
 
 
+def make_special(path, kind):
+    """A file that has no end, or whose other end nobody writes to."""
+    path.unlink()
+    os.mkfifo(path) if kind == "pipe" else path.symlink_to("/dev/zero")
+
+
 def put(*keys, value):
     """Replace a part of the first rank's state."""
 
@@ -113,6 +123,8 @@ class TestCheckpoint:
             (lambda content: content.update(config="[" * 100_000), "damaged"),
             (lambda content: content.update(config="{}"), "from another configuration"),
             (lambda content: content.update(format=2), "not a checkpoint of format"),
+            (lambda content: content.update(format=torch.zeros(2)), "not a checkpoint of format"),
+            (lambda content: content.update(format=True), "not a checkpoint of format"),
         ],
     )
     def test_another_kind_of_content_is_refused(self, ppo, capsys, change, words):
@@ -154,11 +166,43 @@ class TestCheckpoint:
             ("action", torch.zeros(52, 5)),
             ("obs", torch.zeros(52, 2).double()),
             ("terminal", torch.zeros(51, 1, dtype=torch.uint8)),
+            ("obs", torch.full((52, 2), torch.inf)),
+            ("achieved", torch.full((52, 2), torch.nan)),
         ],
     )
     def test_another_kind_of_experience_is_refused(self, her, capsys, name, value):
         edit(PART, lambda content: content["experience"].update({name: value}))
         fails_with(capsys, RESUME, PART.name, "experience")
+
+    @pytest.mark.parametrize(
+        ("name", "value"), [("epoch", 2), ("rank", 1), ("config", "{}"), ("epoch", torch.zeros(2))]
+    )
+    def test_experience_of_something_else_is_refused(self, her, capsys, name, value):
+        edit(PART, lambda content: content.update({name: value}))
+        fails_with(capsys, [*RESUME, "--total-timesteps", "200"], PART.name, "damaged")
+
+    def test_experience_of_another_epoch_is_refused_and_that_without_a_word_is_not(self, her, capsys):
+        more = [*RESUME, "--total-timesteps", "200"]
+        assert main(more) == 0
+        whole = PART.read_bytes()
+        shutil.copy(PART.with_name("00000003-0000.pt"), PART)
+        fails_with(capsys, more, PART.name, "of another epoch")
+        PART.write_bytes(whole)
+        edit(PART, lambda content: [content.pop(name) for name in ("config", "epoch", "rank")])
+        assert main(more) == 0
+
+    def test_a_policy_is_no_larger_than_its_file(self, ppo, capsys):
+        _, hidden = "run", {"hidden": [100_000]}
+        content = json.loads(CONFIG.read_text())
+        content["learner"] |= hidden
+        CONFIG.write_text(json.dumps(content))
+        edit(
+            CHECKPOINT,
+            lambda saved: saved.update(
+                config=json.dumps(RunDir(Path("run")).read_config()[0].identity())
+            ),
+        )
+        fails_with(capsys, ["evaluate", "run"], "hidden: found (100000,), more than the file holds")
 
     def test_step_sizes_come_from_the_configuration(self, ppo):
         state = torch.load(CHECKPOINT, weights_only=True)["ranks"][0]
@@ -279,6 +323,96 @@ class TestProgress:
         table.cut(0)
         table.append({"epoch": 1, "env_steps": 60})
         assert table.path.read_text(encoding="utf-8") == "epoch,env_steps\n1,60\n"
+
+
+class TestWriting:
+    @pytest.mark.parametrize("name", ["checkpoint.pt.tmp", "config.json.tmp", ".lock", "progress.csv"])
+    def test_no_link_is_followed(self, ppo, name):
+        """Into the folder of another run, say, whose table would fit."""
+        victim = Path("victim")
+        victim.write_bytes(TABLE.read_bytes())
+        Path("run", name).unlink(missing_ok=True)
+        Path("run", name).symlink_to("../victim")
+        before = victim.read_bytes()
+        main([*RESUME, "--total-timesteps", "240"])
+        assert victim.read_bytes() == before
+
+    def test_a_temporary_name_is_not_known_before_and_what_was_left_goes(self, ppo, tmp_path):
+        names = []
+        for _ in range(2):
+            with files.replacing(tmp_path / "x"):
+                names += [path.name for path in tmp_path.glob(".*.tmp")]
+        assert len(set(names)) == 2
+        left, own = Path("run", names[0]), Path("run/.mine.tmp")
+        left.touch()
+        own.touch()
+        assert main([*RESUME, "--total-timesteps", "240"]) == 0
+        assert not left.exists()
+        assert own.exists()
+
+    def test_the_umask_decides_who_may_read(self, tmp_path):
+        before = os.umask(0o027)
+        try:
+            with files.replacing(tmp_path / "x"):
+                pass
+        finally:
+            os.umask(before)
+        assert (tmp_path / "x").stat().st_mode & 0o777 == 0o640
+
+    def test_where_nothing_can_be_written(self, tmp_path):
+        Path("file").touch()
+        for path in ("file/x", "missing/x", "x" * 300, "."):
+            with pytest.raises(InputError, match="cannot write"), files.replacing(tmp_path / path):
+                pass
+        assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+    @pytest.mark.parametrize("name", ["my run", "-x"])
+    def test_hints_can_be_pasted(self, ppo, capsys, monkeypatch, name):
+        shutil.copytree("run", f"./{name}")
+        fails_with(capsys, [*PPO, f"--out={name}"], f"--resume {files.pasted(name)}")
+        hint = f"tactilerl train --resume {files.pasted(name)}"
+        assert main(shlex.split(hint)[1:]) == 0
+        assert f"tactilerl evaluate {files.pasted(name)}" in capsys.readouterr().out
+
+
+class TestReading:
+    @pytest.mark.parametrize("kind", ["pipe", "device"])
+    @pytest.mark.parametrize("path", [CHECKPOINT, CONFIG, TABLE, PART])
+    def test_what_is_no_file_is_not_waited_for(self, her, capsys, path, kind):
+        make_special(path, kind)
+        fails_with(capsys, RESUME, path.name)
+
+    def test_a_gzip_file_that_unpacks_to_much_more(self, tmp_path):
+        path = tmp_path / "x.gz"
+        path.write_bytes(gzip.compress(b"some text"))
+        assert files.unzip(path) == b"some text"
+        path.write_bytes(gzip.compress(bytes(60_000_000), 1))
+        with pytest.raises(ValueError, match="unpacks to more than"):
+            files.unzip(path)
+
+    def test_arrays_that_are_larger_than_their_file_says(self, tmp_path):
+        path = tmp_path / "x.npz"
+        np.savez_compressed(path, a=np.arange(6).reshape(2, 3), b=np.array("text"))
+        read = files.read_arrays(path)
+        assert (read["a"].tolist(), str(read["b"])) == ([[0, 1, 2], [3, 4, 5]], "text")
+        np.savez_compressed(path, a=np.zeros(10_000_000))
+        with pytest.raises(ValueError, match="unpacks to more than"):
+            files.read_arrays(path)
+        for shape in ((10**12,), (2**40, 2**40), (-5,), (1,)):
+            header = io.BytesIO()
+            about = {"descr": "<f8", "fortran_order": False, "shape": shape}
+            np.lib.format.write_array_header_1_0(header, about)
+            with zipfile.ZipFile(path, "w") as archive:
+                archive.writestr("a.npy", header.getvalue())
+            with pytest.raises(ValueError, match="not as large as it says"):
+                files.read_arrays(path)
+
+    @pytest.mark.parametrize(
+        "name", ["../x", "a/b", "", ".x", "x\n", 3, None, ["x"], "é" * 200, '"><img src=x>', "$x^$"]
+    )
+    def test_names_that_lead_elsewhere(self, name):
+        with pytest.raises(InputError, match="run: found"):
+            files.require_name(name, "run")
 
 
 class TestLock:

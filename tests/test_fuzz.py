@@ -1,6 +1,11 @@
-"""Thousands of mutated flags and files: each ends with one line, none with a traceback, and no
-flipped bit passes. `pytest -m slow -s tests/test_fuzz.py` prints how many were tried."""
+"""Thousands of mutated flags, files and arguments: each ends with one line, none with a traceback, no
+flipped bit passes, and nothing is written outside of the folder where it happens.
 
+`pytest -m slow -s tests/test_fuzz.py` tries all and prints how many that were; without `-m slow`
+a few of each are tried."""
+
+import contextlib
+import gzip
 import json
 import random
 import shutil
@@ -8,13 +13,20 @@ import string
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
+from study_records import make_study
+from test_probe import ASKED, synthetic
 
+import tactilerl
 from tactilerl import sealed
 from tactilerl.cli import main
+from tactilerl.envs import hands
+from tactilerl.probe import files as grasps
+from tactilerl.study import records, runner
 
-pytestmark = pytest.mark.slow
+FEW = 12  # times as many cases are tried with `-m slow`
 TRAIN = ["train", "--env", "lqr", "--hidden", "8", "--steps-per-epoch", "60", "--n-passes", "1"]
 TRAIN += ["--total-timesteps", "1"]
 FLAGS = ["algo", "env", "total-timesteps", "workers", "seed", "out", "device", "threads", "hidden"]
@@ -40,13 +52,73 @@ radius_mm = 1
 """
 
 
+STUDY = """
+name = "toy"
+[compare]
+polyak = [0.95, 0.9]
+[grid]
+polyak = [0.9, 0.95]
+seed = "0-{last}"
+[setups.reach]
+algo = "ddpg_her"
+env = "point-reach"
+measure = "test_success_rate"
+total_timesteps = 3000
+[setups.ppo]
+env = "lqr"
+hidden = [16, 16]
+compare = {n_passes = [4, 2]}
+grid = {n_passes = [2, 4], seed = 0}
+"""
+CHOICES = ["layout", "task", "simulator", "friction", "object", "object_size", "timestep", "touch"]
+CHOICES += ["hold_verdict", "jitter", "goal_range", "history", "taxel_dead", "control_dt", "more"]
+HYPER = ["hidden", "gamma", "clip_range", "n_passes", "steps_per_epoch", "truncation", "seed", "more"]
+
+
+@pytest.fixture(params=["a few", pytest.param("all", marks=pytest.mark.slow)])
+def cases(request):
+    """How many cases of so many are tried now."""
+    return lambda n: range(n if request.param == "all" else -(-n // FEW))
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    path = tmp_path_factory.mktemp("trained") / "run"
+    assert main([*TRAIN, "--total-timesteps", "180", "--out", str(path)]) == 0
+    return path
+
+
+@pytest.fixture(scope="module")
+def made_up(tmp_path_factory):
+    return make_study(tmp_path_factory.mktemp("made-up") / "study", STUDY, n_seeds=2, total=3000).path
+
+
 @pytest.fixture
-def run(tmp_path, monkeypatch):
+def here(tmp_path, monkeypatch):
+    """A working directory with something beside it that stays as it is."""
+    (tmp_path / "a/b").mkdir(parents=True)
+    (tmp_path / "victim").write_text("mine")
+    monkeypatch.chdir(tmp_path / "a/b")
+    yield tmp_path / "a/b"
+    outside = {
+        p.relative_to(tmp_path).as_posix() for p in [*tmp_path.iterdir(), *(tmp_path / "a").iterdir()]
+    }
+    assert outside == {"a", "a/b", "victim"}
+    assert (tmp_path / "victim").read_text() == "mine"
+
+
+@pytest.fixture
+def run(here, trained):
     """The folder of a run of three epochs."""
-    monkeypatch.chdir(tmp_path)
-    assert main([*TRAIN, "--total-timesteps", "180", "--out", "run"]) == 0
-    shutil.copytree("run", "kept")
+    shutil.copytree(trained, "run")
     return Path("run")
+
+
+@pytest.fixture
+def study(here, made_up):
+    """The folder of a study that is done."""
+    shutil.copytree(made_up, "study")
+    return Path("study")
 
 
 @pytest.fixture
@@ -71,9 +143,9 @@ def tried(capsys):
         print(f"\n{counts.total()} tried: {counts[0]} ran, {counts[1] + counts[2]} ended with one line")
 
 
-def test_flags(run, tried):
+def test_flags(run, tried, cases):
     rng = random.Random(0)
-    for i in range(300):
+    for i in cases(300):
         args = [*TRAIN, "--out", f"runs/{i}"]
         for _ in range(rng.choice((1, 1, 2))):
             flag, word = f"--{rng.choice(FLAGS)}", rng.choice(WORDS)
@@ -81,18 +153,18 @@ def test_flags(run, tried):
         tried(args, "flags")
 
 
-def test_layouts(run, tried):
+def test_layouts(run, tried, cases):
     rng = random.Random(1)
     Path("mine.toml").write_text(LAYOUT, encoding="utf-8")
     assert tried(["env", "--layout", "mine.toml"], LAYOUT) == 0
-    for _ in range(150):
+    for _ in cases(150):
         Path("mine.toml").write_text(mutated(LAYOUT, rng), encoding="utf-8")
         tried(["env", "--layout", "mine.toml"], Path("mine.toml").read_text(encoding="utf-8"))
 
 
-def test_configurations(run, tried):
+def test_configurations(run, tried, cases):
     rng, good = random.Random(2), (run / "config.json").read_text()
-    for i in range(250):
+    for i in cases(250):
         if i % 2:
             text = mutated(good, rng)
         else:
@@ -103,9 +175,9 @@ def test_configurations(run, tried):
         tried(["evaluate", "run", "--episodes", "1"], text)
 
 
-def test_progress(run, tried):
+def test_progress(run, tried, cases):
     rng, good = random.Random(3), (run / "progress.csv").read_text()
-    for i in range(150):
+    for i in cases(150):
         bad = mutated(good, rng).encode()
         bad = bad if i % 3 else bad[: rng.randrange(len(bad) + 1)]
         (run / "progress.csv").write_bytes(bad)
@@ -114,10 +186,10 @@ def test_progress(run, tried):
         assert bad == after if code else bad.startswith(after)
 
 
-def test_flipped_bits(run, tried):
+def test_flipped_bits(run, tried, cases):
     rng, path = random.Random(4), run / "checkpoint.pt"
     good = path.read_bytes()
-    for i in range(500):
+    for i in cases(500):
         bad, at = bytearray(good), rng.randrange(8 * len(good))
         bad[at // 8] ^= 1 << at % 8
         path.write_bytes(bad)
@@ -127,19 +199,158 @@ def test_flipped_bits(run, tried):
     assert tried(["evaluate", "run", "--episodes", "1"], "the good one") == 0
 
 
-def test_checkpoints(run, tried):
+def test_checkpoints(run, tried, cases):
     """With a checksum that fits: what is not of the learner's kind is found all the same."""
     rng, path = random.Random(5), run / "checkpoint.pt"
     good = path.read_bytes()
     values = [*VALUES, torch.zeros(3), torch.zeros(0), torch.zeros(2, 2, dtype=torch.int64)]
     sealed.write(path, torch.load(path, weights_only=True))
     assert tried(["evaluate", "run", "--episodes", "1"], "the same, sealed again") == 0
-    for _ in range(150):
+    for _ in cases(150):
         path.write_bytes(good)
         content = torch.load(path, weights_only=True)
         replace_leaf(content, rng.choice(values), rng)
         sealed.write(path, content)
         tried(["evaluate", "run", "--episodes", "1"], "checkpoint")
+
+
+def test_studies(here, tried, cases, monkeypatch):
+    """Everything but the training itself, which takes minutes where a study is still one."""
+    monkeypatch.setattr(runner, "run_all", lambda jobs, pool, watch: {})
+    rng, good = random.Random(6), STUDY.replace("{last}", "1")
+    for i in cases(400):
+        Path("study.toml").write_text(mutated(good, rng) if i else good, encoding="utf-8")
+        code = tried(["study", "run", "study.toml", "--out", f"out/{i}"], f"study {i}")
+        assert i or code == 0
+
+
+def test_study_folders(study, tried, cases):
+    rng, good = random.Random(7), study.with_name("good")
+    shutil.copytree(study, good)
+    named = ("study.json", "*.json", "config.json", "progress.csv")
+    for i in cases(300):
+        shutil.rmtree(study)
+        shutil.copytree(good, study)
+        path = rng.choice([*study.rglob(rng.choice(named))])
+        text = path.read_text()
+        if path.suffix == ".json" and i % 2:
+            data = json.loads(text)
+            replace_leaf(data, rng.choice(VALUES), rng)
+            path.write_text(json.dumps(data), encoding="utf-8")
+        else:
+            path.write_text(mutated(text, rng), encoding="utf-8")
+        what = f"{path}: {path.read_text()[:1000]}"
+        tried(["study", "status", "study", "--json"], what)
+        if tried(["study", "collect", "study", "--out", "collected.csv.gz"], what) == 0:
+            require_sound(records.load(study)[1])
+            assert tried(["study", "collect", "collected.csv.gz", "--out", "again.csv.gz"], what) == 0
+        if i % 30 == 0:
+            tried(["study", "report", "study", "--resamples", "100"], what)
+
+
+def test_collected_studies(study, tried, cases):
+    rng, path = random.Random(8), Path("c.csv.gz")
+    good = records.collect(study, path).read_bytes()
+    whole, text = records.load(path), gzip.decompress(good).decode()
+    for i in cases(300):
+        bad, at = bytearray(good), rng.randrange(8 * len(good))
+        bad[at // 8] ^= 1 << at % 8
+        path.write_bytes(bad if i % 2 else gzip.compress(mutated(text, rng).encode()))
+        code = tried(["study", "collect", str(path), "--out", "x.csv.gz"], f"collected {i}")
+        if i % 2:
+            assert code == 2 or records.load(path) == whole, f"bit {at}"
+        elif code == 0:
+            require_sound(records.load(path)[1])
+        if i % 30 == 0:
+            tried(["study", "report", str(path), "--resamples", "100"], f"collected {i}")
+
+
+def require_sound(found):
+    """Of what is said to be done, every number is one that occurs."""
+    for record in found:
+        if record.state == "done":
+            steps, rates = record.column("env_steps"), record.column(record_measure(record))
+            assert np.isfinite(steps).all()
+            assert (np.diff(steps) >= 0).all()
+            assert not ((rates < 0) | (rates > 1)).any()
+
+
+def record_measure(record):
+    return "test_success_rate" if record.run.setup == "reach" else "success_rate"
+
+
+def test_grasps(here, tried, cases):
+    rng, path = random.Random(9), Path("grasps.npz")
+    touches = np.arange(40) % 2 == 0
+    whole = synthetic(hands.get("shadow"), touches)
+    whole["held"] = touches ^ (np.arange(40) // 2 % 10 == 0)
+    settings = {"env": "shadow", "simulator": "mujoco", "touch": "skin", "seed": 0}
+    ask = ["probe", "--from", str(path), *ASKED, "--layout", "5"]
+    grasps.write(path, grasps.Played(whole, settings, ()))
+    good = path.read_bytes()
+    for i in cases(240):
+        if i % 4:
+            bad, at = bytearray(good), rng.randrange(8 * len(good))
+            bad[at // 8] ^= 1 << at % 8
+            path.write_bytes(bad)
+            with contextlib.suppress(ValueError):
+                assert same(grasps.read(path), whole, settings), f"bit {at}"
+                continue  # asking them again takes seconds
+        else:
+            arrays, about = dict(whole), dict(settings)
+            name = rng.choice([*arrays])
+            arrays[name] = strange(arrays[name], rng)
+            about[rng.choice([*about])] = rng.choice(VALUES)
+            chosen = rng.choice([(arrays, settings), (whole, about)])
+            grasps.write(path, grasps.Played(*chosen, ()))
+        tried(ask, f"grasps {i}")
+
+
+def same(played, arrays, settings):
+    is_same = [np.array_equal(played.records[name], values) for name, values in arrays.items()]
+    return all(is_same) and played.settings == settings
+
+
+def strange(values, rng):
+    """Another array than the one that belongs there."""
+    return rng.choice(
+        [
+            values[:-1], values[:, None], values[..., None], values.astype(float) * np.nan,
+            values.astype(str), values.astype(complex), np.zeros(0), np.full_like(values, 10**5),
+            np.array(3), values.astype(float) - 1,
+        ]
+    )  # fmt: skip
+
+
+def test_arguments(run, cases):
+    """The Python API: a ValueError or a TypeError of one line, or an environment or a learner."""
+    rng, ended = random.Random(10), Counter()
+    policy = Path("run/checkpoint.pt").read_bytes()
+    values = [*VALUES, (), (0.5, 1), "0.5..1", "box", np.float32(1), object()]
+    lqr = tactilerl.make("lqr")
+    for i in cases(400):
+        if i % 4 == 0:
+            bad = bytearray(policy)
+            bad[rng.randrange(len(bad))] ^= 1 << rng.randrange(8)
+            Path("run/checkpoint.pt").write_bytes(bad)
+            call, args = tactilerl.load_policy, {"path": rng.choice(["run", "run/checkpoint.pt", ""])}
+        elif i % 4 == 1:
+            call, args = tactilerl.PPO, {"env": lqr, rng.choice(HYPER): rng.choice(values)}
+        else:
+            name = rng.choice(["shadow", "mpl", "allegro", "lqr", rng.choice(WORDS)])
+            call, args = tactilerl.make, {"name": name, rng.choice(CHOICES): rng.choice(values)}
+        made, said = None, ""
+        try:
+            made = call(**args)
+        except (ValueError, TypeError) as error:
+            said = str(error)
+        assert "\n" not in said, (args, said)
+        assert bool(said) != bool(made), args
+        ended["made" if made else "refused"] += 1
+        if made:
+            assert i % 4, args
+            made.close()
+    print(f"\n{ended.total()} tried: {dict(ended)}")
 
 
 def replace_leaf(data, value, rng):

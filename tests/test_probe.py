@@ -475,9 +475,9 @@ class TestBadInput:
     def test_damaged_grasps(self, one_taxel, capsys):
         whole = one_taxel.read_bytes()
         one_taxel.write_bytes(whole[: len(whole) // 2])
-        assert "no whole file of grasps" in error(capsys, "--from", str(one_taxel))
+        assert "not a whole file of grasps" in error(capsys, "--from", str(one_taxel))
         one_taxel.write_bytes(b"no zip")
-        assert "no whole file of grasps" in error(capsys, "--from", str(one_taxel))
+        assert "not a whole file of grasps" in error(capsys, "--from", str(one_taxel))
         assert one_taxel.read_bytes() == b"no zip"
         records = synthetic(hands.get("shadow"), [0, 1])
         del records["link_positions"]

@@ -1,5 +1,6 @@
 """Study files: what they stand for, and one line for everything that is wrong with them."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -28,6 +29,7 @@ hidden = [16, 16]
 compare = {n_passes = [4, 2]}
 grid = {n_passes = [2, 4], seed = 3}
 """
+TOO_MANY = "\n".join(f"flag{i} = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9]" for i in range(12))
 
 
 def write(tmp_path, text):
@@ -69,6 +71,45 @@ class TestGrid:
         ppo = check.configure(read(tmp_path, text).runs())["ppo_n_passes-4_s3"].learner
         assert (ppo.exploration, ppo.hidden, ppo.n_passes) == ("learned", (16, 16), 4)
 
+    @pytest.mark.parametrize(
+        "change",
+        [
+            lambda data: data.update(name="../x"),
+            lambda data: data.update(name=None),
+            lambda data: data.update(setups=[]),
+            lambda data: data.update(setups={}),
+            lambda data: data["setups"].append(data["setups"][0]),
+            lambda data: data["setups"][0].update(name="../../../pwn"),
+            lambda data: data["setups"][0].update(name='"><img src=x onerror=alert(1)>'),
+            lambda data: data["setups"][0].update(measure="mean_return"),
+            lambda data: data["setups"][0].update(measure=["success_rate"]),
+            lambda data: data["setups"][0].update(seeds="0-9"),
+            lambda data: data["setups"][0].update(seeds=[True]),
+            lambda data: data["setups"][0].update(seeds=[-1]),
+            lambda data: data["setups"][0].update(seeds=[1, 1]),
+            lambda data: data["setups"][0].update(seeds=list(range(20_000))),
+            lambda data: data["setups"][0].update(grid={"layout": 3}),
+            lambda data: data["setups"][0].update(grid={"layout": []}),
+            lambda data: data["setups"][0].update(grid={"layout": [{}]}),
+            lambda data: data["setups"][0].update(grid={"--help": [True]}),
+            lambda data: data["setups"][0].update(flags=[]),
+            lambda data: data["setups"][0].update(flags={"out": "/"}),
+            lambda data: data["setups"][0].update(compare=3),
+            lambda data: data["setups"][0]["compare"].update(treatment="other"),
+            lambda data: data["setups"][0]["compare"].update(flag=None),
+            lambda data: data["setups"][0].update(more=1),
+            lambda data: data["setups"][0].pop("seeds"),
+        ],
+    )
+    def test_a_study_of_somebody_else_is_checked_as_a_study_file_is(self, tmp_path, capsys, change):
+        data = json.loads(json.dumps(read(tmp_path, GOOD).as_dict()))
+        change(data)
+        (tmp_path / "study.json").write_text(json.dumps(data))
+        assert main(["study", "status", str(tmp_path)]) == 2
+        err = capsys.readouterr().err
+        assert err.startswith(f"tactilerl: error: {tmp_path}/study.json: ")
+        assert err.count("\n") == 1
+
     def test_dictionary_and_back(self, tmp_path):
         study = read(tmp_path, GOOD)
         assert grid.from_dict(study.as_dict()) == study
@@ -108,6 +149,19 @@ class TestBadFiles:
             ('algo = "ddpg_her"', "polyak = 0.5", ["setups.reach.polyak", "allowed in one"]),
             ('"test_success_rate"', '"mean_return"', ["measure", "mean_return", "success_rate"]),
             ("[setups.reach]", "[setups.'a b']", ["setups.a b", "word"]),
+            ("[setups.reach]", "[setups.'../../pwn']", ["setups.../../pwn", "word"]),
+            ("[setups.reach]", f"[setups.{'x' * 300}]", ["300 bytes", "240"]),
+            ("batch-size = [16, 32]", "device = ['" + "x" * 300 + "']", ["run", "bytes", "240"]),
+            ('"0-1, 7"', '"0-100000"', ["grid.seed", "10,000"]),
+            ('"0-1, 7"', "'" + ", ".join(f"{i}000-{i}999" for i in range(1, 12)) + "'", ["10,000"]),
+            ("batch-size = [16, 32]", TOO_MANY, ["runs", "allowed", "10,000"]),
+            ('algo = "ddpg_her"', "help = true", ["setups.reach.help", "leave it out"]),
+            ('algo = "ddpg_her"', '"--help" = true', ["setups.reach", "--help"]),
+            ('algo = "ddpg_her"', 'device = "--help"', ["setups.reach.device", "--help", "no flag"]),
+            ("batch-size = [16, 32]", 'device = ["cpu", "-h"]', ["grid.device", "-h", "no flag"]),
+            ("batch-size = [16, 32]", "batch-size = [{a = 1}]", ["grid.batch-size", "dict"]),
+            ("batch-size = [16, 32]", "batch-size = " + "[" * 5000, ["not a study file"]),
+            ("batch-size = [16, 32]", "clip-range = [1e308]", ["clip-range"]),
         ],
     )  # fmt: skip
     def test_one_line_and_nothing_begun(self, tmp_path, capsys, old, new, words):
@@ -121,6 +175,16 @@ class TestBadFiles:
         assert not (tmp_path / "out").exists()
         for word in words:
             assert word in err
+
+    @pytest.mark.parametrize("where", ["file/out", "/dev/null/out"])
+    def test_a_folder_that_cannot_be_made(self, tmp_path, capsys, monkeypatch, where):
+        monkeypatch.chdir(tmp_path)
+        Path("file").touch()
+        text = 'name = "x"\n[setups.x]\nenv = "lqr"\nhidden = [8]\n'
+        assert main(["study", "run", str(write(tmp_path, text)), "--out", where]) == 2
+        err = capsys.readouterr().err
+        assert "cannot write" in err
+        assert err.count("\n") == 1
 
     def test_no_file_no_setups_colliding_names(self, tmp_path):
         with pytest.raises(InputError, match="no such study file"):

@@ -1,5 +1,6 @@
 """Reports of studies: right numbers, the same bytes for the same records, seen in a browser."""
 
+import gzip
 import html
 import json
 import os
@@ -16,7 +17,7 @@ from tactilerl import study as package
 from tactilerl import terminal
 from tactilerl.cli import main
 from tactilerl.study import analysis, figures, published, records, report, statistics, tables
-from tactilerl.study.folder import Outcome
+from tactilerl.study.folder import Outcome, StudyFolder
 
 RESAMPLES = 500
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -172,6 +173,37 @@ class TestFiles:
         ids = re.findall(r'\bid="([^"]+)"', text)
         assert len(ids) == len(set(ids))
 
+    def test_names_are_text_wherever_they_stand(self, tmp_path):
+        name = '"><img src=x onerror=alert(1)>'
+        drawn = figures.Picture(name, name, [(f"{name} $x^$", lambda axes: None)], (2, 2)).inline()[0]
+        assert "<img" not in drawn
+        assert "$x^$" in drawn
+
+    def test_a_collected_study_with_a_name_that_leads_elsewhere(self, folder, tmp_path, capsys):
+        path = records.collect(folder.path, tmp_path / "c.csv.gz")
+        text = gzip.decompress(path.read_bytes()).decode()
+        for name in ("../../../pwn", '""""><img src=x onerror=alert(1)>'):
+            path.write_bytes(gzip.compress(text.replace("mujoco", name).encode()))
+            assert main(["study", "report", str(path), "--out", str(tmp_path / "x/y/z")]) == 2
+            assert capsys.readouterr().err.count("\n") == 1
+        assert [p.name for p in tmp_path.iterdir()] == ["c.csv.gz"]
+
+    def test_nobody_learns_from_a_collected_study_where_it_was_made(self, folder, tmp_path):
+        copy = tmp_path / "secret"
+        shutil.copytree(folder.path, copy)
+        runs = folder.study().runs()
+        for run in runs:
+            file = StudyFolder(copy).files(run).run_dir.config_file
+            data = json.loads(file.read_text())
+            data["run"]["out"] = str(file.parent)
+            file.write_text(json.dumps(data))
+        failed = StudyFolder(copy).files(runs[0])
+        failed.write_outcome(Outcome("failed", 1, f"{failed.base}/checkpoint.pt: damaged"))
+        path = records.collect(copy, tmp_path / "c.csv.gz")
+        assert "secret" not in gzip.decompress(path.read_bytes()).decode()
+        assert records.load(path) == records.load(copy)
+        assert f"{runs[0].name}/checkpoint.pt: damaged" == records.load(path)[1][0].reason
+
     def test_tables_escape_what_latex_reads(self):
         made = tables.Table("x", "x", ["a_b"], [["50 %"]]).formats()["tex"]
         assert r"a\_b" in made
@@ -191,7 +223,7 @@ class TestWarnings:
         folder.files(runs[4]).run_dir.config_file.write_text("{")
         assert main(["study", "report", str(folder.path), "--resamples", "100"]) == 0
         out = capsys.readouterr().out
-        assert "Of 24 runs 2 failed, 1 interrupted" in out
+        assert "Of 24 runs 1 damaged, 1 failed, 1 interrupted" in out
         assert "different versions" in out
         assert "diverged in 1 runs" in out
         rows = (folder.path / "report/tables/runs.csv").read_text().splitlines()
@@ -233,7 +265,36 @@ class TestWarnings:
         assert "no study.json" in err
         assert err.count("\n") == 1
 
-    @pytest.mark.parametrize("content", [b"", b"{", b'{"name": 1}', b"\xff\xfe"])
+    def test_rows_that_no_run_writes(self, tmp_path, capsys):
+        """In a folder the run is not done; in a collected file, nothing else is to be believed."""
+        folder = make_study(tmp_path / "s", n_seeds=1)
+        path = records.collect(folder.path)
+        text = gzip.decompress(path.read_bytes()).decode()
+        first = text.splitlines()[2]
+        files = folder.files(folder.study().runs()[0])
+        for row in ("1,inf", "1,-1", "1,1000,7", "1,1000,-1", "1,1000,0.5\n1,2000,0.5"):
+            files.run_dir.progress.path.write_text(f"epoch,env_steps,success_rate\n{row}\n")
+            assert files.state() == "damaged"
+            assert main(["study", "status", str(folder.path)]) == 0
+            whole = [f"{one}{',' * (5 - one.count(','))}" for one in row.split("\n")]
+            new = "\n".join(f"{first.rsplit(',', 6)[0]},{one}" for one in whole)
+            path.write_bytes(gzip.compress(text.replace(first, new).encode()))
+            assert main(["study", "report", str(path)]) == 2
+            assert "not a collected study (run pybullet_layout-1" in capsys.readouterr().err
+
+    def test_a_damaged_configuration_costs_a_run_and_no_more(self, tmp_path, capsys):
+        folder = make_study(tmp_path / "s", n_seeds=1)
+        files = folder.files(folder.study().runs()[0])
+        files.outcome_file.unlink()
+        text, old = files.run_dir.config_file.read_text(), '"total_timesteps": 30000'
+        assert old in text
+        for value in ('"abc"', "1e999", "[1]", "null", "[" * 100_000):
+            files.run_dir.config_file.write_text(text.replace(old, f'"total_timesteps": {value}'))
+            assert main(["study", "status", str(folder.path), "--json"]) == 0
+        assert main(["study", "report", str(folder.path), "--resamples", "100"]) == 0
+        assert "Of 12 runs 1 failed" in capsys.readouterr().out
+
+    @pytest.mark.parametrize("content", [b"", b"{", b'{"name": 1}', b"\xff\xfe", b"[" * 100_000])
     def test_damaged_study_or_collected_file(self, tmp_path, capsys, content):
         (tmp_path / "study.json").write_bytes(content)
         (tmp_path / "c.csv.gz").write_bytes(content)

@@ -1,5 +1,6 @@
 """Running studies: each run once and to its end, whatever is killed, on any executor."""
 
+import errno
 import json
 import os
 import shutil
@@ -8,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import filelock
 import numpy as np
@@ -132,6 +134,44 @@ class TestFailures:
         assert second.run_dir.progress.path.exists()
         assert folder.files(folder.study().runs()[0]).state() == "failed"
 
+    @pytest.mark.parametrize("harm", ["gone", "emptied", "outcome"])
+    def test_a_finished_run_that_is_no_longer_there_is_trained_again(
+        self, undisturbed, tmp_path, capsys, harm
+    ):
+        shutil.copytree(undisturbed, tmp_path / "out")
+        folder = StudyFolder(tmp_path / "out")
+        files = folder.files(folder.study().runs()[0])
+        if harm == "gone":
+            shutil.rmtree(files.base)
+        elif harm == "emptied":
+            files.run_dir.progress.path.write_text("")
+        else:
+            files.outcome_file.write_text('{"state": ["x"], "total_timesteps": 200, "reason": ""}')
+        state = {"gone": "damaged", "emptied": "damaged", "outcome": "interrupted"}[harm]
+        assert files.state() == state
+        assert main(["study", "report", str(folder.path), "--resamples", "100"]) == 0
+        assert f"Of 2 runs 1 {state}" in capsys.readouterr().out
+        assert main(["study", "run", str(write(tmp_path)), "--out", str(folder.path)]) == 0
+        out = capsys.readouterr().out
+        assert "2 runs, 1 to do" in out
+        assert ("trained again" in out) == (harm != "outcome")
+        assert files.state() == "done"
+        assert learned(folder.path) == learned(undisturbed)
+        aside = list(folder.path.glob("runs/*.damaged1"))
+        assert [path.joinpath("checkpoint.pt").exists() for path in aside] == [True] * (
+            harm == "emptied"
+        )
+
+    def test_a_full_disk_names_the_run(self, tmp_path, monkeypatch):
+        def full(*args, **options):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+        monkeypatch.setattr(subprocess, "Popen", full)
+        (tmp_path / "runs").mkdir()
+        with pytest.raises(OSError, match="No space left") as caught:
+            runner.run_job(runner.Job(tmp_path / "runs" / "mine", [], 1))
+        assert caught.value.__notes__ == ["run mine"]
+
     def test_a_killed_run_is_taken_up_once_more(self, undisturbed, tmp_path):
         shutil.copytree(undisturbed, tmp_path / "out")
         folder = StudyFolder(tmp_path / "out")
@@ -214,6 +254,40 @@ def test_stopping_by_sigterm_ends_the_runs_and_they_go_on(undisturbed, tmp_path)
     folder = StudyFolder(tmp_path / "out")
     assert not [run for run in folder.study().runs() if folder.files(run).is_running()]
     assert "failed" not in {folder.files(run).state() for run in folder.study().runs()}
+
+
+def descendants(pid):
+    """Processes below this one (Linux)."""
+    found = [
+        int(n)
+        for path in Path("/proc").glob(f"{pid}/task/*/children")
+        for n in path.read_text().split()
+    ]
+    return found + [below for child in found for below in descendants(child)]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs /proc, and PR_SET_PDEATHSIG for SIGKILL")
+@pytest.mark.parametrize(
+    "number", [signal.SIGTERM, pytest.param(signal.SIGKILL, marks=pytest.mark.slow)]
+)
+def test_ranks_of_a_run_end_with_the_study(tmp_path, one_launch, number):
+    text = TINY.replace("= 200", "= 100_000_000").replace(
+        "polyak = [0.9, 0.95]", "polyak = [0.95, 0.9]"
+    )
+    command = [*LAUNCH, str(write(tmp_path, text)), "--out", str(tmp_path / "out"), "--jobs", "1"]
+    process = subprocess.Popen([*command, "--ranks-per-run", "2"], stdout=subprocess.DEVNULL)
+    until = time.monotonic() + 300
+    while not list(tmp_path.glob("out/runs/*/progress.csv")):
+        assert time.monotonic() < until
+        assert process.poll() is None
+        time.sleep(0.1)
+    below = descendants(process.pid)
+    assert len(below) >= 4  # the worker, mpirun, two ranks
+    process.send_signal(number)
+    process.wait(60)
+    while any(Path(f"/proc/{pid}/cmdline").exists() for pid in below):
+        assert time.monotonic() < until
+        time.sleep(0.1)
 
 
 def test_a_report_of_a_real_study(undisturbed, tmp_path):

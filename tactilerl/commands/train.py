@@ -13,6 +13,7 @@ from .. import flags
 from ..algos import mpi, recipes
 from ..config import RunConfig
 from ..errors import InputError, input_errors
+from ..files import pasted
 from ..run_dir import RunDir
 from ..terminal import console, paragraph
 from ..training import train
@@ -46,7 +47,7 @@ def main(args: list[str]) -> int:
     if comm.rank == 0:
         console.print(
             f"\nThe run is in {path}: progress.csv (learning curve), checkpoint.pt, config.json.\n"
-            f"  tactilerl evaluate {path}{config.again}"
+            f"  tactilerl evaluate {pasted(path)}{config.again}"
         )
     return 0
 

@@ -24,6 +24,7 @@ from ..envs import objects
 from ..envs.hands import HANDS
 from ..envs.hold import Verdict
 from ..errors import InputError, input_errors
+from ..files import pasted
 from ..terminal import console
 from .faults import TaxelFaults
 from .grasps import Perturbation
@@ -270,7 +271,7 @@ def _print(result: dict[str, Any], out: Path) -> None:
                 f"{row['lead']:+.3f} ({low:+.3f} – {high:+.3f}) more"
             )
     for path in result.get("selection", {}).get("files", ()):
-        console.print(f"chosen: {out / path}    tactilerl train --layout {out / path}")
+        console.print(f"chosen: {out / path}    tactilerl train --layout {pasted(out / path)}")
     console.print(f"{out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
 
 

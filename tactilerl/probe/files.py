@@ -4,19 +4,23 @@ any moment."""
 from __future__ import annotations
 
 import json
-import zipfile
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from .. import typed
+from ..envs import hands
+from ..envs.hands import HANDS
+from ..envs.objects import KINDS
 from ..errors import InputError
+from ..files import damage_named, read_arrays, replacing
 from ..places import Place
-from ..sealed import replacing
-from .grasps import Record
+from .grasps import Record, shapes_of
 
 FORMAT = 1
+LARGEST = 1e6  # of any number in it, SI units
 SETTINGS = "settings"
 NEEDED = (
     *("held", "broken", "joint_positions", "link_positions", "link_rotations"),
@@ -57,31 +61,46 @@ def write(path: Path, played: Played) -> None:
 def read(path: Path) -> Played:
     """What `write` wrote; InputError when it is not that."""
     try:
-        with np.load(path, allow_pickle=False) as data:
-            arrays = {name: data[name] for name in data.files}
-        about = json.loads(str(arrays.pop(SETTINGS)))
-        if about.pop("format") != FORMAT:
-            raise ValueError("it has another format")
-        places = tuple(Place(**place) for place in about.pop("contact_places"))
-        _check(arrays)
+        with damage_named(path, "a whole file of grasps"):
+            arrays = read_arrays(path)
+            about = json.loads(str(arrays.pop(SETTINGS)))
+            if about.pop("format") != FORMAT:
+                raise ValueError("it has another format")
+            places = tuple(typed.make(Place, place, "place") for place in about.pop("contact_places"))
+            _check(arrays)
+            if about.get("env") in HANDS:
+                _check_scene(arrays, about, places)
     except FileNotFoundError:
         raise InputError(f"grasps file {str(path)!r} does not exist") from None
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: found no whole file of grasps ({reason})") from error
     return Played(arrays, about, places)
 
 
 def _check(arrays: Record) -> None:
-    """ValueError unless all is there, of one length, and finite."""
+    """ValueError unless all is there, of one length, and of numbers that occur."""
     for name in NEEDED:
         if name not in arrays:
             raise ValueError(f"{name} is missing")
     for name, values in arrays.items():
         if values.ndim == 0 or len(values) != len(arrays["held"]):
             raise ValueError(f"{name} differs in length from the others")
-        if not np.isfinite(values).all():
-            raise ValueError(f"{name} is not finite")
+        if values.dtype.kind not in "fiub" or not (np.abs(values.astype(float)) < LARGEST).all():
+            raise ValueError(f"{name} is not finite, or out of range")
+
+
+def _check_scene(arrays: Record, about: dict[str, Any], places: tuple[Place, ...]) -> None:
+    """ValueError unless everything is as one of our hands gives it."""
+    for setting, kind in (("simulator", str), ("touch", str), ("seed", int)):
+        typed.require_type(about.get(setting), kind, setting)
+    hand = hands.get(about["env"])
+    shapes = {**shapes_of(hand), "contact": (len(places),)}
+    for name, values in arrays.items():
+        if values.shape[1:] != shapes.get(name, ()):
+            raise ValueError(f"{name} has the shape {values.shape}")
+    kinds, sizes = arrays["object_kind"], arrays["object_half_size"]
+    if not (np.isin(kinds, range(len(KINDS))).all() and (sizes > 0).all()):
+        raise ValueError("it has objects that do not exist")
+    if any(not 0 <= place.surface < len(hand.surfaces) for place in places):
+        raise ValueError("it has taxels that are not on the hand")
 
 
 def difference(mine: dict[str, Any], others: dict[str, Any]) -> str | None:

@@ -211,22 +211,27 @@ def moment(env: GraspEnv) -> Record:
     }
 
 
-def broken(env: GraspEnv) -> Record:
-    """The record of a grasp in which the physics broke: it is counted, and asked nothing."""
-    hand, n_taxels = env.hand, len(env.taxels) if env.config.touch == "contact" else 0
+def shapes_of(hand: Hand) -> dict[str, tuple[int, ...]]:
+    """Of what a record holds of a hand and an object, by name."""
     n_joints, n_links = len(hand.joints), len(links_of(hand))
-    shapes = {
+    return {
         "joint_positions": (n_joints,),
         "joint_velocities": (n_joints,),
         "link_positions": (n_links, 3),
         "link_rotations": (n_links, 3, 3),
         "object_position": (3,),
         "object_orientation": (4,),
+        "object_half_size": (3,),
     }
+
+
+def broken(env: GraspEnv) -> Record:
+    """The record of a grasp in which the physics broke: it is counted, and asked nothing."""
+    n_taxels = len(env.taxels) if env.config.touch == "contact" else 0
     return {
         "held": np.array(False),
         "broken": np.array(True),
-        **{name: np.zeros(shape) for name, shape in shapes.items()},
+        **{name: np.zeros(shape) for name, shape in shapes_of(env.hand).items()},
         "object_kind": np.array(objects.KINDS.index(env.shape.kind)),
         "object_half_size": np.array(env.shape.half_size, dtype=float),
         "friction": np.array(float(env.config.friction)),

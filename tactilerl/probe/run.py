@@ -19,8 +19,8 @@ from ..envs.grasp import setup
 from ..envs.hands import Array, Hand
 from ..envs.layouts import Layout
 from ..errors import InputError, input_errors
+from ..files import replacing
 from ..places import Place
-from ..sealed import replacing
 from ..training import free_cores, start_workers
 from . import analysis, estimators, figures, files, selection
 from .analysis import Choices

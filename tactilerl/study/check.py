@@ -73,7 +73,7 @@ def find_damage(runs: list[Run], configs: dict[str, RunConfig], folder: StudyFol
     damaged = {}
     for run in runs:
         files = folder.files(run)
-        if not files.exists:
+        if not files.exists or files.damage():  # the latter makes room for another
             continue
         try:
             saved, _ = files.run_dir.read_config()

@@ -18,6 +18,7 @@ from rich.table import Table
 
 from .. import flags
 from ..errors import InputError
+from ..files import pasted
 from ..terminal import console
 from . import display, grid
 from .folder import StudyFolder
@@ -68,6 +69,8 @@ def _run(read: RunFlags, pool: Executor, parallel: int) -> int:
     study = grid.read(read.study)
     folder = StudyFolder(read.out or Path("studies") / study.name)
     runs = study.runs()
+    title = f"study {study.name}"
+    console.print(f"{title}: checking {len(runs)} runs")
     configs = check.configure(runs)
     damaged = check.find_damage(runs, configs, folder)
     check.start(runs, configs, folder)
@@ -75,6 +78,10 @@ def _run(read: RunFlags, pool: Executor, parallel: int) -> int:
     jobs = []
     for one in runs:
         files, total = folder.files(one), configs[one.name].run.total_timesteps
+        if found := files.damage():
+            console.print(f"{one.name}: {found}; recorded as done, it is trained again")
+            if place := files.set_aside():
+                console.print(f"  what is left of it: {pasted(place)}")
         if read.retry_failed and (before := files.outcome()) and before.state == "failed":
             files.outcome_file.unlink()
         if one.name in damaged:
@@ -84,14 +91,13 @@ def _run(read: RunFlags, pool: Executor, parallel: int) -> int:
         if outcome is None or (outcome.state == "done" and outcome.total_timesteps < total):
             jobs.append(runner.Job(files.base, check.arguments(one), total, read.ranks_per_run))
     overview = display.Overview(folder, runs)
-    title = f"study {study.name}"
     console.print(f"{title}: {len(runs)} runs, {len(jobs)} to do, in {folder.path}")
     with display.Watch(overview, getattr(pool, "num_workers", parallel), title) as watch:
         endings = runner.run_all(jobs, pool, watch)
     failures = _print_failures(folder, runs)
     if elsewhere := list(endings.values()).count("busy"):
         console.print(f"{elsewhere} runs are trained by another `study run`")
-    console.print(f"  tactilerl study report {folder.path}")
+    console.print(f"  tactilerl study report {pasted(folder.path)}")
     return 1 if failures else 0
 
 
@@ -127,7 +133,7 @@ def status(args: list[str]) -> int:
         print(json.dumps({"study": study.name, **counts, "eta_s": eta, "states": states}))
         return 0
     console.print(overview.table(f"study {study.name}, {len(overview.runs)} runs"))
-    is_over = not any(overview.counts()[state] for state in ("running", "interrupted", "left"))
+    is_over = overview.counts()["done"] + overview.counts()["failed"] == len(overview.runs)
     console.print("nothing left to do" if is_over else f"ETA {display.duration(eta)}")
     _print_failures(folder, overview.runs)
     return 0

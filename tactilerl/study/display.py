@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
+from ..errors import InputError
+from ..files import damage_named
 from .folder import STATES, RunFiles, State, StudyFolder
 from .grid import Run
 from .runner import Ending, Job
@@ -33,7 +33,7 @@ class Standing:
     def of(cls, files: RunFiles, state: State | None = None) -> Standing:
         """As its files say; `state` where one knows better."""
         state = state or files.state()
-        if state == "left":
+        if state in ("left", "damaged"):
             return cls(state, 0.0, 0.0)
         progress, total = files.progress(), _total_timesteps(files)
         fraction = 1.0 if state == "done" else min(1.0, progress.env_steps / total)
@@ -42,9 +42,9 @@ class Standing:
 
 def _total_timesteps(files: RunFiles) -> int:
     try:
-        data: Any = json.loads(files.run_dir.config_file.read_text(encoding="utf-8"))
-        return max(1, int(data["run"]["total_timesteps"]))
-    except (OSError, ValueError, KeyError, TypeError):
+        with damage_named(files.run_dir.config_file):
+            return max(1, int(files.run_dir.record()["run"]["total_timesteps"]))
+    except InputError:
         return 1 << 62  # damaged: as good as nothing of it is done
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import io
 import re
 from collections.abc import Callable, Sequence
@@ -14,6 +15,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ..files import replacing
 from .analysis import Analysis, SetupResult
 from .statistics import METRICS, Estimate
 
@@ -21,6 +23,7 @@ INK, FAINT = "#010203", "#b0b0b1"  # become colours of the page in report.html
 ARMS = ("#e0a800", "#2b6cb0", "#8a5a9e", "#4d8f5b")  # treatment and control as in the paper
 STYLE: dict[Any, Any] = {  # with it the same input gives the same bytes
     "svg.hashsalt": "tactilerl",
+    "text.parse_math": False,  # names may hold "$"
     "svg.fonttype": "none",
     "font.family": "sans-serif",
     "font.size": 9,
@@ -63,8 +66,9 @@ class Picture:
                 one.set_title(title, loc="left")
             for spare in axes[len(self.panels) :]:
                 spare.set_axis_off()
-            figure.savefig(folder / f"{self.name}.svg", metadata={"Date": None})
-            figure.savefig(folder / f"{self.name}.png", dpi=DPI, metadata={"Software": None})
+            for ending, unsaid in (("svg", "Date"), ("png", "Software")):
+                with replacing(folder / f"{self.name}.{ending}") as file:
+                    figure.savefig(file, format=ending, dpi=DPI, metadata={unsaid: None})
 
     def inline(self) -> list[str]:
         """Every panel as SVG for the page."""
@@ -85,7 +89,7 @@ class Picture:
 
 def _for_page(svg: str, prefix: str, label: str) -> str:
     """SVG that takes the page's colours, fits its width, and shares no id with another."""
-    svg = svg[svg.index("<svg") :]
+    svg, prefix = svg[svg.index("<svg") :], html.escape(prefix)
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r'\bid="', f'id="{prefix}-', svg)
     svg = re.sub(r'href="#', f'href="#{prefix}-', svg)
@@ -93,8 +97,7 @@ def _for_page(svg: str, prefix: str, label: str) -> str:
     svg = re.sub(
         r'(<svg[^>]*?) width="[^"]*"', r"\1", re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", svg)
     )
-    label = label.replace("&", "&amp;").replace('"', "&quot;").replace("<", "&lt;")
-    svg = svg.replace("<svg", f'<svg role="img" aria-label="{label}"', 1)
+    svg = svg.replace("<svg", f'<svg role="img" aria-label="{html.escape(label)}"', 1)
     for colour, variable in PAGE_COLOURS.items():
         svg = svg.replace(colour, variable)
     return svg

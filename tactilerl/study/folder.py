@@ -5,25 +5,31 @@ runs/NAME/                the run folder of `tactilerl train`
 runs/NAME.lock            held by the process that trains it
 runs/NAME.log             what it printed
 runs/NAME.json            how it ended: done, or failed and why
+runs/NAME.damaged1        what was left of a finished run that had to be trained again
 """
 
 from __future__ import annotations
 
 import csv
+import itertools
 import json
+import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import filelock
 
+from .. import typed
 from ..errors import InputError
+from ..files import content, damage_named, read_json, replacing, writable
+from ..progress import Row, whole
 from ..run_dir import RunDir
-from ..sealed import replacing
 from .grid import Run, Study, from_dict
 
-State = Literal["done", "failed", "running", "interrupted", "left"]
-STATES: tuple[State, ...] = ("done", "running", "failed", "interrupted", "left")
+State = Literal["done", "failed", "running", "interrupted", "damaged", "left"]
+PATIENCE = 2.0  # s; who only looks at a lock has it for an instant
+STATES: tuple[State, ...] = ("done", "running", "failed", "interrupted", "damaged", "left")
 
 
 @dataclass(frozen=True)
@@ -63,9 +69,41 @@ class RunFiles:
     def outcome(self) -> Outcome | None:
         """How the run ended; None while it has not, or where the record is damaged."""
         try:
-            return Outcome(**json.loads(self.outcome_file.read_text(encoding="utf-8")))
-        except (OSError, ValueError, TypeError):
+            with damage_named(self.outcome_file):
+                return typed.make(Outcome, read_json(self.outcome_file), "outcome")
+        except (FileNotFoundError, InputError):
             return None
+
+    def damage(self) -> str:
+        """Why a run that is recorded as done has to be trained again; "" where it has not."""
+        outcome = self.outcome()
+        if outcome is None or outcome.state != "done":
+            return ""
+        try:
+            self.run_dir.record()
+        except InputError as error:
+            return str(error)
+        rows, fault = self._table()
+        reached = int(rows[-1]["env_steps"]) if rows else 0
+        if reached >= outcome.total_timesteps:
+            return ""
+        found = fault or f"found {reached:,} steps of {outcome.total_timesteps:,}"
+        return f"{self.run_dir.progress.path}: {found}"
+
+    def set_aside(self) -> Path | None:
+        """Make room for a damaged run to be trained again; where what is left of it went. Nothing
+        happens where another process has done so."""
+        if self.is_running():
+            return None
+        with writable(self.base), filelock.FileLock(self.lock_file, timeout=PATIENCE):
+            if not self.damage():  # any more
+                return None
+            numbers = (self.base.with_name(f"{self.base.name}.damaged{n}") for n in itertools.count(1))
+            place = next(path for path in numbers if not os.path.lexists(path))
+            if os.path.lexists(self.base):
+                self.base.rename(place)
+            self.outcome_file.unlink()
+            return place
 
     def write_outcome(self, outcome: Outcome) -> None:
         """Record how the run ended."""
@@ -85,20 +123,25 @@ class RunFiles:
     def state(self) -> State:
         """Where the run stands."""
         if (outcome := self.outcome()) is not None:
-            return outcome.state
+            return "damaged" if self.damage() else outcome.state
         if self.is_running():
             return "running"
         return "interrupted" if self.exists else "left"
 
-    def rows(self) -> list[dict[str, str]]:
-        """The progress table as it stands in the file, without a last line that was cut off and
-        without rows that do not fit its columns."""
+    def rows(self) -> list[Row]:
+        """The progress table as it stands in the file, up to where it is cut off or damaged."""
+        return self._table()[0]
+
+    def _table(self) -> tuple[list[Row], str]:
+        """Rows, and what is wrong with the one behind them."""
+        path = self.run_dir.progress.path
         try:
-            text = self.run_dir.progress.path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError):
-            return []
-        table = csv.DictReader(text[: text.rfind("\n") + 1].splitlines())
-        return [row for row in table if None not in row and None not in row.values()]
+            with damage_named(path):
+                text = content(path).decode("utf-8")
+                table = csv.DictReader(text[: text.rfind("\n") + 1].splitlines())
+                return whole([row for row in table if None not in row and None not in row.values()])
+        except (FileNotFoundError, InputError):
+            return [], "it cannot be read"
 
     def progress(self) -> Progress:
         """Steps and seconds so far, from the progress table."""
@@ -107,7 +150,7 @@ class RunFiles:
             for row in self.rows():
                 now = int(float(row["env_steps"]))
                 seconds, steps = seconds + (now - steps) / float(row["steps_per_s"]), now
-        except (KeyError, TypeError, ValueError, ZeroDivisionError):
+        except (KeyError, TypeError, ValueError, ArithmeticError):
             pass  # damaged from here on
         return Progress(steps, seconds)
 
@@ -125,14 +168,14 @@ class StudyFolder:
 
     def create(self, study: Study) -> None:
         """Make the folder, or write the study anew into one that a study was run in."""
-        if self.path.exists() and not self.study_file.exists() and any(self.path.iterdir()):
-            raise InputError(f"{str(self.path)!r} exists and holds no study; choose another with --out")
-        try:
+        with writable(self.path):
+            if self.path.exists() and not self.study_file.exists() and any(self.path.iterdir()):
+                raise InputError(
+                    f"{str(self.path)!r} exists and holds no study; choose another with --out"
+                )
             (self.path / "runs").mkdir(parents=True, exist_ok=True)
-            with replacing(self.study_file) as file:
-                file.write((json.dumps(study.as_dict(), indent=1) + "\n").encode())
-        except OSError as error:
-            raise InputError(f"cannot write into {str(self.path)!r}: {error.strerror}") from error
+        with replacing(self.study_file) as file:
+            file.write((json.dumps(study.as_dict(), indent=1) + "\n").encode())
 
     def study(self) -> Study:
         """The study that was run here last."""
@@ -142,18 +185,7 @@ class StudyFolder:
 def read_study(path: Path, folder: Path) -> Study:
     """The study in a study.json; InputError where there is none."""
     try:
-        return study_of(json.loads(path.read_text(encoding="utf-8")), path)
-    except FileNotFoundError:
+        with damage_named(path, "a study of this version"):
+            return from_dict(read_json(path))
+    except (FileNotFoundError, NotADirectoryError):
         raise InputError(f"{str(folder)!r} is not a study's folder: no study.json in it") from None
-    except InputError:
-        raise
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: damaged ({' '.join(str(error).split())})") from error
-
-
-def study_of(data: Any, path: Path) -> Study:
-    """The study that `Study.as_dict` gave; InputError naming the file it was read from."""
-    try:
-        return from_dict(data)
-    except (KeyError, TypeError) as error:
-        raise InputError(f"{path}: not a study of this version ({error})") from error

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 import re
 import tomllib
 from collections import Counter
@@ -31,13 +32,17 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InputError
+from ..files import MAX_JSON, content, damage_named, require_name
+from ..typed import require
 
 MEASURES = ("success_rate", "test_success_rate")  # columns of progress.csv that are shares
 KEYS = ("name", "measure", "compare", "grid", "setups")
 OWN_KEYS = ("measure", "compare", "grid")  # of a set-up, besides flags
-TAKEN = ("seed", "out", "resume", "any_ranks", "workers", "threads", "tensorboard")
+TAKEN = ("seed", "out", "resume", "any_ranks", "workers", "threads", "tensorboard", "trust", "help")
 SEED = "seed"
-NAME = re.compile(r"[A-Za-z0-9][\w.-]*")
+FLAG = re.compile(r"[a-z][a-z0-9_-]*")
+NUMBER = re.compile(r"-\.?\d.*")  # begins as a flag does, but is none
+MOST_RUNS = 10_000  # a slip in a grid multiplies
 
 
 @dataclass(frozen=True)
@@ -59,6 +64,26 @@ class Setup:
     seeds: list[int]
     compare: Compare | None
     measure: str
+
+    @property
+    def n_runs(self) -> int:
+        """How many runs it stands for."""
+        return len(self.seeds) * math.prod(map(len, self.grid.values()))
+
+    def validate(self) -> None:
+        """InputError or ValueError naming the first value that no study file has."""
+        where = f"setups.{self.name}"[:60]
+        require_name(self.name, where)
+        for one in (self, self.compare):
+            if one is not None:
+                require(type(one), vars(one))
+        _one_of(self.measure, MEASURES, "measure")
+        _flags(self.flags, where)
+        _seeds(list(self.seeds), where)
+        _grid(self.grid, where)
+        if self.compare is not None:
+            pair = [self.compare.treatment, self.compare.control]
+            _compare({self.compare.flag: pair}, self.grid)
 
     @property
     def cell_flags(self) -> list[str]:
@@ -129,59 +154,64 @@ class Study:
             )
         return runs
 
+    def validate(self) -> None:
+        """InputError or ValueError naming the first thing that no study file says: names that lead
+        out of its folder, values of other types, too many runs."""
+        require_name(self.name, "name")
+        for setup in self.setups:
+            setup.validate()
+        twice = [name for name, n in Counter(setup.name for setup in self.setups).items() if n > 1]
+        n_runs = sum(setup.n_runs for setup in self.setups)
+        if twice or not 1 <= n_runs <= MOST_RUNS:
+            found = f"{twice[0]} twice" if twice else f"{n_runs:,} runs"
+            raise InputError(f"setups: found {found}, allowed are up to {MOST_RUNS:,} runs in a study")
+        for run in self.runs():  # of which no two have the same name
+            require_name(run.name, "the name of a run")
+
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
         return dataclasses.asdict(self)
 
 
-def from_dict(data: dict[str, Any]) -> Study:
-    """The study that `as_dict` was made from."""
+def from_dict(data: Any) -> Study:
+    """The study that `as_dict` was made from; what is no such dictionary is an error of any kind.
+
+    Anybody may have written it: it is checked as a study file is.
+    """
     setups = [
         Setup(**{**one, "compare": one["compare"] and Compare(**one["compare"])})
         for one in data["setups"]
     ]
-    return Study(data["name"], setups)
+    study = Study(data["name"], setups)
+    study.validate()
+    return study
 
 
 def read(path: Path) -> Study:
     """Read and check a study file; InputError, one line, for everything that is wrong with it."""
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        with damage_named(path, "a study file"):
+            return _study(tomllib.loads(content(path, MAX_JSON).decode("utf-8")))
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such study file") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: not a study file: {' '.join(str(error).split())}") from error
-    try:
-        return _study(data)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
 
 
 def _study(data: dict[str, Any]) -> Study:
     for key in data:
         _one_of(key, KEYS, "study file")
-    name = data.get("name")
-    if not isinstance(name, str) or not NAME.fullmatch(name):
-        raise InputError(f"name: found {name!r}, expected a word of letters, digits, '-', '_' and '.'")
     setups = _table(data, "setups")
     if not setups:
         raise InputError("setups: found none, expected one or more tables [setups.NAME]")
+    name: Any = data.get("name")
     study = Study(name, [_setup(key, setups, data) for key in setups])
-    study.runs()  # names that collide
+    study.validate()
     return study
 
 
 def _setup(name: str, setups: dict[str, Any], study: dict[str, Any]) -> Setup:
     where = f"setups.{name}"
-    if not NAME.fullmatch(name):
-        raise InputError(f"{where}: a set-up's name is a word of letters, digits, '-', '_' and '.'")
     own = _table(setups, name, "setups.")
-    flags = {_flag(key): value for key, value in own.items() if key not in OWN_KEYS}
-    for flag, value in flags.items():
-        if flag in TAKEN:
-            raise InputError(f"{where}.{flag}: {_taken(flag)}")
-        if isinstance(value, dict):
-            raise InputError(f"{where}.{flag}: found a table, expected a value")
+    flags = _flags({key: value for key, value in own.items() if key not in OWN_KEYS}, where)
     source = where + ".grid" if "grid" in own else "grid"
     grid = _grid(_table(own if "grid" in own else study, "grid"), source)
     seeds = _seeds(grid.pop(SEED, [0]), source)
@@ -194,21 +224,29 @@ def _setup(name: str, setups: dict[str, Any], study: dict[str, Any]) -> Setup:
     return Setup(name, flags, grid, seeds, compare, measure)
 
 
+def _flags(table: dict[str, Any], where: str) -> dict[str, Any]:
+    flags = {_flag(key, where): value for key, value in table.items()}
+    for flag, value in flags.items():
+        if flag in TAKEN:
+            raise InputError(f"{where}.{flag}: {_taken(flag)}")
+        _require_values(value, f"{where}.{flag}")
+    return flags
+
+
 def _grid(table: dict[str, Any], where: str) -> dict[str, list[Any]]:
     grid: dict[str, list[Any]] = {}
     for key, value in table.items():
-        flag = _flag(key)
+        flag = _flag(key, where)
         if flag in TAKEN and flag != SEED:
             raise InputError(f"{where}.{key}: {_taken(flag)}")
-        if isinstance(value, dict):
-            raise InputError(f"{where}.{key}: found a table, expected a list of values")
+        _require_values(value, f"{where}.{key}")
         values = value if isinstance(value, list) else [value]
         if not values:
             raise InputError(f"{where}.{key}: found no values, expected one or more")
         labels = [text(one) for one in values]
-        twice = next((label for label in labels if labels.count(label) > 1), None)
-        if twice is not None:
-            raise InputError(f"{where}.{key}: found {twice} twice")
+        for label, times in Counter(labels).most_common(1):
+            if times > 1:
+                raise InputError(f"{where}.{key}: found {label[:60]} twice")
         grid[flag] = values
     return grid
 
@@ -223,8 +261,8 @@ def _seeds(values: list[Any], where: str) -> list[int]:
                 raise InputError(
                     f'{where}.seed: found {value!r}, expected numbers and ranges, such as "0-9"'
                 )
-            if last - first > 100_000:
-                raise InputError(f"{where}.seed: found {value!r}, allowed up to 100,000 seeds")
+            if len(seeds) + last - first >= MOST_RUNS:
+                raise InputError(f"{where}.seed: found {value!r}, allowed up to {MOST_RUNS:,} seeds")
             seeds += range(first, last + 1)
     if len(set(seeds)) < len(seeds):
         raise InputError(f"{where}.seed: found a seed twice in {values!r}")
@@ -240,7 +278,7 @@ def _compare(table: dict[str, Any], grid: dict[str, list[Any]]) -> Compare | Non
             "compare: found other than one flag with [treatment, control], "
             'expected for instance run_type = ["main", "control"]'
         )
-    flag = _flag(key)
+    flag = _flag(key, "compare")
     allowed = [text(value) for value in grid.get(flag, [])]
     for value in pair:
         if text(value) not in allowed:
@@ -267,9 +305,24 @@ def _taken(flag: str) -> str:
     return "belongs in the grid" if flag == SEED else "is decided by `tactilerl study`; leave it out"
 
 
-def _flag(key: str) -> str:
+def _flag(key: str, where: str) -> str:
     """A flag's name with underscores, as in config.json; dashes are read as well."""
+    if not FLAG.fullmatch(key):
+        raise InputError(f"{where}: found {key[:60]!r}, expected the name of a flag, such as layout")
     return key.replace("-", "_")
+
+
+def _require_values(value: Any, where: str) -> None:
+    """InputError unless it is a value of a flag, or a list of such; a text like a flag is none."""
+    if isinstance(value, list):
+        for one in value:
+            _require_values(one, where)
+    elif not isinstance(value, bool | int | float | str):
+        raise InputError(
+            f"{where}: found a {type(value).__name__}, expected a value, or a list of them"
+        )
+    elif isinstance(value, str) and value.startswith("-") and not NUMBER.fullmatch(value):
+        raise InputError(f"{where}: found {value[:60]!r}, expected a value and no flag")
 
 
 def text(value: Any) -> str:

@@ -7,7 +7,8 @@ its `record`. Then come the epochs of every run, at least one row a run:
     run       name of the run
     state     done, failed, running, interrupted or left, when it was collected
     reason    why it failed
-    record    on a run's first row: its config.json (all values, versions, commit, ranks)
+    record    on a run's first row: its config.json (all values, versions, commit, ranks), but where
+              it was written
     ...       the columns of progress.csv, word for word; empty where a run has none
 """
 
@@ -25,9 +26,11 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..sealed import replacing
-from .folder import RunFiles, StudyFolder, study_of
-from .grid import Run, Study
+from ..files import damage_named, replacing, unzip
+from ..progress import whole
+from ..run_dir import require_record
+from .folder import STATES, RunFiles, StudyFolder
+from .grid import Run, Study, from_dict
 from .statistics import Array
 
 COLLECTED = "collected.csv.gz"
@@ -73,7 +76,7 @@ def _number(text: str | None) -> float:
 
 def load(path: Path) -> tuple[Study, list[Record]]:
     """The study and all its runs in order of the grid, from a folder or a collected file."""
-    if path.is_file():
+    if path.exists() and not path.is_dir():
         return _unpack(path)
     folder = StudyFolder(path)
     if not folder.study_file.exists() and (path / COLLECTED).is_file():
@@ -84,14 +87,21 @@ def load(path: Path) -> tuple[Study, list[Record]]:
 
 def _record(run: Run, files: RunFiles) -> Record:
     outcome, state = files.outcome(), files.state()
-    config, reason = None, outcome.reason if outcome else ""
+    config, reason = None, files.damage() or (outcome.reason if outcome else "")
     if files.exists:
         try:
             files.run_dir.read_config()
-            config = json.loads(files.run_dir.config_file.read_text(encoding="utf-8"))
+            config = _anywhere(files.run_dir.record())
         except InputError as error:
-            state, reason = "failed", str(error)
+            state, reason = "failed" if state != "damaged" else state, str(error)
+    for place in (files.base, files.base.resolve()):
+        reason = reason.replace(str(place), run.name)
     return Record(run, state, reason, config, files.rows())
+
+
+def _anywhere(config: dict[str, Any]) -> dict[str, Any]:
+    """A record without the folder of the machine that it was made on."""
+    return {**config, "run": {k: v for k, v in config["run"].items() if k != "out"}}
 
 
 def collect(path: Path, out: Path | None = None) -> Path:
@@ -117,22 +127,26 @@ def collect(path: Path, out: Path | None = None) -> Path:
 
 
 def _unpack(path: Path) -> tuple[Study, list[Record]]:
-    try:
-        with gzip.open(path, "rt", encoding="utf-8", newline="") as file:
-            first, *rows = csv.DictReader(file)
-        study = study_of(json.loads(first["record"]), path)
+    with damage_named(path, "a collected study"):
+        text = io.StringIO(unzip(path).decode("utf-8"), newline="")
+        first, *rows = csv.DictReader(text, strict=True)
+        study = from_dict(json.loads(first["record"]))
         by_run: dict[str, list[dict[str, str]]] = {}
         for row in rows:
             by_run.setdefault(row["run"], []).append(row)
         return study, [_unpacked(run, by_run[run.name]) for run in study.runs()]
-    except InputError:
-        raise
-    except (OSError, EOFError, ValueError, KeyError, TypeError, csv.Error) as error:
-        raise InputError(f"{path}: not a collected study ({' '.join(str(error).split())})") from error
 
 
 def _unpacked(run: Run, rows: list[dict[str, str]]) -> Record:
     head = rows[0]
+    if head["state"] not in STATES or any(row["state"] != head["state"] for row in rows):
+        raise ValueError(f"run {run.name}: found the state {head['state']!r}")
+    config = json.loads(head["record"])
+    if config is not None:
+        require_record(config)
+        config = _anywhere(config)
     progress = [{k: v for k, v in row.items() if k not in FIXED} for row in rows]
     progress = [row for row in progress if any(row.values())]
-    return Record(run, head["state"], head["reason"], json.loads(head["record"]), progress)
+    if fault := whole(progress)[1]:
+        raise ValueError(f"run {run.name}: {fault}")
+    return Record(run, head["state"], head["reason"], config, progress)

@@ -10,7 +10,7 @@ from typing import Any
 
 import jinja2
 
-from ..sealed import replacing
+from ..files import replacing
 from . import figures, tables
 from .analysis import Analysis
 from .figures import Picture

@@ -20,6 +20,7 @@ from typing import Any, Literal, cast
 
 from .. import interrupts
 from ..algos import mpi
+from ..files import no_link
 from .folder import Outcome, RunFiles
 from .worker import BUSY
 
@@ -55,7 +56,15 @@ def run_job(job: Job) -> Ending:
 
     What another process trains is left to it.
     """
-    files, outcome = RunFiles(job.base), None
+    try:
+        return _run(job, RunFiles(job.base))
+    except OSError as error:
+        error.add_note(f"run {job.base.name}")
+        raise
+
+
+def _run(job: Job, files: RunFiles) -> Ending:
+    outcome = None
     for _ in range(ATTEMPTS):
         if _stopping.is_set():
             return "interrupted"
@@ -76,10 +85,10 @@ def run_job(job: Job) -> Ending:
 
 
 def _process(files: RunFiles, job: Job) -> int:
-    command = [sys.executable, "-m", "tactilerl.study.worker", str(job.base), str(job.ranks)]
-    with files.log_file.open("ab") as log:
+    command = [sys.executable, "-m", "tactilerl.study.worker", str(os.getpid()), str(job.base)]
+    with open(files.log_file, "ab", opener=no_link) as log:
         child = subprocess.Popen(
-            [*command, *job.arguments],
+            [*command, str(job.ranks), *job.arguments],
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=subprocess.STDOUT,

@@ -1,33 +1,37 @@
-"""The process of one run: `python -m tactilerl.study.worker BASE RANKS FLAGS...`.
+"""The process of one run: `python -m tactilerl.study.worker PARENT BASE RANKS FLAGS...`.
 
-It holds the run's lock as long as it lives, so that a run whose `study run` was killed is not
-begun a second time beside itself. Exit codes are those of `tactilerl train`, and BUSY.
+It ends with its parent, and what it started with it. It holds the run's lock as long as it lives, so
+that a run whose `study run` was killed is not begun a second time beside itself. Exit codes are those
+of `tactilerl train`, and BUSY.
 """
 
 from __future__ import annotations
 
+import os
 import shutil
+import signal
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import filelock
 
-from .. import cli
+from .. import cli, interrupts
 from ..config import LAYOUT_COPY
-from .folder import RunFiles
+from .folder import PATIENCE, RunFiles
 
 BUSY = 75  # EX_TEMPFAIL: somebody else trains this run
-PATIENCE = 2.0  # s; who only looks at a lock has it for an instant
 
 
 def main(arguments: list[str]) -> int:
     """Train one run, from where it stands."""
-    base, ranks, flags = arguments[0], int(arguments[1]), arguments[2:]
+    parent, base, ranks, *flags = arguments
+    interrupts.end_with(int(parent))
     files = RunFiles(Path(base))
     try:
         with filelock.FileLock(files.lock_file, timeout=PATIENCE):
-            return _train(files, ranks, flags)
+            return _train(files, int(ranks), flags)
     except filelock.Timeout:
         return BUSY
 
@@ -41,7 +45,16 @@ def _train(files: RunFiles, ranks: int, flags: list[str]) -> int:
         return cli.main(command)
     launcher = shutil.which("mpirun") or str(Path(sys.executable).with_name("mpirun"))
     launch = [launcher, "-n", str(ranks), sys.executable, "-m", "tactilerl.cli"]
-    return subprocess.run([*launch, *command], check=False).returncode
+    return _launched([*launch, *command])
+
+
+def _launched(command: list[str]) -> int:
+    """Exit code of an MPI launch, which is told of every signal that ends us, and ends first."""
+    ends = partial(interrupts.end_with, os.getpid())
+    child = subprocess.Popen(command, preexec_fn=ends)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda number, _: child.send_signal(number))
+    return child.wait()
 
 
 def _drop_stillborn(files: RunFiles) -> None:

@@ -1,0 +1,185 @@
+"""Files of anybody, read within limits; files of ours, written whole or not at all."""
+
+from __future__ import annotations
+
+import errno
+import gzip
+import json
+import math
+import os
+import re
+import secrets
+import shlex
+import stat
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from .errors import InputError
+
+LARGEST = 10**9  # bytes of a table; what else is read as a whole says so itself
+MAX_JSON = 1_000_000  # bytes of a file with settings
+UNPACKED, RATIO = 50_000_000, 100  # bytes, or times its size, that a file may unpack to
+NAME = re.compile(r"[A-Za-z0-9][\w.+-]*")
+LONGEST_NAME = 240  # bytes; file systems allow 255, endings included
+LEFTOVER = re.compile(r"\.[0-9a-f]{16}\.tmp")  # of a process that was killed while it wrote
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)  # not the fault of who named the file
+
+
+@contextmanager
+def damage_named(path: Path, what: str = "") -> Iterator[None]:
+    """Whatever a file's content breaks is an InputError that names the file, and what it should be."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise
+    except InputError as error:
+        raise error if str(path) in str(error) else InputError(f"{path}: {error}") from error
+    except Exception as error:  # parsers answer garbage with errors of any kind
+        reason = getattr(error, "strerror", None) or " ".join(str(error).split())[:200]
+        wanted = f"not {what}" if what else "damaged"
+        raise InputError(f"{path}: {wanted} ({reason or type(error).__name__})") from error
+
+
+def open_regular(path: Path) -> BinaryIO:
+    """Open a file to read; ValueError where it is none, such as a pipe or a device, which may have no
+    end."""
+    file = open(path, "rb", opener=_at_once)  # noqa: SIM115
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        file.close()
+        raise ValueError("not a regular file")
+    return file
+
+
+def _at_once(name: str, flags: int) -> int:
+    """An `opener` that does not wait for the other end of a pipe."""
+    return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
+
+
+def content(path: Path, most: int = LARGEST) -> bytes:
+    """All of a file; ValueError where it has more than `most` bytes."""
+    with open_regular(path) as file:
+        data = file.read(most + 1)
+    if len(data) > most:
+        raise ValueError(f"it has more than {most:,} bytes")
+    return data
+
+
+def read_json(path: Path) -> Any:
+    """The values in a JSON file."""
+    return json.loads(content(path, MAX_JSON).decode("utf-8"))
+
+
+def unzip(path: Path) -> bytes:
+    """What a gzip file holds; ValueError where that is out of proportion."""
+    with open_regular(path) as file, gzip.GzipFile(fileobj=file) as packed:
+        most = _most(file)
+        data = packed.read(most + 1)
+    if len(data) > most:
+        raise ValueError(f"it unpacks to more than {most:,} bytes")
+    return data
+
+
+def read_arrays(path: Path) -> dict[str, Any]:
+    """The arrays of an npz file; ValueError before anything is unpacked that is out of proportion, or
+    is not of the size that its header says."""
+    with open_regular(path) as file, zipfile.ZipFile(file) as archive:
+        entries, most = archive.infolist(), _most(file)
+        if sum(entry.file_size for entry in entries) > most:
+            raise ValueError(f"it unpacks to more than {most:,} bytes")
+        return {entry.filename.removesuffix(".npy"): _array(archive, entry) for entry in entries}
+
+
+def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Any:
+    with archive.open(entry) as file:
+        version = np.lib.format.read_magic(file)
+        read_header = getattr(np.lib.format, f"read_array_header_{version[0]}_0")
+        shape, _, dtype = read_header(file)
+        size = file.tell() + dtype.itemsize * math.prod(shape)
+        if min(shape, default=0) < 0 or size != entry.file_size:
+            raise ValueError(f"{entry.filename} is not as large as it says")
+    with archive.open(entry) as file:
+        return np.lib.format.read_array(file, allow_pickle=False)
+
+
+def _most(file: BinaryIO) -> int:
+    return max(UNPACKED, RATIO * os.fstat(file.fileno()).st_size)
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[BinaryIO]:
+    """A file to write to that takes the place of `path` when it is whole, or not at all.
+
+    It is made anew under a name that nobody knows, so that no link is followed. InputError where
+    nothing can be written there, OSError where the disk is full.
+    """
+    temporary = path.with_name(f".{secrets.token_hex(8)}.tmp")
+    with writable(path):
+        file = temporary.open("x+b")
+    try:
+        with file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        with writable(path):
+            os.replace(temporary, path)
+        sync_folder(path.parent)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Drop what processes left that were killed while they wrote; nobody else may be writing."""
+    for path in folder.glob(".*.tmp"):
+        if LEFTOVER.fullmatch(path.name):
+            path.unlink()
+
+
+def sync_folder(folder: Path) -> None:
+    """Have the names of the files in a folder survive a power cut, where the system can."""
+    if os.name == "posix":
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+@contextmanager
+def writable(path: Path) -> Iterator[None]:
+    """InputError where a place cannot be written to; a full disk stays an OSError."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno in (None, *FULL):  # None: of a lock that another holds
+            raise
+        raise InputError(f"cannot write {str(path)!r}: {error.strerror}") from error
+
+
+def no_link(name: str, flags: int) -> int:
+    """An `opener` that refuses a link, for files that are written to in place."""
+    return os.open(name, flags | getattr(os, "O_NOFOLLOW", 0), 0o666)
+
+
+def require_name(name: Any, where: str) -> str:
+    """A name that files are called by; InputError where it could lead out of a folder, is no text,
+    or is too long."""
+    if not isinstance(name, str) or not NAME.fullmatch(name):
+        raise InputError(
+            f"{where}: found {str(name)[:60]!r}, expected a word of letters, digits, '-', '_' and '.'"
+        )
+    if len(name.encode()) > LONGEST_NAME:
+        raise InputError(
+            f"{where}: found a name of {len(name.encode())} bytes ({name[:40]}...), allowed up to "
+            f"{LONGEST_NAME}, for files are called so"
+        )
+    return name
+
+
+def pasted(path: Path | str) -> str:
+    """A path as it can be pasted into a shell behind a command."""
+    return shlex.quote(f"./{path}" if str(path).startswith("-") else str(path))
