@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Literal
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -50,7 +51,7 @@ class MLP(nn.Sequential):
     def __init__(self, sizes: Sequence[int], generator: torch.Generator, tanh: bool = False):
         layers: list[nn.Module] = []
         for fan_in, fan_out in itertools.pairwise(sizes):
-            linear = nn.Linear(fan_in, fan_out)
+            linear = nn.utils.skip_init(nn.Linear, fan_in, fan_out)  # type: ignore[no-untyped-call]
             bound = 1.0 / math.sqrt(fan_in)
             for parameter in linear.parameters():
                 nn.init.uniform_(parameter, -bound, bound, generator=generator)
@@ -101,9 +102,13 @@ class MLP(nn.Sequential):
         self.write_gradient(values, self.deltas(values, gradient))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickles and copies as sizes and numbers: the parameters may be views of much more."""
+        """Pickles as sizes and numbers: the parameters may be views of much more."""
         values = [parameter.detach().cpu().numpy() for parameter in self.parameters()]
-        return _with_parameters, (*self._shape, values)
+        return _unpickled, (*self._shape, values)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> MLP:
+        """A copy on the same device, likewise by sizes and numbers."""
+        return _with_parameters(*self._shape, [p.detach().clone() for p in self.parameters()])
 
 
 def start_orthogonal(network: MLP, last_gain: float, generator: torch.Generator) -> None:
@@ -114,11 +119,27 @@ def start_orthogonal(network: MLP, last_gain: float, generator: torch.Generator)
         nn.init.zeros_(linear.bias)
 
 
-def _with_parameters(sizes: Sequence[int], tanh: bool, values: Sequence[Any]) -> MLP:
+def _unpickled(sizes: Sequence[int], tanh: bool, values: Sequence[Any]) -> MLP:
+    return _with_parameters(sizes, tanh, [torch.from_numpy(value.copy()) for value in values])
+
+
+def _with_parameters(sizes: Sequence[int], tanh: bool, values: Sequence[Tensor]) -> MLP:
     network = MLP(sizes, torch.Generator(), tanh)
     for parameter, value in zip(network.parameters(), values, strict=True):
-        parameter.data = torch.from_numpy(value.copy())
+        parameter.data = value
     return network
+
+
+@contextmanager
+def _denormals_flushed() -> Iterator[None]:
+    """Numbers too small for all of float32's digits are zero, in this thread."""
+    smallest = np.finfo(np.float32).tiny
+    before = bool(smallest * np.float32(0.5) == 0)  # PyTorch sets it and does not tell it
+    torch.set_flush_denormal(True)
+    try:
+        yield
+    finally:
+        torch.set_flush_denormal(before)
 
 
 def flatten(*modules: nn.Module) -> nn.Parameter:
@@ -179,13 +200,12 @@ class FlatAdam:
         optimiser a step takes twice as long."""
         self._steps += 1
         # Moments of units that are never active fade until they are denormal, and slow: zero then.
-        torch.set_flush_denormal(True)  # of this thread; whoever steps physics must not notice
-        for (vector, gradient, mean, square, steps), lr in zip(self._parts, self._lrs, strict=True):
-            torch._fused_adam_(
-                vector, gradient, mean, square, [], steps, lr=lr, beta1=0.9, beta2=0.999,
-                weight_decay=0.0, eps=self._eps, amsgrad=False, maximize=False,
-            )  # fmt: skip
-        torch.set_flush_denormal(False)
+        with _denormals_flushed():  # whoever steps physics must not notice
+            for (vector, gradient, mean, square, steps), lr in zip(self._parts, self._lrs, strict=True):
+                torch._fused_adam_(
+                    vector, gradient, mean, square, [], steps, lr=lr, beta1=0.9, beta2=0.999,
+                    weight_decay=0.0, eps=self._eps, amsgrad=False, maximize=False,
+                )  # fmt: skip
 
     def is_finite(self) -> bool:
         """Are all parameters finite?"""

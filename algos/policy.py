@@ -27,6 +27,7 @@ from .networks import MLP
 from .normalizer import Normalizer, Scaling
 from .spaces import Spaces
 
+LARGEST = float(np.finfo(np.float32).max)
 Noise = Callable[..., Array]
 """(actions (..., d) in [-1, 1], rng=) -> noisy ones, which may lie beyond."""
 
@@ -134,12 +135,18 @@ class Policy:
         policy explores, with random numbers from `rng`. ValueError when the observation has
         another shape than those it was trained on or is not finite, or `rng` is missing.
         """
-        if not deterministic and rng is None:
-            raise ValueError("rng: found none, needed to explore: numpy.random.default_rng(seed)")
+        if not (deterministic or isinstance(rng, np.random.Generator)):
+            raise ValueError(
+                f"rng: found {str(rng).lower()}, needed to explore: numpy.random.default_rng(seed)"
+            )
         noise = None if deterministic else rng
         n = self._batch_size(obs)
-        if not all(np.isfinite(obs[key] if key else obs).all() for key in self.shapes):
-            raise ValueError("obs: not finite, allowed finite numbers")
+        for key in self.shapes:
+            values = np.asarray(obs[key] if key else obs)
+            if values.dtype.kind not in "bifu" or not (np.abs(values) < LARGEST).all():
+                raise ValueError(
+                    f"obs: not finite, not real or beyond float32 ({values.dtype}), allowed finite numbers"
+                )
         if n is None:
             return self.to_env(self.choose(self.inputs.read(obs), noise))
         if n == 0:
@@ -165,7 +172,7 @@ class Policy:
     def to_env(self, actions: Array) -> Array:
         """From units where the bounds are ±1, (..., d), to the environment's own, clipped."""
         half = (self._high - self._low) / 2
-        shaped = actions.reshape(*actions.shape[:-1], *self._low.shape)
+        shaped = actions.reshape(actions.shape[:-1] + self._low.shape)
         return self._low + half * (np.clip(shaped, -1.0, 1.0) + 1.0)
 
     def require_spaces(self, spaces: Spaces) -> None:
@@ -176,10 +183,16 @@ class Policy:
         ):
             if found != known:
                 raise ValueError(f"env: found {name} of shape {found}, the policy has {known}")
+        bounds = action_bounds(spaces.action)
+        if not (np.array_equal(bounds[0], self._low) and np.array_equal(bounds[1], self._high)):
+            found, known = (_bounds(*pair) for pair in (bounds, (self._low, self._high)))
+            raise ValueError(f"env: found actions {found}, the policy's are {known}")
 
     @torch.inference_mode()
     def _actions(self, views: Sequence[Any], rng: np.random.Generator | None) -> Array:
         actions: Array = self.network(self.inputs.stack(views)).numpy()
+        if not np.isfinite(actions).all():
+            raise ValueError("policy: its action is not finite: the network's weights are damaged")
         return actions if rng is None else self.noise(actions, rng=rng)
 
     def _batch_size(self, obs: Any) -> int | None:
@@ -202,6 +215,10 @@ class Policy:
         )
 
 
+def _bounds(low: Array, high: Array) -> str:
+    return " ".join(f"from {low.min():g} to {high.max():g}".split())
+
+
 def _said(shapes: dict[str, tuple[int, ...]]) -> str:
     return str(shapes.get("", shapes))
 
@@ -218,11 +235,14 @@ def new_actor(hidden: Sequence[int], spaces: Spaces, weights: torch.Generator) -
 
 def network_sizes(hidden: Sequence[int], spaces: Spaces) -> tuple[int, ...]:
     """Values that each layer of a policy's network gives, the inputs first."""
-    return flat_size(spaces.observation), *hidden, action_size(spaces.action)
+    sizes = flat_size(spaces.observation), *hidden, action_size(spaces.action)
+    if 0 in sizes:
+        raise ValueError("observation and action space: found one of no entries, allowed some in both")
+    return sizes
 
 
 def on_cpu(network: MLP) -> MLP:
     """The network itself where it is on the CPU already, else a copy: acting is one observation
     at a time, and should give the same digits in every worker."""
     is_there = next(network.parameters()).device.type == "cpu"
-    return network if is_there else copy.deepcopy(network)
+    return network if is_there else copy.deepcopy(network).cpu()

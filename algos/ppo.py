@@ -7,6 +7,7 @@ advantages normalised over the batch, separate Adams.
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal, NamedTuple
@@ -182,6 +183,7 @@ class PPO:
         comm.broadcast_(self.actor_adam.vector)
         comm.broadcast_(self.critic_adam.vector)
         self.env_steps = self.epochs = 0
+        self._ahead = 1.0  # share of the run that lay ahead when the epoch began
         self._episodes: list[Episode[Array]] = []
 
     def describe(self) -> str:
@@ -202,8 +204,9 @@ class PPO:
     def collect(self) -> dict[str, float]:
         """Whole episodes, until `steps_per_epoch` are there: the same ones on all ranks."""
         config = self.config
+        self._ahead = left = max(0.0, 1.0 - self.env_steps / self.total_timesteps)
         if config.exploration == "annealed":
-            start, left = config.action_variance, self._left()
+            start = config.action_variance
             self.spread.set(left * start + (1.0 - left) * (config.final_variance or start / 10))
         task = PlayEpisode[Array](self.policy(), (self.seed, 0, TRAIN, self.epochs))
         episodes = play_steps(self.workers, task, config.steps_per_epoch, self.comm)
@@ -219,8 +222,8 @@ class PPO:
         """`n_passes` over the batch in shuffled minibatches; each rank computes its share of each."""
         config = self.config
         if config.anneal_lr:
-            self.actor_adam.set_lr(config.actor_lr * self._left())
-            self.critic_adam.set_lr(config.critic_lr * self._left())
+            self.actor_adam.set_lr(config.actor_lr * self._ahead)
+            self.critic_adam.set_lr(config.critic_lr * self._ahead)
         batch = self._batch()
         n = len(batch[0])
         n_minibatches = config.minibatches(n)
@@ -249,10 +252,6 @@ class PPO:
             "action_std": float(self.spread.std().mean()),
             "updates": n_updates,
         }
-
-    def _left(self) -> float:
-        """Share of the run that lies ahead."""
-        return max(0.0, 1.0 - self.env_steps / self.total_timesteps)
 
     def _total(self, stats: Tensor) -> Array:
         """The shares of all ranks together."""
@@ -329,10 +328,10 @@ class PPO:
     def _check(self, sums: Tensor) -> None:
         """Stop with DivergenceError when something broke or the ranks have parted."""
         require_finite([self.actor_adam, self.critic_adam], sums, self.env_steps)
-        mean = torch.from_numpy(self.obs_stats.mean)
-        for own in (self.actor_adam.vector, self.critic_adam.vector, mean):
-            if not same_on_all_ranks(self.comm, own):
-                raise DivergenceError("the ranks' parameters differ")
+        mean, next_draw = torch.from_numpy(self.obs_stats.mean), copy.deepcopy(self.rng).random(1)
+        shared = self.actor_adam.vector, self.critic_adam.vector, mean, torch.from_numpy(next_draw)
+        if not all(same_on_all_ranks(self.comm, own) for own in shared):
+            raise DivergenceError("the ranks' parameters or random states differ")
 
     # -- saving ------------------------------------------------------------------------------
 
@@ -341,8 +340,10 @@ class PPO:
         return state.save(self, SAVED, COUNTERS)
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Go on exactly where `state_dict` was taken."""
+        """Go on exactly where `state_dict` was taken; all ranks at once."""
         state.restore(self, saved, SAVED, COUNTERS)
+        # A rank that was not there before has no random state to go on with.
+        self.rng.bit_generator.state = self.comm.all_gather(self.rng.bit_generator.state)[0]
 
     @staticmethod
     def saved_policy(config: PPOConfig, spaces: Spaces, saved: dict[str, Any]) -> Policy:

@@ -22,7 +22,7 @@ from .spaces import TRUTH
 
 Obs = TypeVar("Obs")
 FAULTS = ("diverged", "warnings")  # what `info` may say of a step, and is counted
-LONGEST = 100_000  # steps of an episode that is thought to have an end
+LONGEST = 20_000  # steps of an episode that is thought to have an end
 TRAIN, TEST, EVALUATE, PROBE = 1, 2, 3, 4  # what episodes are for: each has random numbers of its own
 
 
@@ -93,6 +93,8 @@ class PlayEpisode(Generic[Obs]):
 def _step(env: gym.Env[Any, Any], policy: Policy, action: Array, episode: Episode[Any]) -> bool:
     """Take one step and add it to the episode; has that ended?"""
     obs, reward, terminated, truncated, info = env.step(policy.to_env(action))
+    if not isinstance(info, dict):
+        raise UnfitError(f"env: found {type(info).__name__} for a step's info, allowed a dict")
     episode.info = info
     for fault in FAULTS:
         episode.faults[fault] += int(info.get(fault, 0))

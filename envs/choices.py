@@ -15,6 +15,7 @@ PEERS = {
     "n_steps": ["steps_per_epoch"],
     "num_envs": ["workers"],
     "policy_kwargs": ["hidden"],
+    "progress_bar": ["progress"],
     "tau": ["polyak"],
     "tensorboard_log": ["tensorboard"],
 }

@@ -29,6 +29,7 @@ Verdict = Literal["full", "settled"]
 RAISE_SPEED = 0.3  # m/s
 OUT_OF_REACH = 0.25  # m from the palm; the longest finger reaches 0.15 m
 CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
+CLEAR = 0.01  # m under the object: nothing but the hand holds it
 LOOK_STEPS = 25  # of the set-up's own timestep, whatever timestep it is run with
 
 
@@ -77,7 +78,8 @@ class HoldTest:
             if compressed > 0:
                 left = self._time_left(compressed)
                 speed = np.linalg.norm(corners - before, axis=1).max() / self.look_every
-                if speed * (left + self.look_every) < self.settle_distance or (is_at_top and left == 0):
+                is_at_rest = speed * (left + self.look_every) < self.settle_distance
+                if (is_at_rest and self._is_clear(simulator)) or (is_at_top and left == 0):
                     return True
             if compressed >= 0:
                 simulator.set_creep(self.creep)
@@ -94,8 +96,9 @@ class HoldTest:
         """Raise and hold; at every look whether the hand is at the top, and the object's position
         relative to the palm (3,), m. The palm does not turn meanwhile."""
         targets, every = joint_targets.copy(), _n_steps(self.look_every, timestep)
-        # From where the slide is, not from its target: the hand may still lag behind that.
-        top = simulator.joint_state()[0][2] + self.height - simulator.link_positions()[0, 2]
+        # From where the slide is, not from its target: the hand may lag far behind that.
+        targets[2] = simulator.joint_state()[0][2]
+        top = targets[2] + self.height - simulator.link_positions()[0, 2]
         while targets[2] != top:
             way = RAISE_SPEED * timestep * every
             targets[2] += np.clip(top - targets[2], -way, way)
@@ -105,6 +108,11 @@ class HoldTest:
         for done in range(0, n_steps, every):
             simulator.step(targets, min(every, n_steps - done))
             yield True, _in_hand(simulator)
+
+    def _is_clear(self, simulator: Simulator) -> bool:
+        """Is the object off the ground?"""
+        obj = simulator.object_state()
+        return bool(obj.position[2] - self.shape.half_height(obj.rotation) > CLEAR)
 
     def _corners_in_hand(self, simulator: Simulator) -> Array:
         """Corners of the object's bounding box relative to the palm (8, 3), m: they show turns."""

@@ -197,7 +197,7 @@ def bounds(name: str, value: Number) -> tuple[float, float]:
     parts = value.split("..") if isinstance(value, str) else [value]
     try:
         low, high = float(parts[0]), float(parts[-1])
-    except ValueError:
+    except (ValueError, TypeError):
         low = high = math.nan
     if len(parts) > 2 or math.isnan(low) or math.isnan(high):
         raise ValueError(f"{name}: found {value!r}, allowed a number or LOW..HIGH")

@@ -13,10 +13,10 @@ print(tactilerl.evaluate(policy, env, episodes=20))
 from __future__ import annotations
 
 import copy
-import dataclasses
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, nullcontext
 from functools import partial
+from numbers import Integral
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -78,7 +78,7 @@ class Learner:
         options = dict(seed=seed, workers=workers, device=device, threads=threads, matmul=matmul)
         require_known(hyperparameters, typed.names(defaults) | {*options, "recipe"})
         self.config = typed.replace(defaults, hyperparameters)
-        self._run = RunOptions(algo=self.algo, **options)  # type: ignore[arg-type]
+        self._run = typed.replace(RunOptions(algo=self.algo), options)
         for part in (self._run, self.config):
             typed.validate(part)
         self._comm, self._epoch = Communicator(), 0
@@ -91,7 +91,12 @@ class Learner:
         return self._learner.env_steps
 
     def learn(
-        self, total_timesteps: int, *, progress: bool = False, callback: Callback | None = None
+        self,
+        total_timesteps: int,
+        *,
+        progress: bool = False,
+        callback: Callback | None = None,
+        **unknown: Any,
     ) -> Learner:
         """Learn for `total_timesteps` environment steps, and to the end of the epoch that reaches
         them. Call it again to go on, for `total_timesteps` more; what is annealed ends with this call.
@@ -104,9 +109,12 @@ class Learner:
         Raises DivergenceError (a FloatingPointError) when an observation, a reward, a loss or a
         parameter is no longer finite, and ValueError when the learner cannot use the rewards.
         """
+        require_known(unknown, ("total_timesteps", "progress", "callback"))
         if isinstance(total_timesteps, float) and total_timesteps % 1 == 0:  # 1e5
             total_timesteps = int(total_timesteps)
-        typed.validate(dataclasses.replace(self._run, total_timesteps=total_timesteps))
+        run = typed.replace(self._run, {"total_timesteps": total_timesteps})
+        typed.validate(run)
+        total_timesteps = run.total_timesteps
         learner, matmul = self._learner, self._run.matmul
         learner.total_timesteps = learner.env_steps + total_timesteps
         with _threads(self._run.threads):
@@ -174,8 +182,8 @@ def evaluate(
     steps and more, as ``tactilerl evaluate --json`` does. `stochastic` keeps the exploration noise;
     for `env` and `workers` see `PPO`. Raises ValueError when the policy does not fit `env`.
     """
-    if episodes < 1:
-        raise ValueError(f"episodes: found {episodes}, allowed 1 or more")
+    if not isinstance(episodes, Integral) or episodes < 1:
+        raise ValueError(f"episodes: found {episodes}, allowed a whole number, 1 or more")
     config.require_workers(workers)
     if isinstance(policy, Learner):
         policy = policy.policy()
@@ -247,12 +255,21 @@ def _start(env: Env, workers: int | None, threads: int = 1) -> vector.Workers:
             f"env: found {type(env).__name__}, allowed an environment, an id or a function"
         )
     try:
-        return vector.start(make, workers or 1, partial(torch.set_num_threads, threads))
+        return vector.start(partial(_made, make), workers or 1, partial(torch.set_num_threads, threads))
     except ImportError as error:
         raise ValueError(f"env: {error}") from error
     except vector.WorkerDiedError as error:
         error.add_note('a script that plays in processes needs `if __name__ == "__main__":`')
         raise
+
+
+def _made(make: Callable[[], gym.Env[Any, Any]]) -> gym.Env[Any, Any]:
+    env = make()
+    if not isinstance(env, gym.Env):
+        raise ValueError(
+            f"env: found a function that returns {env!r}, allowed one that makes environments"
+        )
+    return env
 
 
 @contextmanager

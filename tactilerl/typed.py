@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, TypeVar, get_args, get_type_hints
 
+import numpy as np
 from typeguard import CollectionCheckStrategy, TypeCheckError, check_type
 
 T = TypeVar("T")
@@ -39,8 +40,9 @@ def replace(instance: T, choices: Mapping[str, Any]) -> T:
 
 
 def _with_tuples(values: Mapping[str, Any]) -> dict[str, Any]:
-    """JSON's lists are the tuples of dataclasses."""
-    return {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
+    """JSON's lists are the tuples of dataclasses, and NumPy's numbers are Python's."""
+    plain = ((name, v.item() if isinstance(v, np.generic) else v) for name, v in values.items())
+    return {name: tuple(v) if isinstance(v, list) else v for name, v in plain}
 
 
 def validate(instance: Any) -> None:

@@ -33,6 +33,83 @@ LEARNERS = [
 TIMES = {"collect_s", "update_s", "steps_per_s"}
 
 
+class Short(gym.Env):
+    """Ends after ten steps; what it says can be spoilt."""
+
+    def __init__(self, obs=(2,), action=(1,), high=1.0, info=()):
+        self.observation_space = gym.spaces.Box(-1, 1, obs, np.float32)
+        self.action_space = gym.spaces.Box(-high, high, action, np.float32)
+        self.info, self.steps = info, 0
+
+    def reset(self, *, seed=None, options=None):
+        self.steps = 0
+        return self.observation_space.sample(), {}
+
+    def step(self, action):
+        assert np.shape(action) == self.action_space.shape
+        self.steps += 1
+        info = {} if self.info == () else self.info
+        return self.observation_space.sample(), 0.0, self.steps == 10, False, info
+
+
+SHORT = dict(hidden=[8], steps_per_epoch=20, n_passes=1)
+
+
+def short(*args, **choices):
+    return tactilerl.PPO(Short(*args, **choices), **SHORT)
+
+
+def with_nan():
+    policy = short().policy()
+    for parameter in policy.network.parameters():
+        parameter.data[:] = math.nan
+    return policy
+
+
+@pytest.mark.parametrize(
+    ("call", "named"),
+    [
+        (lambda: short(obs=(0,)), "space: found one of no entries"),
+        (lambda: tactilerl.PPO(lambda: None, **SHORT), "env: found a function that returns None"),
+        (lambda: tactilerl.make("shadow", friction=(0.5, 1)), r"friction: found \(0.5, 1\), allowed"),
+        (lambda: tactilerl.make("lqr", layout=3), "'lqr' cannot be made here .*'layout'"),
+        (
+            lambda: tactilerl.evaluate(short(), Short(), episodes=1.5),
+            "episodes: found 1.5, allowed a whole",
+        ),
+        (
+            lambda: tactilerl.evaluate(short(), Short(high=2.0)),
+            "actions from -2 to 2, the policy's are",
+        ),
+        (lambda: short(info=None).learn(20), "found NoneType for a step's info, allowed a dict"),
+        (lambda: short().act(np.zeros(2), False, rng=0), "rng: found 0, needed"),
+        (lambda: short().act(np.full(2, 1e300)), "obs: found float64, allowed real, finite"),
+        (lambda: short().act(np.ones(2) * 1j), "obs: found complex128, allowed real"),
+        (lambda: with_nan().act(np.zeros(2)), "policy: its action is not finite"),
+        (lambda: short().learn(20, progress_bar=True), "progress_bar: unknown; did you mean progress"),
+    ],
+)
+def test_one_line_for_each_mistake_in_python(call, named):
+    with pytest.raises(ValueError, match=named):
+        call()
+
+
+def test_numpys_numbers_are_numbers_and_an_action_may_be_a_scalar():
+    env = Short(action=())
+    learner = tactilerl.PPO(env, seed=np.int64(3), gamma=np.float32(0.5), **SHORT)
+    learner.learn(np.int64(20))
+    assert learner.config.gamma == 0.5
+    assert learner.act(np.zeros(2)).shape == ()
+
+
+def test_pytorchs_own_generator_is_left_alone():
+    before = torch.random.get_rng_state()
+    learner = short()
+    learner.save("policy.pt")
+    tactilerl.evaluate(tactilerl.load_policy("policy.pt"), Short(), episodes=2)
+    assert torch.equal(torch.random.get_rng_state(), before)
+
+
 @pytest.fixture(autouse=True)
 def _in_tmp(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -491,6 +491,24 @@ class TestHoldTest:
         env = make()
         assert not self.verdict(env, close=True, verdict="settled", seconds=20.0)
 
+    def test_settled_does_not_call_held_what_lies_on_the_ground(self):
+        """With the slide's target far below the hand the ramp would begin with a long stand-still."""
+        env = make(hold_seconds=20.0, hold_verdict="settled")
+        env.reset(seed=0)
+        targets = env.hand.start_targets()
+        targets[2] -= 0.2
+        env.simulator.step(targets, 5)
+        assert not env.task.hold.run(env.simulator, targets, env.config.timestep)
+
+    def test_the_ramp_begins_where_the_hand_is(self):
+        env = make(hold_seconds=0.4)
+        env.reset(seed=0)
+        targets = env.hand.start_targets()
+        targets[2] -= 0.2
+        below = env.simulator.link_positions()[0, 2]
+        next(env.task.hold.positions(env.simulator, targets, env.config.timestep))
+        assert env.simulator.link_positions()[0, 2] > below + 0.01
+
     def test_settled_leaves_the_creep_as_it_was(self):
         env = make()
         before = env.simulator.model.opt.impratio

@@ -1,14 +1,20 @@
 """Networks' own backward pass against autograd, the optimiser, and products in bfloat16."""
 
+import copy
 import dataclasses
+import pickle
 
+import numpy as np
 import pytest
 import torch
 
 from tactilerl.algos import networks
+from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.networks import MLP, FlatAdam, matrix_products
 from tactilerl.config import defaults
+from tactilerl.envs import vector
+from tactilerl.envs.toy import PointReachEnv
 from tactilerl.errors import InputError
 from tactilerl.training import make_algorithm
 
@@ -63,6 +69,50 @@ def test_moments_fade_to_zero_and_other_numbers_do_not():
         kept = (moment != 0) & (moment.abs() < torch.finfo(torch.float32).tiny)
         assert not kept.any()
     assert (tiny * 0.5 != 0).all()
+
+
+def test_nothing_is_drawn_from_pytorchs_own_generator():
+    before = torch.random.get_rng_state()
+    network = MLP((3, 8, 2), torch.Generator().manual_seed(0))
+    again = pickle.loads(pickle.dumps(network))
+    copied = copy.deepcopy(network)
+    assert torch.equal(torch.random.get_rng_state(), before)
+    for other in (again, copied):
+        assert all(map(torch.equal, other.parameters(), network.parameters()))
+
+
+DEVICES = [
+    "meta",
+    pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")),
+]
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_a_learner_is_on_its_device_with_all_of_its_networks(device):
+    env = PointReachEnv()
+    workers = vector.Workers([vector.LocalPlayer(env)], env)
+    config = DDPGHERConfig(hidden=(8,))
+    learner = DDPGHER(config, workers, Communicator(), 0, 100, device)
+    for network in (learner.actor, learner.critic, learner.target_actor, learner.target_critic):
+        assert {p.device.type for p in network.parameters()} == {device}
+    assert learner._target_vector.device.type == device
+    if device == "cuda":
+        learner.collect()
+        assert np.isfinite(list(learner.update().values())).all()
+        assert next(learner.policy().network.parameters()).device.type == "cpu"
+
+
+@pytest.mark.parametrize("flushed", [False, True])
+def test_a_step_leaves_denormals_as_the_caller_has_them(flushed):
+    network = MLP((2, 2), torch.Generator().manual_seed(0))
+    adam = FlatAdam((network, 1e-3))
+    try:
+        torch.set_flush_denormal(flushed)
+        adam.step()
+        tiny = torch.full((8,), 1e-38)
+        assert bool((tiny * 0.1 == 0).all()) == flushed
+    finally:
+        torch.set_flush_denormal(False)
 
 
 @pytest.mark.skipif(not networks.has_bfloat16(), reason="this processor has no bfloat16")

@@ -318,13 +318,51 @@ class TestLearning:
         ppo.collect()
         assert ppo.update()["updates"] < 50 * 6
 
-    def test_annealing_reaches_zero(self):
+    def test_annealed_step_sizes_are_those_of_an_epochs_beginning(self):
+        """So that the last epoch learns, and what would come after it does not."""
         ppo = make_ppo(scripted(), anneal_lr=True)
-        ppo.collect()
-        ppo.env_steps = 1000
-        before = ppo.actor_adam.vector.clone()
-        ppo.update()
-        assert torch.equal(before, ppo.actor_adam.vector)
+        found = []
+        for env_steps in (0, 600, 999, 1000):
+            ppo.env_steps = env_steps
+            ppo.collect()
+            before = ppo.actor_adam.vector.clone()
+            ppo.update()
+            found.append((*ppo.actor_adam._lrs, bool((ppo.actor_adam.vector != before).any())))
+        rates, moved = zip(*found, strict=True)
+        assert rates == pytest.approx(np.array([1.0, 0.4, 0.001, 0.0]) * 3e-4)
+        assert moved == (True, True, True, False)
+
+    def test_a_critic_may_see_what_the_policy_does_not(self):
+        """With the truth it starts with the same actor, judges otherwise, resumes bit for bit, and its
+        policy acts where nobody tells the truth."""
+        space = gym.spaces.Box(-np.inf, np.inf, (3,), np.float32)
+        goal = {"achieved_goal": space, "desired_goal": space}
+        told = gym.spaces.Dict({"observation": space, "truth": space, **goal})
+        plain = gym.spaces.Dict({"observation": space, **goal})
+
+        def obs(rng):
+            shown = {key: rng.standard_normal(3).astype(np.float32) for key in plain}
+            return {**shown, "truth": (100 * rng.standard_normal(3)).astype(np.float32)}
+
+        def learner(space, state=None):
+            ppo = make_ppo(scripted(obs=obs, space=space), normalise_obs=True)
+            if state is not None:
+                ppo.load_state_dict(state)
+            for _ in range(2):
+                ppo.collect()
+                ppo.update()
+            return ppo
+
+        ppo = learner(told)
+        assert ppo.critic.linears[0].weight.shape[1] == ppo.actor.linears[0].weight.shape[1] + 3
+        assert ppo._batch()[0][:, -3:].std().item() == pytest.approx(1.0, abs=0.3)
+        twice = learner(told, learner(told).state_dict())
+        assert flat(twice.state_dict()) == flat(learner(told, ppo.state_dict()).state_dict())
+        blind = PPO.saved_policy(ppo.config, Spaces(plain, ppo.spaces.action), ppo.state_dict())
+        seen = obs(np.random.default_rng(0))
+        assert np.array_equal(blind.act(seen), ppo.policy().act(seen))
+        seen["truth"] = seen["truth"] * 0
+        assert np.array_equal(blind.act(seen), ppo.policy().act(seen))
 
     @pytest.mark.parametrize("exploration", ["fixed", "learned"])
     def test_a_rank_takes_its_share_of_every_minibatch(self, exploration):
