@@ -20,8 +20,7 @@ from rich.table import Table
 from .. import flags, interrupts
 from ..algos import mpi
 from ..config import require_workers
-from ..envs import objects
-from ..envs.hands import HANDS
+from ..envs import hands, objects
 from ..envs.hold import Verdict
 from ..errors import InputError, input_errors
 from ..files import pasted
@@ -37,7 +36,7 @@ class GraspFlags:
     """The grasps to play."""
 
     env: str = "shadow"
-    """Which hand: shadow, mpl or allegro."""
+    """Which hand: shadow, mpl, allegro, or the path of a hand's .toml file."""
     simulator: Literal["mujoco", "pybullet"] | None = None
     """The physics engine; default: the hand's."""
     policy: Path | None = None
@@ -73,13 +72,13 @@ class GraspFlags:
         """That of scripted grasps."""
         return Perturbation(
             self.object, self.object_size, self.friction, self.start_offset, self.start_yaw,
-            self.closing or HANDS[self.env].closing, self.joint_jitter,
+            self.closing or hands.registration(self.env).closing, self.joint_jitter,
         )  # fmt: skip
 
     def validate(self) -> None:
         """Raise ValueError naming the first invalid flag."""
-        if self.env not in HANDS:
-            raise ValueError(f"env: found {self.env!r}, allowed: {', '.join(HANDS)}")
+        if not hands.is_hand(self.env):
+            raise ValueError(f"env: found {self.env!r}, allowed: {hands.allowed()}")
         if self.grasps < 1:
             raise ValueError(f"grasps: found {self.grasps}, allowed 1 or more")
         if not 0 <= self.seed < 2**32:

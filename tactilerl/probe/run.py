@@ -17,7 +17,7 @@ from ..algos.mpi import Communicator
 from ..envs import hands, layouts, vector
 from ..envs.grasp import setup
 from ..envs.hands import Array, Hand
-from ..envs.layouts import Layout
+from ..envs.layouts import Layout, Taxels
 from ..errors import InputError, input_errors
 from ..files import replacing
 from ..places import Place
@@ -44,9 +44,9 @@ def grasps(read: ProbeFlags, comm: Communicator, show: Callable[[int], None]) ->
                 f"--{changed}: found it together with --from, allowed when grasps are played"
             )
         played = files.read(source)
-        if played.settings.get("env") not in hands.HANDS:
+        if not hands.is_hand(str(played.settings.get("env"))):
             raise InputError(f"{source}: found grasps of {played.settings.get('env')!r}, "
-                             f"allowed: {', '.join(hands.HANDS)}")  # fmt: skip
+                             f"allowed: {hands.allowed()}")  # fmt: skip
         _require_answerable(read.analysis, hands.get(played.settings["env"]))
         return played, files.folder(read.output.out or source.parent)
     out, workers = read.output.out, read.output.workers or free_cores(comm)
@@ -91,7 +91,7 @@ def _scripted(
             names = (*asking.layout, *((asking.skin,) if asking.select else ()))
             settings["layouts"] = list(names)
             config = replace(config, layout=_union(names, hand, Path(folder)))
-            contact_places = tuple(places.of(layouts.load(config.layout).place(hand), hand))
+            contact_places = tuple(places.of(layouts.load(config.layout).place(hand)))
         with input_errors():
             for variant in drawn.variants():
                 replace(config, **variant).validate()
@@ -103,9 +103,9 @@ def _scripted(
 
 def _union(names: Sequence[str], hand: Hand, folder: Path) -> str:
     """A layout file with every taxel of some layouts: what the simulator has to feel."""
-    every = {place for name in names for place in places.of(_layout(name, hand).place(hand), hand)}
+    every = places.union([_layout(name, hand) for name in names], hand)
     path = folder / "union.toml"
-    path.write_text(places.toml(sorted(every), hand, "all"), encoding="utf-8")
+    path.write_text(layouts.toml(every, hand, "all"), encoding="utf-8")
     return str(path)
 
 
@@ -122,7 +122,7 @@ def _by_policy(
     config, policy, epoch, env_steps = read_run(playing.policy)
     if config.scene is None:
         raise InputError(f"--policy {playing.policy}: found a run of {config.run.env}, allowed runs of "
-                         f"{', '.join(hands.HANDS)}")  # fmt: skip
+                         f"{hands.allowed()}")  # fmt: skip
     scene = config.scene
     settings = {
         "env": config.run.env, "simulator": scene.simulator, "touch": playing.touch,
@@ -133,7 +133,7 @@ def _by_policy(
     _require_answerable(asking, hand)
     contact_places: tuple[Place, ...] = ()
     if scene.touch == "contact":
-        contact_places = tuple(places.of(layouts.load(scene.layout).place(hand), hand))
+        contact_places = tuple(places.of(layouts.load(scene.layout).place(hand)))
     start = partial(start_workers, config, comm, workers)
     out = files.folder(out or Path("probes") / playing.policy.resolve().name)
     task = PolicyGrasps(policy, playing.seed)
@@ -155,10 +155,10 @@ def _layout(name: str, hand: Hand) -> Layout:
     return layouts.load(name)
 
 
-def _of_layouts(names: Sequence[str], hand: Hand) -> dict[str, list[Place]]:
-    """The places of each layout on a hand; InputError when there is no such layout."""
+def _of_layouts(names: Sequence[str], hand: Hand) -> dict[str, Taxels]:
+    """The taxels of each layout on a hand; InputError when there is no such layout."""
     with input_errors():
-        return {name: places.of(_layout(name, hand).place(hand), hand) for name in names}
+        return {name: _layout(name, hand).place(hand) for name in names}
 
 
 def analyse(read: ProbeFlags, played: Played, out: Path) -> dict[str, Any]:
@@ -173,10 +173,10 @@ def analyse(read: ProbeFlags, played: Played, out: Path) -> dict[str, Any]:
     )  # fmt: skip
     where = _of_layouts(asking.layout, hand)
     with input_errors(), estimators.expected_warnings():
-        readings = {name: _feel(read, asked, settings, spots) for name, spots in where.items()}
+        readings = {name: _feel(read, asked, settings, taxels) for name, taxels in where.items()}
         result = {
             **_about(read, played, asked),
-            "layouts": {name: {"taxels": len(spots)} for name, spots in where.items()},
+            "layouts": {name: {"taxels": len(taxels)} for name, taxels in where.items()},
             **_answers(asked, readings, choices, out),
             "worth": _worth(asked, readings, where, choices),
         }
@@ -188,14 +188,9 @@ def analyse(read: ProbeFlags, played: Played, out: Path) -> dict[str, Any]:
     return result
 
 
-def _feel(read: ProbeFlags, asked: Grasps, settings: dict[str, Any], spots: Sequence[Place]) -> Array:
+def _feel(read: ProbeFlags, asked: Grasps, settings: dict[str, Any], taxels: Taxels) -> Array:
     """Readings bool (n, taxels) by the touch rule of the grasps, with faults."""
-    if settings["touch"] == "contact":
-        readings = asked.feel_contact(spots)
-    else:
-        taxels = places.layout(list(spots), asked.hand, "asked", "").place(asked.hand)
-        column = {spot: i for i, spot in enumerate(places.of(taxels, asked.hand))}
-        readings = asked.feel(taxels)[:, [column[spot] for spot in spots]]
+    readings = asked.feel_contact(taxels) if settings["touch"] == "contact" else asked.feel(taxels)
     rng = np.random.default_rng([settings["seed"], analysis.FAULTS])
     return read.fault.apply(readings, rng)
 
@@ -242,14 +237,14 @@ def _answers(asked: Grasps, readings: dict[str, Array], choices: Choices, out: P
 
 
 def _worth(
-    asked: Grasps, readings: dict[str, Array], where: dict[str, list[Place]], choices: Choices
+    asked: Grasps, readings: dict[str, Array], where: dict[str, Taxels], choices: Choices
 ) -> dict[str, Any]:
     """What each taxel of the densest layout tells alone, by the angles with the last noise."""
     most = max(readings, key=lambda name: readings[name].shape[1])
     noise = choices.joint_noise[-1]
     known = analysis.FeatureBuilder(asked, readings, choices.seed).angles(noise)
     bits = selection.worth(known, readings[most], asked.held)
-    spots = [asdict(place) for place in where[most]]
+    spots = [asdict(place) for place in places.of(where[most])]
     return {"layout": most, "joint_noise": noise, "bits": bits.tolist(), "places": spots}
 
 
@@ -263,16 +258,15 @@ def _select(
 ) -> dict[str, Any]:
     """Choose from the skin; a layout file for each number that was asked for."""
     name, hand = read.analysis.skin, asked.hand
-    spots = _of_layouts([name], hand)[name]
-    skin = _feel(read, asked, settings, spots)
+    candidates = _of_layouts([name], hand)[name]
+    skin = _feel(read, asked, settings, candidates)
     path, found = selection.select(asked, skin, read.analysis.select, readings, choices)
     written = []
     for n in sorted({min(n, len(path)) for n in read.analysis.select}):
-        chosen = [spots[i] for i in path[:n]]
         about = f"{n} taxels chosen from skin {name} by {len(asked)} grasps"
         written.append(f"selected_{n}.toml")
         with replacing(out / written[-1]) as file:
-            text = places.toml(chosen, hand, f"{about} of {settings['env']} in {settings['simulator']}")
-            file.write(text.encode())
-    taxels = [asdict(spots[i]) for i in path]
-    return {"skin": name, "candidates": len(spots), **found, "places": taxels, "files": written}
+            about += f" of {settings['env']} in {settings['simulator']}"
+            file.write(layouts.toml(candidates.take(path[:n]), hand, about).encode())
+    taxels = [asdict(place) for place in places.of(candidates.take(path))] if path else []
+    return {"skin": name, "candidates": len(candidates), **found, "places": taxels, "files": written}
