@@ -52,7 +52,7 @@ class RunOptions:
     """PyTorch threads; another number can change the last digits of the results."""
     matmul: Literal["float32", "bfloat16"] = "float32"
     """Precision of the matrix products in updates. bfloat16 is faster and coarser; it needs a processor
-    with AMX or AVX512-BF16, and --device cpu. Acting stays in float32."""
+    with AMX, and --device cpu. Acting stays in float32."""
     tensorboard: bool = False
     """Write TensorBoard events as well (needs the extra: pip install 'tactilerl[tensorboard]')."""
 
