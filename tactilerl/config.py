@@ -51,7 +51,7 @@ class RunOptions:
     """PyTorch threads; another number can change the last digits of the results."""
     matmul: Literal["float32", "bfloat16"] = "float32"
     """Precision of the matrix products in updates. bfloat16 is faster and coarser; it needs a processor
-    with AMX or AVX512-BF16, and --device cpu. Acting stays in float32."""
+    with AMX, and --device cpu. Acting stays in float32."""
     tensorboard: bool = False
     """Write TensorBoard events as well (needs the extra: pip install 'tactilerl[tensorboard]')."""
 
@@ -146,7 +146,7 @@ class RunConfig:
             raise InputError(f"{self.folder}: the hand of this run cannot be read: {error}") from error
         if found != self.hand:
             raise InputError(
-                f"{self.folder}: the files of this run's hand, {self.run.env}, have changed since the run "
+                f"{self.folder}: the files of this run's hand ({self.run.env}) have changed since it "
                 "was made; put the old ones back"
             )
 
