@@ -21,11 +21,11 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from .hands import Array, Hand, Surface
-from .hands.skins import Distances, Geom
 from .layouts import Taxels
 from .objects import ObjectState, Shape
 
 if TYPE_CHECKING:
+    from .hands.skins import Distances, Geom
     from .simulators import Simulator
 
 SKIN = 5e-4  # m, how thick the skin is: what is further from a link's surface does not touch it
@@ -131,7 +131,11 @@ class _Shaped:
 
     @classmethod
     def of(cls, taxels: Taxels, surfaces: tuple[Surface, ...]) -> _Shaped | None:
-        """None where there are none."""
+        """None where there are none; only else is MuJoCo imported."""
+        if not any(surfaces[index].geoms for index in taxels.surfaces):
+            return None
+        from .hands.skins import Distances
+
         geoms: list[Geom] = []
         first: dict[str, range] = {}
         carried: dict[int, list[int]] = {}
@@ -139,8 +143,6 @@ class _Shaped:
             if surface.geoms and surface.link not in first:
                 first[surface.link] = range(len(geoms), len(geoms) + len(surface.geoms))
                 geoms += surface.geoms
-        if not geoms:
-            return None
         distances = Distances(geoms)
         for taxel, index in enumerate(taxels.surfaces.tolist()):
             if surfaces[index].geoms:
