@@ -246,7 +246,7 @@ class TestWarnings:
         out = capsys.readouterr().out
         assert "Of 24 runs 1 damaged, 1 failed, 1 interrupted" in out
         assert "different versions" in out
-        assert "diverged in 1 runs" in out
+        assert "diverged in 1 run" in out
         rows = (folder.path / "report/tables/runs.csv").read_text().splitlines()
         assert rows[1].startswith("pybullet,layout 1,main,0,failed")
         assert rows[1].endswith("diverged: a reward is nan")
@@ -277,7 +277,7 @@ class TestWarnings:
             flat = [",".join([*row.split(",")[:2], "0.0", "0.0", "0.0", "100"]) for row in rows[:-6]]
             file.write_text("\n".join([header, *flat, *rows[-6:]]) + "\n")
         late = analysis.analyse(*records.load(folder.path), 100)
-        assert "In 12 groups" in " ".join(summary.warnings(late, 10))
+        assert "In 12 of 12 groups" in " ".join(summary.warnings(late, 10))
 
     @pytest.mark.parametrize("part", ["status", "report", "collect", "plan"])
     def test_no_study_there(self, tmp_path, capsys, part):

@@ -248,19 +248,15 @@ def plan(args: list[str]) -> int:
     console.print(_plan_table(title, needs))
     for name, need in planning.best(needs).items():
         assert need.needed is not None
-        console.print(
-            f'{name}: {need.score} needs the fewest pairs. [primary] score = "{need.score}"; [looks] '
-            f"pairs = {planning.looks(need.needed)}, effect = {read.effect:g}"
-        )
+        console.print(f"{name}: {need.score} needs the fewest pairs. In the study file:")
+        console.print(f'  primary = {{score = "{need.score}"}}')
+        console.print(f"  looks = {{pairs = {planning.looks(need.needed)}, effect = {read.effect:g}}}")
     return 0
 
 
 def _plan_table(title: str, needs: list[Need]) -> Table:
     at = list(needs[0].power)
-    caption = (
-        "n: pairs of the pilot; r: correlation within seeds; sd: of differences; alone: runs per arm, "
-        "not in pairs; pairs: needed, with their interval; at: power with so many pairs"
-    )
+    caption = "r: within seeds; sd: of differences; alone: runs per arm; at: power"
     table = Table(title=title, caption=caption, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
     columns = ("set-up", "score", "n", "r", "sd", "alone", "pairs", "95 %", "Holm")
     for column in (*columns, *(f"at {n}" for n in at)):

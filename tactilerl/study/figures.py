@@ -99,7 +99,7 @@ def _legend(figure: Figure) -> None:
         handles, labels = axes.get_legend_handles_labels()
         shown |= dict(zip(labels, handles, strict=True))
     figure.legend(
-        shown.values(), shown.keys(), loc="outside lower center", ncols=4, frameon=False,
+        shown.values(), shown.keys(), loc="outside lower center", ncols=5, frameon=False, fontsize=8,
         columnspacing=1.0, handletextpad=0.4,
     )  # fmt: skip
 
@@ -167,8 +167,8 @@ def _differences_of(one: SetupResult, score: str, axes: Axes) -> None:
 def curves(one: SetupResult) -> Picture:
     """The paper's Figures 3 and 5: a panel per cell, IQM with interval, runs behind it."""
     title = f"Learning curves, IQM with 95 % interval, every run: {subject(one)}"
-    panels = [(cell, partial(_curves_of, one, cell)) for cell in one.cells]
-    return Picture(f"{one.setup.name}_curves", title, panels, (4.2, 3.0))
+    panels = [("" if cell == "all" else cell, partial(_curves_of, one, cell)) for cell in one.cells]
+    return Picture(f"{one.setup.name}_curves", title, panels, (5.2, 3.2))
 
 
 def _curves_of(one: SetupResult, cell: str, axes: Axes) -> None:
@@ -192,7 +192,7 @@ def converged(one: SetupResult) -> Picture:
     height = 1.1 + 0.62 * len(one.cells)
     title = f"Converged success rates, the paper's measure, 95 % intervals: {subject(one)}"
     panels = [(one.setup.label(arm), partial(_converged_of, one, arm)) for arm in arms]
-    return Picture(f"{one.setup.name}_converged", title, panels, (4.2, height))
+    return Picture(f"{one.setup.name}_converged", title, panels, (5.2, height))
 
 
 def _converged_of(one: SetupResult, arm: str, axes: Axes) -> None:

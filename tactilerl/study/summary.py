@@ -28,8 +28,8 @@ NAMES = {
     "ddpg_her": "DDPG+HER",
 }
 ARMS = {
-    "main": "told joints, object and taxels",
-    "control": "the same without taxels",
+    "main": "with taxels",
+    "control": "without",
 }
 MEASURES = {
     "success_rate": "success rate of the training episodes",
@@ -56,16 +56,18 @@ def subject(one: SetupResult) -> str:
 def about(one: SetupResult, score: str) -> str:
     """What was compared, in a sentence or two."""
     config = _config(one)
-    task = (config.get("scene") or {}).get("task")
+    scene = config.get("scene") or {}
+    told = "" if scene.get("object_seen", "exact") == "exact" else f"object {scene['object_seen']}"
     length = config.get("run", {}).get("total_timesteps")
-    parts = [subject(one), *([task] if task else []), *([f"{length:,} steps a run"] if length else [])]
+    steps = f"{length:,} steps a run" if length else ""
+    parts = [part for part in (subject(one), scene.get("task"), told, steps) if part]
     said = f"{one.setup.name}: {', '.join(parts)}."
     if one.setup.compare is None:
         return said
     arms = one.setup.arms[:2]
-    told = [f"{one.setup.label(arm)}{f' ({ARMS[arm]})' if arm in ARMS else ''}" for arm in arms]
+    names = [f"{one.setup.label(arm)}{f' ({ARMS[arm]})' if arm in ARMS else ''}" for arm in arms]
     return (
-        f"{said} {told[0]} against {told[1]}, in pairs of runs of the same seed, by {SCORES[score]} "
+        f"{said} {names[0]} against {names[1]}, in pairs of runs of the same seed, by {SCORES[score]} "
         f"of the {MEASURES[one.setup.measure]}."
     )
 
@@ -81,6 +83,11 @@ def provenance(records: list[Record]) -> str:
     by = " and ".join(f"{n} of commit {commit}" for commit, n in commits.most_common(3))
     more = f" and {len(commits) - 3} others" if len(commits) > 3 else ""
     return f"{done} of {len(records)} runs are done{f': {by}{more}' if by else ''}."
+
+
+def plural(n: int, what: str) -> str:
+    """`1 pair`, `2 pairs`"""
+    return f"{n} {what}{'' if n == 1 else 's'}"
 
 
 def signed(value: float) -> str:
@@ -101,7 +108,7 @@ def answer(setup: Setup, verdict: Verdict) -> str:
     if not len(pairs):
         return f"{where}: no seed has both runs yet."
     found = pairs.difference
-    count = f"{len(pairs)} of {verdict.n_seeds} pairs" if missing else f"{len(pairs)} pairs"
+    count = f"{len(pairs)} of {verdict.n_seeds} pairs" if missing else plural(len(pairs), "pair")
     numbers = f"{treatment} − {control}: {ranging(found)}"
     if stage is not None and not stage.look:
         return f"{where}: {numbers} in {count}; the first look is still to come."
@@ -115,8 +122,8 @@ def answer(setup: Setup, verdict: Verdict) -> str:
         return f"{where}: {first} is ahead of {second} ({numbers}).{look}"
     if len(pairs) < FEWEST_PAIRS:
         return (
-            f"{where}: {len(pairs)} pairs are too few to detect a difference at {ALPHA}, which takes "
-            f"{FEWEST_PAIRS} ({numbers}).{look}"
+            f"{where}: too few runs to detect a difference at {ALPHA}, which takes {FEWEST_PAIRS} "
+            f"pairs ({numbers}).{look}"
         )
     if found.low == found.high:  # as where no run learned anything
         return f"{where}: no difference was detected, all pairs are alike ({numbers}).{look}"
@@ -194,14 +201,14 @@ def warnings(analysis: Analysis, few: int = FEW_RUNS) -> list[str]:
         found.append(f"Of {len(analysis.records)} runs {', '.join(unfinished)}: they are in no figure.")
     if 0 < analysis.fewest < few:
         found.append(
-            f"The smallest group has {analysis.fewest} runs. Intervals of an arm with fewer than {few} "
-            "runs are too narrow: they contain the truth less often than they say."
+            f"The smallest group has {plural(analysis.fewest, 'run')}. Intervals of an arm with fewer "
+            f"than {few} runs are too narrow: they contain the truth less often than they say."
         )
-    rising = sum(_still_rises(group) for one in analysis.setups for group in one.groups.values())
-    if rising:
+    groups = [group for one in analysis.setups for group in one.groups.values()]
+    if rising := sum(map(_still_rises, groups)):
         found.append(
-            f"In {rising} groups the runs end well above the level at which they spent most epochs: "
-            "they were too short for converged rates, the paper's measure, to mean much."
+            f"In {rising} of {len(groups)} groups the runs end well above the level at which they spent "
+            "most epochs: they were too short for converged rates, the paper's measure, to mean much."
         )
     for one in analysis.setups:
         if not one.groups:
@@ -214,7 +221,7 @@ def warnings(analysis: Analysis, few: int = FEW_RUNS) -> list[str]:
         if sum(np.nansum(r.column(c)) for c in ("diverged", "test_diverged")) > 0
     ]
     if diverged:
-        found.append(f"Episodes diverged in {len(diverged)} runs: see Runs.")
+        found.append(f"Episodes diverged in {plural(len(diverged), 'run')}: see Runs.")
     if isinstance(analysis.mixed, str) and len([o for o in analysis.setups if o.comparisons]) > 1:
         found.append(analysis.mixed[0].upper() + analysis.mixed[1:] + ".")
     return found
