@@ -1,6 +1,6 @@
 """Deep deterministic policy gradient (Lillicrap et al. 2016) with hindsight experience replay.
 
-Read from top to bottom: the choices, two pure functions, the learner. The order of operations
+Read from top to bottom: the choices, what the critic should say, the learner. The order of operations
 is OpenAI baselines' (baselines/her), which the paper used through Melnik et al. 2021: an epoch
 is `n_cycles` times {episodes, normaliser, `n_batches` updates, one step of the target
 networks}, then test episodes without noise.
@@ -16,10 +16,10 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from . import (
-    Array,
     DivergenceError,
     UnfitError,
     Workers,
@@ -33,16 +33,14 @@ from . import (
 )
 from .mpi import Communicator, same_on_all_ranks
 from .networks import MLP, FlatAdam, flatten, require_finite
-from .policy import GoalObs, GoalStats, Policy, flat_stats, new_actor, on_cpu
+from .policy import GoalObs, GoalStats, Policy, explore, flat_stats, new_actor, on_cpu
 from .replay import Batch, Replay
 from .rollout import FAULTS, PROBE, TEST, TRAIN, Episode, PlayEpisode, require_transitions, summary
 from .spaces import Spaces
 
 CHECK_EVERY = 100  # updates between two looks at whether the ranks' parameters are equal
-SAVED = (
-    *("actor", "critic", "target_actor", "target_critic", "adam"),
-    *("obs_stats", "goal_stats", "truth_stats"),
-)
+POLICY_PARTS = ("actor", "obs_stats", "goal_stats")
+SAVED = (*POLICY_PARTS, "critic", "target_actor", "target_critic", "adam", "truth_stats")
 REPLAY_P = 0.8  # paper
 COUNTERS = ("env_steps", "updates", "cycles")
 
@@ -120,22 +118,11 @@ def targets(rewards: Tensor, next_values: Tensor, terminal: Tensor, gamma: float
     return values.clamp(-1.0 / (1.0 - gamma), 0.0) if clip else values
 
 
-def explore(actions: Array, noise_eps: float, random_eps: float, rng: np.random.Generator) -> Array:
-    """Noisy copies of actions (..., d) in [-1, 1]; whole rows are random with `random_eps`."""
-    noisy = actions + np.float32(noise_eps) * rng.standard_normal(actions.shape, dtype=np.float32)
-    noisy = np.clip(noisy, -1.0, 1.0)
-    is_random = rng.random(actions.shape[:-1]) < random_eps
-    uniform = rng.uniform(-1.0, 1.0, actions.shape).astype(np.float32)
-    return np.where(is_random[..., None], uniform, noisy)
-
-
 def _resolved(config: DDPGHERConfig, workers: Workers) -> DDPGHERConfig:
     """With the defaults that depend on the environment; ValueError when its episodes are endless."""
     max_steps = workers.max_episode_steps
     if not max_steps:
-        raise ValueError(
-            "max_episode_steps: found none, allowed environments whose episodes are limited"
-        )
+        raise ValueError("max_episode_steps: found none, allowed environments with a limit")
     her = 0.0 if has_single_goal(workers.observation_space) else REPLAY_P
     gamma = 1.0 - 1.0 / max_steps if config.gamma is None else config.gamma
     replay_p = her if config.replay_p is None else config.replay_p
@@ -150,7 +137,7 @@ def _policy(config: DDPGHERConfig, spaces: Spaces, actor: MLP, stats: GoalStats)
 class DDPGHER:
     """Actor, critic, their targets and the replay; the interface is `algos.Algorithm`."""
 
-    policy_parts = ("actor", "obs_stats", "goal_stats")
+    policy_parts = POLICY_PARTS
 
     def __init__(
         self,
@@ -165,16 +152,15 @@ class DDPGHER:
         self.workers, self.comm, self.device = workers, comm, torch.device(device)
         self.spaces = Spaces(workers.observation_space, workers.action_space)
         space, n_actions = self.spaces.observation, action_size(self.spaces.action)
-        n_goal, n_obs = goal_size(space), flat_size(space)
-        self._n_obs = n_obs
+        n_goal, n_truth = goal_size(space), flat_size(self.spaces.truth)
+        self._n_obs = n_obs = flat_size(space)
         self.config = config = _resolved(config, workers)
         self.total_timesteps, self.seed = total_timesteps, seed
         self.rng = np.random.default_rng([seed, comm.rank])
         weights = torch.Generator().manual_seed(seed)
         self.actor = new_actor(config.hidden, self.spaces, weights).to(self.device)
-        n_truth = flat_size(self.spaces.truth)
-        n_judged = n_obs + n_truth + n_actions
-        self.critic = MLP((n_judged, *config.hidden, 1), weights).to(self.device)
+        judged = n_obs + n_truth + n_actions
+        self.critic = MLP((judged, *config.hidden, 1), weights).to(self.device)
         self.target_actor, self.target_critic = copy.deepcopy((self.actor, self.critic))
         self.adam = FlatAdam((self.actor, config.actor_lr), (self.critic, config.critic_lr))
         self._target_vector = flatten(self.target_actor, self.target_critic).requires_grad_(False)
@@ -197,7 +183,7 @@ class DDPGHER:
     def check(self) -> None:
         """ValueError when memory is short or the rewards of an episode do not fit."""
         (episode,) = require_transitions(self._play(1, PROBE))
-        self._check_signs(np.array(episode.rewards))
+        self._check_signs(episode.rewards)
         self.replay.require_rewards(episode)
         self.replay.require_memory(self.comm.local_size)
 
@@ -236,24 +222,24 @@ class DDPGHER:
         assert config.replay_p is not None
         batch = self.replay.sample(sum(map(len, usable)), config.replay_p, slots)
         self._check_signs(batch.reward)
-        limit = config.clip_obs
-        self.obs_stats.update(batch.obs.clip(-limit, limit))
-        self.goal_stats.update(batch.goal.clip(-limit, limit))
-        self.truth_stats.update(batch.truth)
+        parts = (
+            (self.obs_stats, batch.obs),
+            (self.goal_stats, batch.goal),
+            (self.truth_stats, batch.truth),
+        )
+        for stats, seen_of in parts:
+            stats.update(seen_of.clip(-config.clip_obs, config.clip_obs))
         return seen
 
-    def _check_signs(self, rewards: Array) -> None:
+    def _check_signs(self, rewards: ArrayLike) -> None:
         largest = np.max(rewards, initial=0.0)
         if self.config.clip_target and largest > 0:
-            raise UnfitError(
-                f"clip_target: found a reward of {largest:g}, allowed 0 or less while targets are "
-                "cut at 0; give --no-clip-target (clip_target=False)"
-            )
+            hint = "while targets are cut at 0; give --no-clip-target (clip_target=False)"
+            raise UnfitError(f"clip_target: found a reward of {largest:g}, allowed 0 or less {hint}")
 
     def test(self) -> dict[str, float]:
         """Episodes without noise at the end of an epoch."""
-        n = self.config.n_test_rollouts * self.config.n_rollouts
-        if not n:
+        if not (n := self.config.n_test_rollouts * self.config.n_rollouts):
             return {}
         seen = summary(self._play(n, TEST), self.comm)
         return {f"test_{name}": seen[name] for name in ("success_rate", "mean_return", *FAULTS)}
@@ -287,10 +273,11 @@ class DDPGHER:
     @torch.no_grad()
     def _prepared(self, batch: Batch[Tensor]) -> tuple[Tensor, Tensor, Tensor]:
         """What is seen (n, obs + goal + truth), actions (n, d) and the critic's targets (n,)."""
-        config, see = self.config, self.stats.inputs(self.config.clip_obs)
-        steps = (batch.obs, batch.truth), (batch.next_obs, batch.next_truth)
+        config, limit = self.config, self.config.clip_obs
+        see, told = self.stats.inputs(limit), self.truth_stats.scaling()
         inputs, next_inputs = (
-            torch.cat([see(obs, batch.goal), self.truth_stats(truth)], dim=1) for obs, truth in steps
+            torch.cat([see(obs, batch.goal), told(truth.clamp(-limit, limit))], dim=1)
+            for obs, truth in ((batch.obs, batch.truth), (batch.next_obs, batch.next_truth))
         )
         next_actions = self.target_actor(next_inputs[:, : self._n_obs])
         next_values = self.target_critic(torch.cat([next_inputs, next_actions], dim=1)).squeeze(-1)

@@ -36,9 +36,9 @@ def matrix_products(precision: Precision) -> Iterator[None]:
 
 
 def has_bfloat16() -> bool:
-    """Does this processor multiply bfloat16 itself, so that it is worth it?"""
-    names = ("_is_amx_tile_supported", "_is_avx512_bf16_supported")  # there is no public question
-    return any(getattr(torch.cpu, name, bool)() for name in names)
+    """Does this processor multiply bfloat16 itself? With AVX512-BF16 alone PyTorch would go on with
+    float32."""
+    return bool(getattr(torch.cpu, "_is_amx_tile_supported", bool)())  # there is no public question
 
 
 class MLP(nn.Sequential):
@@ -124,7 +124,7 @@ def _unpickled(sizes: Sequence[int], tanh: bool, values: Sequence[Any]) -> MLP:
 
 
 def _with_parameters(sizes: Sequence[int], tanh: bool, values: Sequence[Tensor]) -> MLP:
-    network = MLP(sizes, torch.Generator(), tanh)
+    network = MLP(sizes, torch.Generator(), tanh).to(values[0].device)
     for parameter, value in zip(network.parameters(), values, strict=True):
         parameter.data = value
     return network

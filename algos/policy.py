@@ -32,6 +32,14 @@ Noise = Callable[..., Array]
 """(actions (..., d) in [-1, 1], rng=) -> noisy ones, which may lie beyond."""
 
 
+def explore(actions: Array, noise_eps: float, random_eps: float, rng: np.random.Generator) -> Array:
+    """Noisy copies of actions (..., d) in [-1, 1]; whole rows are random with `random_eps`."""
+    noisy = actions + np.float32(noise_eps) * rng.standard_normal(actions.shape, dtype=np.float32)
+    noisy = np.clip(noisy, -1.0, 1.0)
+    is_random = rng.random(actions.shape[:-1])[..., None] < random_eps
+    return np.where(is_random, rng.uniform(-1.0, 1.0, actions.shape).astype(np.float32), noisy)
+
+
 class Inputs(Protocol):
     """What a network is shown of an observation."""
 
@@ -144,9 +152,8 @@ class Policy:
         for key in self.shapes:
             values = np.asarray(obs[key] if key else obs)
             if values.dtype.kind not in "bifu" or not (np.abs(values) < LARGEST).all():
-                raise ValueError(
-                    f"obs: not finite, not real or beyond float32 ({values.dtype}), allowed finite numbers"
-                )
+                found = f"not finite, not real or beyond float32 ({values.dtype})"
+                raise ValueError(f"obs: {found}, allowed finite numbers")
         if n is None:
             return self.to_env(self.choose(self.inputs.read(obs), noise))
         if n == 0:

@@ -7,7 +7,6 @@ advantages normalised over the batch, separate Adams.
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal, NamedTuple
@@ -170,8 +169,8 @@ class PPO:
         self.actor, self.spread, self.obs_stats = self.parts
         self.truth_stats = flat_stats(self.spaces.truth, OBS_CLIP)
         self._n_obs = flat_size(self.spaces.observation)
-        n_seen = self._n_obs + flat_size(self.spaces.truth)
-        self.critic = MLP((n_seen, *config.hidden, 1), weights)
+        n_truth = flat_size(self.spaces.truth)
+        self.critic = MLP((self._n_obs + n_truth, *config.hidden, 1), weights)
         if config.orthogonal_init:
             start_orthogonal(self.actor, ACTOR_GAIN, weights)
             start_orthogonal(self.critic, 1.0, weights)
@@ -264,21 +263,16 @@ class PPO:
         config, episodes = self.config, self._episodes
         views = [obs for episode in episodes for obs in episode.obs]
         truth = FlatInputs(self.truth_stats.scaling() if config.normalise_obs else None)
-        parts = (
-            self.parts.inputs(config).stack(views),
-            truth.stack([t for e in episodes for t in e.truth]),
-        )
-        all_seen = torch.cat(parts, dim=1).to(self.device)
+        told = truth.stack([t for episode in episodes for t in episode.truth])
+        all_seen = torch.cat([self.parts.inputs(config).stack(views), told], dim=1).to(self.device)
         all_values = self.critic(all_seen).squeeze(-1).double().cpu().numpy()
         is_last = np.concatenate([[False] * len(e) + [True] for e in episodes])
         advantages, start = [], 0
         for episode in episodes:
             end = start + len(episode)
             last_value = all_values[end] if self._goes_on(episode) else 0.0
-            rewards = np.array(episode.rewards)
-            advantages.append(
-                gae(rewards, all_values[start:end], last_value, config.gamma, config.gae_lambda)
-            )
+            values, rewards = all_values[start:end], np.array(episode.rewards)
+            advantages.append(gae(rewards, values, last_value, config.gamma, config.gae_lambda))
             start = end + 1
         advantage = np.concatenate(advantages)
         returns = finite(advantage + all_values[~is_last], "a return")
@@ -328,9 +322,11 @@ class PPO:
     def _check(self, sums: Tensor) -> None:
         """Stop with DivergenceError when something broke or the ranks have parted."""
         require_finite([self.actor_adam, self.critic_adam], sums, self.env_steps)
-        mean, next_draw = torch.from_numpy(self.obs_stats.mean), copy.deepcopy(self.rng).random(1)
-        shared = self.actor_adam.vector, self.critic_adam.vector, mean, torch.from_numpy(next_draw)
-        if not all(same_on_all_ranks(self.comm, own) for own in shared):
+        states = self.comm.all_gather(self.rng.bit_generator.state)
+        mean = torch.from_numpy(self.obs_stats.mean)
+        shared = (self.actor_adam.vector, self.critic_adam.vector, mean)
+        are_same = all(same_on_all_ranks(self.comm, own) for own in shared)
+        if not are_same or any(own != states[0] for own in states):
             raise DivergenceError("the ranks' parameters or random states differ")
 
     # -- saving ------------------------------------------------------------------------------

@@ -31,8 +31,12 @@ class Spaces(NamedTuple):
     @property
     def truth(self) -> gym.spaces.Box:
         """What critics see besides observation and goal; of no size where there is nothing."""
-        found = self.observation.get(TRUTH) if isinstance(self.observation, gym.spaces.Dict) else None
-        return found if isinstance(found, gym.spaces.Box) else gym.spaces.Box(0.0, 0.0, (0,))
+        nothing = gym.spaces.Box(0.0, 0.0, (0,))
+        is_dict = isinstance(self.observation, gym.spaces.Dict)
+        found = self.observation.get(TRUTH, nothing) if is_dict else nothing  # type: ignore[attr-defined]
+        if not isinstance(found, gym.spaces.Box):
+            raise ValueError(f"observation space: found {found} for {TRUTH!r}, allowed a Box")
+        return found
 
     def to_json(self) -> str:
         """What a policy has to know of them: the shapes of observations, the bounds of actions."""

@@ -184,7 +184,7 @@ class Items:
 
 
 def _kinds(names: str) -> tuple[Kind, ...]:
-    found = names.split(",")
+    found = str(names)[:80].split(",")
     if unknown := [name for name in found if name not in KINDS]:
         raise ValueError(f"object: found {unknown[0]!r}, allowed: {', '.join(KINDS)}")
     if len(set(found)) < len(found):
@@ -197,7 +197,7 @@ def bounds(name: str, value: Number) -> tuple[float, float]:
     parts = value.split("..") if isinstance(value, str) else [value]
     try:
         low, high = float(parts[0]), float(parts[-1])
-    except (ValueError, TypeError):
+    except (ValueError, TypeError, OverflowError):
         low = high = math.nan
     if len(parts) > 2 or math.isnan(low) or math.isnan(high):
         raise ValueError(f"{name}: found {value!r}, allowed a number or LOW..HIGH")

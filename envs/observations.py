@@ -24,7 +24,21 @@ LONGEST = 100  # control steps of history or delay: more is a slip
 
 
 @dataclass(frozen=True)
-class SensorConfig:
+class TaxelFaults:
+    """Broken taxels and false readings. None, by default."""
+
+    taxel_false_on: float = 0.0
+    """Probability, at every step, that a taxel that is off reads on."""
+    taxel_false_off: float = 0.0
+    """Probability, at every step, that a taxel that is on reads off."""
+    taxel_dead: float = 0.0
+    """Share of the taxels that never fire; the hand's seed decides which."""
+    taxel_stuck: float = 0.0
+    """Share of the taxels that always fire; the hand's seed decides which."""
+
+
+@dataclass(frozen=True)
+class SensorConfig(TaxelFaults):
     """How well the hand senses its joints, the object and touch. Perfectly, by default."""
 
     object_seen: Literal["exact", "noisy", "start", "hidden"] = "exact"
@@ -44,14 +58,6 @@ class SensorConfig:
     """The same as --joint-noise for the slides, and so for the hand's position, m."""
     slide_noise_held: float = 0.0
     """The same as --joint-noise-held for the slides, m."""
-    taxel_false_on: float = 0.0
-    """Probability, at every step, that a taxel that is off reads on."""
-    taxel_false_off: float = 0.0
-    """Probability, at every step, that a taxel that is on reads off."""
-    taxel_dead: float = 0.0
-    """Share of the taxels that never fire; --hand-seed decides which."""
-    taxel_stuck: float = 0.0
-    """Share of the taxels that always fire; --hand-seed decides which."""
     taxel_delay: int = 0
     """Delay of the taxels' readings, in control steps."""
     hand_seed: int | None = None
@@ -77,7 +83,7 @@ class ObservationConfig(SensorConfig):
 
 
 NOISES = ("joint_noise", "joint_noise_held", "slide_noise", "slide_noise_held")
-SHARES = ("taxel_false_on", "taxel_false_off", "taxel_dead", "taxel_stuck")
+SHARES = tuple(field.name for field in fields(TaxelFaults))
 
 
 def validate(config: ObservationConfig, run_type: str, is_boolean: bool) -> None:
@@ -94,11 +100,7 @@ def validate(config: ObservationConfig, run_type: str, is_boolean: bool) -> None
 
 
 def _validate_values(config: ObservationConfig) -> None:
-    for name in SHARES:
-        if not 0 <= getattr(config, name) <= 1:
-            raise ValueError(f"{name}: found {getattr(config, name)}, allowed from 0 to 1")
-    if (together := config.taxel_dead + config.taxel_stuck) > 1:
-        raise ValueError(f"taxel_stuck: found {together:g} with taxel_dead, allowed together up to 1")
+    validate_faults(config)
     for name in (*NOISES, "sight_noise"):
         for value in np.ravel(getattr(config, name) or 0.0):
             if not (np.isfinite(value) and value >= 0):
@@ -110,6 +112,15 @@ def _validate_values(config: ObservationConfig) -> None:
         found = getattr(config, name)
         if found is not None and not least <= found <= most:
             raise ValueError(f"{name}: found {found}, allowed from {least} to {most}")
+
+
+def validate_faults(faults: TaxelFaults) -> None:
+    """ValueError naming the first share that is none."""
+    for name in SHARES:
+        if not 0 <= getattr(faults, name) <= 1:
+            raise ValueError(f"{name}: found {getattr(faults, name)}, allowed from 0 to 1")
+    if (together := faults.taxel_dead + faults.taxel_stuck) > 1:
+        raise ValueError(f"taxel_stuck: found {together:g} with taxel_dead, allowed together up to 1")
 
 
 def _require_defaults(config: ObservationConfig, names: tuple[str, ...], only_with: str) -> None:

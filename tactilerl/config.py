@@ -52,7 +52,7 @@ class RunOptions:
     """PyTorch threads; another number can change the last digits of the results."""
     matmul: Literal["float32", "bfloat16"] = "float32"
     """Precision of the matrix products in updates. bfloat16 is faster and coarser; it needs a processor
-    with AMX or AVX512-BF16, and --device cpu. Acting stays in float32."""
+    with AMX, and --device cpu. Acting stays in float32."""
     tensorboard: bool = False
     """Write TensorBoard events as well (needs the extra: pip install 'tactilerl[tensorboard]')."""
 
@@ -192,8 +192,9 @@ def defaults(
     """
     with input_errors("--scene"):
         named = scenes.load(scene) if scene else NamedScene(env=RunOptions.env)
-    algo, env = algo or named.train.get("algo", RunOptions.algo), env or named.env
-    is_own = algo == named.train.get("algo")
+    own = named.train.get("algo", RunOptions.algo)
+    algo, env = algo or own, env or named.env
+    is_own = algo == own
     train = {k: v for k, v in named.train.items() if is_own and k not in ("algo", "recipe")}
     with input_errors("--algo"):
         algos.get(algo)

@@ -7,16 +7,18 @@ import gzip
 import json
 import math
 import os
+import platform
 import re
 import secrets
 import shlex
 import stat
 import zipfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import filelock
 import numpy as np
 
 from .errors import InputError
@@ -130,6 +132,27 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
         sync_folder(path.parent)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Keep other processes from writing to a folder; InputError naming the one that does.
+
+    The system releases the lock when the process ends, however it ends. What a process left that was
+    killed while it wrote is dropped.
+    """
+    path = folder / ".lock"
+    try:
+        with ExitStack() as held:
+            with writable(path):
+                held.enter_context(filelock.FileLock(path, blocking=False))
+                with open(path, "w", encoding="utf-8", opener=no_link) as file:
+                    file.write(f"process {os.getpid()} on {platform.node()}")
+            remove_leftovers(folder)
+            yield
+    except filelock.Timeout:
+        holder = path.read_text(encoding="utf-8", errors="replace")[:200] or "another process"
+        raise InputError(f"{folder}: {holder} is writing to this folder") from None
 
 
 def remove_leftovers(folder: Path) -> None:

@@ -9,20 +9,16 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
-import platform
 import shutil
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import filelock
-
-from . import provenance
+from . import files, provenance
 from .config import LAYOUT_COPY, RunConfig, from_dict
 from .errors import InputError
-from .files import damage_named, no_link, pasted, read_json, remove_leftovers, replacing, writable
+from .files import damage_named, pasted, read_json, replacing
 from .progress import Progress
 from .typed import require_type
 
@@ -61,23 +57,10 @@ class RunDir:
 
     @contextmanager
     def lock(self) -> Iterator[None]:
-        """Keep other processes from writing here; InputError naming the one that does.
-
-        The system releases the lock when the process ends, however it ends.
-        """
-        path = self.path / ".lock"
-        try:
-            with ExitStack() as held:
-                with writable(path):
-                    held.enter_context(filelock.FileLock(path, blocking=False))
-                    with open(path, "w", encoding="utf-8", opener=no_link) as file:
-                        file.write(f"process {os.getpid()} on {platform.node()}")
-                for folder in (self.path, self.experience_folder):
-                    remove_leftovers(folder)
-                yield
-        except filelock.Timeout:
-            holder = path.read_text(encoding="utf-8", errors="replace")[:200] or "another process"
-            raise InputError(f"{self.path}: {holder} is writing to this run folder") from None
+        """Keep other processes from writing here; InputError naming the one that does."""
+        with files.locked(self.path):
+            files.remove_leftovers(self.experience_folder)
+            yield
 
     def is_begun(self) -> bool:
         """Has the run got further than its first checkpoint?"""

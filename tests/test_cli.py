@@ -568,7 +568,7 @@ class TestOtherCommands:
         doctor = ["doctor", *scene, "--grasps", "1", "--seconds", "0.1"]
         for command in (["env", *scene], ["train", *scene, *short], doctor):
             main(command)
-            out = capsys.readouterr().out
+            out = " ".join(capsys.readouterr().out.split())
             assert "no taxels at thumb.palm, which shadow does not have" in out
             assert "beyond the end of their segment: thumb.distal[+30,+0 mm], index.distal[" in out
 

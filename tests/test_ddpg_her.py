@@ -10,9 +10,10 @@ import pytest
 import torch
 
 from tactilerl.algos import DivergenceError
-from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig, explore, targets
+from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig, targets
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.networks import FlatAdam
+from tactilerl.algos.policy import explore
 from tactilerl.envs import vector
 
 
@@ -277,6 +278,63 @@ class TestSaving:
         assert whole.env_steps == again.env_steps
 
 
+class Told(gym.ObservationWrapper):
+    """A critic may see five values besides."""
+
+    def __init__(self, env, space=None):
+        super().__init__(env)
+        truth = space or gym.spaces.Box(-np.inf, np.inf, (5,), np.float32)
+        self.observation_space = gym.spaces.Dict({**env.observation_space.spaces, "truth": truth})
+
+    def observation(self, obs):
+        return {**obs, "truth": 100 * self.np_random.standard_normal(5)}
+
+    def compute_reward(self, achieved, desired, info):
+        return self.env.compute_reward(achieved, desired, info)
+
+
+class TestTruth:
+    """A critic that sees what the policy does not."""
+
+    def test_only_the_critic_sees_it(self):
+        learner, blind = make(Told(GoalEnv())), make()
+        assert learner.critic.linears[0].weight.shape[1] == blind.critic.linears[0].weight.shape[1] + 5
+        assert torch.equal(learner.actor.linears[0].weight, blind.actor.linears[0].weight)
+        trained(learner=learner)
+        spaces = blind.spaces
+        saved = DDPGHER.saved_policy(learner.config, spaces, learner.state_dict())
+        obs = GoalEnv().reset(seed=0)[0]
+        assert np.array_equal(saved.act(obs), learner.policy().act(obs))
+
+    def test_what_it_says_depends_on_it_cut_and_normalised(self):
+        learner = trained(learner=make(Told(GoalEnv()), clip_obs=50.0))
+        batch = learner.replay.sample(64, 0.8)
+        assert np.abs(batch.truth).max() > 50
+        assert np.abs(batch.next_truth).max() > 50
+        inputs, actions, _target = learner._prepared(type(batch)(*map(torch.from_numpy, batch)))
+        assert 0.5 < inputs[:, -5:].std() < 2
+        assert np.abs(learner.truth_stats.mean).max() < 50
+        other = inputs.clone()
+        other[:, -5:] = 0
+        critic = learner.critic
+        first, second = (critic(torch.cat([x, actions], dim=1)) for x in (inputs, other))
+        assert not torch.allclose(first, second)
+
+    def test_goes_on_as_if_never_stopped(self):
+        once = trained(4, make(Told(GoalEnv())))
+        half = trained(2, make(Told(GoalEnv())))
+        again = make(Told(GoalEnv()))
+        again.load_state_dict(pickle.loads(pickle.dumps(half.state_dict())))
+        again.add_experience(half.new_experience(everything=True))
+        trained(2, again)
+        assert torch.equal(once.adam.vector, again.adam.vector)
+        assert np.array_equal(once.truth_stats.mean, again.truth_stats.mean)
+
+    def test_a_truth_of_another_kind_is_refused(self):
+        with pytest.raises(ValueError, match=r"found Discrete\(3\) for 'truth', allowed a Box"):
+            make(Told(GoalEnv(), gym.spaces.Discrete(3)))
+
+
 class Noisy(gym.ObservationWrapper):
     """Taxels that are not Boolean any more."""
 
@@ -317,7 +375,7 @@ class TestHardCases:
             (dict(), dict(batch_size=1)),
             (dict(), dict(clip_obs=1e9)),
             (dict(offset=1e8), dict(clip_obs=1e9)),
-            (dict(scale=1e30), dict(clip_obs=1e38)),
+            (dict(scale=1e30), dict(clip_obs=1e30)),
             (dict(reward_scale=1e6), {}),
             (dict(reward_scale=1e6), dict(clip_target=False, gamma=1 - 1e-7)),
             (dict(reward_scale=1e-6), dict(clip_target=False)),

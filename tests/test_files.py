@@ -423,7 +423,7 @@ class TestLock:
         first.stdout.readline()
         more = [*RESUME, "--total-timesteps", "240"]
         before = TABLE.read_bytes()
-        fails_with(capsys, more, f"process {first.pid} on ", "is writing to this run folder")
+        fails_with(capsys, more, f"process {first.pid} on ", "is writing to this folder")
         fails_with(capsys, more, f"process {first.pid} on ")  # which has not changed the name
         assert TABLE.read_bytes() == before
         first.send_signal(signal.SIGKILL)

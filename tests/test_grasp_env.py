@@ -224,6 +224,7 @@ class TestRewards:
             "lifted": closeness,
             "dropped": closeness + 5,
             "held": 1000.0,
+            "missed": closeness,  # of another task
         }
         assert task.reward(goals, task.only_goal) == pytest.approx(
             [expected[k] for k in tasks.OUTCOMES]

@@ -22,7 +22,7 @@ ALLOWED = {
     "tyro": (
         "tactilerl/flags.py",
         "tactilerl/commands/",
-        "tactilerl/probe/command.py",
+        "tactilerl/probe/options.py",
         "tactilerl/study/command.py",
     ),
 }

@@ -1,6 +1,7 @@
 """`tactilerl probe`: grasps, what is read from them, what can be told, and errors in one line."""
 
 import json
+import os
 from functools import partial
 from types import SimpleNamespace
 
@@ -14,10 +15,10 @@ from tactilerl.algos.mpi import Communicator
 from tactilerl.cli import main
 from tactilerl.envs import hands, layouts, scripted, vector
 from tactilerl.envs.grasp import GraspEnv, setup
+from tactilerl.envs.observations import TaxelFaults
 from tactilerl.envs.touch import SkinTouch
+from tactilerl.files import locked
 from tactilerl.probe import analysis, estimators, files, metrics, selection
-from tactilerl.probe.command import GraspFlags
-from tactilerl.probe.faults import TaxelFaults, noisy_angles
 from tactilerl.probe.grasps import (
     Perturbation,
     PolicyGrasps,
@@ -27,8 +28,9 @@ from tactilerl.probe.grasps import (
     moment,
     stack,
 )
+from tactilerl.probe.options import GraspFlags
 from tactilerl.probe.play import play
-from tactilerl.probe.readings import Grasps
+from tactilerl.probe.readings import Grasps, noisy_angles, with_faults
 
 DRAWN = Perturbation(("box",), (0.04, 0.05), (1.0,), 0.02, 0.5, (0.7, 1.1), 0.1)
 MPL = setup("mpl", simulator="mujoco")
@@ -225,18 +227,18 @@ class TestFaults:
     readings = np.random.default_rng(0).random((4000, 20)) < 0.5
 
     def test_without_any_readings_stay(self):
-        felt = TaxelFaults().apply(self.readings, np.random.default_rng(0))
+        felt = with_faults(self.readings, TaxelFaults(), np.random.default_rng(0))
         assert np.array_equal(felt, self.readings)
 
     def test_dead_and_stuck_are_for_life(self):
         faults = TaxelFaults(taxel_dead=0.2, taxel_stuck=0.1, taxel_false_on=0.5)
-        felt = faults.apply(self.readings, np.random.default_rng(0))
+        felt = with_faults(self.readings, faults, np.random.default_rng(0))
         assert (~felt.any(axis=0)).sum() == 4
         assert felt.all(axis=0).sum() == 2
 
     def test_false_readings_come_as_often_as_asked(self):
         faults = TaxelFaults(taxel_false_on=0.2, taxel_false_off=0.1)
-        felt = faults.apply(self.readings, np.random.default_rng(0))
+        felt = with_faults(self.readings, faults, np.random.default_rng(0))
         assert felt[~self.readings].mean() == pytest.approx(0.2, abs=0.01)
         assert felt[self.readings].mean() == pytest.approx(0.9, abs=0.01)
 
@@ -464,6 +466,47 @@ def error(capsys, *args):
     return captured.err
 
 
+class TestFolder:
+    def test_one_process_at_a_time(self, one_taxel, capsys):
+        """Two at once both ended well, and one's grasps were gone."""
+        out = one_taxel.parent
+        with locked(out):
+            said = error(capsys, "--out", str(out), "--seed", "1", "--grasps", "3")
+            assert f"process {os.getpid()} on " in said
+            assert "is writing to this folder" in said
+            assert "is writing" in error(capsys, "--from", str(one_taxel))
+
+    def test_a_policy_of_a_scene_with_ranges_is_asked(self, tmp_path, monkeypatch, capfd):
+        monkeypatch.chdir(tmp_path)
+        scene = ["--env", "shadow", "--friction", "0.5..1.0", "--object-size", "0.04..0.05"]
+        short = ["--total-timesteps", "1", "--hold-seconds", "0.2", "--steps-per-epoch", "20"]
+        assert main(["train", "--algo", "ppo", *scene, *short, "--out", "run"]) == 0
+        capfd.readouterr()
+        said = error(capfd, "--policy", "run", "--grasps", "6", "--workers=1", "--layout", "5")
+        assert "so many grasps were held" in said  # none by an untrained policy: they were played
+        assert len(files.read(tmp_path / "probes/run/grasps.npz").records["held"]) == 6
+
+
+class TestScene:
+    def test_hand_simulator_and_objects_are_the_scenes(self):
+        found = GraspFlags.of_scene("dark_mpl")
+        assert (found.env, found.simulator, found.hold_verdict) == ("mpl", "mujoco", "settled")
+        assert found.object_size == (0.04, 0.05)
+        assert found.start_offset == 0.015
+        assert found.friction == GraspFlags().friction
+
+    def test_flags_change_what_it_says(self, tmp_path, monkeypatch, capfd):
+        monkeypatch.chdir(tmp_path)
+        args = ["--scene", "dark_mpl", "--simulator", "mujoco", "--object-size", "0.045"]
+        found = result(capfd, *args, "--grasps", "8", "--layout", "5")
+        assert found["env"] == "mpl"
+        assert found["playing"]["perturbation"]["sizes"] == [0.045]
+
+    def test_a_scene_that_is_handed_over_is_refused(self, capsys):
+        assert "whose task is handover" in error(capsys, "--scene", "handover")
+        assert "scene: found 'nowhere', allowed: " in error(capsys, "--scene", "nowhere")
+
+
 class TestBadInput:
     def test_damaged_grasps(self, one_taxel, capsys):
         whole = one_taxel.read_bytes()
@@ -502,7 +545,7 @@ class TestBadInput:
             (["--closing", "1", "0.5"], "closing: found 1.0 0.5"),
             (["--object-size", "0.2"], "object_size: found 0.2"),
             (["--taxel-dead", "1.5"], "taxel_dead: found 1.5"),
-            (["--taxel-dead", "0.6", "--taxel-stuck", "0.6"], "taxel_stuck: found 0.6"),
+            (["--taxel-dead", "0.6", "--taxel-stuck", "0.6"], "taxel_stuck: found 1.2 with taxel_dead"),
             (["--joint-noise", "-1"], "joint_noise: found -1"),
             (["--folds", "1"], "folds: found 1"),
             (["--select", "0"], "select: found 0"),

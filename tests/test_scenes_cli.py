@@ -135,7 +135,7 @@ class TestEvaluateWithOtherSensors:
     @pytest.mark.parametrize(
         ("given", "named"),
         [
-            (["--sweep", "layout", "1", "2"], "--sweep: found 'layout', allowed: object-seen"),
+            (["--sweep", "layout", "1", "2"], "--sweep: found 'layout', allowed: taxel-false-on"),
             (["--sweep", "taxel-dead"], "--sweep taxel-dead: found no values"),
             (["--sweep", "taxel-dead", "some"], "--sweep taxel-dead: could not convert"),
             (["--sweep", "taxel-dead", "0", "2"], "taxel_dead: found 2.0, allowed from 0 to 1"),

@@ -16,8 +16,8 @@ from scipy import stats
 
 from benchmarks.command import parser, write
 from tactilerl.envs.grasp import setup
-from tactilerl.probe.command import GraspFlags
 from tactilerl.probe.grasps import Scenes, ScriptedGrasps
+from tactilerl.probe.options import GraspFlags
 
 SEED = 20_000  # not that of any probe that is reported
 

@@ -19,9 +19,8 @@ from threadpoolctl import threadpool_limits
 from .. import statistics
 from ..envs.hands import Array
 from . import estimators, metrics
-from .faults import noisy_angles
 from .metrics import Metric
-from .readings import Grasps
+from .readings import Grasps, noisy_angles
 
 JOINTS, SIGHT = "joints", "joints+sight"
 TAXELS, BOTH, ALONE = "joints+taxels", "joints+taxels+sight", "taxels"

@@ -206,7 +206,6 @@ def moment(env: GraspEnv) -> Record:
         "object_orientation": obj.orientation.copy(),
         "object_kind": np.array(objects.KINDS.index(env.shape.kind)),
         "object_half_size": np.array(env.shape.half_size, dtype=float),
-        "friction": np.array(float(env.config.friction)),
         "contact": np.asarray(contact, bool),
     }
 
@@ -234,7 +233,6 @@ def broken(env: GraspEnv) -> Record:
         **{name: np.zeros(shape) for name, shape in shapes_of(env.hand).items()},
         "object_kind": np.array(objects.KINDS.index(env.shape.kind)),
         "object_half_size": np.array(env.shape.half_size, dtype=float),
-        "friction": np.array(float(env.config.friction)),
         "contact": np.zeros(n_taxels, bool),
     }
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -12,6 +12,7 @@ from ..envs import objects
 from ..envs.hands import SLIDES, Array, Hand, Surface
 from ..envs.layouts import Taxels
 from ..envs.objects import ObjectState, Shape
+from ..envs.observations import SensorConfig, TaxelFaults, taxel_stages
 from ..envs.touch import SkinTouch
 from ..places import Place
 from .grasps import Record, links_of
@@ -143,3 +144,19 @@ def _axes(palm: Surface) -> Array:
 
 def _rotations(quaternions: Array) -> Array:
     return Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
+
+
+def with_faults(readings: Array, faults: TaxelFaults, rng: np.random.Generator) -> Array:
+    """What the environment does to readings on their way, done to bool (n, taxels): the same taxels are
+    broken in all."""
+    sensors = SensorConfig(**asdict(faults), hand_seed=int(rng.integers(2**32)))
+    faulty = readings
+    for stage in taxel_stages(sensors, readings.shape[1]):
+        stage.begin(rng)
+        faulty = stage(faulty)
+    return faulty.astype(bool)
+
+
+def noisy_angles(angles: Array, noise: float, rng: np.random.Generator) -> Array:
+    """Joint angles (n, joints) with white noise of `noise` rad; the same draws at any `noise`."""
+    return angles + noise * rng.standard_normal(angles.shape)

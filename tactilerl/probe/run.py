@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,28 +19,40 @@ from ..envs import hands, layouts, vector
 from ..envs.grasp import setup
 from ..envs.hands import Array, Hand
 from ..envs.layouts import Layout
+from ..envs.vector import Task
 from ..errors import InputError, input_errors
-from ..files import replacing
+from ..files import locked, replacing
 from ..places import Place
 from ..training import free_cores, start_workers
 from . import analysis, estimators, figures, files, selection
 from .analysis import Choices
 from .files import Played
-from .grasps import PolicyGrasps, Scenes, ScriptedGrasps
+from .grasps import PolicyGrasps, Record, Scenes, ScriptedGrasps
 from .metrics import AUC
+from .options import AnalysisFlags, GraspFlags, Options
 from .play import play
-from .readings import Grasps
-
-if TYPE_CHECKING:
-    from .command import AnalysisFlags, GraspFlags, ProbeFlags
+from .readings import Grasps, with_faults
 
 
-def grasps(read: ProbeFlags, comm: Communicator, show: Callable[[int], None]) -> tuple[Played, Path]:
-    """The grasps, played or read, and the folder where everything goes. Whatever cannot be asked
-    is refused before minutes of playing."""
-    source, playing = read.output.grasps_file, read.grasp
+class Playing(NamedTuple):
+    """What `play` needs, and where the results go."""
+
+    settings: dict[str, Any]
+    contact_places: tuple[Place, ...]
+    task: Task[Record]
+    start: Callable[[int], vector.Workers]
+    """By their number."""
+    out: Path
+
+
+def grasps(
+    read: Options, comm: Communicator, held: ExitStack, show: Callable[[int], None]
+) -> tuple[Played, Path]:
+    """The grasps, played or read, and the folder where everything goes, to which no other process
+    writes while it is `held`. Whatever cannot be asked is refused before minutes of playing."""
+    source, out = read.output.grasps_file, read.output.out
     if source is not None:
-        if changed := _changed(playing):
+        if changed := _changed(read.grasp):
             raise InputError(
                 f"--{changed}: found it together with --from, allowed when grasps are played"
             )
@@ -48,11 +61,23 @@ def grasps(read: ProbeFlags, comm: Communicator, show: Callable[[int], None]) ->
             raise InputError(f"{source}: found grasps of {played.settings.get('env')!r}, "
                              f"allowed: {', '.join(hands.HANDS)}")  # fmt: skip
         _require_answerable(read.analysis, hands.get(played.settings["env"]))
-        return played, files.folder(read.output.out or source.parent)
-    out, workers = read.output.out, read.output.workers or free_cores(comm)
-    if playing.policy is not None:
-        return _by_policy(playing, read.analysis, out, workers, comm, show)
-    return _scripted(playing, read.analysis, out, workers, comm, show)
+        out = out or source.parent
+        _hold(out, comm, held)
+        return played, out
+    prepared = _scripted if read.grasp.policy is None else _by_policy
+    playing = prepared(read.grasp, read.analysis, held)
+    out, start = out or playing.out, partial(playing.start, read.output.workers or free_cores(comm))
+    _hold(out, comm, held)
+    played = play(out / "grasps.npz", read.grasp.grasps, playing.settings, playing.contact_places,
+                  playing.task, start, comm, show)  # fmt: skip
+    return played, out
+
+
+def _hold(out: Path, comm: Communicator, held: ExitStack) -> None:
+    """Make a folder and its lock."""
+    files.folder(out)
+    if comm.rank == 0:
+        held.enter_context(locked(out))
 
 
 def _require_answerable(asking: AnalysisFlags, hand: Hand) -> None:
@@ -72,33 +97,28 @@ def _changed(playing: GraspFlags, *allowed: str) -> str | None:
     return next(names, "").replace("_", "-") or None
 
 
-def _scripted(
-    playing: GraspFlags, asking: AnalysisFlags, out: Path | None, workers: int, comm: Communicator,
-    show: Callable[[int], None],
-) -> tuple[Played, Path]:  # fmt: skip
-    simulator = playing.simulator or setup(playing.env).simulator
-    hand, drawn = hands.get(playing.env), playing.perturbation
+def _scripted(grasps: GraspFlags, asking: AnalysisFlags, held: ExitStack) -> Playing:
+    simulator = grasps.simulator or setup(grasps.env).simulator
+    hand, drawn = hands.get(grasps.env), grasps.perturbation
     _require_answerable(asking, hand)
-    out = out or Path("probes") / f"{playing.env}_{simulator}"
-    config = setup(playing.env, simulator=simulator, touch=playing.touch)
+    config = setup(grasps.env, simulator=simulator, touch=grasps.touch)
     settings: dict[str, Any] = {
-        "env": playing.env, "simulator": simulator, "touch": playing.touch, "seed": playing.seed,
-        "hold_verdict": playing.hold_verdict, "perturbation": asdict(drawn),
+        "env": grasps.env, "simulator": simulator, "touch": grasps.touch, "seed": grasps.seed,
+        "hold_verdict": grasps.hold_verdict, "perturbation": asdict(drawn),
     }  # fmt: skip
-    with tempfile.TemporaryDirectory() as folder:
-        contact_places: tuple[Place, ...] = ()
-        if playing.touch == "contact":
-            names = (*asking.layout, *((asking.skin,) if asking.select else ()))
-            settings["layouts"] = list(names)
-            config = replace(config, layout=_union(names, hand, Path(folder)))
-            contact_places = tuple(places.of(layouts.load(config.layout).place(hand), hand))
-        with input_errors():
-            for variant in drawn.variants():
-                replace(config, **variant).validate()
-        start = partial(vector.start, partial(Scenes, playing.env, config, drawn.variants()), workers)
-        task = ScriptedGrasps(drawn, playing.seed, playing.hold_verdict)
-        path = files.folder(out) / "grasps.npz"
-        return play(path, playing.grasps, settings, contact_places, task, start, comm, show), out
+    contact_places: tuple[Place, ...] = ()
+    if grasps.touch == "contact":
+        names = (*asking.layout, *((asking.skin,) if asking.select else ()))
+        settings["layouts"] = list(names)
+        folder = held.enter_context(tempfile.TemporaryDirectory())
+        config = replace(config, layout=_union(names, hand, Path(folder)))
+        contact_places = tuple(places.of(layouts.load(config.layout).place(hand), hand))
+    with input_errors():
+        for variant in drawn.variants():
+            replace(config, **variant).validate()
+    task = ScriptedGrasps(drawn, grasps.seed, grasps.hold_verdict)
+    start = partial(vector.start, partial(Scenes, grasps.env, config, drawn.variants()))
+    return Playing(settings, contact_places, task, start, Path("probes") / f"{grasps.env}_{simulator}")
 
 
 def _union(names: Sequence[str], hand: Hand, folder: Path) -> str:
@@ -109,37 +129,30 @@ def _union(names: Sequence[str], hand: Hand, folder: Path) -> str:
     return str(path)
 
 
-def _by_policy(
-    playing: GraspFlags, asking: AnalysisFlags, out: Path | None, workers: int, comm: Communicator,
-    show: Callable[[int], None],
-) -> tuple[Played, Path]:  # fmt: skip
+def _by_policy(grasps: GraspFlags, asking: AnalysisFlags, held: ExitStack) -> Playing:
     from ..policies import read_run
 
-    assert playing.policy is not None
-    if changed := _changed(playing, "policy", "grasps", "seed", "touch"):
+    assert grasps.policy is not None
+    if changed := _changed(grasps, "policy", "grasps", "seed", "touch"):
         raise InputError(f"--{changed}: found it together with --policy, allowed without: a run has "
                          "its own scene")  # fmt: skip
-    config, policy, epoch, env_steps = read_run(playing.policy)
+    config, policy, epoch, env_steps = read_run(grasps.policy)
     if config.scene is None:
-        raise InputError(f"--policy {playing.policy}: found a run of {config.run.env}, allowed runs of "
+        raise InputError(f"--policy {grasps.policy}: found a run of {config.run.env}, allowed runs of "
                          f"{', '.join(hands.HANDS)}")  # fmt: skip
-    scene = config.scene
+    scene, hand, name = config.scene, hands.get(config.run.env), grasps.policy.resolve().name
     settings = {
-        "env": config.run.env, "simulator": scene.simulator, "touch": playing.touch,
-        "seed": playing.seed, "policy": playing.policy.resolve().name, "epoch": epoch,
-        "env_steps": env_steps,
+        "env": config.run.env, "simulator": scene.simulator, "touch": grasps.touch,
+        "seed": grasps.seed, "policy": name, "epoch": epoch, "env_steps": env_steps,
     }  # fmt: skip
-    hand = hands.get(config.run.env)
     _require_answerable(asking, hand)
     contact_places: tuple[Place, ...] = ()
     if scene.touch == "contact":
         contact_places = tuple(places.of(layouts.load(scene.layout).place(hand), hand))
-    start = partial(start_workers, config, comm, workers)
-    out = files.folder(out or Path("probes") / playing.policy.resolve().name)
-    task = PolicyGrasps(policy, playing.seed)
-    return play(
-        out / "grasps.npz", playing.grasps, settings, contact_places, task, start, comm, show
-    ), out
+    start = partial(start_workers, config, Communicator())
+    return Playing(
+        settings, contact_places, PolicyGrasps(policy, grasps.seed), start, Path("probes") / name
+    )
 
 
 def _layout(name: str, hand: Hand) -> Layout:
@@ -161,7 +174,7 @@ def _of_layouts(names: Sequence[str], hand: Hand) -> dict[str, list[Place]]:
         return {name: places.of(_layout(name, hand).place(hand), hand) for name in names}
 
 
-def analyse(read: ProbeFlags, played: Played, out: Path) -> dict[str, Any]:
+def analyse(read: Options, played: Played, out: Path) -> dict[str, Any]:
     """Ask the grasps; writes probe.json, the figures and what was selected to `out`."""
     hand, asking, settings = hands.get(played.settings["env"]), read.analysis, played.settings
     is_whole = ~played.records["broken"].astype(bool)
@@ -188,7 +201,7 @@ def analyse(read: ProbeFlags, played: Played, out: Path) -> dict[str, Any]:
     return result
 
 
-def _feel(read: ProbeFlags, asked: Grasps, settings: dict[str, Any], spots: Sequence[Place]) -> Array:
+def _feel(read: Options, asked: Grasps, settings: dict[str, Any], spots: Sequence[Place]) -> Array:
     """Readings bool (n, taxels) by the touch rule of the grasps, with faults."""
     if settings["touch"] == "contact":
         readings = asked.feel_contact(spots)
@@ -197,10 +210,10 @@ def _feel(read: ProbeFlags, asked: Grasps, settings: dict[str, Any], spots: Sequ
         column = {spot: i for i, spot in enumerate(places.of(taxels, asked.hand))}
         readings = asked.feel(taxels)[:, [column[spot] for spot in spots]]
     rng = np.random.default_rng([settings["seed"], analysis.FAULTS])
-    return read.fault.apply(readings, rng)
+    return with_faults(readings, read.fault, rng)
 
 
-def _about(read: ProbeFlags, played: Played, asked: Grasps) -> dict[str, Any]:
+def _about(read: Options, played: Played, asked: Grasps) -> dict[str, Any]:
     """What was asked of what, and by which versions."""
     return {
         **{name: played.settings[name] for name in ("env", "simulator", "touch", "seed")},
@@ -254,7 +267,7 @@ def _worth(
 
 
 def _select(
-    read: ProbeFlags,
+    read: Options,
     asked: Grasps,
     settings: dict[str, Any],
     readings: dict[str, Array],

@@ -1,0 +1,178 @@
+"""What can be asked of `tactilerl probe`: a field a flag."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from ..envs import objects, scenes, tasks
+from ..envs.grasp import setup
+from ..envs.hands import HANDS
+from ..envs.hold import Verdict
+from ..envs.observations import TaxelFaults, validate_faults
+from .grasps import Perturbation
+
+SIX = ("1", "2", "3", "4", "5", "6")
+
+
+@dataclass(frozen=True)
+class GraspFlags:
+    """The grasps to play."""
+
+    scene: str = ""
+    """Take hand, simulator and objects from a named scene or its .toml file; other flags change what
+    it says."""
+    env: str = "shadow"
+    """Which hand: shadow, mpl or allegro."""
+    simulator: Literal["mujoco", "pybullet"] | None = None
+    """The physics engine; default: the hand's."""
+    policy: Path | None = None
+    """Grasps of a trained policy with its noise, in its run's own scene, instead of scripted ones."""
+    grasps: int = 2_000
+    """Number of grasps."""
+    seed: int = 0
+    """Random seed of grasps, folds, noise and bootstrap samples."""
+    touch: Literal["skin", "contact"] = "skin"
+    """Touch rule. skin: any layout can be read afterwards; contact: the simulator's own contacts are
+    recorded for the layouts of this call."""
+    object: tuple[objects.Kind, ...] = ("box",)
+    """Kinds of object: box, sphere, cylinder."""
+    object_size: tuple[float, ...] = (0.04, 0.045, 0.05)
+    """Edges of cubes, diameters (and heights) of others, m."""
+    friction: tuple[float, ...] = (0.5, 1.0)
+    """Sliding frictions of the object."""
+    start_offset: float = 0.025
+    """Largest distance of the object from its place along x and y, m."""
+    start_yaw: float = 0.6
+    """Largest turn of the object, rad."""
+    closing: tuple[float, float] | None = None
+    """How far the fingers close, from and to: 1 is all the way of the scripted grasp; default: what
+    lets 30 to 70 % of the grasps hold (mpl 0.8 1.1, others 0.5 0.9)."""
+    joint_jitter: float = 0.1
+    """Largest offset of a finger joint at the start, rad."""
+    hold_verdict: Verdict = "settled"
+    """full: is the object up 2 s after the lift?; settled: the same, called early in PyBullet when the
+    object has come to rest in the hand."""
+
+    @classmethod
+    def of_scene(cls, scene: str) -> GraspFlags:
+        """What a named scene says of the grasps; ValueError and FileNotFoundError as `scenes.load`, and
+        where its objects do not lie on the ground."""
+        named = scenes.load(scene)
+        config = setup(named.env, **named.scene)
+        if not issubclass(tasks.TASKS[config.task], tasks.FromTheGround):
+            raise ValueError(f"scene: found {scene!r}, whose task is {config.task}, allowed scenes "
+                             "whose object lies on the ground; or probe a run: --policy")  # fmt: skip
+        said: dict[str, Any] = {"env": named.env, "simulator": config.simulator}
+        for name in ("start_offset", "start_yaw", "hold_verdict"):
+            if name in named.scene:
+                said[name] = named.scene[name]
+        for name, values in (("object_size", config.object_size), ("friction", (config.friction,))):
+            if name in named.scene:  # of a range, both ends
+                ends = (objects.bounds(name, value) for value in values)
+                said[name] = tuple(sorted({end for pair in ends for end in pair}))
+        if "object" in named.scene:
+            said["object"] = tuple(config.object.split(","))
+        return cls(scene=scene, **said)
+
+    @property
+    def perturbation(self) -> Perturbation:
+        """That of scripted grasps."""
+        return Perturbation(
+            self.object, self.object_size, self.friction, self.start_offset, self.start_yaw,
+            self.closing or HANDS[self.env].closing, self.joint_jitter,
+        )  # fmt: skip
+
+    def validate(self) -> None:
+        """Raise ValueError naming the first invalid flag."""
+        if self.env not in HANDS:
+            raise ValueError(f"env: found {self.env!r}, allowed: {', '.join(HANDS)}")
+        if self.grasps < 1:
+            raise ValueError(f"grasps: found {self.grasps}, allowed 1 or more")
+        if not 0 <= self.seed < 2**32:
+            raise ValueError(f"seed: found {self.seed}, allowed from 0 to 2**32 - 1")
+        for name in ("object", "object_size", "friction"):
+            values = getattr(self, name)
+            if not values or len(set(values)) < len(values):
+                raise ValueError(f"{name}: found {list(values)}, allowed one or more, each once")
+        for name, most in (("start_offset", 0.05), ("start_yaw", 3.2), ("joint_jitter", 1.0)):
+            value = getattr(self, name)
+            if not 0 <= value <= most:
+                raise ValueError(f"{name}: found {value}, allowed from 0 to {most}")
+        low, high = self.perturbation.closing
+        if not 0 <= low <= high <= 2:
+            raise ValueError(f"closing: found {low} {high}, allowed from 0 to 2, the smaller first")
+
+
+@dataclass(frozen=True)
+class AnalysisFlags:
+    """The questions to ask."""
+
+    layout: tuple[str, ...] = SIX
+    """Layouts: 1-6, named designs, or paths of .toml files."""
+    estimator: Literal["linear", "boosting"] = "linear"
+    """linear: regularised linear models; boosting: boosted trees, which take many times as long."""
+    joint_noise: tuple[float, ...] = (0.0, 0.05)
+    """Standard deviations of noise on the joint angles, rad; each is reported."""
+    folds: int = 5
+    """Folds of the cross-validation."""
+    hold_out: Literal["grasps", "objects"] = "grasps"
+    """What a fold holds back: some grasps, or all grasps of some objects, so that these are new."""
+    resamples: int = 2_000
+    """Bootstrap samples behind an interval."""
+    shuffles: int = 10
+    """How often outcomes are shuffled, to check that nothing is gained then."""
+    select: tuple[int, ...] = ()
+    """Choose this many taxels from a dense skin; several numbers give a layout file each."""
+    skin: str = "1"
+    """The skin to choose from: a layout, or the spacing of a grid over all phalanges, such as 2mm."""
+
+    def validate(self) -> None:
+        """Raise ValueError naming the first invalid flag."""
+        for name, least in (("folds", 2), ("resamples", 100), ("shuffles", 2)):
+            if getattr(self, name) < least:
+                raise ValueError(f"{name}: found {getattr(self, name)}, allowed {least} or more")
+        for noise in self.joint_noise:
+            if not 0 <= noise <= 10:
+                raise ValueError(f"joint_noise: found {noise}, allowed from 0 to 10")
+        for n in self.select:
+            if n < 1:
+                raise ValueError(f"select: found {n}, allowed 1 or more")
+        for name in ("layout", "joint_noise"):
+            values = getattr(self, name)
+            if not values or len(set(values)) < len(values):
+                raise ValueError(f"{name}: found {list(values)}, allowed one or more, each once")
+
+
+@dataclass(frozen=True)
+class OutputFlags:
+    """Where results go and how they are shown."""
+
+    out: Path | None = None
+    """Folder of grasps.npz, probe.json and figures; default: probes/ENV_SIMULATOR. The same command
+    continues what is there."""
+    grasps_file: Annotated[Path | None, tyro.conf.arg(name="from", metavar="FILE")] = None
+    """Read the grasps from this file instead of playing any."""
+    workers: int | None = None
+    """Grasps played side by side; default: one per free core. Results do not depend on it."""
+    json: bool = False
+    """Print JSON instead of a table."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """All flags of `tactilerl probe`."""
+
+    grasp: GraspFlags = GraspFlags()
+    analysis: AnalysisFlags = AnalysisFlags()
+    fault: TaxelFaults = field(default_factory=TaxelFaults)
+    output: OutputFlags = OutputFlags()
+
+    def validate(self) -> None:
+        """Raise ValueError naming the first invalid flag."""
+        self.grasp.validate()
+        self.analysis.validate()
+        validate_faults(self.fault)
