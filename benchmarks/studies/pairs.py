@@ -78,7 +78,13 @@ def row(study: str, setup: str, score: str, of_cells: list[Cell]) -> dict[str, A
 def show(rows: list[dict[str, Any]]) -> None:
     """A line per study and score."""
     names = ("together", "within cells")
-    columns = ("study", "set-up", "score", "n", *(f"{x}, {name}" for name in names for x in ("r", "runs")))
+    columns = (
+        "study",
+        "set-up",
+        "score",
+        "n",
+        *(f"{x}, {name}" for name in names for x in ("r", "runs")),
+    )
     table = Table(*columns)
     for one in rows:
         shown = [one["study"], one["setup"], one["score"], str(one["pairs"])]
