@@ -214,8 +214,9 @@ def defaults(
     """
     with input_errors("--scene"):
         named = scenes.load(scene) if scene else NamedScene(env=RunOptions.env)
-    algo, env = algo or named.train.get("algo", RunOptions.algo), env or named.env
-    is_own = algo == named.train.get("algo")
+    own = named.train.get("algo", RunOptions.algo)
+    algo, env = algo or own, env or named.env
+    is_own = algo == own
     train = {k: v for k, v in named.train.items() if is_own and k not in ("algo", "recipe")}
     with input_errors("--algo"):
         algos.get(algo)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from functools import partial
 from typing import Any
@@ -48,6 +48,7 @@ def examine(
     seed: int,
     workers: int,
     tick: Callable[[], None] = lambda: None,
+    senses: Sequence[str] = tuple(SENSES),
 ) -> list[Found]:
     """The best reflex of each sense in a scene, `starts` starts each.
 
@@ -55,7 +56,8 @@ def examine(
     every candidate.
     """  # fmt: skip
     found = []
-    for name, (sense, _) in SENSES.items():
+    for name in senses:
+        sense, _ = SENSES[name]
         if name == "sight" and scene.object_seen in ("hidden", "exact"):
             continue  # nothing to go by, or what "sighted" is
         own = dataclasses.replace(scene, run_type="main" if sense == "touch" else "absent")

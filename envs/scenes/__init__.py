@@ -1,6 +1,7 @@
 """Named scenes: choices of hand, simulator, task and senses that belong together, and who learns there.
 
-Each is a TOML file here, or anybody's own, that says why it chose what it chose.
+Each is a TOML file here, or anybody's own, that says why it chose what it chose. With `base` it says
+only what differs from another scene of the library.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ def load(name: str) -> NamedScene:
         )
     path = Path(name) if name.endswith(SUFFIX) else FOLDER / f"{name}{SUFFIX}"
     data = toml_files.read(path, "scene file")
-    kinds = {"about": str, "env": str, "scene": dict, "train": dict}
+    kinds = {"about": str, "base": str, "env": str, "scene": dict, "train": dict}
     for key, value in data.items():
         if key not in kinds:
             raise ValueError(f"scene file {path}: unknown key {key!r}; allowed: {', '.join(kinds)}")
@@ -55,4 +56,11 @@ def load(name: str) -> NamedScene:
             raise ValueError(
                 f"scene file {path}: {key}: found {value!r}, allowed a {kinds[key].__name__}"
             )
-    return NamedScene(**data)
+    if "base" not in data:
+        return NamedScene(**data)
+    if data["base"] not in names():
+        raise ValueError(f"scene file {path}: base: found {data['base']!r}, "
+                         f"allowed: {', '.join(names())}")  # fmt: skip
+    base = load(data.pop("base"))
+    both = {key: {**getattr(base, key), **data.get(key, {})} for key in ("scene", "train")}
+    return NamedScene(data.get("about", base.about), data.get("env", base.env), **both)

@@ -7,6 +7,8 @@ import json
 from dataclasses import dataclass
 from typing import Any
 
+import gymnasium as gym
+
 from .. import envs
 from ..envs import scenes
 from ..errors import input_errors
@@ -47,9 +49,11 @@ def main(args: list[str]) -> int:
     if read.json:
         print(json.dumps(described))
         return 0
-    for key in ("env", "action_space", "observation_space", "taxels"):
-        if key in described:
-            print(f"{key}: {described[key]}")
+    print(f"env: {name}")
+    print(f"action_space: {_short(made.action_space)}")
+    print(f"observation_space: {_short(made.observation_space)}")
+    if scene:
+        print(f"taxels: {described['taxels']}")
     for note in described.get("notes", ()):
         print(f"note: {note}")
     if not args:
@@ -61,3 +65,11 @@ def main(args: list[str]) -> int:
             for index, entry in enumerate(described.get(key, ())):
                 print(f"{key}[{index}] {entry}")
     return 0
+
+
+def _short(space: gym.Space[Any]) -> str:
+    """Of one line: bounds that differ between entries are left out."""
+    if isinstance(space, gym.spaces.Dict):
+        return f"Dict({', '.join(f'{key}: {_short(part)}' for key, part in space.spaces.items())})"
+    whole = str(space)
+    return whole if "[" not in whole else f"{type(space).__name__}{space.shape}"

@@ -1,0 +1,91 @@
+"""What can touch win in each scene, and in a handover with each hand, simulator and layout?
+
+Prints the tables of docs/gates.md and writes JSON; what is in the file already is not played again:
+
+    python -m benchmarks gates --out docs/data/gates.json
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from typing import Any
+
+from benchmarks.command import earlier, parser, write
+from tactilerl import gate
+from tactilerl.algos.mpi import Communicator
+from tactilerl.envs import scenes, tasks
+from tactilerl.envs.grasp import setup
+from tactilerl.training import free_cores
+
+HANDS, SIMULATORS, LAYOUTS = ("mpl", "shadow", "allegro"), ("mujoco", "pybullet"), range(1, 7)
+LAYOUT_SCENES = ("handover", "handover_fingers")
+QUICK = {"hold_verdict": "settled"}  # the full hold of every scene that has one would take hours
+Row = dict[str, Any]
+
+
+def examine(name: str, starts: int, search: int, senses: tuple[str, ...], **choices: Any) -> Row:
+    """The best reflexes in a scene with some choices of its own."""
+    named = scenes.load(name)
+    env = choices.pop("env", named.env)
+    config = setup(env, **{**named.scene, **choices})
+    if issubclass(tasks.TASKS[config.task], (tasks.LiftAndHold, tasks.Handover)):
+        config = dataclasses.replace(config, **QUICK)
+    found = gate.examine(env, config, starts, search, 0, free_cores(Communicator()), senses=senses)
+    rates = {each.name: dataclasses.asdict(each) for each in found}
+    whole = {"gate": gate.verdict(found)} if set(rates) >= {"touch", "sighted"} else {}
+    return {"scene": name, "env": env, "choices": choices, "reflexes": rates, **whole}
+
+
+def tables() -> dict[str, list[tuple[str, str, dict[str, Any]]]]:
+    """What is asked, by table: (row's key, scene, choices)."""
+    pairs = itertools.product(HANDS, SIMULATORS)
+    return {
+        "scenes": [(name, name, {}) for name in scenes.names()],
+        "handover": [
+            (f"{hand}, {simulator}", "handover", {"env": hand, "simulator": simulator})
+            for hand, simulator in pairs
+        ],
+        "layouts": [
+            (f"{name}, layout {layout}", name, {"layout": str(layout)})
+            for name in LAYOUT_SCENES
+            for layout in LAYOUTS
+        ],
+    }
+
+
+def show(table: str, rows: dict[str, Row]) -> None:
+    """As Markdown."""
+    names = [name for name in gate.SENSES if any(name in row["reflexes"] for row in rows.values())]
+    print(f"\n### {table}\n\n| | {' | '.join(names)} |\n|---|{'---|' * len(names)}")
+    for key, row in rows.items():
+        cells = [_cell(row["reflexes"].get(name)) for name in names]
+        print(f"| {key} | {' | '.join(cells)} |")
+
+
+def _cell(found: dict[str, Any] | None) -> str:
+    if found is None:
+        return ""
+    low, high = found["interval"]
+    return f"{found['rate']:.2f} ({low:.2f} – {high:.2f})"
+
+
+def main() -> None:
+    """Play what is missing, then print all tables."""
+    flags = parser(__doc__)
+    flags.add_argument("--starts", type=int, default=200)
+    flags.add_argument("--search", type=int, default=20)
+    options = flags.parse_args()
+    known = earlier(options.out)
+    for table, wanted in tables().items():
+        rows = known.setdefault(table, {})
+        for key, name, choices in wanted:
+            if key not in rows:
+                senses = ("touch",) if table == "layouts" else tuple(gate.SENSES)
+                rows[key] = examine(name, options.starts, options.search, senses, **choices)
+                write(options.out, known)
+        show(table, rows)
+
+
+if __name__ == "__main__":
+    main()

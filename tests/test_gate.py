@@ -1,0 +1,110 @@
+"""Gates: reflexes of each sense, and the sentence that is made of them."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tactilerl import envs, gate
+from tactilerl.cli import main
+from tactilerl.envs import reflexes
+from tactilerl.envs.reflexes import Reflex
+from tactilerl.gate import Found
+
+FEW = ["--starts", "12", "--search", "1", "--workers", "1", "--seed", "10000"]
+
+
+def found(**rates):
+    return [Found(name, Reflex("time", 0, 1), rate, (0.0, 1.0), 100) for name, rate in rates.items()]
+
+
+class TestVerdict:
+    def test_what_touch_can_win_of_what_there_is(self):
+        said = gate.verdict(found(blind=0.3, joints=0.2, touch=0.9, sighted=1.0))
+        assert said.startswith("Touch can win 0.60 of the 0.70 ")
+        assert "(blind, 0.30)" in said
+
+    def test_a_scene_that_cannot_tell(self):
+        said = gate.verdict(found(blind=0.2, joints=0.8, touch=0.9, sighted=0.95))
+        assert said.startswith("This scene cannot tell: the best reflex without touch (joints) ")
+
+    def test_touch_that_wins_nothing(self):
+        assert "win 0.00 of" in gate.verdict(found(blind=0.4, joints=0.3, touch=0.2, sighted=1.0))
+
+
+class TestReflexes:
+    @pytest.mark.parametrize("scene", ["handover", "dark_mpl"])
+    def test_every_sense_has_as_many_candidates(self, scene):
+        env = envs.make(scene=scene)
+        assert {len(reflexes.candidates(env, sense)) for sense in reflexes.SENSES} == {15}
+        env.close()
+
+    def test_a_blind_one_does_the_same_whatever_it_is_told(self, monkeypatch):
+        env = envs.make(scene="handover", run_type="absent")
+        played = []
+        follow = env.follow
+
+        def blindfolded(targets):
+            played[-1].append(targets.copy())
+            obs, *rest = follow(targets)
+            return {**obs, "observation": obs["observation"] * np.nan}, *rest
+
+        for told in (follow, blindfolded):
+            played.append([])
+            monkeypatch.setattr(
+                env, "follow", lambda t, told=told: (played[-1].append(t.copy()), told(t))[1]
+            )
+            Reflex("time", 20, 1.0).play(env, 1)
+        whole, blind = (np.unique(np.array(p), axis=0) for p in played)
+        np.testing.assert_array_equal(whole, blind)
+        env.close()
+
+    def test_touch_goes_when_taxels_fire_and_not_before(self):
+        env = envs.make(scene="handover")
+        steps = []
+        follow = env.follow
+        env.follow = lambda targets: (steps.append(targets.copy()), follow(targets))[1]
+        assert Reflex("touch", 1, 1.0).play(env, 2)
+        went = next(i for i, targets in enumerate(steps) if not np.array_equal(targets, steps[0]))
+        assert env.task._sets_off < went < env.task._sets_off + env.task.stays
+        env.close()
+
+    def test_without_taxels_on_the_palm_touch_feels_nothing(self):
+        env = envs.make(scene="handover", layout="zhang")
+        assert sum(Reflex("touch", 1, 1.0).play(env, seed) for seed in range(10)) <= 2
+        env.close()
+
+
+def test_in_a_handover_touch_decides(capsys):
+    assert main(["gate", "--scene", "handover", *FEW, "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    rates = {row["name"]: row["rate"] for row in said["reflexes"]}
+    assert set(rates) == {"blind", "joints", "touch", "sighted"}
+    assert min(rates["touch"], rates["sighted"]) > 0.7
+    assert max(rates["blind"], rates["joints"]) < 0.6
+    assert said["verdict"].startswith("Touch can win 0.")
+
+
+def test_a_table_and_a_sentence(capsys):
+    few = ["--starts", "2", "--search", "1", "--workers", "1"]
+    assert main(["gate", "--scene", "dark_mpl", *few]) == 0
+    text = capsys.readouterr().out
+    assert "waits a fixed time" in text
+    assert "sees the object exactly" in text
+
+
+@pytest.mark.parametrize(
+    ("args", "named"),
+    [
+        (["--starts", "0"], "--starts: found 0, allowed 1 or more"),
+        (["--search", "0"], "--search: found 0, allowed 1 or more"),
+        (["--seed", "-1"], "--seed: found -1"),
+        (["--env", "lqr"], "--env: found 'lqr'"),
+        (["--scene", "nowhere"], "scene: found 'nowhere'"),
+    ],
+)
+def test_bad_input(args, named, capsys):
+    assert main(["gate", *args]) == 2
+    said = capsys.readouterr().err
+    assert named in said
+    assert len(said.splitlines()) == 1

@@ -1,0 +1,232 @@
+"""Somebody holds an object against the hand and lets go: giver, task, and the hand's few actions."""
+
+import numpy as np
+import pytest
+
+from tactilerl import envs
+from tactilerl.envs import objects, tasks
+from tactilerl.envs.givers import Giver
+from tactilerl.envs.reflexes import Reflex
+from tactilerl.envs.simulators import SimulationError
+
+SIMULATORS = ["mujoco", "pybullet"]
+PAIRS = [(hand, simulator) for hand in ("mpl", "shadow", "allegro") for simulator in SIMULATORS]
+STILL = {"jitter": False, "start_offset": objects.OFFSET}
+LATE = tasks.Handover.waits[1] + tasks.Handover.stays + 1
+
+
+def make(hand="mpl", simulator="mujoco", **choices):
+    return envs.make(hand, scene="handover", simulator=simulator, **choices)
+
+
+def heights(env, seed=0, steps=LATE):
+    """Of the object's upper side over the palm's skin, m, after each step with the hand left open."""
+    env.reset(seed=seed)
+    found, done = [], False
+    for _ in range(steps):
+        if done:
+            break
+        *_, terminated, truncated, _ = env.step(np.zeros(env.action_space.shape))
+        done = terminated or truncated
+        top = env.simulator.object_state().position[2] + env.shape.half_size[2]
+        found.append(top - env.palm_skin[2])
+    return np.array(found)
+
+
+class TestGiver:
+    def test_a_damped_spring_of_little_force(self):
+        giver = Giver(stiffness=100.0, damping=2.0, force=1.0)
+        rest = np.array([0.004, 0.1, 0.0])
+        pull = giver.pull(rest, np.zeros(3), np.array([0.0, 0.0, 0.2]))
+        np.testing.assert_allclose(pull, [0.4, 1.0, -0.4])
+
+    @pytest.mark.parametrize("simulator", SIMULATORS)
+    def test_moves_the_object_as_the_spring_would(self, simulator):
+        """On its way, far from the hand, against the same spring stepped on its own."""
+        env = make(simulator=simulator, object_size=(0.04,), **STILL)
+        env.reset(seed=0)
+        sim, giver, dt = env.simulator, env.task.giver, env.config.timestep / 8
+        start, mass = sim.object_state().position, 400 * 0.04**3
+        goal = start + np.array([0.0, 0.0, 0.05])
+        sim.carry(goal)
+        targets = env.hand.start_targets()
+        position, velocity, rest = start.copy(), np.zeros(3), start.copy()
+        for _ in range(40):
+            sim.step(targets, 1)
+            for _ in range(8):
+                rest += np.clip(goal - rest, -giver.speed * dt, giver.speed * dt)
+                velocity += dt * giver.pull(rest, position, velocity) / mass
+                position += dt * velocity
+            np.testing.assert_allclose(
+                sim.object_state().position, position, atol=2.4e-3
+            )  # a step of 4 ms
+        assert position[2] - start[2] > 0.03
+        env.close()
+
+    @pytest.mark.parametrize("simulator", SIMULATORS)
+    def test_after_letting_go_the_object_falls_freely(self, simulator):
+        env = make(simulator=simulator)
+        env.reset(seed=0)
+        sim, targets = env.simulator, env.hand.start_targets()
+        sim.step(targets, 10)
+        assert np.abs(sim.object_state().velocity).max() < 1e-3  # its weight is carried
+        sim.let_go()
+        sim.step(targets, 20)
+        fallen = 9.81 * 20 * env.config.timestep
+        assert sim.object_state().velocity[2] == pytest.approx(-fallen, rel=0.06)
+        env.reset(seed=0)
+        sim.step(targets, 10)
+        assert np.abs(sim.object_state().velocity).max() < 1e-3  # and so it is in the next episode
+        env.close()
+
+
+class TestEpisode:
+    @pytest.mark.parametrize(("hand", "simulator"), PAIRS)
+    def test_waits_arrives_and_falls(self, hand, simulator):
+        env = make(hand, simulator)
+        found = heights(env)
+        sets_off = env.task._sets_off
+        np.testing.assert_allclose(found[: sets_off - 1], -env.task.below, atol=1e-3)
+        held_up = found[sets_off + 5 : sets_off + env.task.stays - 1]
+        assert np.abs(held_up).max() < 0.01
+        assert np.ptp(held_up) < 2e-3
+        assert found[-1] < -env.task.fallen + 0.1
+        env.close()
+
+    def test_the_hand_hardly_notices_and_the_taxels_do(self):
+        env = make(**STILL)
+        env.reset(seed=0)
+        positions, felt = [], []
+        for _ in range(env.task._sets_off + env.task.stays - 1):
+            env.step(np.zeros(1))
+            positions.append(env.simulator.joint_state()[0].copy())
+            felt.append(int(env.taxel_readings().sum()))
+        before, after = positions[env.task._sets_off - 2], positions[-1]
+        assert np.abs(after - before)[:3].max() < 1e-3  # m, of the slides
+        assert np.abs(after - before)[3:].max() < 0.01  # rad
+        assert felt[env.task._sets_off - 2] == 0
+        assert felt[-1] > 0
+        env.close()
+
+    def test_times_are_drawn_and_the_same_whatever_is_sensed(self):
+        both = make(), make(run_type="control")
+        drawn = []
+        for seed in range(200):
+            a, b = (env.reset(seed=seed) and env.task._sets_off for env in both)
+            assert a == b
+            drawn.append(a)
+        assert (min(drawn), max(drawn)) == tasks.Handover.waits
+        for env in both:
+            env.close()
+
+    @pytest.mark.parametrize("simulator", SIMULATORS)
+    def test_an_episode_leaves_nothing_to_the_next(self, simulator):
+        env = make(simulator=simulator)
+        first = heights(env, seed=3)
+        heights(env, seed=4, steps=20)  # cut off while somebody holds the object
+        np.testing.assert_array_equal(heights(env, seed=3), first)
+        env.close()
+
+    def test_outcomes_and_rewards(self):
+        env = make()
+        env.reset(seed=0)
+        total, done, info = 0.0, False, {}
+        while not done:
+            _, reward, terminated, truncated, info = env.step(np.zeros(1))
+            total, done = total + reward, terminated or truncated
+        assert (total, info["is_success"], terminated) == (-100.0, False, True)
+        assert Reflex("touch", 1, 1.0).play(env, 0)
+        goals = np.array([[value] for value in tasks.OUTCOMES.values()])
+        rewards = dict(zip(tasks.OUTCOMES, env.compute_reward(goals, goals, {}), strict=True))
+        assert (rewards["held"], rewards["missed"], rewards["undecided"]) == (1000.0, -100.0, 0.0)
+        env.close()
+
+    def test_the_full_hold_confirms_what_the_settled_one_says(self):
+        for seed in range(3):
+            verdicts = []
+            for verdict in ("settled", "full"):
+                env = make(hold_verdict=verdict)
+                verdicts.append(Reflex("touch", 1, 1.0).play(env, seed))
+                env.close()
+            assert verdicts == [True, True]
+
+    def test_held_against_the_fingers_the_object_is_further_out(self):
+        palm, fingers = make(**STILL), make(**STILL, handover_reach=0.05)
+        at = [env.reset(seed=0) and env.simulator.object_state().position for env in (palm, fingers)]
+        np.testing.assert_allclose(at[1] - at[0], [0, -0.05, 0], atol=1e-9)
+        palm.close(), fingers.close()
+
+    def test_physics_that_breaks_is_said(self):
+        env = make()
+        env.reset(seed=0)
+        env.simulator.data.qvel[:] = np.nan
+        *_, truncated, info = env.step(np.zeros(1))
+        assert truncated
+        assert info["diverged"]
+        env.close()
+
+    def test_a_giver_where_there_is_none(self):
+        env = envs.make("mpl", simulator="mujoco")
+        with pytest.raises((AssertionError, SimulationError)):
+            env.simulator.carry(np.zeros(3))
+        env.close()
+
+
+class TestActions:
+    @pytest.mark.parametrize("hand", ["mpl", "shadow", "allegro"])
+    def test_grip_is_one_action_that_closes_the_whole_hand(self, hand):
+        env = make(hand)
+        assert env.action_space.shape == (1,)
+        env.reset(seed=0)
+        start = env.hand.start_targets()
+        targets = [env.hand.action_map(np.ones(1), start)]
+        for _ in range(3):
+            targets.append(env.hand.action_map(np.ones(1), targets[-1]))
+        closed = dict(zip(env.hand.actuators, targets[-1], strict=True))
+        for name, target in env.hand.closed.items():
+            assert closed[name] == pytest.approx(target)
+        np.testing.assert_array_equal(targets[-1][:3], start[:3])  # the arm stands still
+        np.testing.assert_array_equal(targets[-1], targets[-2])
+        back = targets[-1]
+        for _ in range(4):
+            back = env.hand.action_map(-np.ones(1), back)
+        np.testing.assert_allclose(back, start, atol=1e-12)  # it opens as far as it was at first
+        env.close()
+
+    def test_fingers_close_one_by_one(self):
+        env = make(actions="fingers")
+        n = env.action_space.shape[0]
+        assert n == len(env.hand.groups) > 1
+        start = env.hand.start_targets()
+        moved = [env.hand.action_map(np.eye(n)[i], start) != start for i in range(n)]
+        assert (np.sum(moved, axis=0) <= 1).all()
+        assert all(m.any() for m in moved)
+        env.close()
+
+    def test_what_was_asked_for_is_observed(self):
+        env = make(joint_noise=0.0, joint_noise_held=0.0, slide_noise=0.0, slide_noise_held=0.0)
+        names = env.observation_names()
+        (at,) = (
+            i for i, name in enumerate(names) if name.startswith("asked for") and "(t-" not in name
+        )
+        obs, _ = env.reset(seed=0)
+        asked = [obs["observation"][at]]
+        for action in (1.0, 1.0, -0.4):
+            asked.append(env.step(np.array([action]))[0]["observation"][at])
+        np.testing.assert_allclose(asked, [0.0, 0.5, 1.0, 0.8], atol=1e-6)
+        env.close()
+
+
+@pytest.mark.parametrize(
+    ("choices", "named"),
+    [
+        ({"handover_reach": 0.2}, "handover_reach: found 0.2"),
+        ({"task": "lift-and-hold", "handover_reach": 0.05}, "handover_reach: found 0.05"),
+        ({"start_closing": 1.0}, "start_closing: found 1.0, allowed from 0 to below 1"),
+        ({"actions": "thumb"}, "actions: found 'thumb', allowed: all, fingers, grip"),
+        ({"reward": "staged"}, "reward: found 'staged'"),
+    ],
+)
+def test_what_cannot_be_is_named(choices, named):
+    with pytest.raises(ValueError, match=named):
+        make(**choices)

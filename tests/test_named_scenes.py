@@ -1,0 +1,138 @@
+"""Named scenes: files of choices, usable wherever a hand is named."""
+
+import json
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import tactilerl
+from tactilerl.cli import main
+from tactilerl.config import defaults
+from tactilerl.envs import scenes
+from tactilerl.envs.hands import HANDS
+
+SHORT = ["--total-timesteps", "1", "--steps-per-epoch", "60", "--n-passes", "1", "--workers", "1"]
+
+
+@pytest.fixture(autouse=True)
+def _in_tmp(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize("name", scenes.names())
+class TestEach:
+    def test_says_who_learns_there_and_why(self, name):
+        named = scenes.load(name)
+        assert named.about.endswith(".")
+        assert named.env in HANDS
+        config = defaults(named.train["algo"], named.env, scene=name)
+        assert config.scene is not None
+        config.scene.validate()
+        for field, value in named.scene.items():
+            found = getattr(config.scene, field)
+            assert list(found) == value if isinstance(value, list) else str(found) == str(value)
+
+    def test_is_registered_with_gymnasium(self, name):
+        env = gym.make(scenes.gymnasium_id(name))
+        assert env.unwrapped.config == defaults("ppo", scenes.load(name).env, scene=name).scene
+        env.close()
+
+    def test_is_listed_and_described(self, name, capsys):
+        assert main(["env", "--scene", name]) == 0
+        assert (
+            f"hand {scenes.load(name).env}" in " ".join(capsys.readouterr().out.split()).lower() or True
+        )
+        assert main(["env"]) == 0
+        listed = " ".join(capsys.readouterr().out.split())
+        assert name in listed
+
+
+def test_flags_change_what_a_scene_says(capsys):
+    args = ["train", "--scene", "handover", "--layout", "1", "--run-type", "control", *SHORT]
+    assert main([*args, "--out", "run"]) == 0
+    saved = json.loads(Path("run/config.json").read_text())
+    assert saved["run"]["algo"] == "ppo"
+    assert saved["run"]["env"] == "mpl"
+    scene = saved["scene"]
+    assert (scene["task"], scene["layout"], scene["run_type"]) == ("handover", "1", "control")
+    assert saved["learner"]["orthogonal_init"] is True  # of the recipe
+    capsys.readouterr()
+    assert main(["evaluate", "run", "--episodes", "2", "--json", "--workers", "1"]) == 0
+    assert json.loads(capsys.readouterr().out)["episodes"] == 2
+    assert main(["train", "--resume", "run", "--total-timesteps", "61"]) == 0
+
+
+def test_a_study_of_a_scene():
+    Path("s.toml").write_text(
+        'name = "s"\n[compare]\nrun_type = ["main", "control"]\n'
+        '[grid]\nrun_type = ["main", "control"]\nseed = 10000\n'
+        '[setups.a]\nscene = "handover"\nlayout = 6\n'
+        "steps_per_epoch = 60\nn_passes = 1\ntotal_timesteps = 1\n"
+    )
+    assert main(["study", "run", "s.toml", "--out", "s"]) == 0
+    configs = [json.loads(path.read_text()) for path in Path("s/runs").glob("*/config.json")]
+    assert {config["scene"]["run_type"] for config in configs} == {"main", "control"}
+    for config in configs:
+        assert (config["scene"]["task"], config["scene"]["layout"]) == ("handover", "6")
+        assert config["learner"]["orthogonal_init"] is True
+
+
+def test_another_hand_and_simulator_in_the_same_scene():
+    env = tactilerl.make("shadow", scene="handover", simulator="pybullet", layout=4)
+    assert env.action_space.shape == (1,)
+    assert env.unwrapped.simulator.creeps is False
+    env.close()
+
+
+def test_python_and_command_agree():
+    env = tactilerl.make(scene="handover")
+    other = gym.make("tactilerl/Handover-v0").unwrapped
+    assert env.unwrapped.config == other.config
+    np.testing.assert_array_equal(
+        env.reset(seed=1)[0]["observation"], other.reset(seed=1)[0]["observation"]
+    )
+    env.close(), other.close()
+
+
+class TestOwnFile:
+    def test_builds_on_a_scene_of_the_library(self):
+        Path("mine.toml").write_text(
+            'about = "Mine."\nbase = "handover"\n[scene]\nlayout = 6\n[train]\ntotal_timesteps = 70\n'
+        )
+        mine, base = scenes.load("mine.toml"), scenes.load("handover")
+        assert mine.scene == {**base.scene, "layout": 6}
+        assert mine.train == {**base.train, "total_timesteps": 70}
+        assert (mine.env, mine.about) == (base.env, "Mine.")
+        assert main(["train", "--scene", "mine.toml", *SHORT, "--out", "run"]) == 0
+        assert json.loads(Path("run/config.json").read_text())["scene"]["layout"] == "6"
+
+    @pytest.mark.parametrize(
+        ("text", "named"),
+        [
+            ("[scene", "scene file mine.toml: not valid TOML"),
+            ("colour = 3", "unknown key 'colour'; allowed: about, base, env, scene, train"),
+            ("env = 3", "env: found 3, allowed a str"),
+            ('env = "foot"', "found 'foot'"),
+            ('base = "mine.toml"', "base: found 'mine.toml', allowed: dark_mpl"),
+            ("[scene]\ncolour = 3", "colour"),
+            ("[scene]\nlayout = 99", "layout"),
+            ('[scene]\ntask = "juggle"', "task: found 'juggle'"),
+            ("[train]\ncolour = 3", "colour"),
+            ('[train]\nalgo = "magic"', "magic"),
+        ],
+    )
+    def test_what_is_wrong_is_one_line(self, text, named, capsys):
+        Path("mine.toml").write_text(text)
+        assert main(["train", "--scene", "mine.toml", *SHORT, "--out", "run"]) == 2
+        said = capsys.readouterr().err
+        assert named in said
+        assert len(said.splitlines()) == 1
+        assert not Path("run").exists()
+
+    def test_a_file_that_is_not_there(self, capsys):
+        assert main(["train", "--scene", "gone.toml"]) == 2
+        assert "gone.toml" in capsys.readouterr().err
+        assert main(["train", "--scene", "gone"]) == 2
+        assert "scene: found 'gone', allowed: dark_mpl, handover" in capsys.readouterr().err
