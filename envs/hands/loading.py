@@ -571,10 +571,14 @@ def _grasps(
     found = []
     for count, about in enumerate(_tables(data, "grasp"), 1):
         where = f"grasp {count}"
-        only(about, {"object_size", "at", "joints", "closing"}, where)
+        only(about, {"object_size", "at", "slides", "joints", "closing"}, where)
         size = number(about.get("object_size"), f"{where}: object_size", 1e-3)
-        palm = vector(about.get("at"), 3, f"{where}: at")
-        targets = {s: p - q for s, p, q in zip(SLIDES, palm, at.tolist(), strict=True)}
+        if "at" in about:
+            palm = vector(about["at"], 3, f"{where}: at")
+            targets = {s: p - q for s, p, q in zip(SLIDES, palm, at.tolist(), strict=True)}
+        else:
+            slides = vector(about.get("slides"), 3, f"{where}: slides")
+            targets = dict(zip(SLIDES, slides, strict=True))
         angles = bare.angles(table(about, "joints"), f"{where}: joints")
         if "closing" in about:
             angles = trajectory.at(number(about["closing"], f"{where}: closing")) | angles
