@@ -21,7 +21,7 @@ STARTS = 4  # from which each candidate is tried
 ROUNDS = (48, 16, 16, 16)  # candidates; the first are spread over all that is allowed
 BEST = 6  # candidates from which the next are drawn around
 BESIDE = 0.025  # m that the palm may be beside its place at the start
-GROUND = 0.015  # m over the ground, to which the palm may come down
+GROUND, UP = 0.004, 0.05  # m: of the lowest fingertip over the ground, and above its place at the start
 CLOSINGS = (0.3, 1.2)
 NARROWEST = np.array([2e-3, 2e-3, 2e-3, 0.03])  # m and share: what the draws differ by at least
 
@@ -38,10 +38,10 @@ def find(
     with closing(make()) as example:
         if not example.hand.closed:
             raise ValueError(f"hand {hand}: has no [closed], the joint angles of the closed hand")
-        palm, size = float(example.simulator.link_positions()[0, 2]), example.shape.width
-        own = example.hand
-    lowest = np.array([-BESIDE, -BESIDE, min(GROUND - palm, 0.0), CLOSINGS[0]])
-    highest = np.array([BESIDE, BESIDE, 0.0, CLOSINGS[1]])
+        own, size = example.hand, example.shape.width
+        down = float(example.simulator.link_positions()[1:, 2].min()) - GROUND
+    lowest = np.array([-BESIDE, -BESIDE, -max(down, 0.0), CLOSINGS[0]])
+    highest = np.array([BESIDE, BESIDE, UP, CLOSINGS[1]])
     rng = np.random.default_rng(SEED)
     tried: list[tuple[float, Array]] = []
     with closing(vector.start(make, workers)) as played_in:

@@ -74,9 +74,9 @@ def _find_grasp(name: str, scene: GraspConfig) -> ScriptedGrasp:
         grasp, share = grasp_search.find(name, scene, workers, lambda: progress.advance(task))
     if share < LEAST:
         raise ValueError(
-            f"hand {name}: found no grasp that holds a {1e3 * grasp.object_size:g} mm object: the best of "
-            f"{sum(grasp_search.ROUNDS)} keeps it up in {100 * share:.0f} % of the time; look at [opened] "
-            "and [closed], or at the force of the servos"
+            f"hand {name}: found no grasp that holds a {1e3 * grasp.object_size:g} mm object: the best "
+            f"of {sum(grasp_search.ROUNDS)} keeps it up in {100 * share:.0f} % of the time; look at "
+            "[opened] and [closed], or at the force of the servos"
         )
     screen.print(f"found, with the object up in {100 * share:.0f} % of its holds; add to the file:\n")
     print(grasp_search.toml(hands.get(name), grasp), file=sys.stderr)
