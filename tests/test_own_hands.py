@@ -423,7 +423,7 @@ class TestCommands:
             "--skin",
             str(points),
         ]
-        flags += ["--start-offset", "0.005", "--closing", "0.9", "1.2"]
+        flags += ["--start-offset", "0.005"]
         assert main(["probe", *flags, *asked, "--select", "3", "--out", str(tmp_path), "--json"]) == 0
         found = json.loads(capsys.readouterr().out)
         assert 0.1 < found["held"] < 0.95
