@@ -54,8 +54,9 @@ def tables() -> dict[str, list[tuple[str, str, dict[str, Any]]]]:
     }
 
 
-def show(table: str, rows: dict[str, Row]) -> None:
+def show(table: str, known: dict[str, dict[str, Row]]) -> None:
     """As Markdown."""
+    rows = known[table]
     names = [name for name in gate.SENSES if any(name in row["reflexes"] for row in rows.values())]
     print(f"\n### {table}\n\n| | {' | '.join(names)} |\n|---|{'---|' * len(names)}")
     for key, row in rows.items():
@@ -84,7 +85,7 @@ def main() -> None:
                 senses = ("touch",) if table == "layouts" else tuple(gate.SENSES)
                 rows[key] = examine(name, options.starts, options.search, senses, **choices)
                 write(options.out, known)
-        show(table, rows)
+        show(table, known)
 
 
 if __name__ == "__main__":
