@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from . import statistics
 from .algos.policy import Policy
 from .algos.rollout import EVALUATE, FAULTS, Episode, PlayEpisode
 
 SEED = 10_000_000  # evaluation starts are not those of training
-CONFIDENCE = 0.95
 
 
 def task(policy: Policy, stochastic: bool = False) -> PlayEpisode[Any]:
@@ -33,19 +33,13 @@ def row(episode: Episode[Any]) -> dict[str, Any]:
 
 
 def mean_interval(values: np.ndarray, resamples: int = 9_999, seed: int = 0) -> tuple[float, float]:
-    """Percentile bootstrap interval of the mean of `values` (n,), not all alike."""
-    from scipy import stats  # takes a while
-
-    found = stats.bootstrap(
-        (values,), np.mean, n_resamples=resamples, confidence_level=CONFIDENCE,
-        method="percentile", rng=seed,
-    ).confidence_interval  # fmt: skip
-    return float(found.low), float(found.high)
+    """Percentile bootstrap interval of the mean of `values` (n,)."""
+    counts = statistics.resample(np.random.default_rng(seed), len(values), resamples)
+    return statistics.estimate(values, "mean", counts)[1:]
 
 
 def summarise(played: list[dict[str, Any]]) -> dict[str, Any]:
     """Success rate with its Wilson interval, mean return with a bootstrap interval, faults."""
-
     returns = np.array([episode["return"] for episode in played])
     successes = np.array([episode["success"] for episode in played])
     result: dict[str, Any] = {
@@ -54,10 +48,7 @@ def summarise(played: list[dict[str, Any]]) -> dict[str, Any]:
         "mean_length": float(np.mean([episode["length"] for episode in played])),
         **{fault: int(sum(episode[fault] for episode in played)) for fault in FAULTS},
     }
-    if len(played) > 1 and np.ptp(returns) > 0:
-        result["mean_return_ci"] = list(mean_interval(returns))
-    else:
-        result["mean_return_ci"] = [result["mean_return"]] * 2
+    result["mean_return_ci"] = list(mean_interval(returns))
     if not np.isnan(successes).any():
         result |= success_rate(successes)
         result["mean_held_steps"] = float(np.mean([episode["held"] for episode in played]))
@@ -68,11 +59,11 @@ def summarise(played: list[dict[str, Any]]) -> dict[str, Any]:
 
 def success_rate(successes: np.ndarray) -> dict[str, Any]:
     """Rate of successes (n,) of 0 or 1, with its Wilson interval."""
-    from scipy import stats  # takes a while
-
     count, n = int(successes.sum()), len(successes)
-    interval = stats.binomtest(count, n).proportion_ci(CONFIDENCE, method="wilson")
-    return {"success_rate": count / n, "success_rate_ci": [float(interval.low), float(interval.high)]}
+    return {
+        "success_rate": count / n,
+        "success_rate_ci": list(statistics.wilson_interval(count, n)),
+    }
 
 
 PARTS = 3  # into which the range of what differs between objects is cut

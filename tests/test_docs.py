@@ -118,7 +118,7 @@ def test_commands_and_flags_exist():
 def test_flags_in_prose_exist():
     commands = [(name,) for name in cli.COMMANDS if name != "study"]
     commands += [("train", "--algo", "ddpg_her")]
-    commands += [("study", part) for part in ("run", "status", "plan", "collect", "report")]
+    commands += [("study", part) for part in ("run", "status", "plan", "compare", "collect", "report")]
     known = {flag for command in commands for flag in re.findall(r"--[\w-]+", help_of(*command))}
     others = {"--oversubscribe", "--hostfile", "--bind-to", "--mpi", "--version"}  # of MPI and Slurm
     for page in PAGES:

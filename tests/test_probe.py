@@ -10,7 +10,7 @@ import pytest
 from sklearn.metrics import balanced_accuracy_score, r2_score, roc_auc_score
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from tactilerl import places
+from tactilerl import places, statistics
 from tactilerl.algos.mpi import Communicator
 from tactilerl.cli import main
 from tactilerl.envs import hands, layouts, scripted, vector
@@ -251,7 +251,7 @@ class TestMetrics:
     """Weights count how often a grasp is there: as if it stood there so often."""
 
     rng = np.random.default_rng(0)
-    weights = np.concatenate([np.ones((1, 60), np.uint8), metrics.bootstrap_weights(60, 3, rng)])
+    weights = np.concatenate([np.ones((1, 60), np.uint8), statistics.resample(rng, 60, 3).T])
     held = rng.random(60) < 0.5
 
     def repeated(self, values):
@@ -286,13 +286,6 @@ class TestMetrics:
         truth, guess = self.rng.integers(3, size=(2, 60))
         expected = map(balanced_accuracy_score, self.repeated(truth), self.repeated(guess))
         assert np.allclose(metrics.BALANCED_ACCURACY(truth, guess, self.weights), list(expected))
-
-    def test_holm(self):
-        assert metrics.holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
-
-    def test_p_value_is_small_only_away_from_zero(self):
-        assert metrics.p_value(np.linspace(-1, 1, 999)) > 0.9
-        assert metrics.p_value(np.full(999, 0.1)) == pytest.approx(0.002)
 
 
 TOUCHED = ("index", "distal")

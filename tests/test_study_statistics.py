@@ -1,4 +1,4 @@
-"""The statistics of studies: against rliable and scipy, by hand, and by simulation."""
+"""The statistics of evaluations, probes and studies: against rliable and scipy, by hand, simulated."""
 
 import math
 
@@ -7,8 +7,9 @@ import pytest
 from numpy.testing import assert_allclose
 from rliable import library, metrics
 from scipy import stats
+from statsmodels.stats.power import TTestIndPower, TTestPower
 
-from tactilerl.study import statistics as s
+from tactilerl import statistics as s
 
 RLIABLE = {
     "median": metrics.aggregate_median,
@@ -178,35 +179,13 @@ class TestComparisons:
         assert_allclose([low, high], interval, atol=0.03)
 
     def test_permutation_test_of_means_by_hand(self, rng):
-        assert s.permutation_p(
-            np.array([4.0, 5, 6]), np.array([1.0, 2, 3]), "iqm", rng
-        ) == pytest.approx(0.1)
-        assert s.permutation_p(np.full(4, 0.5), np.full(4, 0.5), "iqm", rng) == pytest.approx(1)
+        assert s.permutation_p(np.array([4.0, 5, 6]), np.array([1.0, 2, 3]), rng) == pytest.approx(0.1)
+        assert s.permutation_p(np.full(4, 0.5), np.full(4, 0.5), rng) == pytest.approx(1)
 
     def test_permutation_test_keeps_its_level(self, rng):
         p = [
-            s.permutation_p(rng.beta(0.5, 0.5, 6), rng.beta(0.5, 0.5, 6), "iqm", rng, 200)
-            for _ in range(300)
+            s.permutation_p(rng.beta(0.5, 0.5, 6), rng.beta(0.5, 0.5, 6), rng, 200) for _ in range(300)
         ]
-        assert np.mean(np.array(p) <= 0.05) < 0.09
-
-    def test_within_pairs_a_small_difference_shows_through_a_large_spread(self, rng):
-        level = rng.random(8)
-        better = level + 0.01 + 0.001 * rng.random(8)
-        assert s.permutation_p(better, level, "mean", rng, paired=True) == pytest.approx(
-            2 / 2**8
-        )  # all signs alike: exact
-        assert s.permutation_p(better, level, "mean", rng) > 0.5
-        three = np.array([1.0, 2.0, 3.0])
-        assert s.permutation_p(three + 1, three, "mean", rng, paired=True) == pytest.approx(0.25)
-        assert math.isnan(s.permutation_p(three[:1], three[:1], "mean", rng, paired=True))
-
-    def test_paired_test_keeps_its_level(self, rng):
-        p = []
-        for _ in range(300):
-            level = rng.random(7)
-            pair = level + rng.normal(size=(2, 7))
-            p.append(s.permutation_p(*pair, "mean", rng, 500, paired=True))
         assert np.mean(np.array(p) <= 0.05) < 0.09
 
     def test_holm(self):
@@ -215,7 +194,105 @@ class TestComparisons:
         assert len(s.holm([])) == 0
 
     def test_a_single_run_has_no_p_value(self, rng):
-        assert math.isnan(s.permutation_p(np.array([0.5]), np.array([0.1, 0.2]), "iqm", rng))
+        assert math.isnan(s.permutation_p(np.array([0.5]), np.array([0.1, 0.2]), rng))
+
+
+class TestPairs:
+    @pytest.mark.parametrize("n", [2, 3, 6, 10])
+    def test_sign_flips_are_scipys_exact_test(self, rng, n):
+        differences = rng.normal(0.5, 1, n)
+        theirs = stats.permutation_test(
+            (differences,), lambda x, axis: x.mean(axis), permutation_type="samples", vectorized=True
+        )
+        assert s.sign_flip_p(differences, rng) == pytest.approx(theirs.pvalue)
+
+    def test_every_way_to_exchange_labels_is_there_once(self, rng):
+        signs = s.sign_flips(5, rng)
+        both = {tuple(row) for row in np.concatenate([signs, -signs])}
+        assert len(both) == 2**5 == 2 * len(signs)
+        assert (signs[0] == 1).all()
+        assert s.sign_flips(16, rng).shape == (2**15, 16)
+
+    def test_beyond_16_pairs_some_ways_stand_for_all(self, rng):
+        differences = rng.normal(0.4, 1, 17)
+        exact = s.sign_flip_p(differences, rng, 2**16)
+        assert s.sign_flip_p(differences, rng, 20_000) == pytest.approx(exact, abs=0.01)
+
+    def test_a_small_difference_shows_through_a_large_spread(self, rng):
+        level = rng.random(8)
+        better = level + 0.01 + 0.001 * rng.random(8)
+        assert s.sign_flip_p(better - level, rng) == pytest.approx(2 / 2**8)  # all signs alike
+        assert s.permutation_p(better, level, rng) > 0.5
+        assert s.sign_flip_p(np.ones(3), rng) == pytest.approx(0.25)
+        assert s.sign_flip_p(np.zeros(6), rng) == 1
+        assert math.isnan(s.sign_flip_p(np.ones(1), rng))
+
+    def test_it_keeps_its_level(self, rng):
+        p = np.array([s.sign_flip_p(rng.standard_t(2, 7), rng) for _ in range(1000)])
+        assert 0.03 < np.mean(p <= 0.05) < 0.07  # 3 of 64 ways: 0.047
+
+    def test_an_expanded_interval_is_a_t_interval_for_normal_samples(self, rng):
+        samples = rng.normal(0, 1, 40)
+        ours = s.mean(samples, s.resample(rng, 40, 50_000))
+        theirs = stats.ttest_1samp(samples, 0).confidence_interval()
+        assert_allclose(ours[1:], theirs, atol=0.03)
+        assert s.expanded(10**6) == pytest.approx(0.95, abs=1e-4)
+
+    @pytest.mark.parametrize("n", [6, 10])
+    def test_an_interval_of_few_pairs_contains_the_truth(self, rng, n):
+        counts = s.resample(rng, n, 4000)
+        found = [s.mean(rng.normal(0.1, 0.2, n), counts)[1:] for _ in range(1000)]
+        assert np.mean([low <= 0.1 <= high for low, high in found]) > 0.93
+
+    def test_no_pairs_no_interval(self, rng):
+        assert np.isnan(s.mean(np.array([]), s.resample(rng, 0, 100))).all()
+
+    def test_a_share_is_a_ratio_of_means(self, rng):
+        room = rng.normal(0.6, 0.1, 12)
+        gain = room / 2 + rng.normal(0, 0.02, 12)
+        value, low, high = s.share(gain, room, s.resample(rng, 12, 5000))
+        assert value == pytest.approx(gain.mean() / room.mean())
+        assert low < 0.5 < high
+        assert high - low < 0.1
+
+
+class TestLooks:
+    def test_one_look_is_the_plain_test(self, rng):
+        differences = rng.normal(0.5, 1, 9)
+        (look,) = s.sequential_sign_flips(differences, [(9, 0.05)], 9, rng)
+        assert look.p_value == pytest.approx(s.sign_flip_p(differences, rng))
+        assert 0.04 < look.level <= 0.05
+
+    def test_by_hand(self, rng):
+        """Six pairs, all ahead: 1 of 32 ways. Nothing can stop at the first look, so that the second is
+        a plain test with all of the error."""
+        first, second = s.sequential_sign_flips(np.ones(8), [(6, 0.02), (8, 0.05)], 8, rng)
+        assert first.p_value == pytest.approx(1 / 32)
+        assert second.p_value == pytest.approx(1 / 128)
+
+    def test_what_stopped_earlier_counts_at_the_next_look(self, rng):
+        """At the first look one of 32 ways stops, all signs alike. It counts as more extreme than what
+        went on."""
+        differences = np.array([-1.0, 2, 3, 4, 5, 6, 7, 8])
+        first, second = s.sequential_sign_flips(differences, [(6, 0.04), (8, 0.06)], 8, rng)
+        signs = s.sign_flips(8, rng)
+        stopped = np.abs(signs[:, :6] @ differences[:6]) >= 21
+        as_far = np.abs(signs @ differences) >= differences.sum()
+        assert first.p_value == pytest.approx(2 / 32)
+        assert second.p_value == pytest.approx(np.mean(stopped | as_far))
+
+    def test_it_ends_where_it_stops(self, rng):
+        found = s.sequential_sign_flips(np.ones(12), [(9, 0.02), (12, 0.05)], 12, rng)
+        assert len(found) == 1
+
+    @pytest.mark.parametrize("n", [12, 18])
+    def test_all_looks_together_keep_the_level(self, rng, n):
+        looks = [(k, 0.05 * k / n) for k in (n // 2, 3 * n // 4, n)]
+        stopped = 0
+        for _ in range(400):
+            found = s.sequential_sign_flips(rng.standard_t(3, n), looks, n, rng, 4000)
+            stopped += found[-1].p_value <= looks[len(found) - 1][1]
+        assert 0.02 < stopped / 400 < 0.085
 
 
 class TestOverSetups:
@@ -272,22 +349,34 @@ class TestPower:
             0.39, abs=0.005
         )
 
-    def test_runs_needed_reach_the_power_and_one_fewer_does_not(self):
-        n = s.runs_needed(0.05, 0.06, 0.8, 0.05)
-        assert (
-            s.power_of_t_test(0.05, 0.06, n, 0.05) >= 0.8 > s.power_of_t_test(0.05, 0.06, n - 1, 0.05)
-        )
-        assert n == 24  # d = 0.83: Cohen's tables say 24 to 26
+    @pytest.mark.parametrize("in_pairs", [True, False])
+    def test_runs_needed_reach_the_power_and_one_fewer_does_not(self, in_pairs):
+        n = s.runs_needed(0.05, 0.06, 0.8, 0.05, in_pairs)
+        powers = [s.power_of_t_test(0.05, 0.06, k, 0.05, in_pairs) for k in (n, n - 1)]
+        assert powers[0] >= 0.8 > powers[1]
+        assert n == (14 if in_pairs else 24)  # Cohen's tables for d = 0.83: 24 to 26
 
-    def test_more_than_anybody_can_run(self):
-        assert s.runs_needed(1e-6, 1.0, 0.8, 0.05) is None
-        assert s.runs_needed(0.05, 0.0, 0.8, 0.05) == 2
+    @pytest.mark.parametrize(("kind", "in_pairs"), [(TTestPower, True), (TTestIndPower, False)])
+    def test_power_is_statsmodels(self, kind, in_pairs):
+        ours = s.power_of_t_test(0.1, 0.15, 10, 0.05, in_pairs)
+        assert ours == pytest.approx(kind().power(0.1 / 0.15, 10, 0.05))
+
+    def test_more_than_anybody_can_run_and_fewer_than_a_test_can_use(self):
+        assert s.runs_needed(1e-6, 1.0, 0.8, 0.05, True) is None
+        assert s.runs_needed(0.05, 0.0, 0.8, 0.05, False) == 2
+        assert s.runs_needed(0.05, 0.0, 0.8, 0.05, True) == 6  # five signs alike: 0.0625
+        assert s.sign_flip_p(np.ones(6), np.random.default_rng()) <= 0.05
+
+    def test_interval_of_a_spread_contains_it_as_often_as_it_says(self, rng):
+        spreads = rng.normal(0, 0.3, (1000, 6)).std(axis=1, ddof=1)
+        bounds = np.array([s.sd_interval(sd, 5) for sd in spreads])
+        assert np.mean((bounds[:, 0] <= 0.3) & (bounds[:, 1] >= 0.3)) == pytest.approx(0.95, abs=0.03)
 
     def test_power_by_simulation(self, rng):
-        a, b = rng.normal(0, 0.05, 200), rng.normal(0, 0.05, 200)
-        sure = s.simulated_power(rng, a, b, 0.3, 6, 0.05, n_studies=30, n_permutations=199)
-        none = s.simulated_power(rng, a, b, 0.0, 6, 0.05, n_studies=200, n_permutations=199)
-        three = s.simulated_power(rng, a, b, 0.3, 3, 0.05, n_studies=20, n_permutations=199)
+        differences = rng.normal(0, 0.05, 200)
+        sure = s.simulated_power(rng, differences, 0.3, 6, 0.05, 50, 199)
+        none = s.simulated_power(rng, differences, 0.0, 8, 0.05, 400, 199)
+        three = s.simulated_power(rng, differences, 0.3, 3, 0.05, 20, 199)
         assert sure == 1
-        assert none < 0.1
-        assert three == 0  # three against three cannot be told apart at 0.05
+        assert none < 0.09
+        assert three == 0  # three pairs cannot be told apart at 0.05

@@ -32,7 +32,7 @@ PYTHON = (
     "tactilerl.config.RunOptions",
     "tactilerl.algos.ppo.PPOConfig",
     "tactilerl.algos.ddpg_her.DDPGHERConfig",
-    "tactilerl.study.statistics",
+    "tactilerl.statistics",
 )
 
 

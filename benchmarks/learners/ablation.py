@@ -28,11 +28,11 @@ from rich.table import Table
 
 from benchmarks.command import earlier, parser, write
 from benchmarks.peers.solve import Act, play
+from tactilerl import statistics
 from tactilerl.algos import recipes
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.envs import vector
-from tactilerl.study import statistics
 
 STEPS = 30_000
 SEEDS = 5

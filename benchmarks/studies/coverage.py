@@ -17,7 +17,7 @@ from rich.progress import track
 from rich.table import Table
 
 from benchmarks.command import run_parts
-from tactilerl.study import statistics
+from tactilerl import statistics
 
 Draw = Callable[[np.random.Generator, tuple[int, ...]], np.ndarray]
 N_RUNS = (3, 5, 10, 20)

@@ -16,6 +16,7 @@ import numpy as np
 from joblib import Parallel, delayed
 from threadpoolctl import threadpool_limits
 
+from .. import statistics
 from ..envs.hands import Array
 from . import estimators, metrics
 from .metrics import Metric
@@ -198,7 +199,7 @@ def measured(
 def bootstrap(n: int, choices: Choices) -> Array:
     """The samples of `n` grasps in which everything is measured."""
     rng = np.random.default_rng([choices.seed, BOOTSTRAP])
-    return metrics.bootstrap_weights(n, choices.resamples, rng)
+    return np.ascontiguousarray(statistics.resample(rng, n, choices.resamples).T)
 
 
 def gain_samples(samples: Samples, cell: Cell, metric: Metric) -> Array | None:
@@ -252,11 +253,11 @@ def differences(samples: Samples, layouts: Sequence[str]) -> list[dict[str, Any]
                 {
                     "question": question, "metric": metric.name, "joint_noise": noise,
                     "a": a, "b": b, "difference": metrics.number(way[0]),
-                    "interval": metrics.interval(way[1:]), "p": metrics.p_value(way[1:]),
+                    "interval": metrics.interval(way[1:]), "p": statistics.bootstrap_p(way[1:]),
                 }
             )  # fmt: skip
-        for row, p in zip(family, metrics.holm([row["p"] for row in family]), strict=True):
-            rows.append({**row, "p_holm": p})
+        for row, p in zip(family, statistics.holm([row["p"] for row in family]), strict=True):
+            rows.append({**row, "p_holm": float(p)})
     return rows
 
 

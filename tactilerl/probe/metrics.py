@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .. import statistics
 from ..envs.hands import Array
 
 MEMORY = 4_000_000  # weights handled at once
@@ -109,41 +110,12 @@ ERROR_DEGREES = Metric("error_deg", "°", False, error_degrees)
 BALANCED_ACCURACY = Metric("balanced_accuracy", "", True, balanced_accuracy)
 
 
-def bootstrap_weights(n: int, resamples: int, rng: np.random.Generator) -> Array:
-    """How often each of `n` grasps is in each of `resamples` samples drawn with replacement."""
-    weights = np.empty((resamples, n), np.uint8)
-    for row in weights:
-        row[:] = np.minimum(np.bincount(rng.integers(n, size=n), minlength=n), 255)
-    return weights
-
-
 def number(value: float) -> float | None:
     """As JSON has it: None where there is no number."""
     return float(value) if math.isfinite(value) else None
 
 
-def interval(samples: Array, confidence: float = 0.95) -> list[float] | None:
+def interval(samples: Array) -> list[float] | None:
     """Percentile interval [low, high] of bootstrap samples; None where there is no number."""
-    finite = samples[np.isfinite(samples)]
-    if not len(finite):
-        return None
-    tail = (1.0 - confidence) / 2
-    low, high = np.quantile(finite, [tail, 1.0 - tail])
-    return [float(low), float(high)]
-
-
-def p_value(samples: Array) -> float:
-    """Two-sided p-value of a difference from 0, from its bootstrap samples."""
-    n = len(samples)
-    one_sided = min(int((samples <= 0).sum()), int((samples >= 0).sum()))
-    return min(1.0, 2 * (one_sided + 1) / (n + 1))
-
-
-def holm(p_values: list[float]) -> list[float]:
-    """Holm's adjusted p-values, in the order given."""
-    order = np.argsort(p_values)
-    adjusted, running = [0.0] * len(p_values), 0.0
-    for rank, index in enumerate(order):
-        running = max(running, min(1.0, (len(p_values) - rank) * p_values[index]))
-        adjusted[index] = running
-    return adjusted
+    low, high = statistics.percentile_interval(samples)
+    return None if math.isnan(low) else [low, high]

@@ -8,19 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from . import published, statistics
+from .. import statistics
+from ..statistics import Array, Estimate, Metric, Term
+from . import published, verdicts
 from .grid import Setup, Study
+from .primary import SCORES
 from .published import Published
 from .records import Record
-from .statistics import Array, Estimate, Metric, Term
+from .verdicts import SEED, Headroom, Pairs, Verdict
 
-SEED = 20_210_830  # of all resampling: the same records give the same report
 MOST_POINTS = 500  # of a curve
-SCORES = {
-    "converged": "converged rate",
-    "final": "final rate (mean of the last tenth)",
-    "area": "area under the curve",
-}
 THRESHOLDS = (0.5, 0.9)
 
 
@@ -42,9 +39,13 @@ class Group:
     counts: Array
     """Bootstrap resamples of these runs."""
 
-    def estimate(self, metric: Metric, score: str = "converged") -> Estimate:
+    def estimate(self, metric: Metric, score: str) -> Estimate:
         """An aggregate with its percentile interval."""
         return statistics.estimate(self.scores[score], metric, self.counts)
+
+    def by_seed(self, score: str) -> dict[int, float]:
+        """A score of each run."""
+        return dict(zip(self.seeds, map(float, self.scores[score]), strict=True))
 
     def __len__(self) -> int:
         return len(self.seeds)
@@ -52,18 +53,17 @@ class Group:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Treatment against control in one cell, by converged rate."""
+    """Treatment against control in one cell."""
 
-    cell: str
-    difference: Estimate
-    """Of IQMs."""
+    verdict: Verdict
+    """By the primary score."""
+    secondary: dict[str, Pairs]
+    """By every other score."""
+    headroom: Headroom | None
+    iqm_difference: Estimate
+    """Of converged rates, as the paper compares them; not in pairs."""
     overlap: float
     improvement: Estimate
-    p_value: float
-    within: Estimate
-    """Mean difference between runs of the same seed, of those that both arms have."""
-    p_within: float
-    p_holm: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -115,14 +115,19 @@ def analyse(study: Study, records: list[Record], n_resamples: int = statistics.N
     setups = []
     for index, setup in enumerate(study.setups):
         own = [record for record in records if record.run.setup == setup.name]
-        setups.append(_setup(setup, own, np.random.default_rng([SEED, index]), n_resamples))
-    return Analysis(study, records, setups, _agreements(setups), _mixed(setups))
+        rng = np.random.default_rng([SEED, index])
+        result = _setup(setup, own, rng, n_resamples)
+        compared = _comparisons(study, result, records, n_resamples)
+        setups.append(replace(result, comparisons=compared))
+    score = study.primary.score
+    agreements = _agreements(setups, score, np.random.default_rng(SEED), n_resamples)
+    return Analysis(study, records, setups, agreements, _mixed(setups, score))
 
 
 def _setup(
     setup: Setup, records: list[Record], rng: np.random.Generator, n_resamples: int
 ) -> SetupResult:
-    finished = [r for r in records if r.state == "done" and len(r.curve(setup.measure)[0])]
+    finished = [r for r in records if verdicts.is_finished(r, setup.measure)]
     steps = _common_steps([r.curve(setup.measure)[0] for r in finished])
     groups = {}
     for cell in setup.cells:
@@ -133,8 +138,7 @@ def _setup(
                 groups[cell, arm] = _group(cell, arm, own, setup.measure, steps, counts)
     configs = [record.config for record in records if record.config]
     paper = published.find(configs[0]) if configs else None
-    comparisons = _comparisons(setup, groups, rng, n_resamples)
-    return SetupResult(setup, steps, groups, comparisons, paper, records)
+    return SetupResult(setup, steps, groups, {}, paper, records)
 
 
 def _common_steps(curves: list[Array]) -> Array:
@@ -151,11 +155,8 @@ def _group(
 ) -> Group:
     raw = [record.curve(measure) for record in records]
     curves = np.array([np.interp(steps, *one) for one in raw])
-    scores = {
-        "converged": np.array([statistics.converged_rate(rates[None])[0] for _, rates in raw]),
-        "final": np.array([statistics.final_rate(rates[None])[0] for _, rates in raw]),
-        "area": statistics.area_under_curve(steps, curves),
-    }
+    reached = [verdicts.scores(record, measure) for record in records]
+    scores = {name: np.array([one[name] for one in reached]) for name in SCORES}
     for threshold in THRESHOLDS:
         scores[f"steps to {threshold:g}"] = np.array(
             [statistics.steps_to_threshold(s, rates[None], threshold)[0] for s, rates in raw]
@@ -166,61 +167,28 @@ def _group(
 
 
 def _comparisons(
-    setup: Setup, groups: dict[tuple[str, str], Group], rng: np.random.Generator, n_resamples: int
+    study: Study, one: SetupResult, records: list[Record], n_resamples: int
 ) -> dict[str, Comparison]:
-    if setup.compare is None:
-        return {}
     found = {}
-    for cell in setup.cells:
-        treatment, control = (groups.get((cell, arm)) for arm in setup.arms[:2])
-        if treatment is None or control is None:
+    for cell, verdict in verdicts.judge(study, one.setup, records, n_resamples).items():
+        if any((cell, arm) not in one.groups for arm in one.setup.arms[:2]):
             continue
-        a, b = treatment.scores["converged"], control.scores["converged"]
+        treatment, control = pair(one, cell)
+        secondary = {
+            score: verdicts.in_pairs(treatment.by_seed(score), control.by_seed(score), n_resamples)
+            for score in SCORES
+            if score != study.primary.score
+        }
+        room = verdicts.headroom(study, one.setup, cell, records, n_resamples)
+        a, b = (group.scores["converged"] for group in (treatment, control))
+        bounds = [group.estimate("iqm", "converged")[1:] for group in (treatment, control)]
         drawn = treatment.counts, control.counts
         found[cell] = Comparison(
-            cell,
+            verdict, secondary, room,
             statistics.difference(a, b, "iqm", drawn),
-            statistics.interval_overlap(treatment.estimate("iqm")[1:], control.estimate("iqm")[1:]),
+            statistics.interval_overlap(bounds[0], bounds[1]),
             statistics.probability_of_improvement(a, b, drawn),
-            statistics.permutation_p(a, b, "iqm", rng, n_resamples),
-            *_within_seeds(treatment, control, rng, n_resamples),
-        )
-    corrected = statistics.holm([one.p_value for one in found.values()])
-    return {
-        cell: replace(one, p_holm=float(p))
-        for (cell, one), p in zip(found.items(), corrected, strict=True)
-    }
-
-
-def _within_seeds(
-    treatment: Group, control: Group, rng: np.random.Generator, n_resamples: int
-) -> tuple[Estimate, float]:
-    """The mean difference between runs of the same seed, and its p-value; NaN without such runs."""
-    shared = sorted(set(treatment.seeds) & set(control.seeds))
-    if not shared:
-        return Estimate(math.nan, math.nan, math.nan), math.nan
-    a, b = (
-        np.array([group.scores["converged"][group.seeds.index(seed)] for seed in shared])
-        for group in (treatment, control)
-    )
-    counts = statistics.resample(rng, len(shared), n_resamples)
-    p_value = statistics.permutation_p(a, b, "mean", rng, n_resamples, paired=True)
-    return statistics.estimate(a - b, "mean", counts), p_value
-
-
-def _agreements(setups: list[SetupResult]) -> list[Agreement]:
-    """Order of the cells, by the treatment alone and by its difference to the control."""
-    compared = [one for one in setups if len(one.comparisons) > 1]
-    cells = list(compared[0].comparisons) if compared else []
-    compared = [one for one in compared if list(one.comparisons) == cells]
-    if len(compared) < 2 or len(cells) < 3:
-        return []
-    found = []
-    for by in ("treatment", "difference to the control"):
-        drawn = np.array([[_resampled(one, cell, by) for cell in cells] for one in compared])
-        values = np.array([[_value(one, cell, by) for cell in cells] for one in compared])
-        names = [one.setup.name for one in compared]
-        found.append(Agreement(by, names, statistics.rank_agreement(values, drawn)))
+        )  # fmt: skip
     return found
 
 
@@ -230,17 +198,40 @@ def pair(one: SetupResult, cell: str) -> tuple[Group, Group]:
     return one.groups[cell, treatment], one.groups[cell, control]
 
 
-def _value(one: SetupResult, cell: str, by: str) -> float:
-    treatment, control = (group.estimate("iqm").value for group in pair(one, cell))
-    return treatment if by == "treatment" else treatment - control
+def _agreements(
+    setups: list[SetupResult], score: str, rng: np.random.Generator, n_resamples: int
+) -> list[Agreement]:
+    """Order of the cells, by the treatment alone and by its difference to the control."""
+    compared = [one for one in setups if len(one.comparisons) > 1]
+    cells = list(compared[0].comparisons) if compared else []
+    compared = [one for one in compared if list(one.comparisons) == cells]
+    if len(compared) < 2 or len(cells) < 3:
+        return []
+    found = []
+    for by in ("treatment", "difference to the control"):
+        runs = [[_ordered_by(by, one, cell, score) for cell in cells] for one in compared]
+        if not all(len(each) for row in runs for each in row):
+            continue
+        values = np.array([[each.mean() for each in row] for row in runs])
+        drawn = np.array(
+            [
+                [
+                    statistics.bootstrap(x, "mean", statistics.resample(rng, len(x), n_resamples))
+                    for x in row
+                ]
+                for row in runs
+            ]
+        )
+        names = [one.setup.name for one in compared]
+        found.append(Agreement(by, names, statistics.rank_agreement(values, drawn)))
+    return found
 
 
-def _resampled(one: SetupResult, cell: str, by: str) -> Array:
-    treatment, control = (
-        statistics.bootstrap(group.scores["converged"], "iqm", group.counts)
-        for group in pair(one, cell)
-    )
-    return treatment if by == "treatment" else treatment - control
+def _ordered_by(by: str, one: SetupResult, cell: str, score: str) -> Array:
+    if by == "treatment":
+        return pair(one, cell)[0].scores[score]
+    pairs = one.comparisons[cell].verdict.pairs
+    return pairs.treatment - pairs.control
 
 
 def factors(config: dict[str, Any]) -> tuple[str, str, str]:
@@ -249,7 +240,7 @@ def factors(config: dict[str, Any]) -> tuple[str, str, str]:
     return config["run"]["env"], scene.get("simulator", "none"), config["run"]["algo"]
 
 
-def _mixed(setups: list[SetupResult]) -> list[Term] | str:
+def _mixed(setups: list[SetupResult], by: str) -> list[Term] | str:
     compared = [one for one in setups if one.comparisons]
     kinds = {}
     for one in compared:
@@ -265,7 +256,7 @@ def _mixed(setups: list[SetupResult]) -> list[Term] | str:
         for one in compared
         for cell in one.comparisons
         for group in pair(one, cell)
-        for score in group.scores["converged"]
+        for score in group.scores[by]
     ]
     scores, treated, hands, simulators, algorithms, cells = zip(*rows, strict=True)
     axes = {"hand": hands, "simulator": simulators, "algorithm": algorithms}

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -21,7 +22,7 @@ from ..errors import InputError
 from ..files import pasted
 from ..terminal import console
 from . import display, grid
-from .folder import StudyFolder
+from .folder import Outcome, RunFiles, StudyFolder
 
 if TYPE_CHECKING:
     from .planning import Need
@@ -63,8 +64,7 @@ def _cores() -> int:
 
 
 def _run(read: RunFlags, pool: Executor, parallel: int) -> int:
-    from . import check, runner
-    from .folder import Outcome
+    from . import check, looks, runner
 
     study = grid.read(read.study)
     folder = StudyFolder(read.out or Path("studies") / study.name)
@@ -75,30 +75,40 @@ def _run(read: RunFlags, pool: Executor, parallel: int) -> int:
     damaged = check.find_damage(runs, configs, folder)
     check.start(runs, configs, folder)
     folder.create(study)
-    jobs = []
+    jobs: dict[str, runner.Job] = {}
     for one in runs:
         files, total = folder.files(one), configs[one.name].run.total_timesteps
-        if found := files.damage():
-            console.print(f"{one.name}: {found}; recorded as done, it is trained again")
-            if place := files.set_aside():
-                console.print(f"  what is left of it: {pasted(place)}")
-        if read.retry_failed and (before := files.outcome()) and before.state == "failed":
-            files.outcome_file.unlink()
-        if one.name in damaged:
-            console.print(f"{one.name}: {damaged[one.name]}; repair or remove it, then --retry-failed")
-            files.write_outcome(Outcome("failed", total, damaged[one.name]))
-        outcome = files.outcome()
-        if outcome is None or (outcome.state == "done" and outcome.total_timesteps < total):
-            jobs.append(runner.Job(files.base, check.arguments(one), total, read.ranks_per_run))
+        if _is_to_do(one, files, total, damaged.get(one.name, ""), read.retry_failed):
+            jobs[one.name] = runner.Job(files.base, check.arguments(one), total, read.ranks_per_run)
     overview = display.Overview(folder, runs)
-    console.print(f"{title}: {len(runs)} runs, {len(jobs)} to do, in {folder.path}")
+    left = "to do" if study.looks is None else "to do at most"
+    console.print(f"{title}: {len(runs)} runs, {len(jobs)} {left}, in {folder.path}")
     with display.Watch(overview, getattr(pool, "num_workers", parallel), title) as watch:
-        endings = runner.run_all(jobs, pool, watch)
+        run_all = partial(runner.run_all, pool=pool, watch=watch)
+        if study.looks is None:
+            endings = run_all(list(jobs.values()))
+        else:
+            endings = looks.run(study, folder, jobs, run_all, console.print)
     failures = _print_failures(folder, runs)
     if elsewhere := list(endings.values()).count("busy"):
         console.print(f"{elsewhere} runs are trained by another `study run`")
     console.print(f"  tactilerl study report {pasted(folder.path)}")
     return 1 if failures else 0
+
+
+def _is_to_do(run: grid.Run, files: RunFiles, total: int, damage: str, retries: bool) -> bool:
+    """Is a run to be trained, after what is damaged was put aside or recorded as failed?"""
+    if found := files.damage():
+        console.print(f"{run.name}: {found}; recorded as done, it is trained again")
+        if place := files.set_aside():
+            console.print(f"  what is left of it: {pasted(place)}")
+    if retries and (before := files.outcome()) and before.state == "failed":
+        files.outcome_file.unlink()
+    if damage:
+        console.print(f"{run.name}: {damage}; repair or remove it, then --retry-failed")
+        files.write_outcome(Outcome("failed", total, damage))
+    outcome = files.outcome()
+    return outcome is None or (outcome.state == "done" and outcome.total_timesteps < total)
 
 
 def _print_failures(folder: StudyFolder, runs: list[grid.Run]) -> int:
@@ -122,18 +132,26 @@ class StatusFlags:
 
 def status(args: list[str]) -> int:
     """`tactilerl study status FOLDER`"""
+    from . import looks
+
     read = flags.parse(StatusFlags, args, "tactilerl study status")
     folder = StudyFolder(read.folder)
     study = folder.study()
     overview = display.Overview(folder, study.runs())
     eta = overview.eta(overview.counts()["running"] or _cores())
+    found = looks.judge(study, folder)
+    said = looks.answers(study, found)
     if read.json:
         states = {name: dataclasses.asdict(one) for name, one in overview.standings.items()}
         counts = {"runs": len(states), **overview.counts()}
-        print(json.dumps({"study": study.name, **counts, "eta_s": eta, "states": states}))
+        result = {"study": study.name, **counts, "eta_s": eta, "answers": said, "states": states}
+        print(json.dumps(result))
         return 0
     console.print(overview.table(f"study {study.name}, {len(overview.runs)} runs"))
-    is_over = overview.counts()["done"] + overview.counts()["failed"] == len(overview.runs)
+    for sentence in said:
+        console.print(sentence)
+    has_all = overview.counts()["done"] + overview.counts()["failed"] == len(overview.runs)
+    is_over = has_all or looks.have_ended(found)
     console.print("nothing left to do" if is_over else f"ETA {display.duration(eta)}")
     _print_failures(folder, overview.runs)
     return 0
@@ -179,16 +197,17 @@ def report(args: list[str]) -> int:
         import statsmodels  # noqa: F401
 
         from . import report as page
-        from . import tables
+        from . import summary
         from .analysis import analyse
-        from .statistics import FEW_RUNS
     analysis = analyse(*_load(read.study), read.resamples)
     out = read.out or (read.study if read.study.is_dir() else read.study.parent) / "report"
     try:
         path = page.write(analysis, out)
     except OSError as error:
         raise InputError(f"cannot write the report into {str(out)!r}: {error.strerror}") from error
-    for warning in tables.warnings(analysis, FEW_RUNS):
+    for sentence in summary.answers(analysis):
+        console.print(sentence)
+    for warning in summary.warnings(analysis):
         console.print(f"note: {warning}")
     console.print(f"{path} (tables and figures beside it)")
     return 0
@@ -200,53 +219,97 @@ class PlanFlags:
 
     study: tyro.conf.Positional[Path]
     """Folder of a pilot study, or the file that `collect` wrote."""
-    effect: float = 0.05
+    effect: float = 0.1
     """Difference of success rates to detect."""
     power: float = 0.8
     """Probability of detecting it."""
     alpha: float = 0.05
     """Level of the test."""
-    score: Literal["converged", "final", "area"] = "converged"
-    """Of each run: its converged rate, the mean of its last tenth, or the area under its curve."""
     json: bool = False
     """Print JSON instead of a table."""
 
 
 def plan(args: list[str]) -> int:
     """`tactilerl study plan FOLDER`"""
+    from . import planning
+
     read = flags.parse(PlanFlags, args, "tactilerl study plan")
     for name in ("effect", "power", "alpha"):
         if not 0 < getattr(read, name) < 1:
             raise InputError(f"--{name}: found {getattr(read, name)}, allowed between 0 and 1")
-    with _needs_extra("plan"):
-        import statsmodels  # noqa: F401
-
-        from .analysis import analyse
-        from .planning import plan as needs_of
-    analysis = analyse(*_load(read.study), n_resamples=1000)
-    needs = needs_of(analysis, read.effect, read.power, read.alpha, read.score)
+    study, records = _load(read.study)
+    needs = planning.plan(study, records, read.effect, read.power, read.alpha)
     if not needs:
-        raise InputError(f"{read.study}: no comparison with two or more finished runs to plan from")
+        raise InputError(f"{read.study}: no comparison with two or more pairs of runs to plan from")
     if read.json:
         print(json.dumps([dataclasses.asdict(need) for need in needs]))
         return 0
-    title = f"Seeds per group for a difference of {read.effect:g} with power {read.power:g}"
+    title = f"Pairs of runs for a difference of {read.effect:g} with power {read.power:g}"
     console.print(_plan_table(title, needs))
+    for name, need in planning.best(needs).items():
+        assert need.needed is not None
+        console.print(f"{name}: {need.score} needs the fewest pairs. In the study file:")
+        console.print(f'  primary = {{score = "{need.score}"}}')
+        console.print(f"  looks = {{pairs = {planning.looks(need.needed)}, effect = {read.effect:g}}}")
     return 0
 
 
 def _plan_table(title: str, needs: list[Need]) -> Table:
     at = list(needs[0].power)
-    caption = "at: power with so many seeds; test: power of the permutation test, simulated"
+    caption = "r: within seeds; sd: of differences; alone: runs per arm; at: power"
     table = Table(title=title, caption=caption, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for column in ("set-up", "cell", "runs", "sd", "seeds", "Holm", *(f"at {n}" for n in at), "test"):
+    columns = ("set-up", "score", "n", "r", "sd", "alone", "pairs", "95 %", "Holm")
+    for column in (*columns, *(f"at {n}" for n in at)):
         table.add_column(column, no_wrap=True)
     for need in needs:
-        seeds = [str(n) if n else "–" for n in (need.seeds, need.seeds_holm)]
+        alone, pairs, low, high, holm = (
+            str(n) if n else "–" for n in (need.unpaired, need.needed, *need.interval, need.needed_holm)
+        )
+        row = [need.setup, need.score, str(need.pairs), f"{need.correlation:.2f}", f"{need.sd:.2f}"]
         powers = [f"{need.power[n]:.2f}" for n in at]
-        row = [need.setup, need.cell, f"{need.runs[0]}/{need.runs[1]}", f"{need.sd:.3f}", *seeds]
-        table.add_row(*row, *powers, f"{need.simulated:.2f}")
+        table.add_row(*row, alone, pairs, f"{low}–{high}", holm, *powers)
     return table
+
+
+@dataclass(frozen=True)
+class CompareFlags:
+    """Flags of `tactilerl study compare`."""
+
+    a: tyro.conf.Positional[str]
+    """Folder of a study or a collected file; with :NAME,NAME only the runs of these set-ups, cells
+    and arms, as in `pilot:layout 2,main`."""
+    b: tyro.conf.Positional[str]
+    """Compared with it, in pairs of runs of the same seed where there are any."""
+    score: Literal["area", "final", "converged"] = "area"
+    """Of each run: mean success over the run, over its last tenth, or the converged rate."""
+    json: bool = False
+    """Print JSON instead of a table."""
+
+
+def compare(args: list[str]) -> int:
+    """`tactilerl study compare A B`"""
+    from . import comparing
+
+    read = flags.parse(CompareFlags, args, "tactilerl study compare")
+    a, b = comparing.read(read.a), comparing.read(read.b)
+    rows = comparing.compare(a, b, read.score)
+    differing = comparing.differing(a, b)
+    if read.json:
+        print(json.dumps({"differing": differing, "rows": [one.as_dict() for one in rows]}))
+        return 0
+    table = Table(title=f"{read.a} − {read.b}: {read.score}", box=box.SIMPLE_HEAD)
+    for column in ("", "runs", "steps", "pairs", "difference", "p", "p, Holm"):
+        table.add_column(column)
+    for one in rows:
+        gap, p = one.pairs.difference, one.pairs.p_value
+        shown = f"{gap.value:+.3f} ({gap.low:+.3f}–{gap.high:+.3f})"
+        sizes = f"{one.runs[0]} / {one.runs[1]}", f"{one.until:,.0f}", str(len(one.pairs) or "none")
+        table.add_row(one.place, *sizes, shown, f"{p:.3f}", f"{one.p_holm:.3f}")
+    console.print(table)
+    console.print(f"they differ in: {'; '.join(differing) or 'nothing'}")
+    if any(not len(one.pairs) for one in rows):
+        console.print("note: without common seeds runs are not in pairs, and it takes more of them")
+    return 0
 
 
 def _load(path: Path) -> tuple[grid.Study, list[Record]]:
@@ -269,7 +332,8 @@ def _needs_extra(part: str) -> Iterator[None]:
 PARTS: dict[str, tuple[Callable[[list[str]], int], str]] = {
     "run": (run, "run or continue the runs of a study file"),
     "status": (status, "done, running, failed, left, ETA"),
-    "plan": (plan, "how many seeds an effect needs, from the spread of a pilot"),
+    "plan": (plan, "how many pairs of runs an effect needs, from the spread of a pilot"),
+    "compare": (compare, "any two parts of studies, in pairs where their seeds agree"),
     "collect": (collect, "pack all that a study has recorded into one file"),
     "report": (report, "tables, figures and report.html"),
 }

@@ -16,8 +16,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..files import replacing
+from ..statistics import METRICS, Estimate
 from .analysis import Analysis, SetupResult
-from .statistics import METRICS, Estimate
+from .primary import SCORES
+from .summary import subject
 
 INK, FAINT = "#010203", "#b0b0b1"  # become colours of the page in report.html
 ARMS = ("#e0a800", "#2b6cb0", "#8a5a9e", "#4d8f5b")  # treatment and control as in the paper
@@ -66,6 +68,8 @@ class Picture:
                 one.set_title(title, loc="left")
             for spare in axes[len(self.panels) :]:
                 spare.set_axis_off()
+            _legend(figure)
+            figure.suptitle(self.title, x=0.01, ha="left", wrap=True)
             for ending, unsaid in (("svg", "Date"), ("png", "Software")):
                 with replacing(folder / f"{self.name}.{ending}") as file:
                     figure.savefig(file, format=ending, dpi=DPI, metadata={unsaid: None})
@@ -82,9 +86,22 @@ class Picture:
             axes.patch.set_alpha(0)
             draw(axes)
             axes.set_title(title, loc="left")
+            _legend(figure)
             text = io.StringIO()
             figure.savefig(text, format="svg", metadata={"Date": None})
         return _for_page(text.getvalue(), f"{self.name}-{index}", f"{self.title}: {title}")
+
+
+def _legend(figure: Figure) -> None:
+    """What all panels show, below them."""
+    shown: dict[str, Any] = {}
+    for axes in figure.axes:
+        handles, labels = axes.get_legend_handles_labels()
+        shown |= dict(zip(labels, handles, strict=True))
+    figure.legend(
+        shown.values(), shown.keys(), loc="outside lower center", ncols=5, frameon=False, fontsize=8,
+        columnspacing=1.0, handletextpad=0.4,
+    )  # fmt: skip
 
 
 def _for_page(svg: str, prefix: str, label: str) -> str:
@@ -107,10 +124,10 @@ def all_pictures(analysis: Analysis) -> list[Picture]:
     """Every figure of a report, in its order."""
     pictures = []
     for one in analysis.setups:
+        if one.comparisons:
+            pictures.append(differences(one, analysis.study.primary.score))
         if one.groups:
             pictures += [curves(one), converged(one)]
-    if any(one.comparisons for one in analysis.setups):
-        pictures.append(forest(analysis))
     return pictures
 
 
@@ -118,11 +135,40 @@ def _arm_colours(one: SetupResult) -> dict[str, str]:
     return {arm: ARMS[index % len(ARMS)] for index, arm in enumerate(one.setup.arms)}
 
 
+def differences(one: SetupResult, score: str) -> Picture:
+    """Every pair's difference by the primary score, and their means with intervals."""
+    treatment, control = (one.setup.label(arm) for arm in one.setup.arms[:2])
+    title = f"{treatment} − {control}, {SCORES[score]}: {subject(one)}"
+    panels = [("each pair, mean and 95 % interval", partial(_differences_of, one, score))]
+    return Picture(
+        f"{one.setup.name}_differences", title, panels, (6.4, 1.3 + 0.45 * len(one.comparisons))
+    )
+
+
+def _differences_of(one: SetupResult, score: str, axes: Axes) -> None:
+    axes.axvline(0, color=INK, linewidth=0.8)
+    for row, found in enumerate(one.comparisons.values()):
+        pairs, is_first = found.verdict.pairs, row == 0
+        gaps = pairs.treatment - pairs.control
+        axes.plot(
+            gaps, np.full(len(gaps), row + 0.22), ".", color=FAINT, ms=6, label="a pair" * is_first
+        )
+        if len(gaps):
+            _bar(axes, row, pairs.difference, ARMS[0], "s", "their mean" * is_first)
+    axes.set_yticks(range(len(one.comparisons)), list(one.comparisons))
+    names = [one.setup.label(arm) for arm in one.setup.arms[:2]]
+    label = f"{SCORES[score]}: {names[0]} − {names[1]}"
+    axes.set(ylim=(len(one.comparisons) - 0.5, -0.5), xlabel=label)
+    low, high = axes.get_xlim()
+    axes.set_xlim(min(low, -0.1), max(high, 0.1))
+    axes.grid(axis="y", visible=False)
+
+
 def curves(one: SetupResult) -> Picture:
     """The paper's Figures 3 and 5: a panel per cell, IQM with interval, runs behind it."""
-    title = f"Learning curves, {one.setup.name}: IQM, 95 % interval, every run"
-    panels = [(cell, partial(_curves_of, one, cell)) for cell in one.cells]
-    return Picture(f"{one.setup.name}_curves", title, panels, (3.6, 2.7))
+    title = f"Learning curves, IQM with 95 % interval, every run: {subject(one)}"
+    panels = [("" if cell == "all" else cell, partial(_curves_of, one, cell)) for cell in one.cells]
+    return Picture(f"{one.setup.name}_curves", title, panels, (5.2, 3.2))
 
 
 def _curves_of(one: SetupResult, cell: str, axes: Axes) -> None:
@@ -133,22 +179,20 @@ def _curves_of(one: SetupResult, cell: str, axes: Axes) -> None:
         faintness = min(0.55, 2 / len(group))  # many runs must not bury their aggregate
         axes.plot(one.steps, group.curves.T, color=colour, lw=0.6, alpha=faintness, zorder=1)
         axes.fill_between(one.steps, *group.iqm_bounds.T, color=colour, alpha=0.4, lw=0, zorder=2)
-        marker = "o" if len(one.steps) == 1 else None
-        label = f"{arm or 'all'}, {len(group)} runs"
+        marker, label = "o" if len(one.steps) == 1 else None, one.setup.label(arm)
         axes.plot(one.steps, group.iqm_curve, color=colour, lw=1.8, label=label, marker=marker)
     axes.set(xlabel="environment steps", ylabel=one.setup.measure.replace("_", " "), ylim=(-0.02, 1.02))
     axes.xaxis.set_major_locator(matplotlib.ticker.MaxNLocator(4))
     axes.xaxis.set_major_formatter(matplotlib.ticker.EngFormatter(sep=""))
-    axes.legend(frameon=False, fontsize=8)
 
 
 def converged(one: SetupResult) -> Picture:
     """The paper's Figures 4 and 6: median, IQM and mean of converged rates, a panel per arm."""
     arms = [arm for arm in one.setup.arms if any(arm == a for _, a in one.groups)]
     height = 1.1 + 0.62 * len(one.cells)
-    title = f"Converged success rates, {one.setup.name}: mean, IQM and median of runs, 95 % intervals"
-    panels = [(arm or "all", partial(_converged_of, one, arm)) for arm in arms]
-    return Picture(f"{one.setup.name}_converged", title, panels, (4.2, height))
+    title = f"Converged success rates, the paper's measure, 95 % intervals: {subject(one)}"
+    panels = [(one.setup.label(arm), partial(_converged_of, one, arm)) for arm in arms]
+    return Picture(f"{one.setup.name}_converged", title, panels, (5.2, height))
 
 
 def _converged_of(one: SetupResult, arm: str, axes: Axes) -> None:
@@ -157,50 +201,22 @@ def _converged_of(one: SetupResult, arm: str, axes: Axes) -> None:
         group = one.groups.get((cell, arm))
         if group is None:
             continue
-        axes.plot(group.scores["converged"], np.full(len(group), row - 0.36), ".", color=FAINT, ms=4)
-        for place, metric in enumerate(reversed(METRICS)):
-            estimate = group.estimate(metric)
-            label = LABELS[metric] if row == 0 else None
-            _bar(axes, row - 0.15 + 0.15 * place, estimate, colour, "Dos"[place], label)
+        is_first = not axes.get_legend_handles_labels()[1]
+        place = np.full(len(group), row - 0.36)
+        label = "a run" * is_first
+        axes.plot(group.scores["converged"], place, ".", color=FAINT, ms=4, label=label)
+        for at, metric in enumerate(reversed(METRICS)):
+            estimate = group.estimate(metric, "converged")
+            label = LABELS[metric] * is_first
+            _bar(axes, row - 0.15 + 0.15 * at, estimate, colour, "Dos"[at], label)
         theirs = one.published and one.published.estimates.get((cell, arm))
         if theirs:
-            label = "IQM in the paper" if row == 0 else None
-            _bar(axes, row + 0.33, theirs["iqm"], INK, "x", label)
+            _bar(axes, row + 0.33, theirs["iqm"], INK, "x", "IQM in the paper" * is_first)
     axes.set(ylim=(len(cells) - 0.4, -0.6), xlim=(-0.02, 1.02), xlabel="converged success rate")
     axes.set_yticks(range(len(cells)), cells)
     axes.grid(axis="y", visible=False)
-    axes.legend(frameon=False, fontsize=7, loc="lower center", bbox_to_anchor=(0.5, 1.06), ncols=4,
-                columnspacing=0.8, handletextpad=0.2)  # fmt: skip
 
 
-def _bar(
-    axes: Axes, y: float, estimate: Estimate, colour: str, marker: str, label: str | None = None
-) -> None:
+def _bar(axes: Axes, y: float, estimate: Estimate, colour: str, marker: str, label: str) -> None:
     axes.plot(estimate[1:], [y, y], color=colour, linewidth=2.2, alpha=0.55, solid_capstyle="butt")
     axes.plot(estimate.value, y, marker, color=colour, ms=4.5, label=label)
-
-
-def forest(analysis: Analysis) -> Picture:
-    """Differences of IQMs with intervals, a panel per set-up; the paper's beside ours."""
-    compared = [one for one in analysis.setups if one.comparisons]
-    height = 1.2 + 0.5 * max(len(one.comparisons) for one in compared)
-    title = "Treatment minus control: differences of IQMs of converged rates, 95 % intervals"
-    panels = [(one.setup.name, partial(_forest_of, one)) for one in compared]
-    return Picture("differences", title, panels, (4.2, height))
-
-
-def _forest_of(one: SetupResult, axes: Axes) -> None:
-    arms = one.setup.arms[:2]
-    axes.axvline(0, color=INK, linewidth=0.8)
-    for row, (cell, found) in enumerate(one.comparisons.items()):
-        _bar(axes, row, found.difference, ARMS[0], "s", "this study" if row == 0 else None)
-        theirs = one.published and [one.published.estimates.get((cell, arm)) for arm in arms]
-        if theirs and theirs[0] and theirs[1]:
-            gap = theirs[0]["iqm"].value - theirs[1]["iqm"].value
-            axes.plot(gap, row + 0.25, "x", color=INK, ms=5, label="the paper" if row == 0 else None)
-    axes.set_yticks(range(len(one.comparisons)), list(one.comparisons))
-    axes.set(ylim=(len(one.comparisons) - 0.4, -0.6), xlabel=f"{arms[0]} minus {arms[1]}")
-    low, high = axes.get_xlim()
-    axes.set_xlim(min(low, -0.1), max(high, 0.1))
-    axes.grid(axis="y", visible=False)
-    axes.legend(frameon=False, fontsize=7, loc="lower center", bbox_to_anchor=(0.5, 1.06), ncols=2)

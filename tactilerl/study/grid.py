@@ -15,6 +15,12 @@
     algo = "ppo"
     env = "mpl"
 
+    [primary]                                # optional: what the treatments are judged by
+    score = "area"
+
+    [looks]                                  # optional: stop as soon as the answer is there
+    pairs = [6, 9, 12, 16]
+
 A set-up may have a `measure`, `compare` and `grid` of its own instead of the study's.
 """
 
@@ -34,9 +40,10 @@ from typing import Any
 from ..errors import InputError
 from ..files import MAX_JSON, content, damage_named, require_name
 from ..typed import require
+from .primary import Looks, Primary
 
 MEASURES = ("success_rate", "test_success_rate")  # columns of progress.csv that are shares
-KEYS = ("name", "measure", "compare", "grid", "setups")
+KEYS = ("name", "measure", "compare", "primary", "looks", "grid", "setups")
 OWN_KEYS = ("measure", "compare", "grid")  # of a set-up, besides flags
 TAKEN = ("seed", "out", "resume", "any_ranks", "workers", "threads", "tensorboard", "trust", "help")
 SEED = "seed"
@@ -105,6 +112,12 @@ class Setup:
         rest = [text(value) for value in self.grid[self.compare.flag] if text(value) not in first]
         return first + rest
 
+    def label(self, arm: str) -> str:
+        """What an arm is called wherever it is shown: `main`, `polyak 0.9`."""
+        if self.compare is None or self.compare.flag == "run_type":
+            return arm or "all"
+        return f"{self.compare.flag.replace('_', ' ')} {arm}"
+
 
 @dataclass(frozen=True)
 class Run:
@@ -136,6 +149,8 @@ class Study:
 
     name: str
     setups: list[Setup]
+    primary: Primary = dataclasses.field(default_factory=Primary)
+    looks: Looks | None = None
 
     def runs(self) -> list[Run]:
         """All runs, seeds outermost: whatever is finished is a balanced study."""
@@ -160,6 +175,15 @@ class Study:
         require_name(self.name, "name")
         for setup in self.setups:
             setup.validate()
+        self.primary.validate()
+        if self.looks is not None:
+            self.looks.validate()
+            for setup in self.setups:
+                if setup.compare and len(setup.seeds) != self.looks.pairs[-1]:
+                    raise InputError(
+                        f"looks.pairs: found {self.looks.pairs}, but {setup.name} has "
+                        f"{len(setup.seeds)} seeds; the last look is at all of them"
+                    )
         twice = [name for name, n in Counter(setup.name for setup in self.setups).items() if n > 1]
         n_runs = sum(setup.n_runs for setup in self.setups)
         if twice or not 1 <= n_runs <= MOST_RUNS:
@@ -182,7 +206,8 @@ def from_dict(data: Any) -> Study:
         Setup(**{**one, "compare": one["compare"] and Compare(**one["compare"])})
         for one in data["setups"]
     ]
-    study = Study(data["name"], setups)
+    looks = data.get("looks")  # as studies of 0.2.0 have none
+    study = Study(data["name"], setups, Primary(**data.get("primary", {})), looks and Looks(**looks))
     study.validate()
     return study
 
@@ -203,7 +228,9 @@ def _study(data: dict[str, Any]) -> Study:
     if not setups:
         raise InputError("setups: found none, expected one or more tables [setups.NAME]")
     name: Any = data.get("name")
-    study = Study(name, [_setup(key, setups, data) for key in setups])
+    primary = Primary(**_keys(_table(data, "primary"), Primary, "primary"))
+    looks = Looks(**_keys(_table(data, "looks"), Looks, "looks")) if "looks" in data else None
+    study = Study(name, [_setup(key, setups, data) for key in setups], primary, looks)
     study.validate()
     return study
 
@@ -293,6 +320,13 @@ def _table(data: dict[str, Any], key: str, where: str = "") -> dict[str, Any]:
     table = data.get(key, {})
     if not isinstance(table, dict):
         raise InputError(f"{where}{key}: found {table!r}, expected a table")
+    return table
+
+
+def _keys(table: dict[str, Any], kind: type, where: str) -> dict[str, Any]:
+    """The table, which names nothing but fields of a dataclass."""
+    for key in table:
+        _one_of(key, tuple(field.name for field in dataclasses.fields(kind)), where)
     return table
 
 

@@ -8,7 +8,7 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
-from .statistics import Estimate, Metric
+from ..statistics import Estimate, Metric
 
 
 @dataclass(frozen=True)
@@ -17,6 +17,8 @@ class Published:
 
     table: int
     runs: int
+    steps: int
+    """Of a run."""
     estimates: dict[tuple[str, str], dict[Metric, Estimate]]
     """By (cell, run type)."""
     overlaps: dict[str, float]
@@ -44,4 +46,4 @@ def _published(data: dict[str, Any]) -> Published:
         values = zip(("median", "iqm", "mean"), (median, iqm, mean), intervals, strict=True)
         estimates[f"layout {layout}", run_type] = {m: Estimate(v, *i) for m, v, i in values}  # type: ignore[misc]
     overlaps = {f"layout {i}": share for i, share in enumerate(data["overlap"], 1)}
-    return Published(data["table"], data["runs"], estimates, overlaps)
+    return Published(data["table"], data["runs"], data["steps"], estimates, overlaps)

@@ -29,9 +29,9 @@ from ..errors import InputError
 from ..files import damage_named, replacing, unzip
 from ..progress import whole
 from ..run_dir import require_record
+from ..statistics import Array
 from .folder import STATES, RunFiles, StudyFolder
 from .grid import Run, Study, from_dict
-from .statistics import Array
 
 COLLECTED = "collected.csv.gz"
 FIXED = ("run", "state", "reason", "record")
@@ -58,6 +58,11 @@ class Record:
         steps, rates = self.column("env_steps"), self.column(measure)
         known = np.isfinite(steps) & np.isfinite(rates)
         return steps[known], rates[known]
+
+    @property
+    def has_ended(self) -> bool:
+        """Will there be no more of it, unless somebody asks for it?"""
+        return self.state in ("done", "failed")
 
     @property
     def seconds(self) -> float:

@@ -11,10 +11,9 @@ from typing import Any
 import jinja2
 
 from ..files import replacing
-from . import figures, tables
+from . import figures, summary, tables
 from .analysis import Analysis
 from .figures import Picture
-from .statistics import FEW_RUNS
 from .tables import Table
 
 
@@ -44,61 +43,37 @@ def page(analysis: Analysis, all_tables: list[Table], pictures: list[Picture]) -
     )
     return environment.get_template("report.html.j2").render(
         study=analysis.study,
-        summary=_summary(analysis),
-        warnings=tables.warnings(analysis, FEW_RUNS),
+        about=[summary.about(one, analysis.study.primary.score) for one in analysis.setups],
+        provenance=summary.provenance(analysis.records),
+        answers=summary.answers(analysis),
+        warnings=summary.warnings(analysis),
         sections=_sections(analysis, all_tables, pictures),
         colours=figures.ARMS,
     )
-
-
-def _summary(analysis: Analysis) -> list[str]:
-    """What came out, a sentence per comparison that an interval tells apart from nothing."""
-    done = sum(record.state == "done" for record in analysis.records)
-    said = [f"{done} of {len(analysis.records)} runs in {len(analysis.setups)} set-ups are finished."]
-    for one in analysis.setups:
-        if not one.comparisons:
-            continue
-        arms = one.setup.arms[:2]
-        clear = [c for c in one.comparisons.values() if c.p_holm <= 0.05]
-        names = ", ".join(f"{c.cell} ({c.difference.value:+.2f})" for c in clear)
-        result = f"in {names}" if clear else f"in none of {len(one.comparisons)} comparisons"
-        said.append(
-            f"{one.setup.name}: {arms[0]} and {arms[1]} differ {result} "
-            "(converged rates, permutation test, Holm, 0.05)."
-        )
-    return said
 
 
 def _sections(
     analysis: Analysis, all_tables: list[Table], pictures: list[Picture]
 ) -> list[dict[str, Any]]:
     """Headings with the figures and tables below them, in order."""
-    names = [one.setup.name for one in analysis.setups]
-    titles = {
-        **{name: name for name in names},
-        "over": "Over the set-ups",
-        "runs": "Runs, cost and versions",
-    }
-
-    def place(name: str) -> str:
-        own = [setup for setup in names if name in {f"{setup}_{part}" for part in PARTS}]
-        return own[0] if own else "over" if name in OVER else "runs"
-
+    parts: list[Picture | Table] = [*pictures, *all_tables]
     sections = []
-    for key, title in titles.items():
-        section = {
-            "key": f"setup-{key}" if key in names else key,
-            "title": title,
-            "pictures": [p for p in pictures if place(p.name) == key],
-            "tables": [t for t in all_tables if place(t.name) == key],
-        }
-        if section["pictures"] or section["tables"]:
-            sections.append(section)
-    return sections
+    for one in analysis.setups:
+        names = [f"{one.setup.name}_{part}" for part in PARTS]
+        sections.append((f"setup-{one.setup.name}", f"{one.setup.name}: {summary.subject(one)}", names))
+    sections.append(("over", "Over the set-ups", list(OVER)))
+    sections.append(("runs", "Runs, cost and versions", ["cost", "deviations", "versions", "runs"]))
+    found = []
+    for key, title, names in sections:
+        own = [part for name in names for part in parts if part.name == name]
+        if own:
+            shown = [(isinstance(part, Picture), part) for part in own]
+            found.append({"key": key, "title": title, "parts": shown})
+    return found
 
 
-PARTS = ("curves", "converged", "measures", "comparisons")
-OVER = ("differences", "agreement", "mixed_model")
+PARTS = ("comparisons", "differences", "curves", "measures", "converged", "paper")
+OVER = ("agreement", "mixed_model")
 
 
 def _write(path: Path, text: str) -> None:

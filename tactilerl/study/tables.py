@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 
 from .. import config as configuration
+from .. import statistics
 from ..errors import InputError
-from .analysis import SCORES, THRESHOLDS, Analysis, Group, SetupResult, pair
-from .statistics import Estimate, bca_interval, power_from_intervals
+from ..statistics import Estimate, power_from_intervals
+from .analysis import THRESHOLDS, Analysis, SetupResult, pair
+from .primary import SCORES
+from .summary import ENDINGS, made_with, subject
 
-NAMES = {"median": "Median", "iqm": "IQM", "mean": "Mean"}
-STILL_RISING = 0.1  # final over converged rate
 UNTOLD = ("seed", "out", "workers", "threads", "tensorboard", "device", "algo", "env")
 
 
@@ -77,9 +78,11 @@ def all_tables(analysis: Analysis) -> list[Table]:
     """Every table of a report, in its order."""
     tables: list[Table] = []
     for one in analysis.setups:
-        tables += [converged(one), other_measures(one)]
         if one.comparisons:
-            tables.append(comparisons(one))
+            tables.append(comparisons(one, analysis.study.primary.score))
+        tables += [measures(one, analysis.study.primary.score), converged(one)]
+        if one.comparisons:
+            tables.append(as_the_paper(one))
     if analysis.agreements:
         tables.append(agreement(analysis))
     if not isinstance(analysis.mixed, str):
@@ -87,42 +90,54 @@ def all_tables(analysis: Analysis) -> list[Table]:
     return [*tables, cost(analysis), deviations(analysis), versions(analysis), runs(analysis)]
 
 
-def converged(one: SetupResult) -> Table:
-    """The paper's Tables 1 and 2: converged success rates of every group."""
-    columns = ["Config.", "Type", "Runs", *NAMES.values()]
-    columns += [f"{name} CI, 95 %" for name in NAMES.values()]
-    columns += ["Median of runs", "Median of runs CI, 95 %", "IQM BCa CI, 95 %"]
-    if one.published:
-        columns += ["Paper: IQM", "Paper: IQM CI, 95 %"]
+def comparisons(one: SetupResult, score: str) -> Table:
+    """Treatment against control in every cell, in pairs of runs of the same seed."""
+    treatment, control = (one.setup.label(arm) for arm in one.setup.arms[:2])
+    others = [name for name in SCORES if name != score]
+    columns = ["Config.", "Pairs", SCORES[score].capitalize(), "p", "p, Holm"]
+    has_looks = any(found.verdict.stage for found in one.comparisons.values())
+    has_room = any(found.headroom for found in one.comparisons.values())
+    columns += ["Look"] * has_looks
+    for name in others:
+        columns += [SCORES[name].capitalize(), f"p, {name}"]
+    columns += ["Sight − no sight", "Touch, share of it"] * has_room
     rows = []
-    for (cell, arm), group in one.groups.items():
-        mean, iqm, median = (group.estimate(metric) for metric in ("mean", "iqm", "median"))
-        bca = bca_interval(group.scores["converged"], "iqm", group.counts)
-        row = [cell, arm, str(len(group)), *(number(e.value) for e in (mean, iqm, mean))]
-        row += [interval(*e[1:]) for e in (mean, iqm, mean)]
-        row += [number(median.value), interval(*median[1:]), interval(*bca)]
-        if one.published:
-            theirs = one.published.estimates.get((cell, arm), {}).get("iqm")
-            row += [number(theirs.value), interval(*theirs[1:])] if theirs else ["–", "–"]
+    for cell, found in one.comparisons.items():
+        verdict = found.verdict
+        row = [cell, f"{len(verdict.pairs)} of {verdict.n_seeds}", shown(verdict.pairs.difference, 3)]
+        row += [p_value(verdict.pairs.p_value), p_value(verdict.p_holm)]
+        if verdict.stage:
+            row.append(f"{verdict.stage.look} of {verdict.stage.of}: {ENDINGS[verdict.stage.ending]}")
+        for name in others:
+            row += [shown(found.secondary[name].difference, 3), p_value(found.secondary[name].p_value)]
+        if has_room:
+            room = found.headroom
+            row += [shown(room.room) if room else "–"]
+            row += [shown(room.share) if room and room.is_enough else "cannot tell" if room else "–"]
         rows.append(row)
-    like = f" (the paper's Table {one.published.table})" if one.published else ""
-    return Table(
-        f"{one.setup.name}_converged",
-        f"Converged success rates, {one.setup.name}{like}",
-        columns,
-        rows,
-        "Median, IQM and mean as the paper has them: its library's median over one task is the mean. "
-        "The median of the runs stands beside it. Intervals: percentiles of a stratified bootstrap.",
+    note = (
+        f"Mean of {treatment} minus {control} in runs of the same seed, with a 95 % bootstrap interval "
+        "over pairs. p: sign-flip test; Holm over the rows. The first score is the one that the study "
+        "is judged by; the others are for comparison and not corrected."
     )
+    if has_looks:
+        note += (
+            " p and interval are those of the look that ended the comparison, corrected for all "
+            "looks; the other scores are of all runs."
+        )
+    title = f"{treatment} − {control} in pairs: {subject(one)}"
+    return Table(f"{one.setup.name}_comparisons", title, columns, rows, note)
 
 
-def other_measures(one: SetupResult) -> Table:
-    """What else a learning curve says: IQMs with intervals, and steps to two thresholds."""
-    columns = ["Config.", "Type", "Runs", *SCORES.values()]
-    columns += [f"steps to {threshold:g} (median; reached by)" for threshold in THRESHOLDS]
+def measures(one: SetupResult, score: str) -> Table:
+    """What else a learning curve says: means with intervals, and steps to two thresholds."""
+    names = [name for name in dict.fromkeys([score, *SCORES]) if name != "converged" or score == name]
+    columns = ["Config.", "Type", "Runs", *(SCORES[name].capitalize() for name in names)]
+    columns += [f"Steps to {threshold:g} (median; reached by)" for threshold in THRESHOLDS]
     rows = []
     for (cell, arm), group in one.groups.items():
-        row = [cell, arm, str(len(group)), *(shown(group.estimate("iqm", score)) for score in SCORES)]
+        means = [statistics.mean(group.scores[name], group.counts) for name in names]
+        row = [cell, one.setup.label(arm), str(len(group)), *map(shown, means)]
         for threshold in THRESHOLDS:
             steps = group.scores[f"steps to {threshold:g}"]
             reached = int(np.isfinite(steps).sum())
@@ -130,36 +145,64 @@ def other_measures(one: SetupResult) -> Table:
             middle = f"{median:,.0f}" if math.isfinite(median) else "never"
             row.append(f"{middle}; {reached} of {len(group)}")
         rows.append(row)
-    title = f"Other measures of learning, {one.setup.name}"
-    note = "IQM with 95 % interval. Steps are those of the first epoch at or above the threshold."
+    title = f"Each arm: {subject(one)}"
+    note = (
+        "Mean of the runs with 95 % interval. Area: mean success over the run; final: over its last "
+        "tenth. Steps are those of the first epoch at or above the threshold."
+    )
     return Table(f"{one.setup.name}_measures", title, columns, rows, note)
 
 
-def comparisons(one: SetupResult) -> Table:
-    """Treatment against control in every cell."""
+def converged(one: SetupResult) -> Table:
+    """The paper's Tables 1 and 2: converged success rates of every group."""
+    columns = ["Config.", "Type", "Runs", "Mean", "IQM", "Median of runs"]
+    if one.published:
+        columns += ["Paper: mean", "Paper: IQM"]
+    rows = []
+    for (cell, arm), group in one.groups.items():
+        row = [cell, one.setup.label(arm), str(len(group))]
+        row += [shown(group.estimate(metric, "converged")) for metric in ("mean", "iqm", "median")]
+        if one.published:
+            theirs = one.published.estimates.get((cell, arm), {})
+            row += [shown(theirs[metric]) if theirs else "–" for metric in ("mean", "iqm")]
+        rows.append(row)
+    title = f"Converged success rates, the paper's measure: {subject(one)}"
+    note = (
+        "The level at which a run spends most of its epochs, with 95 % percentile bootstrap intervals. "
+        "The paper's median is the mean: its library's median is over tasks, of which there is one."
+    )
+    if one.published:
+        title += f" (Table {one.published.table} of the paper)"
+        note += (
+            f" Runs have {one.steps[-1]:,.0f} steps here and {one.published.steps:,} in the paper."
+            if len(one.steps)
+            else ""
+        )
+    return Table(f"{one.setup.name}_converged", title, columns, rows, note)
+
+
+def as_the_paper(one: SetupResult) -> Table:
+    """Treatment against control as the paper compares them: converged rates, not in pairs."""
     treatment, control = one.setup.arms[:2]
     columns = ["Config.", "Runs", "Difference of IQMs", "Overlap of CIs", "P(improvement)"]
-    columns += ["p", "p, Holm", "Within seeds", "p within seeds"]
     if one.published:
         columns += ["Paper: difference", "Paper: overlap", "Paper: power"]
     rows = []
     for cell, found in one.comparisons.items():
         sizes = " / ".join(str(len(group)) for group in pair(one, cell))
-        row = [cell, sizes, shown(found.difference, 3), share(found.overlap)]
-        row += [shown(found.improvement), p_value(found.p_value), p_value(found.p_holm)]
-        row += [shown(found.within, 3), p_value(found.p_within)]
+        row = [cell, sizes, shown(found.iqm_difference, 3), percent(found.overlap)]
+        row += [shown(found.improvement)]
         if one.published:
             row += _published_comparison(one, cell, (treatment, control))
         rows.append(row)
+    treatment, control = (one.setup.label(arm) for arm in (treatment, control))
     note = (
         "Of converged rates. Overlap: share of the control's interval, as in the paper. "
-        f"P(improvement): a run of {treatment} beats one of {control}. p: permutation test of the "
-        "difference of IQMs; Holm over the rows. Within seeds: mean difference between runs of the "
-        "same seed; its p: labels exchanged within the pairs. Paper's power: how likely another study "
-        "of its size finds its difference of means at 0.05."
+        f"P(improvement): a run of {treatment} beats one of {control}. Paper's power: how likely "
+        "another study of its size finds its difference of means at 0.05."
     )
-    title = f"{treatment} against {control}, {one.setup.name}"
-    return Table(f"{one.setup.name}_comparisons", title, columns, rows, note)
+    title = f"{treatment} against {control} as the paper compares them: {subject(one)}"
+    return Table(f"{one.setup.name}_paper", title, columns, rows, note)
 
 
 def _published_comparison(one: SetupResult, cell: str, arms: tuple[str, str]) -> list[str]:
@@ -170,10 +213,10 @@ def _published_comparison(one: SetupResult, cell: str, arms: tuple[str, str]) ->
     iqms, means = ([group[metric] for group in groups if group] for metric in ("iqm", "mean"))
     power = power_from_intervals(means[0].value - means[1].value, means[0][1:], means[1][1:])
     difference = number(iqms[0].value - iqms[1].value)
-    return [difference, share(one.published.overlaps[cell]), number(power)]
+    return [difference, percent(one.published.overlaps[cell]), number(power)]
 
 
-def share(value: float) -> str:
+def percent(value: float) -> str:
     """As a percentage."""
     return "–" if math.isnan(value) else f"{100 * value:.0f} %"
 
@@ -181,7 +224,7 @@ def share(value: float) -> str:
 def agreement(analysis: Analysis) -> Table:
     """Rank correlations between set-ups."""
     rows = [[one.by, ", ".join(one.setups), shown(one.correlation)] for one in analysis.agreements]
-    note = "Mean Spearman correlation of the cells' IQMs over pairs of set-ups; 1: the same order."
+    note = "Mean Spearman correlation of the cells' means over pairs of set-ups; 1: the same order."
     columns = ["Order by", "Set-ups", "Rank correlation"]
     return Table("agreement", "Do the set-ups agree on the order?", columns, rows, note)
 
@@ -189,9 +232,10 @@ def agreement(analysis: Analysis) -> Table:
 def mixed(analysis: Analysis) -> Table:
     """The mixed model's terms."""
     assert not isinstance(analysis.mixed, str)
+    score = SCORES[analysis.study.primary.score].capitalize()
     rows = [[one.name, shown(one.effect, 3), p_value(one.p_value)] for one in analysis.mixed]
     note = (
-        "Converged rate ~ treatment x (hand, simulator, algorithm), with a random intercept for every "
+        f"{score} ~ treatment x (hand, simulator, algorithm), with a random intercept for every "
         "cell of every set-up; effects against the first level of each."
     )
     return Table("mixed_model", "Mixed model over set-ups", ["Term", "Effect", "p"], rows, note)
@@ -251,80 +295,31 @@ def versions(analysis: Analysis) -> Table:
     """Software that the runs were made with, and by how many runs."""
     found: Counter[tuple[str, str]] = Counter()
     for record in analysis.records:
-        found.update(_made_with(record.config or {}))
+        found.update(made_with(record.config or {}))
     rows = [[name, version, str(n)] for (name, version), n in sorted(found.items())]
     return Table("versions", "Versions", ["Package", "Version", "Runs"], rows)
 
 
-def _made_with(config: dict[str, Any]) -> set[tuple[str, str]]:
-    """(package, version) of all that a run was made with; several of one where it went on with
-    others."""
-    made = config.get("provenance", [])
-    commits = {("commit", str(one["commit"])) for one in made}
-    return commits.union(*(one["versions"].items() for one in made))
-
-
 def runs(analysis: Analysis) -> Table:
     """Every run: its seed, how it ended and what it reached."""
-    measure = {one.setup.name: one.setup.measure for one in analysis.setups}
+    setups = {one.setup.name: one for one in analysis.setups}
     reached = {
-        (one.setup.name, group.cell, group.arm, seed): (score, final)
+        (one.setup.name, *place, seed): [group.scores[name][index] for name in SCORES]
         for one in analysis.setups
-        for group in one.groups.values()
-        for seed, score, final in zip(
-            group.seeds, group.scores["converged"], group.scores["final"], strict=True
-        )
+        for place, group in one.groups.items()
+        for index, seed in enumerate(group.seeds)
     }
     rows = []
     for record in analysis.records:
         run = record.run
-        scores = reached.get((run.setup, run.cell, run.arm, run.seed), (math.nan, math.nan))
+        scores = reached.get((run.setup, run.cell, run.arm, run.seed), [math.nan] * len(SCORES))
         steps = record.column("env_steps")
         diverged = sum(np.nansum(record.column(name)) for name in ("diverged", "test_diverged"))
-        row = [run.setup, run.cell, run.arm, str(run.seed), record.state, str(len(record.rows))]
+        arm = setups[run.setup].setup.label(run.arm)
+        row = [run.setup, run.cell, arm, str(run.seed), record.state, str(len(record.rows))]
         row += [f"{steps[-1]:.0f}" if len(steps) else "0", *map(number, scores)]
         rows.append([*row, f"{diverged:.0f}", record.reason])
-    columns = ["Set-up", "Config.", "Type", "Seed", "State", "Epochs", "Steps", "Converged", "Final"]
-    columns += ["Diverged episodes", "Why it failed"]
-    note = "Rates: " + "; ".join(f"{name}: {column}" for name, column in measure.items()) + "."
-    return Table("runs", "Runs", columns, rows, note)
-
-
-def _still_rises(group: Group) -> bool:
-    """Does the converged rate miss what the runs can do at their end?"""
-    return group.estimate("iqm", "final").value - group.estimate("iqm").value > STILL_RISING
-
-
-def warnings(analysis: Analysis, few: int) -> list[str]:
-    """What a reader must know before he believes the numbers."""
-    found = []
-    states = Counter(record.state for record in analysis.records)
-    unfinished = [f"{n} {state}" for state, n in sorted(states.items()) if state != "done"]
-    if unfinished:
-        found.append(f"Of {len(analysis.records)} runs {', '.join(unfinished)}: they are in no figure.")
-    if 0 < analysis.fewest < few:
-        found.append(
-            f"The smallest group has {analysis.fewest} runs. Intervals of fewer than {few} runs are "
-            "too narrow: they contain the truth less often than they say."
-        )
-    rising = sum(_still_rises(group) for one in analysis.setups for group in one.groups.values())
-    if rising:
-        found.append(
-            f"In {rising} groups the runs end well above the level at which they spent most epochs: "
-            "they were too short for converged rates to mean much; look at final rates."
-        )
-    for one in analysis.setups:
-        if not one.groups:
-            found.append(f"{one.setup.name}: no finished run with a {one.setup.measure}.")
-    if len({frozenset(_made_with(one.config)) for one in analysis.records if one.config}) > 1:
-        found.append("The runs were made with different versions or commits: see Versions.")
-    diverged = [
-        r.run.name
-        for r in analysis.records
-        if sum(np.nansum(r.column(c)) for c in ("diverged", "test_diverged")) > 0
-    ]
-    if diverged:
-        found.append(f"Episodes diverged in {len(diverged)} runs: see Runs.")
-    if isinstance(analysis.mixed, str) and len([o for o in analysis.setups if o.comparisons]) > 1:
-        found.append(analysis.mixed[0].upper() + analysis.mixed[1:] + ".")
-    return found
+    columns = ["Set-up", "Config.", "Type", "Seed", "State", "Epochs", "Steps"]
+    columns += [*(name.capitalize() for name in SCORES), "Diverged episodes", "Why it failed"]
+    said = [f"{name}: {one.setup.measure}" for name, one in setups.items()]
+    return Table("runs", "Runs", columns, rows, f"Rates: {'; '.join(said)}.")

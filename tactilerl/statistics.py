@@ -1,9 +1,9 @@
-"""What the runs of a study say, and how sure one can be: pure functions over arrays of runs.
+"""What episodes, grasps and runs say, and how sure one can be: pure functions over arrays.
 
-The first axis is always the runs (independent seeds). Scores are shares of success in [0, 1] where
-nothing else is said. The aggregates and the stratified bootstrap are those of Agarwal et al. 2021,
-"Deep reinforcement learning at the edge of the statistical precipice"
-(https://arxiv.org/abs/2108.13264).
+The first axis is always the samples: episodes, grasps or runs (independent seeds). Scores of runs are
+shares of success in [0, 1] where nothing else is said. The aggregates and the stratified bootstrap
+are those of Agarwal et al. 2021, "Deep reinforcement learning at the edge of the statistical
+precipice" (https://arxiv.org/abs/2108.13264).
 
 All three aggregates (median, IQM, mean) are trimmed means. So a resample need not be sorted again:
 sort the runs once and count how often each of them was drawn.
@@ -18,7 +18,7 @@ from types import SimpleNamespace
 from typing import Literal, NamedTuple
 
 import numpy as np
-from scipy import stats
+import scipy  # scipy.stats takes a while: it is loaded where it is first used
 
 Array = np.ndarray
 Metric = Literal["median", "iqm", "mean"]
@@ -26,6 +26,7 @@ METRICS: tuple[Metric, ...] = ("median", "iqm", "mean")
 
 CONFIDENCE = 0.95
 N_RESAMPLES = 50_000  # as the paper's learning curves have them
+FEWEST_PAIRS = 6  # two-sided, five cannot fall below 0.05
 N_BINS = 50  # of the histogram behind the converged rate
 TAIL = 0.1  # share of a run's points that count as its end
 TRIM = 0.25  # the IQM leaves out this share of the runs at each end
@@ -121,9 +122,13 @@ def resample(
     as many runs as the stratum.
     """
     sizes = [strata] if isinstance(strata, int) else list(strata)
-    kind = np.min_scalar_type(sum(sizes))
-    drawn = [rng.multinomial(n, np.full(n, 1 / n), n_resamples).astype(kind).T for n in sizes]
-    return np.ascontiguousarray(np.concatenate(drawn))
+    drawn = np.empty((n_resamples, sum(sizes)), np.uint8)  # nobody is drawn 256 times
+    start = 0
+    for n in sizes:
+        for row in drawn[:, start : start + n]:
+            row[:] = np.bincount(rng.integers(n, size=n), minlength=n)
+        start += n
+    return drawn.T
 
 
 def bootstrap(scores: Array, metric: Metric, counts: Array) -> Array:
@@ -136,7 +141,7 @@ def bootstrap(scores: Array, metric: Metric, counts: Array) -> Array:
     """
     n, k = len(scores), trimmed(metric, len(scores))
     order = np.argsort(scores, kind="stable")
-    drawn = counts[order[:-1]]
+    drawn = np.ascontiguousarray(counts[order[:-1]], np.min_scalar_type(n))
     for run in range(1, n - 1):  # np.cumsum over the first axis takes ten times as long
         drawn[run] += drawn[run - 1]
     kept = np.clip(drawn, k, n - k, out=drawn) - drawn.dtype.type(k)
@@ -145,7 +150,11 @@ def bootstrap(scores: Array, metric: Metric, counts: Array) -> Array:
 
 
 def percentile_interval(distribution: Array, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """The central part of a bootstrap distribution (n_resamples,): Efron's percentile interval."""
+    """The central part of a bootstrap distribution (n_resamples,): Efron's percentile interval.
+    Resamples without a number are left out; NaN where there is no other."""
+    distribution = distribution[np.isfinite(distribution)]
+    if not len(distribution):
+        return math.nan, math.nan
     tail = (1 - confidence) / 2
     low, high = np.quantile(distribution, [tail, 1 - tail])
     return float(low), float(high)
@@ -172,7 +181,7 @@ def bca_interval(
     drawn = SimpleNamespace(bootstrap_distribution=bootstrap(scores, metric, counts))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a degenerate distribution gives NaN, which is what is wanted
-        interval = stats.bootstrap(
+        interval = scipy.stats.bootstrap(
             (scores,), statistic, n_resamples=0, bootstrap_result=drawn, method="BCa",
             confidence_level=confidence,
         ).confidence_interval  # fmt: skip
@@ -195,7 +204,120 @@ def sample_efficiency(
     return aggregate(curves, metric), intervals[place.ravel()]
 
 
-# -- treatment against control ---------------------------------------------------------------
+def wilson_interval(n_successes: int, n: int) -> tuple[float, float]:
+    """Interval of a probability from `n_successes` of `n` (Wilson 1927, scipy)."""
+    found = scipy.stats.binomtest(n_successes, n).proportion_ci(CONFIDENCE, method="wilson")
+    return float(found.low), float(found.high)
+
+
+# -- means of few samples, and pairs ------------------------------------------------------------
+
+
+def expanded(n: int, confidence: float = CONFIDENCE) -> float:
+    """Confidence at which a percentile interval of the mean of `n` samples is as wide as one of that
+    `confidence` should be.
+
+    Hesterberg 2015, "What teachers should know about the bootstrap" (https://arxiv.org/abs/1411.5279):
+    a bootstrap's spread is too small by a factor of sqrt(1 - 1/n), and takes the spread of the samples
+    for the true one, as a normal instead of a t quantile would.
+    """
+    if n < 2:
+        return confidence
+    wide = math.sqrt(n / (n - 1)) * scipy.stats.t.isf((1 - confidence) / 2, n - 1)
+    return 1 - 2 * float(scipy.stats.norm.sf(wide))
+
+
+def mean(samples: Array, counts: Array, confidence: float = CONFIDENCE) -> Estimate:
+    """Mean of samples (n,), such as differences of pairs, with its expanded percentile interval; NaN
+    without samples."""
+    if not len(samples):
+        return Estimate(math.nan, math.nan, math.nan)
+    return estimate(samples, "mean", counts, expanded(len(samples), confidence))
+
+
+def share(gain: Array, room: Array, counts: Array) -> Estimate:
+    """Mean `gain` over mean `room`, both (pairs,), with its expanded percentile interval."""
+    drawn = bootstrap(gain, "mean", counts) / bootstrap(room, "mean", counts)
+    bounds = percentile_interval(drawn, expanded(len(gain)))
+    return Estimate(float(gain.mean() / room.mean()), *bounds)
+
+
+def sign_flips(n: int, rng: np.random.Generator, n_resamples: int = N_RESAMPLES) -> Array:
+    """Ways to exchange the labels within `n` pairs, as signs of the differences; (ways, n), the first
+    as they are.
+
+    Every way once where there are no more than `n_resamples`, as with 16 pairs; opposite ways, whose
+    means differ by the sign alone, count as one. Beyond, `n_resamples` random ones.
+    """
+    if 2 ** max(0, n - 1) <= n_resamples:
+        bits = np.arange(2 ** max(0, n - 1))[:, None] >> np.arange(n)
+        return (1 - 2 * (bits & 1)).astype(np.int8)
+    signs = rng.integers(0, 2, (n_resamples + 1, n), np.int8) * 2 - 1
+    signs[0] = 1
+    return signs
+
+
+def _gaps(signs: Array, differences: Array) -> Array:
+    """Absolute mean difference (ways,), rounded: ties that differ in the last bit are ties."""
+    return np.round(np.abs(signs @ differences) / max(1, len(differences)), 12)
+
+
+def sign_flip_p(differences: Array, rng: np.random.Generator, n_resamples: int = N_RESAMPLES) -> float:
+    """Two-sided p-value of a mean difference (pairs,) when the labels are exchanged within pairs
+    (Fisher 1935).
+
+    Exact where `sign_flips` is; with three it cannot fall below 0.25. NaN with fewer than two.
+    """
+    if len(differences) < 2:
+        return math.nan
+    gaps = _gaps(sign_flips(len(differences), rng, n_resamples), differences)
+    return float(np.mean(gaps >= gaps[0]))
+
+
+class Look(NamedTuple):
+    """What a sequential test says at one look."""
+
+    p_value: float
+    """Probability under no difference to have stopped at an earlier look, or to see so much here."""
+    level: float
+    """Of this look alone: intervals at 1 - level hold at all looks together."""
+
+
+def sequential_sign_flips(
+    differences: Array,
+    looks: Sequence[tuple[int, float]],
+    n_planned: int,
+    rng: np.random.Generator,
+    n_resamples: int = N_RESAMPLES,
+) -> list[Look]:
+    """The sign-flip test on the first pairs, at every look that there is data for.
+
+    `looks` are (pairs at hand, error that may be spent up to there); it stops for a difference at the
+    first whose p-value is no more than that error. As in AdaStop (Mathieu et al., TMLR 2024,
+    https://arxiv.org/abs/2306.10882) all ways to exchange labels go through all looks, so that ways
+    that stopped earlier are known, and dependence between looks is exact. What is spent when is a
+    spending function (Lan and DeMets 1983); p-values are ordered by stages (Fairbanks and Madsen
+    1982); intervals at 1 - level are repeated ones (Jennison and Turnbull 1989).
+    """
+    is_exact = 2 ** (n_planned - 1) <= n_resamples
+    signs = sign_flips(len(differences) if is_exact else n_planned, rng, n_resamples)
+    has_stopped, found = np.zeros(len(signs), bool), []
+    for n, error in looks:
+        gaps = _gaps(signs[:, :n], differences[:n])
+        going = np.sort(gaps[~has_stopped])
+        as_large = len(going) - np.searchsorted(going, gaps)
+        p_values = (has_stopped.sum() + as_large) / len(signs)
+        stops = ~has_stopped & (p_values <= error + 1e-12)
+        left = error - float(has_stopped.mean())
+        level = float(np.mean(gaps >= gaps[stops].min())) if stops.any() else left
+        found.append(Look(float(p_values[0]), max(level, 1e-9)))
+        has_stopped |= stops
+        if has_stopped[0]:
+            break
+    return found
+
+
+# -- treatment against control, not in pairs --------------------------------------------------
 
 
 def interval_overlap(treatment: tuple[float, float], control: tuple[float, float]) -> float:
@@ -237,45 +359,45 @@ def probability_of_improvement(
 
 
 def permutation_p(
-    treatment: Array,
-    control: Array,
-    metric: Metric,
-    rng: np.random.Generator,
-    n_resamples: int = N_RESAMPLES,
-    paired: bool = False,
+    treatment: Array, control: Array, rng: np.random.Generator, n_resamples: int = N_RESAMPLES
 ) -> float:
-    """Two-sided p-value of a difference of aggregates when the labels are exchanged (scipy); with
-    `paired` only within pairs of runs.
+    """Two-sided p-value of a difference of means when the labels are exchanged (scipy).
 
     Exact where there are no more than `n_resamples` ways to deal out the labels; with three runs
-    against three it cannot fall below 0.1, with three pairs below 0.25. NaN where a group is a
-    single run.
+    against three it cannot fall below 0.1. NaN where a group is a single run.
     """
     if min(len(treatment), len(control)) < 2:
         return math.nan
 
     def statistic(a: Array, b: Array, axis: int) -> Array:
-        a, b = np.moveaxis(a, axis, 0), np.moveaxis(b, axis, 0)
         # Rounded, for ties that differ in the last bit would count as less extreme.
-        return np.round(aggregate(a, metric) - aggregate(b, metric), 12)
+        return np.round(a.mean(axis) - b.mean(axis), 12)
 
-    test = stats.permutation_test(
+    test = scipy.stats.permutation_test(
         (treatment, control), statistic, vectorized=True, n_resamples=n_resamples, rng=rng,
-        batch=10_000, permutation_type="samples" if paired else "independent",
+        batch=10_000,
     )  # fmt: skip
     return float(test.pvalue)
 
 
-def holm(p_values: Sequence[float]) -> Array:
-    """p-values of several comparisons, corrected so that the family keeps its level (Holm 1979,
-    statsmodels). NaN stays NaN and does not count as a comparison.
-    """
-    from statsmodels.stats.multitest import multipletests
+# -- several p-values -------------------------------------------------------------------------
 
+
+def bootstrap_p(distribution: Array) -> float:
+    """Two-sided p-value of a difference from 0, from its bootstrap distribution (n_resamples,)."""
+    n = len(distribution)
+    one_sided = min(int((distribution <= 0).sum()), int((distribution >= 0).sum()))
+    return min(1.0, 2 * (one_sided + 1) / (n + 1))
+
+
+def holm(p_values: Sequence[float]) -> Array:
+    """p-values of several comparisons, corrected so that the family keeps its level (Holm 1979).
+    NaN stays NaN and does not count as a comparison."""
     corrected = np.array(p_values, float)
-    known = ~np.isnan(corrected)
-    if known.any():
-        corrected[known] = multipletests(corrected[known], method="holm")[1]
+    known = np.flatnonzero(~np.isnan(corrected))
+    order = known[np.argsort(corrected[known], kind="stable")]
+    factors = np.arange(len(order), 0, -1)
+    corrected[order] = np.minimum(1.0, np.maximum.accumulate(factors * corrected[order]))
     return corrected
 
 
@@ -300,7 +422,7 @@ def rank_agreement(values: Array, resampled: Array | None = None) -> Estimate:
 
 def _mean_spearman(values: Array) -> Array:
     """(setups, cells, n) → (n,)"""
-    ranks = stats.rankdata(values, axis=1)
+    ranks = scipy.stats.rankdata(values, axis=1)
     centred = ranks - ranks.mean(axis=1, keepdims=True)
     norms = np.sqrt((centred**2).sum(axis=1))
     first, second = np.triu_indices(len(values), k=1)
@@ -349,76 +471,73 @@ def mixed_model(
     ]
 
 
-# -- how many seeds --------------------------------------------------------------------------
+# -- how many runs ----------------------------------------------------------------------------
 
 
-def power_of_t_test(effect: float, sd: float, n_runs: int, alpha: float) -> float:
-    """Power of a two-sided t test between two groups of `n_runs` runs whose means differ by
-    `effect`.
-    """
-    from statsmodels.stats.power import TTestIndPower
-
+def power_of_t_test(effect: float, sd: float, n: int, alpha: float, in_pairs: bool) -> float:
+    """Power of a two-sided t test to find `effect`: `n` pairs whose differences spread by `sd`, or two
+    groups of `n` runs that do."""
     if sd == 0:
         return 1.0 if effect else alpha
-    return float(TTestIndPower().power(abs(effect) / sd, n_runs, alpha))
+    freedom, size = (n - 1, n) if in_pairs else (2 * n - 2, n / 2)
+    shift, critical = abs(effect) / sd * math.sqrt(size), scipy.stats.t.isf(alpha / 2, freedom)
+    tails = scipy.stats.nct.sf(critical, freedom, shift), scipy.stats.nct.cdf(-critical, freedom, shift)
+    return float(tails[0] + tails[1])
 
 
 def runs_needed(
-    effect: float, sd: float, power: float, alpha: float, most: int = 100_000
+    effect: float, sd: float, power: float, alpha: float, in_pairs: bool, most: int = 100_000
 ) -> int | None:
-    """Runs per group for a t test to find `effect` with `power`; None where `most` do not suffice."""
-    low, high = 1, 2
-    while power_of_t_test(effect, sd, high, alpha) < power:
+    """Pairs, or runs per group, for a t test to find `effect` with `power`, and not fewer pairs than
+    a sign-flip test needs to fall below `alpha`; None where `most` do not suffice."""
+    low = math.ceil(1 - math.log2(alpha)) - 1 if in_pairs else 1
+    high = low + 1
+    while power_of_t_test(effect, sd, high, alpha, in_pairs) < power:
         low, high = high, 2 * high
         if high > most:
             return None
     while high - low > 1:
         middle = (low + high) // 2
-        if power_of_t_test(effect, sd, middle, alpha) < power:
+        if power_of_t_test(effect, sd, middle, alpha, in_pairs) < power:
             low = middle
         else:
             high = middle
     return high
 
 
+def sd_interval(sd: float, freedom: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
+    """Interval of the standard deviation of normal samples (chi-squared)."""
+    tail = (1 - confidence) / 2
+    low, high = (sd * math.sqrt(freedom / scipy.stats.chi2.isf(t, freedom)) for t in (tail, 1 - tail))
+    return low, high
+
+
 def power_from_intervals(
     effect: float, treatment: tuple[float, float], control: tuple[float, float], alpha: float = 0.05
 ) -> float:
     """Power of a z test to find `effect` again, from the published intervals of both groups' means."""
-    to_error = 2 * stats.norm.isf((1 - CONFIDENCE) / 2)
+    to_error = 2 * scipy.stats.norm.isf((1 - CONFIDENCE) / 2)
     errors = [(high - low) / to_error for low, high in (treatment, control)]
-    shift, critical = abs(effect) / math.hypot(*errors), stats.norm.isf(alpha / 2)
-    return float(stats.norm.sf(critical - shift) + stats.norm.sf(critical + shift))
+    shift, critical = abs(effect) / math.hypot(*errors), scipy.stats.norm.isf(alpha / 2)
+    return float(scipy.stats.norm.sf(critical - shift) + scipy.stats.norm.sf(critical + shift))
 
 
 def simulated_power(
     rng: np.random.Generator,
-    treatment: Array,
-    control: Array,
+    differences: Array,
     effect: float,
-    n_runs: int,
+    n_pairs: int,
     alpha: float,
-    metric: Metric = "iqm",
     n_studies: int = 400,
-    n_permutations: int = 999,
+    n_resamples: int = 999,
 ) -> float:
-    """How often the permutation test would find `effect` in studies of `n_runs` runs spread like a
-    pilot's.
+    """How often the sign-flip test would find `effect` in studies of `n_pairs` pairs spread like a
+    pilot's `differences` (pairs,), given as deviations from their mean.
 
-    Runs are drawn from the pilot's deviations from each group's mean, the treatment's shifted by
-    `effect`. Deviations from the mean of n runs are too small by a factor of sqrt(1 - 1/n): they
-    are stretched.
+    Deviations from the mean of n are too small by a factor of sqrt(1 - 1/n): they are stretched.
     """
-    spreads = [
-        (scores - scores.mean()) / math.sqrt(max(1 - 1 / len(scores), 0.5))
-        for scores in (treatment, control)
-    ]
-    labels = np.array([rng.permutation(2 * n_runs) for _ in range(n_permutations + 1)])
-    labels[0] = np.arange(2 * n_runs)
-    found = 0
-    for _ in range(n_studies):
-        drawn = [rng.choice(spread, n_runs) for spread in spreads]
-        pooled = np.concatenate([drawn[0] + effect, drawn[1]])[labels].T
-        gaps = np.abs(aggregate(pooled[:n_runs], metric) - aggregate(pooled[n_runs:], metric))
-        found += np.mean(gaps >= gaps[0] - 1e-12) <= alpha
-    return found / n_studies
+    spread = differences / math.sqrt(max(1 - 1 / len(differences), 0.5))
+    signs = sign_flips(n_pairs, rng, n_resamples)
+    drawn = rng.choice(spread, (n_pairs, n_studies)) + effect
+    gaps = np.abs(signs @ drawn)
+    return float(np.mean(np.mean(gaps >= gaps[0] - 1e-12, axis=0) <= alpha))

@@ -1,0 +1,112 @@
+"""What pairs of runs gain in the collected studies: correlation within seeds, runs that an effect needs.
+
+    python -m benchmarks pairs docs/data/{pilot,dark_mpl,poor_sight_shadow}.csv.gz --out docs/data/pairs.json
+
+A t test of a difference of 0.1 with a power of 0.8. Pairs of all cells of a set-up stand together, about
+one mean, or each about the mean of its cell, as in `tactilerl study plan`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.command import parser, write
+from tactilerl import statistics
+from tactilerl.study import records
+from tactilerl.study.grid import Setup
+from tactilerl.study.planning import spread
+from tactilerl.study.primary import SCORES
+from tactilerl.study.records import Record
+from tactilerl.study.verdicts import is_finished, scores
+
+EFFECT, POWER, ALPHA = 0.1, 0.8, 0.05
+LONG_TAIL = 0.3
+Cell = tuple[np.ndarray, np.ndarray]
+"""Treatment and control, both (pairs,)."""
+
+
+def reached(record: Record, measure: str) -> dict[str, float]:
+    """All scores of a run, and the mean of the last 30 %."""
+    tail = statistics.final_rate(record.curve(measure)[1][None], LONG_TAIL)[0]
+    return {**scores(record, measure), "last 30 %": float(tail)}
+
+
+def cells(setup: Setup, of_setup: list[Record], score: str) -> list[Cell]:
+    """The pairs of each cell."""
+    found = {
+        (r.run.cell, r.run.arm, r.run.seed): reached(r, setup.measure)[score]
+        for r in of_setup
+        if is_finished(r, setup.measure)
+    }
+    first, second = setup.arms[:2]
+    return [
+        tuple(
+            np.array(
+                [
+                    found[cell, arm, seed]
+                    for seed in setup.seeds
+                    if {(cell, first, seed), (cell, second, seed)} <= found.keys()
+                ]
+            )
+            for arm in (first, second)
+        )  # type: ignore[misc]
+        for cell in setup.cells
+    ]
+
+
+def row(study: str, setup: str, score: str, of_cells: list[Cell]) -> dict[str, Any]:
+    """What the pairs of a set-up say, together and within cells."""
+    together = [(np.concatenate([a for a, _ in of_cells]), np.concatenate([b for _, b in of_cells]))]
+    found: dict[str, Any] = {"study": study, "setup": setup, "score": score}
+    found["pairs"] = len(together[0][0])
+    found["difference"] = float(np.mean(together[0][0] - together[0][1]))
+    for name, some in (("together", together), ("within cells", of_cells)):
+        correlation, sd, sd_arm = spread(some)
+        found[name] = {
+            "correlation": None if np.isnan(correlation) else correlation,
+            "runs_unpaired": statistics.runs_needed(EFFECT, sd_arm, POWER, ALPHA, in_pairs=False),
+            "pairs": statistics.runs_needed(EFFECT, sd, POWER, ALPHA, in_pairs=True),
+        }
+    return found
+
+
+def show(rows: list[dict[str, Any]]) -> None:
+    """A line per study and score."""
+    names = ("together", "within cells")
+    columns = (
+        "study",
+        "set-up",
+        "score",
+        "n",
+        *(f"{x}, {name}" for name in names for x in ("r", "runs")),
+    )
+    table = Table(*columns)
+    for one in rows:
+        shown = [one["study"], one["setup"], one["score"], str(one["pairs"])]
+        for name in names:
+            r = one[name]["correlation"]
+            shown.append("–" if r is None else f"{r:.2f}")
+            shown.append(f"{one[name]['runs_unpaired']} → {one[name]['pairs']}")
+        table.add_row(*shown)
+    Console(width=120).print(table)
+
+
+def main() -> None:
+    """Read collected studies, print the table, write JSON."""
+    flags = parser(__doc__)
+    flags.add_argument("studies", nargs="+", type=Path)
+    options = flags.parse_args()
+    rows = []
+    for path in options.studies:
+        study, found = records.load(path)
+        for setup in study.setups:
+            own = [record for record in found if record.run.setup == setup.name]
+            for score in (*SCORES, "last 30 %"):
+                rows.append(row(study.name, setup.name, score, cells(setup, own, score)))
+    show(rows)
+    write(options.out, {"effect": EFFECT, "power": POWER, "alpha": ALPHA, "rows": rows})

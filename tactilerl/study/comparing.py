@@ -1,0 +1,143 @@
+"""Any two parts of studies against each other: other layouts, other hyperparameters, other code.
+
+A part is written `PATH` or `PATH:NAME,NAME`, where each name is that of a set-up, a cell or an arm.
+Groups of runs are compared that have the same other names in both parts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import statistics
+from ..errors import InputError
+from . import records as recorded
+from .grid import Setup
+from .records import Record
+from .verdicts import SEED, BySeed, Pairs, in_pairs, is_finished, scores
+
+UNTOLD = ("seed", "workers", "threads", "tensorboard")
+Place = tuple[str, ...]
+"""Names of set-up, cell and arm that nobody chose."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One group of runs in both parts."""
+
+    place: str
+    runs: tuple[int, int]
+    until: float
+    """Steps over which they are compared: those of the shortest run."""
+    pairs: Pairs
+    """Of the seeds that both have; where there are none, the difference of means is not in pairs."""
+    p_holm: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        p_values = {"p": self.pairs.p_value, "p_holm": self.p_holm}
+        gap = self.pairs.difference._asdict()
+        return {
+            "place": self.place,
+            "runs": self.runs,
+            "until": self.until,
+            "pairs": len(self.pairs),
+            **gap,
+            **p_values,
+        }
+
+
+@dataclass(frozen=True)
+class Part:
+    """Some runs of a study."""
+
+    groups: dict[Place, list[Record]]
+    """Finished ones, by what tells them apart."""
+    measures: dict[str, str]
+    """Of each set-up."""
+
+    def ends_at(self, place: Place) -> float:
+        """Steps that all runs of a group have."""
+        return min(r.curve(self.measures[r.run.setup])[0][-1] for r in self.groups[place])
+
+    def scores(self, place: Place, score: str, until: float) -> BySeed:
+        """What the runs of a group had reached after so many steps."""
+        return {
+            r.run.seed: scores(r, self.measures[r.run.setup], until)[score] for r in self.groups[place]
+        }
+
+
+def read(text: str) -> Part:
+    """A part as it is written on the command line; InputError where there is no such part."""
+    whole, path, chosen = Path(text), text, ""
+    if not whole.exists():
+        path, _, chosen = text.rpartition(":") if ":" in text else (text, "", "")
+    names = [name.strip() for name in chosen.split(",") if name.strip()]
+    study, records = recorded.load(Path(path))
+    setups = {setup.name: setup for setup in study.setups}
+    known = list(dict.fromkeys(name for r in records for name in _names(r, setups)))
+    for name in names:
+        if name not in known:
+            raise InputError(f"{path}: found no {name!r} in it, allowed: {', '.join(known)[:300]}")
+    groups: dict[Place, list[Record]] = {}
+    for record in records:
+        own = _names(record, setups)
+        if set(names) <= set(own) and is_finished(record, setups[record.run.setup].measure):
+            groups.setdefault(tuple(n for n in own if n not in names), []).append(record)
+    if not groups:
+        raise InputError(f"{text}: no finished run in it")
+    return Part(groups, {name: setup.measure for name, setup in setups.items()})
+
+
+def _names(record: Record, setups: dict[str, Setup]) -> list[str]:
+    setup = setups[record.run.setup]
+    names = [setup.name, record.run.cell, setup.label(record.run.arm) if setup.compare else ""]
+    return [name for name in names if name and name != "all"]
+
+
+def compare(a: Part, b: Part, score: str) -> list[Row]:
+    """`a` minus `b`, in every group that both have."""
+    if len(a.groups) == len(b.groups) == 1:
+        pairs = [(next(iter(a.groups)), next(iter(b.groups)))]
+    else:
+        pairs = [(place, place) for place in a.groups if place in b.groups]
+    if not pairs:
+        found = (", ".join(" ".join(place) for place in part.groups) for part in (a, b))
+        raise InputError("compare: found {} in one and {} in the other, nothing in both".format(*found))
+    rows = [_row(a, b, *places, score) for places in pairs]
+    corrected = statistics.holm([row.pairs.p_value for row in rows])
+    return [replace(row, p_holm=float(p)) for row, p in zip(rows, corrected, strict=True)]
+
+
+def differing(a: Part, b: Part) -> list[str]:
+    """What the first runs of both parts were told differently, besides the seed; and their commits."""
+    configs = [next(iter(part.groups.values()))[0].config or {} for part in (a, b)]
+    flat = [
+        {k: v for name in ("run", "scene", "learner") for k, v in (c.get(name) or {}).items()}
+        | {"commit": str((c.get("provenance") or [{}])[-1].get("commit"))[:12]}
+        for c in configs
+    ]
+    names = [name for name in flat[0] | flat[1] if name not in UNTOLD]
+    values = {name: [one.get(name) for one in flat] for name in names}
+    return [f"{name} {x} − {y}" for name, (x, y) in values.items() if x != y]
+
+
+def _row(a: Part, b: Part, at_a: Place, at_b: Place, score: str) -> Row:
+    end = min(a.ends_at(at_a), b.ends_at(at_b))
+    one, other = a.scores(at_a, score, end), b.scores(at_b, score, end)
+    pairs = in_pairs(one, other)
+    if not len(pairs):
+        pairs = _apart(one, other)
+    return Row(" ".join(at_a) or "all", (len(one), len(other)), end, pairs, np.nan)
+
+
+def _apart(a: BySeed, b: BySeed) -> Pairs:
+    """Runs that share no seed."""
+    one, other = (np.array(list(group.values())) for group in (a, b))
+    rng = np.random.default_rng(SEED)
+    drawn = statistics.resample(rng, len(one)), statistics.resample(rng, len(other))
+    gap = statistics.difference(one, other, "mean", drawn)
+    return Pairs([], one, other, gap, statistics.permutation_p(one, other, rng))

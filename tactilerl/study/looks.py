@@ -1,0 +1,88 @@
+"""Runs a study look by look, and no further than its answers need."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from . import records, summary, verdicts
+from .folder import StudyFolder
+from .grid import Run, Setup, Study
+from .runner import Ending, Job
+from .verdicts import Verdict
+
+PATIENCE = 5.0  # s between questions after runs that another process trains
+Endings = dict[Path, Ending]
+RunAll = Callable[[list[Job]], Endings]
+"""`runner.run_all`, given its pool and who watches."""
+
+
+def run(
+    study: Study,
+    folder: StudyFolder,
+    jobs: Mapping[str, Job],
+    run_all: RunAll,
+    say: Callable[[str], None],
+) -> Endings:
+    """Run jobs, by name of their run, up to one look after the other; how they ended, by `Job.base`.
+
+    What belongs to comparisons that have ended is left out. A look waits for runs that others train.
+    """
+    assert study.looks is not None
+    endings: Endings = {}
+    waiting = dict(jobs)
+    for n in study.looks.pairs:
+        is_last = n == study.looks.pairs[-1]
+        found = judge(study, folder, waiting)
+        due = [r for r in study.runs() if r.name in waiting and _is_due(study, r, n, is_last, found)]
+        batch = [waiting.pop(r.name) for r in due]
+        endings |= run_all(batch)
+        while busy := [job for job in batch if endings[job.base] == "busy"]:
+            time.sleep(PATIENCE)
+            endings |= run_all(busy)
+        if batch or (is_last and not endings):
+            for sentence in answers(study, judge(study, folder, waiting)):
+                say(sentence)
+    return endings
+
+
+def judge(
+    study: Study, folder: StudyFolder, waiting: Collection[str] = ()
+) -> dict[str, dict[str, Verdict]]:
+    """All primary comparisons, by set-up and cell; runs that are `waiting` are not done, whatever was
+    recorded of them."""
+    found = [
+        replace(record, state="left") if record.run.name in waiting else record
+        for record in records.load(folder.path)[1]
+    ]
+    return {setup.name: verdicts.judge(study, setup, found) for setup in study.setups}
+
+
+def answers(study: Study, found: Mapping[str, Mapping[str, Verdict]]) -> list[str]:
+    """A sentence for each comparison."""
+    return [
+        summary.answer(setup, verdict)
+        for setup in study.setups
+        for verdict in found[setup.name].values()
+    ]
+
+
+def have_ended(found: Mapping[str, Mapping[str, Verdict]]) -> bool:
+    """Has a look ended every comparison?"""
+    stages = [verdict.stage for cells in found.values() for verdict in cells.values()]
+    return bool(stages) and all(stage is not None and stage.ending for stage in stages)
+
+
+def _is_due(
+    study: Study, run: Run, n: int, is_last: bool, found: Mapping[str, Mapping[str, Verdict]]
+) -> bool:
+    """Is a run needed for the look at `n` pairs? What is in no comparison goes on while any does."""
+    setup: Setup = next(one for one in study.setups if one.name == run.setup)
+    compared = [verdict for cells in found.values() for verdict in cells.values()]
+    if run.cell in found[setup.name]:
+        compared = [found[setup.name][run.cell]]
+    is_open = any(not (verdict.stage and verdict.stage.ending) for verdict in compared)
+    is_early = setup.seeds.index(run.seed) < n or (is_last and setup.compare is None)
+    return is_open and is_early

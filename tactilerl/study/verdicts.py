@@ -1,0 +1,227 @@
+"""What a study says of its primary comparisons: pairs of runs of the same seed, at each look."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any, Literal
+
+import numpy as np
+
+from .. import statistics
+from ..statistics import Array, Estimate
+from .grid import Setup, Study
+from .primary import Looks
+from .records import Record
+
+SEED = 20_210_830  # of all resampling: the same records give the same report
+SIGHT = ("object_seen", "sight_noise", "sight_noise_kind")
+LEAST_ROOM = 0.3  # between the blind and the sighted control, for a scene to tell what touch is worth
+BySeed = dict[int, float]
+"""A score by seed."""
+Ending = Literal["", "difference", "no difference", "last look"]
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """One score of two arms in runs of the same seed."""
+
+    seeds: list[int]
+    treatment: Array
+    control: Array
+    """Both (pairs,)."""
+    difference: Estimate
+    """Mean of treatment minus control, with its interval over pairs."""
+    p_value: float
+    """Sign-flip test."""
+
+    def __len__(self) -> int:
+        return len(self.seeds)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """How far a study with looks has come in one comparison."""
+
+    look: int
+    """The last one there was, from 1; 0 before the first."""
+    of: int
+    ending: Ending
+    """What ended the comparison; "" while it goes on."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The primary comparison of one cell."""
+
+    cell: str
+    pairs: Pairs
+    n_seeds: int
+    """Pairs there will be when all runs are done."""
+    stage: Stage | None = None
+    """None in a study without looks."""
+    p_holm: float = math.nan
+    """Corrected for the other cells of the set-up, and the other looks."""
+
+
+@dataclass(frozen=True)
+class Headroom:
+    """What touch gives of what sight would give."""
+
+    n: int
+    """Seeds that all three arms have."""
+    room: Estimate
+    """Sighted control minus blind control."""
+    share: Estimate
+    """(treatment - control) / (sighted - control)"""
+
+    @property
+    def is_enough(self) -> bool:
+        """Can the scene tell what touch is worth?"""
+        return self.room.value >= LEAST_ROOM
+
+
+def is_finished(record: Record, measure: str) -> bool:
+    """Is it done, and has it a curve?"""
+    return record.state == "done" and len(record.curve(measure)[0]) > 0
+
+
+def scores(record: Record, measure: str, until: float = math.inf) -> dict[str, float]:
+    """What a finished run reached, or had `until` so many steps, by the names in `primary.SCORES`."""
+    steps, rates = record.curve(measure)
+    steps, rates = steps[steps <= until], rates[steps <= until]
+    return {
+        "area": float(statistics.area_under_curve(steps, rates[None])[0]),
+        "final": float(statistics.final_rate(rates[None])[0]),
+        "converged": float(statistics.converged_rate(rates[None])[0]),
+    }
+
+
+@cache
+def resamples(n: int, n_resamples: int = statistics.N_RESAMPLES) -> Array:
+    """Of `n` pairs: the same ones wherever the same number is looked at."""
+    return statistics.resample(np.random.default_rng([SEED, n]), n, n_resamples)
+
+
+def in_pairs(treatment: BySeed, control: BySeed, n_resamples: int = statistics.N_RESAMPLES) -> Pairs:
+    """The seeds that both have, in the treatment's order."""
+    seeds = [seed for seed in treatment if seed in control]
+    a, b = (np.array([arm[seed] for seed in seeds]) for arm in (treatment, control))
+    p_value = statistics.sign_flip_p(a - b, np.random.default_rng([SEED, len(seeds)]), n_resamples)
+    return Pairs(seeds, a, b, statistics.mean(a - b, resamples(len(seeds), n_resamples)), p_value)
+
+
+def judge(
+    study: Study, setup: Setup, records: Sequence[Record], n_resamples: int = statistics.N_RESAMPLES
+) -> dict[str, Verdict]:
+    """The primary comparison of every cell that has runs of both arms."""
+    if setup.compare is None:
+        return {}
+    found = {}
+    for cell in setup.cells:
+        own = [r for r in records if (r.run.setup, r.run.cell) == (setup.name, cell)]
+        score, (first, second, *_) = study.primary.score, setup.arms
+        arms = by_seed(own, first, setup, score), by_seed(own, second, setup, score)
+        if study.looks is not None:
+            found[cell] = _at_looks(study.looks, setup, cell, own, arms)
+        else:
+            found[cell] = Verdict(cell, in_pairs(*arms, n_resamples), len(setup.seeds))
+    corrected = statistics.holm([one.pairs.p_value for one in found.values()])
+    return {
+        cell: replace(one, p_holm=float(p))
+        for (cell, one), p in zip(found.items(), corrected, strict=True)
+    }
+
+
+def by_seed(records: Sequence[Record], arm: str, setup: Setup, score: str) -> BySeed:
+    """A score of one arm's finished runs, in order of the seeds."""
+    return {
+        r.run.seed: scores(r, setup.measure)[score]
+        for r in records
+        if r.run.arm == arm and is_finished(r, setup.measure)
+    }
+
+
+def _at_looks(
+    looks: Looks, setup: Setup, cell: str, records: Sequence[Record], arms: tuple[BySeed, BySeed]
+) -> Verdict:
+    """As it stands at the last look whose runs have all ended. Runs beyond the look that ended the
+    comparison do not count."""
+    is_open = {r.run.seed for r in records if r.run.arm in setup.arms[:2] and not r.has_ended}
+    n_ended = next((i for i, seed in enumerate(setup.seeds) if seed in is_open), len(setup.seeds))
+    due = [n for n in looks.pairs if n <= n_ended]
+    whole = replace(in_pairs(*arms), p_value=math.nan)
+    at_hand = [sum(seed in whole.seeds for seed in setup.seeds[:n]) for n in due]
+    differences = whole.treatment - whole.control
+    spent = looks.spent(len(setup.cells))
+    tested = statistics.sequential_sign_flips(
+        differences[: max(at_hand, default=0)], list(zip(at_hand, spent, strict=False)),
+        looks.pairs[-1], np.random.default_rng([SEED, looks.pairs[-1]]),
+    )  # fmt: skip
+    verdict = Verdict(cell, whole, len(setup.seeds), Stage(0, len(looks.pairs), ""))
+    for index, (n, look) in enumerate(zip(at_hand, tested, strict=False)):
+        estimate = statistics.mean(differences[:n], resamples(n), 1 - look.level)
+        seen = Pairs(whole.seeds[:n], whole.treatment[:n], whole.control[:n], estimate, look.p_value)
+        stage = Stage(index + 1, len(looks.pairs), _ending(looks, index, look.p_value, spent, estimate))
+        verdict = replace(verdict, pairs=seen, stage=stage)
+        if stage.ending:
+            break
+    return verdict
+
+
+def _ending(
+    looks: Looks, index: int, p_value: float, spent: Sequence[float], estimate: Estimate
+) -> Ending:
+    if p_value <= spent[index]:
+        return "difference"
+    if estimate.low < estimate.high and max(-estimate.low, estimate.high) < looks.effect:
+        return "no difference"
+    return "last look" if index == len(spent) - 1 else ""
+
+
+# -- the worth of touch as a share of what sight is worth ---------------------------------------
+
+
+def headroom(
+    study: Study, setup: Setup, cell: str, records: Sequence[Record], n_resamples: int
+) -> Headroom | None:
+    """With the runs that differ from a cell's controls in seeing the object exactly, and in nothing
+    else, wherever in the study they are; None where there are none."""
+    own = [r for r in records if (r.run.setup, r.run.cell) == (setup.name, cell)]
+    blind = next((r.config for r in own if r.config and r.run.arm == setup.arms[1]), None)
+    if blind is None or _sight(blind) == "exact":
+        return None
+    sighted = [
+        r
+        for r in records
+        if r.config and _sight(r.config) == "exact" and _but_sight(r.config) == _but_sight(blind)
+    ]
+    score, measure = study.primary.score, setup.measure
+    seen = {r.run.seed: scores(r, measure)[score] for r in sighted if is_finished(r, measure)}
+    touch, control = (by_seed(own, arm, setup, score) for arm in setup.arms[:2])
+    seeds = [seed for seed in touch if seed in control and seed in seen]
+    if not seeds:
+        return None
+    best, main, least = (np.array([arm[s] for s in seeds]) for arm in (seen, touch, control))
+    drawn = resamples(len(seeds), n_resamples)
+    return Headroom(
+        len(seeds),
+        statistics.mean(best - least, drawn),
+        statistics.share(main - least, best - least, drawn),
+    )
+
+
+def _sight(config: Mapping[str, Any]) -> str:
+    return (config.get("scene") or {}).get("object_seen", "exact")
+
+
+def _but_sight(config: Mapping[str, Any]) -> str:
+    """All that makes a run, but its seed and how the object is seen."""
+    parts = {name: dict(config.get(name) or {}) for name in ("run", "scene", "learner")}
+    parts["run"].pop("seed", None)
+    for name in SIGHT:
+        parts["scene"].pop(name, None)
+    return json.dumps(parts, sort_keys=True)
