@@ -15,8 +15,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from . import scenes
-from .hands import HANDS
+from . import hands, scenes
 
 TOYS = {"lqr": "tactilerl/LQR-v0", "point-reach": "tactilerl/PointReach-v0"}
 
@@ -30,19 +29,19 @@ def make(
 ) -> gym.Env[Any, Any]:
     """An environment by name.
 
-    `name` is one of the grasping environments (`choices` are then fields of
-    `grasp.GraspConfig`), a toy ("lqr", "point-reach"), or a Gymnasium id. `scene` is a named scene
+    `name` is one of the library's hands or the path of a hand's .toml file (`choices` are then fields
+    of `grasp.GraspConfig`), a toy ("lqr", "point-reach"), or a Gymnasium id. `scene` is a named scene
     (`scenes.names`) or its file; `name` and `choices` then change what it says. Raises ValueError
     when there is none of that name.
     """
     if scene is not None:
         named = scenes.load(scene)
         name, choices = name or named.env, {**named.scene, **choices}
-        if name not in HANDS:
-            raise ValueError(f"env: found {name!r} with a scene, allowed: {', '.join(HANDS)}")
+        if not hands.is_hand(name):
+            raise ValueError(f"env: found {name!r} with a scene, allowed: {hands.allowed()}")
     if name is None:
         raise ValueError("found neither the name of an environment nor a scene")
-    if name in HANDS:
+    if hands.is_hand(name):
         from .grasp import GraspEnv, setup
 
         return GraspEnv(name, setup(name, **choices), render_mode)
@@ -53,11 +52,11 @@ def make(
     try:
         return gym.make(TOYS.get(name, name), **choices)
     except gym.error.Error as error:
-        known = ", ".join((*HANDS, *TOYS))
+        known = ", ".join((*hands.HANDS, *TOYS))
         reason = str(error).strip().splitlines()[0]
         raise ValueError(
-            f"unknown environment {name!r}; allowed: {known}, a Gymnasium id, or MODULE:ID with the "
-            f"module that registers it ({reason})"
+            f"unknown environment {name!r}; allowed: {known}, a hand's .toml file, a Gymnasium id, or "
+            f"MODULE:ID with the module that registers it ({reason})"
         ) from None
     except (ValueError, OSError, ImportError, RuntimeError):  # say what is wrong
         raise
@@ -67,7 +66,7 @@ def make(
 
 
 _OURS: dict[str, dict[str, Any]] = {
-    **{registered.id: {"name": hand} for hand, registered in HANDS.items()},
+    **{hands.registration(hand).id: {"name": hand} for hand in hands.HANDS},
     **{scenes.gymnasium_id(scene): {"scene": scene} for scene in scenes.names()},
 }
 for _id, _kwargs in _OURS.items():

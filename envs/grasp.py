@@ -102,7 +102,7 @@ def setup(hand: str, **choices: Any) -> GraspConfig:
     """The configuration of a hand's set-up, with some fields chosen otherwise; ValueError when there is
     no such field."""
     require_known(choices, (field.name for field in fields(GraspConfig)))
-    return GraspConfig(**{**hands.HANDS[hand].scene, **choices})
+    return GraspConfig(**{**hands.registration(hand).scene, **choices})
 
 
 JITTER_JOINT = 0.02  # rad, of every finger joint, within its range

@@ -1,30 +1,34 @@
 """Taxel layouts as data: the paper's six, designs from the literature, and users' files.
 
-A layout says which taxels each phalanx carries, in rows (towards the fingertip) and columns.
-The six of the paper are in units of the hand's pitch, so that each hand gets its own
-distances; files are in millimetres. `place` puts a layout on a hand.
+A layout says which taxels each segment carries, in rows (towards the fingertip) and columns, or
+gives them as points on links. The six of the paper are in units of the hand's pitch, so that each
+hand gets its own distances; patches of files are in millimetres. `place` puts a layout on a hand.
 """
 
 from __future__ import annotations
 
+import json
 import os
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import groupby, product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from . import toml_files
+from . import taxel_files, toml_files
 from .hands import DIGITS, SEGMENTS, Array, Hand, Surface
+from .taxel_files import Point
+from .toml_files import is_number, only, strings
 
-FINGERS = DIGITS[1:]
 NAMED = Path(__file__).with_name("layout_files")
 
 
 @dataclass(frozen=True)
 class Taxels:
-    """Taxels on one hand. `links` holds each body once; `link_index` maps taxels to it."""
+    """Taxels on one hand, and where each comes from. `links` holds each body once; `link_index` maps
+    taxels to it."""
 
     links: tuple[str, ...]
     link_index: Array
@@ -34,61 +38,149 @@ class Taxels:
     radii: Array
     """(n,), m."""
     names: tuple[str, ...]
+    normals: Array
+    """(n, 3) outward, link frame."""
+    surfaces: Array
+    """(n,) int, of the hand's surfaces."""
+    offsets: Array
+    """(n, 3): row and column on that surface, and 0; of points their height over its middle, m."""
 
     def __len__(self) -> int:
         return len(self.names)
+
+    def take(self, chosen: Sequence[int]) -> Taxels:
+        """Some of them, in that order."""
+        index = list(chosen)
+        used = list(dict.fromkeys(self.link_index[index].tolist()))
+        return Taxels(
+            tuple(self.links[i] for i in used),
+            np.array([used.index(i) for i in self.link_index[index].tolist()], int),
+            self.positions[index],
+            self.radii[index],
+            tuple(self.names[i] for i in index),
+            self.normals[index],
+            self.surfaces[index],
+            self.offsets[index],
+        )
+
+    def points(self) -> list[Point]:
+        """Each as a point on its link."""
+        places = zip(self.link_index.tolist(), self.positions, self.normals, self.radii, self.names,
+                     strict=True)  # fmt: skip
+        return [
+            Point(self.links[link], tuple(at.tolist()), tuple(out.tolist()), float(radius), name)
+            for link, at, out, radius, name in places
+        ]
 
 
 @dataclass(frozen=True)
 class Patch:
     """Taxels on some surfaces: (row, column) offsets, in pitches when `radius` is None, else m."""
 
-    digits: tuple[str, ...]
-    segments: tuple[str, ...]
+    digits: tuple[str, ...] | None
+    """None: all; on the palm all but the thumb."""
+    segments: tuple[str, ...] | None
+    """None: all but the palm."""
     offsets: tuple[tuple[float, float], ...]
     radius: float | None = None
     large: bool = False
     """Use the hand's large radius (layout 6)."""
 
+    def is_on(self, surface: Surface) -> bool:
+        """Does it put taxels there?"""
+        is_palm = surface.segment == "palm"
+        if not (not is_palm if self.segments is None else surface.segment in self.segments):
+            return False
+        return not (is_palm and surface.digit == "thumb") if self.digits is None else (
+            surface.digit in self.digits
+        )  # fmt: skip
+
 
 @dataclass(frozen=True)
 class Layout:
-    """A named set of patches."""
+    """A named set of patches and points."""
 
     name: str
     description: str
     patches: tuple[Patch, ...]
+    taxels: tuple[Point, ...] = ()
 
     def place(self, hand: Hand) -> Taxels:
         """The taxels of this layout on `hand`; ValueError when the hand cannot carry them."""
-        links: list[str] = []
-        index, positions, radii, names = [], [], [], []
-        for surface in hand.surfaces:
+        self._require_digits(hand)
+        placed = [*self._on_grids(hand), *(_on_link(point, hand) for point in self.taxels)]
+        if not placed:
+            raise ValueError(f"layout {self.name!r} puts no taxel on the {hand.name} hand")
+        links = tuple(dict.fromkeys(hand.surfaces[taxel[0]].link for taxel in placed))
+        surfaces, offsets, positions, normals, radii, names = zip(*placed, strict=True)
+        return Taxels(
+            links=links,
+            link_index=np.array([links.index(hand.surfaces[index].link) for index in surfaces]),
+            positions=np.array(positions),
+            radii=np.array(radii),
+            names=names,
+            normals=np.array(normals),
+            surfaces=np.array(surfaces),
+            offsets=np.array(offsets),
+        )
+
+    def _on_grids(self, hand: Hand) -> Iterator[_Placed]:
+        for index, surface in enumerate(hand.surfaces):
             for patch in self.patches:
-                if surface.digit not in patch.digits or surface.segment not in patch.segments:
+                if not patch.is_on(surface):
                     continue
                 row_pitch, column_pitch, radius = _scale(patch, surface, hand)
-                if surface.link not in links:
-                    links.append(surface.link)
                 for row, column in patch.offsets:
-                    index.append(links.index(surface.link))
-                    positions.append(surface.place(row * row_pitch, column * column_pitch))
-                    radii.append(radius)
-                    names.append(f"{surface.digit}.{surface.segment}[{_label(patch, row, column)}]")
-        if not names:
-            raise ValueError(f"layout {self.name!r} puts no taxel on the {hand.name} hand")
-        return Taxels(tuple(links), np.array(index), np.array(positions), np.array(radii), tuple(names))
+                    offset = row * row_pitch, column * column_pitch
+                    name = f"{surface.digit}.{surface.segment}[{_label(patch, row, column)}]"
+                    yield index, (*offset, 0.0), *surface.place(*offset), radius, name
+
+    def _require_digits(self, hand: Hand) -> None:
+        """ValueError for a digit or a segment that no hand has, or only others."""
+        known = (*DIGITS, *hand.digits), (*SEGMENTS, *(surface.segment for surface in hand.surfaces))
+        for patch in self.patches:
+            for names, there in zip((patch.digits, patch.segments), known, strict=True):
+                for name in names or ():
+                    if name not in (*there, "palm"):
+                        allowed = ", ".join(dict.fromkeys((*there, "palm")))
+                        raise ValueError(f"layout {self.name!r}: found {name!r}, allowed: {allowed}")
+
+
+_Placed = tuple[int, tuple[float, float, float], Array, Array, float, str]
+"""Surface, offset on it, position and normal, radius, name."""
+
+
+def _on_link(point: Point, hand: Hand) -> _Placed:
+    """A taxel given as a point, and where on the hand's surfaces that is."""
+    own = [i for i, surface in enumerate(hand.surfaces) if surface.link == point.link]
+    if not own:
+        links = ", ".join(dict.fromkeys(surface.link for surface in hand.surfaces))
+        raise ValueError(f"taxel {point.name!r}: found link {point.link!r}, allowed: {links}")
+    position = np.array(point.position)
+    index = min(own, key=lambda i: float(np.linalg.norm(position - hand.surfaces[i].centre)))
+    offset = hand.surfaces[index].offset(position)
+    return index, offset, position, np.array(point.normal), point.radius, point.name
 
 
 def left_out(layout: Layout, hand: Hand) -> list[str]:
     """Where a layout wants taxels and the hand has no surface: names such as thumb.palm."""
     there = {(surface.digit, surface.segment) for surface in hand.surfaces}
-    wanted = (place for p in layout.patches for place in product(p.digits, p.segments))
+    wanted = (
+        place
+        for p in layout.patches
+        for place in product(p.digits or _wanted(p, hand), p.segments or SEGMENTS)
+    )
     return [
         f"{digit}.{segment}"
         for digit, segment in dict.fromkeys(wanted)
         if (digit, segment) not in there
     ]
+
+
+def _wanted(patch: Patch, hand: Hand) -> tuple[str, ...]:
+    """Digits of a patch that is for all: those of the paper's hands, where this hand has but such."""
+    digits = DIGITS if set(hand.digits) <= set(DIGITS) else ()
+    return tuple(d for d in digits if d != "thumb" or patch.segments != ("palm",))
 
 
 def _scale(patch: Patch, surface: Surface, hand: Hand) -> tuple[float, float, float]:
@@ -124,8 +216,8 @@ PAPER = {
 def paper_layout(name: str) -> Layout:
     """One of the paper's configurations 1-6 (139, 79, 64, 79, 19, 19 taxels)."""
     description, offsets = PAPER[name]
-    phalanges = Patch(DIGITS, SEGMENTS, tuple(sorted(offsets)), large=name == "6")
-    return Layout(name, description, (phalanges, Patch(FINGERS, ("palm",), CENTRE)))
+    phalanges = Patch(None, None, tuple(sorted(offsets)), large=name == "6")
+    return Layout(name, description, (phalanges, Patch(None, ("palm",), CENTRE)))
 
 
 def names() -> tuple[str, ...]:
@@ -133,48 +225,81 @@ def names() -> tuple[str, ...]:
     return (*PAPER, *sorted(path.stem for path in NAMED.glob("*.toml")))
 
 
+def is_file(name: str) -> bool:
+    """Is it the path of a file?"""
+    return Path(name).suffix in (".toml", *taxel_files.READERS)
+
+
 def load(name: str) -> Layout:
-    """A layout by number, by name, or from a .toml file.
+    """A layout by number, by name, or from a file: TOML, or points in another format
+    (`taxel_files.READERS`).
 
     Raises ValueError naming what is wrong with the file, and FileNotFoundError.
     """
     if name in PAPER:
         return paper_layout(name)
+    if Path(name).suffix in taxel_files.READERS:
+        return Layout(Path(name).stem, f"points of {name}", (), taxel_files.read(Path(name)))
     if name.endswith(".toml"):
         return _read(Path(name))
     path = NAMED / f"{name}.toml"
     if Path(name).name != name or not os.path.isfile(path):
         meant = f"did you mean {name}.toml? " if os.path.isfile(f"{name}.toml") else ""
         raise ValueError(
-            f"unknown layout {name!r}; {meant}allowed: {', '.join(names())} or the path of a .toml file"
+            f"unknown layout {name!r}; {meant}allowed: {', '.join(names())} or the path of a file: "
+            f".toml, {', '.join(taxel_files.READERS)}"
         )
     return _read(path)
 
 
 def _read(path: Path) -> Layout:
     data = toml_files.read(path, "layout file")
-    try:
+    with toml_files.blamed(f"layout file {path}"):
         return parse(data, path.stem)
-    except ValueError as error:
-        raise ValueError(f"layout file {path}: {error}") from None
 
 
 def parse(data: dict[str, Any], name: str) -> Layout:
     """A layout from the content of a file (docs/guides/layouts.md)."""
-    _only(data, {"description", "patch"}, "the file")
-    patches = data.get("patch")
-    if not isinstance(patches, list) or not patches:
-        raise ValueError("needs at least one [[patch]] table")
+    only(data, {"description", "patch", "taxel"}, "the file")
+    patches, taxels = (data.get(key, []) for key in ("patch", "taxel"))
+    if not all(isinstance(tables, list) for tables in (patches, taxels)) or not (patches or taxels):
+        raise ValueError("needs at least one [[patch]] or [[taxel]] table")
     parsed = tuple(_patch(patch, f"patch {i + 1}") for i, patch in enumerate(patches))
     _require_distinct(parsed)
-    return Layout(name, str(data.get("description", "")), parsed)
+    points = tuple(taxel_files.point(taxel, i) for i, taxel in enumerate(taxels))
+    taxel_files.require_distinct(points)
+    return Layout(name, str(data.get("description", "")), parsed, points)
+
+
+def toml(taxels: Taxels, hand: Hand, description: str) -> str:
+    """A layout file with these taxels: in patches those that lie on grids, the others as points."""
+    lines = [f"description = {json.dumps(description, ensure_ascii=False)}"]
+    on_grid, points = [], []
+    for index, point in enumerate(taxels.points()):
+        row, column, height = (mm(value) for value in taxels.offsets[index])
+        if height:
+            points.append(point)
+        else:
+            on_grid.append((int(taxels.surfaces[index]), mm(point.radius), row, column))
+    for (index, radius), group in groupby(sorted(on_grid), key=lambda taxel: taxel[:2]):
+        surface = hand.surfaces[index]
+        offsets = ", ".join(f"[{row:g}, {column:g}]" for *_, row, column in group)
+        lines += ["", "[[patch]]", f"digits = {json.dumps([surface.digit])}"]
+        lines += [f"segments = {json.dumps([surface.segment])}", f"offsets_mm = [{offsets}]"]
+        lines.append(f"radius_mm = {radius:g}")
+    return "\n".join([*lines, *(line for point in points for line in ("", *point.toml()))]) + "\n"
+
+
+def mm(metres: float) -> float:
+    """To 0.1 µm: more than enough to tell two taxels apart."""
+    return round(1e3 * float(metres), 4) + 0.0  # no -0.0
 
 
 def _require_distinct(patches: tuple[Patch, ...]) -> None:
     """ValueError when two patches put a taxel in the same place."""
     seen: dict[tuple[str, str, tuple[float, float]], int] = {}
     for number, patch in enumerate(patches, 1):
-        for place in product(set(patch.digits), set(patch.segments), patch.offsets):
+        for place in product(set(patch.digits or ()), set(patch.segments or ()), patch.offsets):
             if place in seen:
                 digit, segment, (row, column) = place
                 raise ValueError(
@@ -187,17 +312,17 @@ def _require_distinct(patches: tuple[Patch, ...]) -> None:
 def _patch(data: Any, where: str) -> Patch:
     if not isinstance(data, dict):
         raise ValueError(f"{where}: found {data!r}, expected a table")
-    _only(data, {"digits", "segments", "offsets_mm", "radius_mm"}, where)
-    digits = _choices(data.get("digits"), DIGITS, f"{where}: digits")
-    segments = _choices(data.get("segments"), (*SEGMENTS, "palm"), f"{where}: segments")
+    only(data, {"digits", "segments", "offsets_mm", "radius_mm"}, where)
+    digits = strings(data.get("digits"), f"{where}: digits")
+    segments = strings(data.get("segments"), f"{where}: segments")
     radius = data.get("radius_mm")
-    if radius is None or not _is_number(radius) or not 0.1 <= radius <= 20:
+    if radius is None or not is_number(radius) or not 0.1 <= radius <= 20:
         raise ValueError(f"{where}: radius_mm: found {radius!r}, allowed a number from 0.1 to 20")
     offsets = data.get("offsets_mm")
     if not isinstance(offsets, list) or not offsets:
         raise ValueError(f"{where}: offsets_mm: found {offsets!r}, expected [[row, column], ...]")
     for offset in offsets:
-        if not isinstance(offset, list) or len(offset) != 2 or not all(map(_is_number, offset)):
+        if not isinstance(offset, list) or len(offset) != 2 or not all(map(is_number, offset)):
             raise ValueError(f"{where}: offsets_mm: found {offset!r}, expected [row, column] in mm")
         if max(abs(value) for value in offset) > 50:
             raise ValueError(f"{where}: offsets_mm: found {offset!r}, allowed up to 50 mm")
@@ -205,22 +330,3 @@ def _patch(data: Any, where: str) -> Patch:
         raise ValueError(f"{where}: offsets_mm: the same [row, column] is given twice")
     metres = tuple((1e-3 * row, 1e-3 * column) for row, column in offsets)
     return Patch(digits, segments, metres, 1e-3 * radius)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e9
-
-
-def _only(data: dict[str, Any], allowed: set[str], where: str) -> None:
-    unknown = sorted(set(data) - allowed)
-    if unknown:
-        raise ValueError(f"{where}: unknown key {unknown[0]!r}; allowed: {', '.join(sorted(allowed))}")
-
-
-def _choices(value: Any, allowed: tuple[str, ...], where: str) -> tuple[str, ...]:
-    if not isinstance(value, list) or not value:
-        raise ValueError(f"{where}: found {value!r}, expected a list of: {', '.join(allowed)}")
-    for item in value:
-        if item not in allowed:
-            raise ValueError(f"{where}: found {item!r}, allowed: {', '.join(allowed)}")
-    return tuple(value)

@@ -1,9 +1,11 @@
-"""TOML files of anybody: layouts, scenes."""
+"""TOML files of anybody: layouts, scenes, hands."""
 
 from __future__ import annotations
 
 import os
 import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,3 +24,56 @@ def read(path: Path, what: str) -> dict[str, Any]:
         raise ValueError(f"{what} {path}: nested too deeply") from None
     except ValueError as error:
         raise ValueError(f"{what} {path}: not valid TOML: {error}") from None
+
+
+@contextmanager
+def blamed(what: str) -> Iterator[None]:
+    """ValueErrors inside say of what they are."""
+    try:
+        yield
+    except ValueError as error:
+        about = "" if str(error).startswith(what) else f"{what}: "
+        raise ValueError(f"{about}{error}") from None
+
+
+def only(data: dict[str, Any], allowed: set[str], where: str) -> None:
+    """ValueError naming the first key that is not allowed."""
+    unknown = sorted(set(data) - allowed)
+    if unknown:
+        raise ValueError(f"{where}: unknown key {unknown[0]!r}; allowed: {', '.join(sorted(allowed))}")
+
+
+def table(data: dict[str, Any], key: str) -> dict[str, Any]:
+    """A table of a file, empty where there is none; ValueError for something else."""
+    value = data.get(key, {})
+    if not isinstance(value, dict):
+        raise ValueError(f"{key}: found {value!r}, expected a table")
+    return value
+
+
+def is_number(value: Any) -> bool:
+    """Is it one, and no larger than anything here can be?"""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e9
+
+
+def number(value: Any, where: str, least: float = -1e9) -> float:
+    """A number from `least` up; ValueError for anything else."""
+    if not is_number(value) or value < least:
+        raise ValueError(
+            f"{where}: found {value!r}, expected a number" + f" from {least:g}" * (least > -1e9)
+        )
+    return float(value)
+
+
+def vector(value: Any, n: int, where: str) -> tuple[float, ...]:
+    """`n` numbers; ValueError for anything else."""
+    if not isinstance(value, list | tuple) or len(value) != n or not all(map(is_number, value)):
+        raise ValueError(f"{where}: found {value!r}, expected {n} numbers")
+    return tuple(float(x) for x in value)
+
+
+def strings(value: Any, where: str) -> tuple[str, ...]:
+    """One or more strings; ValueError for anything else."""
+    if not isinstance(value, list) or not value or not all(isinstance(item, str) for item in value):
+        raise ValueError(f"{where}: found {value!r}, expected a list of names")
+    return tuple(value)

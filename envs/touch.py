@@ -25,6 +25,7 @@ from .layouts import Taxels
 from .objects import ObjectState, Shape
 
 if TYPE_CHECKING:
+    from .hands.skins import Distances, Geom
     from .simulators import Simulator
 
 SKIN = 5e-4  # m, how thick the skin is: what is further from a link's surface does not touch it
@@ -72,25 +73,28 @@ class SkinTouch:
     """Rule "skin" for the taxels of one layout on one hand. It keeps nothing of what it reads.
 
     The skin of a phalanx is a capsule around its bone, so it is within `SKIN` of the object when
-    one of many points along the bone is within radius + `SKIN`. The skin of a palm taxel is the
-    disc in which its sphere meets the plane; what lies above that and up to `SKIN` from it is the
-    cap of a larger sphere, whose centre is then the one point of a "bone".
+    one of many points along the bone is within radius + `SKIN`. The skin of a taxel on a flat palm is
+    the disc in which its sphere meets the plane; what lies above that and up to `SKIN` from it is the
+    cap of a larger sphere, whose centre is then the one point of a "bone". Of any other link, the skin
+    of a taxel is the geom that is nearest to it, whose distance MuJoCo computes.
     """
 
     def __init__(self, taxels: Taxels, surfaces: tuple[Surface, ...]) -> None:
         self.links = taxels.links
-        carriers = {surface.link: surface for surface in surfaces}
+        self._shaped = _Shaped.of(taxels, surfaces)
         bones: list[tuple[int, Array, float]] = []  # link, points (m, 3), reach
         bone_of_link: dict[int, int] = {}
         bone = np.arange(len(taxels))  # of each taxel
         places = zip(taxels.link_index.tolist(), taxels.positions, taxels.radii, strict=True)
         for taxel, (link, position, radius) in enumerate(places):
-            carrier = carriers[taxels.links[link]]
+            carrier = surfaces[taxels.surfaces[taxel]]
             bone[taxel] = bone_of_link.get(link, len(bones))
             if bone[taxel] < len(bones):
                 continue
-            if carrier.bone is None:
-                bones.append((link, *_cap(position, radius, carrier)))
+            if carrier.geoms:
+                bones.append((link, position[None], radius))  # what it says is not all
+            elif carrier.bone is None:
+                bones.append((link, *_cap(position, radius, taxels.normals[taxel])))
             else:
                 bones.append((link, *_along(carrier)))
                 bone_of_link[link] = int(bone[taxel])
@@ -113,7 +117,53 @@ class SkinTouch:
         in_reach = shape.squared_distance(points) <= self._squared_reaches
         n = len(self._bone)
         touches = np.logical_or.reduceat(in_reach[..., n:], self._first, axis=-1)
-        return in_reach[..., :n] & touches[..., self._bone]
+        is_on = in_reach[..., :n] & touches[..., self._bone]
+        if self._shaped is not None:
+            self._shaped.correct(is_on, link_positions, link_rotations, shape, obj)
+        return is_on
+
+
+class _Shaped:
+    """The taxels whose links are neither one capsule nor flat."""
+
+    def __init__(self, geoms: Distances, taxels: dict[int, Array], links: dict[int, int]) -> None:
+        self._geoms, self._taxels, self._links = geoms, taxels, links
+
+    @classmethod
+    def of(cls, taxels: Taxels, surfaces: tuple[Surface, ...]) -> _Shaped | None:
+        """None where there are none; only else is MuJoCo imported."""
+        if not any(surfaces[index].geoms for index in taxels.surfaces):
+            return None
+        from .hands.skins import Distances
+
+        geoms: list[Geom] = []
+        first: dict[str, range] = {}
+        carried: dict[int, list[int]] = {}
+        for surface in (surfaces[index] for index in taxels.surfaces.tolist()):
+            if surface.geoms and surface.link not in first:
+                first[surface.link] = range(len(geoms), len(geoms) + len(surface.geoms))
+                geoms += surface.geoms
+        distances = Distances(geoms)
+        for taxel, index in enumerate(taxels.surfaces.tolist()):
+            if surfaces[index].geoms:
+                own = list(first[surfaces[index].link])
+                nearest, _ = distances.nearest(own, taxels.positions[taxel])
+                carried.setdefault(nearest, []).append(taxel)
+        links = {geom: int(taxels.link_index[some[0]]) for geom, some in carried.items()}
+        return cls(distances, {geom: np.array(some) for geom, some in carried.items()}, links)
+
+    def correct(
+        self, is_on: Array, positions: Array, rotations: Array, shape: Shape, obj: ObjectState
+    ) -> None:
+        """Turn off in `is_on` (..., n) what is on links that do not touch."""
+        for geom, taxels in self._taxels.items():
+            link = self._links[geom]
+            for at in np.argwhere(is_on[..., taxels].any(axis=-1)):
+                where = tuple(at)
+                pose = positions[(*where, link)], rotations[(*where, link)]
+                thing = obj.position[where], obj.rotation[where]
+                if not self._geoms.within(geom, *pose, shape.kind, shape.half_size, *thing, SKIN):
+                    is_on[(*where, taxels)] = False
 
 
 def _along(phalanx: Surface) -> tuple[Array, float]:
@@ -130,10 +180,10 @@ def _along(phalanx: Surface) -> tuple[Array, float]:
     return begin + shares[:, None] * (end - begin), phalanx.radius + SKIN
 
 
-def _cap(position: Array, radius: float, palm: Surface) -> tuple[Array, float]:
+def _cap(position: Array, radius: float, normal: Array) -> tuple[Array, float]:
     """Centre (1, 3) and radius of the sphere whose cap stands `SKIN` proud of a disc."""
     sphere = (radius**2 + SKIN**2) / (2 * SKIN)
-    return (position - (sphere - SKIN) * np.array(palm.palmar))[None], sphere
+    return (position - (sphere - SKIN) * normal)[None], sphere
 
 
 class Rule(Protocol):

@@ -17,10 +17,9 @@ from typing import Any, Literal
 
 from . import algos, envs, typed
 from .algos import recipes
-from .envs import scenes
+from .envs import hands, layouts, scenes
 from .envs.choices import require_known
 from .envs.grasp import GraspConfig, setup
-from .envs.hands import HANDS
 from .envs.scenes import NamedScene
 from .errors import InputError, input_errors
 
@@ -35,8 +34,8 @@ class RunOptions:
     """The algorithm: ppo or ddpg_her."""
     env: str = "shadow"
     """shadow (Shadow Hand in MuJoCo), mpl (MPL hand in PyBullet), allegro (Allegro Hand in MuJoCo),
-    a toy (lqr, point-reach), or any registered Gymnasium id with Box or goal-Dict observations and
-    Box actions."""
+    the path of a hand's .toml file, a toy (lqr, point-reach), or any registered Gymnasium id with Box
+    or goal-Dict observations and Box actions."""
     total_timesteps: int = 500_000
     """Environment steps of the whole run, over all processes; the paper's by default."""
     workers: int | None = None
@@ -62,8 +61,9 @@ class RunOptions:
             if not 1 <= getattr(self, name) <= most:
                 raise ValueError(f"{name}: found {getattr(self, name)}, allowed from 1 to {most}")
         require_workers(self.workers)
-        if not ENV_ID.fullmatch(self.env):
-            raise ValueError(f"env: found {self.env!r}, allowed a name, an id or module:id")
+        if not (ENV_ID.fullmatch(self.env) or hands.is_hand(self.env)):
+            raise ValueError(f"env: found {self.env!r}, allowed a name, a hand's .toml file, an id or "
+                             "module:id")  # fmt: skip
         if not 0 <= self.seed < 2**32:
             raise ValueError(f"seed: found {self.seed}, allowed from 0 to 2**32 - 1")
 
@@ -78,7 +78,6 @@ PARTS = ("run", "scene", "learner")
 ENV_ID = re.compile(r"(([^\W\d]\w*)(\.[^\W\d]\w*)*:)?[\w/.-]+")  # that of Gymnasium, [module:]id
 # Fields that may differ between a run and its continuation: they do not change its course.
 FREE_ON_RESUME = {"total_timesteps", "workers", "out", "tensorboard"}
-LAYOUT_COPY = "layout.toml"  # in the run folder, when the layout is a file
 
 
 @dataclass(frozen=True)
@@ -92,6 +91,8 @@ class RunConfig:
     """The run's folder, once it exists: its copy of a layout file counts, not the original."""
     is_trusted: bool = True
     """May a module that the environment's id names be imported?"""
+    hand: str = ""
+    """Digest of the files of a hand of one's own (`hands.digest`) with which the run was made."""
 
     @property
     def parts(self) -> dict[str, Any]:
@@ -115,32 +116,52 @@ class RunConfig:
         """Raise ValueError naming the first invalid field."""
         for part in self.parts.values():
             typed.validate(part)
-        if (self.scene is None) == (self.run.env in HANDS):
+        if (self.scene is None) == hands.is_hand(self.run.env):
             found = "no scene" if self.scene is None else "a scene"
             raise ValueError(f"env: found {self.run.env!r} with {found}")
 
     @property
     def make_env(self) -> Callable[..., Any]:
         """Makes one environment; can be pickled. InputError when that would import a module that is
-        not trusted."""
+        not trusted, or the files of its hand have gone or changed."""
         module, colon, _ = self.run.env.partition(":")
         if colon and not self.is_trusted:
             raise InputError(
                 f"{self.folder}: this run's environment imports the module {module!r}; "
                 f"if you trust it, repeat --env {self.run.env} or give --trust"
             )
+        if self.hand:
+            self._require_same_hand()
         choices = dataclasses.asdict(self.scene) if self.scene is not None else {}
         if choices.get("hand_seed", 0) is None:
             choices["hand_seed"] = self.run.seed
-        if self.layout_file and self.folder and (self.folder / LAYOUT_COPY).is_file():
-            choices["layout"] = str(self.folder / LAYOUT_COPY)
+        if self.layout_file and self.folder and (self.folder / self.layout_copy).is_file():
+            choices["layout"] = str(self.folder / self.layout_copy)
         return partial(envs.make, self.run.env, **choices)
+
+    def _require_same_hand(self) -> None:
+        try:
+            found = hands.digest(self.run.env)
+        except (OSError, ValueError) as error:
+            raise InputError(f"{self.folder}: the hand of this run cannot be read: {error}") from error
+        if found != self.hand:
+            raise InputError(
+                f"{self.folder}: the files of this run's hand ({self.run.env}) have changed since it "
+                "was made; put the old ones back"
+            )
 
     @property
     def layout_file(self) -> Path | None:
         """The user's layout file, if the layout is one."""
-        is_file = self.scene is not None and self.scene.layout.endswith(".toml")
+        is_file = self.scene is not None and layouts.is_file(self.scene.layout)
         return Path(self.scene.layout) if self.scene is not None and is_file else None
+
+    @property
+    def layout_copy(self) -> str:
+        """What the copy of that is called in the run's folder; a link in its name counts."""
+        assert self.layout_file is not None
+        _, at, link = self.layout_file.stem.rpartition("@")
+        return f"layout{at}{link if at else ''}{self.layout_file.suffix}"
 
     @property
     def again(self) -> str:
@@ -149,7 +170,8 @@ class RunConfig:
 
     def name(self) -> str:
         """Default name of the run's folder."""
-        parts = [self.run.algo, re.sub("[/:]", "-", self.run.env)]
+        env = hands.file(self.run.env).stem if hands.is_hand(self.run.env) else self.run.env
+        parts = [self.run.algo, re.sub("[/:]", "-", env)]
         if self.scene is not None:
             layout = Path(self.scene.layout).stem
             parts += [self.scene.task, f"layout{layout}", self.scene.run_type]
@@ -198,14 +220,14 @@ def defaults(
     train = {k: v for k, v in named.train.items() if is_own and k not in ("algo", "recipe")}
     with input_errors("--algo"):
         algos.get(algo)
-    if scene and env not in HANDS:
-        raise InputError(f"--env: found {env!r} with --scene, allowed: {', '.join(HANDS)}")
+    if scene and not hands.is_hand(env):
+        raise InputError(f"--env: found {env!r} with --scene, allowed: {hands.allowed()}")
     paper = algos.ALGORITHMS[algo]
     with input_errors(f"scene {scene}" if scene else ""):
         usual = named.train.get("recipe", recipes.PAPER) if is_own else recipes.PAPER
         return RunConfig(
             RunOptions(algo=algo, env=env, total_timesteps=paper.total_timesteps),
-            setup(env, **{"task": paper.task, **named.scene}) if env in HANDS else None,
+            setup(env, **{"task": paper.task, **named.scene}) if hands.is_hand(env) else None,
             recipes.recipe(algo, recipe or usual),
         ).choose(train)
 

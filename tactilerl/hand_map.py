@@ -7,11 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 from . import places
-from .envs.hands import DIGITS, SEGMENTS, Array, Hand
+from .envs.hands import DIGITS, Array, Hand
 from .envs.layouts import Taxels
 from .places import Place
 
-COLUMN, ROW = 38.0, 52.0  # mm between digits and between segments on the map
+COLUMN, ROW = (
+    38.0,
+    52.0,
+)  # mm between digits and between segments on the map, or more where they are large
 MARGIN = 6.0  # mm around all of it
 ROUND = 0.4  # radius of a panel's corners, of half its width
 PAPER, PHALANX, TAXEL, LIT = (255, 255, 255), (224, 224, 224), (70, 90, 160), (255, 200, 0)
@@ -31,18 +34,26 @@ class Panel(NamedTuple):
 
 def panels(hand: Hand) -> list[Panel]:
     """One for each of the hand's surfaces."""
-    found = []
+    spans = [tuple(1e3 * end for end in surface.span) for surface in hand.surfaces]
+    segments: dict[str, list[str]] = {digit: [] for digit in hand.digits}
     for surface in hand.surfaces:
-        x = COLUMN * DIGITS.index(surface.digit)
-        if surface.bone is None:
-            found.append(Panel(x, -45.0, 9.0, -9.0, 9.0))
+        if surface.segment != "palm":
+            segments[surface.digit].append(surface.segment)
+    across = max(COLUMN, 2 * max(width for *_, width in spans) + 8.0)
+    apart = max(ROW, max(high - low for low, high, _ in spans) + 8.0)
+    columns = hand.digits if set(hand.digits) - set(DIGITS) else DIGITS
+    found = []
+    for surface, (low, high, half_width) in zip(hand.surfaces, spans, strict=True):
+        if surface.segment == "palm":
+            x = across * (
+                columns.index(surface.digit) if surface.digit in columns else (len(columns) - 1) / 2
+            )
+            found.append(Panel(x, low - high - 27.0, half_width, low, high))
             continue
-        assert surface.radius is not None
-        ends = sorted(1e3 * places.offset(surface, np.array(point))[0] for point in surface.bone)
-        if surface.segment == "distal":  # a fingertip is round
-            ends[1] += 1e3 * surface.radius
-        y = ROW * SEGMENTS.index(surface.segment)
-        found.append(Panel(x, y, 1e3 * surface.radius, *ends))
+        if surface.segment == "distal" and surface.bone is not None:  # a fingertip is round
+            high += half_width
+        y = apart * segments[surface.digit].index(surface.segment)
+        found.append(Panel(across * columns.index(surface.digit), y, half_width, low, high))
     return found
 
 
@@ -55,7 +66,9 @@ def point(place: Place, drawn: list[Panel]) -> tuple[float, float]:
 def beyond(hand: Hand, taxels: Taxels) -> list[str]:
     """Names of the taxels that lie beyond an end of their segment, where nothing carries them."""
     drawn, found = panels(hand), []
-    for name, place in zip(taxels.names, places.of(taxels, hand), strict=True):
+    for name, place in zip(taxels.names, places.of(taxels), strict=True):
+        if place.height:  # it was put there as it is
+            continue
         panel, is_tip = drawn[place.surface], hand.surfaces[place.surface].segment == "distal"
         low, high = panel.low - panel.half_width, panel.high + (0.0 if is_tip else panel.half_width)
         if not low - place.radius <= place.row <= high + place.radius:
@@ -79,7 +92,7 @@ class TaxelMap:
         for panel in drawn:
             self._blank[_inside(x, y, panel)] = PHALANX
         self._discs = []
-        for place in places.of(taxels, hand):
+        for place in places.of(taxels):
             across, up = point(place, drawn)
             self._discs.append(np.nonzero(np.hypot(x - across, y - up) <= place.radius))
 

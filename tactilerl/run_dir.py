@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from . import files, provenance
-from .config import LAYOUT_COPY, RunConfig, from_dict
+from .config import RunConfig, from_dict
+from .envs import hands
 from .errors import InputError
 from .files import damage_named, pasted, read_json, replacing
 from .progress import Progress
@@ -44,7 +45,7 @@ class RunDir:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self.path.mkdir()
             if config.layout_file:
-                shutil.copyfile(config.layout_file, self.path / LAYOUT_COPY)
+                shutil.copyfile(config.layout_file, self.path / config.layout_copy)
         except FileExistsError:
             raise InputError(
                 f"run folder {str(self.path)!r} exists; choose another with --out, "
@@ -78,6 +79,8 @@ class RunDir:
         if changed or not records:
             records.append(now)
         content = {"format": FORMAT, **config.as_dict(), "ranks": ranks, "provenance": records}
+        if hand := config.hand or hands.digest(config.run.env):
+            content["hand"] = hand
         with replacing(self.config_file) as file:
             file.write((json.dumps(content, indent=1) + "\n").encode())
         return changed
@@ -96,7 +99,9 @@ class RunDir:
         if env not in ("", config.run.env):
             raise InputError(f"env: found {env!r}, the run was made with {config.run.env!r}")
         is_trusted = trust or env == config.run.env
-        return dataclasses.replace(config, folder=self.path, is_trusted=is_trusted), data["ranks"]
+        hand = str(data.get("hand", ""))
+        config = dataclasses.replace(config, folder=self.path, is_trusted=is_trusted, hand=hand)
+        return config, data["ranks"]
 
     def record(self) -> dict[str, Any]:
         """What config.json holds, with values of this version or another; InputError when damaged."""

@@ -33,7 +33,7 @@ env = "shadow"
 measure = "test_success_rate"
 total_timesteps = 60_000
 """
-LEVEL = {"layout 1": 0.7, "layout 2": 0.85, "layout 5": 0.5}
+LEVEL = {"layout 1": 0.7, "layout 2": 0.85, "layout 5": 0.5, "sighted": 0.95}
 
 
 def make_study(path, text=PAPER_LIKE, n_seeds=4, epochs=25, total=30_000):
@@ -57,7 +57,7 @@ def make_study(path, text=PAPER_LIKE, n_seeds=4, epochs=25, total=30_000):
 
 def write_progress(files, run, rng, epochs, total):
     """A curve that rises to its level, with noise."""
-    level = LEVEL.get(run.cell, 0.6) if run.arm in ("main", "0.95") else 0.55
+    level = LEVEL.get(run.cell, 0.6) if run.arm in ("main", "0.95") else LEVEL.get(run.setup, 0.55)
     level += rng.normal(0, 0.05)
     with files.run_dir.progress.path.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")

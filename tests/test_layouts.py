@@ -132,8 +132,8 @@ GOOD = 'digits = ["thumb"]\nsegments = ["distal"]\noffsets_mm = [[0, 0]]\nradius
 def test_malformed_file_says_what_is_wrong(tmp_path, content, complaint):
     path = tmp_path / "bad.toml"
     path.write_text(content)
-    with pytest.raises(ValueError, match="layout file") as error:
-        layouts.load(str(path))
+    with pytest.raises(ValueError, match="layout") as error:
+        layouts.load(str(path)).place(HAND)
     assert complaint in str(error.value)
 
 

@@ -99,6 +99,11 @@ class TestGrid:
             lambda data: data["setups"][0]["compare"].update(flag=None),
             lambda data: data["setups"][0].update(more=1),
             lambda data: data["setups"][0].pop("seeds"),
+            lambda data: data.update(primary={"score": "best"}),
+            lambda data: data.update(primary=3),
+            lambda data: data.update(looks={"pairs": []}),
+            lambda data: data.update(looks={"pairs": [1e9]}),
+            lambda data: data.update(looks=[]),
         ],
     )
     def test_a_study_of_somebody_else_is_checked_as_a_study_file_is(self, tmp_path, capsys, change):
@@ -113,6 +118,16 @@ class TestGrid:
     def test_dictionary_and_back(self, tmp_path):
         study = read(tmp_path, GOOD)
         assert grid.from_dict(study.as_dict()) == study
+        assert (study.primary.score, study.looks) == ("area", None)
+        head = 'primary.score = "final"\nlooks.pairs = [2, 3]\n'
+        decided = read(tmp_path, head + GOOD[: GOOD.index("[setups.ppo]")])
+        assert grid.from_dict(json.loads(json.dumps(decided.as_dict()))) == decided
+        assert decided.looks.spent(2) == pytest.approx([0.05 / 2 * 2 / 3, 0.05 / 2])
+
+    def test_a_study_of_0_2_has_neither_a_primary_score_nor_looks(self, tmp_path):
+        study = read(tmp_path, GOOD)
+        old = {k: v for k, v in study.as_dict().items() if k not in ("primary", "looks")}
+        assert grid.from_dict(old) == study
 
     @pytest.mark.parametrize("name", sorted(path.stem for path in ROOT.glob("studies/*.toml")))
     def test_the_studies_of_the_project_can_be_configured(self, name):
@@ -130,6 +145,14 @@ class TestBadFiles:
             ('name = "toy"', 'name = "../x"', ["name", "../x"]),
             ('name = "toy"', "name = ", ["not a study file", "line 2"]),
             ('name = "toy"', 'name = "toy"\ngird = 1', ["'gird'", "grid"]),
+            ('name = "toy"', 'name = "toy"\nprimary.score = "best"', ["primary.score", "best", "area"]),
+            ('name = "toy"', 'name = "toy"\nprimary.score = ["area"]', ["primary", "score"]),
+            ('name = "toy"', 'name = "toy"\nprimary = "area"', ["primary", "table"]),
+            ('name = "toy"', 'name = "toy"\nlooks.at = [3]', ["looks", "'at'", "pairs"]),
+            ('name = "toy"', 'name = "toy"\nlooks.pairs = [3, 2]', ["[3, 2]", "growing"]),
+            ('name = "toy"', 'name = "toy"\nlooks.pairs = [2, 9]', ["looks.pairs", "3 seeds", "last"]),
+            ('name = "toy"', 'name = "toy"\nlooks = {pairs = [2, 3], alpha = 1}', ["looks.alpha", "1"]),
+            ('name = "toy"', 'name = "toy"\nlooks.pairs = [2.5, 3]', ["looks", "pairs"]),
             ("batch-size = [16, 32]", "batch-size = []", ["grid.batch-size", "no values"]),
             ("batch-size = [16, 32]", "batch-size = [16, 16]", ["grid.batch-size", "16 twice"]),
             ("batch-size = [16, 32]", "batch-sise = [16, 32]", ["reach", "batch-sise"]),

@@ -53,9 +53,19 @@ PALM = Surface("index", "palm", "b", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.
 
 def taxels_on(surface, rows, radius=1.5e-3):
     """Taxels in the middle of a surface, `rows` m along."""
-    positions = np.array([surface.place(row, 0.0) for row in rows])
-    n = len(rows)
-    return layouts.Taxels((surface.link,), np.zeros(n, int), positions, np.full(n, radius), ("",) * n)
+    return taxels_at([surface], [(0, row) for row in rows], radius)
+
+
+def taxels_at(surfaces, places, radius=1.5e-3):
+    """Taxels in the middle of surfaces, each at (index of the surface, m along)."""
+    found = [surfaces[index].place(row, 0.0) for index, row in places]
+    links = tuple(surface.link for surface in surfaces)
+    index = np.array([index for index, _ in places])
+    n = len(places)
+    return layouts.Taxels(
+        links, index, np.array([position for position, _ in found]), np.full(n, radius), ("",) * n,
+        np.array([normal for _, normal in found]), index, np.zeros((n, 3)),
+    )  # fmt: skip
 
 
 def read(surface, rows, shape, thing, radius=1.5e-3):
@@ -84,14 +94,8 @@ def test_a_taxel_reaches_as_far_as_its_radius_along_a_link_that_touches():
 
 
 def test_a_link_that_does_not_touch_is_silent_whatever_another_feels():
-    taxels = layouts.Taxels(
-        links=("a", "b"),
-        link_index=np.array([0, 1]),
-        positions=np.array([PHALANX.place(0.0, 0.0)] * 2),
-        radii=np.full(2, 1.5e-3),
-        names=("", ""),
-    )
     twin = dataclasses.replace(PHALANX, link="b")
+    taxels = taxels_at([PHALANX, twin], [(0, 0.0), (1, 0.0)])
     rule = touch.SkinTouch(taxels, (PHALANX, twin))
     poses = np.array([[0.0, 0.0, 0.0], [0.0, 1e-3, 0.0]]), np.tile(np.eye(3), (2, 1, 1))
     thing = pose([0.0, -R - 0.02, L / 2], np.eye(3))

@@ -14,7 +14,7 @@ import importlib
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 from unittest.mock import patch
 
@@ -28,7 +28,6 @@ from benchmarks.command import parser, write
 from benchmarks.physics.speed_vs_error import BULLET, SHIPPED, self_contact
 from tactilerl.envs import scripted
 from tactilerl.envs.grasp import GraspEnv, setup
-from tactilerl.envs.hands import shadow
 from tactilerl.envs.simulators import Scene
 
 SECONDS, GRASPS, SEED = 2.0, 5, 60_000
@@ -48,7 +47,7 @@ def without_pairs(spec: mujoco.MjSpec) -> None:
 
 def without_palm(spec: mujoco.MjSpec) -> None:
     """Palm boxes touch nothing."""
-    boxes = [g for g in spec.geoms if g.parent.name in ("palm", f"{shadow.PREFIX}palm")]
+    boxes = [g for g in spec.geoms if g.parent.name in ("palm", "robot0:palm")]
     for geom in boxes:
         geom.contype = geom.conaffinity = 0
     names = {geom.name for geom in boxes}
@@ -63,34 +62,14 @@ def without_couplings(spec: mujoco.MjSpec) -> None:
         spec.delete(tendon)
 
 
-drop_as_shipped = shadow._drop_what_the_scene_does_not_need
-
-
-def drop_but_tendons(spec: mujoco.MjSpec, visual: bool) -> None:
-    """Keeps all tendons."""
-    with patch.object(shadow, "NEEDED_TENDONS", ""):
-        drop_as_shipped(spec, visual)
-
-
-def drop_but(*names: str) -> Callable[[mujoco.MjSpec, bool], None]:
-    """Keeps geoms that are dropped as shipped."""
-
-    def drop(spec: mujoco.MjSpec, visual: bool) -> None:
-        kept = [name for name in shadow.UNNEEDED_GEOMS if name not in names]
-        with patch.object(shadow, "UNNEEDED_GEOMS", kept):
-            drop_as_shipped(spec, visual or any(name.startswith("V_") for name in names))
-
-    return drop
-
-
 @dataclass(frozen=True)
 class Variant:
     """What is different from the shipped scene."""
 
     edit: Callable[[mujoco.MjSpec], None] = nothing
     """Of the hand's model."""
-    drop: Callable[[mujoco.MjSpec, bool], None] = drop_as_shipped
-    """What is left out of the Shadow Hand's files."""
+    keeps: tuple[str, ...] = ()
+    """What is kept of the names that are left out of the Shadow Hand's files as shipped."""
     visual: bool = False
     self_contact: bool = False
     """In Bullet."""
@@ -109,9 +88,9 @@ VARIANTS: dict[tuple[str, str], dict[str, Variant]] = {
     ("shadow", "mujoco"): {
         SHIPPED: Variant(),
         "with visual meshes": Variant(visual=True),
-        "with the model's other tendons": Variant(drop=drop_but_tendons),
-        "with the forearm's collision mesh": Variant(drop=drop_but("C_forearm")),
-        "with the thumb's 1 mm boxes": Variant(drop=drop_but("V_thbase", "V_thhub")),
+        "with the model's other tendons": Variant(keeps=("robot0:T_*[!c]", "robot0:T_THJ4c")),
+        "with the forearm's collision mesh": Variant(keeps=("robot0:C_forearm",)),
+        "with the thumb's 1 mm boxes": Variant(keeps=("robot0:V_thbase", "robot0:V_thhub")),
         "with 139 touch sensors": WITH_SENSORS,
         "without hand-hand pairs": Variant(without_pairs),
         "without palm boxes": Variant(without_palm),
@@ -133,13 +112,15 @@ def changed(variant: Variant) -> Iterator[None]:
     build_hand = Scene.build_hand
 
     def edited(scene: Scene, visual: bool) -> mujoco.MjSpec:
-        spec = build_hand(scene, visual)
+        mount = scene.hand.build
+        drop = tuple(name for name in mount.drop if name not in variant.keeps)
+        hand = replace(scene.hand, build=replace(mount, drop=drop))
+        spec = build_hand(replace(scene, hand=hand), visual)
         variant.edit(spec)
         return spec
 
     with ExitStack() as stack:
         stack.enter_context(patch.object(Scene, "build_hand", edited))
-        stack.enter_context(patch.object(shadow, "_drop_what_the_scene_does_not_need", variant.drop))
         if variant.self_contact:
             module = importlib.import_module(BULLET)
             stack.enter_context(patch.object(module, "LOADING", self_contact()))

@@ -1,9 +1,10 @@
-"""What pairs of runs gain in the collected studies: correlation within seeds, runs that an effect needs.
+"""What pairs of runs gain in the collected studies: correlation, and runs that an effect needs.
 
-    python -m benchmarks pairs docs/data/{pilot,dark_mpl,poor_sight_shadow}.csv.gz --out docs/data/pairs.json
+    python -m benchmarks pairs docs/data/{pilot,dark_mpl,poor_sight_shadow}.csv.gz \\
+        --out docs/data/pairs.json
 
-A t test of a difference of 0.1 with a power of 0.8. Pairs of all cells of a set-up stand together, about
-one mean, or each about the mean of its cell, as in `tactilerl study plan`.
+A t test of a difference of 0.1 with a power of 0.8. Pairs of all cells of a set-up stand together,
+about one mean, or each about the mean of its cell, as in `tactilerl study plan`.
 """
 
 from __future__ import annotations

@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Callable
+import hashlib
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .. import toml_files
+
 if TYPE_CHECKING:
-    import mujoco
+    from .mounting import Mount
+    from .skins import Geom
 
 Array = np.ndarray
 
 SLIDES = ("slide_x", "slide_y", "slide_z")
 """Joints and actuators that carry the whole hand along the world's axes."""
 DIGITS = ("thumb", "index", "middle", "ring", "little")
-"""What digits are called, in order; a hand has those that its ``fingertips`` have."""
+"""What digits of hands with up to five are usually called."""
 SEGMENTS = ("proximal", "middle", "distal")
+"""What three segments of a digit are called."""
 CLOSING_STEP = 0.5  # how far an action of 1 closes fingers that go from open to closed
 
 
@@ -27,47 +31,82 @@ CLOSING_STEP = 0.5  # how far an action of 1 closes fingers that go from open to
 class Surface:
     """The palmar side of one link: where taxels may lie.
 
-    A phalanx is the palmar half of a cylinder, the palm a plane (``radius`` None). All
-    vectors are in the link's frame; the grid's origin is ``centre + radius * palmar``.
+    A link that is one capsule is the palmar half of a cylinder. One of other or several ``geoms`` is
+    what is met when one comes from the palmar side. A flat palm is a plane. All vectors are in the
+    link's frame; the grid's origin is ``centre + radius * palmar`` on a cylinder.
     """
 
     digit: str
-    """One of DIGITS; for the palm, the finger whose base it is."""
+    """Which; for the palm, the finger whose base it is, or "palm"."""
     segment: str
-    """One of SEGMENTS, or "palm"."""
+    """Which segment of the digit, or "palm"."""
     link: str
     """Body the taxels ride on."""
     centre: tuple[float, float, float]
-    """Point on the cylinder's axis (on the plane for the palm) under the grid's centre, m."""
+    """Point on the cylinder's axis (on the plane, or within the geoms) under the grid's centre, m."""
     along: tuple[float, float, float]
     """Unit vector towards the fingertip: the direction of a grid's rows."""
     palmar: tuple[float, float, float]
     """Unit outward normal of the palmar side."""
     radius: float | None = None
-    """Cylinder radius in m; None for a flat surface."""
+    """Cylinder radius in m; None for other surfaces."""
     bone: tuple[tuple[float, ...], tuple[float, ...]] | None = None
-    """Both ends of the axis of the capsule that is the link's shape, m; None for a flat surface."""
+    """Both ends of the axis of the capsule that is the link's shape, m; None for other shapes."""
+    geoms: tuple[Geom, ...] = ()
+    """What the link is made of, where it is neither one capsule nor flat."""
+    extent: tuple[float, float] = (9e-3, 9e-3)
+    """Of a surface that is no cylinder: half its length and half its width, m."""
 
-    def place(self, row: float, column: float) -> Array:
-        """Position in the link frame, shape (3,), of a taxel `row` and `column` metres off centre.
+    def place(self, row: float, column: float) -> tuple[Array, Array]:
+        """Position and outward normal in the link frame, each (3,), of a taxel `row` and `column`
+        metres off centre.
 
-        The flat grid is projected on to the cylinder along the palmar normal, so that the
-        paper's pitches hold in the plane they are given in. Raises ValueError when the
-        column lies beside the cylinder.
+        The flat grid is projected on to the link along the palmar normal, so that the paper's
+        pitches hold in the plane they are given in. Raises ValueError when that lies beside the link.
         """
-        along, palmar = np.array(self.along), np.array(self.palmar)
-        across = np.cross(palmar, along)
+        palmar = np.array(self.palmar)
+        above = np.array(self.centre) + row * np.array(self.along) + column * self.across
+        if self.geoms:
+            from .skins import meet
+
+            found = meet(self.geoms, above, -palmar)
+            if found is None:
+                raise ValueError(
+                    f"a taxel {1e3 * row:.1f} mm along and {1e3 * column:.1f} mm beside the middle of "
+                    f"{self.digit}.{self.segment} lies beside the link: found nothing there, allowed "
+                    f"±{1e3 * self.extent[0]:.1f} mm along and ±{1e3 * self.extent[1]:.1f} mm beside"
+                )
+            return found
         if self.radius is None:
-            height = 0.0
-        elif abs(column) <= self.radius + 1e-9:  # its very edge, in mm, is not exact in m
-            height = np.sqrt(max(0.0, self.radius**2 - column**2))
-        else:
+            return above, palmar
+        if abs(column) > self.radius + 1e-9:  # its very edge, in mm, is not exact in m
             raise ValueError(
                 f"a taxel {1e3 * abs(column):.1f} mm off the middle of {self.digit}.{self.segment} "
                 f"lies beside the phalanx: found |column| {1e3 * abs(column):.1f} mm, "
                 f"allowed up to its radius, {1e3 * self.radius:.1f} mm"
             )
-        return np.array(self.centre) + row * along + column * across + height * palmar
+        height = np.sqrt(max(0.0, self.radius**2 - column**2))
+        return above + height * palmar, (column * self.across + height * palmar) / self.radius
+
+    @property
+    def across(self) -> Array:
+        """Unit vector (3,) in the direction of a grid's columns."""
+        return np.cross(np.array(self.palmar), np.array(self.along))
+
+    def offset(self, position: Array) -> tuple[float, float, float]:
+        """(row, column, height over the grid's middle) in m of a point (3,) in the link frame."""
+        axes = np.array([self.along, self.across, self.palmar])
+        row, column, height = axes @ (position - np.array(self.centre))
+        return float(row), float(column), float(height)
+
+    @property
+    def span(self) -> tuple[float, float, float]:
+        """Rows of both ends, and half the width of the link, m, from the grid's middle."""
+        if self.bone is None:
+            return -self.extent[0], *self.extent
+        assert self.radius is not None
+        low, high = sorted(self.offset(np.array(point))[0] for point in self.bone)
+        return low, high, self.radius
 
 
 @dataclass(frozen=True)
@@ -170,7 +209,7 @@ class Hand:
     """
 
     name: str
-    build: Callable[[bool, float], mujoco.MjSpec]
+    build: Mount
     """(with visual meshes?, gain of the finger actuators relative to the model's) -> model
     of the hand alone: no ground, no object, no taxels."""
     joints: tuple[str, ...]
@@ -180,9 +219,13 @@ class Hand:
     actuated: tuple[str, ...]
     palm: str
     """Body whose ``palm_point`` is "the hand" in rewards."""
-    palm_point: tuple[float, float, float]
+    palm_point: tuple[float, ...]
+    palmar: tuple[float, ...]
+    """Unit vector out of the palm, in its frame."""
+    fingers: tuple[float, ...]
+    """Unit vector from the palm towards the fingers, in its frame."""
     fingertips: tuple[tuple[str, tuple[float, float, float]], ...]
-    """Body and point (m, body frame) of the tip of each digit it has, in the order of DIGITS."""
+    """Body and point (m, body frame) of the tip of each digit it has."""
     surfaces: tuple[Surface, ...]
     pitch: Pitch
     action_map: LinearAction | ClosingAction
@@ -264,40 +307,75 @@ class Hand:
         """Joint targets that hold the start pose, shape (n_actuators,)."""
         return np.array([self.start.get(joint, 0.0) for joint in self.actuated])
 
+    @property
+    def digits(self) -> tuple[str, ...]:
+        """What its digits are called."""
+        return tuple(dict.fromkeys(s.digit for s in self.surfaces if s.segment != "palm"))
+
+
+FOLDER, SUFFIX = Path(__file__).parent, ".toml"
+HANDS = ("shadow", "mpl", "allegro")
+"""The library's own: each is a file here."""
+
 
 @dataclass(frozen=True)
 class Registration:
-    """A hand that can be asked for by name; its module of that name has a function ``hand``."""
+    """What a hand's file says of the scenes it is used in."""
 
-    id: str
+    id: str = ""
     """Of its environment in Gymnasium's registry; by name it is `make(name)`."""
-    scene: dict[str, Any] = field(default_factory=dict)
-    """What its scene says differently from the defaults of `GraspConfig`."""
     closing: tuple[float, float] = (0.5, 0.9)
     """How far the fingers of perturbed scripted grasps close, from and to, 1 being all the way: 30
-    to 70 % of `tactilerl probe`'s grasps then hold in either simulator."""
+    to 70 % of `tactilerl probe`'s grasps of the library's own hands then hold in either simulator."""
+    scene: dict[str, Any] = field(default_factory=dict)
+    """Where its scene differs from the defaults of `GraspConfig`."""
 
 
-HANDS = {
-    "shadow": Registration("tactilerl/Shadow-v0"),
-    "mpl": Registration(
-        "tactilerl/MPL-v0",
-        {
-            "simulator": "pybullet",
-            "object_density": 800.0,
-            "timestep": 1 / 240,
-            "control_dt": 0.1,
-            "hold_seconds": 5000 / 240,
-        },
-        closing=(0.8, 1.1),
-    ),
-    "allegro": Registration("tactilerl/Allegro-v0"),
-}
+def is_hand(name: str) -> bool:
+    """Is it the name of one of the library's hands, or of anybody's hand file?"""
+    return name in HANDS or name.endswith(SUFFIX)
+
+
+def allowed() -> str:
+    """What hands may be called, for messages."""
+    return f"{', '.join(HANDS)}, or the path of a hand's .toml file"
+
+
+def file(name: str) -> Path:
+    """The file of a hand; ValueError for a name that is none."""
+    if not is_hand(name):
+        raise ValueError(f"unknown hand {name!r}; allowed: {allowed()}")
+    return Path(name) if name.endswith(SUFFIX) else FOLDER / f"{name}{SUFFIX}"
+
+
+def registration(name: str) -> Registration:
+    """Of a hand by name or file; ValueError and FileNotFoundError where the file is wrong."""
+    path = file(name)
+    with toml_files.blamed(f"hand file {path}"):
+        data = toml_files.read(path, "hand file")
+        about, scene = (toml_files.table(data, key) for key in ("environment", "scene"))
+        toml_files.only(about, {"id", "closing"}, "environment")
+        low, high = toml_files.vector(
+            about.get("closing", Registration.closing), 2, "environment.closing"
+        )
+        return Registration(str(about.get("id", "")), (low, high), scene)
+
+
+def digest(name: str) -> str:
+    """Of the files of anybody's own hand, of its meshes too; "" for the library's hands and for what
+    is no hand. ValueError and OSError where they cannot be read."""
+    if name in HANDS or not is_hand(name):
+        return ""
+    every = hashlib.sha256()
+    mount = get(name).build
+    for path in (file(name), *mount.files()):
+        every.update(path.read_bytes())
+    return every.hexdigest()[:16]
 
 
 def get(name: str) -> Hand:
-    """The hand called `name`; its model is read from disk only when it is built."""
-    if name not in HANDS:
-        raise ValueError(f"unknown hand {name!r}; allowed: {', '.join(HANDS)}")
-    hand: Hand = importlib.import_module(f".{name}", __name__).hand()
-    return hand
+    """The hand of this name or file. ValueError or FileNotFoundError saying what is wrong with its
+    file or model, ImportError where the package that has the model is not installed."""
+    from . import loading
+
+    return loading.load(file(name))

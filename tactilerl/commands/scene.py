@@ -30,10 +30,10 @@ def read_scene(kind: type[T], args: Sequence[str], prog: str) -> tuple[T, GraspC
         named = scenes.load(name) if name else None
     command: Any = kind()
     env = flags.peek(args, "--env", named.env if named else command.env)
-    if named and env not in hands.HANDS:
-        raise InputError(f"--env: found {env!r} with --scene, allowed: {', '.join(hands.HANDS)}")
+    if named and not hands.is_hand(env):
+        raise InputError(f"--env: found {env!r} with --scene, allowed: {hands.allowed()}")
     parts: dict[str, Any] = {"command": dataclasses.replace(command, env=env)}
-    if env in hands.HANDS:
+    if hands.is_hand(env):
         with input_errors(f"scene {name}" if named else ""):
             parts["scene"] = setup(env, **(named.scene if named else {}))
     kinds = [(name, type(it)) for name, it in parts.items()]
@@ -53,15 +53,15 @@ def hands_named(env: str) -> Iterator[None]:
         is_scene = refused.replace("-", "_") in {
             field.name for field in dataclasses.fields(GraspConfig)
         }
-        if env in hands.HANDS or not is_scene:
+        if hands.is_hand(env) or not is_scene:
             raise
-        raise InputError(f"{error} (--env {env} is none of {', '.join(hands.HANDS)})") from error
+        raise InputError(f"{error} (--env {env} is none of {hands.allowed()})") from error
 
 
 def require_scene(scene: GraspConfig | None, env: str) -> GraspConfig:
     """The scene; InputError where `env` has none."""
     if scene is None:
-        raise InputError(f"--env: found {env!r}, allowed: {', '.join(hands.HANDS)}")
+        raise InputError(f"--env: found {env!r}, allowed: {hands.allowed()}")
     return scene
 
 

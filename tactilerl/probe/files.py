@@ -12,7 +12,6 @@ import numpy as np
 
 from .. import typed
 from ..envs import hands
-from ..envs.hands import HANDS
 from ..envs.objects import KINDS
 from ..errors import InputError
 from ..files import damage_named, read_arrays, replacing
@@ -68,7 +67,7 @@ def read(path: Path) -> Played:
                 raise ValueError("it has another format")
             places = tuple(typed.make(Place, place, "place") for place in about.pop("contact_places"))
             _check(arrays)
-            if about.get("env") in HANDS:
+            if hands.is_hand(str(about.get("env"))):
                 _check_scene(arrays, about, places)
     except FileNotFoundError:
         raise InputError(f"grasps file {str(path)!r} does not exist") from None

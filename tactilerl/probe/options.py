@@ -8,9 +8,8 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from ..envs import objects, scenes, tasks
+from ..envs import hands, objects, scenes, tasks
 from ..envs.grasp import setup
-from ..envs.hands import HANDS
 from ..envs.hold import Verdict
 from ..envs.observations import TaxelFaults, validate_faults
 from .grasps import Perturbation
@@ -26,7 +25,7 @@ class GraspFlags:
     """Take hand, simulator and objects from a named scene or its .toml file; other flags change what
     it says."""
     env: str = "shadow"
-    """Which hand: shadow, mpl or allegro."""
+    """Which hand: shadow, mpl, allegro, or the path of a hand's .toml file."""
     simulator: Literal["mujoco", "pybullet"] | None = None
     """The physics engine; default: the hand's."""
     policy: Path | None = None
@@ -83,13 +82,13 @@ class GraspFlags:
         """That of scripted grasps."""
         return Perturbation(
             self.object, self.object_size, self.friction, self.start_offset, self.start_yaw,
-            self.closing or HANDS[self.env].closing, self.joint_jitter,
+            self.closing or hands.registration(self.env).closing, self.joint_jitter,
         )  # fmt: skip
 
     def validate(self) -> None:
         """Raise ValueError naming the first invalid flag."""
-        if self.env not in HANDS:
-            raise ValueError(f"env: found {self.env!r}, allowed: {', '.join(HANDS)}")
+        if not hands.is_hand(self.env):
+            raise ValueError(f"env: found {self.env!r}, allowed: {hands.allowed()}")
         if self.grasps < 1:
             raise ValueError(f"grasps: found {self.grasps}, allowed 1 or more")
         if not 0 <= self.seed < 2**32:

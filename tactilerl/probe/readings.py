@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from .. import places
 from ..envs import objects
-from ..envs.hands import SLIDES, Array, Hand, Surface
+from ..envs.hands import SLIDES, Array, Hand
 from ..envs.layouts import Taxels
 from ..envs.objects import ObjectState, Shape
 from ..envs.observations import SensorConfig, TaxelFaults, taxel_stages
@@ -74,13 +74,11 @@ class Grasps:
         palm = links_of(self.hand).index(self.hand.palm)
         rotation = self.records["link_rotations"][:, palm]
         point = self.records["link_positions"][:, palm] + rotation @ np.array(self.hand.palm_point)
-        axes = rotation @ _axes(self._palm_surface())
+        along, palmar = np.array(self.hand.fingers), np.array(self.hand.palmar)
+        axes = rotation @ np.column_stack([along, np.cross(palmar, along), palmar])
         away = self.records["object_position"] - point
         position = np.einsum("nij,ni->nj", axes, away)
         return position, axes.swapaxes(1, 2) @ _rotations(self.records["object_orientation"])
-
-    def _palm_surface(self) -> Surface:
-        return next(s for s in self.hand.surfaces if s.segment == "palm" and s.link == self.hand.palm)
 
     def turn(self) -> tuple[Array, int]:
         """Yaw (n,) of the object in the palm's plane, rad, and after how many equal parts of a turn
@@ -113,17 +111,16 @@ class Grasps:
                 readings[some] = touch.read(positions, rotations, shape, self._object(some))
         return readings
 
-    def feel_contact(self, places: Sequence[Place]) -> Array:
-        """Readings bool (n, places) by the simulator's rule "contact", as they were recorded;
+    def feel_contact(self, taxels: Taxels) -> Array:
+        """Readings bool (n, taxels) by the simulator's rule "contact", as they were recorded;
         ValueError for a place where none was."""
-        column = {place: i for i, place in enumerate(self.contact_places)}
-        missing = [place for place in places if place not in column]
-        if missing:
+        index = places.index_of(taxels, self.contact_places)
+        if missing := int((index < 0).sum()):
             raise ValueError(
-                f"the simulator's contacts were recorded for {len(column)} taxels; found a layout "
-                f"with {len(missing)} others, allowed the layouts that the grasps were played with"
+                f"the simulator's contacts were recorded for {len(self.contact_places)} taxels; found "
+                f"a layout with {missing} others, allowed the layouts that the grasps were played with"
             )
-        return self.records["contact"][:, [column[place] for place in places]].astype(bool)
+        return self.records["contact"][:, index].astype(bool)
 
     def _shape(self, k: int) -> Shape:
         kind = objects.KINDS[int(self.records["object_kind"][k])]
@@ -134,12 +131,6 @@ class Grasps:
         orientation = self.records["object_orientation"][some]
         position = self.records["object_position"][some]
         return ObjectState(position, orientation, _rotations(orientation))
-
-
-def _axes(palm: Surface) -> Array:
-    """Columns: along, across and out of the palm, in its link's frame."""
-    along, palmar = np.array(palm.along), np.array(palm.palmar)
-    return np.column_stack([along, np.cross(palmar, along), palmar])
 
 
 def _rotations(quaternions: Array) -> Array:

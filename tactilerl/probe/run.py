@@ -18,7 +18,7 @@ from ..algos.mpi import Communicator
 from ..envs import hands, layouts, vector
 from ..envs.grasp import setup
 from ..envs.hands import Array, Hand
-from ..envs.layouts import Layout
+from ..envs.layouts import Layout, Taxels
 from ..envs.vector import Task
 from ..errors import InputError, input_errors
 from ..files import locked, replacing
@@ -57,9 +57,9 @@ def grasps(
                 f"--{changed}: found it together with --from, allowed when grasps are played"
             )
         played = files.read(source)
-        if played.settings.get("env") not in hands.HANDS:
+        if not hands.is_hand(str(played.settings.get("env"))):
             raise InputError(f"{source}: found grasps of {played.settings.get('env')!r}, "
-                             f"allowed: {', '.join(hands.HANDS)}")  # fmt: skip
+                             f"allowed: {hands.allowed()}")  # fmt: skip
         _require_answerable(read.analysis, hands.get(played.settings["env"]))
         out = out or source.parent
         _hold(out, comm, held)
@@ -112,7 +112,7 @@ def _scripted(grasps: GraspFlags, asking: AnalysisFlags, held: ExitStack) -> Pla
         settings["layouts"] = list(names)
         folder = held.enter_context(tempfile.TemporaryDirectory())
         config = replace(config, layout=_union(names, hand, Path(folder)))
-        contact_places = tuple(places.of(layouts.load(config.layout).place(hand), hand))
+        contact_places = tuple(places.of(layouts.load(config.layout).place(hand)))
     with input_errors():
         for variant in drawn.variants():
             replace(config, **variant).validate()
@@ -123,9 +123,9 @@ def _scripted(grasps: GraspFlags, asking: AnalysisFlags, held: ExitStack) -> Pla
 
 def _union(names: Sequence[str], hand: Hand, folder: Path) -> str:
     """A layout file with every taxel of some layouts: what the simulator has to feel."""
-    every = {place for name in names for place in places.of(_layout(name, hand).place(hand), hand)}
+    every = places.union([_layout(name, hand) for name in names], hand)
     path = folder / "union.toml"
-    path.write_text(places.toml(sorted(every), hand, "all"), encoding="utf-8")
+    path.write_text(layouts.toml(every, hand, "all"), encoding="utf-8")
     return str(path)
 
 
@@ -139,7 +139,7 @@ def _by_policy(grasps: GraspFlags, asking: AnalysisFlags, held: ExitStack) -> Pl
     config, policy, epoch, env_steps = read_run(grasps.policy)
     if config.scene is None:
         raise InputError(f"--policy {grasps.policy}: found a run of {config.run.env}, allowed runs of "
-                         f"{', '.join(hands.HANDS)}")  # fmt: skip
+                         f"{hands.allowed()}")  # fmt: skip
     scene, hand, name = config.scene, hands.get(config.run.env), grasps.policy.resolve().name
     settings = {
         "env": config.run.env, "simulator": scene.simulator, "touch": grasps.touch,
@@ -148,7 +148,7 @@ def _by_policy(grasps: GraspFlags, asking: AnalysisFlags, held: ExitStack) -> Pl
     _require_answerable(asking, hand)
     contact_places: tuple[Place, ...] = ()
     if scene.touch == "contact":
-        contact_places = tuple(places.of(layouts.load(scene.layout).place(hand), hand))
+        contact_places = tuple(places.of(layouts.load(scene.layout).place(hand)))
     start = partial(start_workers, config, Communicator())
     return Playing(
         settings, contact_places, PolicyGrasps(policy, grasps.seed), start, Path("probes") / name
@@ -168,10 +168,10 @@ def _layout(name: str, hand: Hand) -> Layout:
     return layouts.load(name)
 
 
-def _of_layouts(names: Sequence[str], hand: Hand) -> dict[str, list[Place]]:
-    """The places of each layout on a hand; InputError when there is no such layout."""
+def _of_layouts(names: Sequence[str], hand: Hand) -> dict[str, Taxels]:
+    """The taxels of each layout on a hand; InputError when there is no such layout."""
     with input_errors():
-        return {name: places.of(_layout(name, hand).place(hand), hand) for name in names}
+        return {name: _layout(name, hand).place(hand) for name in names}
 
 
 def analyse(read: Options, played: Played, out: Path) -> dict[str, Any]:
@@ -186,10 +186,10 @@ def analyse(read: Options, played: Played, out: Path) -> dict[str, Any]:
     )  # fmt: skip
     where = _of_layouts(asking.layout, hand)
     with input_errors(), estimators.expected_warnings():
-        readings = {name: _feel(read, asked, settings, spots) for name, spots in where.items()}
+        readings = {name: _feel(read, asked, settings, taxels) for name, taxels in where.items()}
         result = {
             **_about(read, played, asked),
-            "layouts": {name: {"taxels": len(spots)} for name, spots in where.items()},
+            "layouts": {name: {"taxels": len(taxels)} for name, taxels in where.items()},
             **_answers(asked, readings, choices, out),
             "worth": _worth(asked, readings, where, choices),
         }
@@ -201,14 +201,9 @@ def analyse(read: Options, played: Played, out: Path) -> dict[str, Any]:
     return result
 
 
-def _feel(read: Options, asked: Grasps, settings: dict[str, Any], spots: Sequence[Place]) -> Array:
+def _feel(read: Options, asked: Grasps, settings: dict[str, Any], taxels: Taxels) -> Array:
     """Readings bool (n, taxels) by the touch rule of the grasps, with faults."""
-    if settings["touch"] == "contact":
-        readings = asked.feel_contact(spots)
-    else:
-        taxels = places.layout(list(spots), asked.hand, "asked", "").place(asked.hand)
-        column = {spot: i for i, spot in enumerate(places.of(taxels, asked.hand))}
-        readings = asked.feel(taxels)[:, [column[spot] for spot in spots]]
+    readings = asked.feel_contact(taxels) if settings["touch"] == "contact" else asked.feel(taxels)
     rng = np.random.default_rng([settings["seed"], analysis.FAULTS])
     return with_faults(readings, read.fault, rng)
 
@@ -255,14 +250,14 @@ def _answers(asked: Grasps, readings: dict[str, Array], choices: Choices, out: P
 
 
 def _worth(
-    asked: Grasps, readings: dict[str, Array], where: dict[str, list[Place]], choices: Choices
+    asked: Grasps, readings: dict[str, Array], where: dict[str, Taxels], choices: Choices
 ) -> dict[str, Any]:
     """What each taxel of the densest layout tells alone, by the angles with the last noise."""
     most = max(readings, key=lambda name: readings[name].shape[1])
     noise = choices.joint_noise[-1]
     known = analysis.FeatureBuilder(asked, readings, choices.seed).angles(noise)
     bits = selection.worth(known, readings[most], asked.held)
-    spots = [asdict(place) for place in where[most]]
+    spots = [asdict(place) for place in places.of(where[most])]
     return {"layout": most, "joint_noise": noise, "bits": bits.tolist(), "places": spots}
 
 
@@ -276,16 +271,16 @@ def _select(
 ) -> dict[str, Any]:
     """Choose from the skin; a layout file for each number that was asked for."""
     name, hand = read.analysis.skin, asked.hand
-    spots = _of_layouts([name], hand)[name]
-    skin = _feel(read, asked, settings, spots)
+    candidates = _of_layouts([name], hand)[name]
+    skin = _feel(read, asked, settings, candidates)
     path, found = selection.select(asked, skin, read.analysis.select, readings, choices)
     written = []
     for n in sorted({min(n, len(path)) for n in read.analysis.select}):
-        chosen = [spots[i] for i in path[:n]]
         about = f"{n} taxels chosen from skin {name} by {len(asked)} grasps"
         written.append(f"selected_{n}.toml")
         with replacing(out / written[-1]) as file:
-            text = places.toml(chosen, hand, f"{about} of {settings['env']} in {settings['simulator']}")
-            file.write(text.encode())
+            about += f" of {settings['env']} in {settings['simulator']}"
+            file.write(layouts.toml(candidates.take(path[:n]), hand, about).encode())
+    spots = places.of(candidates)
     taxels = [asdict(spots[i]) for i in path]
     return {"skin": name, "candidates": len(spots), **found, "places": taxels, "files": written}

@@ -207,7 +207,7 @@ def warnings(analysis: Analysis, few: int = FEW_RUNS) -> list[str]:
     groups = [group for one in analysis.setups for group in one.groups.values()]
     if rising := sum(map(_still_rises, groups)):
         found.append(
-            f"In {rising} of {len(groups)} groups the runs end well above the level at which they spent "
+            f"In {rising} of {len(groups)} groups the runs end well above the level where they spent "
             "most epochs: they were too short for converged rates, the paper's measure, to mean much."
         )
     for one in analysis.setups:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -152,34 +152,49 @@ def _at_looks(
     comparison do not count."""
     is_open = {r.run.seed for r in records if r.run.arm in setup.arms[:2] and not r.has_ended}
     n_ended = next((i for i, seed in enumerate(setup.seeds) if seed in is_open), len(setup.seeds))
-    due = [n for n in looks.pairs if n <= n_ended]
-    whole = replace(in_pairs(*arms), p_value=math.nan)
-    at_hand = [sum(seed in whole.seeds for seed in setup.seeds[:n]) for n in due]
-    differences = whole.treatment - whole.control
-    spent = looks.spent(len(setup.cells))
+    whole = in_pairs(*arms)
+    at_hand = [sum(s in whole.seeds for s in setup.seeds[:n]) for n in looks.pairs if n <= n_ended]
+    taken = take(looks, whole.treatment - whole.control, at_hand, len(setup.cells))
+    if not taken:
+        none = Stage(0, len(looks.pairs), "")
+        return Verdict(cell, replace(whole, p_value=math.nan), len(setup.seeds), none)
+    last = taken[-1]
+    n, stage = last.n, Stage(len(taken), len(looks.pairs), last.ending)
+    seen = Pairs(whole.seeds[:n], whole.treatment[:n], whole.control[:n], last.difference, last.p_value)
+    return Verdict(cell, seen, len(setup.seeds), stage)
+
+
+class Taken(NamedTuple):
+    """One look at one comparison."""
+
+    n: int
+    """Pairs at hand."""
+    difference: Estimate
+    p_value: float
+    ending: Ending
+
+
+def take(
+    looks: Looks, differences: Array, at_hand: Sequence[int], n_comparisons: int = 1
+) -> list[Taken]:
+    """Look at differences (pairs,) each time that so many are `at_hand`, until a look ends it."""
+    spent = looks.spent(n_comparisons)
     tested = statistics.sequential_sign_flips(
         differences[: max(at_hand, default=0)], list(zip(at_hand, spent, strict=False)),
         looks.pairs[-1], np.random.default_rng([SEED, looks.pairs[-1]]),
     )  # fmt: skip
-    verdict = Verdict(cell, whole, len(setup.seeds), Stage(0, len(looks.pairs), ""))
-    for index, (n, look) in enumerate(zip(at_hand, tested, strict=False)):
-        estimate = statistics.mean(differences[:n], resamples(n), 1 - look.level)
-        seen = Pairs(whole.seeds[:n], whole.treatment[:n], whole.control[:n], estimate, look.p_value)
-        stage = Stage(index + 1, len(looks.pairs), _ending(looks, index, look.p_value, spent, estimate))
-        verdict = replace(verdict, pairs=seen, stage=stage)
-        if stage.ending:
+    taken: list[Taken] = []
+    for n, error, look in zip(at_hand, spent, tested, strict=False):
+        found = statistics.mean(differences[:n], resamples(n), 1 - look.level)
+        ending: Ending = "last look" if len(taken) == len(spent) - 1 else ""
+        if look.p_value <= error + 1e-12:
+            ending = "difference"
+        elif found.low < found.high and max(-found.low, found.high) < looks.effect:
+            ending = "no difference"
+        taken.append(Taken(n, found, look.p_value, ending))
+        if ending:
             break
-    return verdict
-
-
-def _ending(
-    looks: Looks, index: int, p_value: float, spent: Sequence[float], estimate: Estimate
-) -> Ending:
-    if p_value <= spent[index]:
-        return "difference"
-    if estimate.low < estimate.high and max(-estimate.low, estimate.high) < looks.effect:
-        return "no difference"
-    return "last look" if index == len(spent) - 1 else ""
+    return taken
 
 
 # -- the worth of touch as a share of what sight is worth ---------------------------------------

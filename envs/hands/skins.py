@@ -1,0 +1,178 @@
+"""What links are made of: where one meets their surface, and how far they are from an object.
+
+A mesh counts as its convex hull, which is what the simulators collide.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from . import Array
+
+FAR = 0.5  # m: beyond any hand
+MESH = "mesh"
+KINDS = {
+    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
+    "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
+    "ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID,
+    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
+    "box": mujoco.mjtGeom.mjGEOM_BOX,
+    MESH: mujoco.mjtGeom.mjGEOM_MESH,
+}
+
+
+class Geom(NamedTuple):
+    """One shape of a link, in the link's frame."""
+
+    kind: str
+    """One of KINDS."""
+    size: tuple[float, ...]
+    """MuJoCo's three."""
+    position: tuple[float, ...]
+    rotation: tuple[tuple[float, ...], ...]
+    corners: tuple[tuple[float, ...], ...] = ()
+    """Of a mesh's convex hull, in the geom's frame, m."""
+
+    @property
+    def points(self) -> Array:
+        """Corners (n, 3) of the shape, or of a box around it, in the link's frame, m."""
+        size = np.array(self.size)
+        if self.kind in ("sphere", "capsule", "cylinder"):
+            radius, half = size[:2]
+            size = np.array([radius, radius, half])
+            size[2] = {"sphere": radius, "capsule": half + radius}.get(self.kind, half)
+        corners = np.array(self.corners) if self.corners else size * np.array(
+            [[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
+        )  # fmt: skip
+        return np.array(self.position) + corners @ np.array(self.rotation).T
+
+
+def geoms_of(model: mujoco.MjModel, body: int) -> tuple[Geom, ...]:
+    """What collides of a body; ValueError for a shape that no link has."""
+    names = {int(value): name for name, value in KINDS.items()}
+    found = []
+    for index in range(model.body_geomadr[body], model.body_geomadr[body] + model.body_geomnum[body]):
+        geom = model.geom(index)
+        if not (geom.contype[0] or geom.conaffinity[0]):
+            continue
+        if int(geom.type[0]) not in names:
+            kinds = ", ".join(KINDS)
+            raise ValueError(
+                f"body {model.body(body).name!r}: found a geom of another kind, allowed: {kinds}"
+            )
+        kind = names[int(geom.type[0])]
+        corners: Array = np.zeros((0, 3))
+        if kind == MESH:
+            mesh = model.mesh(geom.dataid[0])
+            first, n = int(mesh.vertadr[0]), int(mesh.vertnum[0])
+            corners = _hull(model.mesh_vert[first : first + n].astype(float))
+        rotation = np.zeros(9)
+        mujoco.mju_quat2Mat(rotation, geom.quat)
+        rows = tuple(map(tuple, rotation.reshape(3, 3).tolist()))
+        found.append(
+            Geom(kind, tuple(geom.size), tuple(geom.pos), rows, tuple(map(tuple, corners.tolist())))
+        )
+    return tuple(found)
+
+
+def _hull(points: Array) -> Array:
+    """The corners of the convex hull."""
+    try:
+        return points[ConvexHull(points).vertices]
+    except QhullError:  # it is flat
+        return points
+
+
+def meet(geoms: tuple[Geom, ...], above: Array, direction: Array) -> tuple[Array, Array] | None:
+    """Where one comes upon the geoms from outside, on the line through `above` (3,) along `direction`,
+    and the outward normal there; None when one passes."""
+    start, best, found = above - FAR * direction, np.inf, None
+    for geom in geoms:
+        normal = np.zeros(3)
+        rotation = np.array(geom.rotation)
+        if geom.kind == MESH:
+            away, normal = _meet_hull(
+                geom, rotation.T @ (start - geom.position), rotation.T @ direction
+            )
+            normal = rotation @ normal
+        else:
+            away = mujoco.mju_rayGeom(
+                np.array(geom.position), rotation.ravel(), np.array(geom.size), start, direction,
+                int(KINDS[geom.kind]), normal,
+            )  # fmt: skip
+        if 0 <= away < best:
+            best, found = away, (start + away * direction, normal)
+    return found
+
+
+def _meet_hull(geom: Geom, start: Array, direction: Array) -> tuple[float, Array]:
+    """How far away a ray enters the hull, -1 if it does not, and the normal there, in its frame."""
+    planes = _planes(geom.corners)
+    slope, height = planes[:, :3] @ direction, planes[:, :3] @ start + planes[:, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        away = -height / slope
+    entering, leaving = slope < 0, slope > 0
+    if (height[slope == 0] > 0).any() or not entering.any():
+        return -1.0, np.zeros(3)
+    first = int(np.flatnonzero(entering)[np.argmax(away[entering])])
+    return (float(away[first]) if away[first] <= away[leaving].min() else -1.0), planes[first, :3]
+
+
+@lru_cache(maxsize=256)
+def _planes(corners: tuple[tuple[float, ...], ...]) -> Array:
+    """Normals and offsets (n, 4) of a hull's faces."""
+    return np.asarray(ConvexHull(np.array(corners)).equations)
+
+
+class Distances:
+    """MuJoCo's own distances (mj_geomDistance) between geoms that ride on links and an object."""
+
+    def __init__(self, geoms: list[Geom]) -> None:
+        spec = mujoco.MjSpec()
+        for number, geom in enumerate(geoms):
+            more = {"meshname": f"mesh{number}"} if geom.kind == MESH else {"size": geom.size}
+            if geom.kind == MESH:
+                spec.add_mesh(name=f"mesh{number}", uservert=np.ravel(geom.corners))
+            quaternion = np.zeros(4)
+            mujoco.mju_mat2Quat(quaternion, np.ravel(geom.rotation))
+            spec.worldbody.add_geom(type=KINDS[geom.kind], pos=geom.position, quat=quaternion, **more)
+        for kind in ("box", "sphere", "cylinder"):
+            spec.worldbody.add_geom(name=kind, type=KINDS[kind], size=[0.01, 0.01, 0.01])
+        self._model = spec.compile()
+        self._data = mujoco.MjData(self._model)
+        mujoco.mj_kinematics(self._model, self._data)
+        self._places = self._data.geom_xpos.copy(), self._data.geom_xmat.copy()
+
+    def within(
+        self, geom: int, position: Array, rotation: Array, kind: str, half_size: tuple[float, ...],
+        centre: Array, turn: Array, reach: float,
+    ) -> bool:  # fmt: skip
+        """Is a geom, whose link has this pose, no further than `reach` m from an object of this kind
+        and half extents with that pose?"""
+        model, data = self._model, self._data
+        x, _, z = half_size
+        thing = model.geom(kind).id
+        model.geom_size[thing] = (x, z, 0.0) if kind == "cylinder" else half_size
+        model.geom_rbound[thing] = float(np.linalg.norm(half_size))
+        data.geom_xpos[thing], data.geom_xmat[thing] = centre, turn.ravel()
+        place, axes = self._places[0][geom], self._places[1][geom].reshape(3, 3)
+        data.geom_xpos[geom] = position + rotation @ place
+        data.geom_xmat[geom] = (rotation @ axes).ravel()
+        return bool(mujoco.mj_geomDistance(model, data, geom, thing, 2 * reach, None) <= reach)
+
+    def nearest(self, candidates: list[int], point: Array) -> tuple[int, float]:
+        """Which of these geoms of a link is nearest to a point (3,) in its frame, and how near, m."""
+        model, data = self._model, self._data
+        thing = model.geom("sphere").id
+        model.geom_size[thing] = model.geom_rbound[thing] = 1e-6
+        data.geom_xpos[thing] = point
+        for geom in candidates:
+            data.geom_xpos[geom], data.geom_xmat[geom] = (places[geom] for places in self._places)
+        away = [mujoco.mj_geomDistance(model, data, geom, thing, FAR, None) for geom in candidates]
+        best = int(np.argmin(away))
+        return candidates[best], float(away[best])

@@ -1,0 +1,209 @@
+"""Taxels as points on links, in files of others: Genesis' probes, DEX-01's patterns, CSV.
+
+Positions in m in the frame of the link, normals outward. docs/guides/layouts.md says which versions
+of the formats these are.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import zipfile
+from collections.abc import Callable, Iterator, Sequence
+from itertools import groupby
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from . import toml_files
+from .hands import Array
+from .toml_files import number, only, vector
+
+RADIUS = 2e-3  # m, where a file gives none
+LARGEST, MOST = 20_000_000, 20_000  # bytes and taxels
+COLUMNS = ("link", "x", "y", "z", "nx", "ny", "nz", "radius")
+
+
+class Point(NamedTuple):
+    """A taxel on a link."""
+
+    link: str
+    position: tuple[float, ...]
+    """(3,), m."""
+    normal: tuple[float, ...]
+    """(3,), unit, outward."""
+    radius: float
+    """Of its sensing sphere, m."""
+    name: str
+
+    def toml(self) -> list[str]:
+        """Lines of a layout file."""
+        lists = {"position": self.position, "normal": self.normal}
+        return [
+            "[[taxel]]",
+            f"name = {json.dumps(self.name, ensure_ascii=False)}",
+            f"link = {json.dumps(self.link, ensure_ascii=False)}",
+            *(f"{key} = [{', '.join(f'{value:.7g}' for value in xyz)}]" for key, xyz in lists.items()),
+            f"radius = {self.radius:.7g}",
+        ]
+
+
+def point(data: Any, index: int) -> Point:
+    """From a table with link, position, normal, and perhaps radius and name; ValueError naming what
+    is wrong with it."""
+    where = f"taxel {index + 1}"
+    if not isinstance(data, dict):
+        raise ValueError(f"{where}: found {data!r}, expected a table")
+    only(data, {*Point._fields}, where)
+    link = data.get("link")
+    if not isinstance(link, str) or not link:
+        raise ValueError(f"{where}: link: found {link!r}, expected the name of a link")
+    position, normal = (vector(data.get(key), 3, f"{where}: {key}") for key in ("position", "normal"))
+    if max(map(abs, position)) > 1.0:
+        raise ValueError(f"{where}: position: found {list(position)}, allowed up to 1 m")
+    length = float(np.linalg.norm(normal))
+    if not 0.5 <= length <= 2.0:
+        raise ValueError(f"{where}: normal: found {list(normal)}, expected a unit vector")
+    radius = number(data.get("radius", RADIUS), f"{where}: radius")
+    if not 1e-4 <= radius <= 0.02:
+        raise ValueError(f"{where}: radius: found {radius:g}, allowed from 0.0001 to 0.02 m")
+    name = str(data.get("name") or f"{link}[{index + 1}]")
+    return Point(link, position, tuple((np.array(normal) / length).tolist()), radius, name)
+
+
+def require_distinct(points: Sequence[Point]) -> None:
+    """ValueError when two have the same name or lie in the same place."""
+    for what, of in (("name", lambda p: p.name), ("place", lambda p: (p.link, p.position))):
+        seen: dict[Any, int] = {}
+        for index, each in enumerate(points):
+            if (first := seen.setdefault(of(each), index)) != index:
+                raise ValueError(f"taxels {first + 1} and {index + 1}: found the same {what}")
+
+
+def read(path: Path) -> tuple[Point, ...]:
+    """The taxels of a file, whose name says which format it has; ValueError naming what is wrong with
+    it, and FileNotFoundError."""
+    what = f"taxel file {path}"
+    if not path.is_file():
+        raise FileNotFoundError(f"taxel file {str(path)!r} does not exist")
+    with toml_files.blamed(what), path.open("rb") as file:
+        content = file.read(LARGEST + 1)
+        if len(content) > LARGEST:
+            raise ValueError(f"found more than {LARGEST // 10**6} MB")
+        try:
+            tables = list(READERS[path.suffix](content, path))
+        except (UnicodeDecodeError, KeyError, TypeError, AttributeError, RecursionError,
+                zipfile.BadZipFile, EOFError, csv.Error) as error:  # fmt: skip
+            raise ValueError(f"not of this format ({type(error).__name__}: {error})") from None
+        if not 0 < len(tables) <= MOST:
+            raise ValueError(f"found {len(tables)} taxels, allowed from 1 to {MOST}")
+        points = tuple(point(table, index) for index, table in enumerate(tables))
+        require_distinct(points)
+        return points
+
+
+def _read_genesis(content: bytes, path: Path) -> Iterator[dict[str, Any]]:
+    """One entry a link, its probes in rows of a grid or in a list."""
+    for entry in json.loads(content.decode("utf-8")):
+        rows = entry["probes"]
+        for row in rows if rows and isinstance(rows[0], list) else [rows]:
+            for probe in row:
+                radius = {"radius": probe["radius"]} if "radius" in probe else {}
+                place = {"position": probe["pos"], "normal": probe["normal"]}
+                yield {"link": entry["link_name"], **place, **radius}
+
+
+def _write_genesis(points: Sequence[Point]) -> bytes:
+    entries = [
+        {
+            "link_name": link,
+            "kind": "grid",
+            "probes": [
+                [{"radius": p.radius, "pos": list(p.position), "normal": list(p.normal)} for p in group]
+            ],
+        }
+        for link, group in groupby(sorted(points, key=lambda p: p.link), key=lambda p: p.link)
+    ]
+    return (json.dumps(entries, indent=1) + "\n").encode()
+
+
+def _read_dex01(content: bytes, path: Path) -> Iterator[dict[str, Any]]:
+    """Poses (n, 3, 4) of the taxels of one sensor, whose z axes are the normals. The format names no
+    link: what follows the last @ in the file's name does."""
+    _, at, link = path.stem.rpartition("@")
+    if not at:
+        raise ValueError(
+            f"the format names no link; put it in the file's name: {path.stem}@LINK{path.suffix}"
+        )
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        if sum(member.file_size for member in archive.infolist()) > LARGEST:
+            raise ValueError(f"unpacks to more than {LARGEST // 10**6} MB")
+    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+        poses = arrays["poses"]
+    if poses.ndim != 3 or poses.shape[1:] != (3, 4) or poses.dtype.kind != "f":
+        raise ValueError(
+            f"poses: found shape {poses.shape} of {poses.dtype}, expected (n, 3, 4) floats"
+        )
+    for pose in poses.astype(float):
+        yield {"link": link, "position": pose[:, 3].tolist(), "normal": pose[:, 2].tolist()}
+
+
+def _write_dex01(points: Sequence[Point]) -> bytes:
+    links = sorted({p.link for p in points})
+    if len(links) != 1:
+        raise ValueError(f"the format is for taxels on one link; found {len(links)}")
+    poses = np.array([np.column_stack([_frame(np.array(p.normal)), p.position]) for p in points])
+    width = int(np.ceil(np.sqrt(len(points))))
+    cells = np.array([divmod(index, width) for index in range(len(points))], np.int64)
+    file = io.BytesIO()
+    np.savez(file, poses=poses, taxel2pixel=cells)
+    return file.getvalue()
+
+
+def _frame(normal: Array) -> Array:
+    """A rotation (3, 3) whose z axis is the normal."""
+    x = np.cross(np.eye(3)[int(np.argmin(np.abs(normal)))], normal)
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(normal, x), normal])
+
+
+def _read_csv(content: bytes, path: Path) -> Iterator[dict[str, Any]]:
+    """One row a taxel, with a heading; a last column may give names."""
+    rows = csv.DictReader(io.StringIO(content.decode("utf-8-sig"), newline=""))
+    heading = tuple(rows.fieldnames or ())
+    if heading not in (COLUMNS, (*COLUMNS, "name")):
+        raise ValueError(
+            f"found the columns {', '.join(heading)}, expected {', '.join(COLUMNS)}[, name]"
+        )
+    for line, row in enumerate(rows, 2):
+        try:
+            x, y, z, nx, ny, nz, radius = (float(row[column]) for column in COLUMNS[1:])
+        except (TypeError, ValueError):
+            raise ValueError(
+                f"line {line}: found {list(row.values())}, expected a link and numbers"
+            ) from None
+        place = {"position": [x, y, z], "normal": [nx, ny, nz], "radius": radius}
+        yield {"link": row["link"], **place, "name": row.get("name")}
+
+
+def _write_csv(points: Sequence[Point]) -> bytes:
+    file = io.StringIO(newline="")
+    writer = csv.writer(file)
+    writer.writerow((*COLUMNS, "name"))
+    for p in points:
+        writer.writerow((p.link, *p.position, *p.normal, p.radius, p.name))
+    return file.getvalue().encode()
+
+
+READERS: dict[str, Callable[[bytes, Path], Iterator[dict[str, Any]]]] = {
+    ".json": _read_genesis,
+    ".npz": _read_dex01,
+    ".csv": _read_csv,
+}
+WRITERS: dict[str, Callable[[Sequence[Point]], bytes]] = {
+    ".json": _write_genesis,
+    ".npz": _write_dex01,
+    ".csv": _write_csv,
+}

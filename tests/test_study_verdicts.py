@@ -1,0 +1,220 @@
+"""What a study says of its primary comparisons: looks, what sight leaves to touch, other parts."""
+
+import json
+
+import numpy as np
+import pytest
+from study_records import PAPER_LIKE, make_study
+
+from tactilerl.cli import main
+from tactilerl.study import looks, records, summary, verdicts
+from tactilerl.study.folder import Outcome, RunFiles
+from tactilerl.study.primary import Looks
+
+LOOKS = PAPER_LIKE[: PAPER_LIKE.index("[setups.mujoco]")].replace(
+    'name = "made-up"', 'name = "made-up"\nlooks.pairs = [6, 9, 12]\nlooks.effect = 0.03'
+)
+SIGHT = """
+name = "sight"
+measure = "success_rate"
+[setups.blind]
+algo = "ppo"
+env = "shadow"
+object_seen = "hidden"
+total_timesteps = 30_000
+compare = {run_type = ["main", "control"]}
+grid = {run_type = ["main", "control"], seed = "0-7"}
+[setups.sighted]
+algo = "ppo"
+env = "shadow"
+run_type = "control"
+total_timesteps = 30_000
+grid = {seed = "0-8"}
+"""
+
+
+def judged(folder):
+    study, found = records.load(folder.path)
+    return {
+        cell: one for setup in study.setups for cell, one in verdicts.judge(study, setup, found).items()
+    }
+
+
+def leave_out(folder, is_out):
+    """Runs that nobody has trained yet."""
+    for run in folder.study().runs():
+        if is_out(run):
+            folder.files(run).outcome_file.unlink()
+
+
+class TestTake:
+    plan = Looks([6, 9, 12])
+
+    def test_a_clear_difference_ends_at_the_first_look_that_can_tell(self):
+        taken = verdicts.take(self.plan, np.full(12, 0.2) + 0.01 * np.arange(12), [6, 9, 12])
+        # With six pairs 1 of 32 ways is more than may be spent by then.
+        assert [one.ending for one in taken] == ["", "difference"]
+        assert taken[-1].n == 9
+        assert taken[-1].p_value == pytest.approx(2 / 2**9)
+
+    def test_so_does_ruling_out_what_matters(self):
+        taken = verdicts.take(self.plan, 0.01 * np.tile([1.0, -1.0], 6), [6, 9, 12])
+        assert [one.ending for one in taken] == ["no difference"]
+
+    def test_what_is_unclear_goes_on_to_the_last(self):
+        taken = verdicts.take(self.plan, 0.4 * np.tile([1.0, -1.0], 6), [6, 9, 12])
+        assert [one.ending for one in taken] == ["", "", "last look"]
+
+    def test_pairs_all_alike_rule_nothing_out(self):
+        assert verdicts.take(self.plan, np.zeros(6), [6])[-1].ending == ""
+
+    def test_a_corrected_interval_is_wider(self):
+        gaps = 0.4 * np.random.default_rng(0).standard_normal(12)
+        wide, narrow = (verdicts.take(self.plan, gaps, [6, 9, 12], n)[-1].difference for n in (6, 1))
+        assert wide.high - wide.low > narrow.high - narrow.low
+
+
+class TestStudyWithLooks:
+    def test_it_stops_where_the_answer_is_and_leaves_the_rest(self, tmp_path, capsys):
+        """Layout 2 is far ahead, layout 5 is not."""
+        folder = make_study(tmp_path / "s", LOOKS, n_seeds=12)
+        leave_out(folder, lambda run: True)
+        study = folder.study()
+        jobs = {run.name: looks.Job(folder.files(run).base, [], 30_000) for run in study.runs()}
+        batches, said = [], []
+
+        def run_all(batch):
+            batches.append(sorted(job.base.name for job in batch))
+            for job in batch:
+                RunFiles(job.base).write_outcome(Outcome("done", 30_000))
+            return {job.base: "done" for job in batch}
+
+        endings = looks.run(study, folder, jobs, run_all, said.append)
+        assert [len(batch) for batch in batches[:2]] == [36, 18]
+        assert not [name for name in batches[2] if "layout-2" in name]
+        found = judged(folder)
+        assert found["layout 2"].stage.ending == "difference"
+        assert found["layout 2"].stage.look == 2
+        assert len(found["layout 2"].pairs) == 9
+        assert found["layout 2"].p_holm == pytest.approx(3 * found["layout 2"].pairs.p_value)
+        assert len(endings) == sum(map(len, batches)) < len(jobs)
+        assert any("layout 2: main is ahead of control" in one and "Look 2 of 3" in one for one in said)
+
+        capsys.readouterr()
+        assert main(["study", "status", str(folder.path)]) == 0
+        assert "nothing left to do" in capsys.readouterr().out
+        assert main(["study", "report", str(folder.path), "--resamples", "100"]) == 0
+        out = capsys.readouterr().out
+        assert "stopped for a difference" in out
+        assert "they are in no figure" not in out  # what was left out is not missing
+
+    def test_a_look_waits_for_its_runs(self, tmp_path):
+        folder = make_study(tmp_path / "s", LOOKS, n_seeds=12)
+        leave_out(folder, lambda run: run.seed == 7)
+        assert all(one.stage.look == 1 for one in judged(folder).values())
+        leave_out(folder, lambda run: run.seed == 2)
+        found = judged(folder)["layout 2"]
+        assert found.stage.look == 0
+        assert np.isnan(found.pairs.p_value)
+        setup = folder.study().setups[0]
+        assert "the first look is still to come" in summary.answer(setup, found)
+
+    def test_runs_beyond_the_look_that_ended_it_do_not_count(self, tmp_path):
+        folder = make_study(tmp_path / "s", LOOKS, n_seeds=12)
+        found = judged(folder)["layout 2"]
+        assert (found.stage.look, found.pairs.seeds) == (2, list(range(9)))
+
+    def test_a_pair_that_failed_is_missing_and_no_look_is(self, tmp_path):
+        folder = make_study(tmp_path / "s", LOOKS, n_seeds=12)
+        lost = next(r for r in folder.study().runs() if (r.cell, r.seed) == ("layout 2", 1))
+        folder.files(lost).write_outcome(Outcome("failed", 1, "diverged"))
+        found = judged(folder)["layout 2"]
+        assert (found.stage.look, len(found.pairs)) == (2, 8)
+
+
+class TestHeadroom:
+    def test_touch_as_a_share_of_what_sight_gives(self, tmp_path, capsys):
+        folder = make_study(tmp_path / "s", SIGHT, n_seeds=8)
+        study, found = records.load(folder.path)
+        room = verdicts.headroom(study, study.setups[0], "all", found, 500)
+        areas = {
+            (r.run.setup, r.run.arm, r.run.seed): verdicts.scores(r, "success_rate")["area"]
+            for r in found
+        }
+        seeds = range(8)
+        sight = [areas["sighted", "", s] - areas["blind", "control", s] for s in seeds]
+        touch = [areas["blind", "main", s] - areas["blind", "control", s] for s in seeds]
+        assert room.n == 8
+        assert room.room.value == pytest.approx(np.mean(sight))
+        assert room.share.value == pytest.approx(np.mean(touch) / np.mean(sight))
+        assert room.share.low < room.share.value < room.share.high
+        assert main(["study", "report", str(folder.path), "--resamples", "100"]) == 0
+        words = "touch gives" if room.is_enough else "this scene cannot tell"
+        assert words in capsys.readouterr().out
+
+    def test_a_scene_that_sight_does_not_open_cannot_tell(self):
+        little = verdicts.Headroom(8, verdicts.Estimate(0.29, 0.2, 0.4), verdicts.Estimate(0.5, 0, 1))
+        much = verdicts.Headroom(8, verdicts.Estimate(0.31, 0.2, 0.4), verdicts.Estimate(0.5, 0, 1))
+        assert (little.is_enough, much.is_enough) == (False, True)
+
+    def test_another_difference_than_sight_is_no_sighted_control(self, tmp_path):
+        text = SIGHT.replace('run_type = "control"\n', 'run_type = "control"\ngamma = 0.9\n')
+        study, found = records.load(make_study(tmp_path / "s", text, n_seeds=8).path)
+        assert verdicts.headroom(study, study.setups[0], "all", found, 500) is None
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return make_study(tmp_path_factory.mktemp("compare") / "s", n_seeds=4)
+
+
+class TestCompare:
+    def compare(self, capsys, *args):
+        assert main(["study", "compare", *map(str, args), "--json"]) == 0
+        return json.loads(capsys.readouterr().out)
+
+    def test_two_cells_of_one_study_in_pairs(self, folder, capsys):
+        found = self.compare(capsys, f"{folder.path}:layout 2", f"{folder.path}:layout 5")
+        assert [row["place"] for row in found["rows"]] == [
+            "pybullet main", "pybullet control", "mujoco main", "mujoco control"
+        ]  # fmt: skip
+        assert found["differing"] == ["layout 2 − 5"]
+        assert found["rows"][0]["pairs"] == 4
+        assert found["rows"][0]["value"] > 0.1
+        assert found["rows"][0]["p"] == pytest.approx(0.125)
+        assert found["rows"][0]["p_holm"] == pytest.approx(0.5)
+
+    def test_two_studies_with_some_common_seeds(self, folder, tmp_path, capsys):
+        other = make_study(tmp_path / "other", PAPER_LIKE.replace('"0-{last}"', '"2-7"'))
+        names = "pybullet,layout 2,main"
+        row = self.compare(capsys, f"{folder.path}:{names}", f"{other.path}:{names}")["rows"][0]
+        assert (row["runs"], row["pairs"]) == ([4, 6], 2)
+
+    def test_without_common_seeds_they_are_no_pairs(self, folder, tmp_path, capsys):
+        other = make_study(tmp_path / "other", PAPER_LIKE.replace('"0-{last}"', '"10-14"'))
+        rows = self.compare(capsys, folder.path, other.path)["rows"]
+        assert len(rows) == 12
+        assert {row["pairs"] for row in rows} == {0}
+        assert all(0 < row["p"] <= 1 for row in rows)
+        assert main(["study", "compare", str(folder.path), str(other.path)]) == 0
+        assert "not in pairs" in capsys.readouterr().out
+
+    def test_longer_runs_count_as_far_as_the_others_go(self, folder, tmp_path, capsys):
+        other = make_study(tmp_path / "other", n_seeds=4, epochs=50, total=60_000)
+        row = self.compare(capsys, folder.path, other.path)["rows"][0]
+        assert row["until"] < 30_100
+
+    @pytest.mark.parametrize(
+        ("chosen", "words"),
+        [("layout 7", ["'layout 7'", "layout 2"]), ("pybullet,mujoco", ["no finished"])],
+    )
+    def test_no_such_part(self, folder, capsys, chosen, words):
+        assert main(["study", "compare", f"{folder.path}:{chosen}", str(folder.path)]) == 2
+        err = capsys.readouterr().err
+        assert err.count("\n") == 1
+        for word in words:
+            assert word in err
+
+    def test_parts_with_nothing_in_common(self, folder, capsys):
+        assert main(["study", "compare", f"{folder.path}:pybullet", f"{folder.path}:layout 2"]) == 2
+        assert "nothing in both" in capsys.readouterr().err
