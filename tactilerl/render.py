@@ -14,6 +14,7 @@ import torch
 
 from .envs import scripted
 from .envs.grasp import GraspConfig, GraspEnv
+from .envs.hands import ScriptedGrasp
 from .envs.simulators import Camera, Simulator
 from .errors import InputError
 from .hand_map import TaxelMap
@@ -28,9 +29,16 @@ PLAYABLE += ["-movflags", "frag_keyframe+empty_moov+default_base_moof"]
 END_PICTURES = FPS // 2  # of the last moment, repeated: so one sees how it ended
 
 
-def picture(env_name: str, config: GraspConfig, pose: Pose, camera: Camera, out: Path) -> int:
-    """Write a picture of the start or of a scripted grasp, beside it the hand unrolled; how many
-    taxels fire in it."""
+def picture(
+    env_name: str,
+    config: GraspConfig,
+    pose: Pose,
+    camera: Camera,
+    out: Path,
+    grasp: ScriptedGrasp | None = None,
+) -> int:
+    """Write a picture of the start or of a scripted grasp (`grasp`: instead of the hand's own), beside
+    it the hand unrolled; how many taxels fire in it."""
     _require_writable("--out", out, PICTURES)
     imageio = _imageio("imageio.v2")
     env = GraspEnv(env_name, config, render_mode="rgb_array")
@@ -38,7 +46,7 @@ def picture(env_name: str, config: GraspConfig, pose: Pose, camera: Camera, out:
         env.reset(seed=0)
         if pose == "grasp":
             start = scripted.Start(np.zeros(2), 0.0, np.zeros(len(env.hand.joints)))
-            for _ in scripted.hold_steps(env, scripted.grasp_for(env), start, seconds=0.5):
+            for _ in scripted.hold_steps(env, grasp or scripted.grasp_for(env), start, seconds=0.5):
                 pass
         imageio.imwrite(out, _with_map(env, camera, _map_of(env, camera)))
         return int((env.taxel_readings() > 0).sum())
