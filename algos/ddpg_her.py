@@ -159,8 +159,8 @@ class DDPGHER:
         self.rng = np.random.default_rng([seed, comm.rank])
         weights = torch.Generator().manual_seed(seed)
         self.actor = new_actor(config.hidden, self.spaces, weights).to(self.device)
-        judged = n_obs + n_truth + n_actions
-        self.critic = MLP((judged, *config.hidden, 1), weights).to(self.device)
+        judged, seen = n_obs + n_truth + n_actions, self.spaces.inputs("truth", "action")
+        self.critic = MLP((judged, *config.hidden, 1), weights, inputs=seen).to(self.device)
         self.target_actor, self.target_critic = copy.deepcopy((self.actor, self.critic))
         self.adam = FlatAdam((self.actor, config.actor_lr), (self.critic, config.critic_lr))
         self._target_vector = flatten(self.target_actor, self.target_critic).requires_grad_(False)
@@ -212,7 +212,8 @@ class DDPGHER:
 
     def collect(self) -> dict[str, float]:
         """One cycle's episodes: into the replay, and relabelled into the normaliser."""
-        config = self.config
+        config, key = self.config, [self.seed, self.comm.rank, self.cycles]
+        self.rng = self.replay.rng = np.random.default_rng(key)  # whatever came before
         episodes = self._play(config.n_rollouts, TRAIN)
         self.cycles += 1
         seen = summary(episodes, self.comm)

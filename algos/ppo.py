@@ -162,18 +162,18 @@ class PPO:
         self.config, self.workers, self.comm = config, workers, comm
         self.total_timesteps, self.device = total_timesteps, torch.device(device)
         self.seed = seed
-        self.rng = np.random.default_rng(seed)  # the same on all ranks: they share every minibatch
+        self.rng = np.random.default_rng(seed)
         self.spaces = Spaces(workers.observation_space, workers.action_space)
         weights = torch.Generator().manual_seed(seed)
         self.parts = Parts.new(config, self.spaces, weights)
         self.actor, self.spread, self.obs_stats = self.parts
         self.truth_stats = flat_stats(self.spaces.truth, OBS_CLIP)
         self._n_obs = flat_size(self.spaces.observation)
-        n_truth = flat_size(self.spaces.truth)
-        self.critic = MLP((self._n_obs + n_truth, *config.hidden, 1), weights)
+        n_seen, seen = self._n_obs + flat_size(self.spaces.truth), self.spaces.inputs("truth")
+        self.critic = MLP((n_seen, *config.hidden, 1), weights, inputs=seen)
         if config.orthogonal_init:
-            start_orthogonal(self.actor, ACTOR_GAIN, weights)
-            start_orthogonal(self.critic, 1.0, weights)
+            start_orthogonal(self.actor, ACTOR_GAIN, weights, self.spaces.inputs())
+            start_orthogonal(self.critic, 1.0, weights, seen)
         for network in (self.actor, self.spread, self.critic):
             network.to(self.device)
         learned = [self.actor, *([self.spread] if config.exploration == "learned" else [])]
@@ -226,9 +226,10 @@ class PPO:
         batch = self._batch()
         n = len(batch[0])
         n_minibatches = config.minibatches(n)
+        self.rng = np.random.default_rng([self.seed, self.epochs])  # on all ranks, whatever came before
         sums, n_updates = torch.zeros(4, device=self.device), 0
         for _ in range(config.n_passes):
-            order = torch.from_numpy(self.rng.permutation(n)).to(self.device)
+            order = torch.from_numpy(self.rng.random(n).argsort()).to(self.device)
             shuffled = (torch.tensor_split(t[order], n_minibatches) for t in batch)
             stats = torch.zeros(4)
             for minibatch in zip(*shuffled, strict=True):
