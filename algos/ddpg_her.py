@@ -29,13 +29,14 @@ from . import (
     goal_size,
     has_single_goal,
     n_boolean,
+    rollout,
     state,
 )
 from .mpi import Communicator, same_on_all_ranks
 from .networks import MLP, FlatAdam, flatten, require_finite
 from .policy import GoalObs, GoalStats, Policy, explore, flat_stats, new_actor, on_cpu
 from .replay import Batch, Replay
-from .rollout import FAULTS, PROBE, TEST, TRAIN, Episode, PlayEpisode, require_transitions, summary
+from .rollout import Episode, PlayEpisode, require_transitions, summary
 from .side_by_side import SideBySide, at_once
 from .spaces import Spaces
 
@@ -157,11 +158,10 @@ class DDPGHER:
         self._n_obs = n_obs = flat_size(space)
         self.config = config = _resolved(config, workers)
         self.total_timesteps, self.seed = total_timesteps, seed
-        self.rng = np.random.default_rng([seed, comm.rank])
         weights = torch.Generator().manual_seed(seed)
         self.actor = new_actor(config.hidden, self.spaces, weights).to(self.device)
-        judged = n_obs + n_truth + n_actions
-        self.critic = MLP((judged, *config.hidden, 1), weights).to(self.device)
+        judged, seen = n_obs + n_truth + n_actions, self.spaces.inputs("truth", "action")
+        self.critic = MLP((judged, *config.hidden, 1), weights, inputs=seen).to(self.device)
         self.target_actor, self.target_critic = copy.deepcopy((self.actor, self.critic))
         self.adam = FlatAdam((self.actor, config.actor_lr), (self.critic, config.critic_lr))
         self._target_vector = flatten(self.target_actor, self.target_critic).requires_grad_(False)
@@ -172,14 +172,15 @@ class DDPGHER:
         self.truth_stats = flat_stats(self.spaces.truth, config.norm_clip, comm)
         steps, rewards = workers.max_episode_steps or 0, workers.compute_reward
         sizes = n_obs - n_goal, n_goal, n_actions, n_truth
-        self.replay = Replay(config.buffer_size, steps, sizes, n_boolean(space), rewards, self.rng)
+        rng = np.random.default_rng([seed, comm.rank, rollout.LEARN])
+        self.replay = Replay(config.buffer_size, steps, sizes, n_boolean(space), rewards, rng)
         self._both = SideBySide(at_once(workers, comm, self.device))
         self.cycles_per_epoch = config.n_cycles
         self.env_steps = self.updates = self.cycles = 0
 
     def check(self) -> None:
         """ValueError when memory is short or the rewards of an episode do not fit."""
-        (episode,) = require_transitions(self._play(1, PROBE))
+        (episode,) = require_transitions(self._play(1, rollout.PROBE))
         self._check_signs(episode.rewards)
         self.replay.require_rewards(episode)
         self.replay.require_memory(self.comm.local_size)
@@ -203,13 +204,14 @@ class DDPGHER:
     def _play(self, n: int, purpose: int) -> list[Episode[GoalObs]]:
         """`n` episodes of this rank's own."""
         key = (self.seed, self.comm.rank, purpose, self.cycles)
-        task = PlayEpisode[GoalObs](self.policy(), key, explores=purpose != TEST)
+        task = PlayEpisode[GoalObs](self.policy(), key, explores=purpose != rollout.TEST)
         return list(self.workers.play(task, range(n)))
 
     def collect(self) -> dict[str, float]:
         """One cycle's episodes: into the replay, and relabelled into the normaliser."""
-        config = self.config
-        episodes = self._play(config.n_rollouts, TRAIN)
+        config, key = self.config, [self.seed, self.comm.rank, rollout.LEARN, self.cycles]
+        self.replay.rng = np.random.default_rng(key)  # whatever came before
+        episodes = self._play(config.n_rollouts, rollout.TRAIN)
         self.cycles += 1
         seen = summary(episodes, self.comm)
         self.env_steps += int(seen.pop("steps"))
@@ -237,8 +239,8 @@ class DDPGHER:
         """Episodes without noise at the end of an epoch."""
         if not (n := self.config.n_test_rollouts * self.config.n_rollouts):
             return {}
-        seen = summary(self._play(n, TEST), self.comm)
-        return {f"test_{name}": seen[name] for name in ("success_rate", "mean_return", *FAULTS)}
+        seen = summary(self._play(n, rollout.TEST), self.comm)
+        return {f"test_{name}": seen[name] for name in ("success_rate", "mean_return", *rollout.FAULTS)}
 
     # -- learning ----------------------------------------------------------------------------
 
@@ -258,13 +260,9 @@ class DDPGHER:
         self._target_vector.lerp_(self.adam.vector.detach(), 1.0 - config.polyak)
         self.updates += config.n_batches
         self._check(sums)
-        critic_loss, actor_loss, value = (sums / config.n_batches).tolist()
-        return {
-            "critic_loss": critic_loss,
-            "actor_loss": actor_loss,
-            "mean_q": value,
-            "updates": config.n_batches,
-        }
+        n = config.n_batches
+        critic_loss, actor_loss, value = (sums / n).tolist()
+        return {"critic_loss": critic_loss, "actor_loss": actor_loss, "mean_q": value, "updates": n}
 
     @torch.no_grad()
     def _prepared(self, batch: Batch[Tensor]) -> tuple[Tensor, Tensor, Tensor]:
@@ -320,7 +318,7 @@ class DDPGHER:
     # -- saving ------------------------------------------------------------------------------
 
     def state_dict(self) -> dict[str, Any]:
-        """Networks, optimiser, normalisers, random state, counters: all but the replay."""
+        """Networks, optimiser, normalisers, counters: all but the replay."""
         return state.save(self, SAVED, COUNTERS)
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:

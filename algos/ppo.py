@@ -15,13 +15,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from . import Array, DivergenceError, Workers, action_size, check_ranges, flat_size, state
+from . import Array, DivergenceError, Workers, action_size, check_ranges, flat_size, rollout, state
 from .mpi import Communicator, same_on_all_ranks
 from .networks import MLP, FlatAdam, require_finite, start_orthogonal
 from .normalizer import Normalizer
 from .policy import FlatInputs, Policy, flat_stats, new_actor, on_cpu
 from .policy_gradient import Batch, Spread, gae, gaussian, normalise, surrogate
-from .rollout import TRAIN, Episode, PlayEpisode, finite, play_steps, require_transitions, summary
+from .rollout import Episode, PlayEpisode, finite, play_steps, require_transitions, summary
 from .side_by_side import SideBySide, at_once, each
 from .spaces import Spaces
 
@@ -163,18 +163,17 @@ class PPO:
         self.config, self.workers, self.comm = config, workers, comm
         self.total_timesteps, self.device = total_timesteps, torch.device(device)
         self.seed = seed
-        self.rng = np.random.default_rng(seed)  # the same on all ranks: they share every minibatch
         self.spaces = Spaces(workers.observation_space, workers.action_space)
         weights = torch.Generator().manual_seed(seed)
         self.parts = Parts.new(config, self.spaces, weights)
         self.actor, self.spread, self.obs_stats = self.parts
         self.truth_stats = flat_stats(self.spaces.truth, OBS_CLIP)
         self._n_obs = flat_size(self.spaces.observation)
-        n_truth = flat_size(self.spaces.truth)
-        self.critic = MLP((self._n_obs + n_truth, *config.hidden, 1), weights)
+        n_seen, seen = self._n_obs + flat_size(self.spaces.truth), self.spaces.inputs("truth")
+        self.critic = MLP((n_seen, *config.hidden, 1), weights, inputs=seen)
         if config.orthogonal_init:
-            start_orthogonal(self.actor, ACTOR_GAIN, weights)
-            start_orthogonal(self.critic, 1.0, weights)
+            start_orthogonal(self.actor, ACTOR_GAIN, weights, self.spaces.inputs())
+            start_orthogonal(self.critic, 1.0, weights, seen)
         for network in (self.actor, self.spread, self.critic):
             network.to(self.device)
         self._both = SideBySide(at_once(workers, comm, self.device))
@@ -209,7 +208,7 @@ class PPO:
         if config.exploration == "annealed":
             start = config.action_variance
             self.spread.set(left * start + (1.0 - left) * (config.final_variance or start / 10))
-        task = PlayEpisode[Array](self.policy(), (self.seed, 0, TRAIN, self.epochs))
+        task = PlayEpisode[Array](self.policy(), (self.seed, 0, rollout.TRAIN, self.epochs))
         episodes = play_steps(self.workers, task, config.steps_per_epoch, self.comm)
         self._episodes = require_transitions(episodes)
         self.epochs += 1
@@ -226,10 +225,11 @@ class PPO:
             self.actor_adam.set_lr(config.actor_lr * self._ahead)
             self.critic_adam.set_lr(config.critic_lr * self._ahead)
         batch = self._batch()
-        n_minibatches = config.minibatches(len(batch.seen))
+        n, n_minibatches = len(batch.seen), config.minibatches(len(batch.seen))
+        rng = np.random.default_rng([self.seed, 0, rollout.LEARN, self.epochs])  # the same on all ranks
         sums, n_updates = torch.zeros(4, device=self.device), 0
         for _ in range(config.n_passes):
-            order = torch.from_numpy(self.rng.permutation(len(batch.seen))).to(self.device)
+            order = torch.from_numpy(rng.random(n).argsort()).to(self.device)
             minibatches = batch.minibatches(order, n_minibatches)
             value_losses, others = self._both(
                 partial(each, self._improve_critic, minibatches),
@@ -323,24 +323,20 @@ class PPO:
     def _check(self, sums: Tensor) -> None:
         """Stop with DivergenceError when something broke or the ranks have parted."""
         require_finite([self.actor_adam, self.critic_adam], sums, self.env_steps)
-        states = self.comm.all_gather(self.rng.bit_generator.state)
         mean = torch.from_numpy(self.obs_stats.mean)
         shared = (self.actor_adam.vector, self.critic_adam.vector, mean)
-        are_same = all(same_on_all_ranks(self.comm, own) for own in shared)
-        if not are_same or any(own != states[0] for own in states):
-            raise DivergenceError("the ranks' parameters or random states differ")
+        if not all(same_on_all_ranks(self.comm, own) for own in shared):
+            raise DivergenceError("the ranks' parameters differ")
 
     # -- saving ------------------------------------------------------------------------------
 
     def state_dict(self) -> dict[str, Any]:
-        """Networks, optimisers, random state, counters: all that the next epoch depends on."""
+        """Networks, optimisers, counters: all that the next epoch depends on."""
         return state.save(self, SAVED, COUNTERS)
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Go on exactly where `state_dict` was taken; all ranks at once."""
+        """Go on exactly where `state_dict` was taken."""
         state.restore(self, saved, SAVED, COUNTERS)
-        # A rank that was not there before has no random state to go on with.
-        self.rng.bit_generator.state = self.comm.all_gather(self.rng.bit_generator.state)[0]
 
     @staticmethod
     def saved_policy(config: PPOConfig, spaces: Spaces, saved: dict[str, Any]) -> Policy:
