@@ -6,9 +6,10 @@ operation each, instead of one for every layer's weight and bias.
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Literal
 
@@ -45,16 +46,27 @@ class MLP(nn.Sequential):
     """Linear layers with ReLU between them, and optionally Tanh at the end.
 
     Weights and biases start uniform in ±1/sqrt(fan-in) (PyTorch's own default), drawn from
-    `generator`, so that no global random state is involved.
+    `generator`, so that no global random state is involved. Networks with other inputs, drawn from
+    the same generator, start alike but for that bound: the same weights belong to the same input.
     """
 
-    def __init__(self, sizes: Sequence[int], generator: torch.Generator, tanh: bool = False):
+    def __init__(
+        self,
+        sizes: Sequence[int],
+        generator: torch.Generator,
+        tanh: bool = False,
+        inputs: Sequence[str] | None = None,
+    ):
+        """`inputs` are the names of what it sees; without them inputs go by their numbers."""
         layers: list[nn.Module] = []
         for fan_in, fan_out in itertools.pairwise(sizes):
             linear = nn.utils.skip_init(nn.Linear, fan_in, fan_out)  # type: ignore[no-untyped-call]
             bound = 1.0 / math.sqrt(fan_in)
-            for parameter in linear.parameters():
-                nn.init.uniform_(parameter, -bound, bound, generator=generator)
+            own, names = (generator, None) if layers else (_spawn(generator), inputs)
+            with torch.no_grad():
+                linear.weight.copy_(_columns(linear.weight, own, names, Tensor.uniform_) * 2 - 1)
+                linear.weight.mul_(bound)
+            nn.init.uniform_(linear.bias, -bound, bound, generator=generator)
             layers += [linear, nn.ReLU()]
         layers[-1:] = [nn.Tanh()] if tanh else []
         super().__init__(*layers)
@@ -111,11 +123,47 @@ class MLP(nn.Sequential):
         return _with_parameters(*self._shape, [p.detach().clone() for p in self.parameters()])
 
 
-def start_orthogonal(network: MLP, last_gain: float, generator: torch.Generator) -> None:
-    """Draw orthogonal weights with gain sqrt(2), in the last layer `last_gain`; biases are zero."""
+def _spawn(generator: torch.Generator) -> torch.Generator:
+    """A generator of its own: how much is drawn from it moves nothing else."""
+    seed = int(torch.randint(2**62, (), generator=generator))
+    return torch.Generator().manual_seed(seed)
+
+
+def _columns(
+    like: Tensor, generator: torch.Generator, names: Sequence[str] | None, draw: Callable[..., Tensor]
+) -> Tensor:
+    """Numbers (outputs, inputs), of which those of an input follow from its name or number alone."""
+    n_out, n_in = like.shape
+    if names is None:
+        return draw(torch.empty(n_in, n_out), generator=generator).T
+    base, columns = generator.initial_seed(), []
+    for name in names:
+        digest = hashlib.blake2b(f"{base} {name}".encode(), digest_size=7).digest()
+        own = torch.Generator().manual_seed(int.from_bytes(digest, "big"))
+        columns.append(draw(torch.empty(n_out), generator=own))
+    return torch.stack(columns, dim=1)
+
+
+@torch.no_grad()
+def start_orthogonal(
+    network: MLP,
+    last_gain: float,
+    generator: torch.Generator,
+    inputs: Sequence[str] | None = None,
+) -> None:
+    """Draw orthogonal weights with gain sqrt(2), in the last layer `last_gain`; biases are zero.
+
+    Networks with other `inputs` start alike up to the first input that differs.
+    """
     for linear in network.linears:
-        gain = last_gain if linear is network.linears[-1] else math.sqrt(2.0)
-        nn.init.orthogonal_(linear.weight, gain, generator)
+        is_first, is_last = (linear is network.linears[i] for i in (0, -1))
+        own, names = (_spawn(generator), inputs) if is_first else (generator, None)
+        drawn = _columns(linear.weight, own, names, Tensor.normal_)
+        is_wide = drawn.shape[0] < drawn.shape[1]
+        q, r = torch.linalg.qr(drawn.T if is_wide else drawn)
+        q *= r.diagonal().sign()  # of all orthogonal matrices, each as likely as another
+        linear.weight.copy_(q.T if is_wide else q)
+        linear.weight.mul_(last_gain if is_last else math.sqrt(2.0))
         nn.init.zeros_(linear.bias)
 
 

@@ -237,7 +237,7 @@ def _row(obs: Any, i: int) -> Any:
 
 def new_actor(hidden: Sequence[int], spaces: Spaces, weights: torch.Generator) -> MLP:
     """A policy's network, with `hidden` units in its layers and weights drawn from a generator."""
-    return MLP(network_sizes(hidden, spaces), weights, tanh=True)
+    return MLP(network_sizes(hidden, spaces), weights, tanh=True, inputs=spaces.inputs())
 
 
 def network_sizes(hidden: Sequence[int], spaces: Spaces) -> tuple[int, ...]:

@@ -38,6 +38,24 @@ class Spaces(NamedTuple):
             raise ValueError(f"observation space: found {found} for {TRUTH!r}, allowed a Box")
         return found
 
+    def inputs(self, *more: str) -> list[str] | None:
+        """What the entries of a flat observation are, and behind them those of `more` (truth, action).
+
+        A Box says so with its attribute `names`; entries of others go by their numbers. None where
+        none does.
+        """
+        parts: dict[str, Any] = {"observation": self.observation}
+        if isinstance(self.observation, gym.spaces.Dict):
+            parts = {key: self.observation[key] for key in ("observation", "desired_goal")}
+        parts |= {key: {TRUTH: self.truth, "action": self.action}[key] for key in more}
+        if not any(hasattr(box, "names") for box in parts.values()):
+            return None
+        return [
+            f"{key} {name}"
+            for key, box in parts.items()
+            for name in getattr(box, "names", range(math.prod(box.shape)))
+        ]
+
     def to_json(self) -> str:
         """What a policy has to know of them: the shapes of observations, the bounds of actions."""
         low, high = (np.ravel(bound) for bound in (self.action.low, self.action.high))  # type: ignore[attr-defined]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Literal, get_args, get_type_hints
 
@@ -186,17 +187,18 @@ class GraspEnv(gym.Env[Any, Array]):
         """Taxels lie between 0 and 1; a task with a single goal has it as its only one."""
         unbounded, goal = np.full(self.task.goal_size, np.inf), self.task.only_goal
         lowest, highest = (-unbounded, unbounded) if goal is None else (goal, goal)
-        truth = {}
+        truth, seen = {}, self._observer
         if self.config.critic_sees == "truth":
-            n = len(self._truth(self._look()))
+            names = observations.truth_names(self.hand, self.taxels.names)
+            n, n_taxels = len(names), len(self.taxels)
             low, high = np.full((2, n), np.inf) * [[-1.0], [1.0]]
-            low[n - len(self.taxels) :] = 0.0
-            high[n - len(self.taxels) :] = 1.0 if self._touch.is_boolean else np.inf
-            truth["truth"] = _float_box(low, high)
+            low[n - n_taxels :] = 0.0
+            high[n - n_taxels :] = 1.0 if self._touch.is_boolean else np.inf
+            truth["truth"] = NamedBox(low, high, names)
         return gym.spaces.Dict(
             {
                 **truth,
-                "observation": _float_box(self._observer.low, self._observer.high),
+                "observation": NamedBox(seen.low, seen.high, seen.names),
                 "achieved_goal": _float_box(-unbounded, unbounded),
                 "desired_goal": _float_box(lowest, highest),
             }
@@ -358,6 +360,14 @@ class GraspEnv(gym.Env[Any, Array]):
             "achieved_goal": achieved.astype(np.float32),
             "desired_goal": self._desired_goal.copy(),
         }
+
+
+class NamedBox(gym.spaces.Box):
+    """A Box of float32 that says what its entries are."""
+
+    def __init__(self, low: Array, high: Array, names: Sequence[str]) -> None:
+        super().__init__(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
+        self.names = tuple(names)
 
 
 def _float_box(low: Array, high: Array) -> gym.spaces.Box:

@@ -8,7 +8,7 @@ and rewards never pass here: they keep the truth.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Literal, Protocol
 
@@ -427,6 +427,12 @@ def truth(hand: Hand, now: Snapshot, taxels: Array) -> Array:
     """(n,) float32: what a critic may see of an episode, whatever the policy is told."""
     parts = [TERMS[name].read(hand, now) for name in TRUE]
     return np.concatenate([*parts, taxels], dtype=np.float32, casting="same_kind")
+
+
+def truth_names(hand: Hand, taxel_names: Sequence[str]) -> list[str]:
+    """What the entries of `truth` are."""
+    names = [name for term in TRUE for name in TERMS[term].names(hand)]
+    return [*names, *(f"taxel {name}" for name in taxel_names)]
 
 
 def taxel_stages(config: SensorConfig, n: int) -> list[Stage]:

@@ -1,0 +1,167 @@
+"""What runs of one seed have in common, whatever they observe: weights, noise, order of minibatches."""
+
+from contextlib import closing
+from functools import partial
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from states import flat
+
+from tactilerl import envs
+from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
+from tactilerl.algos.mpi import Communicator
+from tactilerl.algos.networks import MLP, start_orthogonal
+from tactilerl.algos.ppo import PPO, PPOConfig
+from tactilerl.algos.spaces import Spaces
+from tactilerl.envs import vector
+from tactilerl.envs.toy import PointReachEnv
+
+FEW, MANY = ["a", "b", "c"], ["x", "b", "a", "y", "c", "z"]
+PLACES = [MANY.index(name) for name in FEW]
+
+
+def networks(**choices):
+    """Two with other inputs from the same seed, and the ones drawn after them."""
+    found = []
+    for names in (FEW, MANY):
+        generator = torch.Generator().manual_seed(3)
+        found.append([MLP((len(names), 16, 4), generator, inputs=names, **choices) for _ in range(2)])
+    return found
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_weights_belong_to_inputs_by_name(which):
+    few, many = (pair[which].linears for pair in networks())
+    scale = np.sqrt(len(FEW) / len(MANY))
+    torch.testing.assert_close(many[0].weight[:, PLACES], few[0].weight * scale)
+    torch.testing.assert_close(many[0].bias, few[0].bias * scale)
+    assert torch.equal(many[1].weight, few[1].weight)
+    assert torch.equal(many[1].bias, few[1].bias)
+
+
+def test_weights_are_uniform_within_their_bound_and_differ():
+    weight = MLP((3, 4000), torch.Generator().manual_seed(0), inputs=FEW).linears[0].weight.detach()
+    bound = 1 / np.sqrt(3)
+    assert weight.abs().max() <= bound
+    assert weight.std(dim=0).numpy() == pytest.approx(bound / np.sqrt(3), rel=0.03)
+    assert np.abs(np.corrcoef(weight.numpy().T) - np.eye(3)).max() < 0.05
+    first, second = networks()[0]
+    assert not torch.isclose(first.linears[0].weight, second.linears[0].weight).any()
+
+
+def test_inputs_without_names_go_by_their_numbers():
+    few, many = (MLP((n, 16, 4), torch.Generator().manual_seed(3)).linears for n in (3, 6))
+    torch.testing.assert_close(many[0].weight[:, :3], few[0].weight / np.sqrt(2))
+    assert torch.equal(many[1].weight, few[1].weight)
+
+
+@pytest.mark.parametrize("n_out", [16, 2])
+def test_an_orthogonal_start_is_orthogonal(n_out):
+    generator = torch.Generator().manual_seed(1)
+    network = MLP((3, n_out, 4), generator, inputs=FEW)
+    start_orthogonal(network, 0.1, generator, FEW)
+    first, last = (linear.weight.detach() for linear in network.linears)
+    product = first.T @ first if n_out > 3 else first @ first.T
+    torch.testing.assert_close(product, 2 * torch.eye(len(product)), atol=1e-5, rtol=0)
+    product = last @ last.T if n_out > 4 else last.T @ last
+    torch.testing.assert_close(product, 0.01 * torch.eye(len(product)), atol=1e-5, rtol=0)
+
+
+def test_orthogonal_starts_agree_up_to_the_first_other_input():
+    found = []
+    for names in (FEW, [*FEW, "x", "y"]):
+        generator = torch.Generator().manual_seed(1)
+        network = MLP((len(names), 16, 4), generator, inputs=names)
+        start_orthogonal(network, 0.1, generator, names)
+        found.append(network.linears)
+    torch.testing.assert_close(found[1][0].weight[:, :3], found[0][0].weight, atol=1e-5, rtol=0)
+    torch.testing.assert_close(found[1][1].weight, found[0][1].weight)
+
+
+class Distracted(gym.ObservationWrapper):
+    """The toy, with zeros behind its observation."""
+
+    side_by_side, max_episode_steps = "in turn", PointReachEnv.max_episode_steps
+
+    def __init__(self, n):
+        super().__init__(PointReachEnv())
+        self.n, spaces = n, dict(self.env.observation_space.spaces)
+        size = spaces["observation"].shape[0] + n
+        spaces["observation"] = gym.spaces.Box(-np.inf, np.inf, (size,), np.float32)
+        self.observation_space = gym.spaces.Dict(spaces)
+        self.compute_reward = self.env.compute_reward
+
+    def observation(self, observation):
+        seen = np.append(observation["observation"], np.zeros(self.n, np.float32))
+        return {**observation, "observation": seen}
+
+
+def test_starts_and_exploration_do_not_depend_on_what_is_observed():
+    config = PPOConfig(hidden=(8,), steps_per_epoch=100, n_passes=2)
+    noise, starts = [], []
+    for n in (0, 5):
+        with closing(vector.start(partial(Distracted, n))) as workers:
+            learner = PPO(config, workers, Communicator(), 4, 1000)
+            learner.collect()
+            first = learner._episodes[1]
+            means = learner.actor(torch.from_numpy(np.stack(first.obs[:-1]))).numpy(force=True)
+        noise.append(np.stack(first.actions) - means)
+        starts.append(first.obs[0][:2])
+    np.testing.assert_array_equal(*starts)
+    np.testing.assert_allclose(*(each[:3] for each in noise), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("kind", "config"),
+    [
+        (PPO, PPOConfig(hidden=(8,), steps_per_epoch=60, n_passes=2)),
+        (DDPGHER, DDPGHERConfig(hidden=(8,), n_cycles=1, n_batches=2, batch_size=8, n_test_rollouts=0)),
+    ],
+)
+def test_the_order_of_minibatches_starts_anew_with_every_epoch_or_cycle(kind, config):
+    """An episode more or less before moves nothing later."""
+    states = []
+    for n_drawn in (0, 7):
+        with closing(vector.start(partial(Distracted, 0))) as workers:
+            learner = kind(config, workers, Communicator(), 2, 1000)
+            if kind is DDPGHER:
+                learner.replay.rng.random(n_drawn)
+            else:
+                np.random.default_rng(0).random(n_drawn)
+            learner.collect()
+            learner.update()
+            states.append(flat(learner.state_dict()))
+    assert states[0] == states[1]
+
+
+def test_layouts_of_other_sizes_share_what_does_not_depend_on_taxels():
+    """The names come with the environment's space."""
+    found = {}
+    for layout in ("1", "5"):
+        env = envs.make("shadow", layout=layout, run_type="main")
+        spaces = Spaces(env.observation_space, env.action_space)
+        names = spaces.inputs()
+        observed = [f"observation {name}" for name in env.observation_names()]
+        assert names[: len(observed)] == observed
+        network = MLP((len(names), 8, 2), torch.Generator().manual_seed(0), inputs=names)
+        scaled = network.linears[0].weight.detach() * np.sqrt(len(names))
+        found[layout] = dict(zip(names, scaled.T, strict=True))
+        env.close()
+    shared = found["1"].keys() & found["5"].keys()
+    assert len(found["1"]) != len(found["5"])
+    assert len([name for name in shared if "taxel" not in name]) > 50
+    for name in shared:
+        torch.testing.assert_close(found["1"][name], found["5"][name])
+
+
+def test_names_of_what_critics_are_told():
+    env = envs.make("shadow", layout="5", run_type="main", critic_sees="truth")
+    spaces = Spaces(env.observation_space, env.action_space)
+    names = spaces.inputs("truth", "action")
+    env.close()
+    assert len(set(names)) == len(names)
+    assert len(names) == len(spaces.inputs()) + spaces.truth.shape[0] + env.action_space.shape[0]
+    assert any(name.startswith("truth position of") for name in names)
+    assert Spaces(gym.spaces.Box(-1, 1, (3,)), env.action_space).inputs() is None
