@@ -55,6 +55,9 @@ class UnfitError(ValueError):
 class Workers(Protocol):
     """Environments of one kind, and who plays in them side by side."""
 
+    def __len__(self) -> int:
+        """How many episodes are played at the same time."""
+
     @property
     def observation_space(self) -> gym.Space[Any]:
         """Of each environment."""

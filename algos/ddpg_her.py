@@ -29,13 +29,15 @@ from . import (
     goal_size,
     has_single_goal,
     n_boolean,
+    rollout,
     state,
 )
 from .mpi import Communicator, same_on_all_ranks
 from .networks import MLP, FlatAdam, flatten, require_finite
 from .policy import GoalObs, GoalStats, Policy, explore, flat_stats, new_actor, on_cpu
 from .replay import Batch, Replay
-from .rollout import FAULTS, PROBE, TEST, TRAIN, Episode, PlayEpisode, require_transitions, summary
+from .rollout import Episode, PlayEpisode, require_transitions, summary
+from .side_by_side import SideBySide, at_once
 from .spaces import Spaces
 
 CHECK_EVERY = 100  # updates between two looks at whether the ranks' parameters are equal
@@ -156,7 +158,6 @@ class DDPGHER:
         self._n_obs = n_obs = flat_size(space)
         self.config = config = _resolved(config, workers)
         self.total_timesteps, self.seed = total_timesteps, seed
-        self.rng = np.random.default_rng([seed, comm.rank])
         weights = torch.Generator().manual_seed(seed)
         self.actor = new_actor(config.hidden, self.spaces, weights).to(self.device)
         judged, seen = n_obs + n_truth + n_actions, self.spaces.inputs("truth", "action")
@@ -169,20 +170,17 @@ class DDPGHER:
         self.stats = GoalStats.of(self.spaces, config.norm_clip, comm)
         self.obs_stats, self.goal_stats = self.stats
         self.truth_stats = flat_stats(self.spaces.truth, config.norm_clip, comm)
-        self.replay = Replay(
-            config.buffer_size,
-            workers.max_episode_steps or 0,
-            (n_obs - n_goal, n_goal, n_actions, n_truth),
-            n_boolean(space),
-            workers.compute_reward,
-            self.rng,
-        )
+        steps, rewards = workers.max_episode_steps or 0, workers.compute_reward
+        sizes = n_obs - n_goal, n_goal, n_actions, n_truth
+        rng = np.random.default_rng([seed, comm.rank, rollout.LEARN])
+        self.replay = Replay(config.buffer_size, steps, sizes, n_boolean(space), rewards, rng)
+        self._both = SideBySide(at_once(workers, comm, self.device))
         self.cycles_per_epoch = config.n_cycles
         self.env_steps = self.updates = self.cycles = 0
 
     def check(self) -> None:
         """ValueError when memory is short or the rewards of an episode do not fit."""
-        (episode,) = require_transitions(self._play(1, PROBE))
+        (episode,) = require_transitions(self._play(1, rollout.PROBE))
         self._check_signs(episode.rewards)
         self.replay.require_rewards(episode)
         self.replay.require_memory(self.comm.local_size)
@@ -192,10 +190,9 @@ class DDPGHER:
         config, replay = self.config, self.replay
         epoch = config.n_cycles * config.n_rollouts * replay.max_steps
         return (
-            f"epochs of up to {epoch:,} steps and {config.n_cycles * config.n_batches:,} updates in "
-            f"each process, gamma {config.gamma:g}, HER probability {config.replay_p:g}, "
-            f"replay of {config.buffer_size:,} transitions: {replay.nbytes / 1e9:.2f} GB in each "
-            "process when full"
+            f"epochs of up to {epoch:,} steps and {config.n_cycles * config.n_batches:,} updates per "
+            f"process, gamma {config.gamma:g}, HER probability {config.replay_p:g}, replay of "
+            f"{config.buffer_size:,} transitions: {replay.nbytes / 1e9:.2f} GB in each when full"
         )
 
     # -- acting and collecting ---------------------------------------------------------------
@@ -207,14 +204,14 @@ class DDPGHER:
     def _play(self, n: int, purpose: int) -> list[Episode[GoalObs]]:
         """`n` episodes of this rank's own."""
         key = (self.seed, self.comm.rank, purpose, self.cycles)
-        task = PlayEpisode[GoalObs](self.policy(), key, explores=purpose != TEST)
+        task = PlayEpisode[GoalObs](self.policy(), key, explores=purpose != rollout.TEST)
         return list(self.workers.play(task, range(n)))
 
     def collect(self) -> dict[str, float]:
         """One cycle's episodes: into the replay, and relabelled into the normaliser."""
-        config, key = self.config, [self.seed, self.comm.rank, self.cycles]
-        self.rng = self.replay.rng = np.random.default_rng(key)  # whatever came before
-        episodes = self._play(config.n_rollouts, TRAIN)
+        config, key = self.config, [self.seed, self.comm.rank, rollout.LEARN, self.cycles]
+        self.replay.rng = np.random.default_rng(key)  # whatever came before
+        episodes = self._play(config.n_rollouts, rollout.TRAIN)
         self.cycles += 1
         seen = summary(episodes, self.comm)
         self.env_steps += int(seen.pop("steps"))
@@ -242,8 +239,8 @@ class DDPGHER:
         """Episodes without noise at the end of an epoch."""
         if not (n := self.config.n_test_rollouts * self.config.n_rollouts):
             return {}
-        seen = summary(self._play(n, TEST), self.comm)
-        return {f"test_{name}": seen[name] for name in ("success_rate", "mean_return", *FAULTS)}
+        seen = summary(self._play(n, rollout.TEST), self.comm)
+        return {f"test_{name}": seen[name] for name in ("success_rate", "mean_return", *rollout.FAULTS)}
 
     # -- learning ----------------------------------------------------------------------------
 
@@ -263,13 +260,9 @@ class DDPGHER:
         self._target_vector.lerp_(self.adam.vector.detach(), 1.0 - config.polyak)
         self.updates += config.n_batches
         self._check(sums)
-        critic_loss, actor_loss, value = (sums / config.n_batches).tolist()
-        return {
-            "critic_loss": critic_loss,
-            "actor_loss": actor_loss,
-            "mean_q": value,
-            "updates": config.n_batches,
-        }
+        n = config.n_batches
+        critic_loss, actor_loss, value = (sums / n).tolist()
+        return {"critic_loss": critic_loss, "actor_loss": actor_loss, "mean_q": value, "updates": n}
 
     @torch.no_grad()
     def _prepared(self, batch: Batch[Tensor]) -> tuple[Tensor, Tensor, Tensor]:
@@ -287,26 +280,33 @@ class DDPGHER:
         target = targets(batch.reward, next_values, terminal, config.gamma, config.clip_target)
         return inputs, batch.action, target
 
-    @torch.no_grad()
     def _minibatch(self, inputs: Tensor, actions: Tensor, target: Tensor) -> Tensor:
         """One step of both networks from the same parameters; critic's and actor's loss, mean Q."""
-        n, n_seen = inputs.shape
-        seen = self.actor.run(inputs[:, : self._n_obs])
-        own = seen[-1]
-        # The critic judges the actions that were taken and the actor's own in one pass.
-        pairs = torch.cat([inputs, actions], dim=1), torch.cat([inputs, own], dim=1)
-        judged = self.critic.run(torch.cat(pairs))
-        q, own_q = torch.split(judged[-1].squeeze(-1), n)
-        error, value = q - target, own_q.mean()
-        by_q = torch.cat([2 * error / n, torch.full_like(own_q, -1 / n)])
-        deltas = self.critic.deltas(judged, by_q[:, None])
-        self.critic.write_gradient([x[:n] for x in judged], [x[:n] for x in deltas])
-        by_own = deltas[0][n:] @ self.critic.linears[0].weight[:, n_seen:]
-        self.actor.backward(seen, by_own + 2 * self.config.action_l2 / own.numel() * own)
+        of_critic = partial(self._critic_gradient, inputs, actions, target)
+        losses = self._both(of_critic, partial(self._actor_gradient, inputs))
         self.adam.reduce(self.comm, self.config.reduction)
         self.adam.step()
-        actor_loss = self.config.action_l2 * own.square().mean() - value
-        return torch.stack([error.square().mean(), actor_loss, value])
+        return torch.cat(losses)
+
+    @torch.no_grad()
+    def _critic_gradient(self, inputs: Tensor, actions: Tensor, target: Tensor) -> Tensor:
+        """Write it; the critic's loss (1,)."""
+        judged = self.critic.run(torch.cat([inputs, actions], dim=1))
+        error = judged[-1] - target[:, None]
+        self.critic.backward(judged, error * (2 / len(error)))
+        return error.square().mean(dim=0)
+
+    @torch.no_grad()
+    def _actor_gradient(self, inputs: Tensor) -> Tensor:
+        """Write it; the actor's loss and the mean Q of what it would do (2,)."""
+        seen = self.actor.run(inputs[:, : self._n_obs])
+        own, (n, n_seen) = seen[-1], inputs.shape
+        judged = self.critic.run(torch.cat([inputs, own], dim=1))
+        by_layer = self.critic.deltas(judged, torch.full_like(judged[-1], -1 / n))
+        by_own = by_layer[0] @ self.critic.linears[0].weight[:, n_seen:]
+        penalty, value = self.config.action_l2, judged[-1].mean()
+        self.actor.backward(seen, by_own + 2 * penalty / own.numel() * own)
+        return torch.stack([penalty * own.square().mean() - value, value])
 
     def _check(self, sums: Tensor) -> None:
         """Stop with DivergenceError when something broke or the ranks have parted."""
@@ -318,7 +318,7 @@ class DDPGHER:
     # -- saving ------------------------------------------------------------------------------
 
     def state_dict(self) -> dict[str, Any]:
-        """Networks, optimiser, normalisers, random state, counters: all but the replay."""
+        """Networks, optimiser, normalisers, counters: all but the replay."""
         return state.save(self, SAVED, COUNTERS)
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:

@@ -78,6 +78,27 @@ def normalise(advantages: Array) -> Array:
     return centred / std if std > 1e-10 * np.abs(advantages).max() else np.zeros_like(centred)
 
 
+class Batch(NamedTuple):
+    """Transitions to learn from, as tensors with a leading axis (n, ...)."""
+
+    seen: Tensor
+    """By the critic; it begins with what the actor sees."""
+    actions: Tensor
+    log_prob: Tensor
+    """Of the actions, when they were taken."""
+    advantages: Tensor
+    returns: Tensor
+
+    def minibatches(self, order: Tensor, n: int) -> list[Batch]:
+        """All of it in another order (n,), cut into `n` parts as equal as can be."""
+        parts = (torch.tensor_split(values[order], n) for values in self)
+        return [Batch(*part) for part in zip(*parts, strict=True)]
+
+    def share(self, rank: int, ranks: int) -> Batch:
+        """A rank's rows."""
+        return Batch(*(torch.tensor_split(values, ranks)[rank] for values in self))
+
+
 class Surrogate(NamedTuple):
     """The clipped surrogate objective, negated, of each transition (n,), and what it is made of."""
 

@@ -15,13 +15,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from . import Array, DivergenceError, Workers, action_size, check_ranges, flat_size, state
+from . import Array, DivergenceError, Workers, action_size, check_ranges, flat_size, rollout, state
 from .mpi import Communicator, same_on_all_ranks
 from .networks import MLP, FlatAdam, require_finite, start_orthogonal
 from .normalizer import Normalizer
 from .policy import FlatInputs, Policy, flat_stats, new_actor, on_cpu
-from .policy_gradient import Spread, gae, gaussian, normalise, surrogate
-from .rollout import TRAIN, Episode, PlayEpisode, finite, play_steps, require_transitions, summary
+from .policy_gradient import Batch, Spread, gae, gaussian, normalise, surrogate
+from .rollout import Episode, PlayEpisode, finite, play_steps, require_transitions, summary
+from .side_by_side import SideBySide, at_once, each
 from .spaces import Spaces
 
 SAVED = ("actor", "spread", "obs_stats", "truth_stats", "critic", "actor_adam", "critic_adam")
@@ -162,7 +163,6 @@ class PPO:
         self.config, self.workers, self.comm = config, workers, comm
         self.total_timesteps, self.device = total_timesteps, torch.device(device)
         self.seed = seed
-        self.rng = np.random.default_rng(seed)
         self.spaces = Spaces(workers.observation_space, workers.action_space)
         weights = torch.Generator().manual_seed(seed)
         self.parts = Parts.new(config, self.spaces, weights)
@@ -176,6 +176,7 @@ class PPO:
             start_orthogonal(self.critic, 1.0, weights, seen)
         for network in (self.actor, self.spread, self.critic):
             network.to(self.device)
+        self._both = SideBySide(at_once(workers, comm, self.device))
         learned = [self.actor, *([self.spread] if config.exploration == "learned" else [])]
         self.actor_adam = FlatAdam(*((part, config.actor_lr) for part in learned))
         self.critic_adam = FlatAdam((self.critic, config.critic_lr))
@@ -188,10 +189,10 @@ class PPO:
     def describe(self) -> str:
         """What the configuration amounts to, in words."""
         config = self.config
-        n = config.minibatches(config.steps_per_epoch)
+        n, passes = config.minibatches(config.steps_per_epoch), config.n_passes
         return (
-            f"{n} minibatches of about {config.steps_per_epoch // n} transitions, {config.n_passes} "
-            f"passes: {n * config.n_passes} updates of actor and critic per epoch"
+            f"{n} minibatches of about {config.steps_per_epoch // n} transitions, {passes} passes: "
+            f"{n * passes} updates of actor and critic per epoch"
         )
 
     # -- acting and collecting ---------------------------------------------------------------
@@ -207,7 +208,7 @@ class PPO:
         if config.exploration == "annealed":
             start = config.action_variance
             self.spread.set(left * start + (1.0 - left) * (config.final_variance or start / 10))
-        task = PlayEpisode[Array](self.policy(), (self.seed, 0, TRAIN, self.epochs))
+        task = PlayEpisode[Array](self.policy(), (self.seed, 0, rollout.TRAIN, self.epochs))
         episodes = play_steps(self.workers, task, config.steps_per_epoch, self.comm)
         self._episodes = require_transitions(episodes)
         self.epochs += 1
@@ -224,26 +225,27 @@ class PPO:
             self.actor_adam.set_lr(config.actor_lr * self._ahead)
             self.critic_adam.set_lr(config.critic_lr * self._ahead)
         batch = self._batch()
-        n = len(batch[0])
-        n_minibatches = config.minibatches(n)
-        self.rng = np.random.default_rng([self.seed, self.epochs])  # on all ranks, whatever came before
+        n, n_minibatches = len(batch.seen), config.minibatches(len(batch.seen))
+        rng = np.random.default_rng([self.seed, 0, rollout.LEARN, self.epochs])  # the same on all ranks
         sums, n_updates = torch.zeros(4, device=self.device), 0
         for _ in range(config.n_passes):
-            order = torch.from_numpy(self.rng.random(n).argsort()).to(self.device)
-            shuffled = (torch.tensor_split(t[order], n_minibatches) for t in batch)
-            stats = torch.zeros(4)
-            for minibatch in zip(*shuffled, strict=True):
-                stats = self._minibatch(*minibatch)
-                sums += stats
-                n_updates += 1
-            if config.target_kl is not None and self._total(stats)[2] > config.target_kl:
+            order = torch.from_numpy(rng.random(n).argsort()).to(self.device)
+            minibatches = batch.minibatches(order, n_minibatches)
+            value_losses, others = self._both(
+                partial(each, self._improve_critic, minibatches),
+                partial(each, self._improve_actor, minibatches),
+            )
+            stats = torch.cat([others, value_losses], dim=1)
+            sums += stats.sum(dim=0)
+            n_updates += n_minibatches
+            if config.target_kl is not None and self._total(stats[-1])[1] > config.target_kl:
                 break
         means = self._total(sums / n_updates)
         self._check(torch.from_numpy(means))
         if config.normalise_obs:
             self.obs_stats.update(np.concatenate([np.stack(e.obs) for e in self._episodes]))
             self.truth_stats.update(np.concatenate([np.stack(e.truth) for e in self._episodes]))
-        policy_loss, value_loss, kl, clip_fraction = means.tolist()
+        policy_loss, kl, clip_fraction, value_loss = means.tolist()
         return {
             "policy_loss": policy_loss,
             "value_loss": value_loss,
@@ -258,9 +260,8 @@ class PPO:
         return self.comm.sum(stats.double().cpu().numpy())
 
     @torch.no_grad()
-    def _batch(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """The epoch as tensors: what the critic sees, which begins with what the actor sees, actions,
-        old log-probabilities, advantages, returns."""
+    def _batch(self) -> Batch:
+        """The epoch as tensors."""
         config, episodes = self.config, self._episodes
         views = [obs for episode in episodes for obs in episode.obs]
         truth = FlatInputs(self.truth_stats.scaling() if config.normalise_obs else None)
@@ -278,69 +279,64 @@ class PPO:
         advantage = np.concatenate(advantages)
         returns = finite(advantage + all_values[~is_last], "a return")
         seen = all_seen[torch.from_numpy(~is_last).to(self.device)]
-        actions = torch.from_numpy(np.concatenate([np.stack(e.actions) for e in episodes]))
-        actions = actions.to(self.device)
-        away = self.spread.away(actions, self.actor(seen[:, : self._n_obs]))
-        old_log_prob = self.spread.log_prob(away)
-        normalised, target = (
-            torch.from_numpy(x.astype(np.float32)).to(self.device)
-            for x in (normalise(advantage), returns)
+        taken = np.concatenate([np.stack(episode.actions) for episode in episodes])
+        actions, normalised, target = (
+            torch.from_numpy(values.astype(np.float32)).to(self.device)
+            for values in (taken, normalise(advantage), returns)
         )
-        return seen, actions, old_log_prob, normalised, target
+        away = self.spread.away(actions, self.actor(seen[:, : self._n_obs]))
+        return Batch(seen, actions, self.spread.log_prob(away), normalised, target)
 
     def _goes_on(self, episode: Episode[Array]) -> bool:
         """Would more have followed its last transition? What diverged did not end by itself."""
-        if episode.faults["diverged"]:
-            return True
-        return self.config.truncation == "bootstrap" and not episode.terminated
+        is_bootstrapped = self.config.truncation == "bootstrap" and not episode.terminated
+        return bool(episode.faults["diverged"]) or is_bootstrapped
 
     @torch.no_grad()
-    def _minibatch(
-        self, seen: Tensor, actions: Tensor, old: Tensor, advantages: Tensor, returns: Tensor
-    ) -> Tensor:
-        """One step of both networks along the gradient of the whole minibatch.
-
-        This rank's shares of policy loss, value loss, KL estimate and clipped share.
-        """
-        config, n = self.config, len(seen)
-        if self.comm.size > 1:
-            seen, actions, old, advantages, returns = (
-                torch.tensor_split(t, self.comm.size)[self.comm.rank]
-                for t in (seen, actions, old, advantages, returns)
-            )
-        acted, judged = self.actor.run(seen[:, : self._n_obs]), self.critic.run(seen)
-        away, error = self.spread.away(actions, acted[-1]), judged[-1] - returns[:, None]
-        log_ratio = self.spread.log_prob(away) - old
-        loss, slope, kl, is_clipped = surrogate(log_ratio, advantages, config.clip_range)
+    def _improve_actor(self, minibatch: Batch) -> Tensor:
+        """One step along the gradient of the whole minibatch; this rank's shares of policy loss, KL
+        estimate and clipped share."""
+        n, own = len(minibatch.seen), minibatch.share(self.comm.rank, self.comm.size)
+        acted = self.actor.run(own.seen[:, : self._n_obs])
+        away = self.spread.away(own.actions, acted[-1])
+        log_ratio = self.spread.log_prob(away) - own.log_prob
+        loss, slope, kl, is_clipped = surrogate(log_ratio, own.advantages, self.config.clip_range)
         self.actor.backward(acted, self.spread.backward(away, slope, n))
+        self._step(self.actor_adam)
+        return torch.stack([loss, kl, is_clipped]).sum(dim=1) / n
+
+    @torch.no_grad()
+    def _improve_critic(self, minibatch: Batch) -> Tensor:
+        """Likewise; this rank's share of the value loss."""
+        n, own = len(minibatch.seen), minibatch.share(self.comm.rank, self.comm.size)
+        judged = self.critic.run(own.seen)
+        error = judged[-1] - own.returns[:, None]
         self.critic.backward(judged, error * (2 / n))
-        for adam in (self.actor_adam, self.critic_adam):
-            adam.reduce(self.comm)
-            adam.clip(config.max_grad_norm)
-            adam.step()
-        return torch.stack([loss, error.square().squeeze(-1), kl, is_clipped]).sum(dim=1) / n
+        self._step(self.critic_adam)
+        return error.square().sum(dim=0) / n
+
+    def _step(self, adam: FlatAdam) -> None:
+        adam.reduce(self.comm)
+        adam.clip(self.config.max_grad_norm)
+        adam.step()
 
     def _check(self, sums: Tensor) -> None:
         """Stop with DivergenceError when something broke or the ranks have parted."""
         require_finite([self.actor_adam, self.critic_adam], sums, self.env_steps)
-        states = self.comm.all_gather(self.rng.bit_generator.state)
         mean = torch.from_numpy(self.obs_stats.mean)
         shared = (self.actor_adam.vector, self.critic_adam.vector, mean)
-        are_same = all(same_on_all_ranks(self.comm, own) for own in shared)
-        if not are_same or any(own != states[0] for own in states):
-            raise DivergenceError("the ranks' parameters or random states differ")
+        if not all(same_on_all_ranks(self.comm, own) for own in shared):
+            raise DivergenceError("the ranks' parameters differ")
 
     # -- saving ------------------------------------------------------------------------------
 
     def state_dict(self) -> dict[str, Any]:
-        """Networks, optimisers, random state, counters: all that the next epoch depends on."""
+        """Networks, optimisers, counters: all that the next epoch depends on."""
         return state.save(self, SAVED, COUNTERS)
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Go on exactly where `state_dict` was taken; all ranks at once."""
+        """Go on exactly where `state_dict` was taken."""
         state.restore(self, saved, SAVED, COUNTERS)
-        # A rank that was not there before has no random state to go on with.
-        self.rng.bit_generator.state = self.comm.all_gather(self.rng.bit_generator.state)[0]
 
     @staticmethod
     def saved_policy(config: PPOConfig, spaces: Spaces, saved: dict[str, Any]) -> Policy:

@@ -24,6 +24,7 @@ Obs = TypeVar("Obs")
 FAULTS = ("diverged", "warnings")  # what `info` may say of a step, and is counted
 LONGEST = 20_000  # steps of an episode that is thought to have an end
 TRAIN, TEST, EVALUATE, PROBE = 1, 2, 3, 4  # what episodes are for: each has random numbers of its own
+LEARN = 5  # and so has what learns from them
 
 
 @dataclass

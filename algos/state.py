@@ -1,4 +1,5 @@
-"""What a learner's checkpoint holds: the states of its parts, its counters, its random state.
+"""What a learner's checkpoint holds: the states of its parts and its counters. Random numbers follow
+from the seed and the counters.
 
 A state that comes from a file is compared with the learner's own before any of it is used: a
 tensor of another shape would make PyTorch write where nothing of it is.
@@ -16,32 +17,23 @@ LARGEST = 2**63  # counters stay below
 
 
 def save(learner: Any, parts: Sequence[str], counters: Sequence[str]) -> dict[str, Any]:
-    """`state_dict` of the attributes `parts`, the values of `counters`, and `learner.rng`'s state."""
+    """`state_dict` of the attributes `parts`, and the values of `counters`."""
     return {
         **{name: getattr(learner, name).state_dict() for name in parts},
         **{name: getattr(learner, name) for name in counters},
-        "rng": learner.rng.bit_generator.state,
     }
 
 
 def restore(learner: Any, state: dict[str, Any], parts: Sequence[str], counters: Sequence[str]) -> None:
-    """Put back what `save` returned; a state without "rng" leaves the learner its own, as a rank
-    that is new needs it.
+    """Put back what `save` returned.
 
     Raises ValueError, before anything is changed, when the learner's own state is another kind.
     """
-    own = save(learner, parts, counters)
-    rng = own.pop("rng")
-    is_dict = isinstance(state, dict)
-    require_like({k: v for k, v in state.items() if k != "rng"} if is_dict else state, own)
-    if "rng" in state:
-        _require_random_state(learner.rng.bit_generator, state["rng"], rng)
+    require_like(state, save(learner, parts, counters))
     for name in parts:
         getattr(learner, name).load_state_dict(state[name])
     for name in counters:
         setattr(learner, name, state[name])
-    if "rng" in state:
-        learner.rng.bit_generator.state = state["rng"]
 
 
 def restore_parts(parts: Mapping[str, Any], state: dict[str, Any]) -> None:
@@ -89,17 +81,6 @@ def _require_tensor(found: Any, own: torch.Tensor, name: str) -> None:
     )
     if not is_alike:
         raise ValueError(f"{name}: found {_short(found)}, expected {_short(own)}")
-
-
-def _require_random_state(generator: Any, found: Any, own: Any) -> None:
-    """What a generator takes and gives back unchanged is a state of its own."""
-    probe = type(generator)()
-    try:
-        probe.state = found
-    except (TypeError, ValueError, KeyError, OverflowError):
-        raise ValueError(f"rng: found {_short(found)}, expected {_short(own)}") from None
-    if probe.state != found:
-        raise ValueError(f"rng: found something other than a state of {type(generator).__name__}")
 
 
 def _short(value: Any) -> str:

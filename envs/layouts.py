@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from . import taxel_files, toml_files
-from .hands import DIGITS, SEGMENTS, Array, Hand, Surface
+from .hands import DIGITS, HANDS, SEGMENTS, Array, Hand, Surface
 from .taxel_files import Point
 from .toml_files import is_number, only, strings
 
@@ -124,6 +124,18 @@ class Layout:
             offsets=np.array(offsets),
         )
 
+    def toml(self) -> str:
+        """The text of a layout file, exact to the last digit."""
+        lines = [f"description = {json.dumps(self.description, ensure_ascii=False)}"]
+        for patch in self.patches:
+            offsets = ", ".join(f"[{_in_mm(row)}, {_in_mm(column)}]" for row, column in patch.offsets)
+            lines += ["", "[[patch]]", f"digits = {json.dumps(patch.digits)}"]
+            lines += [f"segments = {json.dumps(patch.segments)}", f"offsets_mm = [{offsets}]"]
+            lines.append(f"radius_mm = {_in_mm(patch.radius or 0.0)}")
+        for point in self.taxels:
+            lines += ["", *point.toml()]
+        return "\n".join(lines) + "\n"
+
     def _on_grids(self, hand: Hand) -> Iterator[_Placed]:
         for index, surface in enumerate(hand.surfaces):
             for patch in self.patches:
@@ -133,7 +145,8 @@ class Layout:
                 for row, column in patch.offsets:
                     offset = row * row_pitch, column * column_pitch
                     name = f"{surface.digit}.{surface.segment}[{_label(patch, row, column)}]"
-                    yield index, (*offset, 0.0), *surface.place(*offset), radius, name
+                    if not (surface.geoms and surface.is_beside(*offset)):
+                        yield index, (*offset, 0.0), *surface.place(*offset), radius, name
 
     def _require_digits(self, hand: Hand) -> None:
         """ValueError for a digit or a segment that no hand has, or only others."""
@@ -163,23 +176,34 @@ def _on_link(point: Point, hand: Hand) -> _Placed:
 
 
 def left_out(layout: Layout, hand: Hand) -> list[str]:
-    """Where a layout wants taxels and the hand has no surface: names such as thumb.palm."""
+    """Where a layout wants taxels and the hand has no surface: thumb.palm; or a link of any shape has a
+    gap: thumb.distal[+1,-1]."""
     there = {(surface.digit, surface.segment) for surface in hand.surfaces}
     wanted = (
         place
         for p in layout.patches
         for place in product(p.digits or _wanted(p, hand), p.segments or SEGMENTS)
     )
-    return [
+    surfaces = [
         f"{digit}.{segment}"
         for digit, segment in dict.fromkeys(wanted)
         if (digit, segment) not in there
     ]
+    return surfaces + [
+        f"{surface.digit}.{surface.segment}[{_label(patch, row, column)}]"
+        for surface in hand.surfaces
+        for patch in layout.patches
+        if surface.geoms and patch.is_on(surface)
+        for row, column in patch.offsets
+        if surface.is_beside(
+            row * _scale(patch, surface, hand)[0], column * _scale(patch, surface, hand)[1]
+        )
+    ]
 
 
 def _wanted(patch: Patch, hand: Hand) -> tuple[str, ...]:
-    """Digits of a patch that is for all: those of the paper's hands, where this hand has but such."""
-    digits = DIGITS if set(hand.digits) <= set(DIGITS) else ()
+    """Digits of a patch that is for all: the paper's, where this is a hand like those."""
+    digits = DIGITS if hand.name in HANDS else ()
     return tuple(d for d in digits if d != "thumb" or patch.segments != ("palm",))
 
 
@@ -255,25 +279,27 @@ def load(name: str) -> Layout:
 def _read(path: Path) -> Layout:
     data = toml_files.read(path, "layout file")
     with toml_files.blamed(f"layout file {path}"):
-        return parse(data, path.stem)
+        return parse(data, path.stem, path.parent)
 
 
-def parse(data: dict[str, Any], name: str) -> Layout:
-    """A layout from the content of a file (docs/guides/layouts.md)."""
-    only(data, {"description", "patch", "taxel"}, "the file")
-    patches, taxels = (data.get(key, []) for key in ("patch", "taxel"))
-    if not all(isinstance(tables, list) for tables in (patches, taxels)) or not (patches or taxels):
-        raise ValueError("needs at least one [[patch]] or [[taxel]] table")
+def parse(data: dict[str, Any], name: str, folder: Path = Path()) -> Layout:
+    """A layout from the content of a file (docs/guides/layouts.md); `folder` is where it lies."""
+    only(data, {"description", "patch", "taxel", "sensor"}, "the file")
+    tables = [data.get(key, []) for key in ("patch", "taxel", "sensor")]
+    if not all(isinstance(each, list) for each in tables) or not any(tables):
+        raise ValueError("needs at least one [[patch]], [[taxel]] or [[sensor]] table")
+    patches, taxels, sensors = tables
     parsed = tuple(_patch(patch, f"patch {i + 1}") for i, patch in enumerate(patches))
     _require_distinct(parsed)
     points = tuple(taxel_files.point(taxel, i) for i, taxel in enumerate(taxels))
+    for i, sensor in enumerate(sensors):
+        points += tuple(taxel_files.mounted(sensor, i, folder))
     taxel_files.require_distinct(points)
     return Layout(name, str(data.get("description", "")), parsed, points)
 
 
-def toml(taxels: Taxels, hand: Hand, description: str) -> str:
-    """A layout file with these taxels: in patches those that lie on grids, the others as points."""
-    lines = [f"description = {json.dumps(description, ensure_ascii=False)}"]
+def of_taxels(taxels: Taxels, hand: Hand, description: str) -> Layout:
+    """The layout with these taxels: in patches those that lie on grids, the others as points."""
     on_grid, points = [], []
     for index, point in enumerate(taxels.points()):
         row, column, height = (mm(value) for value in taxels.offsets[index])
@@ -281,13 +307,18 @@ def toml(taxels: Taxels, hand: Hand, description: str) -> str:
             points.append(point)
         else:
             on_grid.append((int(taxels.surfaces[index]), mm(point.radius), row, column))
+    patches = []
     for (index, radius), group in groupby(sorted(on_grid), key=lambda taxel: taxel[:2]):
         surface = hand.surfaces[index]
-        offsets = ", ".join(f"[{row:g}, {column:g}]" for *_, row, column in group)
-        lines += ["", "[[patch]]", f"digits = {json.dumps([surface.digit])}"]
-        lines += [f"segments = {json.dumps([surface.segment])}", f"offsets_mm = [{offsets}]"]
-        lines.append(f"radius_mm = {radius:g}")
-    return "\n".join([*lines, *(line for point in points for line in ("", *point.toml()))]) + "\n"
+        offsets = tuple((1e-3 * row, 1e-3 * column) for *_, row, column in group)
+        patches.append(Patch((surface.digit,), (surface.segment,), offsets, 1e-3 * radius))
+    return Layout("", description, tuple(patches), tuple(points))
+
+
+def _in_mm(metres: float) -> str:
+    """The fewest digits that are read as the same number."""
+    texts = (f"{1e3 * metres:.{digits}g}" for digits in range(6, 18))
+    return next((text for text in texts if 1e-3 * float(text) == metres), repr(1e3 * metres))
 
 
 def mm(metres: float) -> float:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .grasp import JITTER_JOINT, GraspEnv
-from .hands import Array, ScriptedGrasp
+from .hands import Array, Hand, ScriptedGrasp
 from .objects import OFFSET, YAW
 
 PERIODS = (0.04, 0.05)  # s between targets: the first that is a whole number of timesteps
@@ -102,5 +102,15 @@ def _ramp(begin: Array, end: Array, n: int) -> list[Array]:
 
 
 def grasp_for(env: GraspEnv) -> ScriptedGrasp:
-    """The hand's scripted grasp nearest to the width of the environment's object."""
+    """The hand's scripted grasp nearest to the width of the environment's object; ValueError where its
+    file has none."""
+    require_grasps(env.hand)
     return min(env.hand.grasps, key=lambda g: abs(g.object_size - env.shape.width))
+
+
+def require_grasps(hand: Hand) -> None:
+    """ValueError where the hand's file has no grasp."""
+    if not hand.grasps:
+        raise ValueError(
+            f"hand {hand.name}: has no [[grasp]] in its file; tactilerl doctor --env FILE finds one"
+        )

@@ -16,10 +16,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from . import toml_files
 from .hands import Array
-from .toml_files import number, only, vector
+from .toml_files import number, only, strings, vector
 
 RADIUS = 2e-3  # m, where a file gives none
 LARGEST, MOST = 20_000_000, 20_000  # bytes and taxels
@@ -45,8 +46,8 @@ class Point(NamedTuple):
             "[[taxel]]",
             f"name = {json.dumps(self.name, ensure_ascii=False)}",
             f"link = {json.dumps(self.link, ensure_ascii=False)}",
-            *(f"{key} = [{', '.join(f'{value:.7g}' for value in xyz)}]" for key, xyz in lists.items()),
-            f"radius = {self.radius:.7g}",
+            *(f"{key} = [{', '.join(map(repr, xyz))}]" for key, xyz in lists.items()),
+            f"radius = {self.radius!r}",
         ]
 
 
@@ -82,9 +83,9 @@ def require_distinct(points: Sequence[Point]) -> None:
                 raise ValueError(f"taxels {first + 1} and {index + 1}: found the same {what}")
 
 
-def read(path: Path) -> tuple[Point, ...]:
-    """The taxels of a file, whose name says which format it has; ValueError naming what is wrong with
-    it, and FileNotFoundError."""
+def read(path: Path, link: str | None = None) -> tuple[Point, ...]:
+    """The taxels of a file, whose name says which format it has, all on `link` where that is given;
+    ValueError naming what is wrong with it, and FileNotFoundError."""
     what = f"taxel file {path}"
     if not path.is_file():
         raise FileNotFoundError(f"taxel file {str(path)!r} does not exist")
@@ -93,18 +94,46 @@ def read(path: Path) -> tuple[Point, ...]:
         if len(content) > LARGEST:
             raise ValueError(f"found more than {LARGEST // 10**6} MB")
         try:
-            tables = list(READERS[path.suffix](content, path))
+            tables = list(READERS[path.suffix](content))
         except (UnicodeDecodeError, KeyError, TypeError, AttributeError, RecursionError,
                 zipfile.BadZipFile, EOFError, csv.Error) as error:  # fmt: skip
             raise ValueError(f"not of this format ({type(error).__name__}: {error})") from None
         if not 0 < len(tables) <= MOST:
             raise ValueError(f"found {len(tables)} taxels, allowed from 1 to {MOST}")
-        points = tuple(point(table, index) for index, table in enumerate(tables))
+        own = {} if link is None else {"link": link}
+        if link is None and "link" not in tables[0]:
+            raise ValueError("names no link; put it on one in a layout file: [[sensor]]")
+        points = tuple(point({**table, **own}, index) for index, table in enumerate(tables))
         require_distinct(points)
         return points
 
 
-def _read_genesis(content: bytes, path: Path) -> Iterator[dict[str, Any]]:
+def mounted(data: Any, index: int, folder: Path) -> Iterator[Point]:
+    """The taxels of a sensor that has a file of its own, on each of its links; ValueError naming what
+    is wrong, and FileNotFoundError."""
+    where = f"sensor {index + 1}"
+    if not isinstance(data, dict):
+        raise ValueError(f"{where}: found {data!r}, expected a table")
+    only(data, {"file", "links", "position", "quaternion", "radius"}, where)
+    file = data.get("file")
+    if not isinstance(file, str) or Path(file).suffix not in READERS:
+        raise ValueError(
+            f"{where}: file: found {file!r}, allowed names that end in {', '.join(READERS)}"
+        )
+    shift = np.array(vector(data.get("position", (0, 0, 0)), 3, f"{where}: position"))
+    quaternion = vector(data.get("quaternion", (1, 0, 0, 0)), 4, f"{where}: quaternion")
+    if abs(float(np.linalg.norm(quaternion)) - 1.0) > 0.1:
+        raise ValueError(f"{where}: quaternion: found {list(quaternion)}, expected one of length 1")
+    turn = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
+    for link in strings(data.get("links"), f"{where}: links"):
+        for number_of, each in enumerate(read(folder / file, link), 1):
+            place = tuple((shift + turn @ each.position).tolist())
+            radius = number(data.get("radius", each.radius), f"{where}: radius", 1e-4)
+            name = f"{link}.{Path(file).stem}[{number_of}]"
+            yield Point(link, place, tuple((turn @ each.normal).tolist()), radius, name)
+
+
+def _read_genesis(content: bytes) -> Iterator[dict[str, Any]]:
     """One entry a link, its probes in rows of a grid or in a list."""
     for entry in json.loads(content.decode("utf-8")):
         rows = entry["probes"]
@@ -129,14 +158,8 @@ def _write_genesis(points: Sequence[Point]) -> bytes:
     return (json.dumps(entries, indent=1) + "\n").encode()
 
 
-def _read_dex01(content: bytes, path: Path) -> Iterator[dict[str, Any]]:
-    """Poses (n, 3, 4) of the taxels of one sensor, whose z axes are the normals. The format names no
-    link: what follows the last @ in the file's name does."""
-    _, at, link = path.stem.rpartition("@")
-    if not at:
-        raise ValueError(
-            f"the format names no link; put it in the file's name: {path.stem}@LINK{path.suffix}"
-        )
+def _read_dex01(content: bytes) -> Iterator[dict[str, Any]]:
+    """Poses (n, 3, 4) of the taxels of one sensor, whose z axes are the normals; no link."""
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         if sum(member.file_size for member in archive.infolist()) > LARGEST:
             raise ValueError(f"unpacks to more than {LARGEST // 10**6} MB")
@@ -147,13 +170,13 @@ def _read_dex01(content: bytes, path: Path) -> Iterator[dict[str, Any]]:
             f"poses: found shape {poses.shape} of {poses.dtype}, expected (n, 3, 4) floats"
         )
     for pose in poses.astype(float):
-        yield {"link": link, "position": pose[:, 3].tolist(), "normal": pose[:, 2].tolist()}
+        yield {"position": pose[:, 3].tolist(), "normal": pose[:, 2].tolist()}
 
 
 def _write_dex01(points: Sequence[Point]) -> bytes:
     links = sorted({p.link for p in points})
     if len(links) != 1:
-        raise ValueError(f"the format is for taxels on one link; found {len(links)}")
+        raise ValueError(f"the format is for taxels on one link; found {', '.join(links)}")
     poses = np.array([np.column_stack([_frame(np.array(p.normal)), p.position]) for p in points])
     width = int(np.ceil(np.sqrt(len(points))))
     cells = np.array([divmod(index, width) for index in range(len(points))], np.int64)
@@ -169,7 +192,7 @@ def _frame(normal: Array) -> Array:
     return np.column_stack([x, np.cross(normal, x), normal])
 
 
-def _read_csv(content: bytes, path: Path) -> Iterator[dict[str, Any]]:
+def _read_csv(content: bytes) -> Iterator[dict[str, Any]]:
     """One row a taxel, with a heading; a last column may give names."""
     rows = csv.DictReader(io.StringIO(content.decode("utf-8-sig"), newline=""))
     heading = tuple(rows.fieldnames or ())
@@ -197,12 +220,13 @@ def _write_csv(points: Sequence[Point]) -> bytes:
     return file.getvalue().encode()
 
 
-READERS: dict[str, Callable[[bytes, Path], Iterator[dict[str, Any]]]] = {
+READERS: dict[str, Callable[[bytes], Iterator[dict[str, Any]]]] = {
     ".json": _read_genesis,
     ".npz": _read_dex01,
     ".csv": _read_csv,
 }
 WRITERS: dict[str, Callable[[Sequence[Point]], bytes]] = {
+    ".toml": lambda points: ("\n".join("\n".join([*p.toml(), ""]) for p in points)).encode(),
     ".json": _write_genesis,
     ".npz": _write_dex01,
     ".csv": _write_csv,

@@ -74,8 +74,6 @@ class Checkpoint:
                 f"mpirun -n {n_old}, or give --any-ranks to go on anyway"
             )
         state = data["ranks"][comm.rank % n_old]
-        if comm.rank >= n_old and isinstance(state, dict):
-            state = {name: value for name, value in state.items() if name != "rng"}
         load_state(self.learner, state, self.run_dir.checkpoint_file)
         if self._memory is None:
             return int(data["epoch"])

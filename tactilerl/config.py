@@ -78,6 +78,7 @@ PARTS = ("run", "scene", "learner")
 ENV_ID = re.compile(r"(([^\W\d]\w*)(\.[^\W\d]\w*)*:)?[\w/.-]+")  # that of Gymnasium, [module:]id
 # Fields that may differ between a run and its continuation: they do not change its course.
 FREE_ON_RESUME = {"total_timesteps", "workers", "out", "tensorboard"}
+LAYOUT_COPY = "layout.toml"  # in the run folder, when the layout is a file
 
 
 @dataclass(frozen=True)
@@ -135,8 +136,8 @@ class RunConfig:
         choices = dataclasses.asdict(self.scene) if self.scene is not None else {}
         if choices.get("hand_seed", 0) is None:
             choices["hand_seed"] = self.run.seed
-        if self.layout_file and self.folder and (self.folder / self.layout_copy).is_file():
-            choices["layout"] = str(self.folder / self.layout_copy)
+        if self.layout_file and self.folder and (self.folder / LAYOUT_COPY).is_file():
+            choices["layout"] = str(self.folder / LAYOUT_COPY)
         return partial(envs.make, self.run.env, **choices)
 
     def _require_same_hand(self) -> None:
@@ -155,13 +156,6 @@ class RunConfig:
         """The user's layout file, if the layout is one."""
         is_file = self.scene is not None and layouts.is_file(self.scene.layout)
         return Path(self.scene.layout) if self.scene is not None and is_file else None
-
-    @property
-    def layout_copy(self) -> str:
-        """What the copy of that is called in the run's folder; a link in its name counts."""
-        assert self.layout_file is not None
-        _, at, link = self.layout_file.stem.rpartition("@")
-        return f"layout{at}{link if at else ''}{self.layout_file.suffix}"
 
     @property
     def again(self) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 
 from .envs import scripted
 from .envs.grasp import GraspConfig, GraspEnv
+from .envs.hands import ScriptedGrasp
 from .envs.simulators import SimulationError
 
 SEED = 20_000  # apart from any seed of a training run or of the search for the grasps
@@ -33,16 +34,21 @@ class LayoutFigures:
 
 
 def examine(
-    env_name: str, config: GraspConfig, grasps: int, seconds: float, compare: bool = False
+    env_name: str,
+    config: GraspConfig,
+    grasps: int,
+    seconds: float,
+    compare: bool = False,
+    grasp: ScriptedGrasp | None = None,
 ) -> LayoutFigures:
     """What one layout feels in `grasps` scripted grasps held for `seconds`; with `compare`, also
-    whether the other simulator agrees."""
-    holds = record(env_name, config, grasps, seconds)
+    whether the other simulator agrees. `grasp`: instead of the hand's own."""
+    holds = record(env_name, config, grasps, seconds, grasp)
     result = figures(holds)
     if not compare:
         return result
     other = replace(config, simulator="pybullet" if config.simulator == "mujoco" else "mujoco")
-    return replace(result, agreement=agreement(holds, record(env_name, other, grasps, seconds)))
+    return replace(result, agreement=agreement(holds, record(env_name, other, grasps, seconds, grasp)))
 
 
 @dataclass(frozen=True)
@@ -55,11 +61,18 @@ class Holds:
     """Of each grasp: bool (hold steps, taxels), or None where the object was not held."""
 
 
-def record(env_name: str, config: GraspConfig, grasps: int, seconds: float) -> Holds:
+def record(
+    env_name: str,
+    config: GraspConfig,
+    grasps: int,
+    seconds: float,
+    grasp: ScriptedGrasp | None = None,
+) -> Holds:
     """Run `grasps` scripted grasps held for `seconds`; always the same ones."""
     with closing(GraspEnv(env_name, config)) as env:
         starts = scripted.perturbed_starts(env, SEED, grasps)
-        readings = tuple(_felt(env, start, seconds) for start in starts)
+        chosen = grasp or scripted.grasp_for(env)
+        readings = tuple(_felt(env, chosen, start, seconds) for start in starts)
         return Holds(config.layout, env.taxels.names, readings)
 
 
@@ -77,11 +90,13 @@ def agreement(a: Holds, b: Holds) -> float | None:
     return both / either if either else None
 
 
-def _felt(env: GraspEnv, start: scripted.Start, seconds: float) -> np.ndarray | None:
+def _felt(
+    env: GraspEnv, grasp: ScriptedGrasp, start: scripted.Start, seconds: float
+) -> np.ndarray | None:
     """Readings at each control step of one hold; None when the object was not held."""
     felt = []
     try:
-        for is_up in scripted.hold_steps(env, scripted.grasp_for(env), start, seconds):
+        for is_up in scripted.hold_steps(env, grasp, start, seconds):
             if not is_up:
                 return None
             felt.append(env.taxel_readings())

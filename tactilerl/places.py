@@ -59,16 +59,10 @@ def _grid(surface: Surface, spacing: float, radius: float) -> tuple[tuple[float,
     columns = np.clip(np.arange(-beside, beside + 1) * spacing, -half_width, half_width)
     every = [(float(row), float(column)) for row in rows for column in columns]
     return tuple(
-        every if surface.bone is not None else filter(lambda place: _is_on(surface, place), every)
+        every
+        if surface.bone is not None
+        else (place for place in every if not surface.is_beside(*place))
     )
-
-
-def _is_on(surface: Surface, place: tuple[float, float]) -> bool:
-    try:
-        surface.place(*place)
-    except ValueError:
-        return False
-    return True
 
 
 def union(every: list[Layout], hand: Hand) -> Taxels:

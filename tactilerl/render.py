@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterator
-from contextlib import closing
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -14,10 +14,10 @@ import torch
 
 from .envs import scripted
 from .envs.grasp import GraspConfig, GraspEnv
+from .envs.hands import ScriptedGrasp
 from .envs.simulators import Camera, Simulator
 from .errors import InputError
 from .hand_map import TaxelMap
-from .run_dir import RunDir
 
 Pose = Literal["start", "grasp"]
 FPS = 25  # at least: a picture stands for a whole number of timesteps
@@ -29,9 +29,16 @@ PLAYABLE += ["-movflags", "frag_keyframe+empty_moov+default_base_moof"]
 END_PICTURES = FPS // 2  # of the last moment, repeated: so one sees how it ended
 
 
-def picture(env_name: str, config: GraspConfig, pose: Pose, camera: Camera, out: Path) -> int:
-    """Write a picture of the start or of a scripted grasp, beside it the hand unrolled; how many
-    taxels fire in it."""
+def picture(
+    env_name: str,
+    config: GraspConfig,
+    pose: Pose,
+    camera: Camera,
+    out: Path,
+    grasp: ScriptedGrasp | None = None,
+) -> int:
+    """Write a picture of the start or of a scripted grasp (`grasp`: instead of the hand's own), beside
+    it the hand unrolled; how many taxels fire in it."""
     _require_writable("--out", out, PICTURES)
     imageio = _imageio("imageio.v2")
     env = GraspEnv(env_name, config, render_mode="rgb_array")
@@ -39,52 +46,127 @@ def picture(env_name: str, config: GraspConfig, pose: Pose, camera: Camera, out:
         env.reset(seed=0)
         if pose == "grasp":
             start = scripted.Start(np.zeros(2), 0.0, np.zeros(len(env.hand.joints)))
-            for _ in scripted.hold_steps(env, scripted.grasp_for(env), start, seconds=0.5):
+            for _ in scripted.hold_steps(env, grasp or scripted.grasp_for(env), start, seconds=0.5):
                 pass
         imageio.imwrite(out, _with_map(env, camera, _map_of(env, camera)))
         return int((env.taxel_readings() > 0).sum())
 
 
-def film(
-    run: Path, episodes: int, hold_seconds: float, camera: Camera, out: Path, tick: Callable[[], None]
-) -> Iterator[bool]:
-    """Write a film of a trained run's policy, in real time; yields the success of each episode.
+class _Player:
+    """Shows a run's policy in its own scene."""
 
-    A hold test is as long as `hold_seconds`, also for its verdict. `tick` is called after every
-    picture. A film that is cut off can be played as far as it got. InputError when the run's
-    environment is not a grasping one.
-    """
-    from . import evaluation, policies
+    def __init__(
+        self, run: Path, hold_seconds: float, camera: Camera, stands: bool, label: str
+    ) -> None:
+        from . import evaluation, policies
 
-    _require_writable("--video", out, FILMS)
-    imageio = _imageio("imageio.v2", "imageio_ffmpeg")
-    saved, _ = RunDir(run).read_config()
-    if saved.scene is None:
-        raise InputError(f"{run}: found a run on {saved.run.env!r}, allowed one of a grasping scene")
-    config, policy, *_ = policies.read_run(run)
-    torch.set_num_threads(config.run.threads)  # as it was trained, to the last digit
-    assert config.scene is not None
-    config = replace(config, scene=replace(config.scene, hold_seconds=hold_seconds))
-    assert config.scene is not None
-    camera = replace(camera, width=480, height=360, shadows=False)
-    every = max(1, int(1 / FPS / config.scene.timestep + 1e-6))
-    fps = 1 / (every * config.scene.timestep)
-    options = dict(fps=fps, macro_block_size=2, output_params=PLAYABLE)
-    env = config.make_env(render_mode="rgb_array")
-    taxel_map = _map_of(env, camera)
-    with closing(env), imageio.get_writer(out, **options) as writer:
+        config, policy, *_ = policies.read_run(run)
+        if config.scene is None:
+            raise InputError(
+                f"{run}: found a run on {config.run.env!r}, allowed runs of grasping scenes"
+            )
+        torch.set_num_threads(config.run.threads)  # as it was trained, to the last digit
+        scene = replace(config.scene, hold_seconds=hold_seconds)
+        self.every = max(1, int(1 / FPS / scene.timestep + 1e-6))
+        self.fps = 1 / (self.every * scene.timestep)
+        self.env = replace(config, scene=scene).make_env(render_mode="rgb_array")
+        self._task, self._label = evaluation.task(policy), label
+        self._camera, self._stands = camera, stands
+        self._map = _map_of(self.env, camera)
+        self._show: Callable[[], None] = lambda: None
+        self.env.simulator = _Filmed(self.env.simulator, self.every, lambda: self._show())
+
+    def play(self, number: int, write: Callable[[np.ndarray], None]) -> bool:
+        """An episode's pictures, one after another; did it succeed?"""
+        camera = self._camera
 
         def show() -> None:
-            writer.append_data(_with_map(env, camera, taxel_map))
-            tick()
+            nonlocal camera
+            if self._stands and camera.lookat is None:
+                simulator = self.env.simulator
+                middle = (simulator.object_state().position + simulator.link_positions()[0]) / 2
+                camera = replace(camera, lookat=tuple(middle.tolist()))
+            write(_labelled(_with_map(self.env, camera, self._map), self._label))
 
-        env.simulator = _Filmed(env.simulator, every, show)
-        play = evaluation.task(policy)
+        self._show = show
+        played = self._task(self.env, number, lambda: True)
+        for _ in range(END_PICTURES):
+            show()
+        return bool(played.success == 1.0)
+
+
+def film(
+    runs: Sequence[Path],
+    episodes: int,
+    hold_seconds: float,
+    camera: Camera,
+    stands: bool,
+    out: Path,
+    tick: Callable[[], None],
+) -> Iterator[list[bool]]:
+    """Write a film of trained runs' policies, in real time, several side by side from the same starts;
+    yields each one's success, episode by episode.
+
+    A hold test is as long as `hold_seconds`, also for its verdict. Where the camera `stands` it keeps
+    looking at an episode's start; else it follows the hand. `tick` is called after every picture. A
+    film that is cut off can be played as far as it got. InputError when a run's environment is not a
+    grasping one.
+    """
+    _require_writable("--video", out, FILMS)
+    imageio = _imageio("imageio.v2", "imageio_ffmpeg")
+    camera = replace(camera, width=480, height=360, shadows=False)
+    with ExitStack() as opened:
+        players = []
+        for run in runs:
+            label = run.name if len(runs) > 1 else ""
+            players.append(_Player(run, hold_seconds, camera, stands, label))
+            opened.callback(players[-1].env.close)
+        first, *others = players
+        if any(other.fps != first.fps for other in others):
+            raise InputError("render: found runs of several timesteps, allowed runs of the same one")
+        options = dict(fps=first.fps, macro_block_size=2, output_params=PLAYABLE)
+        writer = opened.enter_context(imageio.get_writer(out, **options))
         for number in range(episodes):
-            played = play(env, number, lambda: True)
-            for _ in range(END_PICTURES):
-                show()
-            yield played.success == 1.0
+            row = _Row(len(others), writer.append_data, tick)
+            shown = [
+                other.play(number, pictures.append)
+                for other, pictures in zip(others, row.beside, strict=True)
+            ]
+            shown.insert(0, first.play(number, row.write))
+            row.finish()
+            yield shown
+
+
+class _Row:
+    """Pictures beside those of films that are there already; the shorter film waits at its end."""
+
+    def __init__(
+        self, n_beside: int, write: Callable[[np.ndarray], None], tick: Callable[[], None]
+    ) -> None:
+        self.beside: list[list[np.ndarray]] = [[] for _ in range(n_beside)]
+        self._write, self._tick, self._written, self._last = write, tick, 0, np.zeros(0)
+
+    def write(self, picture: np.ndarray) -> None:
+        """The next moment."""
+        others = (film[min(self._written, len(film) - 1)] for film in self.beside)
+        self._write(np.hstack([picture, *others]))
+        self._tick()
+        self._last, self._written = picture, self._written + 1
+
+    def finish(self) -> None:
+        """What the others show after the end."""
+        while self._written < max(map(len, self.beside), default=0):
+            self.write(self._last)
+
+
+def _labelled(picture: np.ndarray, label: str) -> np.ndarray:
+    """With a word in its corner."""
+    if not label:
+        return picture
+    drawn = importlib.import_module("PIL.Image").fromarray(picture)
+    draw = importlib.import_module("PIL.ImageDraw").Draw(drawn)
+    draw.text((12, 8), label, fill=(20, 20, 20), font_size=22)
+    return np.asarray(drawn)
 
 
 def _map_of(env: GraspEnv, camera: Camera) -> TaxelMap | None:

@@ -9,15 +9,14 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from . import files, provenance
-from .config import RunConfig, from_dict
-from .envs import hands
+from .config import LAYOUT_COPY, RunConfig, from_dict
+from .envs import hands, layouts
 from .errors import InputError
 from .files import damage_named, pasted, read_json, replacing
 from .progress import Progress
@@ -45,7 +44,8 @@ class RunDir:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self.path.mkdir()
             if config.layout_file:
-                shutil.copyfile(config.layout_file, self.path / config.layout_copy)
+                text = layouts.load(str(config.layout_file)).toml()
+                (self.path / LAYOUT_COPY).write_text(text, encoding="utf-8")
         except FileExistsError:
             raise InputError(
                 f"run folder {str(self.path)!r} exists; choose another with --out, "

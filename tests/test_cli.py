@@ -646,6 +646,26 @@ class TestOtherCommands:
         assert len(pictures) >= 4 * 5 + 12  # 0.2 s each at 25 a second, and the last moments
         assert scene.std(axis=0).mean() > 0.5  # something moves
 
+    def test_several_runs_side_by_side_from_a_camera_that_stands(self):
+        pytest.importorskip("imageio_ffmpeg")
+        imageio = pytest.importorskip("imageio.v2")
+        short = ["--scene", "handover", "--max-episode-steps", "4", "--n-passes", "1"]
+        short += ["--total-timesteps", "8", "--steps-per-epoch", "8"]
+        for name, run_type in (("touch", "main"), ("blind", "control")):
+            assert main(["train", *short, "--run-type", run_type, "--out", name]) == 0
+        flags = ["touch", "blind", "--no-follow", "--distance", "0.8", "--elevation", "-10"]
+        result = render(*flags, "--episodes", "2", "--video", "x.mp4")
+        assert result.stdout.count("no success, no success") == 2
+        with imageio.get_reader("x.mp4") as film:
+            pictures = np.array(list(film.iter_data())).astype(int)
+        touch, blind = pictures[:, :, :480], pictures[:, :, -480:]
+        assert pictures.shape[2] > 2 * 480  # and the map of the one that feels
+        assert len(pictures) >= 2 * (4 * 2 + 12)
+        # The same start, but for the taxels that only one of them has, and the name in the corner.
+        assert np.abs(touch[0, 60:, :] - blind[0, 60:, :]).mean() < 3
+        still = np.abs(np.diff(touch[: len(touch) // 2], axis=0))[:, 200:].mean()
+        assert still < 1.0  # the ground does not move
+
     def test_help_lists_every_hyperparameter(self, capsys):
         with pytest.raises(SystemExit) as stop:
             main(["train", "--help"])

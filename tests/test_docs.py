@@ -176,3 +176,13 @@ def test_study_example_is_a_study(tmp_path):
     path = tmp_path / "pilot.toml"
     path.write_text(text, encoding="utf-8")
     assert grid.read(path).runs()
+
+
+def test_tables_are_what_their_data_say():
+    """And each that a command writes stands in the docs."""
+    tables = pytest.importorskip("benchmarks.tables")
+    pages = {page: page.read_text() for page in sorted((ROOT / "docs").rglob("*.md"))}
+    for page, text in pages.items():
+        assert tables.filled(text) == text, f"{page}: run python -m benchmarks tables"
+    found = {name for text in pages.values() for _, name, *_ in tables.MARKED.findall(text)}
+    assert found == set(tables.PRINTED)

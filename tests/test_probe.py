@@ -147,7 +147,7 @@ class TestPlaces:
             placed = layout.place(hand)
             spots = places.of(placed)
             file = tmp_path / "layout.toml"
-            file.write_text(layouts.toml(placed, hand, 'a "name"'))
+            file.write_text(layouts.of_taxels(placed, hand, 'a "name"').toml())
             again = layouts.load(str(file)).place(hand)
             assert sorted(places.of(again)) == sorted(spots)
             assert len(set(spots)) == len(placed)

@@ -31,6 +31,8 @@ def examine(name: str, starts: int, search: int, senses: tuple[str, ...], **choi
     config = setup(env, **{**named.scene, **choices})
     if issubclass(tasks.TASKS[config.task], (tasks.LiftAndHold, tasks.Handover)):
         config = dataclasses.replace(config, **QUICK)
+    if config.simulator == "pybullet":  # several times as slow
+        starts, search = starts // 2, search // 4
     found = gate.examine(env, config, starts, search, 0, free_cores(Communicator()), senses=senses)
     rates = {each.name: dataclasses.asdict(each) for each in found}
     whole = {"gate": gate.verdict(found)} if set(rates) >= {"touch", "sighted"} else {}
@@ -54,8 +56,9 @@ def tables() -> dict[str, list[tuple[str, str, dict[str, Any]]]]:
     }
 
 
-def show(table: str, rows: dict[str, Row]) -> None:
+def show(table: str, known: dict[str, dict[str, Row]]) -> None:
     """As Markdown."""
+    rows = known.get(table, {})
     names = [name for name in gate.SENSES if any(name in row["reflexes"] for row in rows.values())]
     print(f"\n### {table}\n\n| | {' | '.join(names)} |\n|---|{'---|' * len(names)}")
     for key, row in rows.items():
@@ -84,7 +87,7 @@ def main() -> None:
                 senses = ("touch",) if table == "layouts" else tuple(gate.SENSES)
                 rows[key] = examine(name, options.starts, options.search, senses, **choices)
                 write(options.out, known)
-        show(table, rows)
+        show(table, known)
 
 
 if __name__ == "__main__":

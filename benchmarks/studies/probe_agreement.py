@@ -12,11 +12,13 @@ from __future__ import annotations
 
 import itertools
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy import stats
 
 from benchmarks.command import parser, write
+from benchmarks.studies.probe_tables import in_words
 
 
 def gains(folder: Path) -> dict[str, dict[str, np.ndarray]]:
@@ -29,7 +31,7 @@ def gains(folder: Path) -> dict[str, dict[str, np.ndarray]]:
     return found
 
 
-def agreement(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> dict[str, object]:
+def agreement(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> dict[str, Any]:
     """Spearman's rank correlation of the layouts that both have, with a percentile interval."""
     layouts = [name for name in a if name in b]
     one, other = (np.array([x[name] for name in layouts]) for x in (a, b))
@@ -39,18 +41,31 @@ def agreement(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> dict[str, o
     return {"layouts": layouts, "spearman": float(values[0]), "interval": interval}
 
 
+def show(rows: list[dict[str, Any]]) -> None:
+    """As Markdown."""
+    noises = sorted({row["joint_noise"] for row in rows})
+    print(f"| | | {' | '.join(f'{noise:g} rad of noise' for noise in noises)} |")
+    print(f"|---|---|{'---|' * len(noises)}")
+    for a, b in dict.fromkeys((row["a"], row["b"]) for row in rows):
+        found = {row["joint_noise"]: row for row in rows if (row["a"], row["b"]) == (a, b)}
+        cells = [
+            f"{found[noise]['spearman']:.2f} ({{:.2f}} – {{:.2f}})".format(*found[noise]["interval"])
+            for noise in noises
+        ]
+        print(f"| {in_words(a)} | {in_words(b)} | {' | '.join(cells)} |")
+
+
 def main() -> None:
     """Print a table, write JSON."""
     flags = parser(__doc__)
     flags.add_argument("folders", nargs="+", type=Path)
     args = flags.parse_args()
     found = {folder.name: gains(folder) for folder in args.folders}
-    rows = []
-    print("| joint noise, rad | | | rank correlation (95 %) |\n|---|---|---|---|")
-    for (a, one), (b, other) in itertools.combinations(found.items(), 2):
-        for noise in (noise for noise in one if noise in other):
-            row = {"joint_noise": float(noise), "a": a, "b": b, **agreement(one[noise], other[noise])}
-            low, high = row["interval"]
-            print(f"| {noise} | {a} | {b} | {row['spearman']:.2f} ({low:.2f} – {high:.2f}) |")
-            rows.append(row)
+    rows = [
+        {"joint_noise": float(noise), "a": a, "b": b, **agreement(one[noise], other[noise])}
+        for (a, one), (b, other) in itertools.combinations(found.items(), 2)
+        for noise in one
+        if noise in other
+    ]
+    show(rows)
     write(args.out, rows)

@@ -15,6 +15,7 @@ import numpy as np
 from scipy import stats
 
 from benchmarks.command import parser, write
+from benchmarks.studies.probe_tables import NAMES
 from tactilerl.envs.grasp import setup
 from tactilerl.probe.grasps import Scenes, ScriptedGrasps
 from tactilerl.probe.options import GraspFlags
@@ -47,6 +48,15 @@ def compare(hand: str, n: int) -> dict[str, float]:
     }
 
 
+def show(results: dict[str, dict[str, float]]) -> None:
+    """As Markdown."""
+    print("| hand | grasps | held | verdicts changed (95 %) | time, of the full one's |")
+    print("|---|---|---|---|---|")
+    for hand, row in results.items():
+        share = f"{row['changed']} ({row['changed_low']:.1%} – {row['changed_high']:.1%})"
+        print(f"| {NAMES[hand]} | {row['grasps']} | {row['held']} | {share} | {row['time']:.2f} |")
+
+
 def main() -> None:
     """Print a table, write JSON after each hand."""
     flags = parser(__doc__)
@@ -54,10 +64,7 @@ def main() -> None:
     flags.add_argument("--grasps", type=int, default=300)
     options = flags.parse_args()
     results = {}
-    print("| hand | grasps | held | verdicts changed (95 %) | time of the full one |")
-    print("|---|---|---|---|---|")
     for hand in options.hands:
-        results[hand] = row = compare(hand, options.grasps)
-        share = f"{row['changed']} ({row['changed_low']:.1%} – {row['changed_high']:.1%})"
-        print(f"| {hand} | {row['grasps']} | {row['held']} | {share} | {row['time']:.2f} |", flush=True)
+        results[hand] = compare(hand, options.grasps)
         write(options.out, results)
+    show(results)

@@ -24,6 +24,12 @@ Results = dict[str, dict[str, Any]]
 """probe.json by the pair's name."""
 
 
+def in_words(pair: str) -> str:
+    """Hand and simulator of a folder such as mpl_mujoco."""
+    hand, _, simulator = pair.partition("_")
+    return f"{NAMES[hand]}, {SIMULATORS[simulator]}"
+
+
 def gains(results: Results, noise: float) -> None:
     """Gain in AUC over the joint angles."""
     print(f"\n### Will it hold? Gain in AUC, joint angles with {noise:g} rad of noise\n")
@@ -121,6 +127,15 @@ def _interval(value: float, interval: list[float]) -> str:
     return f"{value:+.3f} ({interval[0]:+.3f} – {interval[1]:+.3f})"
 
 
+def show(results: Results) -> None:
+    """All tables."""
+    for noise in next(iter(results.values()))["asking"]["joint_noise"]:
+        gains(results, noise)
+        differences(results, noise)
+        places(results, noise)
+    chosen(results)
+
+
 def main() -> None:
     """Print the tables; draw and write what was asked for."""
     flags = parser(__doc__)
@@ -130,12 +145,8 @@ def main() -> None:
     results: Results = {}
     for folder in options.folders:
         found = json.loads((folder / "probe.json").read_text(encoding="utf-8"))
-        results[f"{NAMES[found['env']]}, {SIMULATORS[found['simulator']]}"] = found
-    for noise in next(iter(results.values()))["asking"]["joint_noise"]:
-        gains(results, noise)
-        differences(results, noise)
-        places(results, noise)
-    chosen(results)
+        results[in_words(f"{found['env']}_{found['simulator']}")] = found
+    show(results)
     if options.figure:
         figure(results, options.figure)
     write(options.out, results)

@@ -88,6 +88,14 @@ class Surface:
         height = np.sqrt(max(0.0, self.radius**2 - column**2))
         return above + height * palmar, (column * self.across + height * palmar) / self.radius
 
+    def is_beside(self, row: float, column: float) -> bool:
+        """Is there nothing of the link?"""
+        try:
+            self.place(row, column)
+        except ValueError:
+            return True
+        return False
+
     @property
     def across(self) -> Array:
         """Unit vector (3,) in the direction of a grid's columns."""

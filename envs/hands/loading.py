@@ -20,6 +20,7 @@ from .. import toml_files
 from ..toml_files import number, only, strings, table, vector
 from . import (
     CLOSING_STEP,
+    FOLDER,
     SEGMENTS,
     SLIDES,
     Array,
@@ -47,6 +48,8 @@ SLIDE_LIMITS = ((-0.02, 0.02), (-0.02, 0.02), (-0.03, 0.06))  # m, around the gr
 CLEAR, STEP, HIGHEST = 0.008, 0.002, 0.5  # m: around the hand at the start; of the search for it
 BEYOND = 0.01  # m that a fingertip may lie off the shapes of its link
 NANO = 9  # decimals of m that count of a place
+TIMESTEP = 0.004  # s, of scenes that say nothing else
+NUDGE, STILL, MOST_MOVED = 0.02, 0.4, 0.2  # rad, s, rad: of a hand that should hang still
 
 
 @dataclass(frozen=True)
@@ -106,7 +109,36 @@ def load(path: Path) -> Hand:
     """The hand of a file; ValueError naming what is wrong with it or its model, FileNotFoundError,
     and ImportError where the model's package is not installed."""
     with toml_files.blamed(f"hand file {path}"):
-        return _hand(toml_files.read(path, "hand file"), path)
+        data = toml_files.read(path, "hand file")
+        hand = _hand(data, path)
+        if path.parent != FOLDER:
+            _require_still(hand, float(table(data, "scene").get("timestep", TIMESTEP)))
+        return hand
+
+
+def _require_still(hand: Hand, timestep: float) -> None:
+    """ValueError for a model that does not hang still where it starts, its joints a little moved."""
+    spec = hand.build()
+    spec.option.timestep = timestep
+    model = mounting.compiled(spec)
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    data = mujoco.MjData(model)
+    joints = [model.joint(name) for name in hand.joints]
+    low, high = np.array([j.range if j.limited[0] else (-1.0, 1.0) for j in joints]).T
+    start = hand.start_positions()
+    begin = np.clip(start + np.where(np.isin(hand.joints, SLIDES), 0.0, NUDGE), low, high)
+    where = [j.qposadr[0] for j in joints]
+    data.qpos[where] = begin
+    for name, target in zip(hand.actuators, hand.start_targets(), strict=True):
+        data.ctrl[model.actuator(name).id] = target
+    mujoco.mj_step(model, data, round(STILL / timestep))
+    moved = np.nan_to_num(np.abs(data.qpos[where] - begin), nan=np.inf)
+    worst = int(np.argmax(moved))
+    if moved[worst] > MOST_MOVED:
+        raise ValueError(
+            f"model: does not hang still: joint {hand.joints[worst]!r} moves by {moved[worst]:.2g} "
+            f"within {STILL:g} s; look at its servo's gain and damping, or at what it touches"
+        )
 
 
 def _hand(data: dict[str, Any], path: Path) -> Hand:
@@ -114,7 +146,7 @@ def _hand(data: dict[str, Any], path: Path) -> Hand:
     bare = _compiled(_mount(data, path.parent))
     follows = _couplings(data, bare)
     driven = {bare.joint_of(i): bare.model.actuator(i).name for i in range(bare.model.nu)}
-    path_of_closing = _Trajectory.of(data, bare, driven)
+    path_of_closing = _Trajectory.of(data, bare, driven, follows)
     start = path_of_closing.start(data, bare)
     start |= {joint: ratio * start.get(driver, 0.0) for joint, driver, ratio in follows}
     palm, links = _Palm.of(data, bare, start), _digits(data, bare)
@@ -246,9 +278,16 @@ class _Trajectory:
 
     opened: dict[str, float]
     closed: dict[str, float]
+    follows: tuple[tuple[str, str, float], ...]
 
     @classmethod
-    def of(cls, data: dict[str, Any], bare: _Model, driven: dict[str, str]) -> _Trajectory:
+    def of(
+        cls,
+        data: dict[str, Any],
+        bare: _Model,
+        driven: dict[str, str],
+        follows: tuple[tuple[str, str, float], ...],
+    ) -> _Trajectory:
         closed = bare.angles(table(data, "closed"), "closed")
         opened = dict.fromkeys(closed, 0.0) | bare.angles(table(data, "opened"), "opened")
         for joint in opened:
@@ -256,7 +295,12 @@ class _Trajectory:
                 raise ValueError(f"opened.{joint}: found it without a value in [closed]")
             if joint not in driven:
                 raise ValueError(f"closed.{joint}: found a joint without an actuator")
-        return cls(opened, closed)
+        return cls(opened, closed, follows)
+
+    def way(self, joint: str) -> float:
+        """How far it goes, by itself or following another, rad."""
+        own = self.closed.get(joint, 0.0) - self.opened.get(joint, 0.0)
+        return own or sum(ratio * self.way(driver) for j, driver, ratio in self.follows if j == joint)
 
     def at(self, share: float) -> dict[str, float]:
         """A share of the way from open to closed."""
@@ -392,7 +436,7 @@ def _flexion(
         body = model.body(link)
         for joint in range(body.jntadr[0], body.jntadr[0] + body.jntnum[0]):
             name = model.joint(joint).name
-            way = trajectory.closed.get(name, 0.0) - trajectory.opened.get(name, 0.0)
+            way = trajectory.way(name)
             if way and model.jnt_type[joint] == int(mounting.HINGE):
                 turn = np.eye(3)
                 if link != links[0]:
@@ -571,10 +615,14 @@ def _grasps(
     found = []
     for count, about in enumerate(_tables(data, "grasp"), 1):
         where = f"grasp {count}"
-        only(about, {"object_size", "at", "joints", "closing"}, where)
+        only(about, {"object_size", "at", "slides", "joints", "closing"}, where)
         size = number(about.get("object_size"), f"{where}: object_size", 1e-3)
-        palm = vector(about.get("at"), 3, f"{where}: at")
-        targets = {s: p - q for s, p, q in zip(SLIDES, palm, at.tolist(), strict=True)}
+        if "at" in about:
+            palm = vector(about["at"], 3, f"{where}: at")
+            targets = {s: p - q for s, p, q in zip(SLIDES, palm, at.tolist(), strict=True)}
+        else:
+            slides = vector(about.get("slides"), 3, f"{where}: slides")
+            targets = dict(zip(SLIDES, slides, strict=True))
         angles = bare.angles(table(about, "joints"), f"{where}: joints")
         if "closing" in about:
             angles = trajectory.at(number(about["closing"], f"{where}: closing")) | angles

@@ -75,6 +75,8 @@ class Camera:
     elevation: float = 35.0
     """Positive looks up from below, where the palmar side is."""
     distance: float = 0.32
+    lookat: tuple[float, float, float] | None = None
+    """The point it looks at, m; None: between the palm and the object, wherever they are."""
     width: int = 720
     height: int = 540
     shadows: bool = True

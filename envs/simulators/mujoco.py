@@ -326,7 +326,8 @@ class MujocoSimulator:
                     "MUJOCO_GL=egl or MUJOCO_GL=osmesa"
                 ) from error
         view = mujoco.MjvCamera()
-        view.lookat[:] = (self.data.xpos[self._object_body] + self.link_positions()[0]) / 2
+        middle = (self.data.xpos[self._object_body] + self.link_positions()[0]) / 2
+        view.lookat[:] = middle if camera.lookat is None else camera.lookat
         view.distance, view.azimuth = camera.distance, camera.azimuth
         view.elevation = camera.elevation
         self._renderer.update_scene(self.data, view)

@@ -44,6 +44,7 @@ pybullet = _import_quietly()
 GRAVITY = 9.81
 ENGINE = {"numSolverIterations": 50, "deterministicOverlappingPairs": 1}
 LOADING = pybullet.URDF_USE_INERTIA_FROM_FILE
+TINY = 1e-9
 JOINT_DAMPING = 0.01  # N m s/rad
 SPINNING_FRICTION = 0.005  # m, of the object's contacts
 FRICTION_ANCHOR = 1  # contacts remember where they stick; without, held objects creep
@@ -65,7 +66,7 @@ class PyBulletSimulator:
             raise OSError("PyBullet gave no client")
         self._folder = tempfile.TemporaryDirectory()
         self._urdf = Path(self._folder.name) / "hand.urdf"
-        self._urdf.write_text(urdf.from_model(self.model), encoding="utf-8")
+        self._urdf.write_text(urdf.from_model(self.model, Path(self._folder.name)), encoding="utf-8")
         self._release = weakref.finalize(self, _disconnect, self.client, self._folder)
         self._build()
         self._joints = [self._joint_index[name] for name in hand.joints]
@@ -144,9 +145,11 @@ class PyBulletSimulator:
         hand, model = self.scene.hand, self.model
         limits, gains = [], []
         for actuator, joint in zip(hand.actuators, hand.actuated, strict=True):
-            servo, damping = model.actuator(actuator), model.dof_damping[model.joint(joint).dofadr[0]]
-            limits.append(float(servo.forcerange[1]))
-            gains.append(min(1.0, float(servo.gainprm[0] / damping) * self.scene.timestep))
+            servo, moved = model.actuator(actuator), model.joint(joint)
+            damping = model.dof_damping[moved.dofadr[0]] - servo.biasprm[2]
+            unlimited = servo.gainprm[0] * np.ptp(moved.range)
+            limits.append(float(servo.forcerange[1] if servo.forcelimited[0] else unlimited))
+            gains.append(min(1.0, float(servo.gainprm[0] / max(damping, TINY)) * self.scene.timestep))
         self._drivers = [hand.actuated.index(driver) for _, driver, _ in hand.couplings]
         self._ratios = np.array([ratio for _, _, ratio in hand.couplings])
         joints = [*hand.actuated, *(joint for joint, _, _ in hand.couplings)]

@@ -9,10 +9,12 @@ tendons, armature, actuators, friction, contact filters.
 from __future__ import annotations
 
 import warnings
+from pathlib import Path
 from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
+from scipy.spatial import ConvexHull, HalfspaceIntersection
 from scipy.spatial.transform import Rotation
 
 from ..hands import Array
@@ -21,20 +23,22 @@ WORLD = "world"
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _JOINTS = {_HINGE: "revolute", _SLIDE: "prismatic"}
 _UNLIMITED = 1e9
+BULLETS_SKIN = 1e-3  # m: by so much Bullet makes convex hulls from URDF thicker
 
 
-def from_model(model: mujoco.MjModel) -> str:
-    """The text; ValueError when the model has a joint or a shape that URDF has not."""
+def from_model(model: mujoco.MjModel, folder: Path) -> str:
+    """The text, with the convex hulls of meshes as files in `folder`; ValueError when the model has a
+    joint or a shape that URDF has not."""
     robot = ElementTree.Element("robot", name="hand")
     _link(robot, WORLD, 0.0, np.zeros(3))
     for body in range(1, model.nbody):
-        _add_link(robot, model, body)
+        _add_link(robot, model, body, folder)
         _add_joints(robot, model, body)
     ElementTree.indent(robot)  # Bullet reads lines, and long ones not to their end
     return ElementTree.tostring(robot, encoding="unicode")
 
 
-def _add_link(robot: ElementTree.Element, model: mujoco.MjModel, body: int) -> None:
+def _add_link(robot: ElementTree.Element, model: mujoco.MjModel, body: int, folder: Path) -> None:
     link = _link(robot, model.body(body).name, model.body_mass[body], model.body_inertia[body])
     _origin(link[0], model.body_ipos[body], model.body_iquat[body])
     first = model.body_geomadr[body]
@@ -42,7 +46,7 @@ def _add_link(robot: ElementTree.Element, model: mujoco.MjModel, body: int) -> N
         if _collides(model, geom):
             collision = ElementTree.SubElement(link, "collision")
             _origin(collision, model.geom_pos[geom], model.geom_quat[geom])
-            _shape(ElementTree.SubElement(collision, "geometry"), model, geom)
+            _shape(ElementTree.SubElement(collision, "geometry"), model, geom, folder)
 
 
 def _link(robot: ElementTree.Element, name: str, mass: float, inertia: Array) -> ElementTree.Element:
@@ -61,7 +65,7 @@ def _collides(model: mujoco.MjModel, geom: int) -> bool:
     return bool(model.geom_contype[geom] or model.geom_conaffinity[geom] or in_pair)
 
 
-def _shape(parent: ElementTree.Element, model: mujoco.MjModel, geom: int) -> None:
+def _shape(parent: ElementTree.Element, model: mujoco.MjModel, geom: int, folder: Path) -> None:
     size = [float(value) for value in model.geom_size[geom]]
     kind = mujoco.mjtGeom(int(model.geom_type[geom]))
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
@@ -71,8 +75,36 @@ def _shape(parent: ElementTree.Element, model: mujoco.MjModel, geom: int) -> Non
         ElementTree.SubElement(parent, name, radius=repr(size[0]), length=repr(2 * size[1]))
     elif kind == mujoco.mjtGeom.mjGEOM_SPHERE:
         ElementTree.SubElement(parent, "sphere", radius=repr(size[0]))
+    elif kind == mujoco.mjtGeom.mjGEOM_MESH:
+        path = folder / f"mesh{geom}.obj"
+        path.write_text(_hull(model, int(model.geom_dataid[geom])), encoding="utf-8")
+        ElementTree.SubElement(parent, "mesh", filename=str(path))
     else:
-        raise ValueError(f"geom {model.geom(geom).name!r}: URDF has no shape like it")
+        body = model.body(model.geom_bodyid[geom]).name
+        name = kind.name.removeprefix("mjGEOM_").lower()
+        raise ValueError(
+            f"simulator: found 'pybullet' with a geom of body {body!r} that is an {name}, allowed for "
+            "PyBullet: box, capsule, cylinder, sphere, mesh"
+        )
+
+
+def _hull(model: mujoco.MjModel, mesh: int) -> str:
+    """A mesh's convex hull, without the skin that Bullet adds, as the text of an OBJ file."""
+    first, n = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+    points = model.mesh_vert[first : first + n].astype(float)
+    hull = ConvexHull(points)
+    middle = points[hull.vertices].mean(axis=0)
+    planes = hull.equations + np.array([0.0, 0.0, 0.0, BULLETS_SKIN])
+    if (planes[:, :3] @ middle + planes[:, 3] < 0).all():  # it is thick enough
+        points = HalfspaceIntersection(planes, middle).intersections
+        hull = ConvexHull(points)
+    corner = {int(index): number for number, index in enumerate(hull.vertices, 1)}
+    lines = [f"v {_text(points[index])}" for index in hull.vertices]
+    for (a, b, c), normal in zip(hull.simplices, hull.equations[:, :3], strict=True):
+        is_outward = np.cross(points[b] - points[a], points[c] - points[a]) @ normal > 0
+        face = (a, b, c) if is_outward else (a, c, b)
+        lines.append("f " + " ".join(str(corner[int(index)]) for index in face))
+    return "\n".join(lines) + "\n"
 
 
 def _add_joints(robot: ElementTree.Element, model: mujoco.MjModel, body: int) -> None:
@@ -84,7 +116,10 @@ def _add_joints(robot: ElementTree.Element, model: mujoco.MjModel, body: int) ->
         _origin(joint, model.body_pos[body], model.body_quat[body])
     for number, index in enumerate(joints):
         if int(model.jnt_type[index]) not in _JOINTS or np.any(model.jnt_pos[index]):
-            raise ValueError(f"joint {model.joint(index).name!r}: URDF has no joint like it")
+            raise ValueError(
+                f"simulator: found 'pybullet' with joint {model.joint(index).name!r}, whose anchor is "
+                "not its body's origin, allowed for PyBullet: hinges and slides at the origin"
+            )
         is_last = index == joints[-1]
         child = name if is_last else f"{name} {number}"
         if not is_last:

@@ -4,18 +4,28 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 
+from rich.console import Console
+from rich.progress import Progress
 from rich.table import Table
 
-from .. import doctor, flags
+from .. import doctor, flags, grasp_search, render
+from ..algos.mpi import Communicator
+from ..envs import hands
 from ..envs.grasp import GraspConfig, setup
+from ..envs.hands import ScriptedGrasp
 from ..envs.objects import Items, ObjectConfig
+from ..envs.simulators import Camera
 from ..errors import InputError, input_errors
 from ..terminal import console
+from ..training import free_cores
 from .scene import layout_notes, read_scene, require_scene
 
 FEW = 10  # taxels that are named anyway
+LEAST = 0.5  # of the time that an object must be up for a found grasp to be of use
 
 
 @dataclass(frozen=True)
@@ -28,6 +38,8 @@ class DoctorFlags:
     """Perturbed grasps per layout."""
     seconds: float = 3.0
     """Length of each hold, s."""
+    out: Path | None = None
+    """Write a picture of the grasp with its taxels here (extra: render)."""
     compare: bool = False
     """Run the same grasps in the other simulator too: how far do the taxels agree?"""
     verbose: bool = False
@@ -51,6 +63,26 @@ def _require_used(scene: GraspConfig, env: str) -> None:
             raise ValueError("object: found several, or a range; the grasps here are of one object")
 
 
+def _find_grasp(name: str, scene: GraspConfig) -> ScriptedGrasp:
+    """A grasp for a hand whose file has none, shown so that it can be pasted; ValueError where there
+    is none that holds."""
+    screen = Console(stderr=True, markup=False)
+    screen.print(f"{name} has no [[grasp]]: looking for one")
+    with Progress(console=screen, transient=True, disable=not screen.is_terminal) as progress:
+        task = progress.add_task("trying grasps", total=sum(grasp_search.ROUNDS))
+        workers = free_cores(Communicator())
+        grasp, share = grasp_search.find(name, scene, workers, lambda: progress.advance(task))
+    if share < LEAST:
+        raise ValueError(
+            f"hand {name}: found no grasp that holds a {1e3 * grasp.object_size:g} mm object: the best "
+            f"of {sum(grasp_search.ROUNDS)} keeps it up in {100 * share:.0f} % of the time; look at "
+            "[opened] and [closed], or at the force of the servos"
+        )
+    screen.print(f"found, with the object up in {100 * share:.0f} % of its holds; add to the file:\n")
+    print(grasp_search.toml(hands.get(name), grasp), file=sys.stderr)
+    return grasp
+
+
 def main(args: list[str]) -> int:
     """`tactilerl doctor`: exit 1 when a layout is blind."""
     read, found = read_scene(DoctorFlags, args, "tactilerl doctor")
@@ -63,9 +95,14 @@ def main(args: list[str]) -> int:
     chosen = flags.peek(args, "--layout", "")
     names = [chosen] if chosen else [str(i) for i in range(1, 7)]
     with input_errors():
+        grasp = None if hands.get(name).grasps else _find_grasp(name, scene)
+        if read.out is not None:
+            picture = dataclasses.replace(scene, layout=chosen or "1", run_type="main")
+            render.picture(name, picture, "grasp", Camera(), read.out, grasp)
         figures = [
             doctor.examine(
-                name, dataclasses.replace(scene, layout=layout), read.grasps, read.seconds, read.compare
+                *(name, dataclasses.replace(scene, layout=layout), read.grasps, read.seconds),
+                *(read.compare, grasp),
             )
             for layout in names
         ]

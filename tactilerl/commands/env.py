@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 
 from .. import envs
 from ..envs import scenes
-from ..errors import input_errors
+from ..envs.layouts import Taxels
+from ..envs.taxel_files import WRITERS
+from ..errors import InputError, input_errors
+from ..files import replacing
 from .scene import layout_notes, read_scene
 
 
@@ -23,8 +28,30 @@ class EnvFlags:
     """Name of the environment."""
     describe: bool = False
     """List every entry of the observation and of the action."""
+    export: Path | None = None
+    """Write the layout as points on the hand's links: .toml, .json (Genesis), .npz (DEX-01), .csv."""
     json: bool = False
     """Print JSON instead of text."""
+
+
+def _export(path: Path, taxels: Taxels | None) -> None:
+    """Write taxels as points on links, in the format that the name says."""
+    if taxels is None:
+        raise InputError("--export: found an environment without taxels, allowed those of hands")
+    if path.suffix not in WRITERS:
+        allowed = ", ".join(WRITERS)
+        raise InputError(f"--export: found {path.name!r}, allowed names that end in {allowed}")
+    files = {path: taxels.points()}
+    if path.suffix == ".npz" and len(taxels.links) > 1:  # a pattern is of one link
+        files = {
+            path.with_stem(f"{path.stem}_{re.sub('[^a-zA-Z0-9_.-]', '_', link)}"): [
+                point for point in taxels.points() if point.link == link
+            ]
+            for link in taxels.links
+        }
+    for name, points in files.items():
+        with replacing(name) as file:
+            file.write(WRITERS[path.suffix](points))
 
 
 def main(args: list[str]) -> int:
@@ -44,6 +71,8 @@ def main(args: list[str]) -> int:
             described |= {"observation": base.observation_names(), "action": base.hand.action_names}
             described["taxels"] = len(base.taxels)
             described["notes"] = layout_notes(name, scene.layout)
+        if read.export is not None:
+            _export(read.export, getattr(base, "taxels", None))
     finally:
         made.close()
     if read.json:

@@ -24,8 +24,9 @@ from .scene import layout_notes, read_scene, require_scene
 class RenderFlags:
     """Flags of `tactilerl render`, besides the scene's."""
 
-    run: tyro.conf.Positional[Path | None] = None
-    """Run folder: film its policy in its own scene. Without one: picture of a scripted grasp."""
+    run: tyro.conf.Positional[tuple[Path, ...]] = ()
+    """Run folder: film its policy in its own scene; several are shown side by side, from the same
+    starts. Without one: picture of a scripted grasp."""
     video: Path = Path("episodes.mp4")
     """The film of a run's policy to write."""
     episodes: int = 1
@@ -43,6 +44,8 @@ class RenderFlags:
     """Elevation of the camera, degrees; positive looks up from below."""
     distance: float = Camera.distance
     """Distance of the camera, m."""
+    follow: bool = True
+    """In a film the camera follows hand and object; with --no-follow it stands still."""
 
     @property
     def camera(self) -> Camera:
@@ -56,11 +59,11 @@ def main(args: list[str]) -> int:
     name = read.env
     if not 0.05 <= read.distance <= 10:
         raise InputError(f"--distance: found {read.distance}, allowed from 0.05 to 10")
-    for flag in ("video", "episodes") if read.run is None else ("env", "out", "pose"):
+    for flag in ("env", "out", "pose") if read.run else ("video", "episodes", "follow"):
         if getattr(read, flag) != getattr(RenderFlags, flag):
-            needed = "with" if read.run is None else "without"
+            needed = "without" if read.run else "with"
             raise InputError(f"--{flag}: found it, allowed only {needed} RUN; see --help")
-    if read.run is not None:
+    if read.run:
         return _film(args, read, scene)
     scene = require_scene(scene, name)
     with input_errors():
@@ -73,7 +76,6 @@ def main(args: list[str]) -> int:
 
 def _film(args: list[str], read: RenderFlags, scene: GraspConfig | None) -> int:
     """The film of a run: of a scene's flags, only the length of the hold test has a meaning."""
-    assert read.run is not None
     hold_seconds = render.HOLD_SECONDS
     if scene is not None and flags.peek(args, "--hold-seconds", ""):
         hold_seconds = scene.hold_seconds
@@ -88,10 +90,10 @@ def _film(args: list[str], read: RenderFlags, scene: GraspConfig | None) -> int:
     with input_errors(), bar:
         drawn = bar.add_task("")
         film = render.film(
-            *(read.run, read.episodes, hold_seconds, read.camera, read.video),
+            *(read.run, read.episodes, hold_seconds, read.camera, not read.follow, read.video),
             tick=lambda: bar.advance(drawn),
         )
-        for success in film:
-            verdict = "success" if success else "no success"
-            console.print(f"{read.video}: {verdict} (hold tests of {hold_seconds:g} s)")
+        for shown in film:
+            verdicts = ", ".join("success" if success else "no success" for success in shown)
+            console.print(f"{read.video}: {verdicts} (hold tests of {hold_seconds:g} s)")
     return 0

@@ -19,6 +19,7 @@ from ..envs import hands, layouts, vector
 from ..envs.grasp import setup
 from ..envs.hands import Array, Hand
 from ..envs.layouts import Layout, Taxels
+from ..envs.scripted import require_grasps
 from ..envs.vector import Task
 from ..errors import InputError, input_errors
 from ..files import locked, replacing
@@ -101,6 +102,8 @@ def _scripted(grasps: GraspFlags, asking: AnalysisFlags, held: ExitStack) -> Pla
     simulator = grasps.simulator or setup(grasps.env).simulator
     hand, drawn = hands.get(grasps.env), grasps.perturbation
     _require_answerable(asking, hand)
+    with input_errors():
+        require_grasps(hand)
     config = setup(grasps.env, simulator=simulator, touch=grasps.touch)
     settings: dict[str, Any] = {
         "env": grasps.env, "simulator": simulator, "touch": grasps.touch, "seed": grasps.seed,
@@ -125,7 +128,7 @@ def _union(names: Sequence[str], hand: Hand, folder: Path) -> str:
     """A layout file with every taxel of some layouts: what the simulator has to feel."""
     every = places.union([_layout(name, hand) for name in names], hand)
     path = folder / "union.toml"
-    path.write_text(layouts.toml(every, hand, "all"), encoding="utf-8")
+    path.write_text(layouts.of_taxels(every, hand, "all").toml(), encoding="utf-8")
     return str(path)
 
 
@@ -280,7 +283,8 @@ def _select(
         written.append(f"selected_{n}.toml")
         with replacing(out / written[-1]) as file:
             about += f" of {settings['env']} in {settings['simulator']}"
-            file.write(layouts.toml(candidates.take(path[:n]), hand, about).encode())
+            chosen = layouts.of_taxels(candidates.take(path[:n]), hand, about)
+            file.write(chosen.toml().encode())
     spots = places.of(candidates)
     taxels = [asdict(spots[i]) for i in path]
     return {"skin": name, "candidates": len(spots), **found, "places": taxels, "files": written}

@@ -18,6 +18,7 @@ from pathlib import Path
 import filelock
 
 from .. import cli, interrupts
+from ..config import LAYOUT_COPY
 from .folder import PATIENCE, RunFiles
 
 BUSY = 75  # EX_TEMPFAIL: somebody else trains this run
@@ -59,8 +60,7 @@ def _launched(command: list[str]) -> int:
 def _drop_stillborn(files: RunFiles) -> None:
     """Remove a folder whose process died before it had written anything to keep."""
     if files.base.is_dir() and all(
-        path.name.startswith(("layout", ".lock")) or path.suffix == ".tmp"
-        for path in files.base.iterdir()
+        path.name in (LAYOUT_COPY, ".lock") or path.suffix == ".tmp" for path in files.base.iterdir()
     ):
         shutil.rmtree(files.base)
 

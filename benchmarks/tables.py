@@ -1,0 +1,69 @@
+"""Write the tables of the docs anew from the data committed beside them.
+
+    python -m benchmarks tables
+
+A table stands between two comments, `<!-- table NAME -->` and `<!-- end -->`. The tests compare them.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from collections.abc import Callable
+from contextlib import redirect_stdout
+from functools import partial
+from typing import Any
+
+from benchmarks.command import ROOT
+from benchmarks.studies import gates, probe_agreement, probe_hold, probe_tables
+
+DOCS = ROOT / "docs"
+MARKED = re.compile(r"(<!-- table (.+?) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
+
+
+def data(name: str) -> Any:
+    """A file of docs/data."""
+    return json.loads((DOCS / "data" / f"{name}.json").read_text(encoding="utf-8"))
+
+
+def _of(name: str, show: Callable[..., None], *more: Any) -> Callable[[], None]:
+    return lambda: show(data(name), *more)
+
+
+PRINTED: dict[str, Callable[[], None]] = {
+    "probe gains": _of("probe", probe_tables.gains, 0.05),
+    "probe gains, exact joints": _of("probe", probe_tables.gains, 0.0),
+    "probe places": _of("probe", probe_tables.places, 0.05),
+    "probe chosen": _of("probe", probe_tables.chosen),
+    "probe differences": _of("probe", probe_tables.differences, 0.05),
+    "probe agreement": _of("probe_agreement", probe_agreement.show),
+    "probe hold": _of("probe_hold", probe_hold.show),
+    **{f"gates {name}": _of("gates", partial(gates.show, name)) for name in gates.tables()},
+}
+"""What prints each table, perhaps with a title."""
+
+
+def table(name: str) -> str:
+    """As it should stand in the docs."""
+    with redirect_stdout(io.StringIO()) as printed:
+        PRINTED[name]()
+    return "".join(f"{line}\n" for line in printed.getvalue().splitlines() if line.startswith("|"))
+
+
+def filled(text: str) -> str:
+    """A page with its tables written anew."""
+    return MARKED.sub(lambda found: found[1] + table(found[2]) + found[4], text)
+
+
+def main() -> None:
+    """Every page that has one."""
+    for page in sorted(DOCS.rglob("*.md")):
+        text = page.read_text(encoding="utf-8")
+        if (new := filled(text)) != text:
+            page.write_text(new, encoding="utf-8")
+            print(page.relative_to(ROOT))
+
+
+if __name__ == "__main__":
+    main()

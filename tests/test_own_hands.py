@@ -1,0 +1,434 @@
+"""Hands and taxels from anybody's files: a gripper of boxes and meshes, without actuators."""
+
+import json
+import shutil
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import tactilerl
+from tactilerl import grasp_search, places
+from tactilerl.__main__ import main
+from tactilerl.envs import hands, layouts, objects, scripted, taxel_files
+from tactilerl.envs.grasp import GraspEnv, setup
+from tactilerl.envs.simulators import Scene
+from tactilerl.envs.touch import SKIN, SkinTouch
+from tactilerl.run_dir import RunDir
+
+FILES = Path(__file__).parent / "hands"
+GRIPPER = str(FILES / "gripper.toml")
+
+
+@pytest.fixture
+def own(tmp_path):
+    """The gripper's files, with lines changed: own(old, new) is the path of its TOML."""
+    for path in FILES.iterdir():
+        shutil.copy(path, tmp_path)
+
+    def change(old="", new="", file="gripper.toml"):
+        path = tmp_path / file
+        text = path.read_text()
+        assert old in text
+        path.write_text(text.replace(old, new))
+        return str(tmp_path / "gripper.toml")
+
+    return change
+
+
+class TestHand:
+    def test_has_the_digits_and_segments_of_its_file(self):
+        hand = hands.get(GRIPPER)
+        assert hand.digits == ("left", "right", "back")
+        assert [s.segment for s in hand.surfaces] == ["proximal", "distal"] * 3 + ["palm"]
+        assert hand.group_names == ("closing of left", "closing of right", "closing of back")
+        assert hand.actuated[:3] == hands.SLIDES
+        assert len(hand.joints) == len(hand.actuated) == 9  # all joints got servos
+
+    def test_palmar_sides_face_each_other(self):
+        """Closing turns a segment towards its palmar side: here towards the gripper's axis."""
+        hand = hands.get(GRIPPER)
+        model = hand.build().compile()
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        for surface in hand.surfaces[:-1]:
+            body = model.body(surface.link).id
+            palmar = data.xmat[body].reshape(3, 3) @ surface.palmar
+            inward = -data.xpos[body] + data.xpos[model.body("palm").id]
+            assert palmar @ (inward * [1, 1, 0]) > 0.9 * np.linalg.norm(inward[:2])
+
+    @pytest.mark.parametrize("simulator", ["mujoco", pytest.param("pybullet")])
+    def test_grasps_and_feels(self, simulator):
+        env = GraspEnv(GRIPPER, setup(GRIPPER, simulator=simulator, layout="1"))
+        start = scripted.perturbed_start(np.random.default_rng(3), len(env.hand.joints))
+        held, bits = [], []
+        for is_up in scripted.hold_steps(env, scripted.grasp_for(env), start, 0.5):
+            held.append(is_up)
+            bits.append(env.taxel_readings().sum())
+        env.close()
+        assert held[-1]
+        assert np.mean(bits) >= 2.0
+
+    def test_starts_free_of_ground_and_object(self):
+        env = GraspEnv(GRIPPER)
+        for seed in range(10):
+            env.reset(seed=seed)
+            model, data = env.simulator.model, env.simulator.data
+            ground, thing = model.geom("ground").id, model.geom("object").id
+            own = [set(c.geom.tolist()) - {ground, thing} for c in data.contact]
+            assert not any(own)
+        env.close()
+
+    @pytest.mark.parametrize("task", ["lift-and-hold", "reach-goal", "handover"])
+    def test_can_be_trained_in_every_task(self, task):
+        env = tactilerl.make(GRIPPER, task=task, hold_seconds=0.1, layout=5)
+        obs, _ = env.reset(seed=0)
+        assert env.observation_space.contains(obs)
+        for _ in range(3):
+            obs, *_ = env.step(np.zeros(env.action_space.shape))
+        assert env.observation_space.contains(obs)
+        env.close()
+
+    def test_the_library_finds_none_of_its_own_under_another_name(self):
+        with pytest.raises(
+            ValueError, match=r"unknown hand 'gripper'; allowed: shadow, mpl, allegro, or"
+        ):
+            hands.get("gripper")
+        with pytest.raises(FileNotFoundError, match="does not exist"):
+            hands.get("nowhere.toml")
+
+    def test_servos_are_the_models_where_it_has_some(self, own):
+        position = "<actuator><position name='own' joint='left_tip' kp='3'/></actuator>"
+        path = own("  <worldbody>", f"  {position}<worldbody>", "gripper.xml")
+        with pytest.raises(ValueError, match="left_knuckle: found a joint without an actuator"):
+            hands.get(path)
+        motor = position.replace("position", "motor").replace(" kp='3'", "")
+        with pytest.raises(ValueError, match="'own': is no position servo of a joint; leave all out"):
+            hands.get(own(position, motor, "gripper.xml"))
+        assert len(hands.get(own("palm = ", 'drop = ["own"]\npalm = ')).actuated) == 9
+
+    def test_joints_that_follow_others_get_no_servo(self, own):
+        joint = "<joint joint1='left_tip' joint2='left_knuckle' polycoef='0 0.5 0 0 0'/>"
+        own("  <worldbody>", f"  <equality>{joint}</equality><worldbody>", "gripper.xml")
+        closed = '"[rb]*_tip" = 0.4'
+        hand = hands.get(own('"*_tip" = 0.4', closed))
+        assert hand.couplings == (("left_tip", "left_knuckle", 0.5),)
+        assert "left_tip" not in hand.actuated
+
+    @pytest.mark.parametrize(
+        ("file", "old", "new", "complaint"),
+        [
+            (
+                "toml",
+                'palm = "palm"',
+                'palm = "hand"',
+                "palm: found no body 'hand' in the model, allowed:",
+            ),
+            ("toml", '"left_1", "left_2"', '"left_9"', "digits.left: found no body 'left_9'"),
+            ("xml", ' range="-0.7 1.2"', "", "joint 'left_knuckle': has no range"),
+            (
+                "toml",
+                "tip = [0, 0, -0.033]",
+                "tip = [0, 0, -0.08]",
+                "mm off body 'left_2', allowed",
+            ),
+            ("toml", 'model = "gripper.xml"', 'model = "no.xml"', "no.xml' does not exist"),
+            ("xml", '<mesh name="tip" vertex=', '<mesh name="tip" file="no.stl" foo=', "model"),
+            ("xml", '<mesh name="tip"', '<mesh name="other" file="no.stl"/><mesh name="tip"', ""),
+            ("toml", "[closed]", "[shut]", "unknown key 'shut'"),
+            ("toml", '"*_tip" = 0.4', '"*_toe" = 0.4', "closed: found no joint '*_toe' in the model"),
+            (
+                "toml",
+                "fingers = [0, -1, 0]",
+                "fingers = [0, 0, 1]",
+                "fingers: found the direction of palmar",
+            ),
+            (
+                "toml",
+                "palmar = [0, 0, -1]",
+                "palmar = [0, 0]",
+                "palmar: found [0, 0], expected 3 numbers",
+            ),
+            ("toml", "[digits]", "[pitch]\nrows = 3\n[digits]", "rows: found 3, expected a table"),
+            (
+                "toml",
+                "object_size = 0.05",
+                'object_size = "5 cm"',
+                "grasp 1: object_size: found '5 cm'",
+            ),
+            (
+                "toml",
+                "[opened]",
+                "[actions]\nkind = 'fly'\n[opened]",
+                "actions.kind: found 'fly', allowed",
+            ),
+        ],
+    )
+    def test_what_is_wrong_is_one_line(self, own, file, old, new, complaint, capsys):
+        path = own(old, new, f"gripper.{file}")
+        if not complaint:  # a mesh that nothing uses may be missing
+            hands.get(path)
+            return
+        assert main(["env", "--env", path]) == 2
+        said = capsys.readouterr().err
+        assert complaint in said
+        assert said.count("\n") == 1
+        assert said.startswith("tactilerl: error:")
+
+    def test_a_mesh_that_cannot_be_found_is_named(self, own):
+        path = own('<mesh name="tip" vertex', '<mesh name="tip" file="no.stl"/><mesh name="x" vertex',
+                   "gripper.xml")  # fmt: skip
+        with pytest.raises(ValueError, match=r"model: .*no\.stl"):
+            hands.get(path)
+
+    def test_a_model_that_breaks_by_itself_is_refused(self, own):
+        """A stiff servo on a light link, taken in steps that are too large for it."""
+        stiff = "[servos.hinge]\ngain = 1e5\ndamping = 0.0\narmature = 0.0\nlimit = 1e6\n"
+        with pytest.raises(ValueError, match="does not hang still: joint"):
+            hands.get(own("[digits]", f"{stiff}[digits]"))
+
+    def test_closing_actions(self, own):
+        text = "[actions]\nkind = 'closing'\ngroups = [['left', 'right'], ['back']]\n[opened]"
+        hand = hands.get(own("[opened]", text))
+        assert hand.action_names[3:] == ("closing of left and right", "closing of back")
+        targets = hand.action_map(np.array([0, 0, 0, 1.0, 0]), hand.start_targets())
+        moved = targets != hand.start_targets()
+        assert moved.tolist() == [False] * 3 + [True] * 4 + [False] * 2
+
+
+class TestTouch:
+    def test_agrees_with_distances_within_the_skin(self):
+        """Of boxes and hulls: on while a cube is nearer than SKIN, off beyond, by points of a hull."""
+        hand = hands.get(GRIPPER)
+        taxels = layouts.load("5").place(hand)
+        rule, shape = SkinTouch(taxels, hand.surfaces), objects.cube(0.04)
+        rng = np.random.default_rng(0)
+        for index in range(len(taxels)):
+            link = taxels.link_index[index]
+            turn, place = Rotation.random(rng=rng).as_matrix(), rng.normal(size=3)
+            k = len(taxels.links)
+            poses = np.tile(place, (k, 1)), np.tile(turn, (k, 1, 1))
+            poses[0][np.arange(k) != link] += 1.0  # the others are far away
+            for gap, on in ((-1e-4, True), (SKIN - 1e-4, True), (SKIN + 1e-4, False)):
+                centre = taxels.positions[index] + (0.02 + gap) * taxels.normals[index]
+                axes = np.linalg.svd(taxels.normals[index][None])[2].T[:, [1, 2, 0]]
+                state = objects.ObjectState(place + turn @ centre, np.zeros(4), turn @ axes)
+                assert rule.read(*poses, shape, state)[index] == on, (taxels.names[index], gap)
+
+    def test_many_readings_at_once_are_those_one_by_one(self):
+        hand = hands.get(GRIPPER)
+        taxels = layouts.load("1").place(hand)
+        rule, shape = SkinTouch(taxels, hand.surfaces), objects.cube(0.05)
+        rng, k = np.random.default_rng(1), len(taxels.links)
+        positions = 0.02 * rng.normal(size=(20, k, 3))
+        rotations = Rotation.random(20 * k, rng=rng).as_matrix().reshape(20, k, 3, 3)
+        turns = Rotation.random(20, rng=rng).as_matrix()
+        states = objects.ObjectState(0.03 * rng.normal(size=(20, 3)), np.zeros((20, 4)), turns)
+        together = rule.read(positions, rotations, shape, states)
+        assert together.any()
+        assert not together.all()
+        for i in range(20):
+            one = objects.ObjectState(states.position[i], np.zeros(4), turns[i])
+            assert (rule.read(positions[i], rotations[i], shape, one) == together[i]).all()
+
+    def test_taxels_lie_on_the_skin(self):
+        hand = hands.get(GRIPPER)
+        model = Scene(hand, objects.cube(0.05), 0.1, 1.0, 0.004, 1.0).build_hand(False).compile()
+        tip = layouts.load("1").place(hand)
+        box = [i for i, name in enumerate(tip.names) if name.startswith("left.proximal")]
+        assert np.allclose(tip.positions[box][:, 0], -0.006)
+        assert np.allclose(tip.normals[box], [-1, 0, 0])
+        assert model.ngeom == 7
+
+
+class TestTaxelFiles:
+    taxels = layouts.load("1").place(hands.get(GRIPPER))
+
+    @pytest.mark.parametrize("suffix", [".json", ".csv", ".toml"])
+    def test_what_is_written_is_read_again(self, tmp_path, suffix):
+        path = tmp_path / f"points{suffix}"
+        path.write_bytes(taxel_files.WRITERS[suffix](self.taxels.points()))
+        again = layouts.load(str(path)).place(hands.get(GRIPPER))
+        order = [
+            int(np.argmin(np.linalg.norm(again.positions - p, axis=1) + (again.link_index != i)))
+            for p, i in zip(self.taxels.positions, [again.links.index(self.taxels.links[k])
+                                                    for k in self.taxels.link_index], strict=True)
+        ]  # fmt: skip
+        assert sorted(order) == list(range(len(self.taxels)))
+        np.testing.assert_allclose(again.positions[order], self.taxels.positions, atol=1e-12)
+        np.testing.assert_allclose(again.normals[order], self.taxels.normals, atol=1e-12)
+        np.testing.assert_allclose(again.radii[order], self.taxels.radii)
+
+    def test_points_keep_their_place_through_a_layout_of_their_own(self):
+        hand = hands.get(GRIPPER)
+        points = layouts.Layout("points", "", (), tuple(self.taxels.points()))
+        placed = points.place(hand)
+        assert placed.names == self.taxels.names
+        assert len(set(places.of(placed))) == len(placed)
+        again = layouts.of_taxels(placed, hand, "again").place(hand)
+        key = [sorted(map(tuple, taxels.positions.tolist())) for taxels in (again, placed)]
+        assert key[0] == key[1]
+        chosen = placed.take([3, 1])
+        assert chosen.names == (placed.names[3], placed.names[1])
+        assert places.of(chosen) == [places.of(placed)[3], places.of(placed)[1]]
+
+    def test_a_genesis_file_as_it_is_published(self, tmp_path):
+        """Entries a link, probes in rows of a grid."""
+        probe = {"radius": 0.004, "pos": [-0.006, 0.001, -0.02], "normal": [-0.8, 0.1, 0.6]}
+        other = {**probe, "pos": [-0.006, -0.001, -0.02]}
+        grid = {"link_name": "left_2", "kind": "grid", "probes": [[probe], [other]]}
+        path = tmp_path / "probes.json"
+        path.write_text(json.dumps([grid]))
+        taxels = layouts.load(str(path)).place(hands.get(GRIPPER))
+        assert taxels.links == ("left_2",)
+        assert taxels.radii.tolist() == [0.004] * 2
+        np.testing.assert_allclose(np.linalg.norm(taxels.normals, axis=1), 1.0)
+
+    def test_a_pattern_is_put_on_links(self, tmp_path):
+        """DEX-01: poses whose z axes are the normals, here turned so that they look along x."""
+        poses = np.zeros((3, 3, 4))
+        poses[:, :, :3], poses[:, 0, 3] = np.eye(3), [0.0, 1e-3, 2e-3]
+        np.savez(tmp_path / "pad.npz", poses=poses, taxel2pixel=np.array([[0, 0], [0, 1], [1, 0]]))
+        turn = Rotation.from_euler("y", 90, degrees=True).as_quat(scalar_first=True).tolist()
+        mount = 'file = "pad.npz"\nlinks = ["left_2", "right_2"]\nposition = [0, 0, -0.01]\n'
+        layout = tmp_path / "layout.toml"
+        layout.write_text(f"[[sensor]]\n{mount}quaternion = {turn}\nradius = 0.001\n")
+        taxels = layouts.load(str(layout)).place(hands.get(GRIPPER))
+        assert len(taxels) == 6
+        np.testing.assert_allclose(taxels.normals, np.tile([1.0, 0, 0], (6, 1)), atol=1e-12)
+        np.testing.assert_allclose(taxels.positions[2], [0, 0, -0.012], atol=1e-12)
+        with pytest.raises(ValueError, match="names no link"):
+            layouts.load(str(tmp_path / "pad.npz"))
+
+    @pytest.mark.parametrize(
+        ("name", "content", "complaint"),
+        [
+            ("a.json", b"{", "taxel file"),
+            ("a.json", b'[{"link_name": "x"}]', "not of this format (KeyError: 'probes')"),
+            ("a.json", b"3", "not of this format"),
+            ("a.json", b"[]", "found 0 taxels"),
+            ("a.csv", b"x,y\n1,2\n", "found the columns x, y, expected link, x"),
+            ("a.csv", b"link,x,y,z,nx,ny,nz,radius\na,1,2\n", "line 2: found"),
+            (
+                "a.csv",
+                b"link,x,y,z,nx,ny,nz,radius\na,0,0,0,0,0,0,.002\n",
+                "normal: found [0.0, 0.0, 0.0]",
+            ),
+            ("a.csv", b"link,x,y,z,nx,ny,nz,radius\na,0,0,0,0,0,1,9\n", "taxel 1: radius: found 9"),
+            ("a.csv", b"link,x,y,z,nx,ny,nz,radius\na,nan,0,0,0,0,1,.002\n", "position: found"),
+            (
+                "a.csv",
+                b"link,x,y,z,nx,ny,nz,radius\n" + 2 * b"a,0,0,0,0,0,1,.002\n",
+                "found the same place",
+            ),
+            ("a.npz", b"PK", "not of this format (BadZipFile"),
+            ("a.toml", b"[[taxel]]\nlink = 3\n", "taxel 1: link: found 3"),
+            ("a.toml", b"[[taxel]]\nlink = 'x'\nfoo = 1\n", "taxel 1: unknown key 'foo'"),
+            ("a.toml", b"[[sensor]]\nfile = 'x.stl'\n", "sensor 1: file: found 'x.stl'"),
+        ],
+    )
+    def test_malformed_files_are_one_line(self, tmp_path, name, content, complaint):
+        path = tmp_path / name
+        path.write_bytes(content)
+        with pytest.raises(ValueError, match="file") as error:
+            layouts.load(str(path))
+        assert complaint in str(error.value)
+        assert "\n" not in str(error.value)
+
+    def test_a_link_that_the_hand_has_not(self, tmp_path):
+        path = tmp_path / "a.csv"
+        path.write_text("link,x,y,z,nx,ny,nz,radius\ntoe,0,0,0,0,0,1,.002\n")
+        with pytest.raises(ValueError, match="found link 'toe', allowed: left_1, left_2"):
+            layouts.load(str(path)).place(hands.get(GRIPPER))
+
+    def test_export(self, tmp_path, capsys):
+        for suffix in (".json", ".csv", ".toml"):
+            path = tmp_path / f"layout{suffix}"
+            assert main(["env", "--env", "shadow", "--layout", "4", "--export", str(path)]) == 0
+            assert len(layouts.load(str(path)).place(hands.get("shadow"))) == 79
+        assert main(["env", "--env", GRIPPER, "--export", str(tmp_path / "pad.npz")]) == 0
+        with np.load(tmp_path / "pad_left_2.npz") as arrays:
+            poses = arrays["poses"]
+        assert poses.shape == (5, 3, 4)
+        axes = poses[:, :, :3]
+        np.testing.assert_allclose(axes @ axes.swapaxes(1, 2), np.tile(np.eye(3), (5, 1, 1)),
+                                   atol=1e-12)  # fmt: skip
+        np.testing.assert_allclose(poses[:, :, 2], np.tile([-1.0, 0, 0], (5, 1)), atol=0.3)
+        assert main(["env", "--env", "shadow", "--export", str(tmp_path / "a.stl")]) == 2
+        assert "allowed names that end in" in capsys.readouterr().err
+
+
+class TestCommands:
+    def test_a_run_knows_its_hand_again(self, own, tmp_path, capsys):
+        path, run = own(), str(tmp_path / "run")
+        points = tmp_path / "points.csv"
+        points.write_bytes(
+            taxel_files.WRITERS[".csv"](layouts.load("5").place(hands.get(path)).points())
+        )
+        flags = ["--env", path, "--layout", str(points), "--total-timesteps", "40"]
+        flags += ["--steps-per-epoch", "20", "--max-episode-steps", "10", "--hold-seconds", "0.1"]
+        assert main(["train", "--algo", "ppo", *flags, "--out", run]) == 0
+        points.unlink()  # the run has its own copy
+        assert main(["evaluate", run, "--episodes", "1"]) == 0
+        assert main(["train", "--resume", run, "--total-timesteps", "60"]) == 0
+        capsys.readouterr()
+        own("-0.7 1.2", "-0.7 1.1", "gripper.xml")
+        assert main(["evaluate", run, "--episodes", "1"]) == 2
+        assert "have changed since it was made" in capsys.readouterr().err
+        Path(path).unlink()
+        assert main(["evaluate", run, "--episodes", "1"]) == 2
+        assert "hand of this run cannot be read: hand file" in capsys.readouterr().err
+        assert RunDir(Path(run)).read_config()[0].run.env == path  # it can still be read
+
+    def test_doctor_finds_a_grasp(self, own, capsys, monkeypatch):
+        monkeypatch.setattr(grasp_search, "ROUNDS", (24, 6))
+        monkeypatch.setattr(grasp_search, "STARTS", 2)
+        text = Path(own()).read_text()
+        path = own(text[text.index("[[grasp]]") :], "")
+        assert main(["probe", "--env", path, "--grasps", "5"]) == 2
+        assert "has no [[grasp]] in its file; tactilerl doctor --env FILE" in capsys.readouterr().err
+        assert main(["doctor", "--env", path, "--grasps", "3", "--layout", "1"]) in (0, 1)
+        said = capsys.readouterr()
+        found = said.err[said.err.rindex("[[grasp]]") :]
+        Path(path).write_text(Path(path).read_text() + "\n" + found)
+        assert len(hands.get(path).grasps) == 1
+        assert main(["doctor", "--env", path, "--grasps", "3", "--layout", "1", "--json"]) in (0, 1)
+        (figures,) = json.loads(capsys.readouterr().out)
+        assert figures["held"] >= 2
+
+    def test_a_hand_that_cannot_grasp_is_told(self, own, capsys, monkeypatch):
+        monkeypatch.setattr(grasp_search, "ROUNDS", (2,))
+        monkeypatch.setattr(grasp_search, "STARTS", 1)
+        text = Path(own()).read_text()
+        path = own(text[text.index("[[grasp]]") :], "")
+        path = own('"*_knuckle" = 0.4\n"*_tip" = 0.4', '"*_knuckle" = -0.38\n"*_tip" = 0.02')
+        assert main(["doctor", "--env", path, "--grasps", "1", "--layout", "1"]) == 2
+        assert "found no grasp that holds a 50 mm object" in capsys.readouterr().err
+
+    def test_the_probe_chooses_from_any_points(self, tmp_path, capsys):
+        points = tmp_path / "points.json"
+        hand = hands.get(GRIPPER)
+        points.write_bytes(taxel_files.WRITERS[".json"](layouts.load("1").place(hand).points()))
+        asked = ["--joint-noise", "0.05", "--resamples", "100", "--shuffles", "2", "--folds", "2"]
+        flags = [
+            "--env",
+            GRIPPER,
+            "--grasps",
+            "60",
+            "--layout",
+            "5",
+            str(points),
+            "--skin",
+            str(points),
+        ]
+        flags += ["--start-offset", "0.005"]
+        assert main(["probe", *flags, *asked, "--select", "3", "--out", str(tmp_path), "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert 0.1 < found["held"] < 0.95
+        assert found["selection"]["candidates"] == 55
+        (file,) = found["selection"]["files"]
+        assert len(layouts.load(str(tmp_path / file)).place(hand)) == len(found["selection"]["places"])
+        for picture in ("worth.png", "selected.png", "gain.png"):
+            assert (tmp_path / picture).stat().st_size > 1000

@@ -1,0 +1,77 @@
+"""Actor and critic computed at the same time: the same bits as in turn, and errors of either."""
+
+import threading
+
+import numpy as np
+import pytest
+import torch
+
+from tactilerl import envs
+from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
+from tactilerl.algos.mpi import Communicator
+from tactilerl.algos.ppo import PPO, PPOConfig
+from tactilerl.algos.side_by_side import SideBySide, at_once
+from tactilerl.envs import vector
+
+
+def test_both_run_at_the_same_time_only_when_asked():
+    both_there = threading.Barrier(2, timeout=20)
+    assert SideBySide(True)(lambda: both_there.wait() >= 0, lambda: both_there.wait() >= 0) == (
+        True,
+        True,
+    )
+    threads = SideBySide(False)(threading.get_ident, threading.get_ident)
+    assert threads == (threading.get_ident(),) * 2
+
+
+@pytest.mark.parametrize("together", [False, True])
+@pytest.mark.parametrize("failing", ["first", "second"])
+def test_an_error_of_either_comes_out(together, failing):
+    def fail():
+        raise FloatingPointError(failing)
+
+    jobs = (fail, lambda: 1) if failing == "first" else (lambda: 1, fail)
+    with pytest.raises(FloatingPointError, match=failing):
+        SideBySide(together)(*jobs)
+
+
+def test_a_thread_computes_with_as_many_threads_as_the_caller():
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    assert SideBySide(True)(torch.get_num_threads, torch.get_num_threads) == (1, 1)
+    torch.set_num_threads(before)
+
+
+def test_only_where_episodes_are_played_on_several_cores_too():
+    ranks = Communicator()
+    ranks.size = 2
+    cpu = torch.device("cpu")
+    assert at_once([1, 2], Communicator(), cpu)
+    assert not at_once([1], Communicator(), cpu)
+    assert not at_once([1, 2], ranks, cpu)
+    assert not at_once([1, 2], Communicator(), torch.device("meta"))
+
+
+PPO_SMALL = PPOConfig(hidden=(32, 32), steps_per_epoch=100, n_passes=4, target_kl=0.05)
+HER_SMALL = DDPGHERConfig(hidden=(32, 32), n_batches=20, batch_size=32, buffer_size=1000)
+
+
+@pytest.mark.parametrize(
+    ("learner", "config", "env"), [(PPO, PPO_SMALL, "lqr"), (DDPGHER, HER_SMALL, "point-reach")]
+)
+def test_the_same_bits(learner, config, env):
+    found = []
+    for together in (False, True):
+        one = learner(config, vector.start(lambda: envs.make(env)), Communicator(), 0, 1000)
+        one._both = SideBySide(together)
+        learned = []
+        for _ in range(3):
+            one.collect()
+            learned.append(one.update())
+        found.append((learned, one.state_dict()))
+    (first, state), (second, other) = found
+    assert first == second
+    for name in ("actor", "critic"):
+        for key, value in state[name].items():
+            assert torch.equal(value, other[name][key])
+    assert np.isfinite(first[-1]["updates"])
