@@ -172,10 +172,12 @@ def test_layout_example_is_a_layout(tmp_path):
 def test_study_example_is_a_study(tmp_path):
     from tactilerl.study import grid
 
-    ((_, text),) = blocks(ROOT / "docs/guides/study.md", "toml")
-    path = tmp_path / "pilot.toml"
-    path.write_text(text, encoding="utf-8")
-    assert grid.read(path).runs()
+    (_, text), *more = blocks(ROOT / "docs/guides/study.md", "toml")
+    text = text.replace('seed = "0-9"', 'seed = "0-15"')  # the looks go that far
+    for _, addition in [(False, ""), *more]:
+        path = tmp_path / "pilot.toml"
+        path.write_text(f"{text}\n{addition}", encoding="utf-8")
+        assert grid.read(path).runs()
 
 
 def test_tables_are_what_their_data_say():
