@@ -163,7 +163,7 @@ def test_examples_run(text, tmp_path):
 def test_layout_example_is_a_layout(tmp_path):
     from tactilerl.envs import layouts
 
-    ((_, text),) = blocks(ROOT / "docs/guides/layouts.md", "toml")
+    (_, text), *_ = blocks(ROOT / "docs/guides/layouts.md", "toml")
     path = tmp_path / "my_layout.toml"
     path.write_text(text, encoding="utf-8")
     assert layouts.load(str(path)).patches
