@@ -128,7 +128,7 @@ def resample(
         for row in drawn[:, start : start + n]:
             row[:] = np.bincount(rng.integers(n, size=n), minlength=n)
         start += n
-    return drawn.T
+    return np.ascontiguousarray(drawn.T)
 
 
 def bootstrap(scores: Array, metric: Metric, counts: Array) -> Array:

@@ -218,3 +218,20 @@ class TestCompare:
     def test_parts_with_nothing_in_common(self, folder, capsys):
         assert main(["study", "compare", f"{folder.path}:pybullet", f"{folder.path}:layout 2"]) == 2
         assert "nothing in both" in capsys.readouterr().err
+
+
+class TestErrorsOfLooks:
+    def verdict(self, ending, p, p_holm=1.0):
+        pairs = verdicts.Pairs(list(range(9)), np.ones(9), np.zeros(9), verdicts.Estimate(0.1, 0, 1), p)
+        return verdicts.Verdict("all", pairs, 12, verdicts.Stage(2, 3, ending), p_holm)
+
+    def test_a_small_p_counts_only_where_the_test_stopped(self):
+        """Neither while it goes on nor where it stopped for want of a difference."""
+        valid = {
+            ending: self.verdict(ending, 0.02).valid_p for ending in ("", "no difference", "last look")
+        }
+        assert valid == {"": 1.0, "no difference": 1.0, "last look": 0.02}
+        assert not self.verdict("", 0.02).is_difference
+
+    def test_at_the_last_look_holm_may_find_what_bonferroni_did_not(self):
+        assert self.verdict("last look", 0.02, 0.04).is_difference

@@ -1,4 +1,4 @@
-"""A hand from a file: a model, and in TOML what it means.
+"""A hand from a file: a model, and in TOML what it means (docs/guides/own_hand.md).
 
 The model says what moves and what collides; the file says where the palm is and which links are
 whose. Everything else has a default that follows from both.

@@ -15,7 +15,6 @@ from .primary import SCORES
 from .records import Record
 from .verdicts import LEAST_ROOM, Headroom, Verdict
 
-ALPHA = 0.05
 FEW_RUNS = 10  # below this an interval of an arm is too narrow: docs/statistics.md
 STILL_RISING = 0.1  # final over converged rate
 NAMES = {
@@ -113,18 +112,16 @@ def answer(setup: Setup, verdict: Verdict) -> str:
     if stage is not None and not stage.look:
         return f"{where}: {numbers} in {count}; the first look is still to come."
     corrected = ", corrected" if len(setup.cells) > 1 or stage is not None else ""
-    p = "p < 0.001" if verdict.p_holm < 0.001 else f"p = {verdict.p_holm:.3f}"
+    p_value = verdict.pairs.p_value if verdict.valid_p == 1 else verdict.p_holm
+    p = "p < 0.001" if p_value < 0.001 else f"p = {p_value:.3f}"
     numbers += f", {p}{corrected}, {count}"
     look = "" if stage is None else f" Look {stage.look} of {stage.of}: {ENDINGS[stage.ending]}."
-    is_found = stage.ending == "difference" if stage else verdict.p_holm <= ALPHA
-    if is_found:
+    if verdict.is_difference:
         first, second = (treatment, control) if found.value > 0 else (control, treatment)
         return f"{where}: {first} is ahead of {second} ({numbers}).{look}"
     if len(pairs) < FEWEST_PAIRS:
-        return (
-            f"{where}: too few runs to detect a difference at {ALPHA}, which takes {FEWEST_PAIRS} "
-            f"pairs ({numbers}).{look}"
-        )
+        few = f"too few runs to detect a difference at {verdict.alpha:g}, which takes {FEWEST_PAIRS}"
+        return f"{where}: {few} pairs ({numbers}).{look}"
     if found.low == found.high:  # as where no run learned anything
         return f"{where}: no difference was detected, all pairs are alike ({numbers}).{look}"
     bound = math.ceil(100 * max(-found.low, found.high)) / 100

@@ -65,6 +65,19 @@ class Verdict:
     """None in a study without looks."""
     p_holm: float = math.nan
     """Corrected for the other cells of the set-up, and the other looks."""
+    alpha: float = 0.05
+
+    @property
+    def valid_p(self) -> float:
+        """1 where a look has not ended the comparison yet, or has for want of a difference: who could
+        stop whenever p is small would find too much."""
+        is_valid = self.stage is None or self.stage.ending in ("difference", "last look")
+        return self.pairs.p_value if is_valid else 1.0
+
+    @property
+    def is_difference(self) -> bool:
+        """Was one detected?"""
+        return self.p_holm <= self.alpha
 
 
 @dataclass(frozen=True)
@@ -129,7 +142,7 @@ def judge(
             found[cell] = _at_looks(study.looks, setup, cell, own, arms)
         else:
             found[cell] = Verdict(cell, in_pairs(*arms, n_resamples), len(setup.seeds))
-    corrected = statistics.holm([one.pairs.p_value for one in found.values()])
+    corrected = statistics.holm([one.valid_p for one in found.values()])
     return {
         cell: replace(one, p_holm=float(p))
         for (cell, one), p in zip(found.items(), corrected, strict=True)
@@ -156,12 +169,12 @@ def _at_looks(
     at_hand = [sum(s in whole.seeds for s in setup.seeds[:n]) for n in looks.pairs if n <= n_ended]
     taken = take(looks, whole.treatment - whole.control, at_hand, len(setup.cells))
     if not taken:
-        none = Stage(0, len(looks.pairs), "")
-        return Verdict(cell, replace(whole, p_value=math.nan), len(setup.seeds), none)
+        none, untested = Stage(0, len(looks.pairs), ""), replace(whole, p_value=math.nan)
+        return Verdict(cell, untested, len(setup.seeds), none, alpha=looks.alpha)
     last = taken[-1]
     n, stage = last.n, Stage(len(taken), len(looks.pairs), last.ending)
     seen = Pairs(whole.seeds[:n], whole.treatment[:n], whole.control[:n], last.difference, last.p_value)
-    return Verdict(cell, seen, len(setup.seeds), stage)
+    return Verdict(cell, seen, len(setup.seeds), stage, alpha=looks.alpha)
 
 
 class Taken(NamedTuple):

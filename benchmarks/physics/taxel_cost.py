@@ -1,0 +1,131 @@
+"""What do many taxels cost? Their share of a control step, and the probe's minutes.
+
+Step: the time of reading 139, 500 and 1,000 taxels in a held scripted grasp, against that of the
+control step's physics, on hands of capsules and of boxes and meshes. Probe: what one layout with as
+many taxels takes to be asked of the same grasps, on one core. Prints tables and writes JSON:
+
+    python -m benchmarks taxel_cost --out docs/data/taxel_cost.json
+"""
+
+from __future__ import annotations
+
+import statistics
+import tempfile
+import time
+from contextlib import closing
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.command import ROOT, run_parts
+from tactilerl import places
+from tactilerl.algos.mpi import Communicator
+from tactilerl.envs import hands, layouts, scripted, vector
+from tactilerl.envs.grasp import GraspEnv, setup
+from tactilerl.probe import run
+from tactilerl.probe.grasps import Scenes, ScriptedGrasps
+from tactilerl.probe.options import AnalysisFlags, GraspFlags, Options
+from tactilerl.probe.play import play
+
+GRIPPER = str(ROOT / "tests" / "hands" / "gripper.toml")
+HANDS = {"shadow (capsules)": "shadow", "gripper (boxes and meshes)": GRIPPER}
+NUMBERS = (139, 500, 1_000)
+GRASPS = 500
+STEPS = 30
+
+
+def layout_of(hand: hands.Hand, n: int, folder: Path) -> str:
+    """A layout file with `n` taxels, evenly taken from a dense skin."""
+    skin = places.dense_skin(hand, 7e-4 if len(hand.digits) < 5 else 1e-3).place(hand)
+    chosen = np.linspace(0, len(skin) - 1, n).round().astype(int).tolist()
+    path = folder / f"{n}.toml"
+    path.write_text(layouts.of_taxels(skin.take(chosen), hand, f"{n} taxels").toml(), encoding="utf-8")
+    return str(path)
+
+
+def steps() -> dict[str, Any]:
+    """Milliseconds of a control step's physics, and of reading the taxels after it."""
+    result: dict[str, Any] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for name, hand in HANDS.items():
+            rows = {}
+            for n in NUMBERS:
+                layout = layout_of(hands.get(hand), n, Path(folder))
+                with closing(GraspEnv(hand, setup(hand, layout=layout))) as env:
+                    rows[str(n)] = measure(env)
+            result[name] = rows
+    return result
+
+
+def measure(env: GraspEnv) -> dict[str, float]:
+    """Medians over control steps of a held grasp."""
+    grasp = scripted.grasp_for(env)
+    start = scripted.Start(np.zeros(2), 0.0, np.zeros(len(env.hand.joints)))
+    *_, targets = scripted.ramps(env, grasp, scripted.period(env.config.timestep))
+    on = sum(1 for _ in scripted.hold_steps(env, grasp, start, 0.2))
+    assert on
+    physics, touch = [], []
+    for _ in range(STEPS):
+        began = time.process_time()
+        env.simulator.step(targets, env.config.n_substeps)
+        between = time.process_time()
+        felt = env.taxel_readings()
+        touch.append(time.process_time() - between)
+        physics.append(between - began)
+    return {
+        "physics_ms": 1e3 * statistics.median(physics),
+        "touch_ms": 1e3 * statistics.median(touch),
+        "on": int(felt.sum()),
+    }
+
+
+def probe() -> dict[str, Any]:
+    """Seconds of one core to play grasps, and to ask one layout of them at one joint noise."""
+    comm, flags = Communicator(), GraspFlags(env=GRIPPER, start_offset=0.005)
+    config, drawn = setup(GRIPPER), flags.perturbation
+    settings = {"env": GRIPPER, "simulator": config.simulator, "touch": "skin", "seed": 0}
+    start = partial(vector.start, partial(Scenes, GRIPPER, config, drawn.variants()), 1)
+    result: dict[str, Any] = {"grasps": GRASPS}
+    with tempfile.TemporaryDirectory() as folder, patch.object(run, "free_cores", lambda comm: 1):
+        out, began = Path(folder), time.process_time()
+        task = ScriptedGrasps(drawn, 0)
+        played = play(out / "grasps.npz", GRASPS, settings, (), task, start, comm, lambda n: None)
+        result["play_s"] = time.process_time() - began
+        for n in NUMBERS:
+            layout = layout_of(hands.get(GRIPPER), n, out)
+            asked = AnalysisFlags(layout=(layout,), joint_noise=(0.05,))
+            began = time.process_time()
+            run.analyse(replace(Options(), analysis=asked), played, out)
+            result[str(n)] = time.process_time() - began
+    return result
+
+
+def show_steps(result: dict[str, Any]) -> None:
+    """Share of touch in a control step."""
+    table = Table("hand", "taxels", "on", "physics, ms", "touch, ms", "share")
+    for hand, rows in result.items():
+        for n, row in rows.items():
+            share = row["touch_ms"] / (row["touch_ms"] + row["physics_ms"])
+            figures = f"{row['physics_ms']:.2f}", f"{row['touch_ms']:.3f}", f"{100 * share:.1f} %"
+            table.add_row(hand, n, str(row["on"]), *figures)
+    Console(width=110).print(table)
+
+
+def show_probe(result: dict[str, Any]) -> None:
+    """Minutes of one core."""
+    table = Table("taxels", "minutes", title=f"{result['grasps']} grasps, one layout, one core")
+    table.add_row("playing them", f"{result['play_s'] / 60:.1f}")
+    for n in NUMBERS:
+        table.add_row(str(n), f"{result[str(n)] / 60:.1f}")
+    Console(width=110).print(table)
+
+
+def main() -> None:
+    """Both parts."""
+    run_parts(__doc__, {"steps": (steps, show_steps), "probe": (probe, show_probe)}, "mujoco")
