@@ -172,10 +172,12 @@ def test_layout_example_is_a_layout(tmp_path):
 def test_study_example_is_a_study(tmp_path):
     from tactilerl.study import grid
 
-    ((_, text),) = blocks(ROOT / "docs/guides/study.md", "toml")
+    texts = [text for _, text in blocks(ROOT / "docs/guides/study.md", "toml")]
     path = tmp_path / "pilot.toml"
-    path.write_text(text, encoding="utf-8")
-    assert grid.read(path).runs()
+    path.write_text("\n".join(texts), encoding="utf-8")  # a whole one, and what may be added
+    study = grid.read(path)
+    assert study.runs()
+    assert study.looks is not None
 
 
 def test_tables_are_what_their_data_say():
