@@ -482,7 +482,7 @@ class TestFolder:
         assert main(["train", "--algo", "ppo", *scene, *short, "--out", "run"]) == 0
         capfd.readouterr()
         said = error(capfd, "--policy", "run", "--grasps", "6", "--workers=1", "--layout", "5")
-        assert "so many grasps were held" in said  # none by an untrained policy: they were played
+        assert "were held" in said  # few or none by an untrained policy: they were played
         assert len(files.read(tmp_path / "probes/run/grasps.npz").records["held"]) == 6
 
 
