@@ -20,6 +20,7 @@ from .errors import InputError
 from .hand_map import TaxelMap
 
 Pose = Literal["start", "grasp"]
+Follow = Literal["grasp", "hand", "nothing"]
 FPS = 25  # at least: a picture stands for a whole number of timesteps
 FILMS, PICTURES = (".mp4", ".mkv", ".mov"), (".png", ".jpg")
 HOLD_SECONDS = 2.0  # of a hold test in a film: all there is to see in the whole
@@ -56,7 +57,7 @@ class _Player:
     """Shows a run's policy in its own scene."""
 
     def __init__(
-        self, run: Path, hold_seconds: float, camera: Camera, stands: bool, label: str
+        self, run: Path, hold_seconds: float, camera: Camera, follow: Follow, label: str
     ) -> None:
         from . import evaluation, policies
 
@@ -71,21 +72,22 @@ class _Player:
         self.fps = 1 / (self.every * scene.timestep)
         self.env = replace(config, scene=scene).make_env(render_mode="rgb_array")
         self._task, self._label = evaluation.task(policy), label
-        self._camera, self._stands = camera, stands
+        self._camera, self._follow = camera, follow
         self._map = _map_of(self.env, camera)
         self._show: Callable[[], None] = lambda: None
         self.env.simulator = _Filmed(self.env.simulator, self.every, lambda: self._show())
 
     def play(self, number: int, write: Callable[[np.ndarray], None]) -> bool:
         """An episode's pictures, one after another; did it succeed?"""
-        camera = self._camera
+        start: list[np.ndarray] = []
 
         def show() -> None:
-            nonlocal camera
-            if self._stands and camera.lookat is None:
-                simulator = self.env.simulator
-                middle = (simulator.object_state().position + simulator.link_positions()[0]) / 2
-                camera = replace(camera, lookat=tuple(middle.tolist()))
+            simulator, camera = self.env.simulator, self._camera
+            if self._follow != "grasp":
+                palm = simulator.link_positions()[0]
+                start[:] = start or [palm, (palm + simulator.object_state().position) / 2]
+                moved = palm - start[0] if self._follow == "hand" else np.zeros(3)
+                camera = replace(camera, lookat=tuple((start[1] + moved).tolist()))
             write(_labelled(_with_map(self.env, camera, self._map), self._label))
 
         self._show = show
@@ -100,17 +102,16 @@ def film(
     episodes: int,
     hold_seconds: float,
     camera: Camera,
-    stands: bool,
+    follow: Follow,
     out: Path,
     tick: Callable[[], None],
 ) -> Iterator[list[bool]]:
     """Write a film of trained runs' policies, in real time, several side by side from the same starts;
     yields each one's success, episode by episode.
 
-    A hold test is as long as `hold_seconds`, also for its verdict. Where the camera `stands` it keeps
-    looking at an episode's start; else it follows the hand. `tick` is called after every picture. A
-    film that is cut off can be played as far as it got. InputError when a run's environment is not a
-    grasping one.
+    A hold test is as long as `hold_seconds`, also for its verdict. The camera looks at what it is to
+    `follow`. `tick` is called after every picture. A film that is cut off can be played as far as it
+    got. InputError when a run's environment is not a grasping one.
     """
     _require_writable("--video", out, FILMS)
     imageio = _imageio("imageio.v2", "imageio_ffmpeg")
@@ -119,7 +120,7 @@ def film(
         players = []
         for run in runs:
             label = run.name if len(runs) > 1 else ""
-            players.append(_Player(run, hold_seconds, camera, stands, label))
+            players.append(_Player(run, hold_seconds, camera, follow, label))
             opened.callback(players[-1].env.close)
         first, *others = players
         if any(other.fps != first.fps for other in others):

@@ -653,7 +653,7 @@ class TestOtherCommands:
         short += ["--total-timesteps", "8", "--steps-per-epoch", "8"]
         for name, run_type in (("touch", "main"), ("blind", "control")):
             assert main(["train", *short, "--run-type", run_type, "--out", name]) == 0
-        flags = ["touch", "blind", "--no-follow", "--distance", "0.8", "--elevation", "-10"]
+        flags = ["touch", "blind", "--follow", "nothing", "--distance", "0.8", "--elevation", "-10"]
         result = render(*flags, "--episodes", "2", "--video", "x.mp4")
         assert result.stdout.count("no success, no success") == 2
         with imageio.get_reader("x.mp4") as film:

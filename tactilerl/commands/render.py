@@ -44,8 +44,9 @@ class RenderFlags:
     """Elevation of the camera, degrees; positive looks up from below."""
     distance: float = Camera.distance
     """Distance of the camera, m."""
-    follow: bool = True
-    """In a film the camera follows hand and object; with --no-follow it stands still."""
+    follow: render.Follow = "grasp"
+    """What the camera of a film follows. grasp: the middle between hand and object; hand: the hand
+    alone, so that one sees what it leaves behind; nothing: it stands still."""
 
     @property
     def camera(self) -> Camera:
@@ -90,7 +91,7 @@ def _film(args: list[str], read: RenderFlags, scene: GraspConfig | None) -> int:
     with input_errors(), bar:
         drawn = bar.add_task("")
         film = render.film(
-            *(read.run, read.episodes, hold_seconds, read.camera, not read.follow, read.video),
+            *(read.run, read.episodes, hold_seconds, read.camera, read.follow, read.video),
             tick=lambda: bar.advance(drawn),
         )
         for shown in film:
