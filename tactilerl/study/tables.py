@@ -100,7 +100,7 @@ def comparisons(one: SetupResult, score: str) -> Table:
     columns += ["Look"] * has_looks
     for name in others:
         columns += [SCORES[name].capitalize(), f"p, {name}"]
-    columns += ["Sight − no sight", "Touch, share of it"] * has_room
+    columns += ["Sight gives", "Touch, share of it"] * has_room
     rows = []
     for cell, found in one.comparisons.items():
         verdict = found.verdict
