@@ -22,6 +22,7 @@ from .hands import DIGITS, HANDS, SEGMENTS, Array, Hand, Surface
 from .taxel_files import Point
 from .toml_files import is_number, only, strings
 
+LEAST = 1e-7  # m: nearer places are the same
 NAMED = Path(__file__).with_name("layout_files")
 
 
@@ -43,7 +44,7 @@ class Taxels:
     surfaces: Array
     """(n,) int, of the hand's surfaces."""
     offsets: Array
-    """(n, 3): row and column on that surface, and 0; of points their height over its middle, m."""
+    """(n, 3), m: row and column on that surface, and 0; of points the height over its middle, not 0."""
 
     def __len__(self) -> int:
         return len(self.names)
@@ -171,7 +172,8 @@ def _on_link(point: Point, hand: Hand) -> _Placed:
         raise ValueError(f"taxel {point.name!r}: found link {point.link!r}, allowed: {links}")
     position = np.array(point.position)
     index = min(own, key=lambda i: float(np.linalg.norm(position - hand.surfaces[i].centre)))
-    offset = hand.surfaces[index].offset(position)
+    row, column, height = hand.surfaces[index].offset(position)
+    offset = row, column, height if abs(height) > LEAST else LEAST  # 0 is of grids
     return index, offset, position, np.array(point.normal), point.radius, point.name
 
 

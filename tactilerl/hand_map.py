@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from . import places
-from .envs.hands import DIGITS, Array, Hand
+from .envs.hands import DIGITS, Array, Hand, Surface, skins
 from .envs.layouts import Taxels
 from .places import Place
 
@@ -74,6 +74,30 @@ def beyond(hand: Hand, taxels: Taxels) -> list[str]:
         if not low - place.radius <= place.row <= high + place.radius:
             found.append(name)
     return found
+
+
+def off_skin(hand: Hand, taxels: Taxels) -> list[str]:
+    """Names of taxels, given as points, whose sphere does not reach the skin of their link."""
+    found = []
+    for point, index, (_, _, height) in zip(
+        taxels.points(), taxels.surfaces.tolist(), taxels.offsets, strict=True
+    ):
+        surface, position = hand.surfaces[index], np.array(point.position)
+        if height and _from_skin(surface, position, float(height)) > point.radius:
+            found.append(point.name)
+    return found
+
+
+def _from_skin(surface: Surface, position: Array, height: float) -> float:
+    """How far a point is from a link's surface, m."""
+    if surface.geoms:
+        _, away = skins.Distances(list(surface.geoms)).nearest([*range(len(surface.geoms))], position)
+        return abs(away)
+    if surface.bone is None or surface.radius is None:
+        return abs(height)
+    begin, end = np.array(surface.bone)
+    share = np.clip((position - begin) @ (end - begin) / ((end - begin) @ (end - begin)), 0.0, 1.0)
+    return float(abs(np.linalg.norm(position - begin - share * (end - begin)) - surface.radius))
 
 
 class TaxelMap:

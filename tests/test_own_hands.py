@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import tactilerl
-from tactilerl import grasp_search, places
+from tactilerl import grasp_search, hand_map, places
 from tactilerl.__main__ import main
 from tactilerl.envs import hands, layouts, objects, scripted, taxel_files
 from tactilerl.envs.grasp import GraspEnv, setup
@@ -342,6 +342,18 @@ class TestTaxelFiles:
         path.write_text("link,x,y,z,nx,ny,nz,radius\ntoe,0,0,0,0,0,1,.002\n")
         with pytest.raises(ValueError, match="found link 'toe', allowed: left_1, left_2"):
             layouts.load(str(path)).place(hands.get(GRIPPER))
+
+    def test_points_off_the_skin_are_named(self):
+        hand = hands.get(GRIPPER)
+        points = [point._replace(name=f"{i}") for i, point in enumerate(self.taxels.points())]
+        far = points[0]._replace(position=(0.02, 0.0, -0.02))
+        layout = layouts.Layout("far", "", (), (far, *points[1:]))
+        assert hand_map.off_skin(hand, layout.place(hand)) == ["0"]
+        shadow = hands.get("shadow")
+        taxels = layouts.load("6").place(shadow).points()
+        inside = taxels[0]._replace(position=(0.0, 0.0, 0.01), radius=0.001)
+        layout = layouts.Layout("inside", "", (), (inside, *taxels[1:]))
+        assert hand_map.off_skin(shadow, layout.place(shadow)) == [inside.name]
 
     def test_export(self, tmp_path, capsys):
         for suffix in (".json", ".csv", ".toml"):

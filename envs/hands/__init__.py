@@ -232,7 +232,7 @@ class Hand:
     """Unit vector out of the palm, in its frame."""
     fingers: tuple[float, ...]
     """Unit vector from the palm towards the fingers, in its frame."""
-    fingertips: tuple[tuple[str, tuple[float, float, float]], ...]
+    fingertips: tuple[tuple[str, tuple[float, ...]], ...]
     """Body and point (m, body frame) of the tip of each digit it has."""
     surfaces: tuple[Surface, ...]
     pitch: Pitch

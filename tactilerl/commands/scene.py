@@ -74,4 +74,8 @@ def layout_notes(name: str, layout: str) -> list[str]:
         notes.append(f"layout {layout}: no taxels at {', '.join(missing)}, which {name} does not have")
     if beyond := hand_map.beyond(hand, wanted.place(hand)):
         notes.append(f"layout {layout}: beyond the end of their segment: {', '.join(beyond)}")
+    if off := hand_map.off_skin(hand, wanted.place(hand)):
+        notes.append(
+            f"layout {layout}: further from the skin of their link than they reach: {', '.join(off)}"
+        )
     return notes

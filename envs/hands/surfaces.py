@@ -1,0 +1,165 @@
+"""Where taxels may lie: the palmar sides of the links that a hand's file names."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ..toml_files import number, only, table, vector
+from . import SEGMENTS, Array, Pitch, Surface, mounting
+from .parts import Parts, beside, numbers, unit
+from .skins import Distances, Geom, geoms_of, meet
+
+BEYOND = 0.01  # m that a fingertip may lie off the shapes of its link
+
+
+def of(parts: Parts) -> tuple[Surface, ...]:
+    """The palmar sides of all segments, then of the palm at the bases of the fingers."""
+    open_hand, found = parts.posed(parts.opened), []
+    shift = number(table(parts.data, "pitch").get("distal_shift", 0.0), "pitch.distal_shift")
+    tips = dict(zip(parts.digits, parts.tips(parts.model, open_hand), strict=True))
+    for digit, (links, tip) in parts.digits.items():
+        about = parts.data["digits"][digit]
+        sides = _sides(about.get("palmar"), len(links), f"digits.{digit}.palmar")
+        for count, (link, segment) in enumerate(zip(links, _segments(len(links)), strict=True)):
+            body = parts.model.body(link).id
+            away = tips[digit] - open_hand.xpos[body]
+            towards = unit(open_hand.xmat[body].reshape(3, 3).T @ away, f"digits.{digit}.tip")
+            flexion = _flexion(parts, links[count:], open_hand)
+            found.append(_segment(parts, digit, segment, link, towards, flexion, sides[count]))
+        centre = np.array(found[-1].centre) + shift * np.array(found[-1].along)
+        found[-1] = replace(found[-1], centre=tuple(centre))
+        _require_on_link(parts, digit, links[-1], tip)
+    bases = {digit: about for digit, about in parts.data["digits"].items() if "base" in about}
+    for digit, about in bases.items() or [("palm", {"base": parts.palm_point})]:
+        found.append(_palm_side(parts, digit, about))
+    return tuple(found)
+
+
+def pitch(parts: Parts, surfaces: tuple[Surface, ...]) -> Pitch:
+    """The file's, or what fits on the smallest segment."""
+    about = table(parts.data, "pitch")
+    only(about, {"rows", "column", "radius", "large_radius", "distal_shift"}, "pitch")
+    segments = [surface for surface in surfaces if surface.segment != "palm"]
+    rows = dict.fromkeys((surface.segment for surface in segments), 5e-3)
+    for surface in segments:
+        low, high, _ = surface.span
+        rows[surface.segment] = min(rows[surface.segment], 0.3 * (high - low))
+    usual = {"column": min(5e-3, 0.6 * min(s.span[2] for s in segments)), "radius": 2e-3}
+    own = {**usual, "large_radius": 3.8e-3, **about}
+    rows |= numbers(table(about, "rows"), "pitch.rows")
+    figures = ("column", "radius", "large_radius")
+    return Pitch(rows, *(number(own[name], f"pitch.{name}", 0.0) for name in figures))
+
+
+def _segments(n: int) -> tuple[str, ...]:
+    """What `n` links from knuckle to tip are called."""
+    between = [SEGMENTS[1], *(f"{SEGMENTS[1]}{k}" for k in range(2, n - 1))]
+    return {1: SEGMENTS[2:], 2: SEGMENTS[::2]}.get(n, (SEGMENTS[0], *between, SEGMENTS[2]))
+
+
+def _sides(value: Any, n: int, where: str) -> list[Array | None]:
+    """Palmar directions of `n` links: none, one for all, or one for each."""
+    if value is None:
+        return [None] * n
+    each = value if isinstance(value, list) and value and isinstance(value[0], list) else [value] * n
+    if len(each) != n:
+        raise ValueError(f"{where}: found {len(each)} directions, expected one, or one for each link")
+    return [unit(vector(one, 3, where), where) for one in each]
+
+
+def _flexion(parts: Parts, links: tuple[str, ...], posed: mujoco.MjData) -> list[Array]:
+    """About what the first of these links and those beyond it turn when the hand closes: unit vectors
+    (3,) in the frame of the first."""
+    model, found = parts.model, []
+    own = posed.xmat[model.body(links[0]).id].reshape(3, 3)
+    for link in links:
+        body, turn = model.body(link), np.eye(3)
+        if link != links[0]:
+            turn = np.round(own.T @ posed.xmat[body.id].reshape(3, 3), 12)
+        for joint in range(body.jntadr[0], body.jntadr[0] + body.jntnum[0]):
+            way = parts.way(model.joint(joint).name)
+            if way and model.jnt_type[joint] == int(mounting.HINGE):
+                found.append(np.sign(way) * turn @ model.jnt_axis[joint])
+    return found
+
+
+def _segment(
+    parts: Parts, digit: str, segment: str, link: str, towards: Array, flexion: list[Array],
+    side: Array | None,
+) -> Surface:  # fmt: skip
+    """The palmar side of a link: of a capsule along its axis, of anything else towards the tip.
+    Closing turns that towards the palmar side, where nothing else is said."""
+    geoms = geoms_of(parts.model, parts.model.body(link).id)
+    if not geoms:
+        raise ValueError(f"digits.{digit}: body {link!r} has no geom that collides")
+    ends = _bone(parts, link, geoms[0]) if [geom.kind for geom in geoms] == ["capsule"] else None
+    along = towards if ends is None else unit(ends[1] - ends[0], link)
+    if side is None:
+        turning = next((axis for axis in flexion if np.linalg.norm(np.cross(axis, along)) > 0.5), None)
+        if turning is None:
+            raise ValueError(
+                f"digits.{digit}: nothing in [closed] bends {link!r}; say which side of it is palmar: "
+                "palmar = [x, y, z]"
+            )
+        along = beside(along, turning) if ends is None else along
+        side = unit(np.cross(turning, along), link)
+    if ends is None:
+        axes: dict[str, Any] = {"along": tuple(beside(along, side)), "palmar": tuple(side)}
+        return _around(Surface(digit, segment, link, (0.0, 0.0, 0.0), **axes, geoms=geoms))
+    axes = {"along": tuple(along), "palmar": tuple(beside(side, along))}
+    bone, radius = (tuple(ends[0]), tuple(ends[1])), geoms[0].size[0]
+    return Surface(digit, segment, link, tuple(ends.mean(axis=0)), **axes, radius=radius, bone=bone)
+
+
+def _around(surface: Surface) -> Surface:
+    """With the middle of all of its geoms as its own, and their extent."""
+    axes = np.array([surface.along, surface.across, surface.palmar])
+    points = np.concatenate([geom.points for geom in surface.geoms]) @ axes.T
+    low, high = points.min(axis=0), points.max(axis=0)
+    length, width, _ = (high - low) / 2
+    return replace(surface, centre=tuple((low + high) / 2 @ axes), extent=(float(length), float(width)))
+
+
+def _bone(parts: Parts, link: str, capsule: Geom) -> Array:
+    """Both ends (2, 3) of a capsule's axis, that at the joint first."""
+    written = [geom for geom in parts.spec.body(link).geoms if np.isfinite(geom.fromto).all()]
+    if len(written) == 1:  # as the file has it, to the last digit
+        ends = np.array(written[0].fromto).reshape(2, 3)
+    else:
+        axis = np.array(capsule.rotation)[:, 2] * capsule.size[1]
+        ends = np.array(capsule.position) + np.outer([-1.0, 1.0], axis)
+    return ends[np.argsort(np.linalg.norm(ends, axis=1), kind="stable")]
+
+
+def _palm_side(parts: Parts, digit: str, about: dict[str, Any]) -> Surface:
+    """The palm at a place: a plane where it is said to be flat, else whatever is there."""
+    link = str(about.get("base_link", parts.model.body(parts.palm).name))
+    body = parts.body(link, f"digits.{digit}.base_link")
+    base = vector(about["base"], 3, f"digits.{digit}.base")
+    posed = parts.posed({})
+    here, there = (posed.xmat[b].reshape(3, 3) for b in (body, parts.palm))
+    turn = np.round(here.T @ there, 12)
+    along, palmar = (tuple((turn @ v + 0.0).tolist()) for v in (parts.fingers, parts.palmar))
+    plane = Surface(digit, "palm", link, base, along, palmar)  # type: ignore[arg-type]
+    if parts.data.get("palm_is_flat"):
+        return plane
+    geoms = geoms_of(parts.model, body)
+    if meet(geoms, np.array(base), -np.array(palmar)) is None:
+        raise ValueError(f"palm: found no surface of body {link!r} at {list(base)} on its palmar side")
+    whole = _around(replace(plane, geoms=geoms))
+    return replace(whole if digit == "palm" else replace(plane, geoms=geoms), centre=plane.centre)
+
+
+def _require_on_link(parts: Parts, digit: str, link: str, tip: Any) -> None:
+    """ValueError for a fingertip that is not at its link."""
+    geoms = geoms_of(parts.model, parts.model.body(link).id)
+    _, away = Distances(list(geoms)).nearest(list(range(len(geoms))), np.array(tip))
+    if away > BEYOND:
+        raise ValueError(
+            f"digits.{digit}.tip: found a point {1e3 * away:.1f} mm off body {link!r}, allowed up to "
+            f"{1e3 * BEYOND:g} mm"
+        )
