@@ -24,7 +24,7 @@ def make(kind: type[T], values: Any, where: str) -> T:
         different = sorted(values.keys() ^ names(kind))[0]
         found = "an unknown" if different in values else "no"
         raise ValueError(f"{where}: found {found} field {different[:50]!r}")
-    values = _with_tuples(values)
+    values = plain(values)
     require(kind, values)
     return kind(**values)
 
@@ -36,10 +36,10 @@ def names(dataclass: Any) -> set[str]:
 
 def replace(instance: T, choices: Mapping[str, Any]) -> T:
     """A copy of a dataclass with some fields chosen otherwise; lists are its tuples."""
-    return dataclasses.replace(instance, **_with_tuples(choices))  # type: ignore[type-var]
+    return dataclasses.replace(instance, **plain(choices))  # type: ignore[type-var]
 
 
-def _with_tuples(values: Mapping[str, Any]) -> dict[str, Any]:
+def plain(values: Mapping[str, Any]) -> dict[str, Any]:
     """JSON's lists are the tuples of dataclasses, and NumPy's numbers are Python's."""
     plain = ((name, v.item() if isinstance(v, np.generic) else v) for name, v in values.items())
     return {name: tuple(v) if isinstance(v, list) else v for name, v in plain}
