@@ -63,6 +63,8 @@ def require_type(value: Any, hint: Any, name: str) -> None:
         check_type(value, hint, collection_check_strategy=CollectionCheckStrategy.ALL_ITEMS)
     except TypeCheckError as error:
         reason = " ".join(str(error).split())
+        if "in the union" in reason:
+            reason = f"allowed {str(hint).replace('typing.', '')}"
         raise ValueError(f"{name}: found {_short(value)}: {reason[:200]}") from None
     for item in value if isinstance(value, tuple) else (value,):
         if isinstance(item, bool) and not _allows_bool(hint):
