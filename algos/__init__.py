@@ -116,7 +116,7 @@ class Algorithm(Protocol):
         """Everything that the rest of the run depends on, except the experience."""
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Go on exactly where `state_dict` was taken; keep the current random state if it has none."""
+        """Go on exactly where `state_dict` was taken."""
 
     @staticmethod
     def saved_policy(config: Any, spaces: Spaces, saved: dict[str, Any]) -> Policy:

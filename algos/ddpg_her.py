@@ -190,8 +190,8 @@ class DDPGHER:
         config, replay = self.config, self.replay
         epoch = config.n_cycles * config.n_rollouts * replay.max_steps
         return (
-            f"epochs of up to {epoch:,} steps and {config.n_cycles * config.n_batches:,} updates per "
-            f"process, gamma {config.gamma:g}, HER probability {config.replay_p:g}, replay of "
+            f"epochs of up to {epoch:,} steps and {config.n_cycles * config.n_batches:,} updates in "
+            f"each process, gamma {config.gamma:g}, HER probability {config.replay_p:g}, replay of "
             f"{config.buffer_size:,} transitions: {replay.nbytes / 1e9:.2f} GB in each when full"
         )
 

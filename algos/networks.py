@@ -153,7 +153,8 @@ def start_orthogonal(
 ) -> None:
     """Draw orthogonal weights with gain sqrt(2), in the last layer `last_gain`; biases are zero.
 
-    Networks with other `inputs` start alike up to the first input that differs.
+    Networks with other `inputs` start alike up to the first input that differs, if they have no more
+    inputs than units; else their first layers start unlike.
     """
     for linear in network.linears:
         is_first, is_last = (linear is network.linears[i] for i in (0, -1))

@@ -16,9 +16,11 @@ from functools import partial
 from typing import Any
 
 from benchmarks.command import ROOT
+from benchmarks.learners import learning
 from benchmarks.studies import gates, probe_agreement, probe_hold, probe_tables
 
 DOCS = ROOT / "docs"
+HANDOVERS = ("handover", "handover_critic", "handover_zhang")  # runs
 MARKED = re.compile(r"(<!-- table (.+?) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
 
@@ -39,6 +41,7 @@ PRINTED: dict[str, Callable[[], None]] = {
     "probe differences": _of("probe", probe_tables.differences, 0.05),
     "probe agreement": _of("probe_agreement", probe_agreement.show),
     "probe hold": _of("probe_hold", probe_hold.show),
+    **{name: _of(name, learning.markdown) for name in HANDOVERS},
     **{f"gates {name}": _of("gates", partial(gates.show, name)) for name in gates.tables()},
 }
 """What prints each table, perhaps with a title."""

@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args, get_type_hints
 import gymnasium as gym
 import numpy as np
 
-from . import hands, layouts, objects, observations, simulators, tasks, touch
+from . import hands, layouts, objects, observations, simulators, tasks, touch, typed
 from .choices import require_known
 from .hands import Array
 from .hold import HoldTest
@@ -66,6 +66,7 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
     def validate(self) -> None:
         """Raise ValueError naming the first invalid field."""
         self._validate_choices()
+        typed.require(type(self), vars(self))
         for name in ("finger_gain", "timestep", "control_dt"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
@@ -82,6 +83,8 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
             raise ValueError(f"start_closing: found {self.start_closing}, allowed from 0 to below 1")
         objects.validate(self)
         tasks.validate(self)
+        if self.task == "handover":
+            tasks.Handover.require_time(self.max_episode_steps, self.control_dt)
         observations.validate(self, self.run_type, touch.RULES[self.touch].is_boolean)
 
     def _validate_choices(self) -> None:
@@ -103,7 +106,7 @@ def setup(hand: str, **choices: Any) -> GraspConfig:
     """The configuration of a hand's set-up, with some fields chosen otherwise; ValueError when there is
     no such field."""
     require_known(choices, (field.name for field in fields(GraspConfig)))
-    return GraspConfig(**{**hands.registration(hand).scene, **choices})
+    return GraspConfig(**typed.plain({**hands.registration(hand).scene, **choices}))
 
 
 JITTER_JOINT = 0.02  # rad, of every finger joint, within its range
@@ -161,7 +164,6 @@ class GraspEnv(gym.Env[Any, Array]):
                 visual=render_mode is not None,
             ),
         )
-        self._warnings = self.simulator.warnings
         names = () if config.run_type == "absent" else self.taxels.names
         is_boolean = self._touch.is_boolean
         self._observer = Observer(config, self.hand, names, is_boolean, config.control_dt)
@@ -169,6 +171,7 @@ class GraspEnv(gym.Env[Any, Array]):
         self._targets = self.hand.start_targets()
         self.simulator.reset(self._start_positions, np.array([0.0, 0.0, items.height / 2]), 0.0)
         self.palm_skin = self._palm_skin()
+        self._warnings = self.simulator.warnings
         self._steps, self._object_position = 0, np.zeros(3)
         self._obs: dict[str, Array] = {}
         self._desired_goal = np.zeros(self.task.goal_size, np.float32)
@@ -227,14 +230,14 @@ class GraspEnv(gym.Env[Any, Array]):
             position = self.task.place(self.palm_skin, item.shape, offset)
             self.simulator.reset(positions, position, yaw)
             snapshot = self._look()
-            observation = self._observation(snapshot)
+            sensed = self._sensed(snapshot)
         except simulators.SimulationError as error:
             raise simulators.SimulationError(f"an episode cannot begin: {error}") from error
         self._object_position = snapshot.object.position
         achieved, desired = self.task.begin(snapshot, goal_rng)
         self._desired_goal = desired.astype(np.float32)
         self.task.act(self.simulator, self._steps)
-        self._obs = self._goal_obs(snapshot, observation, achieved)
+        self._obs = self._goal_obs(sensed, achieved)
         return self._obs, {"is_success": False, "object": item.describe()}
 
     def step(self, action: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
@@ -254,13 +257,13 @@ class GraspEnv(gym.Env[Any, Array]):
             self.simulator.step(self._targets, self.config.n_substeps)
             snapshot = self._look()
             self._follow(snapshot.object.position)
-            observation = self._observation(snapshot)
+            sensed = self._sensed(snapshot)
             judged = self.task.judge(snapshot, self._steps >= self.max_episode_steps, self._hold)
         except simulators.SimulationError as error:
             info = self._info(True, is_success=False, diverged=True, error=str(error))
             last = {key: value.copy() for key, value in self._obs.items()}
             return last, 0.0, False, True, info
-        self._obs = obs = self._goal_obs(snapshot, observation, judged.achieved_goal)
+        self._obs = obs = self._goal_obs(sensed, judged.achieved_goal)
         goals = obs["achieved_goal"], obs["desired_goal"]
         terminated = judged.is_over
         truncated = not terminated and self._steps >= self.max_episode_steps
@@ -322,20 +325,22 @@ class GraspEnv(gym.Env[Any, Array]):
     def _read_taxels(self, obj: objects.ObjectState) -> Array:
         return self._touch.read(self.simulator, self.shape, obj)
 
-    def _observation(self, snapshot: Snapshot) -> Array:
-        """What the policy is told; SimulationError when the physics broke."""
-        run_type = self.config.run_type
-        if run_type == "main":
-            taxels = self._read_taxels(snapshot.object)
-        else:
-            taxels = np.zeros(len(self.taxels) if run_type == "control" else 0)
-        observation = self._observer.observe(snapshot, taxels)
+    def _sensed(self, now: Snapshot) -> dict[str, Array]:
+        """What policy and critic are told; SimulationError when the physics broke. Before a hold test
+        moves the hand: taxels are read from where its links are."""
+        run_type, has_truth = self.config.run_type, self.config.critic_sees == "truth"
+        felt = np.zeros(0)
+        if has_truth or run_type == "main":
+            felt = self._read_taxels(now.object)
+        blind = np.zeros(len(self.taxels) if run_type == "control" else 0)
+        observation = self._observer.observe(now, felt if run_type == "main" else blind)
         largest = np.abs(observation).max()
         if not largest < LIMIT:
             raise simulators.SimulationError(
                 f"an observation is as large as {largest}: the physics broke"
             )
-        return observation
+        truth = {"truth": observations.truth(self.hand, now, felt)} if has_truth else {}
+        return {**truth, "observation": observation}
 
     def _info(self, is_end: bool, **info: Any) -> dict[str, Any]:
         """With the warnings that no step has told of yet, including a reset's; at the end of an
@@ -349,14 +354,9 @@ class GraspEnv(gym.Env[Any, Array]):
         """A hold test from here on, with the joint targets of the last action."""
         return test.run(self.simulator, self._targets, self.config.timestep)
 
-    def _truth(self, now: Snapshot) -> Array:
-        return observations.truth(self.hand, now, self._read_taxels(now.object))
-
-    def _goal_obs(self, now: Snapshot, observation: Array, achieved: Array) -> dict[str, Array]:
-        truth = {"truth": self._truth(now)} if self.config.critic_sees == "truth" else {}
+    def _goal_obs(self, sensed: dict[str, Array], achieved: Array) -> dict[str, Array]:
         return {
-            **truth,
-            "observation": observation,
+            **sensed,
             "achieved_goal": achieved.astype(np.float32),
             "desired_goal": self._desired_goal.copy(),
         }

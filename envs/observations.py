@@ -50,10 +50,11 @@ class SensorConfig(TaxelFaults):
     sight_noise_kind: Literal["white", "held"] = "white"
     """white: drawn at every step; held: drawn once an episode."""
     joint_noise: float = 0.0
-    """Standard deviation of the noise on each observed joint angle, rad, drawn at every step. Observed
-    velocities err by what that makes of the change of an angle in a control step."""
+    """Standard deviation of the noise on each observed joint angle, rad, drawn at every step.
+    Velocities get the matching error: the difference of two samples divided by the control step."""
     joint_noise_held: float = 0.0
-    """Standard deviation of an error of each observed joint angle, rad, drawn once an episode."""
+    """Standard deviation of a constant offset on each observed joint angle, rad, drawn once an
+    episode."""
     slide_noise: float = 0.0
     """The same as --joint-noise for the slides, and so for the hand's position, m."""
     slide_noise_held: float = 0.0
@@ -75,8 +76,8 @@ class ObservationConfig(SensorConfig):
     history: int = 1
     """How many of the latest observations are given side by side."""
     observe_targets: bool = False
-    """Observe what the actions have asked for so far: joint targets, or how far groups of fingers are
-    to be closed. Not so in the paper, where increments add up unseen."""
+    """Include the current joint targets in the observation, or how far groups of fingers are to be
+    closed. The paper leaves them out, so the policy cannot see the accumulated increments."""
     critic_sees: Literal["observation", "truth"] = "observation"
     """truth: the critic also sees the object's pose, exact joints and what touches; the policy does
     not."""

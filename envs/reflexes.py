@@ -61,6 +61,8 @@ class _Reading:
             return [i for i in newest if names[i].startswith(starts)]
 
         self._joints = entries("position of ", "hand ")
+        if not self._joints or not entries("object x"):
+            raise ValueError("reflexes go by joints and the object, which this hand does not observe")
         self._taxels, self._object = entries("taxel "), entries("object x", "object y", "object z")
         self.is_handed_over = env.task.giver is not None
         self.second_steps = 0 if self.is_handed_over else _n_lift(env)

@@ -42,8 +42,8 @@ class TaskConfig:
     """lift-and-hold and handover: full, or settled (a compressed test of about 1 s, sometimes wrong;
     see docs/concepts/tasks.md)."""
     handover_reach: float = 0.0
-    """handover: how far beyond the bases of the fingers, towards their tips, the object is held against
-    the hand, m; 0: against the palm."""
+    """handover: distance from the finger bases to the object, towards the fingertips, m; 0: against the
+    palm."""
     goal_height: float = 0.08
     """reach-goal: the goal is this far above where the object stands without jitter, m."""
     goal_range: float = 0.0
@@ -293,8 +293,8 @@ class Handover:
     """Close the hand while somebody holds an object against it, and keep it.
 
     The arm stands still. At a time that is not known, somebody brings the object up from below,
-    presses it softly against the palm or the fingers, and lets go a second after setting off. It is
-    missed when it falls; if it is still in the hand a little later, the hold test decides.
+    presses it softly against the palm or the fingers, and lets go ten actions after setting off. It
+    is missed when it falls; if it is still in the hand a little later, the hold test decides.
     """
 
     rewards: ClassVar[tuple[str, ...]] = ("outcome",)
@@ -327,6 +327,18 @@ class Handover:
     def of(cls, config: TaskConfig, hand: Hand, own_timestep: float, shape: Shape) -> Handover:
         return cls(_hold_test(config, own_timestep, shape), config.handover_reach)
 
+    @classmethod
+    def require_time(cls, max_episode_steps: int | None, control_dt: float) -> None:
+        """ValueError where an episode ends before the hold test, or the giver lets go on the way."""
+        least = cls.waits[1] + cls.stays + cls.settles
+        if max_episode_steps is not None and max_episode_steps < least:
+            raise ValueError(f"max_episode_steps: found {max_episode_steps}, allowed {least} or more "
+                             "in a handover")  # fmt: skip
+        fastest = 2 * (cls.below + cls.beyond) / cls.giver.speed / cls.stays
+        if control_dt < fastest:
+            raise ValueError(f"control_dt: found {control_dt} s, allowed {fastest:.3f} s or more in a "
+                             "handover: the object would not arrive")  # fmt: skip
+
     def place(self, palm: Array, shape: Shape, offset: Array) -> Array:
         x, y = offset  # fingers point along -y
         return palm + np.array([x, y - self.reach, -shape.half_size[2] - self.below])
@@ -349,7 +361,7 @@ class Handover:
     def judge(self, now: Snapshot, is_last: bool, hold: Hold) -> Judgement:
         since = self._step - self._sets_off - self.stays
         outcome: Outcome = "undecided"
-        if is_last or (since >= 0 and _distance(now.hand, now.object.position) > self.fallen):
+        if since >= 0 and _distance(now.hand, now.object.position) > self.fallen:
             outcome = "missed"
         elif since >= self.settles:
             outcome = "held" if hold(self.hold) else "missed"

@@ -24,14 +24,14 @@ import gymnasium as gym
 import numpy as np
 import torch
 
-from . import config, envs, evaluation, policies, training, typed
+from . import config, envs, evaluation, policies, training
 from .algos import mpi, recipes
 from .algos.mpi import Communicator
 from .algos.networks import Precision
 from .algos.policy import Policy
 from .algos.spaces import Spaces
 from .config import RunOptions
-from .envs import vector
+from .envs import typed, vector
 from .envs.choices import require_known
 from .errors import InputError
 from .report import Report

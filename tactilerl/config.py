@@ -15,9 +15,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
-from . import algos, envs, typed
+from . import algos, envs
 from .algos import recipes
-from .envs import hands, layouts, scenes
+from .envs import hands, layouts, scenes, typed
 from .envs.choices import require_known
 from .envs.grasp import GraspConfig, setup
 from .envs.scenes import NamedScene
@@ -213,7 +213,9 @@ def defaults(
     is_own = algo == own
     train = {k: v for k, v in named.train.items() if is_own and k not in ("algo", "recipe")}
     with input_errors("--algo"):
-        algos.get(algo)
+        config_type, _ = algos.get(algo)
+    with input_errors(f"scene {scene}: train"):
+        require_known(train, {"total_timesteps", *typed.names(config_type)})
     if scene and not hands.is_hand(env):
         raise InputError(f"--env: found {env!r} with --scene, allowed: {hands.allowed()}")
     paper = algos.ALGORITHMS[algo]

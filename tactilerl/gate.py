@@ -13,11 +13,13 @@ import numpy as np
 
 from .envs import reflexes, vector
 from .envs.grasp import GraspConfig, GraspEnv
+from .envs.observations import SHARES
 from .envs.reflexes import Reflex
 from .evaluation import success_rate
 
 SEARCH = 1_000_000  # starts of the search are not those of the comparison
-TELLS, OPEN = 0.3, 0.05  # what a scene must leave to win to tell anything; what counts as closed
+TELLS = 0.3  # what a scene must leave to win to tell anything
+FAULTS: dict[str, Any] = {**dict.fromkeys(SHARES, 0.0), "taxel_delay": 0, "hand_seed": None}
 SENSES = {
     "blind": ("time", "waits a fixed time"),
     "joints": ("joints", "goes by the joints and the hand's position"),
@@ -60,7 +62,7 @@ def examine(
         sense, _ = SENSES[name]
         if name == "sight" and scene.object_seen in ("hidden", "exact"):
             continue  # nothing to go by, or what "sighted" is
-        own = dataclasses.replace(scene, run_type="main" if sense == "touch" else "absent")
+        own = scene if sense == "touch" else dataclasses.replace(scene, run_type="absent", **FAULTS)
         if name == "sighted":
             own = dataclasses.replace(
                 own, object_seen="exact", sight_noise=None, sight_noise_kind="white"
@@ -103,7 +105,8 @@ def verdict(found: list[Found]) -> str:
             f"This scene cannot tell: the best reflex without touch ({best}) succeeds in "
             f"{without[best]:.2f} of its starts, a sighted one in {rates['sighted']:.2f}."
         )
+    won = min(max(0.0, won), room)
     return (
-        f"Touch can win {max(0.0, won):.2f} of the {room:.2f} that lie between the best reflex without "
+        f"Touch can win {won:.2f} of the {room:.2f} that lie between the best reflex without "
         f"touch ({best}, {without[best]:.2f}) and a sighted one ({rates['sighted']:.2f})."
     )

@@ -66,7 +66,7 @@ class _Player:
             raise InputError(
                 f"{run}: found a run on {config.run.env!r}, allowed runs of grasping scenes"
             )
-        torch.set_num_threads(config.run.threads)  # as it was trained, to the last digit
+        self._threads = config.run.threads
         scene = replace(config.scene, hold_seconds=hold_seconds)
         self.every = max(1, int(1 / FPS / scene.timestep + 1e-6))
         self.fps = 1 / (self.every * scene.timestep)
@@ -91,6 +91,7 @@ class _Player:
             write(_labelled(_with_map(self.env, camera, self._map), self._label))
 
         self._show = show
+        torch.set_num_threads(self._threads)  # as it was trained, to the last digit
         played = self._task(self.env, number, lambda: True)
         for _ in range(END_PICTURES):
             show()

@@ -17,10 +17,10 @@ from typing import Any
 from . import files, provenance
 from .config import LAYOUT_COPY, RunConfig, from_dict
 from .envs import hands, layouts
+from .envs.typed import require_type
 from .errors import InputError
 from .files import damage_named, pasted, read_json, replacing
 from .progress import Progress
-from .typed import require_type
 
 FORMAT = 3  # of all files in a run folder; 1 and 2 are those of 0.1
 Values = dict[str, Any]

@@ -649,7 +649,7 @@ class TestOtherCommands:
     def test_several_runs_side_by_side_from_a_camera_that_stands(self):
         pytest.importorskip("imageio_ffmpeg")
         imageio = pytest.importorskip("imageio.v2")
-        short = ["--scene", "handover", "--max-episode-steps", "4", "--n-passes", "1"]
+        short = ["--scene", "dark_mpl", "--max-episode-steps", "4", "--n-passes", "1"]
         short += ["--total-timesteps", "8", "--steps-per-epoch", "8"]
         for name, run_type in (("touch", "main"), ("blind", "control")):
             assert main(["train", *short, "--run-type", run_type, "--out", name]) == 0

@@ -85,6 +85,14 @@ def test_in_a_handover_touch_decides(capsys):
     assert said["verdict"].startswith("Touch can win 0.")
 
 
+def test_a_gate_of_faulty_taxels(capsys):
+    few = ["--starts", "6", "--search", "1", "--workers", "1", "--json"]
+    faults = ["--taxel-dead", "1", "--taxel-delay", "1"]
+    assert main(["gate", "--scene", "handover", *faults, *few]) == 0
+    rates = {row["name"]: row["rate"] for row in json.loads(capsys.readouterr().out)["reflexes"]}
+    assert rates["touch"] <= 0.5 < rates["sighted"]
+
+
 def test_a_table_and_a_sentence(capsys):
     few = ["--starts", "2", "--search", "1", "--workers", "1"]
     assert main(["gate", "--scene", "dark_mpl", *few]) == 0
@@ -100,6 +108,7 @@ def test_a_table_and_a_sentence(capsys):
         (["--search", "0"], "--search: found 0, allowed 1 or more"),
         (["--seed", "-1"], "--seed: found -1"),
         (["--env", "lqr"], "--env: found 'lqr'"),
+        (["--scene", "handover", "--run-type", "control"], "--run-type: found control, allowed main"),
         (["--scene", "nowhere"], "scene: found 'nowhere'"),
     ],
 )

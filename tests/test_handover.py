@@ -165,6 +165,25 @@ class TestEpisode:
         assert info["diverged"]
         env.close()
 
+    def test_a_hold_test_at_the_last_step_counts(self):
+        short = make(max_episode_steps=tasks.Handover.waits[1] + 18)
+        assert all(Reflex("touch", 1, 1.0).play(short, seed) for seed in range(4))
+        short.close()
+
+    def test_a_hand_whose_actuators_have_groups_of_their_own_stays_strong(self):
+        """The giver is switched off by its group."""
+        env = envs.make("mpl", simulator="mujoco")
+        env.reset(seed=0)
+        assert env.simulator.model.opt.disableactuator == 0
+        env.close()
+        env = make()
+        env.simulator.let_go()
+        model, giver = env.simulator.model, env.simulator._giver
+        switched_off = model.opt.disableactuator >> model.actuator_group & 1
+        assert switched_off[giver].all()
+        assert switched_off.sum() == len(giver)
+        env.close()
+
     def test_a_giver_where_there_is_none(self):
         env = envs.make("mpl", simulator="mujoco")
         with pytest.raises((AssertionError, SimulationError)):
@@ -225,6 +244,11 @@ class TestActions:
         ({"start_closing": 1.0}, "start_closing: found 1.0, allowed from 0 to below 1"),
         ({"actions": "thumb"}, "actions: found 'thumb', allowed: all, fingers, grip"),
         ({"reward": "staged"}, "reward: found 'staged'"),
+        ({"max_episode_steps": 20}, "max_episode_steps: found 20, allowed 53 or more in a handover"),
+        ({"control_dt": 1 / 80, "timestep": 1 / 240}, "control_dt: found 0.0125 s, allowed 0.041 s"),
+        ({"history": "four"}, "history: found 'four'"),
+        ({"observe_targets": "no"}, "observe_targets: found 'no'"),
+        ({"joint_noise": True}, "joint_noise: found True"),
     ],
 )
 def test_what_cannot_be_is_named(choices, named):

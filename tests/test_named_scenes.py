@@ -120,6 +120,9 @@ class TestOwnFile:
             ("[scene]\nlayout = 99", "layout"),
             ('[scene]\ntask = "juggle"', "task: found 'juggle'"),
             ("[train]\ncolour = 3", "colour"),
+            ('base = "handover"\n[train]\nenv = "shadow"', "env"),
+            ('base = "handover"\n[train]\nout = "x"', "out"),
+            ("[scene]\nhistory = 2.5", "history: found 2.5"),
             ('[train]\nalgo = "magic"', "magic"),
         ],
     )

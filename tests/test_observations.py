@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from tactilerl import envs
 from tactilerl.envs import observations
 from tactilerl.envs.observations import Broken, Delay, FalseReadings
+from tactilerl.envs.reflexes import Reflex
 
 BOTH = [
     pytest.param("shadow", "mujoco"),
@@ -275,3 +276,21 @@ class TestTruth:
         position = obs["truth"][2 * n_joints : 2 * n_joints + 3]
         np.testing.assert_allclose(position, env.simulator.object_state().position, atol=1e-7)
         np.testing.assert_array_equal(obs["truth"][-139:], env.taxel_readings())
+
+
+def test_the_truth_of_taxels_is_not_that_after_a_hold_test():
+    """They are read before it moves the hand, as the policy's are."""
+    env = envs.make("mpl", scene="dark_mpl", critic_sees="truth", object_seen="exact")
+    n, seen = len(env.taxels), []
+    follow = env.follow
+
+    def watched(targets):
+        obs, *rest = follow(targets)
+        seen.append((obs["observation"][-n:].sum(), obs["truth"][-n:].sum(), rest[1]))
+        return obs, *rest
+
+    env.follow = watched
+    assert any(Reflex("time", 2, 1.0).play(env, seed) for seed in range(3))
+    assert all(observed == told for observed, told, _ in seen)
+    assert any(told > 0 for _, told, is_last in seen if is_last)
+    env.close()

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import tactilerl
 from tactilerl import grasp_search, hand_map, places
-from tactilerl.__main__ import main
+from tactilerl.cli import main
 from tactilerl.envs import hands, layouts, objects, scripted, taxel_files
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.simulators import Scene

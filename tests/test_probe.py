@@ -3,6 +3,7 @@
 import json
 import os
 from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -482,7 +483,7 @@ class TestFolder:
         assert main(["train", "--algo", "ppo", *scene, *short, "--out", "run"]) == 0
         capfd.readouterr()
         said = error(capfd, "--policy", "run", "--grasps", "6", "--workers=1", "--layout", "5")
-        assert "were held" in said  # few or none by an untrained policy: they were played
+        assert "with the same outcome" in said  # none by an untrained policy: they were played
         assert len(files.read(tmp_path / "probes/run/grasps.npz").records["held"]) == 6
 
 
@@ -501,8 +502,11 @@ class TestScene:
         assert found["env"] == "mpl"
         assert found["playing"]["perturbation"]["sizes"] == [0.045]
 
-    def test_a_scene_that_is_handed_over_is_refused(self, capsys):
+    def test_a_scene_that_is_handed_over_is_refused(self, capsys, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)
         assert "whose task is handover" in error(capsys, "--scene", "handover")
+        Path("box.toml").write_text("[scene]\nobject_size = [0.03, 0.04, 0.05]\n")
+        assert "several measures of an object" in error(capsys, "--scene", "box.toml")
         assert "scene: found 'nowhere', allowed: " in error(capsys, "--scene", "nowhere")
 
 

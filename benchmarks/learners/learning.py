@@ -75,6 +75,19 @@ def show(name: str, runs: list[dict[str, Any]], episodes: int) -> None:
     Console().print(table)
 
 
+def markdown(content: dict[str, Any]) -> None:
+    """What `main` wrote, for the docs."""
+    print(f"| run | steps | minutes | last rate | {content['episodes']} evaluation episodes (95 %) |")
+    print("|---|---|---|---|---|")
+    for run in content["runs"]:
+        low, high = run["success_rate_ci"]
+        cells = (
+            f"{run['run_type']}, seed {run['seed']}", f"{run['env_steps']:,}", f"{run['minutes']:.1f}",
+            f"{run['last']:.2f}", f"{run['success_rate']:.2f} ({low:.2f} – {high:.2f})",
+        )  # fmt: skip
+        print(f"| {' | '.join(cells)} |")
+
+
 def main() -> None:
     """Read the flags, print the table, keep what it was made of."""
     flags = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])

@@ -32,7 +32,7 @@ def examine(name: str, starts: int, search: int, senses: tuple[str, ...], **choi
     if issubclass(tasks.TASKS[config.task], (tasks.LiftAndHold, tasks.Handover)):
         config = dataclasses.replace(config, **QUICK)
     if config.simulator == "pybullet":  # several times as slow
-        starts, search = starts // 2, search // 4
+        starts, search = max(1, starts // 2), max(1, search // 4)
     found = gate.examine(env, config, starts, search, 0, free_cores(Communicator()), senses=senses)
     rates = {each.name: dataclasses.asdict(each) for each in found}
     whole = {"gate": gate.verdict(found)} if set(rates) >= {"touch", "sighted"} else {}

@@ -15,7 +15,7 @@ from ..touch import taxel_points
 from . import Camera, Contacts, Scene, SimulationError, joint_limits
 
 OBJECT, GIVER = "object", "giver"
-GIVERS_GROUP = 1  # of actuators: the hand's are in group 0
+GIVERS_GROUP = 30  # of actuators, the last: a hand's are elsewhere
 LIT_SCALE = 2.0  # a taxel that fires is drawn larger: between hand and object it is hard to see
 GEOMS = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
@@ -259,12 +259,13 @@ class MujocoSimulator:
         way = goal - position
         model.opt.disableactuator &= ~(1 << GIVERS_GROUP)
         model.actuator_actrange[self._giver] = np.sort([position, goal], axis=0).T
-        data.act[:] = position
+        data.act[model.actuator_actadr[self._giver]] = position
         data.ctrl[self._giver] = self.scene.giver.speed * way / max(np.linalg.norm(way), 1e-9)
         data.xfrc_applied[self._object_body, :3] = -self.scene.mass * model.opt.gravity
 
     def let_go(self) -> None:
-        self.model.opt.disableactuator |= 1 << GIVERS_GROUP
+        if self._giver is not None:
+            self.model.opt.disableactuator |= 1 << GIVERS_GROUP
         self.data.xfrc_applied[self._object_body] = 0.0
 
     def set_creep(self, factor: float) -> None:

@@ -17,6 +17,8 @@ from ..terminal import console
 from ..training import free_cores
 from .scene import read_scene, require_scene
 
+ABOUT = "What can touch win in a scene? Scripted reflexes of each sense, before any training."
+
 
 @dataclass(frozen=True)
 class GateFlags:
@@ -27,7 +29,7 @@ class GateFlags:
     starts: int = 200
     """Starts from which the chosen reflexes are compared."""
     search: int = 20
-    """Starts from which each candidate is tried: each sense has 15."""
+    """Starts per candidate during the search; each sense has 15 candidates."""
     seed: int = 0
     """Random seed of the starts."""
     workers: int | None = None
@@ -38,7 +40,7 @@ class GateFlags:
 
 def main(args: list[str]) -> int:
     """`tactilerl gate --scene handover`"""
-    read, found = read_scene(GateFlags, args, "tactilerl gate")
+    read, found = read_scene(GateFlags, args, "tactilerl gate", ABOUT)
     scene = require_scene(found, read.env)
     for name in ("starts", "search"):
         flags.at_least(flags.of_field(name), getattr(read, name), 1)
@@ -46,7 +48,9 @@ def main(args: list[str]) -> int:
         raise InputError(f"--seed: found {read.seed}, allowed from 0 to 999,999")
     with input_errors():
         require_workers(read.workers)
-        dataclasses.replace(scene, run_type="main").validate()
+        if scene.run_type != "main":
+            raise InputError(f"--run-type: found {scene.run_type}, allowed main: a gate plays all")
+        scene.validate()
     with Progress(console=console, transient=True) as progress, input_errors():
         task = progress.add_task("trying reflexes", total=None)
         rows = gate.examine(

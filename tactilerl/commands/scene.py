@@ -17,13 +17,13 @@ from ..errors import InputError, input_errors
 T = TypeVar("T")
 
 
-ABOUT = (
-    f"a named scene ({', '.join(scenes.names())}) or its .toml file; other flags change what it says"
-)
+ABOUT = f"a named scene ({', '.join(scenes.names())}) or its .toml file; other flags override it"
 NAMED_SCENE = ("named_scene", Annotated[str, tyro.conf.arg(name="scene", help=ABOUT)], "")
 
 
-def read_scene(kind: type[T], args: Sequence[str], prog: str) -> tuple[T, GraspConfig | None]:
+def read_scene(
+    kind: type[T], args: Sequence[str], prog: str, about: str = ""
+) -> tuple[T, GraspConfig | None]:
     """The command's own flags, and the scene's where its environment has a scene."""
     with input_errors("--scene"):
         name = flags.peek(args, "--scene", "")
@@ -39,7 +39,7 @@ def read_scene(kind: type[T], args: Sequence[str], prog: str) -> tuple[T, GraspC
     kinds = [(name, type(it)) for name, it in parts.items()]
     options = dataclasses.make_dataclass("Options", [*kinds, NAMED_SCENE])
     with hands_named(env):
-        read: Any = flags.parse(options, args, prog, options(**parts))
+        read: Any = flags.parse(options, args, prog, options(**parts), about)
     return read.command, getattr(read, "scene", None)
 
 

@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .. import typed
-from ..envs import hands
+from ..envs import hands, typed
 from ..envs.objects import KINDS
 from ..errors import InputError
 from ..files import damage_named, read_arrays, replacing

@@ -14,6 +14,7 @@ from ..envs.hold import Verdict
 from ..envs.observations import TaxelFaults, validate_faults
 from .grasps import Perturbation
 
+LOST = {"object_density", "finger_gain", "timestep"}  # of a scene: probed grasps keep the hand's
 SIX = ("1", "2", "3", "4", "5", "6")
 
 
@@ -65,6 +66,9 @@ class GraspFlags:
         if not issubclass(tasks.TASKS[config.task], tasks.FromTheGround):
             raise ValueError(f"scene: found {scene!r}, whose task is {config.task}, allowed scenes "
                              "whose object lies on the ground; or probe a run: --policy")  # fmt: skip
+        if len(config.object_size) > 1 or LOST & named.scene.keys():
+            raise ValueError(f"scene: found {scene!r}, which has several measures of an object or says "
+                             f"{', '.join(sorted(LOST))}, allowed scenes that do not")  # fmt: skip
         said: dict[str, Any] = {"env": named.env, "simulator": config.simulator}
         for name in ("start_offset", "start_yaw", "hold_verdict"):
             if name in named.scene:

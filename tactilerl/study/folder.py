@@ -20,7 +20,7 @@ from typing import Literal
 
 import filelock
 
-from .. import typed
+from ..envs import typed
 from ..errors import InputError
 from ..files import content, damage_named, read_json, replacing, writable
 from ..progress import Row, whole

@@ -37,9 +37,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ..envs.typed import require
 from ..errors import InputError
 from ..files import MAX_JSON, content, damage_named, require_name
-from ..typed import require
 from .primary import Looks, Primary
 
 MEASURES = ("success_rate", "test_success_rate")  # columns of progress.csv that are shares

@@ -5,8 +5,8 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass, field
 
+from ..envs.typed import require
 from ..errors import InputError, input_errors
-from ..typed import require
 
 SCORES = {
     "area": "area under the curve",

@@ -24,7 +24,7 @@ def make(kind: type[T], values: Any, where: str) -> T:
         different = sorted(values.keys() ^ names(kind))[0]
         found = "an unknown" if different in values else "no"
         raise ValueError(f"{where}: found {found} field {different[:50]!r}")
-    values = _with_tuples(values)
+    values = plain(values)
     require(kind, values)
     return kind(**values)
 
@@ -36,10 +36,10 @@ def names(dataclass: Any) -> set[str]:
 
 def replace(instance: T, choices: Mapping[str, Any]) -> T:
     """A copy of a dataclass with some fields chosen otherwise; lists are its tuples."""
-    return dataclasses.replace(instance, **_with_tuples(choices))  # type: ignore[type-var]
+    return dataclasses.replace(instance, **plain(choices))  # type: ignore[type-var]
 
 
-def _with_tuples(values: Mapping[str, Any]) -> dict[str, Any]:
+def plain(values: Mapping[str, Any]) -> dict[str, Any]:
     """JSON's lists are the tuples of dataclasses, and NumPy's numbers are Python's."""
     plain = ((name, v.item() if isinstance(v, np.generic) else v) for name, v in values.items())
     return {name: tuple(v) if isinstance(v, list) else v for name, v in plain}
@@ -63,6 +63,8 @@ def require_type(value: Any, hint: Any, name: str) -> None:
         check_type(value, hint, collection_check_strategy=CollectionCheckStrategy.ALL_ITEMS)
     except TypeCheckError as error:
         reason = " ".join(str(error).split())
+        if "in the union" in reason:
+            reason = f"allowed {str(hint).replace('typing.', '')}"
         raise ValueError(f"{name}: found {_short(value)}: {reason[:200]}") from None
     for item in value if isinstance(value, tuple) else (value,):
         if isinstance(item, bool) and not _allows_bool(hint):
