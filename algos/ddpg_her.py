@@ -254,7 +254,9 @@ class DDPGHER:
         assert config.replay_p is not None
         drawn = self.replay.sample(config.n_batches * config.batch_size, config.replay_p)
         sums = torch.zeros(3, device=self.device)
-        prepared = self._prepared(Batch(*(torch.from_numpy(part).to(self.device) for part in drawn)))
+        parts = [torch.tensor_split(torch.from_numpy(part).to(self.device), 2) for part in drawn]
+        halves = self._both(*(partial(self._prepared, Batch(*h)) for h in zip(*parts, strict=True)))
+        prepared = map(torch.cat, zip(*halves, strict=True))
         for batch in zip(*(torch.split(part, config.batch_size) for part in prepared), strict=True):
             sums += self._minibatch(*batch)
         self._target_vector.lerp_(self.adam.vector.detach(), 1.0 - config.polyak)

@@ -26,12 +26,15 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.command import ROOT, run_parts
+from benchmarks.learners.random_goals import RandomGoals
 from benchmarks.peers.env import Steps, mj_step
 from benchmarks.timing import per_second, rounds, show
 from tactilerl import envs
+from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.algos.rollout import TRAIN, PlayEpisode
+from tactilerl.algos.side_by_side import SideBySide
 from tactilerl.envs import vector
 
 REPEATS = 3  # of each number of processes
@@ -87,6 +90,41 @@ def collecting() -> dict[str, Any]:
 # -- learning --------------------------------------------------------------------------------
 
 
+def updates() -> dict[str, Any]:
+    """Actor and critic in turn on one core, and at the same time on two: the same bits."""
+    rates, ratios = {}, {}
+    for name, make in {"PPO": ppo, "DDPG+HER": ddpg_her}.items():
+        contenders = {}
+        for cores, at_once in (("1 core", False), ("2 cores", True)):
+            learner = make()
+            learner._both = SideBySide(at_once)
+            contenders[cores] = partial(_n_updates, learner)
+        found = rounds(contenders)
+        rates |= {f"{name}, {cores}": rate for cores, rate in found.items()}
+        ratios[f"{name}: 2 cores / 1"] = found["2 cores"] / found["1 core"]
+    return {"per_s": rates, "ratios": ratios}
+
+
+def ppo() -> PPO:
+    """With a batch of the paper's PyBullet set-up, layout 2."""
+    config = PPOConfig(n_passes=8, steps_per_epoch=1000)
+    learner = PPO(config, vector.start(partial(RandomGoals, 94, 7)), Communicator(), 0, 1000)
+    learner.collect()
+    return learner
+
+
+def ddpg_her() -> DDPGHER:
+    """With a replay of the Shadow Hand's sizes, layout 1."""
+    workers = vector.start(partial(RandomGoals, 197, 23))
+    learner = DDPGHER(DDPGHERConfig(n_rollouts=50), workers, Communicator(), 0, 1000)
+    learner.collect()
+    return learner
+
+
+def _n_updates(learner: PPO | DDPGHER) -> int:
+    return int(learner.update()["updates"])
+
+
 def ranks() -> dict[str, Any]:
     """The same work for each of one and two ranks, in turn."""
     found: dict[int, list[dict[str, Any]]] = {1: [], 2: []}
@@ -123,6 +161,11 @@ def show_collecting(part: dict[str, Any]) -> None:
     show("environment steps of episodes played by an untrained policy", part["per_s"], part["ratios"])
 
 
+def show_updates(part: dict[str, Any]) -> None:
+    """One table."""
+    show("updates of actor and critic", part["per_s"], part["ratios"])
+
+
 def show_ranks(part: dict[str, Any]) -> None:
     """Rates, and where the time goes."""
     show("transitions learned from", part["transitions_per_s"], part["ratios"])
@@ -136,6 +179,7 @@ def show_ranks(part: dict[str, Any]) -> None:
 PARTS = {
     "limit": (limit, show_limit),
     "collecting": (collecting, show_collecting),
+    "updates": (updates, show_updates),
     "ranks": (ranks, show_ranks),
 }
 
