@@ -20,7 +20,10 @@ from benchmarks.learners import learning
 from benchmarks.studies import gates, probe_agreement, probe_hold, probe_tables
 
 DOCS = ROOT / "docs"
-HANDOVERS = ("handover", "handover_critic", "handover_zhang")  # runs
+RUNS = (
+    *("handover", "handover_critic", "handover_zhang"),
+    *("dark_mpl_critic_observation", "dark_mpl_critic_truth"),
+)
 MARKED = re.compile(r"(<!-- table (.+?) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
 
@@ -41,7 +44,7 @@ PRINTED: dict[str, Callable[[], None]] = {
     "probe differences": _of("probe", probe_tables.differences, 0.05),
     "probe agreement": _of("probe_agreement", probe_agreement.show),
     "probe hold": _of("probe_hold", probe_hold.show),
-    **{name: _of(name, learning.markdown) for name in HANDOVERS},
+    **{name: _of(name, learning.markdown) for name in RUNS},
     **{f"gates {name}": _of("gates", partial(gates.show, name)) for name in gates.tables()},
 }
 """What prints each table, perhaps with a title."""

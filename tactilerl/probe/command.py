@@ -139,7 +139,8 @@ def _print(result: dict[str, Any], out: Path) -> None:
             )
     for path in result.get("selection", {}).get("files", ()):
         console.print(f"chosen: {out / path}    tactilerl train --layout {pasted(out / path)}")
-    console.print(f"{out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+    written = sorted(path.name for path in out.iterdir() if not path.name.startswith("."))
+    console.print(f"{out}: {', '.join(written)}")
 
 
 FEW = 6  # comparisons that are all shown
