@@ -102,16 +102,13 @@ class MLP(nn.Sequential):
         return found[::-1]
 
     @torch.no_grad()
-    def write_gradient(self, values: Sequence[Tensor], deltas: Sequence[Tensor]) -> None:
-        """The loss's gradient by the parameters, into their `grad`; of the rows that are given."""
-        for linear, inputs, delta in zip(self.linears, values, deltas, strict=False):
+    def backward(self, values: Sequence[Tensor], gradient: Tensor) -> None:
+        """Write a loss's gradient by the parameters into their `grad`; arguments as of `deltas`."""
+        deltas = self.deltas(values, gradient)
+        for linear, inputs, delta in zip(self.linears, values[:-1], deltas, strict=True):
             weight, bias = linear.weight.grad, linear.bias.grad
             torch.mm(delta.t(), inputs, out=weight)
             torch.sum(delta, dim=0, out=bias)
-
-    def backward(self, values: Sequence[Tensor], gradient: Tensor) -> None:
-        """Write a loss's gradient by the parameters into their `grad`; arguments as of `deltas`."""
-        self.write_gradient(values, self.deltas(values, gradient))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickles as sizes and numbers: the parameters may be views of much more."""

@@ -164,7 +164,8 @@ class RunConfig:
 
     def name(self) -> str:
         """Default name of the run's folder."""
-        env = hands.file(self.run.env).stem if hands.is_hand(self.run.env) else self.run.env
+        env = self.run.env
+        env = hands.short_name(env) if hands.is_hand(env) else env
         parts = [self.run.algo, re.sub("[/:]", "-", env)]
         if self.scene is not None:
             layout = Path(self.scene.layout).stem

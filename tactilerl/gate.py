@@ -13,13 +13,13 @@ import numpy as np
 
 from .envs import reflexes, vector
 from .envs.grasp import GraspConfig, GraspEnv
-from .envs.observations import SHARES
+from .envs.observations import TaxelFaults
 from .envs.reflexes import Reflex
 from .evaluation import success_rate
 
 SEARCH = 1_000_000  # starts of the search are not those of the comparison
 TELLS = 0.3  # what a scene must leave to win to tell anything
-FAULTS: dict[str, Any] = {**dict.fromkeys(SHARES, 0.0), "taxel_delay": 0, "hand_seed": None}
+NO_FAULTS: dict[str, Any] = {**dataclasses.asdict(TaxelFaults()), "taxel_delay": 0}
 SENSES = {
     "blind": ("time", "waits a fixed time"),
     "joints": ("joints", "goes by the joints and the hand's position"),
@@ -62,7 +62,7 @@ def examine(
         sense, _ = SENSES[name]
         if name == "sight" and scene.object_seen in ("hidden", "exact"):
             continue  # nothing to go by, or what "sighted" is
-        own = scene if sense == "touch" else dataclasses.replace(scene, run_type="absent", **FAULTS)
+        own = scene if sense == "touch" else dataclasses.replace(scene, run_type="absent", **NO_FAULTS)
         if name == "sighted":
             own = dataclasses.replace(
                 own, object_seen="exact", sight_noise=None, sight_noise_kind="white"

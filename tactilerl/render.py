@@ -68,14 +68,14 @@ class _Player:
             )
         self._threads = config.run.threads
         scene = replace(config.scene, hold_seconds=hold_seconds)
-        self.every = max(1, int(1 / FPS / scene.timestep + 1e-6))
-        self.fps = 1 / (self.every * scene.timestep)
+        every = max(1, int(1 / FPS / scene.timestep + 1e-6))
+        self.fps = 1 / (every * scene.timestep)
         self.env = replace(config, scene=scene).make_env(render_mode="rgb_array")
         self._task, self._label = evaluation.task(policy), label
         self._camera, self._follow = camera, follow
         self._map = _map_of(self.env, camera)
         self._show: Callable[[], None] = lambda: None
-        self.env.simulator = _Filmed(self.env.simulator, self.every, lambda: self._show())
+        self.env.simulator = _Filmed(self.env.simulator, every, lambda: self._show())
 
     def play(self, number: int, write: Callable[[np.ndarray], None]) -> bool:
         """An episode's pictures, one after another; did it succeed?"""

@@ -419,6 +419,14 @@ class TestCommands:
         assert main(["doctor", "--env", path, "--grasps", "1", "--layout", "1"]) == 2
         assert "found no grasp that holds a 50 mm object" in capsys.readouterr().err
 
+    def test_a_probes_folder_is_made_here_not_beside_the_hands_file(self, own, tmp_path, monkeypatch):
+        hand, here = own(), tmp_path / "here"
+        here.mkdir()
+        monkeypatch.chdir(here)
+        few = ["--simulator", "mujoco", "--grasps", "1", "--workers", "1", "--layout", "5"]
+        assert main(["probe", "--env", str(Path(hand).resolve()), *few]) == 2  # of one, nothing follows
+        assert [path.parent.name for path in here.rglob("grasps.npz")] == ["gripper_mujoco"]
+
     def test_the_probe_chooses_from_any_points(self, tmp_path, capsys):
         points = tmp_path / "points.json"
         hand = hands.get(GRIPPER)

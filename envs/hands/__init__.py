@@ -356,6 +356,11 @@ def file(name: str) -> Path:
     return Path(name) if name.endswith(SUFFIX) else FOLDER / f"{name}{SUFFIX}"
 
 
+def short_name(name: str) -> str:
+    """Of a hand by name or file, for the names of folders."""
+    return file(name).stem
+
+
 def registration(name: str) -> Registration:
     """Of a hand by name or file; ValueError and FileNotFoundError where the file is wrong."""
     path = file(name)

@@ -61,7 +61,7 @@ def main(args: list[str]) -> int:
     if read.json:
         print(json.dumps({"reflexes": [dataclasses.asdict(r) for r in rows], "verdict": sentence}))
         return 0
-    table = Table("reflex", "goes over when", "success", "95 % interval")
+    table = Table("reflex", "switches when", "success", "95 % interval")
     for row in rows:
         low, high = row.interval
         about = gate.SENSES[row.name][1]

@@ -23,8 +23,8 @@ class GraspFlags:
     """The grasps to play."""
 
     scene: str = ""
-    """Take hand, simulator and objects from a named scene or its .toml file; other flags change what
-    it says."""
+    """Take hand, simulator and objects from a named scene or its .toml file; other flags override
+    it."""
     env: str = "shadow"
     """Which hand: shadow, mpl, allegro, or the path of a hand's .toml file."""
     simulator: Literal["mujoco", "pybullet"] | None = None

@@ -121,7 +121,8 @@ def _scripted(grasps: GraspFlags, asking: AnalysisFlags, held: ExitStack) -> Pla
             replace(config, **variant).validate()
     task = ScriptedGrasps(drawn, grasps.seed, grasps.hold_verdict)
     start = partial(vector.start, partial(Scenes, grasps.env, config, drawn.variants()))
-    return Playing(settings, contact_places, task, start, Path("probes") / f"{grasps.env}_{simulator}")
+    out = Path("probes") / f"{hands.short_name(grasps.env)}_{simulator}"
+    return Playing(settings, contact_places, task, start, out)
 
 
 def _union(names: Sequence[str], hand: Hand, folder: Path) -> str:
