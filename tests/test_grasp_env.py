@@ -501,6 +501,17 @@ class TestHoldTest:
         env.simulator.step(targets, 5)
         assert not env.task.hold.run(env.simulator, targets, env.config.timestep)
 
+    def test_settled_waits_while_the_object_stands_on_the_ground(self):
+        """A hand that is too weak to rise keeps still, and so does what is in it."""
+        env = make(hold_seconds=20.0, hold_verdict="settled")
+        env.reset(seed=0)
+        env.simulator.model.actuator("slide_z").forcerange = 0.0
+        targets, test = env.hand.start_targets(), env.task.hold
+        rises, began = test.height / hold.RAISE_SPEED, env.simulator.data.time
+        test.run(env.simulator, targets, env.config.timestep)
+        assert env.simulator.object_state().position[2] < 0.03
+        assert env.simulator.data.time - began > 0.8 * rises
+
     def test_the_ramp_begins_where_the_hand_is(self):
         env = make(hold_seconds=0.4)
         env.reset(seed=0)
