@@ -461,7 +461,7 @@ before = set(sys.modules)
 import tactilerl
 
 new = set(sys.modules) - before
-assert new == {"tactilerl", "tactilerl.registration"}, new
+assert new == {"tactilerl", "tactilerl.registration", "tactilerl.version"}, new
 tactilerl.make("lqr")
 assert "torch" not in sys.modules
 """
