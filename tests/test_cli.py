@@ -17,9 +17,12 @@ import pytest
 import torch
 import tyro
 
+import tactilerl
 from tactilerl.algos import recipes
 from tactilerl.commands.cli import main
+from tactilerl.envs import scripted
 from tactilerl.envs.vector import Workers
+from tactilerl.pictures.render import _Filmed
 from tactilerl.runs import sealed
 from tactilerl.terminal import flags
 
@@ -646,6 +649,22 @@ class TestOtherCommands:
         assert taxel_map.std() > 10
         assert len(pictures) >= 4 * 5 + 12  # 0.2 s each at 25 a second, and the last moments
         assert scene.std(axis=0).mean() > 0.5  # something moves
+
+    def test_a_film_shows_the_hold_test(self):
+        """Picture by picture, as the hand rises; nothing of it is drawn here."""
+        env = tactilerl.make("shadow", layout="6", hold_seconds=0.4)
+        start = scripted.Start(np.zeros(2), 0.0, np.zeros(len(env.hand.joints)))
+        for _ in scripted.hold_steps(env, scripted.grasp_for(env), start, 0.5):
+            pass
+        *_, env._targets = scripted.ramps(env, scripted.grasp_for(env), 0.04)
+        heights, began = [], env.simulator.data.time
+        palm = env.simulator.link_positions
+        env.simulator = _Filmed(env.simulator, 10, lambda: heights.append(palm()[0, 2]))
+        assert env._hold(env.task.hold)
+        assert len(heights) == round((env.simulator.data.time - began) / 0.04)
+        assert len(heights) > 50
+        assert np.ptp(heights) > 0.6
+        assert np.abs(np.diff(heights)).max() < 0.02
 
     def test_several_runs_side_by_side_from_a_camera_that_stands(self):
         pytest.importorskip("imageio_ffmpeg")
