@@ -37,9 +37,8 @@ $(DEVELOPMENT): $(TRAINING)
 # The early hold verdict is for speed.
 # Goes on with the run when it is there already.
 train: $(TRAINING)
-	if [ -e $(RUN)/config.json ]; then $(BIN)/tactilerl train --resume $(RUN); else \
-		$(BIN)/tactilerl train --algo ppo --env shadow --layout 4 --total-timesteps 36000 \
-			--hold-verdict settled --out $(RUN); fi
+	$(BIN)/tactilerl train --algo ppo --env shadow --layout 4 --total-timesteps 36000 \
+		--hold-verdict settled --out $(RUN)
 	$(BIN)/tactilerl evaluate $(RUN) --episodes 50
 
 # Several files of tests at a time, each with one thread; some wait, so three keep two cores busy.

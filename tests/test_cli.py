@@ -394,6 +394,44 @@ class TestResume:
         fails_with(capsys, ["evaluate", "run"], "checkpoint.pt: damaged")
 
 
+class TestGoingOn:
+    """With the folder of a run that is there already."""
+
+    def test_the_same_flags_go_on_bit_for_bit(self, capsys):
+        whole = [*TOY, "--total-timesteps", "480"]
+        assert main([*whole, "--out", "whole"]) == 0
+        assert main([*TOY, "--total-timesteps", "240", "--out", "parts"]) == 0
+        assert main([*whole, "--out", "parts"]) == 0
+        assert "after epoch 2, 240 steps" in capsys.readouterr().out
+        states = [torch.load(f"{run}/checkpoint.pt")["ranks"] for run in ("whole", "parts")]
+        assert all(
+            torch.equal(a, b)
+            for a, b in zip(*(state[0]["actor"].values() for state in states), strict=True)
+        )
+        assert main([*whole, "--out", "parts"]) == 0
+        assert "nothing to do" in capsys.readouterr().out
+
+    def test_what_is_another_run_or_none_stays_as_it_is(self, capsys):
+        short = [*TOY, "--total-timesteps", "120"]
+        assert main([*short, "--out", "run"]) == 0
+        before = {path: path.read_bytes() for path in Path("run").iterdir()}
+        capsys.readouterr()
+        fails_with(capsys, [*short, "--seed", "5", "--out", "run"], "seed: found 5", "made with 0")
+        assert {path: path.read_bytes() for path in Path("run").iterdir()} == before
+        Path("other").mkdir()
+        Path("other/thesis.tex").write_text("all of it")
+        fails_with(capsys, [*short, "--out", "other"], "'other' exists; choose another with --out")
+        assert [path.name for path in Path("other").iterdir()] == ["thesis.tex"]
+
+    def test_a_folder_whose_process_died_at_once_is_begun_anew(self):
+        Path("run").mkdir()
+        for name in (".lock", f".{'0' * 16}.tmp"):
+            Path("run", name).write_text("")
+        assert main([*TOY, "--total-timesteps", "120", "--out", "run"]) == 0
+        assert Path("run/checkpoint.pt").exists()
+        assert not Path("run", f".{'0' * 16}.tmp").exists()
+
+
 class TestBadInput:
     @pytest.mark.parametrize(
         ("args", "words"),
