@@ -18,7 +18,11 @@ from tactilerl.envs import scenes, tasks
 from tactilerl.envs.grasp import setup
 from tactilerl.training import free_cores
 
-HANDS, SIMULATORS, LAYOUTS = ("mpl", "shadow", "allegro"), ("mujoco", "pybullet"), range(1, 7)
+HANDS, SIMULATORS = ("mpl", "shadow", "allegro"), ("mujoco", "pybullet")
+LAYOUTS = {str(i): str(i) for i in range(1, 7)} | {
+    f"of the probe's {n}": f"docs/data/chosen/mpl_mujoco_{n}.toml" for n in (5, 10)
+}
+"""By the row's name."""
 LAYOUT_SCENES = ("handover", "handover_fingers")
 QUICK = {"hold_verdict": "settled"}  # the full hold of every scene that has one would take hours
 Row = dict[str, Any]
@@ -49,9 +53,9 @@ def tables() -> dict[str, list[tuple[str, str, dict[str, Any]]]]:
             for hand, simulator in pairs
         ],
         "layouts": [
-            (f"{name}, layout {layout}", name, {"layout": str(layout)})
+            (f"{name}, layout {label}", name, {"layout": layout})
             for name in LAYOUT_SCENES
-            for layout in LAYOUTS
+            for label, layout in LAYOUTS.items()
         ],
     }
 
