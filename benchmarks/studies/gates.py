@@ -12,11 +12,11 @@ import itertools
 from typing import Any
 
 from benchmarks.command import earlier, parser, write
-from tactilerl import gate
 from tactilerl.algos.mpi import Communicator
 from tactilerl.envs import scenes, tasks
 from tactilerl.envs.grasp import setup
-from tactilerl.training import free_cores
+from tactilerl.probe import gate
+from tactilerl.runs.training import free_cores
 
 HANDS, SIMULATORS = ("mpl", "shadow", "allegro"), ("mujoco", "pybullet")
 LAYOUTS = {str(i): str(i) for i in range(1, 7)} | {
