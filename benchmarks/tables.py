@@ -50,7 +50,11 @@ PRINTED: dict[str, Callable[[], None]] = {
     "probe hold": _of("probe_hold", probe_hold.show),
     **{name: _of(name, learning.markdown) for name in RUNS},
     **{name: partial(answer.show, name) for name in answer.TABLES},
-    **{f"study faults, {flag}": partial(_faults, flag) for flag in faults.SWEEPS},
+    **{
+        f"study faults, {flag}": partial(_faults, flag)
+        for flag in faults.SWEEPS
+        if (DOCS / "data" / "faults.json").exists()
+    },
     **{f"gates {name}": _of("gates", partial(gates.show, name)) for name in gates.tables()},
 }
 """What prints each table, perhaps with a title."""

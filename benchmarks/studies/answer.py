@@ -6,13 +6,16 @@ python -m benchmarks answer
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
+from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
-from benchmarks.command import ROOT, earlier
+from benchmarks.command import ROOT, earlier, parser
 from benchmarks.studies import gates
 from tactilerl import statistics
 from tactilerl.statistics import Array, Estimate
@@ -22,6 +25,8 @@ from tactilerl.study.records import Record
 
 DATA = ROOT / "docs" / "data"
 CHOSEN = re.compile(r"layout \S*_(\d+)\.toml")
+COLOURS = {"main": "#e0a800", "control": "#2b6cb0"}  # main: as in the paper
+SIGHTED = "no touch, but sight"
 PAIR = "MPL, MuJoCo"  # of the probe's results: the hand and simulator of the handover scenes
 ARMS = {"main": "touch", "control": "no touch", "absent": "no touch, and no inputs for it"}
 BySeed = dict[int, float]
@@ -51,18 +56,15 @@ def arm(found: Iterable[Record], setup: Setup, cell: str, run_type: str, score: 
 
 
 def decides(name: str = "handover") -> None:
-    """Every arm, and what touch gives of what sight gives."""
+    """Every arm."""
     study, found = load(name)
     main, sighted = study.setups
     (cell,) = main.cells
-    arms = {ARMS[each]: (main, each) for each in main.arms}
-    arms["no touch, but sight"] = sighted, "control"
+    arms = {ARMS[each]: (main, cell, each) for each in main.arms}
+    arms[SIGHTED] = sighted, sighted.cells[0], ""
     line("arm", "runs", "mean success over the run", "over its last tenth", head=True)
-    for title, (setup, run_type) in arms.items():
-        areas, finals = (
-            arm(found, setup, cell, run_type if setup.compare else "", score)
-            for score in ("area", "final")
-        )
+    for title, place in arms.items():
+        areas, finals = (arm(found, *place, score) for score in ("area", "final"))
         line(title, len(areas), mean(areas.values()), mean(finals.values()))
 
 
@@ -86,7 +88,7 @@ def worth(name: str = "handover") -> None:
     share = verdicts.headroom(study, setup, cell, found, statistics.N_RESAMPLES)
     if share is not None:
         line("sight − no touch", share.n, estimate(share.room, "+.2f"), "", "")
-        line("what touch gives of what sight gives", share.n, estimate(share.share, ".0%"), "", "")
+        line("what touch gives of what sight gives", share.n, estimate(share.share, ".2f"), "", "")
 
 
 def layouts(name: str) -> None:
@@ -200,26 +202,78 @@ def line(*cells: object, head: bool = False) -> None:
         print(f"|{'---|' * len(cells)}")
 
 
+def figure(path: Path) -> None:
+    """Left: learning curves of every run where touch decides. Right: layouts where they decide."""
+    picture = Figure(figsize=(11, 4.2), layout="constrained")
+    left, right = picture.subplots(1, 2, width_ratios=(1.2, 1))
+    study, found = load("handover")
+    setup = study.setups[0]
+    for run_type in setup.arms[:2]:
+        runs = [
+            r.curve(setup.measure) for r in found if r.run.setup == setup.name and r.run.arm == run_type
+        ]
+        _curves(left, [curve for curve in runs if len(curve[0])], run_type)
+    left.set(title="MPL hand in MuJoCo, handover, PPO, layout 2", xlabel="environment steps")
+    left.set(ylabel="success rate", ylim=(0, 1.02))
+    left.legend(loc="upper left")
+    if is_there("handover_fingers"):
+        _layouts(right, "handover_fingers")
+    picture.savefig(path, dpi=110)
+
+
+def _curves(axes: Axes, runs: Sequence[tuple[Array, Array]], run_type: str) -> None:
+    """Every run thin, their mean thick."""
+    steps = np.linspace(max(x[0] for x, _ in runs), min(x[-1] for x, _ in runs), 60)
+    curves = np.array([np.interp(steps, *run) for run in runs])
+    axes.plot(steps, curves.T, color=COLOURS[run_type], lw=0.7, alpha=0.45)
+    label = f"{ARMS[run_type]}, mean of {len(runs)} runs"
+    axes.plot(steps, curves.mean(axis=0), color=COLOURS[run_type], lw=3, label=label)
+
+
+def _layouts(axes: Axes, name: str) -> None:
+    """Success over the last tenth, each run and their mean."""
+    study, found = load(name)
+    (setup,) = study.setups
+    labels = [label(cell).removeprefix("layout ") for cell in setup.cells]
+    for run_type, aside in zip(setup.arms, (-0.13, 0.13), strict=True):
+        for place, cell in enumerate(setup.cells):
+            rates = list(arm(found, setup, cell, run_type, "final").values())
+            x, colour = place + aside, COLOURS[run_type]
+            axes.plot([x] * len(rates), rates, "o", color=colour, ms=4, alpha=0.45, mew=0)
+            axes.plot([x - 0.12, x + 0.12], [np.mean(rates)] * 2, color=colour, lw=3) if rates else None
+    axes.set_xticks(range(len(labels)), [each.replace("of the ", "") for each in labels], rotation=30)
+    axes.set(title="Object against the fingers: by layout", ylim=(0, 1.02))
+    axes.set_ylabel("success rate, last tenth of training")
+
+
 TABLES: Mapping[str, tuple[str, Callable[[str], None]]] = {
-    "study arms": ("handover", decides),
-    "study worth": ("handover", worth),
-    "study fingers": ("handover_fingers", layouts),
-    "study palm": ("handover_layouts", layouts),
-    "study orders": ("handover_fingers", orders),
-    "study senses": ("senses", senses),
+    name: one
+    for name, one in {
+        "study arms": ("handover", decides),
+        "study worth": ("handover", worth),
+        "study fingers": ("handover_fingers", layouts),
+        "study palm": ("handover_layouts", layouts),
+        "study orders": ("handover_fingers", orders),
+        "study senses": ("senses", senses),
+    }.items()
+    if is_there(one[0])
 }
-"""By what the docs call them: of which study, and what prints it."""
+"""By what the docs call them: of which study, and what prints it; of studies that were collected."""
 
 
 def show(table: str) -> None:
-    """One of TABLES; nothing where its study has not been collected."""
+    """One of TABLES."""
     name, printing = TABLES[table]
-    if is_there(name):
-        printing(name)
+    printing(name)
 
 
 def main() -> None:
-    """All tables."""
+    """All tables, and the figure where it is asked for."""
+    flags = parser(__doc__)
+    flags.add_argument("--figure", type=Path, help="draw learning curves and layouts here")
+    options = flags.parse_args()
+    if options.figure:
+        figure(options.figure)
     for table in TABLES:
         print(f"\n### {table}\n")
         show(table)

@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks.command import earlier, parser, write
 from benchmarks.studies.answer import line, mean
-from tactilerl import cli
+from tactilerl.commands import cli
 
 SWEEPS = {
     "taxel-dead": ("0", "0.1", "0.2", "0.3", "0.5", "0.7", "0.9", "1"),

@@ -62,7 +62,8 @@ def tables() -> dict[str, list[tuple[str, str, dict[str, Any]]]]:
 
 def show(table: str, known: dict[str, dict[str, Row]]) -> None:
     """As Markdown."""
-    rows = known.get(table, {})
+    found = known.get(table, {})
+    rows = {key: found[key] for key, *_ in tables()[table] if key in found}
     names = [name for name in gate.SENSES if any(name in row["reflexes"] for row in rows.values())]
     print(f"\n### {table}\n\n| | {' | '.join(names)} |\n|---|{'---|' * len(names)}")
     for key, row in rows.items():
