@@ -150,19 +150,29 @@ def start_orthogonal(
 ) -> None:
     """Draw orthogonal weights with gain sqrt(2), in the last layer `last_gain`; biases are zero.
 
-    Networks with other `inputs` start alike up to the first input that differs, if they have no more
-    inputs than units; else their first layers start unlike.
+    The first layer's columns are drawn each by its input alone, and are orthogonal as nearly as
+    that allows. Networks with other `inputs` so start alike, but for the length of these columns
+    where there are more inputs than units.
     """
     for linear in network.linears:
         is_first, is_last = (linear is network.linears[i] for i in (0, -1))
-        own, names = (_spawn(generator), inputs) if is_first else (generator, None)
-        drawn = _columns(linear.weight, own, names, Tensor.normal_)
-        is_wide = drawn.shape[0] < drawn.shape[1]
-        q, r = torch.linalg.qr(drawn.T if is_wide else drawn)
-        q *= r.diagonal().sign()  # of all orthogonal matrices, each as likely as another
-        linear.weight.copy_(q.T if is_wide else q)
-        linear.weight.mul_(last_gain if is_last else math.sqrt(2.0))
+        gain = last_gain if is_last else math.sqrt(2.0)
+        if is_first:
+            drawn = _columns(linear.weight, _spawn(generator), inputs, Tensor.normal_)
+            weights = functional.normalize(drawn, dim=0)
+            gain *= min(1.0, math.sqrt(linear.out_features / linear.in_features))
+        else:
+            weights = _orthogonal(torch.empty_like(linear.weight).normal_(generator=generator))
+        linear.weight.copy_(weights * gain)
         nn.init.zeros_(linear.bias)
+
+
+def _orthogonal(drawn: Tensor) -> Tensor:
+    """Of all orthogonal matrices (or parts of one), each as likely as another."""
+    is_wide = drawn.shape[0] < drawn.shape[1]
+    q, r = torch.linalg.qr(drawn.T if is_wide else drawn)
+    q *= r.diagonal().sign()
+    return q.T if is_wide else q
 
 
 def _unpickled(sizes: Sequence[int], tanh: bool, values: Sequence[Any]) -> MLP:

@@ -145,9 +145,7 @@ class GraspEnv(gym.Env[Any, Array]):
             self.hand = self.hand.closing_from(config.start_closing, config.actions)
         self.taxels = layouts.load(config.layout).place(self.hand)
         self._touch = touch.RULES[config.touch](self.taxels, self.hand)
-        self.task: tasks.Task = tasks.TASKS[config.task].of(
-            config, self.hand, setup(hand).timestep, items.first.shape
-        )
+        self.task: tasks.Task = tasks.TASKS[config.task].of(config, self.hand, setup(hand).timestep)
         self.max_episode_steps = config.max_episode_steps or self.task.max_episode_steps
         self.simulator = simulators.make(
             config.simulator,
@@ -258,12 +256,15 @@ class GraspEnv(gym.Env[Any, Array]):
             snapshot = self._look()
             self._follow(snapshot.object.position)
             sensed = self._sensed(snapshot)
-            judged = self.task.judge(snapshot, self._steps >= self.max_episode_steps, self._hold)
+            judged = self.task.judge(snapshot, self._steps >= self.max_episode_steps)
+            achieved = judged.achieved_goal
+            if judged.hold is not None and not self._hold(judged.hold):
+                achieved = judged.dropped_goal
         except simulators.SimulationError as error:
             info = self._info(True, is_success=False, diverged=True, error=str(error))
             last = {key: value.copy() for key, value in self._obs.items()}
             return last, 0.0, False, True, info
-        self._obs = obs = self._goal_obs(sensed, judged.achieved_goal)
+        self._obs = obs = self._goal_obs(sensed, achieved)
         goals = obs["achieved_goal"], obs["desired_goal"]
         terminated = judged.is_over
         truncated = not terminated and self._steps >= self.max_episode_steps
@@ -351,8 +352,18 @@ class GraspEnv(gym.Env[Any, Array]):
         return info if self._warnings == before else {**info, "warnings": self._warnings - before}
 
     def _hold(self, test: HoldTest) -> bool:
-        """A hold test from here on, with the joint targets of the last action."""
-        return test.run(self.simulator, self._targets, self.config.timestep)
+        """A hold test from here on, with the joint targets of the last action: does the object stay?
+        Leaves the simulator wherever the test ended."""
+        hold = test.begin(self._look(), self.config.timestep)
+        targets, verdict = hold.targets, None
+        try:
+            while verdict is None:
+                self.simulator.set_creep(hold.creep)
+                self.simulator.step(targets, hold.n_substeps)
+                targets, verdict = hold.advance(self._look())
+        finally:
+            self.simulator.set_creep(1.0)
+        return verdict
 
     def _goal_obs(self, sensed: dict[str, Array], achieved: Array) -> dict[str, Array]:
         return {

@@ -14,7 +14,6 @@ docs/concepts/tasks.md, "The hold test".
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 from typing import Literal
@@ -22,8 +21,7 @@ from typing import Literal
 import numpy as np
 
 from .hands import Array
-from .objects import Shape
-from .simulators import Simulator
+from .snapshot import Snapshot
 
 Verdict = Literal["full", "settled"]
 RAISE_SPEED = 0.3  # m/s
@@ -41,8 +39,6 @@ class HoldTest:
     """Time at the top, s."""
     look_every: float
     """Time between looks at the object, s."""
-    shape: Shape
-    """The object's."""
     verdict: Verdict = "full"
     height: float = 1.0
     """Height of the palm, m."""
@@ -56,77 +52,86 @@ class HoldTest:
     """"settled": the object is at rest when no point of it will move by more than this, m, before
     the compressed test ends and for one look more."""
 
-    def run(self, simulator: Simulator, joint_targets: Array, timestep: float) -> bool:
-        """Does the object stay in the hand? Leaves the simulator wherever the test ended."""
-        looks = self.positions(simulator, joint_targets, timestep)
-        if self.verdict == "full":
-            return all(_is_in_reach(position) for _, position in looks)
-        try:
-            return self._settles(simulator, looks)
-        finally:
-            simulator.set_creep(1.0)
+    def begin(self, now: Snapshot, timestep: float) -> Hold:
+        """The test from here on, with the joint targets of now but for the slide that rises."""
+        return Hold(self, now, timestep)
 
-    def _settles(self, simulator: Simulator, looks: Iterator[tuple[bool, Array]]) -> bool:
-        """The early verdict: at rest, or still in the hand when time is up and it is at the top."""
-        corners = self._corners_in_hand(simulator)
-        n_shaken = round(self.shake_seconds / self.look_every)
-        for n_looks, (is_at_top, position) in enumerate(looks, start=1):
-            if not _is_in_reach(position):
-                return False
-            before, corners = corners, self._corners_in_hand(simulator)
-            compressed = (n_looks - n_shaken) * self.look_every
-            if compressed > 0:
-                left = self._time_left(compressed)
-                speed = np.linalg.norm(corners - before, axis=1).max() / self.look_every
-                is_at_rest = speed * (left + self.look_every) < self.settle_distance
-                if (is_at_rest and self._is_clear(simulator)) or (is_at_top and left == 0):
-                    return True
-            if compressed >= 0:
-                simulator.set_creep(self.creep)
-        return True
 
-    def _time_left(self, compressed: float) -> float:
-        """Of a test that is `compressed` s in its compressed part, s."""
-        whole = self.seconds + self.height / RAISE_SPEED
-        return max(0.0, whole / self.creep - compressed)
+class Hold:
+    """A hold test under way, from one look at the object to the next.
 
-    def positions(
-        self, simulator: Simulator, joint_targets: Array, timestep: float
-    ) -> Iterator[tuple[bool, Array]]:
-        """Raise and hold; at every look whether the hand is at the top, and the object's position
-        relative to the palm (3,), m. The palm does not turn meanwhile."""
-        targets, every = joint_targets.copy(), _n_steps(self.look_every, timestep)
+    Whoever runs it takes `n_substeps` timesteps towards `targets` while what sticks creeps `creep`
+    times as fast as usual, then calls `advance`, until there is a verdict.
+    """
+
+    def __init__(self, test: HoldTest, now: Snapshot, timestep: float) -> None:
+        self.test, self.targets, self.creep = test, now.targets.copy(), 1.0
         # From where the slide is, not from its target: the hand may lag far behind that.
-        targets[2] = simulator.joint_state()[0][2]
-        top = targets[2] + self.height - simulator.link_positions()[0, 2]
-        while targets[2] != top:
-            way = RAISE_SPEED * timestep * every
-            targets[2] += np.clip(top - targets[2], -way, way)
-            simulator.step(targets, every)
-            yield bool(targets[2] == top), _in_hand(simulator)
-        n_steps = _n_steps(self.seconds, timestep)
-        for done in range(0, n_steps, every):
-            simulator.step(targets, min(every, n_steps - done))
-            yield True, _in_hand(simulator)
+        self.targets[2] = now.joint_positions[2]
+        self._top = self.targets[2] + test.height - now.hand[2]
+        self._every, self._left = (_n_steps(t, timestep) for t in (test.look_every, test.seconds))
+        self._way = RAISE_SPEED * timestep * self._every
+        self._n_looks, self._corners = 0, _corners_in_hand(now)
+        self._plan()
 
-    def _is_clear(self, simulator: Simulator) -> bool:
-        """Is the object off the ground?"""
-        obj = simulator.object_state()
-        return bool(obj.position[2] - self.shape.half_height(obj.rotation) > CLEAR)
+    @property
+    def is_at_top(self) -> bool:
+        """Is the hand to rise no further?"""
+        return bool(self.targets[2] == self._top)
 
-    def _corners_in_hand(self, simulator: Simulator) -> Array:
-        """Corners of the object's bounding box relative to the palm (8, 3), m: they show turns."""
-        rotation = simulator.object_state().rotation
-        return _in_hand(simulator) + CORNERS * self.shape.half_size @ rotation.T
+    def advance(self, now: Snapshot) -> tuple[Array, bool | None]:
+        """Targets (n_actuators,) of the next steps, and whether the object stays in the hand: None as
+        long as that is open. `now` is what the last steps led to."""
+        self._n_looks += 1
+        verdict = None
+        if not np.linalg.norm(_in_hand(now)) <= OUT_OF_REACH:
+            verdict = False
+        elif (self.is_at_top and not self._left) or (
+            self.test.verdict == "settled" and self._settles(now)
+        ):
+            verdict = True
+        else:
+            self._plan()
+        return self.targets, verdict
+
+    def _plan(self) -> None:
+        """What comes next: the palm does not turn, but rise and stay."""
+        self.n_substeps = self._every
+        if not self.is_at_top:
+            self.targets[2] += np.clip(self._top - self.targets[2], -self._way, self._way)
+            return
+        self.n_substeps = min(self._every, self._left)
+        self._left -= self.n_substeps
+
+    def _settles(self, now: Snapshot) -> bool:
+        """The early verdict: at rest, or still in the hand when time is up and it is at the top."""
+        test, before = self.test, self._corners
+        self._corners = _corners_in_hand(now)
+        compressed = (self._n_looks - round(test.shake_seconds / test.look_every)) * test.look_every
+        if compressed >= 0:
+            self.creep = test.creep
+        if compressed <= 0:
+            return False
+        left = max(0.0, (test.seconds + test.height / RAISE_SPEED) / test.creep - compressed)
+        speed = np.linalg.norm(self._corners - before, axis=1).max() / test.look_every
+        is_at_rest = speed * (left + test.look_every) < test.settle_distance
+        return bool(is_at_rest and _is_clear(now)) or (self.is_at_top and left == 0)
 
 
 def _n_steps(seconds: float, timestep: float) -> int:
     return max(1, round(seconds / timestep))
 
 
-def _is_in_reach(position: Array) -> bool:
-    return bool(np.linalg.norm(position) <= OUT_OF_REACH)
+def _in_hand(now: Snapshot) -> Array:
+    """The object's position relative to the palm (3,), m."""
+    return now.object.position - now.hand
 
 
-def _in_hand(simulator: Simulator) -> Array:
-    return simulator.object_state().position - simulator.link_positions()[0]
+def _corners_in_hand(now: Snapshot) -> Array:
+    """Corners of the object's bounding box relative to the palm (8, 3), m: they show turns."""
+    return _in_hand(now) + CORNERS * now.shape.half_size @ now.object.rotation.T
+
+
+def _is_clear(now: Snapshot) -> bool:
+    """Is the object off the ground?"""
+    return bool(now.object.position[2] - now.shape.half_height(now.object.rotation) > CLEAR)

@@ -8,8 +8,7 @@ relabelling can recompute them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
 import numpy as np
@@ -86,10 +85,10 @@ class Judgement(NamedTuple):
     """(goal_size,) float64"""
     is_over: bool = False
     """Does the episode end here by the task's own rules?"""
-
-
-Hold = Callable[[HoldTest], bool]
-"""Performs a hold test on the scene as it is: did the object stay?"""
+    hold: HoldTest | None = None
+    """What has still to be passed for that, from the scene as it is; the episode is over then."""
+    dropped_goal: Array = np.zeros(0)
+    """What was achieved where it is not passed."""
 
 
 class Task(Protocol):
@@ -119,8 +118,8 @@ class Task(Protocol):
         """Who carries the object before the hand has it."""
 
     @classmethod
-    def of(cls, config: TaskConfig, hand: Hand, own_timestep: float, shape: Shape) -> Task:
-        """The task as configured, for a hand whose own timestep is that, s, and a first object."""
+    def of(cls, config: TaskConfig, hand: Hand, own_timestep: float) -> Task:
+        """The task as configured, for a hand whose own timestep is that, s."""
 
     def place(self, palm: Array, shape: Shape, offset: Array) -> Array:
         """Where an object (3,) starts that is `offset` (2,) from its place, m. `palm` (3,) is a
@@ -132,9 +131,8 @@ class Task(Protocol):
     def begin(self, start: Snapshot, rng: np.random.Generator) -> tuple[Array, Array]:
         """(achieved, desired goal) of a new episode, each (goal_size,)."""
 
-    def judge(self, now: Snapshot, is_last: bool, hold: Hold) -> Judgement:
-        """What was achieved with an action, the episode's last one or not. `hold` ends what the
-        scene was: it may be called where the episode is over."""
+    def judge(self, now: Snapshot, is_last: bool) -> Judgement:
+        """What was achieved with an action, the episode's last one or not."""
 
     def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """Rewards (...) from goals (..., goal_size)."""
@@ -173,7 +171,7 @@ class ReachGoal(FromTheGround):
     """How far the goal may be drawn from there along each axis, m."""
 
     @classmethod
-    def of(cls, config: TaskConfig, hand: Hand, own_timestep: float, shape: Shape) -> ReachGoal:
+    def of(cls, config: TaskConfig, hand: Hand, own_timestep: float) -> ReachGoal:
         kind = config.reward or cls.rewards[0]
         return cls(config.goal_height, config.goal_tolerance, kind, config.goal_range)
 
@@ -183,7 +181,7 @@ class ReachGoal(FromTheGround):
             goal += rng.uniform(-self.spread, self.spread, 3)
         return start.object.position, goal
 
-    def judge(self, now: Snapshot, is_last: bool, hold: Hold) -> Judgement:
+    def judge(self, now: Snapshot, is_last: bool) -> Judgement:
         return Judgement(now.object.position)
 
     def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
@@ -229,15 +227,12 @@ class LiftAndHold(FromTheGround):
     clearance: float
     """Under a lifted object, m."""
     hold: HoldTest
-    shape: Shape
-    """The object's that `hold` is for."""
     n_digits: int = 5
     _is_off_ground: bool = field(default=False, repr=False)
 
     @classmethod
-    def of(cls, config: TaskConfig, hand: Hand, own_timestep: float, shape: Shape) -> LiftAndHold:
-        test = _hold_test(config, own_timestep, shape)
-        return cls(config.lift_clearance, test, shape, len(hand.fingertips))
+    def of(cls, config: TaskConfig, hand: Hand, own_timestep: float) -> LiftAndHold:
+        return cls(config.lift_clearance, _hold_test(config, own_timestep), len(hand.fingertips))
 
     @property
     def goal_size(self) -> int:
@@ -249,14 +244,13 @@ class LiftAndHold(FromTheGround):
 
     def begin(self, start: Snapshot, rng: np.random.Generator) -> tuple[Array, Array]:
         self._is_off_ground = False
-        if start.shape != self.shape:
-            self.shape, self.hold = start.shape, replace(self.hold, shape=start.shape)
         return self._achieved(start, "undecided"), self.only_goal
 
-    def judge(self, now: Snapshot, is_last: bool, hold: Hold) -> Judgement:
+    def judge(self, now: Snapshot, is_last: bool) -> Judgement:
         outcome = self._before_hold(now, is_last)
         if outcome == "lifted":
-            outcome = "held" if hold(self.hold) else "dropped"
+            held, dropped = self._achieved(now, "held"), self._achieved(now, "dropped")
+            return Judgement(held, True, self.hold, dropped)
         return Judgement(self._achieved(now, outcome), outcome in FINAL)
 
     def _before_hold(self, now: Snapshot, is_last: bool) -> Outcome:
@@ -324,8 +318,8 @@ class Handover:
     _wait: Array = field(default_factory=lambda: np.zeros(3), repr=False)
 
     @classmethod
-    def of(cls, config: TaskConfig, hand: Hand, own_timestep: float, shape: Shape) -> Handover:
-        return cls(_hold_test(config, own_timestep, shape), config.handover_reach)
+    def of(cls, config: TaskConfig, hand: Hand, own_timestep: float) -> Handover:
+        return cls(_hold_test(config, own_timestep), config.handover_reach)
 
     @classmethod
     def require_time(cls, max_episode_steps: int | None, control_dt: float) -> None:
@@ -344,7 +338,6 @@ class Handover:
         return palm + np.array([x, y - self.reach, -shape.half_size[2] - self.below])
 
     def begin(self, start: Snapshot, rng: np.random.Generator) -> tuple[Array, Array]:
-        self.hold = replace(self.hold, shape=start.shape)
         self._sets_off = int(rng.integers(self.waits[0], self.waits[1], endpoint=True))
         self._wait = start.object.position
         return self._achieved("undecided"), self.only_goal
@@ -358,14 +351,13 @@ class Handover:
         elif step == self._sets_off + self.stays:
             simulator.let_go()
 
-    def judge(self, now: Snapshot, is_last: bool, hold: Hold) -> Judgement:
+    def judge(self, now: Snapshot, is_last: bool) -> Judgement:
         since = self._step - self._sets_off - self.stays
-        outcome: Outcome = "undecided"
         if since >= 0 and _distance(now.hand, now.object.position) > self.fallen:
-            outcome = "missed"
-        elif since >= self.settles:
-            outcome = "held" if hold(self.hold) else "missed"
-        return Judgement(self._achieved(outcome), outcome != "undecided")
+            return Judgement(self._achieved("missed"), True)
+        if since >= self.settles:
+            return Judgement(self._achieved("held"), True, self.hold, self._achieved("missed"))
+        return Judgement(self._achieved("undecided"))
 
     def _achieved(self, outcome: Outcome) -> Array:
         return np.array([OUTCOMES[outcome]])
@@ -380,9 +372,8 @@ class Handover:
         return np.asarray(achieved_goal)[..., 0] == OUTCOMES["held"]
 
 
-def _hold_test(config: TaskConfig, own_timestep: float, shape: Shape) -> HoldTest:
-    every = LOOK_STEPS * own_timestep
-    return HoldTest(config.hold_seconds, every, shape, config.hold_verdict)
+def _hold_test(config: TaskConfig, own_timestep: float) -> HoldTest:
+    return HoldTest(config.hold_seconds, LOOK_STEPS * own_timestep, config.hold_verdict)
 
 
 def _with_outcome(distances: Array, outcome: Outcome) -> Array:

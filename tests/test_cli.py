@@ -17,10 +17,14 @@ import pytest
 import torch
 import tyro
 
-from tactilerl import flags, sealed
+import tactilerl
 from tactilerl.algos import recipes
-from tactilerl.cli import main
+from tactilerl.commands.cli import main
+from tactilerl.envs import scripted
 from tactilerl.envs.vector import Workers
+from tactilerl.pictures.render import _Filmed
+from tactilerl.runs import sealed
+from tactilerl.terminal import flags
 
 FAST = ["--hidden", "16", "--steps-per-epoch", "120", "--n-passes", "2"]
 TOY = ["train", "--env", "lqr", *FAST]
@@ -49,7 +53,7 @@ def render(*flags):
     """`tactilerl render`; where neither EGL nor OSMesa is there, it says so in one line."""
     for backend in ("egl", "osmesa"):
         result = subprocess.run(
-            [sys.executable, "-m", "tactilerl.cli", "render", *flags],
+            [sys.executable, "-m", "tactilerl", "render", *flags],
             env=os.environ | {"MUJOCO_GL": backend},
             capture_output=True,
             text=True,
@@ -223,7 +227,7 @@ class TestResume:
         args = [*args, "--env", "shadow", "--layout", "6", "--max-episode-steps", "20"]
         args += ["--total-timesteps", "240"]
         main([*args, "--out", "whole"])
-        command = [sys.executable, "-m", "tactilerl.cli"]
+        command = [sys.executable, "-m", "tactilerl"]
         env = os.environ | {"OMP_NUM_THREADS": "1"}
         for attempt in range(2):
             more = [*args, "--out", "killed"] if attempt == 0 else ["train", "--resume", "killed"]
@@ -483,7 +487,7 @@ class TestBadInput:
         """A limit on file sizes stands in for a full disk: the next checkpoint does not fit."""
         main([*toy, "--total-timesteps", "1", "--out", "run"])
         before = Path("run/checkpoint.pt").read_bytes()
-        command = "trap '' XFSZ; ulimit -f 4; exec $0 -m tactilerl.cli train --resume run"
+        command = "trap '' XFSZ; ulimit -f 4; exec $0 -m tactilerl train --resume run"
         command += " --total-timesteps 600"
         result = subprocess.run(["bash", "-c", command, sys.executable], capture_output=True, text=True)
         assert result.returncode == 1
@@ -539,7 +543,7 @@ class TestOtherCommands:
         assert "success_rate" not in json.loads(outputs[0])  # the LQR has no success
 
     def test_wilson_interval(self):
-        from tactilerl.evaluation import summarise
+        from tactilerl.runs.evaluation import summarise
 
         played = [
             {"success": float(i < 8), "held": 1, "return": float(i), "length": 5, "object": None}
@@ -645,6 +649,22 @@ class TestOtherCommands:
         assert len(pictures) >= 4 * 5 + 12  # 0.2 s each at 25 a second, and the last moments
         assert scene.std(axis=0).mean() > 0.5  # something moves
 
+    def test_a_film_shows_the_hold_test(self):
+        """Picture by picture, as the hand rises; nothing of it is drawn here."""
+        env = tactilerl.make("shadow", layout="6", hold_seconds=0.4)
+        start = scripted.Start(np.zeros(2), 0.0, np.zeros(len(env.hand.joints)))
+        for _ in scripted.hold_steps(env, scripted.grasp_for(env), start, 0.5):
+            pass
+        *_, env._targets = scripted.ramps(env, scripted.grasp_for(env), 0.04)
+        heights, began = [], env.simulator.data.time
+        palm = env.simulator.link_positions
+        env.simulator = _Filmed(env.simulator, 10, lambda: heights.append(palm()[0, 2]))
+        assert env._hold(env.task.hold)
+        assert len(heights) == round((env.simulator.data.time - began) / 0.04)
+        assert len(heights) > 50
+        assert np.ptp(heights) > 0.6
+        assert np.abs(np.diff(heights)).max() < 0.02
+
     def test_several_runs_side_by_side_from_a_camera_that_stands(self):
         pytest.importorskip("imageio_ffmpeg")
         imageio = pytest.importorskip("imageio.v2")
@@ -677,6 +697,6 @@ class TestOtherCommands:
 
     def test_installed_command_starts_fast_enough_to_be_pleasant(self):
         """No simulator and no PyTorch for the list of commands."""
-        code = "import sys, tactilerl.cli; tactilerl.cli.main(['--help']); print(len(sys.modules))"
+        code = "import sys; from tactilerl.commands import cli; cli.main(['--help'])"
         code += "; assert not {'torch', 'mujoco', 'gymnasium', 'scipy'} & set(sys.modules)"
         assert subprocess.run([sys.executable, "-c", code], capture_output=True).returncode == 0

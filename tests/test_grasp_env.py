@@ -432,8 +432,26 @@ class TestHoldTest:
         *_, targets = scripted.ramps(env, grasp, scripted.period(env.config.timestep))
         if not close:
             targets[3:] = env.hand.start_targets()[3:]
-        test = dataclasses.replace(test or env.task.hold, seconds=seconds, verdict=verdict)
-        return test.run(env.simulator, targets, env.config.timestep)
+        env._targets = targets
+        return env._hold(dataclasses.replace(test or env.task.hold, seconds=seconds, verdict=verdict))
+
+    def looks(self, env):
+        """Whether the hand is at the top at each look of a hold test of what is always in the hand."""
+
+        def now():
+            look = env._look()
+            return dataclasses.replace(
+                look, object=dataclasses.replace(look.object, position=look.hand)
+            )
+
+        phase = env.task.hold.begin(now(), env.config.timestep)
+        targets, verdict = phase.targets, None
+        while verdict is None:
+            is_at_top = phase.is_at_top
+            env.simulator.step(targets, phase.n_substeps)
+            targets, verdict = phase.advance(now())
+            yield is_at_top
+        assert verdict
 
     def test_grasped_object_is_held_at_one_metre(self):
         env = make()
@@ -447,10 +465,7 @@ class TestHoldTest:
         env = make(timestep=timestep, control_dt=50 * timestep, hold_seconds=seconds)
         env.reset(seed=0)
         env.step(np.eye(23)[2])  # the hand is on its way up and lags behind its target
-        looks = [
-            (is_at_top, env.simulator.data.time)
-            for is_at_top, _ in env.task.hold.positions(env.simulator, env._targets, timestep)
-        ]
+        looks = [(is_at_top, env.simulator.data.time) for is_at_top in self.looks(env)]
         top = [time for is_at_top, time in looks if is_at_top]
         assert top[-1] - top[0] == pytest.approx(seconds, abs=timestep / 2 + 1e-9)
         gaps = np.diff([time for is_at_top, time in looks if not is_at_top])
@@ -464,12 +479,40 @@ class TestHoldTest:
             test = envs.make(hand, simulator="mujoco", **choice).task.hold
             assert [test.seconds, test.look_every] == pytest.approx(times)
 
+    @pytest.mark.parametrize("hand", ["shadow", "mpl"])
+    @pytest.mark.parametrize("verdict", ["full", "settled"])
+    def test_one_look_at_a_time_is_the_test_that_a_step_runs_to_its_end(self, hand, verdict):
+        """A phase needs nothing but to be told what is: whoever runs it may do so bit by bit."""
+        from tactilerl.envs import scripted
+
+        ends = []
+        for run in (lambda env: env._hold(env.task.hold), self.in_small_portions):
+            env = envs.make(hand, simulator="mujoco", hold_seconds=1.0, hold_verdict=verdict)
+            start = scripted.Start(np.zeros(2), 0.0, np.zeros(len(env.hand.joints)))
+            for _ in scripted.hold_steps(env, scripted.grasp_for(env), start, 0.5):
+                pass
+            *_, env._targets = scripted.ramps(env, scripted.grasp_for(env), 0.04)
+            ends.append((run(env), env.simulator.data.time, *env.simulator.data.qpos))
+        assert ends[0] == ends[1]
+        assert ends[0][0]
+
+    def in_small_portions(self, env):
+        """A hold test by hand, five timesteps at a time."""
+        phase, verdict = env.task.hold.begin(env._look(), env.config.timestep), None
+        targets = phase.targets
+        while verdict is None:
+            env.simulator.set_creep(phase.creep)
+            for done in range(0, phase.n_substeps, 5):
+                env.simulator.step(targets, min(5, phase.n_substeps - done))
+            targets, verdict = phase.advance(env._look())
+        return verdict
+
     def test_palm_ends_at_one_metre_wherever_it_was_going(self):
         env = make(hold_seconds=2.0)
         for action in (-1.0, 1.0):
             env.reset(seed=0)
             env.step(action * np.eye(23)[2])
-            list(env.task.hold.positions(env.simulator, env._targets, env.config.timestep))
+            list(self.looks(env))
             assert env.simulator.link_positions()[0, 2] == pytest.approx(
                 1.0, abs=0.02
             )  # the wrist may still turn
@@ -499,16 +542,16 @@ class TestHoldTest:
         targets = env.hand.start_targets()
         targets[2] -= 0.2
         env.simulator.step(targets, 5)
-        assert not env.task.hold.run(env.simulator, targets, env.config.timestep)
+        env._targets = targets
+        assert not env._hold(env.task.hold)
 
     def test_settled_waits_while_the_object_stands_on_the_ground(self):
         """A hand that is too weak to rise keeps still, and so does what is in it."""
         env = make(hold_seconds=20.0, hold_verdict="settled")
         env.reset(seed=0)
         env.simulator.model.actuator("slide_z").forcerange = 0.0
-        targets, test = env.hand.start_targets(), env.task.hold
-        rises, began = test.height / hold.RAISE_SPEED, env.simulator.data.time
-        test.run(env.simulator, targets, env.config.timestep)
+        rises, began = env.task.hold.height / hold.RAISE_SPEED, env.simulator.data.time
+        env._hold(env.task.hold)
         assert env.simulator.object_state().position[2] < 0.03
         assert env.simulator.data.time - began > 0.8 * rises
 
@@ -518,7 +561,8 @@ class TestHoldTest:
         targets = env.hand.start_targets()
         targets[2] -= 0.2
         below = env.simulator.link_positions()[0, 2]
-        next(env.task.hold.positions(env.simulator, targets, env.config.timestep))
+        env._targets = targets
+        next(self.looks(env))
         assert env.simulator.link_positions()[0, 2] > below + 0.01
 
     def test_settled_leaves_the_creep_as_it_was(self):
@@ -541,7 +585,7 @@ class TestHoldTest:
         """A long test, whose compressed part lasts 6 s, of a cube that slides all the time."""
         env = make()
         looks = itertools.count()
-        monkeypatch.setattr(hold, "_in_hand", lambda simulator: np.array([3e-3 * next(looks), 0, 0]))
+        monkeypatch.setattr(hold, "_in_hand", lambda now: np.array([3e-3 * next(looks), 0, 0]))
         assert not self.verdict(env, close=True, verdict="settled", seconds=120.0)
 
     def test_what_was_thrown_up_is_not_held_while_it_flies(self):
@@ -549,7 +593,7 @@ class TestHoldTest:
         env.reset(seed=0)
         thing = env.simulator.data.joint("object")
         thing.qpos[2], thing.qvel[2] = 0.5, 40.0
-        assert not env.task.hold.run(env.simulator, env._targets, env.config.timestep)
+        assert not env._hold(env.task.hold)
         assert env.simulator.object_state().position[2] > 1.0
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tactilerl import envs
+from tactilerl.envs import scripted
 
 VERSIONS = {"mujoco": "4.0.0", "pybullet": "3.2.7"}  # other versions compute otherwise
 SCENES = [
@@ -71,3 +72,26 @@ def test_an_episode_is_what_it_was(scene, pinned):
     if found != VERSIONS[simulator]:
         pytest.skip(f"pinned with {simulator} {VERSIONS[simulator]}, found {found}")
     assert bits(hand, simulator, choices) == pinned
+
+
+HELD = {
+    ("shadow", "full"): "3a28756e25fc649d",
+    ("shadow", "settled"): "00c957ccfa3788cd",
+    ("mpl", "full"): "082ae18aa6dab895",
+    ("mpl", "settled"): "902d522f235d8e90",
+}
+
+
+@pytest.mark.parametrize(("hand", "verdict"), HELD)
+def test_a_hold_test_is_what_it_was(hand, verdict):
+    """Where it leaves the joints and the object of a scripted grasp."""
+    if version("mujoco") != VERSIONS["mujoco"]:
+        pytest.skip(f"pinned with mujoco {VERSIONS['mujoco']}")
+    env = envs.make(hand, simulator="mujoco", layout="1", hold_seconds=1.3, hold_verdict=verdict)
+    grasp = scripted.grasp_for(env)
+    start = scripted.Start(np.zeros(2), 0.0, np.zeros(len(env.hand.joints)))
+    for _ in scripted.hold_steps(env, grasp, start, 0.2):
+        pass
+    *_, env._targets = scripted.ramps(env, grasp, scripted.period(env.config.timestep))
+    assert env._hold(env.task.hold)
+    assert hashlib.sha256(env.simulator.data.qpos.tobytes()).hexdigest()[:16] == HELD[hand, verdict]

@@ -57,26 +57,31 @@ def test_inputs_without_names_go_by_their_numbers():
     assert torch.equal(many[1].weight, few[1].weight)
 
 
-@pytest.mark.parametrize("n_out", [16, 2])
+@pytest.mark.parametrize("n_out", [400, 2])
 def test_an_orthogonal_start_is_orthogonal(n_out):
     generator = torch.Generator().manual_seed(1)
-    network = MLP((3, n_out, 4), generator, inputs=FEW)
+    network = MLP((3, n_out, n_out, 4), generator, inputs=FEW)
     start_orthogonal(network, 0.1, generator, FEW)
-    first, last = (linear.weight.detach() for linear in network.linears)
-    product = first.T @ first if n_out > 3 else first @ first.T
-    torch.testing.assert_close(product, 2 * torch.eye(len(product)), atol=1e-5, rtol=0)
+    first, second, last = (linear.weight.detach() for linear in network.linears)
+    torch.testing.assert_close(second @ second.T, 2 * torch.eye(n_out), atol=1e-5, rtol=0)
     product = last @ last.T if n_out > 4 else last.T @ last
     torch.testing.assert_close(product, 0.01 * torch.eye(len(product)), atol=1e-5, rtol=0)
+    length = 2 * min(1, n_out / 3)  # wide layers keep the size of their sums
+    torch.testing.assert_close((first**2).sum(0), torch.full((3,), float(length)))
+    if n_out == 400:  # drawn apart, so nearly
+        torch.testing.assert_close(first.T @ first, 2 * torch.eye(3), atol=0.5, rtol=0)
 
 
-def test_orthogonal_starts_agree_up_to_the_first_other_input():
+@pytest.mark.parametrize("n_more", [2, 40])
+def test_orthogonal_starts_agree_in_inputs_of_one_name(n_more):
     found = []
-    for names in (FEW, [*FEW, "x", "y"]):
+    for names in (FEW, [*(f"taxel {i}" for i in range(n_more)), *FEW]):
         generator = torch.Generator().manual_seed(1)
         network = MLP((len(names), 16, 4), generator, inputs=names)
         start_orthogonal(network, 0.1, generator, names)
         found.append(network.linears)
-    torch.testing.assert_close(found[1][0].weight[:, :3], found[0][0].weight, atol=1e-5, rtol=0)
+    scale = min(1, np.sqrt(16 / (3 + n_more)))
+    torch.testing.assert_close(found[1][0].weight[:, -3:], found[0][0].weight * scale)
     torch.testing.assert_close(found[1][1].weight, found[0][1].weight)
 
 

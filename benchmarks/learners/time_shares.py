@@ -17,11 +17,10 @@ from rich.table import Table
 
 from benchmarks.command import parser, write
 from benchmarks.timing import Watches
-from tactilerl import checkpoint
 from tactilerl.algos.mpi import Communicator
-from tactilerl.envs.hold import HoldTest
-from tactilerl.run_dir import RunDir
-from tactilerl.training import make_algorithm
+from tactilerl.runs import checkpoint
+from tactilerl.runs.run_dir import RunDir
+from tactilerl.runs.training import make_algorithm
 
 
 def shares(run: Path, verdict: str, rounds: int) -> dict[str, float]:
@@ -40,7 +39,7 @@ def shares(run: Path, verdict: str, rounds: int) -> dict[str, float]:
     simulator: Any = workers.env.unwrapped.simulator  # type: ignore[attr-defined]
     watches.watch("physics", simulator, "step")
     watches.watch("resets", simulator, "reset")
-    watches.watch("hold tests", HoldTest, "run")
+    watches.watch("hold tests", workers.env.unwrapped, "_hold")
     watches.watch("collecting", learner, "collect")
     watches.watch("updates", learner, "update")
     started = time.perf_counter()

@@ -29,7 +29,7 @@ from tactilerl import envs
 from tactilerl.envs import scripted
 from tactilerl.envs.hands import Array, ClosingAction
 from tactilerl.envs.hold import HoldTest
-from tactilerl.policies import read_run
+from tactilerl.runs.policies import read_run
 
 SEED = 50_000
 PUSH = 1e-6  # m
@@ -54,14 +54,14 @@ class Watched:
     seconds: float = 0.0
 
     def __post_init__(self) -> None:
-        self.env._hold = self.run
+        self._hold, self.env._hold = self.env._hold, self.run
 
     def run(self, test: HoldTest) -> bool:
         """As the environment does."""
-        targets = self.env._targets.copy()
-        targets[0] += self.aside
+        self.env._targets = self.env._targets.copy()
+        self.env._targets[0] += self.aside
         started = time.process_time()
-        held = replace(test, **self.fields).run(self.env.simulator, targets, self.env.config.timestep)
+        held = self._hold(replace(test, **self.fields))
         self.held, self.seconds = held, time.process_time() - started
         return held
 

@@ -12,11 +12,11 @@ import itertools
 from typing import Any
 
 from benchmarks.command import earlier, parser, write
-from tactilerl import gate
 from tactilerl.algos.mpi import Communicator
 from tactilerl.envs import scenes, tasks
 from tactilerl.envs.grasp import setup
-from tactilerl.training import free_cores
+from tactilerl.probe import gate
+from tactilerl.runs.training import free_cores
 
 HANDS, SIMULATORS, LAYOUTS = ("mpl", "shadow", "allegro"), ("mujoco", "pybullet"), range(1, 7)
 LAYOUT_SCENES = ("handover", "handover_fingers")
