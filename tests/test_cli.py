@@ -199,7 +199,7 @@ class TestTrain:
         assert main(["evaluate", "run", "--episodes", "1"]) == 0
 
     def test_ddpg_her_on_lift_and_hold(self):
-        args = [*HER, "--task", "lift-and-hold", "--no-clip-target", "--termination", "terminal"]
+        args = [*HER, "--task", "lift-and-hold", "--termination", "terminal"]
         args += ["--max-episode-steps", "10", "--hold-seconds", "0.2", "--total-timesteps", "30"]
         assert main([*args, "--out", "run"]) == 0
 
@@ -443,7 +443,6 @@ class TestBadInput:
             ([*HER, "--env", "lqr"], ["observation space", "goal environment"]),
             ([*REACH, "--buffer-size", "9" * 13], ["buffer_size: found 9,", "GB", "free"]),
             ([*REACH, "--gamma", "1"], ["gamma: found 1.0, allowed from 0 to below 1"]),
-            ([*HER, "--task", "lift-and-hold", "--max-episode-steps", "3"], ["--no-clip-target"]),
             (["train", "--any-ranks"], ["--any-ranks: found without --resume"]),
             (["train", "--layout", "9"], ["unknown layout '9'", "1, 2, 3, 4, 5, 6"]),
             (["train", "--layout", "no.toml"], ["no.toml", "does not exist"]),
