@@ -8,19 +8,19 @@ simulator frees the GIL while it steps, as MuJoCo does; elsewhere each worker is
 
 from __future__ import annotations
 
-import itertools
 import multiprocessing
 import pickle
 import signal
 import sys
 import threading
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
-from functools import partial
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerContext, SpawnContext
-from typing import Any, Generic, Protocol, TypeVar
+from queue import SimpleQueue
+from typing import Any, Protocol, TypeVar
 
 import gymnasium as gym
 import numpy as np
@@ -38,49 +38,6 @@ class Task(Protocol[T_co]):
         """The result for `number`. When `is_wanted` turns false it may stop and return anything."""
 
 
-class Batch(Generic[T]):
-    """Numbers that are begun in order, and results that arrive in any."""
-
-    def __init__(self, numbers: Iterable[int]) -> None:
-        self._numbers, self._n_begun, self._is_exhausted = iter(numbers), 0, False
-        self._done: dict[int, T | Exception] = {}
-        self._changed = threading.Condition()
-        self.is_over = False
-
-    def begin(self) -> tuple[int, int] | None:
-        """(place, number) of what to do next; None when there is nothing more to do."""
-        with self._changed:
-            number = None if self.is_over else next(self._numbers, None)
-            if number is None:
-                self._is_exhausted = True
-                self._changed.notify()
-                return None
-            self._n_begun += 1
-            return self._n_begun - 1, number
-
-    def finish(self, place: int, result: T | Exception) -> None:
-        """Take a result, or what was raised in its stead."""
-        with self._changed:
-            self._done[place] = result
-            self._changed.notify()
-
-    def results(self) -> Iterator[T]:
-        """In order, each as soon as it and all before it are there."""
-        for place in itertools.count():
-            with self._changed:
-                self._changed.wait_for(partial(self._is_settled, place))
-                if place not in self._done:
-                    return
-                result = self._done.pop(place)
-            if isinstance(result, Exception):
-                raise result
-            yield result
-
-    def _is_settled(self, place: int) -> bool:
-        """Is its result there, or will there never be one?"""
-        return place in self._done or (self._is_exhausted and place >= self._n_begun)
-
-
 class Workers:
     """Environments and who plays in them. Closing them closes all environments."""
 
@@ -91,8 +48,10 @@ class Workers:
         what has to be closed in the end."""
         self.env = env
         self._players, self._opened = players, opened or ExitStack()
-        # One thread each, so that a player ends what it is at before it begins anything else.
-        self._threads = [ThreadPoolExecutor(1) for _ in players]
+        self._threads = ThreadPoolExecutor(len(players))
+        self._idle: SimpleQueue[Player] = SimpleQueue()  # each ends what it is at before it begins more
+        for player in players:
+            self._idle.put(player)
 
     def __len__(self) -> int:
         return len(self._players)
@@ -134,18 +93,34 @@ class Workers:
             for number in numbers:
                 yield self._players[0].play(task, number, lambda: True)
             return
-        batch = Batch[T](numbers)
-        for player, thread in zip(self._players, self._threads, strict=True):
-            thread.submit(_work, player, task, batch)
+        numbers, is_over, lock = iter(numbers), threading.Event(), threading.Lock()
+        begun: deque[Future[T]] = deque()
+
+        def begin() -> None:
+            with lock:
+                number = None if is_over.is_set() else next(numbers, None)
+                if number is not None:
+                    begun.append(self._threads.submit(play, number))
+
+        def play(number: int) -> T:
+            player = self._idle.get()
+            try:
+                return player.play(task, number, lambda: not is_over.is_set())
+            finally:
+                self._idle.put(player)
+                begin()  # before this one is known to be done, so that the last is known to be the last
+
         try:
-            yield from batch.results()
+            for _ in self._players:
+                begin()
+            while begun:
+                yield begun.popleft().result()
         finally:
-            batch.is_over = True
+            is_over.set()
 
     def close(self) -> None:
         """End the workers and close every environment."""
-        for thread in self._threads:
-            thread.shutdown()
+        self._threads.shutdown()
         self._opened.close()
 
 
@@ -154,17 +129,6 @@ class Player(Protocol):
 
     def play(self, task: Task[T], number: int, is_wanted: IsWanted) -> T:
         """The task's result."""
-
-
-def _work(player: Player, task: Task[T], batch: Batch[T]) -> None:
-    """One worker's share of a batch."""
-    while (following := batch.begin()) is not None:
-        place, number = following
-        try:
-            result: T | Exception = player.play(task, number, lambda: not batch.is_over)
-        except Exception as error:
-            result = error
-        batch.finish(place, result)
 
 
 class LocalPlayer:
