@@ -20,7 +20,7 @@ from ..envs.grasp import setup
 from ..envs.hands import Array, Hand
 from ..envs.layouts import Layout, Taxels
 from ..envs.scripted import require_grasps
-from ..envs.vector import Task
+from ..envs.vector import Job
 from ..errors import InputError, input_errors
 from ..files import locked, replacing
 from ..places import Place
@@ -40,7 +40,7 @@ class Playing(NamedTuple):
 
     settings: dict[str, Any]
     contact_places: tuple[Place, ...]
-    task: Task[Record]
+    task: Job[Record]
     start: Callable[[int], vector.Workers]
     """By their number."""
     out: Path
