@@ -16,7 +16,7 @@ from functools import partial
 from typing import Any
 
 from benchmarks.command import ROOT
-from benchmarks.learners import learning
+from benchmarks.learners import cut_short, learning
 from benchmarks.studies import gates, probe_agreement, probe_hold, probe_tables
 
 DOCS = ROOT / "docs"
@@ -44,6 +44,7 @@ PRINTED: dict[str, Callable[[], None]] = {
     "probe differences": _of("probe", probe_tables.differences, 0.05),
     "probe agreement": _of("probe_agreement", probe_agreement.show),
     "probe hold": _of("probe_hold", probe_hold.show),
+    "cut short": _of("cut_short", cut_short.show),
     **{name: _of(name, learning.markdown) for name in RUNS},
     **{f"gates {name}": _of("gates", partial(gates.show, name)) for name in gates.tables()},
 }
