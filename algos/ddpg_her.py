@@ -16,12 +16,10 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
 from torch import Tensor
 
 from . import (
     DivergenceError,
-    UnfitError,
     Workers,
     action_size,
     check_ranges,
@@ -44,7 +42,7 @@ CHECK_EVERY = 100  # updates between two looks at whether the ranks' parameters 
 POLICY_PARTS = ("actor", "obs_stats", "goal_stats")
 SAVED = (*POLICY_PARTS, "critic", "target_actor", "target_critic", "adam", "truth_stats")
 REPLAY_P = 0.8  # paper
-COUNTERS = ("env_steps", "updates", "cycles")
+COUNTERS = ("env_steps", "updates", "cycles", "worst", "best")
 
 
 @dataclass(frozen=True)
@@ -59,6 +57,8 @@ class DDPGHERConfig:
     """Adam step size of the critic."""
     buffer_size: int = 1_000_000
     """Transitions in the replay of each process."""
+    anneal_lr: bool = False
+    """Let both step sizes fall linearly to zero over the run."""
     polyak: float = 0.95
     """Share of itself that the target network keeps, once per cycle."""
     gamma: float | None = None
@@ -89,10 +89,16 @@ class DDPGHERConfig:
     reduction: Literal["sum", "mean"] = "sum"
     """How gradients of several processes are combined (source: sum)."""
     clip_target: bool = True
-    """Clip targets to -1/(1 - gamma) and 0 (source): for rewards from -1 to 0."""
+    """Clip targets to what returns can be: -1/(1 - gamma) and 0 (source), or 1/(1 - gamma) times the
+    lowest and the highest reward seen where these lie beyond -1 and 0."""
     termination: Literal["bootstrap", "terminal"] = "bootstrap"
     """What follows the last step of an episode that terminated: the target network's value
     (the source has no done mask), or nothing."""
+
+    @property
+    def anneals(self) -> bool:
+        """Does the course of a run depend on how long it will be?"""
+        return self.anneal_lr
 
     def validate(self) -> None:
         """Raise ValueError naming the first invalid field."""
@@ -110,25 +116,20 @@ class DDPGHERConfig:
             raise ValueError(f"gamma: found {self.gamma}, allowed from 0 to below 1")
 
 
-def targets(rewards: Tensor, next_values: Tensor, terminal: Tensor, gamma: float, clip: bool) -> Tensor:
-    """What the critic should say (n,): r + gamma Q'(next), cut where `clip` (all (n,)).
+def targets(
+    rewards: Tensor,
+    next_values: Tensor,
+    terminal: Tensor,
+    gamma: float,
+    span: tuple[float, float] | None,
+) -> Tensor:
+    """What the critic should say (n,): r + gamma Q'(next), of arguments (n,).
 
-    `terminal` is 1 where nothing follows. The bounds are those of returns made of rewards
-    from -1 to 0 (Andrychowicz et al. 2017, appendix A).
+    `terminal` is 1 where nothing follows. Values are cut to the returns that rewards in `span` can
+    make (Andrychowicz et al. 2017, appendix A).
     """
     values = rewards + gamma * (1.0 - terminal) * next_values
-    return values.clamp(-1.0 / (1.0 - gamma), 0.0) if clip else values
-
-
-def _resolved(config: DDPGHERConfig, workers: Workers) -> DDPGHERConfig:
-    """With the defaults that depend on the environment; ValueError when its episodes are endless."""
-    max_steps = workers.max_episode_steps
-    if not max_steps:
-        raise ValueError("max_episode_steps: found none, allowed environments with a limit")
-    her = 0.0 if has_single_goal(workers.observation_space) else REPLAY_P
-    gamma = 1.0 - 1.0 / max_steps if config.gamma is None else config.gamma
-    replay_p = her if config.replay_p is None else config.replay_p
-    return dataclasses.replace(config, gamma=gamma, replay_p=replay_p)
+    return values.clamp(*(reward / (1.0 - gamma) for reward in span)) if span else values
 
 
 def _policy(config: DDPGHERConfig, spaces: Spaces, actor: MLP, stats: GoalStats) -> Policy:
@@ -156,7 +157,12 @@ class DDPGHER:
         space, n_actions = self.spaces.observation, action_size(self.spaces.action)
         n_goal, n_truth = goal_size(space), flat_size(self.spaces.truth)
         self._n_obs = n_obs = flat_size(space)
-        self.config = config = _resolved(config, workers)
+        if not (steps := workers.max_episode_steps):
+            raise ValueError("max_episode_steps: found none, allowed environments with a limit")
+        self.gamma = 1.0 - 1.0 / steps if config.gamma is None else config.gamma
+        her = 0.0 if has_single_goal(space) else REPLAY_P
+        self.replay_p = her if config.replay_p is None else config.replay_p
+        self.config = dataclasses.replace(config, gamma=self.gamma, replay_p=self.replay_p)
         self.total_timesteps, self.seed = total_timesteps, seed
         weights = torch.Generator().manual_seed(seed)
         self.actor = new_actor(config.hidden, self.spaces, weights).to(self.device)
@@ -170,18 +176,17 @@ class DDPGHER:
         self.stats = GoalStats.of(self.spaces, config.norm_clip, comm)
         self.obs_stats, self.goal_stats = self.stats
         self.truth_stats = flat_stats(self.spaces.truth, config.norm_clip, comm)
-        steps, rewards = workers.max_episode_steps or 0, workers.compute_reward
-        sizes = n_obs - n_goal, n_goal, n_actions, n_truth
+        sizes, rewards = (n_obs - n_goal, n_goal, n_actions, n_truth), workers.compute_reward
         rng = np.random.default_rng([seed, comm.rank, rollout.LEARN])
         self.replay = Replay(config.buffer_size, steps, sizes, n_boolean(space), rewards, rng)
         self._both = SideBySide(at_once(workers, comm, self.device))
         self.cycles_per_epoch = config.n_cycles
         self.env_steps = self.updates = self.cycles = 0
+        self.worst, self.best = 1.0, 0.0  # all rewards so far lie from -worst to best
 
     def check(self) -> None:
         """ValueError when memory is short or the rewards of an episode do not fit."""
         (episode,) = require_transitions(self._play(1, rollout.PROBE))
-        self._check_signs(episode.rewards)
         self.replay.require_rewards(episode)
         self.replay.require_memory(self.comm.local_size)
 
@@ -211,15 +216,15 @@ class DDPGHER:
         """One cycle's episodes: into the replay, and relabelled into the normaliser."""
         config, key = self.config, [self.seed, self.comm.rank, rollout.LEARN, self.cycles]
         self.replay.rng = np.random.default_rng(key)  # whatever came before
+        if config.anneal_lr:
+            self.adam.share = max(0.0, 1.0 - self.env_steps / self.total_timesteps)
         episodes = self._play(config.n_rollouts, rollout.TRAIN)
         self.cycles += 1
         seen = summary(episodes, self.comm)
         self.env_steps += int(seen.pop("steps"))
         usable = require_transitions(episodes)
         slots = self.replay.store(usable)
-        assert config.replay_p is not None
-        batch = self.replay.sample(sum(map(len, usable)), config.replay_p, slots)
-        self._check_signs(batch.reward)
+        batch = self.replay.sample(sum(map(len, usable)), self.replay_p, slots)
         parts = (
             (self.obs_stats, batch.obs),
             (self.goal_stats, batch.goal),
@@ -228,12 +233,6 @@ class DDPGHER:
         for stats, seen_of in parts:
             stats.update(seen_of.clip(-config.clip_obs, config.clip_obs))
         return seen
-
-    def _check_signs(self, rewards: ArrayLike) -> None:
-        largest = np.max(rewards, initial=0.0)
-        if self.config.clip_target and largest > 0:
-            hint = "while targets are cut at 0; give --no-clip-target (clip_target=False)"
-            raise UnfitError(f"clip_target: found a reward of {largest:g}, allowed 0 or less {hint}")
 
     def test(self) -> dict[str, float]:
         """Episodes without noise at the end of an epoch."""
@@ -251,8 +250,10 @@ class DDPGHER:
         normalised and given their targets at once.
         """
         config = self.config
-        assert config.replay_p is not None
-        drawn = self.replay.sample(config.n_batches * config.batch_size, config.replay_p)
+        drawn = self.replay.sample(config.n_batches * config.batch_size, self.replay_p)
+        rewards = self.comm.all_gather((-drawn.reward.min(), drawn.reward.max()))
+        worst, best = zip((self.worst, self.best), *rewards, strict=True)
+        self.worst, self.best = float(max(worst)), float(max(best))
         sums = torch.zeros(3, device=self.device)
         parts = [torch.tensor_split(torch.from_numpy(part).to(self.device), 2) for part in drawn]
         halves = self._both(*(partial(self._prepared, Batch(*h)) for h in zip(*parts, strict=True)))
@@ -278,8 +279,8 @@ class DDPGHER:
         next_actions = self.target_actor(next_inputs[:, : self._n_obs])
         next_values = self.target_critic(torch.cat([next_inputs, next_actions], dim=1)).squeeze(-1)
         terminal = batch.terminal * (config.termination == "terminal")
-        assert config.gamma is not None
-        target = targets(batch.reward, next_values, terminal, config.gamma, config.clip_target)
+        span = (-self.worst, self.best) if config.clip_target else None
+        target = targets(batch.reward, next_values, terminal, self.gamma, span)
         return inputs, batch.action, target
 
     def _minibatch(self, inputs: Tensor, actions: Tensor, target: Tensor) -> Tensor:

@@ -228,16 +228,13 @@ class FlatAdam:
         self._moments = {name: torch.zeros_like(self.vector.data) for name in ("exp_avg", "exp_avg_sq")}
         self._steps = torch.zeros(len(modules), device=self.vector.device)
         self._lrs, self._eps = [lr for _, lr in modules], eps
+        self.share = 1.0  # of the step sizes, where they fall over a run
         sizes = [sum(p.numel() for p in module.parameters()) for module, _ in modules]
         whole = (self.vector.data, self.gradient, *self._moments.values())
         parts = (*(torch.split(values, sizes) for values in whole), self._steps.unbind())
         self._parts: list[tuple[list[Tensor], ...]] = [
             tuple([part] for part in one) for one in zip(*parts, strict=True)
         ]
-
-    def set_lr(self, lr: float) -> None:
-        """Change the step size of all modules."""
-        self._lrs = [lr] * len(self._lrs)
 
     def reduce(self, comm: Communicator, how: Literal["mean", "sum"] = "sum") -> None:
         """Replace the gradient by its sum or mean over ranks: one message."""
@@ -259,8 +256,8 @@ class FlatAdam:
         with _denormals_flushed():  # whoever steps physics must not notice
             for (vector, gradient, mean, square, steps), lr in zip(self._parts, self._lrs, strict=True):
                 torch._fused_adam_(
-                    vector, gradient, mean, square, [], steps, lr=lr, beta1=0.9, beta2=0.999,
-                    weight_decay=0.0, eps=self._eps, amsgrad=False, maximize=False,
+                    vector, gradient, mean, square, [], steps, lr=self.share * lr, beta1=0.9,
+                    beta2=0.999, weight_decay=0.0, eps=self._eps, amsgrad=False, maximize=False,
                 )  # fmt: skip
 
     def is_finite(self) -> bool:

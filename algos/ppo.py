@@ -222,8 +222,7 @@ class PPO:
         """`n_passes` over the batch in shuffled minibatches; each rank computes its share of each."""
         config = self.config
         if config.anneal_lr:
-            self.actor_adam.set_lr(config.actor_lr * self._ahead)
-            self.critic_adam.set_lr(config.critic_lr * self._ahead)
+            self.actor_adam.share = self.critic_adam.share = self._ahead
         batch = self._batch()
         n, n_minibatches = len(batch.seen), config.minibatches(len(batch.seen))
         rng = np.random.default_rng([self.seed, 0, rollout.LEARN, self.epochs])  # the same on all ranks

@@ -18,7 +18,7 @@ from adjustText import adjust_text
 
 from benchmarks.command import ROOT
 from tactilerl.envs import hands, layouts
-from tactilerl.hand_map import TaxelMap
+from tactilerl.pictures.hand_map import TaxelMap
 
 DOCS = ROOT / "docs"
 WINDOW = 100  # episodes of the running success rate

@@ -17,7 +17,7 @@ from typing import Any
 
 from benchmarks.command import ROOT
 from benchmarks.learners import cut_short, learning
-from benchmarks.studies import gates, probe_agreement, probe_hold, probe_tables
+from benchmarks.studies import answer, faults, gates, probe_agreement, probe_hold, probe_tables
 
 DOCS = ROOT / "docs"
 RUNS = (
@@ -36,6 +36,10 @@ def _of(name: str, show: Callable[..., None], *more: Any) -> Callable[[], None]:
     return lambda: show(data(name), *more)
 
 
+def _faults(flag: str) -> None:
+    faults.show(data("faults"), [flag])
+
+
 PRINTED: dict[str, Callable[[], None]] = {
     "probe gains": _of("probe", probe_tables.gains, 0.05),
     "probe gains, exact joints": _of("probe", probe_tables.gains, 0.0),
@@ -46,6 +50,12 @@ PRINTED: dict[str, Callable[[], None]] = {
     "probe hold": _of("probe_hold", probe_hold.show),
     "cut short": _of("cut_short", cut_short.show),
     **{name: _of(name, learning.markdown) for name in RUNS},
+    **{name: partial(answer.show, name) for name in answer.TABLES},
+    **{
+        f"study faults, {flag}": partial(_faults, flag)
+        for flag in faults.SWEEPS
+        if (DOCS / "data" / "faults.json").exists()
+    },
     **{f"gates {name}": _of("gates", partial(gates.show, name)) for name in gates.tables()},
 }
 """What prints each table, perhaps with a title."""

@@ -6,7 +6,7 @@ import json
 import tempfile
 from pathlib import Path
 
-from tactilerl.cli import main as tactilerl_command
+from tactilerl.commands.cli import main as tactilerl_command
 
 # %% The budget: grasps to play. 2_000 give useful intervals.
 STEPS = 60

@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 
 import tactilerl
-from tactilerl.cli import main as tactilerl_command
+from tactilerl.commands.cli import main as tactilerl_command
 
 # %% The budget. A few hundred steps only show that it works: 50_000 are a start.
 STEPS = 500

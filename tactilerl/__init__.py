@@ -10,6 +10,7 @@ Each is imported when it is first used.
 """
 
 from .registration import with_gymnasium
+from .version import __version__ as __version__
 
 TYPE_CHECKING = False  # as in registration.py
 if TYPE_CHECKING:
@@ -17,13 +18,12 @@ if TYPE_CHECKING:
 
     from .api import DDPGHER, PPO, evaluate, train
     from .envs import make
-    from .policies import load_policy
+    from .runs.policies import load_policy
 
-__version__ = "0.2.0"
 __all__ = ["DDPGHER", "PPO", "evaluate", "load_policy", "make", "train"]
 
 # No module of this package may have one of these names: importing it would hide the function.
-_WHERE = {"make": "envs", "load_policy": "policies"}
+_WHERE = {"make": "envs", "load_policy": "runs.policies"}
 
 
 def __getattr__(name: str) -> "Any":

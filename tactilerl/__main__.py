@@ -2,11 +2,11 @@
 
 import sys
 
-from . import interrupts
+from .terminal import interrupts
 
 interrupts.leave_at_once()
 
-from .cli import main  # noqa: E402
+from .commands.cli import main  # noqa: E402
 
 if __name__ == "__main__":
     sys.exit(main())

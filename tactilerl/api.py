@@ -24,18 +24,19 @@ import gymnasium as gym
 import numpy as np
 import torch
 
-from . import config, envs, evaluation, policies, training
+from . import envs
 from .algos import mpi, recipes
 from .algos.mpi import Communicator
 from .algos.networks import Precision
 from .algos.policy import Policy
 from .algos.spaces import Spaces
-from .config import RunOptions
 from .envs import typed, vector
 from .envs.choices import require_known
 from .errors import InputError
-from .report import Report
-from .run_dir import RunDir
+from .runs import config, evaluation, policies, training
+from .runs.config import RunOptions
+from .runs.run_dir import RunDir
+from .terminal.progress_bar import ProgressBar
 
 Env = gym.Env[Any, Any] | str | Callable[[], gym.Env[Any, Any]]
 """An environment, which the caller closes; or an id, or a function that makes one."""
@@ -120,7 +121,7 @@ class Learner:
         with _threads(self._run.threads):
             if not self._epoch:
                 training.check(learner)
-            shown = Report(learner, self._comm) if progress else nullcontext()
+            shown = ProgressBar(learner, self._comm) if progress else nullcontext()
             with shown as report:
                 for row in training.epochs(learner, matmul, self._epoch):
                     self._epoch = row["epoch"]

@@ -5,8 +5,8 @@ import json
 
 import numpy as np
 
-from tactilerl import provenance
-from tactilerl.run_dir import FORMAT
+from tactilerl.runs import provenance
+from tactilerl.runs.run_dir import FORMAT
 from tactilerl.study import check, grid
 from tactilerl.study.folder import Outcome, StudyFolder
 

@@ -16,10 +16,10 @@ import pytest
 import torch
 
 import tactilerl
-from tactilerl import sealed
 from tactilerl.algos import DivergenceError
-from tactilerl.cli import main
+from tactilerl.commands.cli import main
 from tactilerl.envs.toy import PointReachEnv
+from tactilerl.runs import sealed
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
@@ -431,10 +431,10 @@ class TestPolicy:
 import sys, tactilerl
 
 tactilerl.load_policy("policy.pt").act([0.1, 0.2])
-needless = {"mujoco", "tactilerl.training", "tactilerl.config", "tactilerl.envs.grasp"}
+needless = {"mujoco", "tactilerl.runs.training", "tactilerl.runs.config", "tactilerl.envs.grasp"}
 assert not needless & set(sys.modules), needless & set(sys.modules)
 tactilerl.load_policy("run").act([0.1, 0.2])
-needless = {"mujoco", "tactilerl.training", "tactilerl.envs.toy"}
+needless = {"mujoco", "tactilerl.runs.training", "tactilerl.envs.toy"}
 assert not needless & set(sys.modules), needless & set(sys.modules)
 """
         )
@@ -461,7 +461,7 @@ before = set(sys.modules)
 import tactilerl
 
 new = set(sys.modules) - before
-assert new == {"tactilerl", "tactilerl.registration"}, new
+assert new == {"tactilerl", "tactilerl.registration", "tactilerl.version"}, new
 tactilerl.make("lqr")
 assert "torch" not in sys.modules
 """

@@ -18,12 +18,13 @@ import torch
 import tyro
 
 import tactilerl
-from tactilerl import flags, sealed
 from tactilerl.algos import recipes
-from tactilerl.cli import main
+from tactilerl.commands.cli import main
 from tactilerl.envs import scripted
 from tactilerl.envs.vector import Workers
-from tactilerl.render import _Filmed
+from tactilerl.pictures.render import _Filmed
+from tactilerl.runs import sealed
+from tactilerl.terminal import flags
 
 FAST = ["--hidden", "16", "--steps-per-epoch", "120", "--n-passes", "2"]
 TOY = ["train", "--env", "lqr", *FAST]
@@ -52,7 +53,7 @@ def render(*flags):
     """`tactilerl render`; where neither EGL nor OSMesa is there, it says so in one line."""
     for backend in ("egl", "osmesa"):
         result = subprocess.run(
-            [sys.executable, "-m", "tactilerl.cli", "render", *flags],
+            [sys.executable, "-m", "tactilerl", "render", *flags],
             env=os.environ | {"MUJOCO_GL": backend},
             capture_output=True,
             text=True,
@@ -198,7 +199,7 @@ class TestTrain:
         assert main(["evaluate", "run", "--episodes", "1"]) == 0
 
     def test_ddpg_her_on_lift_and_hold(self):
-        args = [*HER, "--task", "lift-and-hold", "--no-clip-target", "--termination", "terminal"]
+        args = [*HER, "--task", "lift-and-hold", "--termination", "terminal"]
         args += ["--max-episode-steps", "10", "--hold-seconds", "0.2", "--total-timesteps", "30"]
         assert main([*args, "--out", "run"]) == 0
 
@@ -226,7 +227,7 @@ class TestResume:
         args = [*args, "--env", "shadow", "--layout", "6", "--max-episode-steps", "20"]
         args += ["--total-timesteps", "240"]
         main([*args, "--out", "whole"])
-        command = [sys.executable, "-m", "tactilerl.cli"]
+        command = [sys.executable, "-m", "tactilerl"]
         env = os.environ | {"OMP_NUM_THREADS": "1"}
         for attempt in range(2):
             more = [*args, "--out", "killed"] if attempt == 0 else ["train", "--resume", "killed"]
@@ -404,7 +405,6 @@ class TestBadInput:
             ([*HER, "--env", "lqr"], ["observation space", "goal environment"]),
             ([*REACH, "--buffer-size", "9" * 13], ["buffer_size: found 9,", "GB", "free"]),
             ([*REACH, "--gamma", "1"], ["gamma: found 1.0, allowed from 0 to below 1"]),
-            ([*HER, "--task", "lift-and-hold", "--max-episode-steps", "3"], ["--no-clip-target"]),
             (["train", "--any-ranks"], ["--any-ranks: found without --resume"]),
             (["train", "--layout", "9"], ["unknown layout '9'", "1, 2, 3, 4, 5, 6"]),
             (["train", "--layout", "no.toml"], ["no.toml", "does not exist"]),
@@ -487,7 +487,7 @@ class TestBadInput:
         """A limit on file sizes stands in for a full disk: the next checkpoint does not fit."""
         main([*toy, "--total-timesteps", "1", "--out", "run"])
         before = Path("run/checkpoint.pt").read_bytes()
-        command = "trap '' XFSZ; ulimit -f 4; exec $0 -m tactilerl.cli train --resume run"
+        command = "trap '' XFSZ; ulimit -f 4; exec $0 -m tactilerl train --resume run"
         command += " --total-timesteps 600"
         result = subprocess.run(["bash", "-c", command, sys.executable], capture_output=True, text=True)
         assert result.returncode == 1
@@ -543,7 +543,7 @@ class TestOtherCommands:
         assert "success_rate" not in json.loads(outputs[0])  # the LQR has no success
 
     def test_wilson_interval(self):
-        from tactilerl.evaluation import summarise
+        from tactilerl.runs.evaluation import summarise
 
         played = [
             {"success": float(i < 8), "held": 1, "return": float(i), "length": 5, "object": None}
@@ -697,6 +697,6 @@ class TestOtherCommands:
 
     def test_installed_command_starts_fast_enough_to_be_pleasant(self):
         """No simulator and no PyTorch for the list of commands."""
-        code = "import sys, tactilerl.cli; tactilerl.cli.main(['--help']); print(len(sys.modules))"
+        code = "import sys; from tactilerl.commands import cli; cli.main(['--help'])"
         code += "; assert not {'torch', 'mujoco', 'gymnasium', 'scipy'} & set(sys.modules)"
         assert subprocess.run([sys.executable, "-c", code], capture_output=True).returncode == 0

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tactilerl import cli
+from tactilerl.commands import cli
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])

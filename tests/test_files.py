@@ -21,12 +21,13 @@ import numpy as np
 import pytest
 import torch
 
-from tactilerl import files, interrupts, provenance, sealed
 from tactilerl.algos import memory
-from tactilerl.cli import main
+from tactilerl.commands.cli import main
 from tactilerl.errors import InputError
-from tactilerl.progress import Progress
-from tactilerl.run_dir import RunDir
+from tactilerl.runs import files, provenance, sealed
+from tactilerl.runs.progress_csv import ProgressTable
+from tactilerl.runs.run_dir import RunDir
+from tactilerl.terminal import interrupts
 
 PPO = ["train", "--env", "lqr", "--hidden", "8", "--steps-per-epoch", "60", "--n-passes", "1"]
 HER = ["train", "--algo", "ddpg_her", "--env", "point-reach", "--hidden", "8", "--n-cycles", "1"]
@@ -306,7 +307,7 @@ class TestProgress:
         assert [line.split(",")[0] for line in TABLE.read_text().splitlines()] == ["epoch", "4", "5"]
 
     def test_a_row_of_another_tables_columns_is_not_written(self, tmp_path):
-        table = Progress(tmp_path / "progress.csv")
+        table = ProgressTable(tmp_path / "progress.csv")
         table.append({"epoch": 1, "env_steps": 60})
         before = table.path.read_bytes()
         with pytest.raises(InputError, match="column 'env_steps'"):
@@ -314,7 +315,7 @@ class TestProgress:
         assert table.path.read_bytes() == before
 
     def test_a_header_that_was_cut_off_before_the_first_checkpoint(self, tmp_path):
-        table = Progress(tmp_path / "progress.csv")
+        table = ProgressTable(tmp_path / "progress.csv")
         table.path.write_text("epoch,env_st", encoding="utf-8")
         table.cut(0)
         table.append({"epoch": 1, "env_steps": 60})
@@ -413,7 +414,7 @@ class TestReading:
 
 class TestLock:
     def test_a_second_process_is_refused_and_a_killed_one_lets_go(self, ppo, capsys):
-        code = "import sys, time; from pathlib import Path; from tactilerl.run_dir import RunDir\n"
+        code = "import sys, time; from pathlib import Path; from tactilerl.runs.run_dir import RunDir\n"
         code += "with RunDir(Path('run')).lock(): print(flush=True); time.sleep(60)"
         first = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
         first.stdout.readline()
@@ -437,7 +438,7 @@ class TestLock:
                 pass
             seen.append(row)
 
-        monkeypatch.setattr(Progress, "append", append)
+        monkeypatch.setattr(ProgressTable, "append", append)
         main([*PPO, "--total-timesteps", "1", "--out", "new"])
         assert len(seen) == 1
         with filelock.FileLock("new/.lock", blocking=False):
@@ -601,9 +602,8 @@ class TestTerminal:
         assert b" ? " in result.stdout
 
     def test_an_interrupt_ends_the_process_at_once_with_one_line(self):
-        code = (
-            "import os, signal\nfrom tactilerl import interrupts\nfrom tactilerl.cli import main\n{}\n"
-        )
+        code = "import os, signal\nfrom tactilerl.terminal import interrupts\n"
+        code += "from tactilerl.commands.cli import main\n{}\n"
         code += "with interrupts.leaving_at_once():\n    {}os.kill(os.getpid(), signal.SIGINT)"
         for start, inside in (("", ""), ("interrupts.leave_at_once()", "")):
             run = [sys.executable, "-c", code.format(start, inside)]
@@ -621,7 +621,7 @@ class TestTerminal:
             "gymnasium.register('Cut-v0', entry_point=LQREnv)\n"
         )
         monkeypatch.syspath_prepend(tmp_path)
-        monkeypatch.setattr(Progress, "append", append)
+        monkeypatch.setattr(ProgressTable, "append", append)
         assert main([*PPO, "--env", env, "--total-timesteps", "240", "--out", "new"]) == 130
         assert capsys.readouterr().err == (
             f"tactilerl: interrupted; the last checkpoint is kept: --resume new{again}\n"

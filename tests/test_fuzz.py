@@ -20,10 +20,10 @@ from study_records import make_study
 from test_probe import ASKED, synthetic
 
 import tactilerl
-from tactilerl import sealed
-from tactilerl.cli import main
+from tactilerl.commands.cli import main
 from tactilerl.envs import hands
 from tactilerl.probe import files as grasps
+from tactilerl.runs import sealed
 from tactilerl.study import records, runner
 
 FEW = 12  # times as many cases are tried with `-m slow`

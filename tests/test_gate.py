@@ -5,11 +5,12 @@ import json
 import numpy as np
 import pytest
 
-from tactilerl import envs, gate
-from tactilerl.cli import main
+from tactilerl import envs
+from tactilerl.commands.cli import main
 from tactilerl.envs import reflexes
 from tactilerl.envs.reflexes import Reflex
-from tactilerl.gate import Found
+from tactilerl.probe import gate
+from tactilerl.probe.gate import Found
 
 FEW = ["--starts", "12", "--search", "1", "--workers", "1", "--seed", "10000"]
 

@@ -110,7 +110,7 @@ def test_the_wheel_has_every_file_and_runs_outside_the_checkout(tmp_path):
     found = {p.relative_to(package).as_posix() for p in package.rglob("*") if p.suffix in shipped}
     assert found == expected
     environment = os.environ | {"PYTHONPATH": str(package.parent)}
-    code = "import tactilerl; print(tactilerl.__file__); from tactilerl.cli import main; "
+    code = "import tactilerl; print(tactilerl.__file__); from tactilerl.commands.cli import main; "
     code += "main(['env', '--env', 'lqr'])"
     result = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True

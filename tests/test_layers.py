@@ -1,12 +1,19 @@
 """The layers of the house, and which third-party package may be imported where."""
 
 import ast
+import graphlib
 import re
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+# The rooms of the application, and the few files beside them: each may use itself and those before.
+ROOMS = (
+    *("envs", "algos", "version", "errors", "statistics", "terminal", "runs", "pictures"),
+    *("probe", "study", "commands", "api", "registration", "", "__main__"),
+)
+BESIDE = {"version", "errors", "statistics", "api", "registration", "", "__main__"}
 ALLOWED = {
     "mujoco": ("envs/simulators/", "envs/hands/"),
     "pybullet": ("envs/simulators/pybullet.py",),
@@ -15,15 +22,15 @@ ALLOWED = {
         "benchmarks/",
         "tactilerl/probe/figures.py",
         "tactilerl/study/figures.py",
-        "tactilerl/sweep.py",
+        "tactilerl/runs/sweep.py",
     ),
     "sklearn": ("tactilerl/probe/",),
     "torch": ("algos/", "tactilerl/", "benchmarks/"),
     "tyro": (
-        "tactilerl/flags.py",
+        "tactilerl/terminal/flags.py",
+        "tactilerl/runs/arguments.py",
         "tactilerl/commands/",
         "tactilerl/probe/options.py",
-        "tactilerl/study/command.py",
     ),
 }
 
@@ -48,6 +55,45 @@ def test_envs_and_algos_import_neither_each_other_nor_the_application(layer):
         for level, module in imports(path):
             assert not module.startswith("tactilerl"), f"{path}: imports {module}"
             assert level <= depth, f"{path}: reaches out of {layer}"
+
+
+def application():
+    """Modules of the application by name, and the names of those that each imports at any depth."""
+    files = [p.relative_to(ROOT) for p in sources("tactilerl")]
+    files = [p for p in files if p.parts[1] not in ("envs", "algos")]
+    named = {".".join(p.with_suffix("").parts).removesuffix(".__init__"): p for p in files}
+    return {name: set(_imported(path, named)) for name, path in named.items()}
+
+
+def _imported(path, named):
+    for node in ast.walk(ast.parse((ROOT / path).read_text())):
+        if isinstance(node, ast.ImportFrom) and node.level:
+            base = ".".join([*path.parts[: -node.level], *filter(None, [node.module])])
+            for alias in node.names:
+                full = f"{base}.{alias.name}"
+                yield full if full in named or room(full) in ("envs", "algos") else base
+
+
+def room(module):
+    return f"{module}..".split(".")[1]
+
+
+def test_rooms_use_only_those_below_them():
+    for module, imported in application().items():
+        for other in imported:
+            if (module, other) == ("tactilerl.study.worker", "tactilerl.commands.cli"):
+                continue  # the process of a run is the command
+            above = ROOMS.index(room(other)) > ROOMS.index(room(module))
+            assert not above, f"{module} imports {other}"
+
+
+def test_no_module_imports_itself_by_way_of_others():
+    graphlib.TopologicalSorter(application()).prepare()
+
+
+def test_there_are_at_most_eight_rooms():
+    assert {path.stem for path in (ROOT / "tactilerl").glob("*.py")} <= BESIDE | {"__init__"}
+    assert len(set(ROOMS) - BESIDE) == 8
 
 
 def test_third_party_packages_stay_where_they_belong():

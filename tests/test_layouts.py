@@ -7,7 +7,7 @@ import pytest
 
 from tactilerl.envs import hands, layouts
 from tactilerl.envs.hands import HANDS
-from tactilerl.hand_map import LIT, TaxelMap, beyond, panels
+from tactilerl.pictures.hand_map import LIT, TaxelMap, beyond, panels
 
 HAND = hands.get("shadow")
 COUNTS = {"1": 139, "2": 79, "3": 64, "4": 79, "5": 19, "6": 19}

@@ -15,7 +15,7 @@ import torch
 from states import flat
 from tiny_study import TINY, learned, write
 
-from tactilerl.cli import main
+from tactilerl.commands.cli import main
 from tactilerl.study import records
 
 pytest.importorskip("mpi4py")
@@ -36,7 +36,7 @@ def mpirun(args, ranks=2, timeout=400):
 
 
 def tactilerl(*args):
-    return mpirun(["-m", "tactilerl.cli", *args])
+    return mpirun(["-m", "tactilerl", *args])
 
 
 @pytest.fixture(autouse=True)
@@ -70,7 +70,7 @@ def test_ppo_learns_the_same_on_any_number_of_ranks(ranks):
     args = ["train", "--env", "lqr", "--hidden", "16", "--steps-per-epoch", "300", "--n-passes", "3"]
     args += ["--total-timesteps", "600"]
     assert main([*args, "--out", "1"]) == 0
-    mpirun(["-m", "tactilerl.cli", *args, "--out", "more"], ranks=ranks)
+    mpirun(["-m", "tactilerl", *args, "--out", "more"], ranks=ranks)
     tables = []
     for run in ("1", "more"):
         with open(f"{run}/progress.csv", newline="") as file:
@@ -90,7 +90,7 @@ def test_ddpg_reaches_points_from_sparse_rewards_on_two_ranks():
     args += ["--action-l2", "0.1", "--polyak", "0.9", "--batch-size", "128", "--n-cycles", "10"]
     result = tactilerl(*args, "--n-test-rollouts", "1", "--total-timesteps", "12000", "--out", "run")
     assert result.returncode == 0, result.stderr
-    command = [sys.executable, "-m", "tactilerl.cli", "evaluate", "run", "--episodes", "200", "--json"]
+    command = [sys.executable, "-m", "tactilerl", "evaluate", "run", "--episodes", "200", "--json"]
     evaluated = subprocess.run(command, capture_output=True, text=True, check=True)
     assert json.loads(evaluated.stdout)["success_rate"] >= 0.95
 
@@ -109,7 +109,7 @@ def test_another_number_of_ranks_is_refused_unless_asked_for(toy, capsys):
         steps = torch.load("run/checkpoint.pt", weights_only=True)["ranks"][0]["env_steps"]
         assert 25 * sum(len(p["experience"]["slots"]) for p in parts) == steps == 800
     more = [*resume, "--total-timesteps", "1600", "--any-ranks"]
-    three = mpirun(["-m", "tactilerl.cli", *more], ranks=3)
+    three = mpirun(["-m", "tactilerl", *more], ranks=3)
     assert three.returncode == 0, three.stderr
     assert json.loads(Path("run/config.json").read_text())["ranks"] == 3
 
@@ -161,7 +161,7 @@ def test_a_fault_on_one_rank_ends_all_with_the_reason(fault, monkeypatch):
 
 def start(*args):
     """A run in the background that has written its first checkpoint."""
-    command = [str(MPIRUN), "--oversubscribe", "-n", "2", sys.executable, "-m", "tactilerl.cli"]
+    command = [str(MPIRUN), "--oversubscribe", "-n", "2", sys.executable, "-m", "tactilerl"]
     process = subprocess.Popen([*command, *args, "--out", "run"], stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 60
     while not Path("run/checkpoint.pt").exists() and time.monotonic() < deadline:
@@ -172,7 +172,7 @@ def start(*args):
 def ranks_of(process):
     """The ranks that mpirun started: Pythons below it that run our command."""
     below = psutil.Process(process.pid).children(recursive=True)
-    return [p for p in below if "tactilerl.cli" in p.cmdline() and "python" in p.name()]
+    return [p for p in below if "tactilerl" in p.cmdline() and "python" in p.name()]
 
 
 @pytest.mark.slow
@@ -265,7 +265,7 @@ def test_two_ranks_play_the_grasps_of_one():
     args += ["--grasps", "14", "--closing", "0.4", "1.1", "--joint-noise", "0", "--folds", "2"]
     args += ["--resamples", "100", "--shuffles", "2", "--workers", "1", "--json", "--out"]
     alone = subprocess.run(
-        [sys.executable, "-m", "tactilerl.cli", *args, "1"], capture_output=True, text=True, timeout=400
+        [sys.executable, "-m", "tactilerl", *args, "1"], capture_output=True, text=True, timeout=400
     )
     both = tactilerl(*args, "2")
     assert both.returncode == 0, both.stderr

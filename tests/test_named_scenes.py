@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import tactilerl
-from tactilerl.cli import main
-from tactilerl.config import defaults
+from tactilerl.commands.cli import main
 from tactilerl.envs import scenes
 from tactilerl.envs.hands import HANDS
+from tactilerl.runs.config import defaults
 
 SHORT = ["--total-timesteps", "1", "--steps-per-epoch", "60", "--n-passes", "1", "--workers", "1"]
 

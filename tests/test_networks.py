@@ -12,11 +12,11 @@ from tactilerl.algos import networks
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.networks import MLP, FlatAdam, matrix_products
-from tactilerl.config import defaults
 from tactilerl.envs import vector
 from tactilerl.envs.toy import PointReachEnv
 from tactilerl.errors import InputError
-from tactilerl.training import make_algorithm
+from tactilerl.runs.config import defaults
+from tactilerl.runs.training import make_algorithm
 
 
 def random(*shape, seed=0):
@@ -128,6 +128,6 @@ def test_products_in_bfloat16_only_inside():
 def test_emulated_bfloat16_is_refused(monkeypatch):
     config = defaults("ppo", "lqr")
     config = dataclasses.replace(config, run=dataclasses.replace(config.run, matmul="bfloat16"))
-    monkeypatch.setattr("tactilerl.training.has_bfloat16", lambda: False)
+    monkeypatch.setattr("tactilerl.runs.training.has_bfloat16", lambda: False)
     with pytest.raises(InputError, match="matmul: found 'bfloat16' on a processor that has no"):
         make_algorithm(config, Communicator())

@@ -10,13 +10,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import tactilerl
-from tactilerl import grasp_search, hand_map, places
-from tactilerl.cli import main
+from tactilerl.commands.cli import main
 from tactilerl.envs import hands, layouts, objects, scripted, taxel_files
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.simulators import Scene
 from tactilerl.envs.touch import SKIN, SkinTouch
-from tactilerl.run_dir import RunDir
+from tactilerl.pictures import hand_map, places
+from tactilerl.probe import grasp_search
+from tactilerl.runs.run_dir import RunDir
 
 FILES = Path(__file__).parent / "hands"
 GRIPPER = str(FILES / "gripper.toml")

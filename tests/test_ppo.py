@@ -358,9 +358,9 @@ class TestLearning:
             ppo.collect()
             before = ppo.actor_adam.vector.clone()
             ppo.update()
-            found.append((*ppo.actor_adam._lrs, bool((ppo.actor_adam.vector != before).any())))
-        rates, moved = zip(*found, strict=True)
-        assert rates == pytest.approx(np.array([1.0, 0.4, 0.001, 0.0]) * 3e-4)
+            found.append((ppo.actor_adam.share, bool((ppo.actor_adam.vector != before).any())))
+        shares, moved = zip(*found, strict=True)
+        assert shares == pytest.approx([1.0, 0.4, 0.001, 0.0])
         assert moved == (True, True, True, False)
 
     def test_a_critic_may_see_what_the_policy_does_not(self):

@@ -11,14 +11,14 @@ import pytest
 from sklearn.metrics import balanced_accuracy_score, r2_score, roc_auc_score
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from tactilerl import places, statistics
+from tactilerl import statistics
 from tactilerl.algos.mpi import Communicator
-from tactilerl.cli import main
+from tactilerl.commands.cli import main
 from tactilerl.envs import hands, layouts, scripted, vector
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.observations import TaxelFaults
 from tactilerl.envs.touch import SkinTouch
-from tactilerl.files import locked
+from tactilerl.pictures import places
 from tactilerl.probe import analysis, estimators, files, metrics, selection
 from tactilerl.probe.grasps import (
     Perturbation,
@@ -32,6 +32,7 @@ from tactilerl.probe.grasps import (
 from tactilerl.probe.options import GraspFlags
 from tactilerl.probe.play import play
 from tactilerl.probe.readings import Grasps, noisy_angles, with_faults
+from tactilerl.runs.files import locked
 
 DRAWN = Perturbation(("box",), (0.04, 0.05), (1.0,), 0.02, 0.5, (0.7, 1.1), 0.1)
 MPL = setup("mpl", simulator="mujoco")
@@ -449,7 +450,7 @@ class TestPlayed:
         first = result(capfd, *args, "--grasps", "8")
         assert first["grasps"] == 8
         assert {"probe.json", "grasps.npz"} <= {p.name for p in tmp_path.glob("probes/*/*")}
-        monkeypatch.setattr("tactilerl.probe.command.EVERY", 0.0)
+        monkeypatch.setattr("tactilerl.commands.probe.EVERY", 0.0)
         assert main(["probe", *ASKED, *args, "--grasps", "9"]) == 0
         told = capfd.readouterr()
         assert "grasps 9/9" in told.err

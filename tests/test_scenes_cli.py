@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tactilerl.cli import main
+from tactilerl.commands.cli import main
 
 PPO = ["--algo", "ppo", "--hidden", "8", "--steps-per-epoch", "16", "--n-passes", "1"]
 HER = ["--algo", "ddpg_her", "--hidden", "8", "--n-cycles", "1", "--n-batches", "1"]

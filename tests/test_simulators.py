@@ -323,7 +323,7 @@ class TestPyBullet:
         code = (
             "import sys\n"
             "sys.modules['pybullet'] = None\n"  # what Python does when a package is not there
-            "from tactilerl.cli import main\n"
+            "from tactilerl.commands.cli import main\n"
             "sys.exit(main(['train', '--env', 'mpl', '--out', 'never']))\n"
         )
         result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tactilerl.cli import main
+from tactilerl.commands.cli import main
 from tactilerl.errors import InputError
 from tactilerl.study import check, grid
 

@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 from study_records import PAPER_LIKE, make_study
 
-from tactilerl import statistics, terminal
+from tactilerl import statistics
 from tactilerl import study as package
-from tactilerl.cli import main
+from tactilerl.commands.cli import main
 from tactilerl.study import analysis, figures, planning, published, records, report, summary, tables
 from tactilerl.study.folder import Outcome, StudyFolder
+from tactilerl.terminal.console import console
 
 RESAMPLES = 500
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -361,7 +362,7 @@ class TestPlan:
         assert planning.looks(6) == [6]
 
     def test_table_and_bad_flags(self, folder, capsys, monkeypatch):
-        monkeypatch.setattr(terminal.console, "width", 80)
+        monkeypatch.setattr(console, "width", 80)
         assert main(["study", "plan", str(folder.path)]) == 0
         assert "…" not in (shown := capsys.readouterr().out)
         assert max(map(len, shown.splitlines())) <= 80

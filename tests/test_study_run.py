@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 from tiny_study import TINY, learned, write
 
-from tactilerl.cli import main
+from tactilerl.commands.cli import main
 from tactilerl.study import analysis, check, display, records, report, runner
 from tactilerl.study.folder import Outcome, StudyFolder
 
-LAUNCH = [sys.executable, "-m", "tactilerl.cli", "study", "run"]
+LAUNCH = [sys.executable, "-m", "tactilerl", "study", "run"]
 BROKEN = """
 import gymnasium as gym
 import numpy as np

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from study_records import PAPER_LIKE, make_study
 
-from tactilerl.cli import main
+from tactilerl.commands.cli import main
 from tactilerl.study import looks, records, summary, verdicts
 from tactilerl.study.folder import Outcome, RunFiles
 from tactilerl.study.primary import Looks

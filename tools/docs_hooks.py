@@ -12,8 +12,8 @@ import os
 from typing import Any
 
 import tactilerl
-from tactilerl import cli
-from tactilerl.study.command import PARTS as STUDY
+from tactilerl.commands import cli
+from tactilerl.commands.study import PARTS as STUDY
 
 os.environ |= {"COLUMNS": "96", "NO_COLOR": "1"}  # of help texts
 SEVERAL = {  # commands whose flags depend on what follows them
@@ -29,7 +29,7 @@ PYTHON = (
     "tactilerl.envs.observations.SensorConfig",
     "tactilerl.envs.tasks.TaskConfig",
     "tactilerl.envs.grasp.GraspEnv",
-    "tactilerl.config.RunOptions",
+    "tactilerl.runs.config.RunOptions",
     "tactilerl.algos.ppo.PPOConfig",
     "tactilerl.algos.ddpg_her.DDPGHERConfig",
     "tactilerl.statistics",

@@ -7,9 +7,9 @@ that are all equally fast would have begun and ended each. No clock is looked at
 
     python -m benchmarks cut_short --run RUN [RUN ...] --out docs/data/cut_short.json
 
-"In vain" is the share of all timesteps that are thrown away: where workers are processes, and where
+"Discarded" is the share of all timesteps that are thrown away: where workers are processes, and where
 they are threads, which stop as soon as the episodes before have the epoch's steps, ended or not
-(`rollout.Tally`). "Waiting" is the share of the workers' time until then in which nothing is played
+(`rollout.Tally`). "Idle" is the share of the workers' time until then in which nothing is played
 that is wanted: it is lost where each has a core that nobody else wants.
 """
 
@@ -29,7 +29,7 @@ from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.algos.rollout import TRAIN, PlayEpisode
 from tactilerl.envs import vector
-from tactilerl.policies import read_run
+from tactilerl.runs.policies import read_run
 
 SEED = 60_000
 WORKERS = (2, 4, 8, 16)
@@ -72,7 +72,7 @@ def episode(env: Any, task: PlayEpisode[Any], number: int) -> Costs:
 
 
 def reckon(episodes: list[Costs], steps: int, workers: int) -> dict[str, float]:
-    """Timesteps that are wanted, that are in vain with processes and with threads, and of all workers
+    """Timesteps that are wanted, that are discarded with processes and with threads, and of all workers
     until the epoch has its steps."""
     free, starts = [0] * workers, []
     for costs in episodes:
@@ -147,7 +147,7 @@ def trained(run: Path) -> tuple[Any, Any, int]:
 
 def show(results: dict[str, dict[str, Any]]) -> None:
     """One table."""
-    print("| episodes of | steps of an episode | workers | in vain: processes | threads | waiting |")
+    print("| episodes of | mean steps | workers | discarded, processes | discarded, threads | idle |")
     print("|---|---|---|---|---|---|")
     for name, row in results.items():
         for workers in map(str, WORKERS):

@@ -23,7 +23,7 @@ from benchmarks.timing import rounds
 STARTS = {
     "python -c pass": ("-c", "pass"),
     "import tactilerl": ("-c", "import tactilerl"),
-    "tactilerl --help": ("-m", "tactilerl.cli", "--help"),
+    "tactilerl --help": ("-m", "tactilerl", "--help"),
     "import tactilerl.envs": ("-c", "import tactilerl.envs"),
     "import torch": ("-c", "import torch"),
 }

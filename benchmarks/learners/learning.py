@@ -22,10 +22,10 @@ from rich.table import Table
 
 from benchmarks.command import write
 from benchmarks.figures import DOCS, curve
-from tactilerl import evaluation
 from tactilerl.algos.mpi import Communicator
-from tactilerl.policies import read_run
-from tactilerl.training import start_workers
+from tactilerl.runs import evaluation
+from tactilerl.runs.policies import read_run
+from tactilerl.runs.training import start_workers
 
 ENOUGH = 0.9
 

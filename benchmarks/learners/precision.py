@@ -29,7 +29,7 @@ from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.networks import FlatAdam, Precision, has_bfloat16, matrix_products
 from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.envs import vector
-from tactilerl.evaluation import mean_interval
+from tactilerl.runs.evaluation import mean_interval
 
 UPDATES = 100
 SCORES = np.array([0.31, 0.44, 0.47, 0.66, 0.85])

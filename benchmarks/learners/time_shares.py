@@ -17,10 +17,10 @@ from rich.table import Table
 
 from benchmarks.command import parser, write
 from benchmarks.timing import Watches
-from tactilerl import checkpoint
 from tactilerl.algos.mpi import Communicator
-from tactilerl.run_dir import RunDir
-from tactilerl.training import make_algorithm
+from tactilerl.runs import checkpoint
+from tactilerl.runs.run_dir import RunDir
+from tactilerl.runs.training import make_algorithm
 
 
 def shares(run: Path, verdict: str, rounds: int) -> dict[str, float]:

@@ -23,9 +23,9 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.command import ROOT, parser, write
-from tactilerl import checkpoint
-from tactilerl.config import RunConfig
-from tactilerl.run_dir import RunDir
+from tactilerl.runs import checkpoint
+from tactilerl.runs.config import RunConfig
+from tactilerl.runs.run_dir import RunDir
 
 ROUNDS = 3  # of one epoch
 NETWORKS = ("actor", "critic")
@@ -34,7 +34,7 @@ NETWORKS = ("actor", "critic")
 def tactilerl(checkout: Path, *args: str) -> None:
     """A command of the version in a checkout."""
     environment = {**os.environ, "PYTHONPATH": str(checkout.resolve())}
-    command = [sys.executable, "-m", "tactilerl.cli", *args]
+    command = [sys.executable, "-m", "tactilerl", *args]
     subprocess.run(command, check=True, env=environment, cwd=checkout, stdout=subprocess.DEVNULL)
 
 

@@ -29,7 +29,7 @@ from tactilerl import envs
 from tactilerl.envs import scripted
 from tactilerl.envs.hands import Array, ClosingAction
 from tactilerl.envs.hold import HoldTest
-from tactilerl.policies import read_run
+from tactilerl.runs.policies import read_run
 
 SEED = 50_000
 PUSH = 1e-6  # m

@@ -24,10 +24,10 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.command import ROOT, run_parts
-from tactilerl import places
 from tactilerl.algos.mpi import Communicator
 from tactilerl.envs import hands, layouts, scripted, vector
 from tactilerl.envs.grasp import GraspEnv, setup
+from tactilerl.pictures import places
 from tactilerl.probe import run
 from tactilerl.probe.grasps import Scenes, ScriptedGrasps
 from tactilerl.probe.options import AnalysisFlags, GraspFlags, Options

@@ -20,7 +20,7 @@ from benchmarks.command import parser, write
 
 FLAGS = {"env": "lqr", "hidden": 8, "steps_per_epoch": 60, "n_passes": 1, "total_timesteps": 60}
 ALONE = 5  # plain runs to compare with
-TACTILERL = [sys.executable, "-m", "tactilerl.cli"]
+TACTILERL = [sys.executable, "-m", "tactilerl"]
 
 
 def study_file(folder: Path, runs: int) -> Path:

@@ -12,7 +12,6 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from .. import doctor, flags, grasp_search, render
 from ..algos.mpi import Communicator
 from ..envs import hands
 from ..envs.grasp import GraspConfig, setup
@@ -20,8 +19,11 @@ from ..envs.hands import ScriptedGrasp
 from ..envs.objects import Items, ObjectConfig
 from ..envs.simulators import Camera
 from ..errors import InputError, input_errors
-from ..terminal import console
-from ..training import free_cores
+from ..pictures import render
+from ..probe import doctor, grasp_search
+from ..runs.training import free_cores
+from ..terminal import flags
+from ..terminal.console import console
 from .scene import layout_notes, read_scene, require_scene
 
 FEW = 10  # taxels that are named anyway

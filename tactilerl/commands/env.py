@@ -16,7 +16,7 @@ from ..envs import scenes
 from ..envs.layouts import Taxels
 from ..envs.taxel_files import WRITERS
 from ..errors import InputError, input_errors
-from ..files import replacing
+from ..runs.files import replacing
 from .scene import layout_notes, read_scene
 
 

@@ -16,15 +16,16 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from .. import evaluation, flags, policies, sweep
 from ..algos import UnfitError
 from ..algos.mpi import Communicator
-from ..config import RunConfig, require_workers
 from ..envs.observations import SensorConfig
 from ..errors import InputError, input_errors
-from ..run_dir import RunDir
-from ..terminal import console
-from ..training import start_workers
+from ..runs import evaluation, policies, sweep
+from ..runs.config import RunConfig, require_workers
+from ..runs.run_dir import RunDir
+from ..runs.training import start_workers
+from ..terminal import flags
+from ..terminal.console import console
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,13 @@ from dataclasses import dataclass
 from rich.progress import Progress
 from rich.table import Table
 
-from .. import flags, gate
 from ..algos.mpi import Communicator
-from ..config import require_workers
 from ..errors import InputError, input_errors
-from ..terminal import console
-from ..training import free_cores
+from ..probe import gate
+from ..runs.config import require_workers
+from ..runs.training import free_cores
+from ..terminal import flags
+from ..terminal.console import console
 from .scene import read_scene, require_scene
 
 ABOUT = "What can touch win in a scene? Scripted reflexes of each sense, before any training."

@@ -12,11 +12,12 @@ import tyro
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from .. import flags, render
 from ..envs.grasp import GraspConfig, setup
 from ..envs.simulators import Camera
 from ..errors import InputError, input_errors
-from ..terminal import console
+from ..pictures import render
+from ..terminal import flags
+from ..terminal.console import console
 from .scene import layout_notes, read_scene, require_scene
 
 

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from typing import Annotated, Any, TypeVar
+from collections.abc import Sequence
+from typing import Any, TypeVar
 
-import tyro
-
-from .. import flags, hand_map
 from ..envs import hands, layouts, scenes
 from ..envs.grasp import GraspConfig, setup
 from ..errors import InputError, input_errors
+from ..pictures import hand_map
+from ..runs.arguments import NAMED_SCENE, hands_named
+from ..terminal import flags
 
 T = TypeVar("T")
-
-
-ABOUT = f"a named scene ({', '.join(scenes.names())}) or its .toml file; other flags override it"
-NAMED_SCENE = ("named_scene", Annotated[str, tyro.conf.arg(name="scene", help=ABOUT)], "")
 
 
 def read_scene(
@@ -41,21 +36,6 @@ def read_scene(
     with hands_named(env):
         read: Any = flags.parse(options, args, prog, options(**parts), about)
     return read.command, getattr(read, "scene", None)
-
-
-@contextmanager
-def hands_named(env: str) -> Iterator[None]:
-    """Where a flag of a scene is refused because `env` is no hand, say which hands there are."""
-    try:
-        yield
-    except InputError as error:
-        refused = str(error).partition("'--")[2].partition("'")[0].partition("=")[0]
-        is_scene = refused.replace("-", "_") in {
-            field.name for field in dataclasses.fields(GraspConfig)
-        }
-        if hands.is_hand(env) or not is_scene:
-            raise
-        raise InputError(f"{error} (--env {env} is none of {hands.allowed()})") from error
 
 
 def require_scene(scene: GraspConfig | None, env: str) -> GraspConfig:

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
-import tyro
-
-from .. import config as configuration
-from .. import flags
-from ..algos import mpi, recipes
-from ..config import RunConfig
+from ..algos import mpi
 from ..errors import InputError, input_errors
-from ..files import pasted
-from ..run_dir import RunDir
-from ..terminal import console, paragraph
-from ..training import train
-from .scene import NAMED_SCENE, hands_named, layout_notes
+from ..runs import arguments
+from ..runs.config import RunConfig
+from ..runs.files import pasted
+from ..runs.run_dir import RunDir
+from ..runs.training import train
+from ..terminal import flags
+from ..terminal.console import console, paragraph
+from .scene import layout_notes
 
 SETTLED_NOTE = "hold_verdict=settled decides holds early; how often it is wrong: docs/concepts/tasks.md"
 
@@ -29,7 +26,7 @@ def main(args: list[str]) -> int:
     saved = RunDir(Path(resume)).read_config(env, "--trust" in args)[0] if resume else None
     recipe, scene = flags.peek(args, "--recipe", ""), flags.peek(args, "--scene", "")
     base = saved.with_recipe(recipe) if saved and recipe else saved
-    config, options = read_config(args, defaults(args) if scene or base is None else base)
+    config, options = arguments.read(args, arguments.defaults(args) if scene or base is None else base)
     for name in ("any_ranks", "trust"):
         if getattr(options, name) and not resume:
             raise InputError(f"{flags.of_field(name)}: found without --resume, allowed with it")
@@ -50,39 +47,6 @@ def main(args: list[str]) -> int:
             f"  tactilerl evaluate {pasted(path)}{config.again}"
         )
     return 0
-
-
-def defaults(args: list[str]) -> RunConfig:
-    """The configuration before most flags: it depends on these four."""
-    deciding = ("algo", "env", "recipe", "scene")
-    return configuration.defaults(**{name: flags.peek(args, f"--{name}", "") for name in deciding})
-
-
-TRUST = "allow the import of the module in the environment's id"
-
-
-def read_config(args: list[str], base: RunConfig) -> tuple[RunConfig, Any]:
-    """All flags of `train`, over the defaults `base`; and those that are not of the configuration."""
-    about = "continue the run in this folder from its last whole epoch"
-    resume = ("resume", Annotated[str, tyro.conf.arg(help=about, metavar="RUN")], "")
-    about = "with --resume: allow another number of processes; no longer the same bit for bit"
-    any_ranks = ("any_ranks", Annotated[bool, tyro.conf.arg(help=about)], False)
-    trust = ("trust", Annotated[bool, tyro.conf.arg(help=f"with --resume: {TRUST}")], False)
-    about = "hyperparameters that go together; other flags change them one by one"
-    known = tuple(recipes.recipes(base.run.algo))
-    recipe = ("recipe", Annotated[Literal[known], tyro.conf.arg(help=about)], recipes.PAPER)
-    kinds = [(name, type(part)) for name, part in base.parts.items()]
-    options = dataclasses.make_dataclass(
-        "Options", [*kinds, recipe, NAMED_SCENE, resume, any_ranks, trust]
-    )
-    about = (
-        "Train a policy. --algo and --env decide which flags there are; their defaults are the "
-        "paper's, or those of --recipe and --scene."
-    )
-    with hands_named(base.run.env):
-        read: Any = flags.parse(options, args, "tactilerl train", options(**base.parts), about)
-    parts = {name: getattr(read, name) for name in base.parts}
-    return dataclasses.replace(base, folder=None, **parts), read
 
 
 def _short(value: Any) -> str:

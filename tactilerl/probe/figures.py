@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from ..envs.hands import Hand
-from ..hand_map import ROUND, panels, point
-from ..places import Place
+from ..pictures.hand_map import ROUND, panels, point
+from ..pictures.places import Place
 
 BARE, LAYOUT, CHANCE = "tab:blue", "tab:orange", "0.7"
 

@@ -13,8 +13,8 @@ import numpy as np
 from ..envs import hands, typed
 from ..envs.objects import KINDS
 from ..errors import InputError
-from ..files import damage_named, read_arrays, replacing
-from ..places import Place
+from ..pictures.places import Place
+from ..runs.files import damage_named, read_arrays, replacing
 from .grasps import Record, shapes_of
 
 FORMAT = 1

@@ -11,7 +11,7 @@ from typing import Any
 from ..algos.mpi import Communicator
 from ..envs.vector import Job, Workers
 from ..errors import InputError
-from ..places import Place
+from ..pictures.places import Place
 from . import files
 from .files import Played
 from .grasps import Record, iterate, stack

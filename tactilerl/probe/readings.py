@@ -7,14 +7,14 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .. import places
 from ..envs import objects
 from ..envs.hands import SLIDES, Array, Hand
 from ..envs.layouts import Taxels
 from ..envs.objects import ObjectState, Shape
 from ..envs.observations import SensorConfig, TaxelFaults, taxel_stages
 from ..envs.touch import SkinTouch
-from ..places import Place
+from ..pictures import places
+from ..pictures.places import Place
 from .grasps import Record, links_of
 
 BATCH = 200  # grasps read at once: what is in between takes memory

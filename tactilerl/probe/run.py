@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .. import places, provenance
 from ..algos.mpi import Communicator
 from ..envs import hands, layouts, vector
 from ..envs.grasp import setup
@@ -22,9 +21,11 @@ from ..envs.layouts import Layout, Taxels
 from ..envs.scripted import require_grasps
 from ..envs.vector import Job
 from ..errors import InputError, input_errors
-from ..files import locked, replacing
-from ..places import Place
-from ..training import free_cores, start_workers
+from ..pictures import places
+from ..pictures.places import Place
+from ..runs import provenance
+from ..runs.files import locked, replacing
+from ..runs.training import free_cores, start_workers
 from . import analysis, estimators, figures, files, selection
 from .analysis import Choices
 from .files import Played
@@ -134,7 +135,7 @@ def _union(names: Sequence[str], hand: Hand, folder: Path) -> str:
 
 
 def _by_policy(grasps: GraspFlags, asking: AnalysisFlags, held: ExitStack) -> Playing:
-    from ..policies import read_run
+    from ..runs.policies import read_run
 
     assert grasps.policy is not None
     if changed := _changed(grasps, "policy", "grasps", "seed", "touch"):

@@ -5,10 +5,10 @@ from __future__ import annotations
 import dataclasses
 
 from ..algos.mpi import Communicator
-from ..commands.train import defaults, read_config
-from ..config import RunConfig
 from ..errors import InputError, input_errors
-from ..training import check, make_algorithm
+from ..runs import arguments as train_flags
+from ..runs.config import RunConfig
+from ..runs.training import check, make_algorithm
 from .folder import StudyFolder
 from .grid import Run
 
@@ -43,7 +43,7 @@ def configure(runs: list[Run]) -> dict[str, RunConfig]:
 
 def _read(run: Run) -> RunConfig:
     flags = arguments(run)
-    return read_config(flags, defaults(flags))[0]
+    return train_flags.read(flags, train_flags.defaults(flags))[0]
 
 
 def start(runs: list[Run], configs: dict[str, RunConfig], folder: StudyFolder) -> None:

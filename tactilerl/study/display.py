@@ -11,7 +11,7 @@ from rich.live import Live
 from rich.table import Table
 
 from ..errors import InputError
-from ..files import damage_named
+from ..runs.files import damage_named
 from .folder import STATES, RunFiles, State, StudyFolder
 from .grid import Run
 from .runner import Ending, Job

@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ..files import replacing
+from ..runs.files import replacing
 from ..statistics import METRICS, Estimate
 from .analysis import Analysis, SetupResult
 from .primary import SCORES

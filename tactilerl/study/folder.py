@@ -22,9 +22,9 @@ import filelock
 
 from ..envs import typed
 from ..errors import InputError
-from ..files import content, damage_named, read_json, replacing, writable
-from ..progress import Row, whole
-from ..run_dir import RunDir
+from ..runs.files import content, damage_named, read_json, replacing, writable
+from ..runs.progress_csv import Row, whole
+from ..runs.run_dir import RunDir
 from .grid import Run, Study, from_dict
 
 State = Literal["done", "failed", "running", "interrupted", "damaged", "left"]

@@ -39,7 +39,7 @@ from typing import Any
 
 from ..envs.typed import require
 from ..errors import InputError
-from ..files import MAX_JSON, content, damage_named, require_name
+from ..runs.files import MAX_JSON, content, damage_named, require_name
 from .primary import Looks, Primary
 
 MEASURES = ("success_rate", "test_success_rate")  # columns of progress.csv that are shares

@@ -26,9 +26,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..files import damage_named, replacing, unzip
-from ..progress import whole
-from ..run_dir import require_record
+from ..runs.files import damage_named, replacing, unzip
+from ..runs.progress_csv import whole
+from ..runs.run_dir import require_record
 from ..statistics import Array
 from .folder import STATES, RunFiles, StudyFolder
 from .grid import Run, Study, from_dict

@@ -10,7 +10,7 @@ from typing import Any
 
 import jinja2
 
-from ..files import replacing
+from ..runs.files import replacing
 from . import figures, summary, tables
 from .analysis import Analysis
 from .figures import Picture

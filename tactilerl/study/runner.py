@@ -18,9 +18,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, cast
 
-from .. import interrupts
 from ..algos import mpi
-from ..files import no_link
+from ..runs.files import no_link
+from ..terminal import interrupts
 from .folder import Outcome, RunFiles
 from .worker import BUSY
 

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from .. import config as configuration
 from .. import statistics
 from ..errors import InputError
+from ..runs import config as configuration
 from ..statistics import Estimate, power_from_intervals
 from .analysis import THRESHOLDS, Analysis, SetupResult, pair
 from .primary import SCORES

@@ -17,8 +17,9 @@ from pathlib import Path
 
 import filelock
 
-from .. import cli, interrupts
-from ..config import LAYOUT_COPY
+from ..commands import cli
+from ..runs.config import LAYOUT_COPY
+from ..terminal import interrupts
 from .folder import PATIENCE, RunFiles
 
 BUSY = 75  # EX_TEMPFAIL: somebody else trains this run
@@ -44,7 +45,7 @@ def _train(files: RunFiles, ranks: int, flags: list[str]) -> int:
     if ranks == 1:
         return cli.main(command)
     launcher = shutil.which("mpirun") or str(Path(sys.executable).with_name("mpirun"))
-    launch = [launcher, "-n", str(ranks), sys.executable, "-m", "tactilerl.cli"]
+    launch = [launcher, "-n", str(ranks), sys.executable, "-m", "tactilerl"]
     return _launched([*launch, *command])
 
 

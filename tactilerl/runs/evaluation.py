@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from . import statistics
-from .algos.policy import Policy
-from .algos.rollout import EVALUATE, FAULTS, Episode, PlayEpisode
+from .. import statistics
+from ..algos.policy import Policy
+from ..algos.rollout import EVALUATE, FAULTS, Episode, PlayEpisode
 
 SEED = 10_000_000  # evaluation starts are not those of training
 

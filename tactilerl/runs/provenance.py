@@ -9,9 +9,9 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TypedDict
 
-from . import __version__
+from ..version import __version__
 
-HERE = Path(__file__).resolve().parent
+HERE = Path(__file__).resolve().parents[1]
 PACKAGES = ("torch", "numpy", "mujoco", "pybullet", "gymnasium", "gymnasium-robotics", "mpi4py")
 
 

@@ -13,11 +13,11 @@ from typing import Any
 
 import torch
 
+from ..algos import Algorithm, OffPolicy
+from ..algos.mpi import Communicator
+from ..errors import InputError
 from . import sealed
-from .algos import Algorithm, OffPolicy
-from .algos.mpi import Communicator
 from .config import RunConfig
-from .errors import InputError
 from .files import damage_named
 from .run_dir import FORMAT, RunDir
 

@@ -11,12 +11,13 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from . import algos, sealed
-from .algos.policy import Policy, network_sizes
-from .algos.spaces import Spaces
-from .algos.state import require_like
-from .envs import typed
-from .errors import InputError
+from .. import algos
+from ..algos.policy import Policy, network_sizes
+from ..algos.spaces import Spaces
+from ..algos.state import require_like
+from ..envs import typed
+from ..errors import InputError
+from . import sealed
 from .files import damage_named
 
 if TYPE_CHECKING:

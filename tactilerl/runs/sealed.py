@@ -15,7 +15,7 @@ from typing import Any, BinaryIO
 
 import torch
 
-from .errors import InputError
+from ..errors import InputError
 from .files import open_regular, replacing
 
 MARK = b"\ntactilerl sha256 "

@@ -17,10 +17,10 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from .algos import Algorithm
-from .algos.mpi import Communicator
-from .algos.rollout import FAULTS
-from .errors import InputError
+from ..algos import Algorithm
+from ..algos.mpi import Communicator
+from ..algos.rollout import FAULTS
+from ..errors import InputError
 
 SAID = {  # of a run that has had such faults
     "diverged": "the simulation diverged {:.0f} times; those steps were dropped",
@@ -28,7 +28,7 @@ SAID = {  # of a run that has had such faults
 }
 
 
-class Report:
+class ProgressBar:
     """Shows each epoch; writes TensorBoard events to a folder when given one."""
 
     def __init__(self, learner: Algorithm, comm: Communicator, events: Path | None = None) -> None:
@@ -54,7 +54,7 @@ class Report:
             )
             self._task = self._bar.add_task("", total=self.total, completed=learner.env_steps)
 
-    def __enter__(self) -> Report:
+    def __enter__(self) -> ProgressBar:
         if self._bar is not None:
             self._bar.start()
         return self

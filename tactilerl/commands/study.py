@@ -17,16 +17,16 @@ import tyro
 from rich import box
 from rich.table import Table
 
-from .. import flags
 from ..errors import InputError
-from ..files import pasted
-from ..terminal import console
-from . import display, grid
-from .folder import Outcome, RunFiles, StudyFolder
+from ..runs.files import pasted
+from ..study import display, grid
+from ..study.folder import Outcome, RunFiles, StudyFolder
+from ..terminal import flags
+from ..terminal.console import console
 
 if TYPE_CHECKING:
-    from .planning import Need
-    from .records import Record
+    from ..study.planning import Need
+    from ..study.records import Record
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class RunFlags:
 def run(args: list[str]) -> int:
     """`tactilerl study run FILE`"""
     read = flags.parse(RunFlags, args, "tactilerl study run")
-    from . import runner
+    from ..study import runner
 
     for flag, value in (("--jobs", read.jobs), ("--ranks-per-run", read.ranks_per_run)):
         if value is not None:
@@ -64,7 +64,7 @@ def _cores() -> int:
 
 
 def _run(read: RunFlags, pool: Executor, parallel: int) -> int:
-    from . import check, looks, runner
+    from ..study import check, looks, runner
 
     study = grid.read(read.study)
     folder = StudyFolder(read.out or Path("studies") / study.name)
@@ -132,7 +132,7 @@ class StatusFlags:
 
 def status(args: list[str]) -> int:
     """`tactilerl study status FOLDER`"""
-    from . import looks
+    from ..study import looks
 
     read = flags.parse(StatusFlags, args, "tactilerl study status")
     folder = StudyFolder(read.folder)
@@ -169,7 +169,7 @@ class CollectFlags:
 
 def collect(args: list[str]) -> int:
     """`tactilerl study collect FOLDER`"""
-    from . import records
+    from ..study import records
 
     read = flags.parse(CollectFlags, args, "tactilerl study collect")
     path = records.collect(read.folder, read.out)
@@ -196,9 +196,9 @@ def report(args: list[str]) -> int:
     with _needs_extra("report"):
         import statsmodels  # noqa: F401
 
-        from . import report as page
-        from . import summary
-        from .analysis import analyse
+        from ..study import report as page
+        from ..study import summary
+        from ..study.analysis import analyse
     analysis = analyse(*_load(read.study), read.resamples)
     out = read.out or (read.study if read.study.is_dir() else read.study.parent) / "report"
     try:
@@ -231,7 +231,7 @@ class PlanFlags:
 
 def plan(args: list[str]) -> int:
     """`tactilerl study plan FOLDER`"""
-    from . import planning
+    from ..study import planning
 
     read = flags.parse(PlanFlags, args, "tactilerl study plan")
     for name in ("effect", "power", "alpha"):
@@ -288,7 +288,7 @@ class CompareFlags:
 
 def compare(args: list[str]) -> int:
     """`tactilerl study compare A B`"""
-    from . import comparing
+    from ..study import comparing
 
     read = flags.parse(CompareFlags, args, "tactilerl study compare")
     a, b = comparing.read(read.a), comparing.read(read.b)
@@ -313,7 +313,7 @@ def compare(args: list[str]) -> int:
 
 
 def _load(path: Path) -> tuple[grid.Study, list[Record]]:
-    from . import records
+    from ..study import records
 
     return records.load(path)
 

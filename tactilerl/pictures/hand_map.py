@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..envs.hands import DIGITS, Array, Hand, Surface, skins
+from ..envs.layouts import Taxels
 from . import places
-from .envs.hands import DIGITS, Array, Hand, Surface, skins
-from .envs.layouts import Taxels
 from .places import Place
 
 COLUMN, ROW = (

@@ -16,13 +16,13 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from .. import flags, interrupts
 from ..algos import mpi
-from ..config import require_workers
 from ..errors import InputError, input_errors
-from ..files import pasted
-from ..terminal import console
-from .options import GraspFlags, Options
+from ..probe.options import GraspFlags, Options
+from ..runs.config import require_workers
+from ..runs.files import pasted
+from ..terminal import flags, interrupts
+from ..terminal.console import console
 
 
 def main(args: list[str]) -> int:
@@ -37,7 +37,7 @@ def main(args: list[str]) -> int:
         require_workers(read.output.workers)
         comm = mpi.world()
     _require_extra()
-    from . import run
+    from ..probe import run
 
     with ExitStack() as held:
         is_shown = comm.rank == 0 and not read.output.json

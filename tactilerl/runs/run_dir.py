@@ -14,13 +14,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from ..envs import hands, layouts
+from ..envs.typed import require_type
+from ..errors import InputError
 from . import files, provenance
 from .config import LAYOUT_COPY, RunConfig, from_dict
-from .envs import hands, layouts
-from .envs.typed import require_type
-from .errors import InputError
 from .files import damage_named, pasted, read_json, replacing
-from .progress import Progress
+from .progress_csv import ProgressTable
 
 FORMAT = 3  # of all files in a run folder; 1 and 2 are those of 0.1
 Values = dict[str, Any]
@@ -34,7 +34,7 @@ class RunDir:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.config_file = path / "config.json"
-        self.progress = Progress(path / "progress.csv")
+        self.progress = ProgressTable(path / "progress.csv")
         self.checkpoint_file = path / "checkpoint.pt"
         self.experience_folder = path / "experience"
 

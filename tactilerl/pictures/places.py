@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .envs.hands import Array, Hand, Surface
-from .envs.layouts import Layout, Patch, Taxels, mm
+from ..envs.hands import Array, Hand, Surface
+from ..envs.layouts import Layout, Patch, Taxels, mm
 
 
 @dataclass(frozen=True, order=True)

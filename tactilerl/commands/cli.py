@@ -9,24 +9,19 @@ import traceback
 from collections.abc import Sequence
 from importlib import import_module
 
-from . import __version__, interrupts
-from .errors import InputError, let_rank_0_speak
+from ..errors import InputError, let_rank_0_speak
+from ..terminal import interrupts
+from ..version import __version__
 
-COMMANDS = {  # module with `main(args)`, imported when the command runs; what it does
-    "train": ("commands.train", "train a policy (start here; --resume continues a run)"),
-    "evaluate": (
-        "commands.evaluate",
-        "success rate and return of a trained run, with confidence intervals",
-    ),
-    "env": ("commands.env", "describe an environment: its observations, actions and taxels"),
-    "doctor": ("commands.doctor", "do the taxels respond? scripted grasps, figures per layout"),
-    "probe": ("probe.command", "what can a layout know? answers from played grasps, with intervals"),
-    "gate": ("commands.gate", "what can touch win in a scene? scripted reflexes, with intervals"),
-    "render": ("commands.render", "a picture of a grasp with its taxels, or a film of a run"),
-    "study": (
-        "study.command",
-        "many runs from one file, compared: tables, figures, a report",
-    ),
+COMMANDS = {  # each a module here with `main(args)`, imported when it runs; what it does
+    "train": "train a policy (start here; --resume continues a run)",
+    "evaluate": "success rate and return of a trained run, with confidence intervals",
+    "env": "describe an environment: its observations, actions and taxels",
+    "doctor": "do the taxels respond? scripted grasps, figures per layout",
+    "probe": "what can a layout know? answers from played grasps, with intervals",
+    "gate": "what can touch win in a scene? scripted reflexes, with intervals",
+    "render": "a picture of a grasp with its taxels, or a film of a run",
+    "study": "many runs from one file, compared: tables, figures, a report",
 }
 LONGEST = 600  # characters of an error's line: a path may have 5,000
 
@@ -48,7 +43,7 @@ def main(args: Sequence[str] | None = None) -> int:
         traceback.print_exc()
         code = 1
     if code and "mpi4py" in sys.modules:
-        from .algos import mpi
+        from ..algos import mpi
 
         mpi.abort(code)
     return code
@@ -65,7 +60,7 @@ def _run(args: list[str]) -> int:
     try:
         if name not in COMMANDS:
             raise InputError(f"unknown command {name!r}; allowed: {', '.join(COMMANDS)}")
-        code: int = import_module(f".{COMMANDS[name][0]}", __package__).main(rest)
+        code: int = import_module(f".{name}", __package__).main(rest)
         return code
     except InputError as error:
         let_rank_0_speak()
@@ -92,7 +87,7 @@ def _say(what: str, error: BaseException) -> None:
 
 def _usage() -> str:
     lines = ["usage: tactilerl COMMAND [OPTIONS]", "", "commands:"]
-    lines += [f"  {name:10}{about}" for name, (_, about) in COMMANDS.items()]
+    lines += [f"  {name:10}{about}" for name, about in COMMANDS.items()]
     return "\n".join([*lines, "", "tactilerl COMMAND --help lists a command's options."])
 
 
@@ -102,7 +97,3 @@ def _closed_output() -> int:
     for stream in (sys.stdout, sys.stderr):
         os.dup2(nowhere, stream.fileno())
     return 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -10,10 +10,10 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from .envs import scripted, vector
-from .envs.grasp import GraspConfig, GraspEnv
-from .envs.hands import SLIDES, Array, Hand, ScriptedGrasp
-from .envs.simulators import SimulationError
+from ..envs import scripted, vector
+from ..envs.grasp import GraspConfig, GraspEnv
+from ..envs.hands import SLIDES, Array, Hand, ScriptedGrasp
+from ..envs.simulators import SimulationError
 
 SEED = 30_000  # apart from the doctor's starts and from those of training
 SECONDS = 1.0  # of a hold

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .envs import scripted
-from .envs.grasp import GraspConfig, GraspEnv
-from .envs.hands import ScriptedGrasp
-from .envs.simulators import SimulationError
+from ..envs import scripted
+from ..envs.grasp import GraspConfig, GraspEnv
+from ..envs.hands import ScriptedGrasp
+from ..envs.simulators import SimulationError
 
 SEED = 20_000  # apart from any seed of a training run or of the search for the grasps
 

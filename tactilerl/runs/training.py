@@ -14,18 +14,19 @@ from typing import Any
 import numpy as np
 import torch
 
-from . import algos, interrupts
-from .algos.mpi import Communicator
-from .algos.networks import Precision, has_bfloat16, matrix_products
-from .algos.rollout import FAULTS
+from .. import algos
+from ..algos.mpi import Communicator
+from ..algos.networks import Precision, has_bfloat16, matrix_products
+from ..algos.rollout import FAULTS
+from ..envs import vector
+from ..errors import InputError, input_errors
+from ..terminal import interrupts
+from ..terminal.console import paragraph
+from ..terminal.progress_bar import ProgressBar, require_tensorboard
 from .checkpoint import Checkpoint
 from .config import RunConfig, RunOptions
-from .envs import vector
-from .errors import InputError, input_errors
 from .files import pasted
-from .report import Report, require_tensorboard
 from .run_dir import RunDir
-from .terminal import paragraph
 
 COUNTS = ("episodes", *FAULTS, "updates")  # columns of progress.csv that are sums
 
@@ -104,7 +105,7 @@ def train(
                 changed = run_dir.write_config(config, comm.size, epoch, learner.env_steps)
             if epoch == 0:
                 checkpoint.save(0)
-            with Report(learner, comm, run_dir.path if config.run.tensorboard else None) as report:
+            with ProgressBar(learner, comm, run_dir.path if config.run.tensorboard else None) as report:
                 if summary:
                     report.note(summary)
                 report.note(paragraph("resolved", learner.describe()))

@@ -7,9 +7,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from ..envs.observations import SensorConfig
+from ..errors import InputError, input_errors
 from .config import RunConfig
-from .envs.observations import SensorConfig
-from .errors import InputError, input_errors
 
 PICTURES = (".png", ".svg", ".pdf")
 # The flags with one value each.

@@ -10,8 +10,8 @@ from typing import Any, TypeVar, get_type_hints
 
 import tyro
 
-from .envs.choices import meant
-from .errors import InputError
+from ..envs.choices import meant
+from ..errors import InputError
 
 try:
     from tyro._errors import on_parse_error

@@ -12,11 +12,11 @@ from typing import Any, Literal
 import numpy as np
 import torch
 
-from .envs import scripted
-from .envs.grasp import GraspConfig, GraspEnv
-from .envs.hands import ScriptedGrasp
-from .envs.simulators import Camera, Simulator
-from .errors import InputError
+from ..envs import scripted
+from ..envs.grasp import GraspConfig, GraspEnv
+from ..envs.hands import ScriptedGrasp
+from ..envs.simulators import Camera, Simulator
+from ..errors import InputError
 from .hand_map import TaxelMap
 
 Pose = Literal["start", "grasp"]
@@ -59,7 +59,7 @@ class _Player:
     def __init__(
         self, run: Path, hold_seconds: float, camera: Camera, follow: Follow, label: str
     ) -> None:
-        from . import evaluation, policies
+        from ..runs import evaluation, policies
 
         config, policy, *_ = policies.read_run(run)
         if config.scene is None:

@@ -15,13 +15,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
-from . import algos, envs
-from .algos import recipes
-from .envs import hands, layouts, scenes, typed
-from .envs.choices import require_known
-from .envs.grasp import GraspConfig, setup
-from .envs.scenes import NamedScene
-from .errors import InputError, input_errors
+from .. import algos, envs
+from ..algos import recipes
+from ..envs import hands, layouts, scenes, typed
+from ..envs.choices import require_known
+from ..envs.grasp import GraspConfig, setup
+from ..envs.scenes import NamedScene
+from ..errors import InputError, input_errors
 
 MOST_WORKERS = 256  # more than any machine's cores: a slip, and a process each
 

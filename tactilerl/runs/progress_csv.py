@@ -8,7 +8,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from .errors import InputError
+from ..errors import InputError
 from .files import content, no_link, replacing
 
 FIRST = ["epoch", "env_steps"]  # the columns that every table begins with
@@ -17,7 +17,7 @@ LONGEST = 100  # characters of a field
 Row = dict[str, str]
 
 
-class Progress:
+class ProgressTable:
     """The table of one run. Nothing is changed in a table that is not whole."""
 
     def __init__(self, path: Path) -> None:
