@@ -17,7 +17,16 @@ from typing import Any
 
 from benchmarks.command import ROOT
 from benchmarks.learners import learning
-from benchmarks.studies import gates, probe_agreement, probe_hold, probe_tables
+from benchmarks.studies import (
+    coverage,
+    errors,
+    gates,
+    pairs,
+    probe_agreement,
+    probe_hold,
+    probe_tables,
+    shared,
+)
 
 DOCS = ROOT / "docs"
 RUNS = (
@@ -44,6 +53,11 @@ PRINTED: dict[str, Callable[[], None]] = {
     "probe differences": _of("probe", probe_tables.differences, 0.05),
     "probe agreement": _of("probe_agreement", probe_agreement.show),
     "probe hold": _of("probe_hold", probe_hold.show),
+    "pairs": _of("pairs", pairs.markdown),
+    "shared": _of("shared", shared.markdown),
+    "errors": _of("errors", errors.p_values_markdown),
+    "looks": _of("errors", errors.looks_markdown),
+    "coverage": _of("coverage", coverage.markdown),
     **{name: _of(name, learning.markdown) for name in RUNS},
     **{f"gates {name}": _of("gates", partial(gates.show, name)) for name in gates.tables()},
 }
