@@ -18,8 +18,10 @@ from typing import Any
 from benchmarks.command import ROOT
 from benchmarks.learners import learning
 from benchmarks.studies import (
+    answer,
     coverage,
     errors,
+    faults,
     gates,
     pairs,
     probe_agreement,
@@ -45,6 +47,10 @@ def _of(name: str, show: Callable[..., None], *more: Any) -> Callable[[], None]:
     return lambda: show(data(name), *more)
 
 
+def _faults(flag: str) -> None:
+    faults.show(data("faults"), [flag])
+
+
 PRINTED: dict[str, Callable[[], None]] = {
     "probe gains": _of("probe", probe_tables.gains, 0.05),
     "probe gains, exact joints": _of("probe", probe_tables.gains, 0.0),
@@ -59,6 +65,12 @@ PRINTED: dict[str, Callable[[], None]] = {
     "looks": _of("errors", errors.looks_markdown),
     "coverage": _of("coverage", coverage.markdown),
     **{name: _of(name, learning.markdown) for name in RUNS},
+    **{name: partial(answer.show, name) for name in answer.TABLES},
+    **{
+        f"study faults, {flag}": partial(_faults, flag)
+        for flag in faults.SWEEPS
+        if (DOCS / "data" / "faults.json").exists()
+    },
     **{f"gates {name}": _of("gates", partial(gates.show, name)) for name in gates.tables()},
 }
 """What prints each table, perhaps with a title."""

@@ -18,7 +18,11 @@ from tactilerl.envs.grasp import setup
 from tactilerl.probe import gate
 from tactilerl.runs.training import free_cores
 
-HANDS, SIMULATORS, LAYOUTS = ("mpl", "shadow", "allegro"), ("mujoco", "pybullet"), range(1, 7)
+HANDS, SIMULATORS = ("mpl", "shadow", "allegro"), ("mujoco", "pybullet")
+LAYOUTS = {str(i): str(i) for i in range(1, 7)} | {
+    f"of the probe's {n}": f"docs/data/chosen/mpl_mujoco_{n}.toml" for n in (5, 10)
+}
+"""By the row's name."""
 LAYOUT_SCENES = ("handover", "handover_fingers")
 QUICK = {"hold_verdict": "settled"}  # the full hold of every scene that has one would take hours
 Row = dict[str, Any]
@@ -49,16 +53,17 @@ def tables() -> dict[str, list[tuple[str, str, dict[str, Any]]]]:
             for hand, simulator in pairs
         ],
         "layouts": [
-            (f"{name}, layout {layout}", name, {"layout": str(layout)})
+            (f"{name}, layout {label}", name, {"layout": layout})
             for name in LAYOUT_SCENES
-            for layout in LAYOUTS
+            for label, layout in LAYOUTS.items()
         ],
     }
 
 
 def show(table: str, known: dict[str, dict[str, Row]]) -> None:
     """As Markdown."""
-    rows = known.get(table, {})
+    found = known.get(table, {})
+    rows = {key: found[key] for key, *_ in tables()[table] if key in found}
     names = [name for name in gate.SENSES if any(name in row["reflexes"] for row in rows.values())]
     print(f"\n### {table}\n\n| | {' | '.join(names)} |\n|---|{'---|' * len(names)}")
     for key, row in rows.items():

@@ -1,0 +1,283 @@
+"""What the studies found: the tables of docs/study.md, from the collected data beside it.
+
+python -m benchmarks answer
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from scipy.stats import spearmanr
+
+from benchmarks.command import ROOT, earlier, parser
+from benchmarks.studies import gates
+from tactilerl import statistics
+from tactilerl.statistics import Array, Estimate
+from tactilerl.study import records, verdicts
+from tactilerl.study.grid import Setup, Study
+from tactilerl.study.records import Record
+
+DATA = ROOT / "docs" / "data"
+CHOSEN = re.compile(r"layout \S*_(\d+)\.toml")
+COLOURS = {"main": "#e0a800", "control": "#2b6cb0"}  # main: as in the paper
+SIGHTED = "no touch, but sight"
+PAIR = "MPL, MuJoCo"  # of the probe's results: the hand and simulator of the handover scenes
+ARMS = {"main": "touch", "control": "no touch", "absent": "no touch, and no inputs for it"}
+BySeed = dict[int, float]
+
+
+@cache
+def load(name: str) -> tuple[Study, list[Record]]:
+    """A collected study with its runs."""
+    return records.load(DATA / f"{name}.csv.gz")
+
+
+def is_there(name: str) -> bool:
+    """Has the study been collected?"""
+    return (DATA / f"{name}.csv.gz").exists()
+
+
+def label(cell: str) -> str:
+    """A cell as the tables call it: `layout 2`, `layout of the probe's 5`."""
+    found = CHOSEN.fullmatch(cell)
+    return f"layout of the probe's {found[1]}" if found else cell
+
+
+def arm(found: Iterable[Record], setup: Setup, cell: str, run_type: str, score: str) -> BySeed:
+    """A score of the finished runs of one arm, by seed."""
+    own = [r for r in found if (r.run.setup, r.run.cell) == (setup.name, cell)]
+    return verdicts.by_seed(own, run_type, setup, score)
+
+
+def decides(name: str = "handover") -> None:
+    """Every arm."""
+    study, found = load(name)
+    main, sighted = study.setups
+    (cell,) = main.cells
+    arms = {ARMS[each]: (main, cell, each) for each in main.arms}
+    arms[SIGHTED] = sighted, sighted.cells[0], ""
+    line("arm", "runs", "mean success over the run", "over its last tenth", head=True)
+    for title, place in arms.items():
+        areas, finals = (arm(found, *place, score) for score in ("area", "final"))
+        line(title, len(areas), mean(areas.values()), mean(finals.values()))
+
+
+def worth(name: str = "handover") -> None:
+    """Differences within pairs, and the share of the headroom."""
+    study, found = load(name)
+    (setup, _), (cell,) = study.setups, study.setups[0].cells
+    line("difference within pairs", "pairs", "mean success over the run", "p", "last tenth", head=True)
+    for other in setup.arms[1:]:
+        pairs = {
+            score: verdicts.in_pairs(
+                *(arm(found, setup, cell, each, score) for each in (setup.arms[0], other))
+            )
+            for score in ("area", "final")
+        }
+        area = pairs["area"]
+        line(
+            f"{ARMS['main']} − {ARMS[other]}", len(area), estimate(area.difference, "+.2f"),
+            f"{area.p_value:.3f}", estimate(pairs["final"].difference, "+.2f"),
+        )  # fmt: skip
+    share = verdicts.headroom(study, setup, cell, found, statistics.N_RESAMPLES)
+    if share is not None:
+        line("sight − no touch", share.n, estimate(share.room, "+.2f"), "", "")
+        line("what touch gives of what sight gives", share.n, estimate(share.share, ".2f"), "", "")
+
+
+def layouts(name: str) -> None:
+    """Each layout against its control, beside what a scripted reflex does with it."""
+    study, found = load(name)
+    (setup,) = study.setups
+    scripted = reflexes(name)
+    line(
+        "layout", "pairs", "touch", "no touch", "difference", "p, corrected", "last tenth, touch",
+        "scripted reflex", head=True,
+    )  # fmt: skip
+    for cell, verdict in verdicts.judge(study, setup, found).items():
+        pairs, where = verdict.pairs, label(cell)
+        finals = arm(found, setup, cell, "main", "final")
+        line(
+            where.removeprefix("layout "), len(pairs),
+            *(f"{np.mean(v):.2f}" if len(v) else "" for v in (pairs.treatment, pairs.control)),
+            estimate(pairs.difference, "+.2f"), p_value(verdict), mean(finals.values()),
+            f"{scripted[where]:.2f}" if where in scripted else "",
+        )  # fmt: skip
+
+
+def p_value(verdict: verdicts.Verdict) -> str:
+    """Corrected for cells and looks, or what a look has not decided."""
+    if verdict.stage is not None and not verdict.stage.ending:
+        return "not decided"
+    return f"{verdict.p_holm:.3f}"
+
+
+def senses(name: str = "senses") -> None:
+    """What touch adds, by sight and error of the joints."""
+    study, found = load(name)
+    cells = study.setups[0].cells
+    line("sight", *(f"{cell.removeprefix('joint noise held ')} rad" for cell in cells), head=True)
+    for setup in study.setups:
+        row = []
+        for cell in cells:
+            pairs = verdicts.in_pairs(
+                *(arm(found, setup, cell, each, "area") for each in setup.arms[:2])
+            )
+            row.append(f"{estimate(pairs.difference, '+.2f')}, of {len(pairs)}" if len(pairs) else "")
+        line(setup.name.replace("_", " "), *row)
+
+
+def orders(name: str = "handover_fingers") -> None:
+    """Do scripted reflexes and the probe foretell the order of layouts in learning?"""
+    study, found = load(name)
+    (setup,) = study.setups
+    areas = {label(cell): arm(found, setup, cell, "main", "area") for cell in setup.cells}
+    areas = {cell: by_seed for cell, by_seed in areas.items() if by_seed}
+    seeds = sorted(set.intersection(*(set(by_seed) for by_seed in areas.values())))
+    learned = np.array([[by_seed[seed] for seed in seeds] for by_seed in areas.values()])
+    line("predictor", "layouts", "seeds", "rank correlation with the learned area", head=True)
+    predictors = {"touch reflex, same scene": reflexes(name), "probe, gain over joints": probed()}
+    for title, predictor in predictors.items():
+        known = [i for i, cell in enumerate(areas) if cell in predictor]
+        values = np.array([predictor[cell] for cell in np.array(list(areas))[known]])
+        line(title, len(known), len(seeds), estimate(rank_correlation(values, learned[known]), ".2f"))
+
+
+def rank_correlation(predictor: Array, learned: Array) -> Estimate:
+    """Spearman's, of predictions (layouts,) with the means of `learned` (layouts, seeds); the interval
+    is a bootstrap over seeds."""
+    n = learned.shape[1]
+    drawn = [
+        spearmanr(predictor, learned[:, pick].mean(axis=1)).statistic
+        for pick in verdicts.resamples(n)[:2000]
+    ]
+    value = spearmanr(predictor, learned.mean(axis=1)).statistic
+    return Estimate(float(value), *statistics.percentile_interval(np.array(drawn)))
+
+
+def reflexes(scene: str) -> dict[str, float]:
+    """Success of the best scripted touch reflex, by layout."""
+    rows = earlier(DATA / "gates.json")["layouts"]
+    return {
+        f"layout {each}": rows[f"{scene}, layout {each}"]["reflexes"]["touch"]["rate"]
+        for each in gates.LAYOUTS
+        if f"{scene}, layout {each}" in rows
+    }
+
+
+def probed() -> dict[str, float]:
+    """Gain in AUC over noisy joint angles, by layout."""
+    result = earlier(DATA / "probe.json")[PAIR]
+    gains = {
+        f"layout {row['layout']}": row["gain"]
+        for row in result["table"]
+        if (row["question"], row["metric"], row["joint_noise"]) == ("hold", "auc", 0.05)
+        and row["told"] == "joints+taxels"
+    }
+    chosen = {row["taxels"]: row["gain"] for row in result["selection"]["curve"]}
+    return gains | {f"layout of the probe's {n}": chosen[n] for n in (5, 10) if n in chosen}
+
+
+def mean(values: Iterable[float]) -> str:
+    """With its interval over runs."""
+    found = np.array(list(values))
+    return estimate(statistics.mean(found, verdicts.resamples(len(found))), ".2f") if len(found) else ""
+
+
+def estimate(found: Estimate, form: str) -> str:
+    """A number with its interval."""
+    return f"{found.value:{form}} ({found.low:{form}} to {found.high:{form}})".replace("-", "−")
+
+
+def line(*cells: object, head: bool = False) -> None:
+    """A row of Markdown."""
+    print(f"| {' | '.join(map(str, cells))} |")
+    if head:
+        print(f"|{'---|' * len(cells)}")
+
+
+def figure(path: Path) -> None:
+    """Left: learning curves of every run where touch decides. Right: layouts where they decide."""
+    picture = Figure(figsize=(11, 4.2), layout="constrained")
+    left, right = picture.subplots(1, 2, width_ratios=(1.2, 1))
+    study, found = load("handover")
+    setup = study.setups[0]
+    for run_type in setup.arms[:2]:
+        runs = [
+            r.curve(setup.measure) for r in found if r.run.setup == setup.name and r.run.arm == run_type
+        ]
+        _curves(left, [curve for curve in runs if len(curve[0])], run_type)
+    left.set(title="MPL hand in MuJoCo, handover, PPO, layout 2", xlabel="environment steps")
+    left.set(ylabel="success rate", ylim=(0, 1.02))
+    left.legend(loc="upper left")
+    if is_there("handover_fingers"):
+        _layouts(right, "handover_fingers")
+    picture.savefig(path, dpi=110)
+
+
+def _curves(axes: Axes, runs: Sequence[tuple[Array, Array]], run_type: str) -> None:
+    """Every run thin, their mean thick."""
+    steps = np.linspace(max(x[0] for x, _ in runs), min(x[-1] for x, _ in runs), 60)
+    curves = np.array([np.interp(steps, *run) for run in runs])
+    axes.plot(steps, curves.T, color=COLOURS[run_type], lw=0.7, alpha=0.45)
+    label = f"{ARMS[run_type]}, mean of {len(runs)} runs"
+    axes.plot(steps, curves.mean(axis=0), color=COLOURS[run_type], lw=3, label=label)
+
+
+def _layouts(axes: Axes, name: str) -> None:
+    """Success over the last tenth, each run and their mean."""
+    study, found = load(name)
+    (setup,) = study.setups
+    labels = [label(cell).removeprefix("layout ") for cell in setup.cells]
+    for run_type, aside in zip(setup.arms, (-0.13, 0.13), strict=True):
+        for place, cell in enumerate(setup.cells):
+            rates = list(arm(found, setup, cell, run_type, "final").values())
+            x, colour = place + aside, COLOURS[run_type]
+            axes.plot([x] * len(rates), rates, "o", color=colour, ms=4, alpha=0.45, mew=0)
+            axes.plot([x - 0.12, x + 0.12], [np.mean(rates)] * 2, color=colour, lw=3) if rates else None
+    axes.set_xticks(range(len(labels)), [each.replace("of the ", "") for each in labels], rotation=30)
+    axes.set(title="Object against the fingers: by layout", ylim=(0, 1.02))
+    axes.set_ylabel("success rate, last tenth of training")
+
+
+TABLES: Mapping[str, tuple[str, Callable[[str], None]]] = {
+    name: one
+    for name, one in {
+        "study arms": ("handover", decides),
+        "study worth": ("handover", worth),
+        "study fingers": ("handover_fingers", layouts),
+        "study palm": ("handover_layouts", layouts),
+        "study orders": ("handover_fingers", orders),
+        "study senses": ("senses", senses),
+    }.items()
+    if is_there(one[0])
+}
+"""By what the docs call them: of which study, and what prints it; of studies that were collected."""
+
+
+def show(table: str) -> None:
+    """One of TABLES."""
+    name, printing = TABLES[table]
+    printing(name)
+
+
+def main() -> None:
+    """All tables, and the figure where it is asked for."""
+    flags = parser(__doc__)
+    flags.add_argument("--figure", type=Path, help="draw learning curves and layouts here")
+    options = flags.parse_args()
+    if options.figure:
+        figure(options.figure)
+    for table in TABLES:
+        print(f"\n### {table}\n")
+        show(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,76 @@
+"""How much failing touch does a trained policy bear? Success of trained runs under faults.
+
+    python -m benchmarks faults studies/handover/runs/*run_type-main* --out docs/data/faults.json
+
+Each point is the mean over runs, each of 100 episodes from starts that training never saw. What is in
+the file already is not played again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.command import earlier, parser, write
+from benchmarks.studies.answer import line, mean
+from tactilerl.commands import cli
+
+SWEEPS = {
+    "taxel-dead": ("0", "0.1", "0.2", "0.3", "0.5", "0.7", "0.9", "1"),
+    "taxel-false-on": ("0", "0.001", "0.01", "0.05", "0.1"),
+    "taxel-false-off": ("0", "0.1", "0.3", "0.5"),
+    "taxel-delay": ("0", "1", "2", "3", "5", "8"),
+}
+IN_WORDS = {
+    "taxel-dead": "dead taxels",
+    "taxel-false-on": "false touches, per taxel and step",
+    "taxel-false-off": "missed touches, per taxel and step",
+    "taxel-delay": "delay, steps of 0.1 s",
+}
+
+
+def sweep(run: Path, flag: str, episodes: int) -> list[float]:
+    """Success of one run, by size of the fault."""
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        cli.main(
+            ["evaluate", str(run), "--workers", "1", "--episodes", str(episodes), "--json",
+             "--sweep", flag, *SWEEPS[flag]]
+        )  # fmt: skip
+    points = json.loads(printed.getvalue())["points"]
+    return [point["success_rate"] for point in points]
+
+
+def show(results: dict[str, Any], flags: Iterable[str] = SWEEPS) -> None:
+    """Success by kind and size of the fault, as Markdown."""
+    for flag in flags:
+        runs = [found[flag] for found in results.values() if flag in found]
+        line(IN_WORDS[flag], *SWEEPS[flag], head=True)
+        rates = np.array(runs).T
+        line("success", *(mean(each) for each in rates))
+        print()
+
+
+def main() -> None:
+    """Play what is missing, then print the tables."""
+    flags = parser(__doc__)
+    flags.add_argument("runs", nargs="+", type=Path)
+    flags.add_argument("--episodes", type=int, default=100)
+    options = flags.parse_args()
+    known = earlier(options.out)
+    for run in options.runs:
+        found = known.setdefault(run.name, {})
+        for flag in SWEEPS:
+            if flag not in found:
+                found[flag] = sweep(run, flag, options.episodes)
+                write(options.out, known)
+    show(known)
+
+
+if __name__ == "__main__":
+    main()
