@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+
 from tactilerl.commands import cli
 
 POLICIES = Path(__file__).parents[1] / "examples" / "policies"
