@@ -122,6 +122,25 @@ def show_coverage(result: dict[str, Any]) -> None:
         Console().print(table)
 
 
+KINDS = {
+    "median": "median of runs",
+    "iqm": "IQM",
+    "mean": "mean",
+    "iqm, BCa": "IQM, BCa",
+    "difference of IQMs": "difference of two IQMs",
+}
+
+
+def markdown(content: dict[str, Any]) -> None:
+    """What `coverage` found, for the docs."""
+    print("| runs like | interval |", *(f"n = {n} |" for n in N_RUNS))
+    print("|---" * (len(N_RUNS) + 2) + "|")
+    for name, by_n in content["coverage"]["populations"].items():
+        for kind, title in KINDS.items():
+            cells = (f"{100 * by_n[str(n)][kind]['coverage']:.0f} %" for n in N_RUNS)
+            print(f"| {name if kind == 'median' else ''} | {title} | {' | '.join(cells)} |")
+
+
 def speed(n_points: int = 500, n_runs: int = 10, n_few: int = 20) -> dict[str, float]:
     """Processor seconds of one curve with 50,000 resamples; rliable's from a few, scaled up."""
     from rliable import library, metrics
