@@ -303,7 +303,7 @@ class TestMistakes:
             (lambda: tactilerl.PPO("lqr", clip_rang=1), "clip_rang: unknown; did you mean clip_range?"),
             (lambda: tactilerl.PPO("lqr", learning_rate=1), "did you mean actor_lr or critic_lr?"),
             (lambda: tactilerl.make("shadow", laout=4), "laout: unknown; did you mean layout?"),
-            (lambda: tactilerl.DDPGHER("point-reach", recipe="steady"), "recipe: found 'steady'"),
+            (lambda: tactilerl.DDPGHER("point-reach", recipe="calm"), "recipe: found 'calm'"),
             (lambda: tactilerl.PPO("lqr", gamma="x"), "gamma: found 'x'"),
             (lambda: tactilerl.PPO("lqr", seed=-1), "seed: found -1"),
             (lambda: tactilerl.PPO("lqr", threads=0), "threads: found 0"),
