@@ -19,7 +19,7 @@ from ..runs.files import replacing
 from ..statistics import METRICS, Estimate
 from .analysis import Analysis, SetupResult
 from .primary import SCORES
-from .summary import subject
+from .summary import length, subject
 
 INK, FAINT = "#010203", "#b0b0b1"  # become colours of the page in report.html
 ARMS = ("#e0a800", "#2b6cb0", "#8a5a9e", "#4d8f5b")  # treatment and control as in the paper
@@ -165,10 +165,10 @@ def _differences_of(one: SetupResult, score: str, axes: Axes) -> None:
 
 
 def curves(one: SetupResult) -> Picture:
-    """The paper's Figures 3 and 5: a panel per cell, IQM with interval, runs behind it."""
-    title = f"Learning curves, IQM with 95 % interval, every run: {subject(one)}"
+    """The paper's Figures 3 and 5: a panel per cell, IQM with interval, runs over it."""
+    title = f"{subject(one)}{length(one)}: IQM with 95 % interval, and every run"
     panels = [("" if cell == "all" else cell, partial(_curves_of, one, cell)) for cell in one.cells]
-    return Picture(f"{one.setup.name}_curves", title, panels, (5.2, 3.2))
+    return Picture(f"{one.setup.name}_curves", title, panels, (5.2 if len(panels) > 1 else 7.2, 3.4))
 
 
 def _curves_of(one: SetupResult, cell: str, axes: Axes) -> None:
@@ -176,9 +176,9 @@ def _curves_of(one: SetupResult, cell: str, axes: Axes) -> None:
         group = one.groups.get((cell, arm))
         if group is None:
             continue
-        faintness = min(0.55, 2 / len(group))  # many runs must not bury their aggregate
-        axes.plot(one.steps, group.curves.T, color=colour, lw=0.6, alpha=faintness, zorder=1)
-        axes.fill_between(one.steps, *group.iqm_bounds.T, color=colour, alpha=0.4, lw=0, zorder=2)
+        faintness = min(0.9, 4 / len(group))  # many runs must not bury their aggregate
+        axes.fill_between(one.steps, *group.iqm_bounds.T, color=colour, alpha=0.15, lw=0, zorder=1)
+        axes.plot(one.steps, group.curves.T, color=colour, lw=0.7, alpha=faintness, zorder=2)
         marker, label = "o" if len(one.steps) == 1 else None, one.setup.label(arm)
         axes.plot(one.steps, group.iqm_curve, color=colour, lw=1.8, label=label, marker=marker)
     axes.set(xlabel="environment steps", ylabel=one.setup.measure.replace("_", " "), ylim=(-0.02, 1.02))

@@ -52,13 +52,19 @@ def subject(one: SetupResult) -> str:
     return f"{env}{where}, {learner}"
 
 
+def length(one: SetupResult) -> str:
+    """How long its runs were to be: `, 25,000 steps`; nothing where that is not known."""
+    config = _config(one)
+    return f", {config['run']['total_timesteps']:,} steps" if config else ""
+
+
 def about(one: SetupResult, score: str) -> str:
     """What was compared, in a sentence or two."""
     config = _config(one)
     scene = config.get("scene") or {}
     told = "" if scene.get("object_seen", "exact") == "exact" else f"object {scene['object_seen']}"
-    length = config.get("run", {}).get("total_timesteps")
-    steps = f"{length:,} steps a run" if length else ""
+    timesteps = config.get("run", {}).get("total_timesteps")
+    steps = f"{timesteps:,} steps a run" if timesteps else ""
     parts = [part for part in (subject(one), scene.get("task"), told, steps) if part]
     said = f"{one.setup.name}: {', '.join(parts)}."
     if one.setup.compare is None:
