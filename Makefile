@@ -13,7 +13,7 @@ JOBS ?= 3
 export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 
-.PHONY: train test test-slow lint bench figures docs clean
+.PHONY: train policies test test-slow lint bench figures docs clean
 .NOTPARALLEL:
 
 # What training needs: no PyBullet, no MPI, nothing for tests.
@@ -35,11 +35,11 @@ $(DEVELOPMENT): $(TRAINING)
 	touch $@
 
 # The early hold verdict is for speed.
+SHADOW_LIFT := --algo ppo --env shadow --layout 4 --total-timesteps 36000 --hold-verdict settled
+
 # Goes on with the run when it is there already.
 train: $(TRAINING)
-	if [ -e $(RUN)/config.json ]; then $(BIN)/tactilerl train --resume $(RUN); else \
-		$(BIN)/tactilerl train --algo ppo --env shadow --layout 4 --total-timesteps 36000 \
-			--hold-verdict settled --out $(RUN); fi
+	$(BIN)/tactilerl train $(SHADOW_LIFT) --out $(RUN)
 	$(BIN)/tactilerl evaluate $(RUN) --episodes 50
 
 # Several files of tests at a time, each with one thread; some wait, so three keep two cores busy.
@@ -57,6 +57,17 @@ lint: $(DEVELOPMENT)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# The trained policies that ship with the repository, from nothing; about ten core-minutes.
+define POLICY
+$(BIN)/tactilerl train $(2) --workers 1 --out build/policies/$(1)
+$(BIN)/python tools/ship_policy.py build/policies/$(1) examples/policies/$(1)
+endef
+
+policies: $(TRAINING)
+	$(call POLICY,handover_touch,--scene handover --run-type main)
+	$(call POLICY,handover_blind,--scene handover --run-type control)
+	$(call POLICY,shadow_lift,$(SHADOW_LIFT))
 
 # About half an hour on two cores; `make bench-peers` and so on for a part. `make bench OUT=docs/data`
 # is what the docs show of these. `make bench-exploration` is not among them: it is about the task.

@@ -5,12 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 from . import get
+from .ddpg_her import DDPGHERConfig
 from .ppo import PPOConfig
 
 PAPER = "paper"  # every learner's own defaults
+# For runs that learn faster, or keep what they learned: docs/concepts/learners.md.
 BEYOND: dict[str, dict[str, Any]] = {
+    "ddpg_her": {"steady": DDPGHERConfig(n_batches=16, polyak=0.8, action_l2=0.3, anneal_lr=True)},
     "ppo": {
-        # For runs that learn faster: docs/concepts/learners.md.
         "steady": PPOConfig(
             exploration="learned",
             orthogonal_init=True,

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeVar
 
 import gymnasium as gym
@@ -59,6 +59,34 @@ class Episode(Generic[Obs]):
         return len(self.rewards)
 
 
+@dataclass
+class Tally:
+    """Steps of episodes that are being played, where their players share memory: elsewhere less is
+    known, and more played in vain."""
+
+    wanted: int
+    """Of all together."""
+    taken: dict[int, int] = field(default_factory=dict)
+    """So far, by the episode's number."""
+    total: int = 0
+    """About their sum; the exact one is for the end, it takes time."""
+
+    def note(self, number: int, taken: int) -> None:
+        """Another step."""
+        self.taken[number] = taken
+        self.total += 1
+
+    def is_full(self, number: int) -> bool:
+        """Do the episodes before this one have what is wanted, ended or not?"""
+        if self.total < self.wanted:
+            return False
+        return sum(self.taken.get(n, 0) for n in range(number)) >= self.wanted
+
+    def numbers(self) -> Iterator[int]:
+        """0, 1, 2, ... until more are certainly not wanted."""
+        return itertools.takewhile(lambda number: not self.is_full(number), itertools.count())
+
+
 @dataclass(frozen=True)
 class PlayEpisode(Generic[Obs]):
     """Plays the episode of a number: its start and its noise follow from `key` and the number."""
@@ -67,6 +95,8 @@ class PlayEpisode(Generic[Obs]):
     key: tuple[int, int, int, int]
     """(seed, rank, purpose, batch), which differ wherever episodes should."""
     explores: bool = True
+    tally: Tally | None = None
+    """Where to note steps as they are taken, and to see whether more are wanted."""
 
     def __call__(self, env: gym.Env[Any, Any], number: int, is_wanted: IsWanted) -> Episode[Obs]:
         """The episode; cut short when it is not wanted any more.
@@ -80,9 +110,11 @@ class PlayEpisode(Generic[Obs]):
         episode = Episode[Obs]()
         episode.add(policy, first)
         is_done = False
-        while not is_done and is_wanted():
+        while not is_done and is_wanted() and not (self.tally and self.tally.is_full(number)):
             action = policy.choose(episode.obs[-1], noise)
             is_done = _step(env, policy, action, episode)
+            if self.tally:
+                self.tally.note(number, len(episode))
             if not is_done and len(episode) == LONGEST:
                 raise UnfitError(
                     f"env: found an episode that goes on after {LONGEST:,} steps, allowed are episodes "
@@ -126,7 +158,8 @@ def play_steps(
     An episode that diverged at once counts as a step, so this ends.
     """
     if comm.size == 1:
-        return _first(workers.play(task, itertools.count()), steps)
+        tally = Tally(steps)
+        return _first(workers.play(replace(task, tally=tally), tally.numbers()), steps)
     episodes: list[Episode[Obs]] = []
     while (missing := steps - sum(map(_weight, episodes))) > 0:
         done = len(episodes)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import multiprocessing
 import platform
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -42,6 +44,30 @@ def run_parts(description: str | None, parts: dict[str, Part], *packages: str) -
         result[name] = measure()
         display(result[name])
     write(options.out, result)
+
+
+def run_missing(
+    out: Path | None,
+    about: dict[str, Any],
+    places: Sequence[tuple[Any, ...]],
+    run: Callable[..., dict[str, Any]],
+    jobs: int,
+) -> dict[str, Any]:
+    """`run(*place)` for each place that `out` does not have yet, `jobs` at a time; all by place, in
+    words. Written as soon as one is there, beside what they are `about`: a second call goes on."""
+    from rich.progress import track
+
+    about, before = json.loads(json.dumps(about)), earlier(out)
+    if before and {key: before.get(key) for key in about} != about:
+        raise SystemExit(f"{out}: of other configurations; give another --out")
+    runs: dict[str, Any] = before.get("runs", {})
+    todo = [place for place in places if " ".join(map(str, place)) not in runs]
+    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+        futures = {pool.submit(run, *place): place for place in todo}
+        for future in track(as_completed(futures), "runs", total=len(todo)):
+            runs[" ".join(map(str, futures[future]))] = future.result()
+            write(out, {**about, "runs": runs})
+    return runs
 
 
 def earlier(path: Path | None) -> dict[str, Any]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import matplotlib
@@ -27,13 +26,14 @@ from tactilerl.pictures.places import Place
 from tactilerl.probe.figures import hand_map
 from tactilerl.study import figures as study_figures
 from tactilerl.study.analysis import analyse
-from tactilerl.study.figures import ARMS, DPI, STYLE
+from tactilerl.study.figures import ARMS, STYLE
 from tactilerl.study.records import load
 
 DOCS = ROOT / "docs"
 WINDOW = 100  # episodes of the running success rate
 SEEDS = range(3)
 SHIPPED = "#b03020"
+DPI = 130
 # Picture: title, what is drawn, and for each panel its title and what its runs' files begin with.
 RUNS = {
     "learning_shadow_ppo": (
@@ -163,12 +163,8 @@ def study_curves(name: str, study: str, setup: str) -> None:
     """The learning curves of a set-up, as the report of its study draws them."""
     analysis = analyse(*load(DOCS / "data" / f"{study}.csv.gz"))
     (found,) = (one for one in analysis.setups if one.setup.name == setup)
-    with TemporaryDirectory() as folder:
-        picture = study_figures.curves(found)
-        picture.save(Path(folder))
-        (DOCS / "images" / f"{name}.png").write_bytes(
-            (Path(folder) / f"{picture.name}.png").read_bytes()
-        )
+    picture = study_figures.curves(found).formats()["png"]
+    (DOCS / "images" / f"{name}.png").write_bytes(picture)
 
 
 def chosen_taxels(name: str, env: str, result: dict[str, Any]) -> None:

@@ -16,8 +16,19 @@ from functools import partial
 from typing import Any
 
 from benchmarks.command import ROOT
-from benchmarks.learners import learning
-from benchmarks.studies import answer, faults, gates, probe_agreement, probe_hold, probe_tables
+from benchmarks.learners import cut_short, learning
+from benchmarks.studies import (
+    answer,
+    coverage,
+    errors,
+    faults,
+    gates,
+    pairs,
+    probe_agreement,
+    probe_hold,
+    probe_tables,
+    shared,
+)
 
 DOCS = ROOT / "docs"
 RUNS = (
@@ -48,6 +59,12 @@ PRINTED: dict[str, Callable[[], None]] = {
     "probe differences": _of("probe", probe_tables.differences, 0.05),
     "probe agreement": _of("probe_agreement", probe_agreement.show),
     "probe hold": _of("probe_hold", probe_hold.show),
+    "cut short": _of("cut_short", cut_short.show),
+    "pairs": _of("pairs", pairs.markdown),
+    "shared": _of("shared", shared.markdown),
+    "errors": _of("errors", errors.p_values_markdown),
+    "looks": _of("errors", errors.looks_markdown),
+    "coverage": _of("coverage", coverage.markdown),
     **{name: _of(name, learning.markdown) for name in RUNS},
     **{name: partial(answer.show, name) for name in answer.TABLES},
     **{

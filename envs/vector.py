@@ -1,25 +1,24 @@
 """Workers: environments of one kind in which whole episodes, or anything else, are played side by side.
 
-A task is a function of an environment and a number. What comes out is the tasks' results in the
-order of their numbers, whoever played them and however long each took: the same on one core and
-on sixteen, as long as a task depends on nothing but its number. Threads suffice where the
+A job is a function of an environment and a number. What comes out is the job's results in the
+order of the numbers, whoever played them and however long each took: the same on one core and
+on sixteen, as long as a result depends on nothing but its number. Threads suffice where the
 simulator frees the GIL while it steps, as MuJoCo does; elsewhere each worker is a process.
 """
 
 from __future__ import annotations
 
-import itertools
 import multiprocessing
 import pickle
 import signal
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
-from functools import partial
 from multiprocessing.connection import Connection
 from multiprocessing.context import ForkServerContext, SpawnContext
+from queue import SimpleQueue
 from typing import Any, Generic, Protocol, TypeVar
 
 import gymnasium as gym
@@ -31,54 +30,37 @@ T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)
 
 
-class Task(Protocol[T_co]):
+class Job(Protocol[T_co]):
     """What a worker does; picklable, where workers are processes."""
 
     def __call__(self, env: gym.Env[Any, Any], number: int, is_wanted: IsWanted) -> T_co:
         """The result for `number`. When `is_wanted` turns false it may stop and return anything."""
 
 
-class Batch(Generic[T]):
-    """Numbers that are begun in order, and results that arrive in any."""
+class _Ahead(Generic[T]):
+    """Numbers that workers begin in order, running ahead, and the futures of their results."""
 
     def __init__(self, numbers: Iterable[int]) -> None:
-        self._numbers, self._n_begun, self._is_exhausted = iter(numbers), 0, False
-        self._done: dict[int, T | Exception] = {}
-        self._changed = threading.Condition()
+        self._numbers, self._lock = iter(numbers), threading.Lock()
+        self.futures: SimpleQueue[Future[T] | None] = SimpleQueue()
+        """In that order; None when there are no more."""
         self.is_over = False
 
-    def begin(self) -> tuple[int, int] | None:
-        """(place, number) of what to do next; None when there is nothing more to do."""
-        with self._changed:
+    def work(self, player: Player, job: Job[T]) -> None:
+        """One worker's share."""
+        while (begun := self._begin()) is not None:
+            future, number = begun
+            try:
+                future.set_result(player.play(job, number, lambda: not self.is_over))
+            except Exception as error:
+                future.set_exception(error)
+
+    def _begin(self) -> tuple[Future[T], int] | None:
+        with self._lock:
             number = None if self.is_over else next(self._numbers, None)
-            if number is None:
-                self._is_exhausted = True
-                self._changed.notify()
-                return None
-            self._n_begun += 1
-            return self._n_begun - 1, number
-
-    def finish(self, place: int, result: T | Exception) -> None:
-        """Take a result, or what was raised in its stead."""
-        with self._changed:
-            self._done[place] = result
-            self._changed.notify()
-
-    def results(self) -> Iterator[T]:
-        """In order, each as soon as it and all before it are there."""
-        for place in itertools.count():
-            with self._changed:
-                self._changed.wait_for(partial(self._is_settled, place))
-                if place not in self._done:
-                    return
-                result = self._done.pop(place)
-            if isinstance(result, Exception):
-                raise result
-            yield result
-
-    def _is_settled(self, place: int) -> bool:
-        """Is its result there, or will there never be one?"""
-        return place in self._done or (self._is_exhausted and place >= self._n_begun)
+            future = None if number is None else Future[T]()
+            self.futures.put(future)
+            return None if number is None or future is None else (future, number)
 
 
 class Workers:
@@ -124,23 +106,24 @@ class Workers:
         reward = self.env.get_wrapper_attr("compute_reward")
         return np.asarray(reward(achieved_goal, desired_goal, {}))
 
-    def play(self, task: Task[T], numbers: Iterable[int]) -> Iterator[T]:
-        """Results of `task` for `numbers`, in that order, each as soon as it can be had.
+    def play(self, job: Job[T], numbers: Iterable[int]) -> Iterator[T]:
+        """Results of `job` for `numbers`, in that order, each as soon as it can be had.
 
         The workers run ahead. Who has enough stops iterating: what was begun beyond is not wanted
         any more then, and nobody waits for it.
         """
         if len(self._players) == 1 and isinstance(self._players[0], LocalPlayer):
             for number in numbers:
-                yield self._players[0].play(task, number, lambda: True)
+                yield self._players[0].play(job, number, lambda: True)
             return
-        batch = Batch[T](numbers)
+        ahead = _Ahead[T](numbers)
         for player, thread in zip(self._players, self._threads, strict=True):
-            thread.submit(_work, player, task, batch)
+            thread.submit(ahead.work, player, job)
         try:
-            yield from batch.results()
+            while (future := ahead.futures.get()) is not None:
+                yield future.result()
         finally:
-            batch.is_over = True
+            ahead.is_over = True
 
     def close(self) -> None:
         """End the workers and close every environment."""
@@ -152,19 +135,8 @@ class Workers:
 class Player(Protocol):
     """One worker's hands: an environment here, or a process with one."""
 
-    def play(self, task: Task[T], number: int, is_wanted: IsWanted) -> T:
-        """The task's result."""
-
-
-def _work(player: Player, task: Task[T], batch: Batch[T]) -> None:
-    """One worker's share of a batch."""
-    while (following := batch.begin()) is not None:
-        place, number = following
-        try:
-            result: T | Exception = player.play(task, number, lambda: not batch.is_over)
-        except Exception as error:
-            result = error
-        batch.finish(place, result)
+    def play(self, job: Job[T], number: int, is_wanted: IsWanted) -> T:
+        """The job's result."""
 
 
 class LocalPlayer:
@@ -173,8 +145,8 @@ class LocalPlayer:
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         self.env = env
 
-    def play(self, task: Task[T], number: int, is_wanted: IsWanted) -> T:
-        return task(self.env, number, is_wanted)
+    def play(self, job: Job[T], number: int, is_wanted: IsWanted) -> T:
+        return job(self.env, number, is_wanted)
 
 
 class WorkerDiedError(OSError):
@@ -196,18 +168,16 @@ class RemotePlayer:
         with _ignore_interrupts():  # Ctrl-C reaches the whole group: this process ends the others
             self._process.start()
         there.close()  # so that the end of the process is an end of file here
-        self._task: Any = None
+        self._job: Any = None
 
     def wait_until_ready(self) -> None:
         """Return when the environment is made; raises what kept it from being made."""
         self._answer()
 
-    def play(self, task: Task[T], number: int, is_wanted: IsWanted) -> T:
+    def play(self, job: Job[T], number: int, is_wanted: IsWanted) -> T:
         with self._death_named():
-            if task is not self._task:
-                self._connection.send(task)
-                self._task = task
-            self._connection.send(number)
+            self._connection.send((None if job is self._job else job, number))
+            self._job = job
             while not self._connection.poll(0.05):
                 if not is_wanted():
                     self._connection.send(None)
@@ -260,31 +230,30 @@ def _ignore_interrupts() -> Iterator[None]:
 
 
 def _serve(connection: Connection[Any, Any], make: Make, set_up: Callable[[], None]) -> None:
-    """A process's life: play the numbers it is sent, by the task it was sent last.
+    """A process's life: do the job it was sent last for the numbers it is sent.
 
     None means that the number in play is not wanted any more; when it comes too late, it means
     nothing.
     """
     with suppress(EOFError, ConnectionError), ExitStack() as opened:
+        job: Any = None
         try:
             set_up()
             env = make()
             opened.callback(env.close)
+            answer: Any = None
         except Exception as error:
             connection.send(_as_sent(error))
             return
-        connection.send(None)
-        task: Any = None
         while True:
-            message = connection.recv()
-            if isinstance(message, int):
-                try:
-                    answer = task(env, message, lambda: not connection.poll())
-                except Exception as error:
-                    answer = _as_sent(error)
-                connection.send(answer)
-            elif message is not None:
-                task = message
+            connection.send(answer)
+            while (message := connection.recv()) is None:
+                pass
+            job, number = message[0] or job, message[1]
+            try:
+                answer = job(env, number, lambda: not connection.poll())
+            except Exception as error:
+                answer = _as_sent(error)
 
 
 def _as_sent(error: Exception) -> Exception:

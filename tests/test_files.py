@@ -366,7 +366,6 @@ class TestWriting:
     @pytest.mark.parametrize("name", ["my run", "-x"])
     def test_hints_can_be_pasted(self, ppo, capsys, monkeypatch, name):
         shutil.copytree("run", f"./{name}")
-        fails_with(capsys, [*PPO, f"--out={name}"], f"--resume {files.pasted(name)}")
         hint = f"tactilerl train --resume {files.pasted(name)}"
         assert main(shlex.split(hint)[1:]) == 0
         assert f"tactilerl evaluate {files.pasted(name)}" in capsys.readouterr().out

@@ -9,11 +9,8 @@ call goes on from there:
 
 from __future__ import annotations
 
-import json
-import multiprocessing
 import time
 import warnings
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import closing
 from dataclasses import asdict, replace
 from typing import Any
@@ -23,12 +20,11 @@ import numpy as np
 import stable_baselines3 as sb3
 import torch
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
-from benchmarks.command import earlier, parser, write
+from benchmarks.command import parser, run_missing, write
 from benchmarks.peers.solve import Act, play
-from tactilerl import statistics
+from tactilerl import envs, statistics
 from tactilerl.algos import recipes
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
@@ -108,7 +104,7 @@ def run(name: str, task: str, seed: int) -> dict[str, float]:
     else:
         act = ours(VARIANTS[name], task, seed)
     seconds = time.perf_counter() - started
-    returns = [total for total, _ in play(task, act, EPISODES)]
+    returns = [total for total, _ in play(envs.make(task), act, EPISODES)]
     return {"return": float(np.mean(returns)), "seconds": seconds}
 
 
@@ -154,26 +150,10 @@ def main() -> None:
     flags.add_argument("--tasks", nargs="+", choices=TASKS, default=TASKS, metavar="TASK")
     options = flags.parse_args()
     configs = {name: asdict(config) for name, config in VARIANTS.items()}
-    about = json.loads(json.dumps({"steps": STEPS, "configs": configs}))
-    before = earlier(options.out)
-    if before and {key: before.get(key) for key in about} != about:
-        raise SystemExit(f"{options.out}: of other configurations; give another --out")
-    runs: dict[str, Any] = before.get("runs", {})
+    about = {"steps": STEPS, "configs": configs}
     seeds = range(options.first_seed, options.first_seed + options.seeds)
-    todo = [
-        (name, task, seed)
-        for seed in seeds
-        for task in options.tasks
-        for name in options.only
-        if f"{name} {task} {seed}" not in runs
-    ]
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(options.jobs, mp_context=context) as pool:
-        futures = {pool.submit(run, *each): each for each in todo}
-        done = as_completed(futures)
-        for future in track(done, "runs", total=len(todo), console=Console(stderr=True)):
-            runs[" ".join(map(str, futures[future]))] = future.result()
-            write(options.out, {**about, "runs": runs})
+    places = [(name, task, s) for s in seeds for task in options.tasks for name in options.only]
+    runs = run_missing(options.out, about, places, run, options.jobs)
     table = summary(runs, seeds)
     show(table)
     write(options.out, {**about, "table": table, "runs": runs})

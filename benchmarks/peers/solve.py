@@ -70,18 +70,19 @@ class Run:
 
 
 class Looks(BaseCallback):
-    """`Run.look` wherever Stable-Baselines3 is about to collect, and at the end."""
+    """`look` wherever Stable-Baselines3 is about to collect, and at the end."""
 
-    def __init__(self, toy: Toy) -> None:
+    def __init__(self, start: Callable[[], Any]) -> None:
+        """`start` makes what looks, such as a `Run`, when training begins."""
         super().__init__()
-        self.toy = toy
+        self.start = start
 
     def act(self, obs: Any) -> np.ndarray:
         """Action for one observation."""
         return self.model.predict(obs, deterministic=True)[0]
 
     def _on_training_start(self) -> None:
-        self.run = Run(self.toy)
+        self.run = self.start()
 
     def _on_rollout_start(self) -> None:
         self.run.look(self.num_timesteps, self.act)
@@ -124,14 +125,19 @@ def sb3_ppo(env: Any, seed: int) -> Any:
     return model
 
 
-def sb3_ddpg(env: Any, seed: int) -> Any:
-    """Stable-Baselines3's DDPG with its HER buffer as DDPG_CONFIG."""
-    config = DDPG_CONFIG
-    noise = NormalActionNoise(np.zeros(2), np.full(2, config.noise_eps))
+def sb3_ddpg(
+    env: Any,
+    seed: int,
+    config: DDPGHERConfig = DDPG_CONFIG,
+    max_steps: int = PointReachEnv.max_episode_steps,
+) -> Any:
+    """Stable-Baselines3's DDPG with its HER buffer as `config`."""
+    none = np.zeros(env.action_space.shape)
+    noise = NormalActionNoise(none, none + config.noise_eps)
     return sb3.DDPG(
         "MultiInputPolicy", env, learning_rate=config.actor_lr, buffer_size=config.buffer_size,
         batch_size=config.batch_size, tau=1.0 - config.polyak ** (1.0 / config.n_batches),
-        gamma=1.0 - 1.0 / PointReachEnv.max_episode_steps, train_freq=(config.n_rollouts, "episode"),
+        gamma=1.0 - 1.0 / max_steps, train_freq=(config.n_rollouts, "episode"),
         gradient_steps=config.n_batches, action_noise=noise,
         replay_buffer_class=sb3.HerReplayBuffer, replay_buffer_kwargs={"n_sampled_goal": 4},
         policy_kwargs={"net_arch": list(config.hidden)}, seed=seed, device="cpu",
@@ -140,14 +146,13 @@ def sb3_ddpg(env: Any, seed: int) -> Any:
 
 def theirs(make: Callable[[Any, int], Any], toy: Toy, seed: int) -> Run:
     """Stable-Baselines3's learner until it has solved the toy."""
-    looks = Looks(toy)
+    looks = Looks(partial(Run, toy))
     make(envs.make(toy.name), seed).learn(toy.cap, callback=looks)
     return looks.run
 
 
-def play(name: str, act: Act, episodes: int) -> Iterator[tuple[float, float]]:
+def play(env: Any, act: Act, episodes: int) -> Iterator[tuple[float, float]]:
     """Return and success of each episode without exploration."""
-    env = envs.make(name)
     for index in range(episodes):
         obs, _ = env.reset(seed=FIRST_START + index)
         total, is_done = 0.0, False
@@ -159,7 +164,9 @@ def play(name: str, act: Act, episodes: int) -> Iterator[tuple[float, float]]:
 
 def is_near_optimal(act: Act, episodes: int = 20) -> bool:
     """Is the mean return within 5 % of the Riccati optimum?"""
-    return _within(1.05 * optimal_cost(episodes), (-total for total, _ in play("lqr", act, episodes)))
+    return _within(
+        1.05 * optimal_cost(episodes), (-total for total, _ in play(envs.make("lqr"), act, episodes))
+    )
 
 
 @cache
@@ -172,7 +179,8 @@ def optimal_cost(episodes: int) -> float:
 
 def reaches(act: Act, goals: int = 100) -> bool:
     """Are at least 95 % of the goals reached?"""
-    return _within(0.05 * goals, (1.0 - success for _, success in play("point-reach", act, goals)))
+    played = play(envs.make("point-reach"), act, goals)
+    return _within(0.05 * goals, (1.0 - success for _, success in played))
 
 
 def _within(budget: float, losses: Iterable[float]) -> bool:

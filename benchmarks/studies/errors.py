@@ -18,6 +18,7 @@ from rich.table import Table
 from scipy.special import expit
 
 from benchmarks.command import run_parts
+from benchmarks.studies.coverage import bca_interval
 from tactilerl import statistics
 from tactilerl.study.primary import Looks
 from tactilerl.study.verdicts import take
@@ -73,7 +74,7 @@ def _of_pairs(rng: Rng, pairs: np.ndarray) -> dict[str, float]:
     found["not in pairs, difference"] = float(np.mean(p <= ALPHA))
     intervals = {
         "percentile": [statistics.estimate(row, "mean", counts)[1:] for row in gaps],
-        "BCa": [statistics.bca_interval(row, "mean", counts) for row in gaps[:1000]],
+        "BCa": [bca_interval(row, "mean", counts) for row in gaps[:1000]],
         "expanded percentile": [statistics.mean(row, counts)[1:] for row in gaps],
     }
     for kind, bounds in intervals.items():
@@ -150,6 +151,54 @@ def show_looks(result: dict[str, Any]) -> None:
     for name, one in result["cases"].items():
         table.add_row(name, *(f"{value:.3f}" for value in one.values()))
     Console(width=150).print(table)
+
+
+def p_values_markdown(content: dict[str, Any]) -> None:
+    """A line per population, numbers for N_PAIRS."""
+    columns = {
+        "sign flips, no difference": "p ≤ 0.05 without a difference",
+        "sign flips, difference": "found, 0.1, %",
+        "not in pairs, difference": "found without pairs, %",
+        "covered, percentile": "covered by percentile intervals, %",
+        "covered, BCa": "by BCa, %",
+        "covered, expanded percentile": "by expanded percentiles, %",
+    }
+    print("| areas |", *(f"{title} |" for title in columns.values()))
+    print("|---" * (len(columns) + 1) + "|")
+    for name, by_n in content["p_values"]["populations"].items():
+        cells = []
+        for kind, title in columns.items():
+            values = (one[kind] for one in by_n.values())
+            cells.append(" / ".join(f"{100 * x:.0f}" if "%" in title else f"{x:.3f}" for x in values))
+        print(f"| {_population(name, content)} | {' | '.join(cells)} |")
+
+
+def _population(name: str, content: dict[str, Any]) -> str:
+    """With the correlation that was measured."""
+    r = content["p_values"]["populations"][name][str(N_PAIRS[-1])]["correlation"]
+    return f"{name.partition(' (')[0]}, r = {r:.2f}"
+
+
+def looks_markdown(content: dict[str, Any]) -> None:
+    """A line per population and plan."""
+    print(
+        "| areas | looks at pairs | stopped for a difference where there is none | pairs taken "
+        "| 0.1 ruled out | found, 0.1 | pairs taken | found without looks | covered |"
+    )
+    print("|---" * 9 + "|")
+    cases = content["looks"]["cases"]
+    for key, null in cases.items():
+        where, _, effect = key.rpartition(", difference ")
+        if effect != "0":
+            continue
+        one, (name, _, plan) = cases[f"{where}, difference {EFFECT:g}"], where.rpartition(", looks at ")
+        shares = one["found with all pairs, no looks"], min(null["covered"], one["covered"])
+        print(
+            f"| {_population(name, content)} | {plan.strip('[]')} "
+            f"| {null['found']:.3f} | {null['pairs']:.1f} | {null['ruled out']:.0%} "
+            f"| {one['found']:.0%} | {one['pairs']:.1f} "
+            f"| {' | '.join(f'{share:.0%}' for share in shares)} |".replace("%", " %")
+        )
 
 
 PARTS = {"p_values": (p_values, show_p_values), "looks": (looks, show_looks)}

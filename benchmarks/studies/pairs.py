@@ -97,6 +97,21 @@ def show(rows: list[dict[str, Any]]) -> None:
     Console(width=120).print(table)
 
 
+def markdown(content: dict[str, Any]) -> None:
+    """What `main` wrote, for the docs."""
+    print(
+        "| study | score | pairs | correlation within seeds "
+        "| runs of each arm, unpaired → pairs | within cells |"
+    )
+    print("|---|---|---|---|---|---|")
+    for one in content["rows"]:
+        name = f"`{one['study']}`, {one['setup']}" if one["score"] == "area" else ""
+        r, *needed = one["together"]["correlation"], one["together"], one["within cells"]
+        runs = " | ".join(f"{part['runs_unpaired']} → {part['pairs']}" for part in needed)
+        shown = "–" if r is None else f"{r:.2f}".replace("-", "−")
+        print(f"| {name} | {one['score']} | {one['pairs']} | {shown} | {runs} |")
+
+
 def main() -> None:
     """Read collected studies, print the table, write JSON."""
     flags = parser(__doc__)

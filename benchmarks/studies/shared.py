@@ -116,6 +116,29 @@ def measure(name: str) -> dict[str, Any]:
     }
 
 
+ABOUT = {
+    "ppo": "PPO (`steady`, but uniform initial weights), a point to rest",
+    "ppo, orthogonal start": "PPO (`steady`), a point to rest",
+    "ddpg_her": "DDPG+HER, a point to a goal",
+}
+
+
+def markdown(content: dict[str, Any]) -> None:
+    """What `main` wrote of the code before and after, for the docs."""
+    codes = list(content["ppo"])
+    print(
+        "| learner and toy |", *(f"correlation, {code} |" for code in codes), "spread of differences |"
+    )
+    print("|---|---|---|---|")
+    for name, about in ABOUT.items():
+        found = [content[name][code] for code in codes]
+        cells = (
+            "{:.2f} ({:.2f} to {:.2f})".format(one["correlation"], *one["interval"]) for one in found
+        )
+        spreads = " → ".join(f"{one['sd of differences']:.3g}" for one in found)
+        print(f"| {about} | {' | '.join(cells)} | {spreads} |".replace("-0.", "−0."))
+
+
 def main() -> None:
     """Measure this code; what was measured of other code stays in the file."""
     flags = parser(__doc__)

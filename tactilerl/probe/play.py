@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..algos.mpi import Communicator
-from ..envs.vector import Task, Workers
+from ..envs.vector import Job, Workers
 from ..errors import InputError
 from ..pictures.places import Place
 from . import files
@@ -25,7 +25,7 @@ def play(
     n: int,
     settings: dict[str, Any],
     contact_places: tuple[Place, ...],
-    task: Task[Record],
+    task: Job[Record],
     start: Callable[[], Workers],
     comm: Communicator,
     show: Callable[[int], None],
@@ -64,7 +64,7 @@ def _kept(path: Path, settings: dict[str, Any]) -> list[Record]:
 
 
 def _play(
-    workers: Workers, task: Task[Record], first: int, last: int, comm: Communicator
+    workers: Workers, task: Job[Record], first: int, last: int, comm: Communicator
 ) -> Generator[Record]:
     """Records of the numbers from `first` to before `last`, in order, on every rank."""
     if comm.size == 1:

@@ -19,7 +19,7 @@ from ..envs.grasp import setup
 from ..envs.hands import Array, Hand
 from ..envs.layouts import Layout, Taxels
 from ..envs.scripted import require_grasps
-from ..envs.vector import Task
+from ..envs.vector import Job
 from ..errors import InputError, input_errors
 from ..pictures import places
 from ..pictures.places import Place
@@ -41,7 +41,7 @@ class Playing(NamedTuple):
 
     settings: dict[str, Any]
     contact_places: tuple[Place, ...]
-    task: Task[Record]
+    task: Job[Record]
     start: Callable[[int], vector.Workers]
     """By their number."""
     out: Path

@@ -44,7 +44,8 @@ class RunOptions:
     seed: int = 0
     """Random seed of the whole run."""
     out: str | None = None
-    """Run folder, which must not exist yet; default: runs/ALGO_ENV_..._sSEED."""
+    """Run folder; a run that is there already goes on, if its flags are these. Default:
+    runs/ALGO_ENV_..._sSEED."""
     device: str = "cpu"
     """PyTorch device of the networks."""
     threads: int = 1

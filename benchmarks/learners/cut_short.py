@@ -1,0 +1,171 @@
+"""What share of collecting is lost to episodes that are cut short at the end of an epoch?
+
+Workers run ahead. When an epoch has its steps, what they have begun beyond is thrown away, so that
+results do not depend on how many they are. This counts timesteps of the simulator, hold tests
+included: it plays the episodes of some epochs of PPO one after another and reckons when workers
+that are all equally fast would have begun and ended each. No clock is looked at.
+
+    python -m benchmarks cut_short --run RUN [RUN ...] --out docs/data/cut_short.json
+
+"Discarded" is the share of all timesteps that are thrown away: where workers are processes, and where
+they are threads, which stop as soon as the episodes before have the epoch's steps, ended or not
+(`rollout.Tally`). "Idle" is the share of the workers' time until then in which nothing is played
+that is wanted: it is lost where each has a core that nobody else wants.
+"""
+
+from __future__ import annotations
+
+import heapq
+from bisect import bisect_left
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.command import parser, write
+from tactilerl import envs
+from tactilerl.algos.mpi import Communicator
+from tactilerl.algos.ppo import PPO, PPOConfig
+from tactilerl.algos.rollout import TRAIN, PlayEpisode
+from tactilerl.envs import vector
+from tactilerl.runs.policies import read_run
+
+SEED = 60_000
+WORKERS = (2, 4, 8, 16)
+Costs = list[int]
+"""Timesteps until the end of each step of an episode."""
+
+
+def played(env: Any, task: PlayEpisode[Any], steps: int) -> list[Costs]:
+    """An epoch's episodes, and as many beyond as the workers could begin meanwhile."""
+    episodes: list[Costs] = []
+    total, beyond = 0, 0
+    while total < steps or beyond < 2 * max(WORKERS):
+        beyond += total >= steps
+        costs = episode(env, task, len(episodes))
+        total += len(costs)
+        episodes.append(costs)
+    return episodes
+
+
+def episode(env: Any, task: PlayEpisode[Any], number: int) -> Costs:
+    """One."""
+    simulator, at_ends, taken = env.simulator, [], [0]
+    step, follow = simulator.step, env.follow
+
+    def counted(targets: Any, n_substeps: int) -> None:
+        taken[0] += n_substeps
+        step(targets, n_substeps)
+
+    def noted(targets: Any) -> Any:
+        result = follow(targets)
+        at_ends.append(taken[0])
+        return result
+
+    simulator.step, env.follow = counted, noted
+    try:
+        task(env, number, lambda: True)
+    finally:
+        del simulator.step, env.follow
+    return at_ends
+
+
+def reckon(episodes: list[Costs], steps: int, workers: int) -> dict[str, float]:
+    """Timesteps that are wanted, that are discarded with processes and with threads, and of all workers
+    until the epoch has its steps."""
+    free, starts = [0] * workers, []
+    for costs in episodes:
+        starts.append(heapq.heappop(free))
+        heapq.heappush(free, starts[-1] + costs[-1])
+    n = int(np.searchsorted(np.cumsum([len(costs) for costs in episodes]), steps)) + 1
+    end = max(start + costs[-1] for start, costs in zip(starts[:n], episodes, strict=False))
+    found = {
+        "wanted": sum(costs[-1] for costs in episodes[:n]),
+        "in_vain_processes": 0,
+        "in_vain_threads": 0,
+    }
+    for number, (start, costs) in enumerate(zip(starts, episodes, strict=True)):
+        if number >= n:
+            found["in_vain_processes"] += until(costs, end - start)
+            certain = _certain(starts[:number], episodes, steps)
+            found["in_vain_threads"] += until(costs, min(end, certain) - start)
+    return found | {"capacity": workers * end}
+
+
+def until(costs: Costs, time: int) -> int:
+    """Timesteps of an episode that is told to stop at a time after its start: a step is taken to its
+    end."""
+    return 0 if time <= 0 else costs[min(bisect_left(costs, time), len(costs) - 1)]
+
+
+def _certain(starts: list[int], episodes: list[Costs], steps: int) -> int:
+    """When the episodes with these starts have taken that many steps together."""
+    ends = sorted(s + cost for s, costs in zip(starts, episodes, strict=False) for cost in costs)
+    return ends[steps - 1]
+
+
+def measure(make: Any, policy: Any, steps: int, epochs: int) -> dict[str, Any]:
+    """Shares by number of workers, over some epochs of one policy."""
+    env = make()
+    tasks = [PlayEpisode[Any](policy, (SEED, 0, TRAIN, epoch)) for epoch in range(epochs)]
+    every = [played(env, task, steps) for task in tasks]
+    env.close()
+    lengths = [len(costs) for episodes in every for costs in episodes]
+    result: dict[str, Any] = {
+        "steps_per_epoch": steps,
+        "epochs": epochs,
+        "mean_length": float(np.mean(lengths)),
+        "timesteps_per_step": sum(e[-1] for episodes in every for e in episodes) / sum(lengths),
+    }
+    for workers in WORKERS:
+        found = [reckon(episodes, steps, workers) for episodes in every]
+        sums = {name: sum(one[name] for one in found) for name in found[0]}
+        result[str(workers)] = {
+            "in_vain_processes": sums["in_vain_processes"]
+            / (sums["wanted"] + sums["in_vain_processes"]),
+            "in_vain_threads": sums["in_vain_threads"] / (sums["wanted"] + sums["in_vain_threads"]),
+            "waiting": 1 - sums["wanted"] / sums["capacity"],
+        }
+    return result
+
+
+def untrained(hold_verdict: str) -> tuple[Any, Any, int]:
+    """(environment's maker, policy, steps of an epoch) before anything was learned."""
+    make = partial(envs.make, "shadow", layout="4", hold_verdict=hold_verdict)
+    workers = vector.start(make)
+    learner = PPO(PPOConfig(), workers, Communicator(), SEED, 1)
+    workers.close()
+    return make, learner.policy(), learner.config.steps_per_epoch
+
+
+def trained(run: Path) -> tuple[Any, Any, int]:
+    """The same of a run's newest policy."""
+    found = read_run(run)
+    return found.config.make_env, found.policy, found.config.learner.steps_per_epoch
+
+
+def show(results: dict[str, dict[str, Any]]) -> None:
+    """One table."""
+    print("| episodes of | mean steps | workers | discarded, processes | discarded, threads | idle |")
+    print("|---|---|---|---|---|---|")
+    for name, row in results.items():
+        for workers in map(str, WORKERS):
+            shares = " | ".join(f"{100 * share:.1f} %" for share in row[workers].values())
+            print(f"| {name} | {row['mean_length']:.0f} | {workers} | {shares} |")
+
+
+def main() -> None:
+    """Untrained policies, and those of runs."""
+    flags = parser(__doc__)
+    flags.add_argument("--run", type=Path, nargs="*", default=[], help="folders of PPO's runs")
+    flags.add_argument("--epochs", type=int, default=5)
+    options = flags.parse_args()
+    sources = {
+        f"Shadow Hand, untrained, hold verdict {verdict}": partial(untrained, verdict)
+        for verdict in ("full", "settled")
+    }
+    sources |= {f"run {run.name}": partial(trained, run) for run in options.run}
+    results = {name: measure(*source(), options.epochs) for name, source in sources.items()}
+    show(results)
+    write(options.out, results)

@@ -1,0 +1,165 @@
+"""Does DDPG+HER keep what it learned? The recipe `steady`, the paper's values, and what lies between.
+
+    nice python -m benchmarks steady --out docs/data/steady.json
+
+Fixed before the first run that is reported. Tasks: points to a goal (10,000 steps, two hidden layers
+of 64), and reach-goal of the Shadow Hand and of the MPL hand, both in MuJoCo with layout 2 (36,000
+steps). Seeds 0 to 9 for the recipe on the Shadow Hand, 0 to 4 for everything else; pilots have seeds
+of 10,000 and more (--first-seed). Every 1,000 or 2,000 steps the policy plays the same 20 starts
+without exploration. What counts is the final rate, the mean success over the last tenth of a run: on
+the Shadow Hand, no seed of the recipe should end below 0.9. Besides it the area under the curve, and
+the return of the last look. Every run is written as soon as it ends, and a second call goes on.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+import torch
+
+from benchmarks.command import parser, run_missing
+from benchmarks.peers.solve import Act, Looks, play, sb3_ddpg
+from tactilerl import envs, statistics
+from tactilerl.algos import recipes
+from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
+from tactilerl.algos.mpi import Communicator
+from tactilerl.envs import vector
+
+EPISODES = 20  # of a look
+ENOUGH = 0.9
+PEER = "stable-baselines3"
+PAPER, STEADY = (recipes.recipe("ddpg_her", name) for name in ("paper", "steady"))
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is learned, for how long, and how often it is looked at."""
+
+    make: Callable[[], Any]
+    steps: int
+    every: int
+    sizes: dict[str, Any] = field(default_factory=dict)
+    """What all contenders have here instead of their own."""
+
+
+REACH = {"task": "reach-goal", "layout": "2"}
+TASKS = {
+    "point-reach": Task(partial(envs.make, "point-reach"), 10_000, 1000, {"hidden": (64, 64)}),
+    "shadow": Task(partial(envs.make, "shadow", **REACH), 36_000, 2000),
+    "mpl": Task(partial(envs.make, "mpl", simulator="mujoco", **REACH), 36_000, 2000),
+}
+CHOICES = [name for name in asdict(PAPER) if getattr(PAPER, name) != getattr(STEADY, name)]
+VARIANTS: dict[str, DDPGHERConfig] = {
+    "paper": PAPER,
+    "steady": STEADY,
+    **{
+        f"steady, the paper's {name}": replace(STEADY, **{name: getattr(PAPER, name)})
+        for name in CHOICES
+    },
+}
+
+
+@dataclass
+class Curve:
+    """Looks at a policy while it learns."""
+
+    task: Task
+    steps: list[int] = field(default_factory=list)
+    rates: list[float] = field(default_factory=list)
+    total: float = 0.0
+    """Mean return of the last look."""
+    is_solved = False  # it goes on to the end
+
+    def look(self, steps: int, act: Act) -> bool:
+        """Called between updates; plays every `task.every` steps."""
+        if steps // self.task.every > (self.steps[-1] if self.steps else 0) // self.task.every:
+            with closing(self.task.make()) as env:
+                returns, successes = zip(*play(env, act, EPISODES), strict=True)
+            self.steps.append(steps)
+            self.rates.append(float(np.mean(successes)))
+            self.total = float(np.mean(returns))
+        return False
+
+
+def ours(config: DDPGHERConfig, task: Task, seed: int) -> Curve:
+    """Our learner, to the end."""
+    curve = Curve(task)
+    with closing(vector.start(task.make)) as workers:
+        learner = DDPGHER(replace(config, **task.sizes), workers, Communicator(), seed, task.steps)
+        while learner.env_steps < task.steps:
+            learner.collect()
+            learner.update()
+            curve.look(learner.env_steps, learner.policy().act)
+    return curve
+
+
+def theirs(config: DDPGHERConfig, task: Task, seed: int) -> Curve:
+    """Stable-Baselines3's DDPG with its HER buffer, with our sizes."""
+    looks = Looks(partial(Curve, task))
+    with closing(task.make()) as env:
+        max_steps = env.unwrapped.max_episode_steps
+        sb3_ddpg(env, seed, replace(config, **task.sizes), max_steps).learn(task.steps, callback=looks)
+    curve: Curve = looks.run
+    return curve
+
+
+def run(name: str, task: str, seed: int) -> dict[str, Any]:
+    """One run."""
+    torch.set_num_threads(1)
+    warnings.filterwarnings("ignore")
+    started = time.process_time()
+    learn = partial(theirs, STEADY) if name == PEER else partial(ours, VARIANTS[name])
+    curve = learn(TASKS[task], seed)
+    return {
+        "steps": curve.steps,
+        "rates": curve.rates,
+        "return": curve.total,
+        "cpu_seconds": time.process_time() - started,
+    }
+
+
+def markdown(content: dict[str, Any]) -> None:
+    """What `main` wrote, for the docs: a row for each task and contender."""
+    print("| task | contender | runs | final rates, sorted | below 0.9 | area | return at the end |")
+    print("|---|---|---|---|---|---|---|")
+    for task in TASKS:
+        for name in (*VARIANTS, PEER):
+            runs = [
+                r for key, r in content["runs"].items() if key.rpartition(" ")[0] == f"{name} {task}"
+            ]
+            if not runs:
+                continue
+            rates = np.array([r["rates"] for r in runs])
+            finals = np.sort(statistics.final_rate(rates))
+            areas = statistics.area_under_curve(np.array(runs[0]["steps"], float), rates)
+            print(
+                f"| {task} | {name} | {len(runs)} | {', '.join(f'{x:.2f}' for x in finals)} "
+                f"| {(finals < ENOUGH).sum()} | {areas.mean():.2f} "
+                f"| {np.mean([r['return'] for r in runs]):.1f} |"
+            )
+
+
+def main() -> None:
+    """What is missing of all contenders, tasks and seeds; seeds outermost."""
+    flags = parser(__doc__)
+    contenders = [*VARIANTS, PEER]
+    flags.add_argument("--jobs", type=int, default=1)
+    flags.add_argument("--seeds", type=int, default=5)
+    flags.add_argument("--first-seed", type=int, default=0, help="10000 and more for pilots")
+    flags.add_argument("--only", nargs="+", choices=contenders, default=contenders, metavar="NAME")
+    flags.add_argument("--tasks", nargs="+", choices=TASKS, default=[*TASKS], metavar="TASK")
+    options = flags.parse_args()
+    about = {
+        "steps": {name: task.steps for name, task in TASKS.items()},
+        "configs": {name: asdict(config) for name, config in VARIANTS.items()},
+    }
+    seeds = range(options.first_seed, options.first_seed + options.seeds)
+    places = [(name, task, s) for s in seeds for task in options.tasks for name in options.only]
+    markdown({"runs": run_missing(options.out, about, places, run, options.jobs)})
