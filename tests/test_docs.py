@@ -78,10 +78,10 @@ def test_docs_name_files_that_exist():
 
 @cache
 def help_of(*command):
-    """What `tactilerl COMMAND --help` prints."""
+    """What `tactilerl COMMAND --help-all` prints."""
     output = io.StringIO()
     with contextlib.redirect_stdout(output), contextlib.suppress(SystemExit):
-        cli.main([*command, "--help"])
+        cli.main([*command, "--help-all"])
     return output.getvalue()
 
 

@@ -15,7 +15,7 @@ import tactilerl
 from tactilerl.commands import cli
 from tactilerl.commands.study import PARTS as STUDY
 
-os.environ |= {"COLUMNS": "96", "NO_COLOR": "1"}  # of help texts
+os.environ["NO_COLOR"] = "1"  # of help texts
 SEVERAL = {  # commands whose flags depend on what follows them
     "train": ("train", "train --algo ddpg_her"),
     "study": tuple(f"study {part}" for part in STUDY),
@@ -50,7 +50,7 @@ def flags(command: str) -> str:
     """A section with the help of one command."""
     output = io.StringIO()
     with contextlib.redirect_stdout(output), contextlib.suppress(SystemExit):
-        cli.main([*command.split(), "--help"])
+        cli.main([*command.split(), "--help-all"])
     return f"\n## tactilerl {command}\n\n```text\n{output.getvalue()}```\n"
 
 
