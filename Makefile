@@ -39,8 +39,7 @@ SHADOW_LIFT := --algo ppo --env shadow --layout 4 --total-timesteps 36000 --hold
 
 # Goes on with the run when it is there already.
 train: $(TRAINING)
-	if [ -e $(RUN)/config.json ]; then $(BIN)/tactilerl train --resume $(RUN); else \
-		$(BIN)/tactilerl train $(SHADOW_LIFT) --out $(RUN); fi
+	$(BIN)/tactilerl train $(SHADOW_LIFT) --out $(RUN)
 	$(BIN)/tactilerl evaluate $(RUN) --episodes 50
 
 # Several files of tests at a time, each with one thread; some wait, so three keep two cores busy.

@@ -11,10 +11,9 @@ sort the runs once and count how often each of them was drawn.
 
 from __future__ import annotations
 
+import bisect
 import math
-import warnings
-from collections.abc import Mapping, Sequence
-from types import SimpleNamespace
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -164,28 +163,6 @@ def estimate(scores: Array, metric: Metric, counts: Array, confidence: float = C
     """An aggregate of scores (runs,) with its percentile interval from `resample`'s counts."""
     value = float(aggregate(scores, metric))
     return Estimate(value, *percentile_interval(bootstrap(scores, metric, counts), confidence))
-
-
-def bca_interval(
-    scores: Array, metric: Metric, counts: Array, confidence: float = CONFIDENCE
-) -> tuple[float, float]:
-    """The bias-corrected and accelerated interval (Efron 1987), by scipy; NaN where all runs are
-    alike.
-    """
-    if len(scores) < 2 or np.ptp(scores) == 0:
-        return math.nan, math.nan
-
-    def statistic(sample: Array, axis: int = -1) -> Array:
-        return aggregate(np.moveaxis(sample, axis, 0), metric)
-
-    drawn = SimpleNamespace(bootstrap_distribution=bootstrap(scores, metric, counts))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a degenerate distribution gives NaN, which is what is wanted
-        interval = scipy.stats.bootstrap(
-            (scores,), statistic, n_resamples=0, bootstrap_result=drawn, method="BCa",
-            confidence_level=confidence,
-        ).confidence_interval  # fmt: skip
-    return float(interval.low), float(interval.high)
 
 
 def sample_efficiency(
@@ -401,76 +378,6 @@ def holm(p_values: Sequence[float]) -> Array:
     return corrected
 
 
-# -- over set-ups ----------------------------------------------------------------------------
-
-
-def rank_agreement(values: Array, resampled: Array | None = None) -> Estimate:
-    """Do set-ups put the cells (layouts) into the same order? Mean Spearman correlation over pairs
-    of set-ups.
-
-    `values` (setups, cells) and, for the interval, `resampled` (setups, cells, n_resamples).
-    Resampling adds noise to the ranks, so the interval leans towards 0. NaN where a set-up has all
-    cells alike.
-    """
-    value = float(_mean_spearman(values[..., None])[0])
-    if resampled is None:
-        return Estimate(value, math.nan, math.nan)
-    drawn = _mean_spearman(resampled)
-    drawn = drawn[~np.isnan(drawn)]
-    return Estimate(value, *(percentile_interval(drawn) if len(drawn) else (math.nan, math.nan)))
-
-
-def _mean_spearman(values: Array) -> Array:
-    """(setups, cells, n) → (n,)"""
-    ranks = scipy.stats.rankdata(values, axis=1)
-    centred = ranks - ranks.mean(axis=1, keepdims=True)
-    norms = np.sqrt((centred**2).sum(axis=1))
-    first, second = np.triu_indices(len(values), k=1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        pairs = (centred[first] * centred[second]).sum(axis=1) / (norms[first] * norms[second])
-    return np.asarray(pairs.mean(axis=0))
-
-
-class Term(NamedTuple):
-    """A fixed effect of the mixed model."""
-
-    name: str
-    effect: Estimate
-    p_value: float
-
-
-def mixed_model(
-    scores: Array, is_treatment: Array, factors: Mapping[str, Sequence[str]], cells: Sequence[str]
-) -> list[Term]:
-    """Is the treatment's effect the same over hands, simulators and algorithms? (statsmodels'
-    MixedLM)
-
-    score ~ treatment x (each factor of two or more levels) + random intercept per cell (set-up x
-    layout); every argument has one entry a run. Effects against the first level of each factor.
-    ValueError where the model cannot be fitted.
-    """
-    import pandas as pd
-    from statsmodels.formula.api import mixedlm
-
-    varied = {name: levels for name, levels in factors.items() if len(set(levels)) > 1}
-    table = pd.DataFrame({"score": scores, "treatment": np.asarray(is_treatment, int), **varied})
-    table["cell"] = list(cells)
-    # Interactions of the treatment with each factor, not of the factors with each other.
-    terms = " + ".join(f"C({name})" for name in varied)
-    formula = "score ~ treatment" + (f" * ({terms})" if varied else "")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a variance of cells at its bound 0 is no fault
-        try:
-            fit = mixedlm(formula, table, groups=table["cell"]).fit(reml=True)
-        except np.linalg.LinAlgError as error:
-            raise ValueError(f"the mixed model cannot be fitted: {error}") from error
-    bounds = fit.conf_int(1 - CONFIDENCE)
-    return [
-        Term(name, Estimate(float(value), *map(float, bounds.loc[name])), float(fit.pvalues[name]))
-        for name, value in fit.fe_params.items()
-    ]
-
-
 # -- how many runs ----------------------------------------------------------------------------
 
 
@@ -481,8 +388,9 @@ def power_of_t_test(effect: float, sd: float, n: int, alpha: float, in_pairs: bo
         return 1.0 if effect else alpha
     freedom, size = (n - 1, n) if in_pairs else (2 * n - 2, n / 2)
     shift, critical = abs(effect) / sd * math.sqrt(size), scipy.stats.t.isf(alpha / 2, freedom)
-    tails = scipy.stats.nct.sf(critical, freedom, shift), scipy.stats.nct.cdf(-critical, freedom, shift)
-    return float(tails[0] + tails[1])
+    above = scipy.stats.nct.sf(critical, freedom, shift)
+    below = scipy.stats.nct.cdf(-critical, freedom, shift)
+    return float(np.nan_to_num(above, nan=1.0) + np.nan_to_num(below))  # NaN: too close to 1 and to 0
 
 
 def runs_needed(
@@ -490,19 +398,11 @@ def runs_needed(
 ) -> int | None:
     """Pairs, or runs per group, for a t test to find `effect` with `power`, and not fewer pairs than
     a sign-flip test needs to fall below `alpha`; None where `most` do not suffice."""
-    low = math.ceil(1 - math.log2(alpha)) - 1 if in_pairs else 1
-    high = low + 1
-    while power_of_t_test(effect, sd, high, alpha, in_pairs) < power:
-        low, high = high, 2 * high
-        if high > most:
-            return None
-    while high - low > 1:
-        middle = (low + high) // 2
-        if power_of_t_test(effect, sd, middle, alpha, in_pairs) < power:
-            low = middle
-        else:
-            high = middle
-    return high
+    least = math.ceil(1 - math.log2(alpha)) if in_pairs else 2
+    found = bisect.bisect_left(
+        range(most + 1), power, least, key=lambda n: power_of_t_test(effect, sd, n, alpha, in_pairs)
+    )
+    return found if found <= most else None
 
 
 def sd_interval(sd: float, freedom: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
@@ -510,16 +410,6 @@ def sd_interval(sd: float, freedom: int, confidence: float = CONFIDENCE) -> tupl
     tail = (1 - confidence) / 2
     low, high = (sd * math.sqrt(freedom / scipy.stats.chi2.isf(t, freedom)) for t in (tail, 1 - tail))
     return low, high
-
-
-def power_from_intervals(
-    effect: float, treatment: tuple[float, float], control: tuple[float, float], alpha: float = 0.05
-) -> float:
-    """Power of a z test to find `effect` again, from the published intervals of both groups' means."""
-    to_error = 2 * scipy.stats.norm.isf((1 - CONFIDENCE) / 2)
-    errors = [(high - low) / to_error for low, high in (treatment, control)]
-    shift, critical = abs(effect) / math.hypot(*errors), scipy.stats.norm.isf(alpha / 2)
-    return float(scipy.stats.norm.sf(critical - shift) + scipy.stats.norm.sf(critical + shift))
 
 
 def simulated_power(

@@ -288,7 +288,7 @@ class TestTrain:
             (dict(gamma=0.5), "gamma: found 0.5, the run was made with 0.99"),
             (dict(algo="ddpg_her"), "algo: "),
             (dict(out="there"), "out: "),
-            (dict(recipe="steady"), "resume: .*, the run was made with"),
+            (dict(recipe="steady"), "run: .*, the run was made with"),
             (dict(env="shadow"), "env: found 'shadow', the run was made with 'lqr'"),
         ]:
             with pytest.raises(ValueError, match=words):
@@ -303,7 +303,7 @@ class TestMistakes:
             (lambda: tactilerl.PPO("lqr", clip_rang=1), "clip_rang: unknown; did you mean clip_range?"),
             (lambda: tactilerl.PPO("lqr", learning_rate=1), "did you mean actor_lr or critic_lr?"),
             (lambda: tactilerl.make("shadow", laout=4), "laout: unknown; did you mean layout?"),
-            (lambda: tactilerl.DDPGHER("point-reach", recipe="steady"), "recipe: found 'steady'"),
+            (lambda: tactilerl.DDPGHER("point-reach", recipe="calm"), "recipe: found 'calm'"),
             (lambda: tactilerl.PPO("lqr", gamma="x"), "gamma: found 'x'"),
             (lambda: tactilerl.PPO("lqr", seed=-1), "seed: found -1"),
             (lambda: tactilerl.PPO("lqr", threads=0), "threads: found 0"),

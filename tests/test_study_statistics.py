@@ -128,17 +128,10 @@ class TestIntervals:
                 [value, *interval], [expected[0]["x"][0], *expected[1]["x"][:, 0]], atol=1e-12
             )
 
-    def test_bca_is_scipys(self, rng):
-        scores = rng.beta(0.5, 0.2, 12)
-        ours = s.bca_interval(scores, "mean", s.resample(rng, 12, 20_000))
-        theirs = stats.bootstrap((scores,), np.mean, method="BCa", n_resamples=20_000, rng=rng)
-        assert_allclose(ours, theirs.confidence_interval, atol=0.01)
-
     @pytest.mark.parametrize("scores", [[0.4], [0.4, 0.4, 0.4]])
-    def test_runs_alike_have_no_width_and_no_bca(self, rng, scores):
+    def test_runs_alike_have_no_width(self, rng, scores):
         counts = s.resample(rng, len(scores), 100)
         assert_allclose(s.estimate(np.array(scores), "iqm", counts), [0.4] * 3)
-        assert np.isnan(s.bca_interval(np.array(scores), "iqm", counts)).all()
 
     def test_an_interval_of_many_normal_runs_contains_the_truth_as_often_as_it_says(self, rng):
         counts = s.resample(rng, 40, 500)
@@ -295,60 +288,7 @@ class TestLooks:
         assert 0.02 < stopped / 400 < 0.085
 
 
-class TestOverSetups:
-    def test_rank_agreement_is_spearmans(self, rng):
-        values = rng.random((2, 6))
-        assert s.rank_agreement(values).value == pytest.approx(stats.spearmanr(*values).statistic)
-
-    def test_same_and_opposite_order(self, rng):
-        order = np.arange(5.0)
-        sure = np.repeat(np.stack([order, order * 2])[..., None], 100, axis=2)
-        assert_allclose(s.rank_agreement(sure[..., 0], sure), [1, 1, 1])
-        assert s.rank_agreement(np.stack([order, -order])).value == pytest.approx(-1)
-        unsure = sure + rng.normal(0, 3, sure.shape)
-        _, low, high = s.rank_agreement(sure[..., 0], unsure)
-        assert low < 0.5 < high
-
-    def test_mixed_model_finds_what_was_put_in(self, rng):
-        rows = [
-            (hand, simulator, layout, treatment)
-            for hand in "ab" for simulator in "cd" for layout in range(6) for treatment in (0, 1)
-            for _ in range(10)
-        ]  # fmt: skip
-        offsets = dict(zip({row[:3] for row in rows}, rng.normal(0, 0.05, 24), strict=True))
-        scores = np.array(
-            [0.5 + 0.1 * t + 0.2 * t * (h == "b") + offsets[h, m, c] for h, m, c, t in rows]
-        )
-        scores += rng.normal(0, 0.02, len(rows))
-        factors = {
-            "hand": [r[0] for r in rows],
-            "simulator": [r[1] for r in rows],
-            "algorithm": ["x"] * len(rows),
-        }
-        cells = [f"{r[0]}{r[1]}{r[2]}" for r in rows]
-        terms = {
-            t.name: t for t in s.mixed_model(scores, np.array([r[3] for r in rows]), factors, cells)
-        }
-        assert terms["treatment"].effect.value == pytest.approx(0.1, abs=0.01)
-        assert terms["treatment:C(hand)[T.b]"].effect.value == pytest.approx(0.2, abs=0.01)
-        assert terms["treatment:C(hand)[T.b]"].p_value < 0.001
-        assert (
-            terms["treatment:C(simulator)[T.d]"].effect.low
-            < 0
-            < terms["treatment:C(simulator)[T.d]"].effect.high
-        )
-        assert not [name for name in terms if "algorithm" in name]
-
-
 class TestPower:
-    def test_the_papers_best_comparison_had_one_chance_in_two(self):
-        assert s.power_from_intervals(0.05, (0.62, 0.68), (0.57, 0.65)) == pytest.approx(
-            0.50, abs=0.005
-        )
-        assert s.power_from_intervals(0.07, (0.82, 0.94), (0.75, 0.86)) == pytest.approx(
-            0.39, abs=0.005
-        )
-
     @pytest.mark.parametrize("in_pairs", [True, False])
     def test_runs_needed_reach_the_power_and_one_fewer_does_not(self, in_pairs):
         n = s.runs_needed(0.05, 0.06, 0.8, 0.05, in_pairs)
@@ -360,6 +300,11 @@ class TestPower:
     def test_power_is_statsmodels(self, kind, in_pairs):
         ours = s.power_of_t_test(0.1, 0.15, 10, 0.05, in_pairs)
         assert ours == pytest.approx(kind().power(0.1 / 0.15, 10, 0.05))
+
+    def test_where_a_tail_is_too_small_to_be_computed(self):
+        """scipy's noncentral t is NaN there, which counted as power enough."""
+        assert s.runs_needed(0.1, 0.15, 0.99, 0.001, True) == 77
+        assert s.power_of_t_test(0.1, 0.15, 76, 0.001, True) < 0.99
 
     def test_more_than_anybody_can_run_and_fewer_than_a_test_can_use(self):
         assert s.runs_needed(1e-6, 1.0, 0.8, 0.05, True) is None

@@ -18,6 +18,7 @@ from rich.table import Table
 from scipy.special import expit
 
 from benchmarks.command import run_parts
+from benchmarks.studies.coverage import bca_interval
 from tactilerl import statistics
 from tactilerl.study.primary import Looks
 from tactilerl.study.verdicts import take
@@ -73,7 +74,7 @@ def _of_pairs(rng: Rng, pairs: np.ndarray) -> dict[str, float]:
     found["not in pairs, difference"] = float(np.mean(p <= ALPHA))
     intervals = {
         "percentile": [statistics.estimate(row, "mean", counts)[1:] for row in gaps],
-        "BCa": [statistics.bca_interval(row, "mean", counts) for row in gaps[:1000]],
+        "BCa": [bca_interval(row, "mean", counts) for row in gaps[:1000]],
         "expanded percentile": [statistics.mean(row, counts)[1:] for row in gaps],
     }
     for kind, bounds in intervals.items():

@@ -194,8 +194,6 @@ def report(args: list[str]) -> int:
     read = flags.parse(ReportFlags, args, "tactilerl study report")
     flags.at_least("--resamples", read.resamples, 100)
     with _needs_extra("report"):
-        import statsmodels  # noqa: F401
-
         from ..study import report as page
         from ..study import summary
         from ..study.analysis import analyse

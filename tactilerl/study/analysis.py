@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from .. import statistics
-from ..statistics import Array, Estimate, Metric, Term
+from ..statistics import Array, Estimate, Metric
 from . import published, verdicts
 from .grid import Setup, Study
 from .primary import SCORES
@@ -75,22 +75,22 @@ class SetupResult:
     """(points,) at which the curves are compared."""
     groups: dict[tuple[str, str], Group]
     comparisons: dict[str, Comparison]
-    published: Published | None
     records: list[Record]
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """The first config.json among the runs; empty where there is none."""
+        return next((record.config for record in self.records if record.config), {})
+
+    @cached_property
+    def published(self) -> Published | None:
+        """The paper's own results, where it has this set-up."""
+        return published.find(self.config) if self.config else None
 
     @property
     def cells(self) -> list[str]:
         """Those with finished runs, in order of the grid."""
         return [cell for cell in self.setup.cells if any(cell == c for c, _ in self.groups)]
-
-
-@dataclass(frozen=True)
-class Agreement:
-    """Do two or more set-ups put the cells into the same order?"""
-
-    by: str
-    setups: list[str]
-    correlation: Estimate
 
 
 @dataclass(frozen=True)
@@ -100,9 +100,6 @@ class Analysis:
     study: Study
     records: list[Record]
     setups: list[SetupResult]
-    agreements: list[Agreement] = field(default_factory=list)
-    mixed: list[Term] | str = "not asked"
-    """The mixed model's terms, or why there are none."""
 
     @property
     def fewest(self) -> int:
@@ -119,9 +116,7 @@ def analyse(study: Study, records: list[Record], n_resamples: int = statistics.N
         result = _setup(setup, own, rng, n_resamples)
         compared = _comparisons(study, result, records, n_resamples)
         setups.append(replace(result, comparisons=compared))
-    score = study.primary.score
-    agreements = _agreements(setups, score, np.random.default_rng(SEED), n_resamples)
-    return Analysis(study, records, setups, agreements, _mixed(setups, score))
+    return Analysis(study, records, setups)
 
 
 def _setup(
@@ -136,9 +131,7 @@ def _setup(
             if own:
                 counts = statistics.resample(rng, len(own), n_resamples)
                 groups[cell, arm] = _group(cell, arm, own, setup.measure, steps, counts)
-    configs = [record.config for record in records if record.config]
-    paper = published.find(configs[0]) if configs else None
-    return SetupResult(setup, steps, groups, {}, paper, records)
+    return SetupResult(setup, steps, groups, {}, records)
 
 
 def _common_steps(curves: list[Array]) -> Array:
@@ -196,71 +189,3 @@ def pair(one: SetupResult, cell: str) -> tuple[Group, Group]:
     """Treatment and control of a cell that has both."""
     treatment, control = one.setup.arms[:2]
     return one.groups[cell, treatment], one.groups[cell, control]
-
-
-def _agreements(
-    setups: list[SetupResult], score: str, rng: np.random.Generator, n_resamples: int
-) -> list[Agreement]:
-    """Order of the cells, by the treatment alone and by its difference to the control."""
-    compared = [one for one in setups if len(one.comparisons) > 1]
-    cells = list(compared[0].comparisons) if compared else []
-    compared = [one for one in compared if list(one.comparisons) == cells]
-    if len(compared) < 2 or len(cells) < 3:
-        return []
-    found = []
-    for by in ("treatment", "difference to the control"):
-        runs = [[_ordered_by(by, one, cell, score) for cell in cells] for one in compared]
-        if not all(len(each) for row in runs for each in row):
-            continue
-        values = np.array([[each.mean() for each in row] for row in runs])
-        drawn = np.array(
-            [
-                [
-                    statistics.bootstrap(x, "mean", statistics.resample(rng, len(x), n_resamples))
-                    for x in row
-                ]
-                for row in runs
-            ]
-        )
-        names = [one.setup.name for one in compared]
-        found.append(Agreement(by, names, statistics.rank_agreement(values, drawn)))
-    return found
-
-
-def _ordered_by(by: str, one: SetupResult, cell: str, score: str) -> Array:
-    if by == "treatment":
-        return pair(one, cell)[0].scores[score]
-    pairs = one.comparisons[cell].verdict.pairs
-    return pairs.treatment - pairs.control
-
-
-def factors(config: dict[str, Any]) -> tuple[str, str, str]:
-    """(hand, simulator, algorithm) of a run's config.json; the environment where it has no hand."""
-    scene = config.get("scene") or {}
-    return config["run"]["env"], scene.get("simulator", "none"), config["run"]["algo"]
-
-
-def _mixed(setups: list[SetupResult], by: str) -> list[Term] | str:
-    compared = [one for one in setups if one.comparisons]
-    kinds = {}
-    for one in compared:
-        kinds[one.setup.name] = next(factors(r.config) for r in one.records if r.config)
-    levels = [len({kind[axis] for kind in kinds.values()}) for axis in range(3)]
-    if len(set(kinds.values())) < 2 or math.prod(levels) != len(set(kinds.values())):
-        return (
-            "no mixed model: the set-ups do not cross their hands, simulators and algorithms, "
-            "so the effect of one cannot be told from that of another"
-        )
-    rows = [
-        (score, group.arm == one.setup.arms[0], *kinds[one.setup.name], one.setup.name + cell)
-        for one in compared
-        for cell in one.comparisons
-        for group in pair(one, cell)
-        for score in group.scores[by]
-    ]
-    scores, treated, hands, simulators, algorithms, cells = zip(*rows, strict=True)
-    axes = {"hand": hands, "simulator": simulators, "algorithm": algorithms}
-    try:
-        return statistics.mixed_model(np.array(scores), np.array(treated), axes, cells)
-    except ValueError as error:
-        return str(error)

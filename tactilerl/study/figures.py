@@ -1,13 +1,11 @@
-"""The figures of a report: as files, and as parts of report.html that follow its light and dark."""
+"""The figures of a report, on paper of their own, so that they are read in a dark page as well."""
 
 from __future__ import annotations
 
-import html
 import io
-import re
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import matplotlib
@@ -15,13 +13,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ..runs.files import replacing
 from ..statistics import METRICS, Estimate
 from .analysis import Analysis, SetupResult
 from .primary import SCORES
 from .summary import subject
 
-INK, FAINT = "#010203", "#b0b0b1"  # become colours of the page in report.html
+INK, FAINT = "#1b1f24", "#b0b0b1"
 ARMS = ("#e0a800", "#2b6cb0", "#8a5a9e", "#4d8f5b")  # treatment and control as in the paper
 STYLE: dict[Any, Any] = {  # with it the same input gives the same bytes
     "svg.hashsalt": "tactilerl",
@@ -35,89 +32,53 @@ STYLE: dict[Any, Any] = {  # with it the same input gives the same bytes
     "axes.grid": True,
     "grid.color": FAINT,
     "grid.linewidth": 0.4,
-    **dict.fromkeys(
-        ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), INK
-    ),
-    "axes.titlecolor": INK,
+    **{f"{part}color": INK for part in ("text.", "axes.label", "axes.edge", "xtick.", "ytick.")},
 }
-PAGE_COLOURS = {INK: "currentColor", FAINT: "var(--faint)"} | {
-    colour: f"var(--arm{index})" for index, colour in enumerate(ARMS)
-}
-DPI = 130
+DPI = 180
 LABELS = {"median": "median of runs", "iqm": "IQM", "mean": "mean"}
 Draw = Callable[[Axes], None]
 
 
+@dataclass(frozen=True)
 class Picture:
-    """Panels that stand together: one file, and side by side on a page as wide as it is."""
+    """Panels that stand together."""
 
-    def __init__(
-        self, name: str, title: str, panels: Sequence[tuple[str, Draw]], size: tuple[float, float]
-    ) -> None:
-        self.name, self.title, self.panels, self.size = name, title, panels, size
+    name: str
+    """Of its files and of its place in report.html."""
+    title: str
+    """What is drawn."""
+    of: str
+    """What it is drawn of."""
+    panels: Sequence[tuple[str, Draw]]
+    size: tuple[float, float]
+    """Of a panel, inches."""
 
-    def save(self, folder: Path) -> None:
-        """Write NAME.png and NAME.svg."""
+    def formats(self) -> dict[str, bytes]:
+        """The picture in each format, by the ending of its file."""
         columns = min(3, len(self.panels))
         rows = -(-len(self.panels) // columns)
+        made: dict[str, bytes] = {}
+        shown: dict[str, Any] = {}
         with matplotlib.rc_context(STYLE):
             figure = Figure(figsize=(self.size[0] * columns, self.size[1] * rows), layout="constrained")
             axes = figure.subplots(rows, columns, squeeze=False).ravel()
             for (title, draw), one in zip(self.panels, axes, strict=False):
                 draw(one)
                 one.set_title(title, loc="left")
+                handles, labels = one.get_legend_handles_labels()
+                shown |= dict(zip(labels, handles, strict=True))
             for spare in axes[len(self.panels) :]:
                 spare.set_axis_off()
-            _legend(figure)
-            figure.suptitle(self.title, x=0.01, ha="left", wrap=True)
+            figure.legend(
+                [*shown.values()], [*shown], loc="outside lower center", ncols=5, frameon=False,
+                fontsize=8, columnspacing=1.0, handletextpad=0.4,
+            )  # fmt: skip
+            figure.suptitle(self.of, x=0.01, ha="left", fontweight="bold", wrap=True)
             for ending, unsaid in (("svg", "Date"), ("png", "Software")):
-                with replacing(folder / f"{self.name}.{ending}") as file:
-                    figure.savefig(file, format=ending, dpi=DPI, metadata={unsaid: None})
-
-    def inline(self) -> list[str]:
-        """Every panel as SVG for the page."""
-        return [self._panel(index, *panel) for index, panel in enumerate(self.panels)]
-
-    def _panel(self, index: int, title: str, draw: Draw) -> str:
-        with matplotlib.rc_context(STYLE):
-            figure = Figure(figsize=self.size, layout="constrained")
-            figure.patch.set_alpha(0)
-            axes = figure.subplots()
-            axes.patch.set_alpha(0)
-            draw(axes)
-            axes.set_title(title, loc="left")
-            _legend(figure)
-            text = io.StringIO()
-            figure.savefig(text, format="svg", metadata={"Date": None})
-        return _for_page(text.getvalue(), f"{self.name}-{index}", f"{self.title}: {title}")
-
-
-def _legend(figure: Figure) -> None:
-    """What all panels show, below them."""
-    shown: dict[str, Any] = {}
-    for axes in figure.axes:
-        handles, labels = axes.get_legend_handles_labels()
-        shown |= dict(zip(labels, handles, strict=True))
-    figure.legend(
-        shown.values(), shown.keys(), loc="outside lower center", ncols=5, frameon=False, fontsize=8,
-        columnspacing=1.0, handletextpad=0.4,
-    )  # fmt: skip
-
-
-def _for_page(svg: str, prefix: str, label: str) -> str:
-    """SVG that takes the page's colours, fits its width, and shares no id with another."""
-    svg, prefix = svg[svg.index("<svg") :], html.escape(prefix)
-    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
-    svg = re.sub(r'\bid="', f'id="{prefix}-', svg)
-    svg = re.sub(r'href="#', f'href="#{prefix}-', svg)
-    svg = re.sub(r"url\(#", f"url(#{prefix}-", svg)
-    svg = re.sub(
-        r'(<svg[^>]*?) width="[^"]*"', r"\1", re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", svg)
-    )
-    svg = svg.replace("<svg", f'<svg role="img" aria-label="{html.escape(label)}"', 1)
-    for colour, variable in PAGE_COLOURS.items():
-        svg = svg.replace(colour, variable)
-    return svg
+                file = io.BytesIO()
+                figure.savefig(file, format=ending, dpi=DPI, metadata={unsaid: None})
+                made[ending] = file.getvalue()
+        return made
 
 
 def all_pictures(analysis: Analysis) -> list[Picture]:
@@ -131,6 +92,16 @@ def all_pictures(analysis: Analysis) -> list[Picture]:
     return pictures
 
 
+def _of(one: SetupResult) -> str:
+    """Hand, simulator, learner and length."""
+    return f"{subject(one)}, {one.config['run']['total_timesteps']:,} steps"
+
+
+def _label(text: str) -> str:
+    """Of a cell or an arm; the only one there is needs none."""
+    return "" if text == "all" else text
+
+
 def _arm_colours(one: SetupResult) -> dict[str, str]:
     return {arm: ARMS[index % len(ARMS)] for index, arm in enumerate(one.setup.arms)}
 
@@ -138,14 +109,14 @@ def _arm_colours(one: SetupResult) -> dict[str, str]:
 def differences(one: SetupResult, score: str) -> Picture:
     """Every pair's difference by the primary score, and their means with intervals."""
     treatment, control = (one.setup.label(arm) for arm in one.setup.arms[:2])
-    title = f"{treatment} − {control}, {SCORES[score]}: {subject(one)}"
-    panels = [("each pair, mean and 95 % interval", partial(_differences_of, one, score))]
-    return Picture(
-        f"{one.setup.name}_differences", title, panels, (6.4, 1.3 + 0.45 * len(one.comparisons))
-    )
+    label = f"{SCORES[score]}: {treatment} − {control}"
+    title = f"{treatment} − {control}, {SCORES[score]}: each pair, mean and 95 % interval"
+    panels = [("", partial(_differences_of, one, label))]
+    size = 6.4, 1.5 + 0.45 * len(one.comparisons)
+    return Picture(f"{one.setup.name}_differences", title, _of(one), panels, size)
 
 
-def _differences_of(one: SetupResult, score: str, axes: Axes) -> None:
+def _differences_of(one: SetupResult, label: str, axes: Axes) -> None:
     axes.axvline(0, color=INK, linewidth=0.8)
     for row, found in enumerate(one.comparisons.values()):
         pairs, is_first = found.verdict.pairs, row == 0
@@ -155,9 +126,7 @@ def _differences_of(one: SetupResult, score: str, axes: Axes) -> None:
         )
         if len(gaps):
             _bar(axes, row, pairs.difference, ARMS[0], "s", "their mean" * is_first)
-    axes.set_yticks(range(len(one.comparisons)), list(one.comparisons))
-    names = [one.setup.label(arm) for arm in one.setup.arms[:2]]
-    label = f"{SCORES[score]}: {names[0]} − {names[1]}"
+    axes.set_yticks(range(len(one.comparisons)), map(_label, one.comparisons))
     axes.set(ylim=(len(one.comparisons) - 0.5, -0.5), xlabel=label)
     low, high = axes.get_xlim()
     axes.set_xlim(min(low, -0.1), max(high, 0.1))
@@ -165,10 +134,10 @@ def _differences_of(one: SetupResult, score: str, axes: Axes) -> None:
 
 
 def curves(one: SetupResult) -> Picture:
-    """The paper's Figures 3 and 5: a panel per cell, IQM with interval, runs behind it."""
-    title = f"Learning curves, IQM with 95 % interval, every run: {subject(one)}"
-    panels = [("" if cell == "all" else cell, partial(_curves_of, one, cell)) for cell in one.cells]
-    return Picture(f"{one.setup.name}_curves", title, panels, (5.2, 3.2))
+    """The paper's Figures 3 and 5: a panel per cell, IQM with interval and every run."""
+    panels = [(_label(cell), partial(_curves_of, one, cell)) for cell in one.cells]
+    title = "Learning curves: IQM with 95 % interval, and every run"
+    return Picture(f"{one.setup.name}_curves", title, _of(one), panels, (5.2, 3.2))
 
 
 def _curves_of(one: SetupResult, cell: str, axes: Axes) -> None:
@@ -176,11 +145,13 @@ def _curves_of(one: SetupResult, cell: str, axes: Axes) -> None:
         group = one.groups.get((cell, arm))
         if group is None:
             continue
-        faintness = min(0.55, 2 / len(group))  # many runs must not bury their aggregate
-        axes.plot(one.steps, group.curves.T, color=colour, lw=0.6, alpha=faintness, zorder=1)
-        axes.fill_between(one.steps, *group.iqm_bounds.T, color=colour, alpha=0.4, lw=0, zorder=2)
-        marker, label = "o" if len(one.steps) == 1 else None, one.setup.label(arm)
-        axes.plot(one.steps, group.iqm_curve, color=colour, lw=1.8, label=label, marker=marker)
+        # Bands below everything and so light that two of them do not mix to a third colour.
+        axes.fill_between(one.steps, *group.iqm_bounds.T, color=colour, alpha=0.13, lw=0, zorder=1)
+        axes.plot(one.steps, group.curves.T, color=colour, lw=0.6, alpha=0.6, zorder=2)
+        marker, label = "o" if len(one.steps) == 1 else None, _label(one.setup.label(arm)) or "IQM"
+        axes.plot(
+            one.steps, group.iqm_curve, color=colour, lw=2.2, label=label, marker=marker, zorder=3
+        )
     axes.set(xlabel="environment steps", ylabel=one.setup.measure.replace("_", " "), ylim=(-0.02, 1.02))
     axes.xaxis.set_major_locator(matplotlib.ticker.MaxNLocator(4))
     axes.xaxis.set_major_formatter(matplotlib.ticker.EngFormatter(sep=""))
@@ -189,10 +160,10 @@ def _curves_of(one: SetupResult, cell: str, axes: Axes) -> None:
 def converged(one: SetupResult) -> Picture:
     """The paper's Figures 4 and 6: median, IQM and mean of converged rates, a panel per arm."""
     arms = [arm for arm in one.setup.arms if any(arm == a for _, a in one.groups)]
-    height = 1.1 + 0.62 * len(one.cells)
-    title = f"Converged success rates, the paper's measure, 95 % intervals: {subject(one)}"
-    panels = [(one.setup.label(arm), partial(_converged_of, one, arm)) for arm in arms]
-    return Picture(f"{one.setup.name}_converged", title, panels, (5.2, height))
+    panels = [(_label(one.setup.label(arm)), partial(_converged_of, one, arm)) for arm in arms]
+    title = "Converged success rates, the paper's measure, with 95 % intervals"
+    size = 5.2, 1.3 + 0.62 * len(one.cells)
+    return Picture(f"{one.setup.name}_converged", title, _of(one), panels, size)
 
 
 def _converged_of(one: SetupResult, arm: str, axes: Axes) -> None:
@@ -213,7 +184,7 @@ def _converged_of(one: SetupResult, arm: str, axes: Axes) -> None:
         if theirs:
             _bar(axes, row + 0.33, theirs["iqm"], INK, "x", "IQM in the paper" * is_first)
     axes.set(ylim=(len(cells) - 0.4, -0.6), xlim=(-0.02, 1.02), xlabel="converged success rate")
-    axes.set_yticks(range(len(cells)), cells)
+    axes.set_yticks(range(len(cells)), map(_label, cells))
     axes.grid(axis="y", visible=False)
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from dataclasses import dataclass
-from functools import cache
 from importlib.resources import files
 from typing import Any
 
-from ..statistics import Estimate, Metric
+import scipy
+
+from ..statistics import CONFIDENCE, Estimate, Metric
 
 
 @dataclass(frozen=True)
@@ -16,7 +18,6 @@ class Published:
     """One of the paper's two tables."""
 
     table: int
-    runs: int
     steps: int
     """Of a run."""
     estimates: dict[tuple[str, str], dict[Metric, Estimate]]
@@ -25,25 +26,26 @@ class Published:
     """By cell: share of the control's interval that the main runs' covers."""
 
 
-@cache
-def _tables() -> dict[str, Any]:
-    return tomllib.loads(files(__package__).joinpath("published.toml").read_text(encoding="utf-8"))
-
-
 def find(config: dict[str, Any]) -> Published | None:
     """What the paper has for the set-up of a run's config.json; None where it has nothing."""
-    scene = config.get("scene") or {}
-    mine = (config["run"]["algo"], config["run"]["env"], scene.get("simulator"))
-    for data in _tables().values():
+    run, scene = config["run"], config.get("scene") or {}
+    text = files(__package__).joinpath("published.toml").read_text(encoding="utf-8")
+    for data in tomllib.loads(text).values():
+        mine = run["algo"], run["env"], scene.get("simulator")
         if (data["algo"], data["env"], data["simulator"]) == mine:
-            return _published(data)
+            estimates: dict[tuple[str, str], dict[Metric, Estimate]] = {}
+            for layout, run_type, *values in data["rows"]:
+                named = zip(("median", "iqm", "mean"), values[:3], values[3:], strict=True)
+                estimates[f"layout {layout}", run_type] = {m: Estimate(v, *i) for m, v, i in named}  # type: ignore[misc]
+            overlaps = {f"layout {i}": share for i, share in enumerate(data["overlap"], 1)}
+            return Published(data["table"], data["steps"], estimates, overlaps)
     return None
 
 
-def _published(data: dict[str, Any]) -> Published:
-    estimates: dict[tuple[str, str], dict[Metric, Estimate]] = {}
-    for layout, run_type, median, iqm, mean, *intervals in data["rows"]:
-        values = zip(("median", "iqm", "mean"), (median, iqm, mean), intervals, strict=True)
-        estimates[f"layout {layout}", run_type] = {m: Estimate(v, *i) for m, v, i in values}  # type: ignore[misc]
-    overlaps = {f"layout {i}": share for i, share in enumerate(data["overlap"], 1)}
-    return Published(data["table"], data["runs"], data["steps"], estimates, overlaps)
+def power(treatment: Estimate, control: Estimate, alpha: float = 0.05) -> float:
+    """Power of a z test to find the difference of two published means again, from their intervals."""
+    to_error = 2 * scipy.stats.norm.isf((1 - CONFIDENCE) / 2)
+    errors = [(one.high - one.low) / to_error for one in (treatment, control)]
+    shift = abs(treatment.value - control.value) / math.hypot(*errors)
+    critical = scipy.stats.norm.isf(alpha / 2)
+    return float(scipy.stats.norm.cdf(shift - critical) + scipy.stats.norm.cdf(-critical - shift))

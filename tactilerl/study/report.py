@@ -5,6 +5,7 @@ The same records give the same bytes: no file holds a date or a path.
 
 from __future__ import annotations
 
+from base64 import b64encode
 from pathlib import Path
 from typing import Any
 
@@ -16,24 +17,27 @@ from .analysis import Analysis
 from .figures import Picture
 from .tables import Table
 
+PARTS = ("comparisons", "differences", "curves", "measures", "converged", "paper")
+LAST = ["cost", "deviations", "versions", "runs"]
+
 
 def write(analysis: Analysis, folder: Path) -> Path:
     """Write everything into `folder`, over what an earlier report left there; returns report.html."""
-    for name in ("tables", "figures"):
-        (folder / name).mkdir(parents=True, exist_ok=True)
-    all_tables, pictures = tables.all_tables(analysis), figures.all_pictures(analysis)
-    for table in all_tables:
-        for ending, text in table.formats().items():
-            _write(folder / "tables" / f"{table.name}.{ending}", text)
-    for picture in pictures:
-        picture.save(folder / "figures")
-    path = folder / "report.html"
-    _write(path, page(analysis, all_tables, pictures))
-    return path
+    parts: list[Picture | Table] = [*figures.all_pictures(analysis), *tables.all_tables(analysis)]
+    files: dict[Path, bytes] = {}
+    for part in parts:
+        place = folder / ("tables" if isinstance(part, Table) else "figures") / part.name
+        files |= {place.with_name(f"{part.name}.{end}"): text for end, text in part.formats().items()}
+    images = {path.stem: b64encode(files[path]).decode() for path in files if path.suffix == ".svg"}
+    files[folder / "report.html"] = _page(analysis, parts, images).encode()
+    for path, content in files.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as file:
+            file.write(content)
+    return folder / "report.html"
 
 
-def page(analysis: Analysis, all_tables: list[Table], pictures: list[Picture]) -> str:
-    """report.html"""
+def _page(analysis: Analysis, parts: list[Picture | Table], images: dict[str, str]) -> str:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("tactilerl.study", "."),
         autoescape=True,
@@ -47,35 +51,22 @@ def page(analysis: Analysis, all_tables: list[Table], pictures: list[Picture]) -
         provenance=summary.provenance(analysis.records),
         answers=summary.answers(analysis),
         warnings=summary.warnings(analysis),
-        sections=_sections(analysis, all_tables, pictures),
-        colours=figures.ARMS,
+        sections=_sections(analysis, parts),
+        images=images,
     )
 
 
-def _sections(
-    analysis: Analysis, all_tables: list[Table], pictures: list[Picture]
-) -> list[dict[str, Any]]:
+def _sections(analysis: Analysis, parts: list[Picture | Table]) -> list[dict[str, Any]]:
     """Headings with the figures and tables below them, in order."""
-    parts: list[Picture | Table] = [*pictures, *all_tables]
-    sections = []
-    for one in analysis.setups:
-        names = [f"{one.setup.name}_{part}" for part in PARTS]
-        sections.append((f"setup-{one.setup.name}", f"{one.setup.name}: {summary.subject(one)}", names))
-    sections.append(("over", "Over the set-ups", list(OVER)))
-    sections.append(("runs", "Runs, cost and versions", ["cost", "deviations", "versions", "runs"]))
-    found = []
-    for key, title, names in sections:
-        own = [part for name in names for part in parts if part.name == name]
-        if own:
-            shown = [(isinstance(part, Picture), part) for part in own]
-            found.append({"key": key, "title": title, "parts": shown})
-    return found
-
-
-PARTS = ("comparisons", "differences", "curves", "measures", "converged", "paper")
-OVER = ("agreement", "mixed_model")
-
-
-def _write(path: Path, text: str) -> None:
-    with replacing(path) as file:
-        file.write(text.encode())
+    names = {
+        (f"setup-{one.setup.name}", f"{one.setup.name}: {summary.subject(one)}"): [
+            f"{one.setup.name}_{kind}" for kind in PARTS
+        ]
+        for one in analysis.setups
+    }
+    names["runs", "Runs, cost and versions"] = LAST
+    sections = [
+        {"key": key, "title": title, "parts": [p for name in own for p in parts if p.name == name]}
+        for (key, title), own in names.items()
+    ]
+    return [section for section in sections if section["parts"]]

@@ -36,14 +36,9 @@ MEASURES = {
 }
 
 
-def _config(one: SetupResult) -> dict[str, Any]:
-    """Of a run of the set-up."""
-    return next((r.config for r in one.records if r.config), {})
-
-
 def subject(one: SetupResult) -> str:
     """Hand, simulator and learner: `MPL hand in PyBullet, PPO`."""
-    config = _config(one)
+    config = one.config
     if not config:
         return one.setup.name
     env, learner = (NAMES.get(config["run"][name], config["run"][name]) for name in ("env", "algo"))
@@ -54,7 +49,7 @@ def subject(one: SetupResult) -> str:
 
 def about(one: SetupResult, score: str) -> str:
     """What was compared, in a sentence or two."""
-    config = _config(one)
+    config = one.config
     scene = config.get("scene") or {}
     told = "" if scene.get("object_seen", "exact") == "exact" else f"object {scene['object_seen']}"
     length = config.get("run", {}).get("total_timesteps")
@@ -219,6 +214,4 @@ def warnings(analysis: Analysis, few: int = FEW_RUNS) -> list[str]:
     ]
     if diverged:
         found.append(f"Episodes diverged in {plural(len(diverged), 'run')}: see Runs.")
-    if isinstance(analysis.mixed, str) and len([o for o in analysis.setups if o.comparisons]) > 1:
-        found.append(analysis.mixed[0].upper() + analysis.mixed[1:] + ".")
     return found

@@ -1,0 +1,177 @@
+"""What the set-ups of a collected study say together: the order of the cells, and a mixed model.
+
+    python -m benchmarks over_setups docs/data/pilot.csv.gz
+
+Two or more set-ups with the same three or more cells, such as the paper's two with its six layouts:
+do they put them into the same order? Set-ups that cross hands, simulators and algorithms: is the
+treatment's effect the same in all of them?
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import scipy.stats
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.command import parser, write
+from tactilerl import statistics
+from tactilerl.statistics import Array, Estimate
+from tactilerl.study import records
+from tactilerl.study.analysis import SetupResult, analyse, pair
+
+Orders = dict[str, Estimate]
+"""Rank correlation by what the cells are ordered by."""
+
+
+class Term(NamedTuple):
+    """A fixed effect of the mixed model."""
+
+    name: str
+    effect: Estimate
+    p_value: float
+
+
+def rank_agreement(values: Array, resampled: Array | None = None) -> Estimate:
+    """Do set-ups put the cells (layouts) into the same order? Mean Spearman correlation over pairs
+    of set-ups.
+
+    `values` (setups, cells) and, for the interval, `resampled` (setups, cells, n_resamples).
+    Resampling adds noise to the ranks, so the interval leans towards 0. NaN where a set-up has all
+    cells alike.
+    """
+    value = float(_mean_spearman(values[..., None])[0])
+    drawn = np.empty(0) if resampled is None else _mean_spearman(resampled)
+    return Estimate(value, *statistics.percentile_interval(drawn))
+
+
+def _mean_spearman(values: Array) -> Array:
+    """(setups, cells, n) → (n,)"""
+    ranks = scipy.stats.rankdata(values, axis=1)
+    centred = ranks - ranks.mean(axis=1, keepdims=True)
+    norms = np.sqrt((centred**2).sum(axis=1))
+    first, second = np.triu_indices(len(values), k=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        pairs = (centred[first] * centred[second]).sum(axis=1) / (norms[first] * norms[second])
+    return np.asarray(pairs.mean(axis=0))
+
+
+def mixed_model(
+    scores: Array, is_treatment: Array, factors: Mapping[str, Sequence[str]], cells: Sequence[str]
+) -> list[Term]:
+    """Is the treatment's effect the same over hands, simulators and algorithms? (statsmodels'
+    MixedLM)
+
+    score ~ treatment x (each factor of two or more levels) + random intercept per cell (set-up x
+    layout); every argument has one entry a run. Effects against the first level of each factor.
+    ValueError where the model cannot be fitted.
+    """
+    import pandas as pd
+    from statsmodels.formula.api import mixedlm
+
+    varied = {name: levels for name, levels in factors.items() if len(set(levels)) > 1}
+    table = pd.DataFrame({"score": scores, "treatment": np.asarray(is_treatment, int), **varied})
+    table["cell"] = list(cells)
+    # Interactions of the treatment with each factor, not of the factors with each other.
+    terms = " + ".join(f"C({name})" for name in varied)
+    formula = "score ~ treatment" + (f" * ({terms})" if varied else "")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a variance of cells at its bound 0 is no fault
+        try:
+            fit = mixedlm(formula, table, groups=table["cell"]).fit(reml=True)
+        except np.linalg.LinAlgError as error:
+            raise ValueError(f"the mixed model cannot be fitted: {error}") from error
+    bounds = fit.conf_int(1 - statistics.CONFIDENCE)
+    return [
+        Term(name, Estimate(float(value), *map(float, bounds.loc[name])), float(fit.pvalues[name]))
+        for name, value in fit.fe_params.items()
+    ]
+
+
+def agreements(setups: Sequence[SetupResult], score: str) -> Orders:
+    """Of the cells' order by the treatment alone and by its difference to the control."""
+    compared = [one for one in setups if len(one.comparisons) > 1]
+    cells = list(compared[0].comparisons) if compared else []
+    compared = [one for one in compared if list(one.comparisons) == cells]
+    if len(compared) < 2 or len(cells) < 3:
+        return {}
+    by = {"treatment": _of_treatment, "difference to the control": _of_difference}
+    rng, found = np.random.default_rng(0), {}
+    for name, scores in by.items():
+        runs = [[scores(one, cell, score) for cell in cells] for one in compared]
+        if all(len(each) for row in runs for each in row):
+            drawn = [
+                [statistics.bootstrap(x, "mean", statistics.resample(rng, len(x))) for x in row]
+                for row in runs
+            ]
+            values = np.array([[each.mean() for each in row] for row in runs])
+            found[name] = rank_agreement(values, np.array(drawn))
+    return found
+
+
+def _of_treatment(one: SetupResult, cell: str, score: str) -> Array:
+    return pair(one, cell)[0].scores[score]
+
+
+def _of_difference(one: SetupResult, cell: str, score: str) -> Array:
+    pairs = one.comparisons[cell].verdict.pairs
+    return pairs.treatment - pairs.control
+
+
+def mixed(setups: Sequence[SetupResult], score: str) -> list[Term]:
+    """The terms of the mixed model; ValueError where the set-ups do not cross."""
+    compared = [one for one in setups if one.comparisons]
+    kinds = {one.setup.name: _factors(one) for one in compared}
+    levels = [len({kind[axis] for kind in kinds.values()}) for axis in range(3)]
+    if len(set(kinds.values())) < 2 or math.prod(levels) != len(set(kinds.values())):
+        raise ValueError(
+            "no mixed model: the set-ups do not cross their hands, simulators and algorithms, "
+            "so the effect of one cannot be told from that of another"
+        )
+    rows = [
+        (reached, group.arm == one.setup.arms[0], *kinds[one.setup.name], one.setup.name + cell)
+        for one in compared
+        for cell in one.comparisons
+        for group in pair(one, cell)
+        for reached in group.scores[score]
+    ]
+    scores, treated, hands, simulators, algorithms, cells = zip(*rows, strict=True)
+    axes = {"hand": hands, "simulator": simulators, "algorithm": algorithms}
+    return mixed_model(np.array(scores), np.array(treated), axes, cells)
+
+
+def _factors(one: SetupResult) -> tuple[str, str, str]:
+    """(hand, simulator, algorithm); the environment where it has no hand."""
+    config = next(record.config for record in one.records if record.config)
+    scene = config.get("scene") or {}
+    return config["run"]["env"], scene.get("simulator", "none"), config["run"]["algo"]
+
+
+def main() -> None:
+    """Both tables, or why there is none."""
+    flags = parser(__doc__)
+    flags.add_argument("study", type=Path, help="a study's folder or its collected file")
+    options, console = flags.parse_args(), Console()
+    study, found = records.load(options.study)
+    setups = analyse(study, found).setups
+    orders = agreements(setups, study.primary.score)
+    table = Table("order by", "rank correlation", "95 %", title="Do the set-ups agree on the order?")
+    for by, (value, low, high) in orders.items():
+        table.add_row(by, f"{value:.2f}", f"{low:.2f} to {high:.2f}")
+    console.print(table if orders else "no order: it takes two set-ups with the same three cells")
+    terms = Table("term", "effect", "95 %", "p", title=f"mixed model of the {study.primary.score}")
+    fitted: list[Term] = []
+    try:
+        fitted = mixed(setups, study.primary.score)
+        for name, (value, low, high), p in fitted:
+            terms.add_row(name, f"{value:.3f}", f"{low:.3f} to {high:.3f}", f"{p:.3f}")
+        console.print(terms)
+    except ValueError as error:
+        console.print(str(error))
+    write(options.out, {"agreement": orders, "mixed_model": fitted})

@@ -1,0 +1,104 @@
+"""What set-ups say together, beside the studies: `python -m benchmarks over_setups`, and BCa."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy import stats
+from study_records import PAPER_LIKE, make_study
+
+from benchmarks.studies import over_setups
+from benchmarks.studies.coverage import bca_interval
+from tactilerl import statistics
+from tactilerl.study import analysis, records
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(1)
+
+
+class TestOverSetups:
+    def test_rank_agreement_is_spearmans(self, rng):
+        values = rng.random((2, 6))
+        assert over_setups.rank_agreement(values).value == pytest.approx(
+            stats.spearmanr(*values).statistic
+        )
+
+    def test_same_and_opposite_order(self, rng):
+        order = np.arange(5.0)
+        sure = np.repeat(np.stack([order, order * 2])[..., None], 100, axis=2)
+        assert_allclose(over_setups.rank_agreement(sure[..., 0], sure), [1, 1, 1])
+        assert over_setups.rank_agreement(np.stack([order, -order])).value == pytest.approx(-1)
+        unsure = sure + rng.normal(0, 3, sure.shape)
+        _, low, high = over_setups.rank_agreement(sure[..., 0], unsure)
+        assert low < 0.5 < high
+
+    def test_mixed_model_finds_what_was_put_in(self, rng):
+        rows = [
+            (hand, simulator, layout, treatment)
+            for hand in "ab" for simulator in "cd" for layout in range(6) for treatment in (0, 1)
+            for _ in range(10)
+        ]  # fmt: skip
+        offsets = dict(zip({row[:3] for row in rows}, rng.normal(0, 0.05, 24), strict=True))
+        scores = np.array(
+            [0.5 + 0.1 * t + 0.2 * t * (h == "b") + offsets[h, m, c] for h, m, c, t in rows]
+        )
+        scores += rng.normal(0, 0.02, len(rows))
+        factors = {
+            "hand": [r[0] for r in rows],
+            "simulator": [r[1] for r in rows],
+            "algorithm": ["x"] * len(rows),
+        }
+        cells = [f"{r[0]}{r[1]}{r[2]}" for r in rows]
+        terms = {
+            t.name: t
+            for t in over_setups.mixed_model(scores, np.array([r[3] for r in rows]), factors, cells)
+        }
+        assert terms["treatment"].effect.value == pytest.approx(0.1, abs=0.01)
+        assert terms["treatment:C(hand)[T.b]"].effect.value == pytest.approx(0.2, abs=0.01)
+        assert terms["treatment:C(hand)[T.b]"].p_value < 0.001
+        assert (
+            terms["treatment:C(simulator)[T.d]"].effect.low
+            < 0
+            < terms["treatment:C(simulator)[T.d]"].effect.high
+        )
+        assert not [name for name in terms if "algorithm" in name]
+
+
+class TestStudies:
+    def test_set_ups_agree_on_the_order_that_was_put_in(self, tmp_path, monkeypatch, capsys):
+        folder = make_study(tmp_path / "study")
+        args = ["over_setups", str(folder.path), "--out", str(tmp_path / "out.json")]
+        monkeypatch.setattr(sys, "argv", args)
+        over_setups.main()
+        assert "do not cross" in capsys.readouterr().out
+        found = json.loads((tmp_path / "out.json").read_text())["agreement"]
+        assert list(found) == ["treatment", "difference to the control"]
+        assert found["treatment"][0] == pytest.approx(1)
+
+    def test_a_mixed_model_only_where_set_ups_cross(self, tmp_path):
+        text = PAPER_LIKE[: PAPER_LIKE.index("[setups.pybullet]")].replace("[1, 2, 5]", "[2]")
+        for hand in ("mpl", "shadow"):
+            for simulator in ("mujoco", "pybullet"):
+                text += f'[setups.{hand}_{simulator}]\nenv = "{hand}"\nsimulator = "{simulator}"\n'
+        crossed = analysis.analyse(*records.load(make_study(tmp_path / "crossed", text).path), 500)
+        terms = [term.name for term in over_setups.mixed(crossed.setups, "area")]
+        assert "treatment:C(hand)[T.shadow]" in terms
+        assert "treatment:C(simulator)[T.pybullet]" in terms
+        assert not [term for term in terms if "algorithm" in term]
+
+
+class TestBCa:
+    def test_bca_is_scipys(self, rng):
+        scores = rng.beta(0.5, 0.2, 12)
+        ours = bca_interval(scores, "mean", statistics.resample(rng, 12, 20_000))
+        theirs = stats.bootstrap((scores,), np.mean, method="BCa", n_resamples=20_000, rng=rng)
+        assert_allclose(ours, theirs.confidence_interval, atol=0.01)
+
+    @pytest.mark.parametrize("scores", [[0.4], [0.4, 0.4, 0.4]])
+    def test_runs_alike_have_no_bca(self, rng, scores):
+        counts = statistics.resample(rng, len(scores), 100)
+        assert np.isnan(bca_interval(np.array(scores), "iqm", counts)).all()
