@@ -436,17 +436,26 @@ def truth_names(hand: Hand, taxel_names: Sequence[str]) -> list[str]:
     return [*names, *(f"taxel {name}" for name in taxel_names)]
 
 
+STAGES: list[Callable[[SensorConfig, int], Stage | None]] = [
+    lambda config, n: (
+        FalseReadings(config.taxel_false_on, config.taxel_false_off)
+        if config.taxel_false_on or config.taxel_false_off
+        else None
+    ),
+    lambda config, n: (
+        Broken(n, config.taxel_dead, config.taxel_stuck, config.hand_seed or 0)
+        if config.taxel_dead or config.taxel_stuck
+        else None
+    ),
+    lambda config, n: Delay(config.taxel_delay) if config.taxel_delay else None,
+]
+"""What happens to the readings (n,) of taxels, where it is asked for: they flip at random, a sensor
+that is broken says the same whatever it feels, and all of it is late."""
+
+
 def taxel_stages(config: SensorConfig, n: int) -> list[Stage]:
-    """What happens to the readings (n,) of taxels: they flip at random, a sensor that is broken
-    says the same whatever it feels, and all of it is late."""
-    stages: list[Stage] = []
-    if config.taxel_false_on or config.taxel_false_off:
-        stages.append(FalseReadings(config.taxel_false_on, config.taxel_false_off))
-    if config.taxel_dead or config.taxel_stuck:
-        stages.append(Broken(n, config.taxel_dead, config.taxel_stuck, config.hand_seed or 0))
-    if config.taxel_delay:
-        stages.append(Delay(config.taxel_delay))
-    return stages
+    """Those of STAGES that a configuration asks for."""
+    return [stage for made in STAGES if (stage := made(config, n)) is not None]
 
 
 def _remembered(names: list[str], history: int) -> list[str]:

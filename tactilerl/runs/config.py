@@ -19,7 +19,7 @@ from .. import algos, envs
 from ..algos import recipes
 from ..envs import hands, layouts, scenes, typed
 from ..envs.choices import require_known
-from ..envs.grasp import GraspConfig, setup
+from ..envs.grasp import GraspConfig, GraspEnv, setup
 from ..envs.scenes import NamedScene
 from ..errors import InputError, input_errors
 
@@ -134,12 +134,14 @@ class RunConfig:
             )
         if self.hand:
             self._require_same_hand()
-        choices = dataclasses.asdict(self.scene) if self.scene is not None else {}
-        if choices.get("hand_seed", 0) is None:
+        if self.scene is None:
+            return partial(envs.make, self.run.env)
+        choices: dict[str, Any] = {}
+        if self.scene.hand_seed is None:
             choices["hand_seed"] = self.run.seed
         if self.layout_file and self.folder and (self.folder / LAYOUT_COPY).is_file():
             choices["layout"] = str(self.folder / LAYOUT_COPY)
-        return partial(envs.make, self.run.env, **choices)
+        return partial(GraspEnv, self.run.env, dataclasses.replace(self.scene, **choices))
 
     def _require_same_hand(self) -> None:
         try:
