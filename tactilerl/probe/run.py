@@ -29,7 +29,7 @@ from ..runs.training import free_cores, start_workers
 from . import analysis, estimators, figures, files, selection
 from .analysis import Choices
 from .files import Played
-from .grasps import PolicyGrasps, Measured, Scenes, ScriptedGrasps
+from .grasps import Measured, PolicyGrasps, Scenes, ScriptedGrasps
 from .metrics import AUC
 from .options import AnalysisFlags, GraspFlags, Options
 from .play import play
