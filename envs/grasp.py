@@ -99,6 +99,7 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
         for name, allowed in (
             ("simulator", tuple(simulators.SIMULATORS)),
             ("touch", tuple(touch.RULES)),
+            ("task", tuple(tasks.TASKS)),
         ):
             if (found := getattr(self, name)) not in allowed:
                 raise ValueError(f"{name}: found {found!r}, allowed: {', '.join(allowed)}")
