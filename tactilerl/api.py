@@ -32,6 +32,7 @@ from .algos.policy import Policy
 from .algos.spaces import Spaces
 from .envs import typed, vector
 from .envs.choices import require_known
+from .errors import PEERS
 from .runs import config, evaluation, policies, training
 from .runs.config import RunOptions
 from .runs.run_dir import RunDir
@@ -76,7 +77,7 @@ class Learner:
         """
         defaults = recipes.recipe(self.algo, recipe)
         options = dict(seed=seed, workers=workers, device=device, threads=threads, matmul=matmul)
-        require_known(hyperparameters, typed.names(defaults) | {*options, "recipe"})
+        require_known(hyperparameters, typed.names(defaults) | {*options, "recipe"}, PEERS)
         self.config = typed.replace(defaults, hyperparameters)
         self._run = typed.replace(RunOptions(algo=self.algo), options)
         for part in (self._run, self.config):
@@ -109,7 +110,7 @@ class Learner:
         Raises DivergenceError (a FloatingPointError) when an observation, a reward, a loss or a
         parameter is no longer finite, and ValueError when the learner cannot use the rewards.
         """
-        require_known(unknown, ("total_timesteps", "progress", "callback"))
+        require_known(unknown, ("total_timesteps", "progress", "callback"), PEERS)
         if isinstance(total_timesteps, float) and total_timesteps % 1 == 0:  # 1e5
             total_timesteps = int(total_timesteps)
         run = typed.replace(self._run, {"total_timesteps": total_timesteps})

@@ -1,6 +1,7 @@
 """DDPG+HER: targets, target networks, gradients and order of operations against derivations."""
 
 import copy
+import dataclasses
 import math
 import pickle
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from tactilerl.algos import DivergenceError
+from tactilerl.algos import DivergenceError, recipes
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig, targets
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.networks import FlatAdam
@@ -124,6 +125,17 @@ class TestTargets:
             tensors = type(batch)(*map(torch.from_numpy, batch))
             _, _, target = learner._prepared(tensors)
             assert torch.equal(target, tensors.reward) == is_cut
+
+
+class TestRecipes:
+    def test_the_papers_is_the_default(self):
+        assert recipes.recipe("ddpg_her") == DDPGHERConfig()
+
+    def test_steady_learns(self):
+        config = dataclasses.asdict(recipes.recipe("ddpg_her", "steady")) | SMALL
+        learner = trained(2, make(**config))
+        assert learner.adam.share < 1.0
+        assert learner.config.polyak < DDPGHERConfig().polyak
 
 
 class TestStepSizes:

@@ -21,7 +21,7 @@ from ..envs import hands, layouts, scenes, typed
 from ..envs.choices import require_known
 from ..envs.grasp import GraspConfig, GraspEnv, setup
 from ..envs.scenes import NamedScene
-from ..errors import InputError, input_errors
+from ..errors import PEERS, InputError, input_errors
 
 Workers = Annotated[int, "[1, 256]"] | None
 """More than any machine has cores would be a slip, and a process each."""
@@ -93,7 +93,7 @@ class RunConfig:
     def choose(self, choices: Mapping[str, Any]) -> RunConfig:
         """A copy with other values of some fields, by name; ValueError naming an unknown field."""
         own = {name: typed.names(part) for name, part in self.parts.items()}
-        require_known(choices, set().union(*own.values()))
+        require_known(choices, set().union(*own.values()), PEERS)
         chosen = {name: {k: choices[k] for k in choices if k in own[name]} for name in own}
         parts = {name: typed.replace(part, chosen[name]) for name, part in self.parts.items()}
         return dataclasses.replace(self, **parts)
@@ -208,7 +208,7 @@ def defaults(
     with input_errors("--algo"):
         config_type, _ = algos.get(algo)
     with input_errors(f"scene {scene}: train"):
-        require_known(train, {"total_timesteps", *typed.names(config_type)})
+        require_known(train, {"total_timesteps", *typed.names(config_type)}, PEERS)
     if scene and not hands.is_hand(env):
         raise InputError(f"--env: found {env!r} with --scene, allowed: {hands.allowed()}")
     paper = algos.ALGORITHMS[algo]

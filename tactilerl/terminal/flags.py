@@ -12,7 +12,7 @@ import tyro
 
 from ..envs import typed
 from ..envs.choices import meant
-from ..errors import InputError, input_errors
+from ..errors import PEERS, InputError, input_errors
 
 try:
     from tyro._errors import on_parse_error
@@ -66,7 +66,7 @@ def _reason(event: Any, args: Sequence[str], kind: type) -> str | None:
         case "UnrecognizedArgs", {"tokens": [token, *_]}:
             name = token.partition("=")[0].removeprefix("--").replace("-", "_")
             no = "no_" if name.startswith("no_") else ""
-            known = meant(name.removeprefix(no), list(_names(kind)))
+            known = meant(name.removeprefix(no), list(_names(kind)), PEERS)
             likely = " or ".join(of_field(no + field) for field in known)
             hint = f"did you mean {likely}?" if likely else "which is no flag"
             return f"found {token!r}, {hint}"
