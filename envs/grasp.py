@@ -68,7 +68,10 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
 
     def validate(self) -> None:
         """Raise ValueError naming what is not there or does not go together; ranges are in types."""
-        for name, known in (("simulator", simulators.SIMULATORS), ("touch", touch.RULES)):
+        registered: dict[str, Any] = {
+            "simulator": simulators.SIMULATORS, "touch": touch.RULES, "task": tasks.TASKS
+        }  # fmt: skip
+        for name, known in registered.items():
             if (found := getattr(self, name)) not in known:
                 raise ValueError(f"{name}: found {found!r}, allowed: {', '.join(known)}")
         ratio = self.control_dt / self.timestep

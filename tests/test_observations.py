@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from tactilerl import envs
 from tactilerl.envs import observations
 from tactilerl.envs.observations import Broken, Delay, FalseReadings
-from tactilerl.envs.reflexes import Reflex
+from tactilerl.probe.reflexes import Reflex
 
 BOTH = [
     pytest.param("shadow", "mujoco"),

@@ -29,7 +29,7 @@ from ..runs.training import free_cores, start_workers
 from . import analysis, estimators, figures, files, selection
 from .analysis import Choices
 from .files import Played
-from .grasps import PolicyGrasps, Record, Scenes, ScriptedGrasps
+from .grasps import Measured, PolicyGrasps, Scenes, ScriptedGrasps
 from .metrics import AUC
 from .options import AnalysisFlags, GraspFlags, Options
 from .play import play
@@ -41,7 +41,7 @@ class Playing(NamedTuple):
 
     settings: dict[str, Any]
     contact_places: tuple[Place, ...]
-    task: Job[Record]
+    task: Job[Measured]
     start: Callable[[int], vector.Workers]
     """By their number."""
     out: Path

@@ -13,9 +13,9 @@ from itertools import chain, product, repeat
 
 import numpy as np
 
-from .grasp import GraspEnv
-from .hands import Array
-from .scripted import LIFT_HEIGHT, grasp_for, legs
+from ..envs.grasp import GraspEnv
+from ..envs.hands import Array
+from ..envs.scripted import LIFT_HEIGHT, grasp_for, legs
 
 BASELINE = 5  # readings: before, nothing has come to the hand yet
 RESOLUTION = 1e-4  # rad or m: what any joint's reading may be off by
