@@ -95,7 +95,7 @@ $(DOCS): $(TRAINING)
 docs: export NO_MKDOCS_2_WARNING := 1
 docs: $(DOCS)
 	$(BIN)/mkdocs build --strict
-	@echo "The site is in build/site; to read it: $(PYTHON) -m http.server -d build/site"
+	@echo "The site is in build/site: open build/site/index.html"
 
 clean:
 	rm -rf $(VENV) build *.egg-info

@@ -9,7 +9,7 @@ relabelling can recompute them.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal, NamedTuple, Protocol
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
 
 import numpy as np
 
@@ -19,8 +19,7 @@ from .hold import LOOK_STEPS, HoldTest, Verdict
 from .objects import Shape
 from .simulators import Simulator
 from .snapshot import Snapshot
-
-LONGEST_REACH = 0.1  # m: about the length of a finger
+from .typed import Positive
 
 
 @dataclass(frozen=True)
@@ -33,41 +32,31 @@ class TaskConfig:
     reward: Literal["staged", "sparse", "dense", "outcome"] | None = None
     """staged (lift-and-hold), sparse: 0 or -1, dense: -10 x distance (both reach-goal), outcome
     (handover); default: the task's first."""
-    lift_clearance: float = 0.03
+    lift_clearance: Positive = 0.03
     """lift-and-hold: height of the object's lowest point at which it counts as lifted, m."""
-    hold_seconds: float = 20.0
+    hold_seconds: Positive = 20.0
     """lift-and-hold and handover: length of the hold test, s (paper: 5,000 timesteps)."""
     hold_verdict: Verdict = "full"
     """lift-and-hold and handover: full, or settled, a test of about 1 s that is sometimes wrong. See
     docs/concepts/tasks.md."""
-    handover_reach: float = 0.0
+    handover_reach: Annotated[float, "[0, 0.1]"] = 0.0
     """handover: how far from the finger bases towards the fingertips the object is held, m; 0: against
     the palm."""
-    goal_height: float = 0.08
+    goal_height: Positive = 0.08
     """reach-goal: height of the goal above the object's start without jitter, m."""
     goal_range: float = 0.0
     """reach-goal: largest random offset of the goal along x, y and z, m."""
-    goal_tolerance: float = 0.03
+    goal_tolerance: Positive = 0.03
     """reach-goal: largest distance from the goal that counts as success, m."""
 
 
 def validate(config: TaskConfig) -> None:
     """ValueError naming the first invalid field."""
-    if config.task not in TASKS:
-        raise ValueError(f"task: found {config.task!r}, allowed: {', '.join(TASKS)}")
-    for name in ("lift_clearance", "hold_seconds", "goal_height", "goal_tolerance"):
-        value = getattr(config, name)
-        if not (np.isfinite(value) and value > 0):
-            raise ValueError(f"{name}: found {value}, allowed a finite number above 0")
     if not 0 <= config.goal_range <= config.goal_height:
         allowed = f"from 0 to goal_height, {config.goal_height:g} m"
         raise ValueError(f"goal_range: found {config.goal_range} m, allowed {allowed}")
     if config.goal_range and config.task != "reach-goal":
         raise ValueError(f"goal_range: found {config.goal_range}, allowed only with task reach-goal")
-    if not 0 <= config.handover_reach <= LONGEST_REACH:
-        raise ValueError(
-            f"handover_reach: found {config.handover_reach} m, allowed from 0 to {LONGEST_REACH} m"
-        )
     if config.handover_reach and config.task != "handover":
         raise ValueError(
             f"handover_reach: found {config.handover_reach}, allowed only with task handover"
@@ -76,6 +65,19 @@ def validate(config: TaskConfig) -> None:
     if config.reward is not None and config.reward not in rewards:
         allowed = ", ".join(rewards)
         raise ValueError(f"reward: found {config.reward!r}, allowed for {config.task}: {allowed}")
+
+
+class Start(NamedTuple):
+    """How hand and object begin an episode."""
+
+    joints: Array
+    """Positions (n_joints,) in the order of the hand's ``joints``, rad and m."""
+    targets: Array
+    """(n_actuators,) that the hand is held to at first."""
+    position: Array
+    """Of the object (3,), m."""
+    yaw: float
+    """Of the object, rad."""
 
 
 class Judgement(NamedTuple):
@@ -121,9 +123,9 @@ class Task(Protocol):
     def of(cls, config: TaskConfig, hand: Hand, own_timestep: float) -> Task:
         """The task as configured, for a hand whose own timestep is that, s."""
 
-    def place(self, palm: Array, shape: Shape, offset: Array) -> Array:
-        """Where an object (3,) starts that is `offset` (2,) from its place, m. `palm` (3,) is a
-        place on the palm's skin, at the bases of the fingers."""
+    def start(self, usual: Start, palm: Array, shape: Shape) -> Start:
+        """How an episode begins: usually with the hand open above an object on the ground, both a
+        little moved. `palm` (3,) is a place on the palm's skin, at the bases of the fingers."""
 
     def act(self, simulator: Simulator, step: int) -> None:
         """What others do in the scene before the hand's action number `step`, or at the start (0)."""
@@ -147,8 +149,8 @@ class FromTheGround:
     rise: ClassVar[float] = 0.0
     giver: ClassVar[Giver | None] = None
 
-    def place(self, palm: Array, shape: Shape, offset: Array) -> Array:
-        return np.array([*offset, shape.half_size[2]])
+    def start(self, usual: Start, palm: Array, shape: Shape) -> Start:
+        return usual
 
     def act(self, simulator: Simulator, step: int) -> None:
         """Nothing."""
@@ -333,9 +335,10 @@ class Handover:
             raise ValueError(f"control_dt: found {control_dt} s, allowed {fastest:.3f} s or more in a "
                              "handover: the object would not arrive")  # fmt: skip
 
-    def place(self, palm: Array, shape: Shape, offset: Array) -> Array:
-        x, y = offset  # fingers point along -y
-        return palm + np.array([x, y - self.reach, -shape.half_size[2] - self.below])
+    def start(self, usual: Start, palm: Array, shape: Shape) -> Start:
+        x, y, _ = usual.position  # fingers point along -y
+        under = np.array([x, y - self.reach, -shape.half_size[2] - self.below])
+        return usual._replace(position=palm + under)
 
     def begin(self, start: Snapshot, rng: np.random.Generator) -> tuple[Array, Array]:
         self._sets_off = int(rng.integers(self.waits[0], self.waits[1], endpoint=True))

@@ -32,6 +32,7 @@ from .algos.policy import Elsewhere, Policy
 from .algos.spaces import Spaces
 from .envs import typed, vector
 from .envs.choices import require_known
+from .errors import PEERS
 from .runs import config, evaluation, policies, training
 from .runs.config import RunOptions
 from .runs.run_dir import RunDir
@@ -72,7 +73,7 @@ class Learner:
         `seed` is the random seed of everything, `device` PyTorch's device for the networks, `threads`
         PyTorch's threads while learning, `matmul` the precision of the products in updates.
         Hyperparameters are the flags of ``tactilerl train``, with the same defaults:
-        those of `recipe`, "paper" or, for PPO, "steady".
+        those of `recipe`, "paper" or "steady".
 
         Raises ValueError, in one line, for an invalid argument.
         """
@@ -83,7 +84,7 @@ class Learner:
             )
         defaults = recipes.recipe(self.algo, recipe)
         options = dict(seed=seed, workers=workers, device=device, threads=threads, matmul=matmul)
-        require_known(hyperparameters, typed.names(defaults) | {*options, "recipe"})
+        require_known(hyperparameters, typed.names(defaults) | {*options, "recipe"}, PEERS)
         self.config = typed.replace(defaults, hyperparameters)
         self._run = typed.replace(RunOptions(algo=self.algo), options)
         for part in (self._run, self.config):
@@ -116,7 +117,7 @@ class Learner:
         Raises DivergenceError (a FloatingPointError) when an observation, a reward, a loss or a
         parameter is no longer finite, and ValueError when the learner cannot use the rewards.
         """
-        require_known(unknown, ("total_timesteps", "progress", "callback"))
+        require_known(unknown, ("total_timesteps", "progress", "callback"), PEERS)
         if isinstance(total_timesteps, float) and total_timesteps % 1 == 0:  # 1e5
             total_timesteps = int(total_timesteps)
         run = typed.replace(self._run, {"total_timesteps": total_timesteps})
@@ -191,7 +192,7 @@ def evaluate(
     """
     if not isinstance(episodes, Integral) or episodes < 1:
         raise ValueError(f"episodes: found {episodes}, allowed a whole number, 1 or more")
-    config.require_workers(workers)
+    typed.require_type(workers, config.Workers, "workers")
     if isinstance(policy, Learner):
         policy = policy.policy()
     if not isinstance(policy, Policy):

@@ -833,8 +833,10 @@ class TestOtherCommands:
             main(["train", "--help-all"])
         assert stop.value.code == 0
         out = capsys.readouterr().out
-        flags = "algo env simulator task reward layout touch touch-rule total-timesteps workers seed out resume"
-        flags += " device gamma gae-lambda clip-range n-passes action-variance"
+        flags = (
+            "algo env simulator task reward layout touch touch-rule total-timesteps workers seed out"
+        )
+        flags += " resume device gamma gae-lambda clip-range n-passes action-variance"
         for flag in flags.split():
             assert f"--{flag}" in out, flag
 

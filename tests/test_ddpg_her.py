@@ -1,6 +1,7 @@
 """DDPG+HER: targets, target networks, gradients and order of operations against derivations."""
 
 import copy
+import dataclasses
 import math
 import pickle
 
@@ -9,12 +10,12 @@ import numpy as np
 import pytest
 import torch
 
-from tactilerl.algos import DivergenceError
+from tactilerl.algos import DivergenceError, recipes
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig, targets
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.networks import FlatAdam
 from tactilerl.algos.policy import explore
-from tactilerl.envs import vector
+from tactilerl.envs import typed, vector
 
 
 class GoalEnv(gym.Env):
@@ -69,6 +70,7 @@ SMALL = dict(hidden=(16, 16), buffer_size=200, batch_size=8, n_cycles=2, n_batch
 def make(env=None, seed=0, comm=None, **choices):
     config = DDPGHERConfig(**{**SMALL, **choices})
     workers = vector.start(lambda: env or GoalEnv())
+    typed.validate(config)
     return DDPGHER(config, workers, comm or Communicator(), seed, total_timesteps=100)
 
 
@@ -123,6 +125,17 @@ class TestTargets:
             tensors = type(batch)(*map(torch.from_numpy, batch))
             _, _, target = learner._prepared(tensors)
             assert torch.equal(target, tensors.reward) == is_cut
+
+
+class TestRecipes:
+    def test_the_papers_is_the_default(self):
+        assert recipes.recipe("ddpg_her") == DDPGHERConfig()
+
+    def test_steady_learns(self):
+        config = dataclasses.asdict(recipes.recipe("ddpg_her", "steady")) | SMALL
+        learner = trained(2, make(**config))
+        assert learner.adam.share < 1.0
+        assert learner.config.polyak < DDPGHERConfig().polyak
 
 
 class TestStepSizes:

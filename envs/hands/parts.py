@@ -45,21 +45,18 @@ class Parts:
         contacts = data.get("contacts", "others")
         if contacts not in ("others", "model"):
             raise ValueError(f"contacts: found {contacts!r}, allowed: others, model")
-        slides, servos = table(data, "slides"), table(data, "servos")
-        only(slides, {*mounting.SLIDE, "centre", "half_range", "step", "limits"}, "slides")
-        only(servos, set(mounting.SERVOS), "servos")
+        slides = table(data, "slides", {*mounting.SLIDE, "centre", "half_range", "step", "limits"})
+        servos = table(data, "servos", set(mounting.SERVOS))
         for kind in servos:
             only(table(servos, kind), set(mounting.SERVOS[kind]), f"servos.{kind}")
         return Mount(
             model=_model_file(data.get("model"), self.folder),
             palm=str(data.get("palm")),
             drop=strings(data["drop"], "drop") if "drop" in data else (),
-            masses=tuple(numbers(table(data, "masses"), "masses").items()),
+            masses=numbers(table(data, "masses"), "masses"),
             keeps_contacts=contacts == "model",
-            slides=tuple(
-                numbers({k: slides.get(k, v) for k, v in mounting.SLIDE.items()}, "slides").items()
-            ),
-            servos=tuple((k, tuple(numbers(servos[k], f"servos.{k}").items())) for k in servos),
+            slides=numbers({k: slides.get(k, v) for k, v in mounting.SLIDE.items()}, "slides"),
+            servos={k: numbers(servos[k], f"servos.{k}") for k in servos},
         )
 
     @cached_property
@@ -106,7 +103,7 @@ class Parts:
         found = {}
         for joint, about in table(self.data, "couplings").items():
             where = f"couplings.{joint}"
-            only(table({where: about}, where), {"follows", "ratio"}, where)
+            table({where: about}, where, {"follows", "ratio"})
             driver = about.get("follows")
             self.angles({joint: 0, driver: 0}, "couplings")
             found[joint] = joint, str(driver), number(about.get("ratio"), f"{where}.ratio")
@@ -189,7 +186,7 @@ class Parts:
         found = {}
         for name, about in table(self.data, "digits").items():
             where = f"digits.{name}"
-            only(table({where: about}, where), {"links", "tip", "palmar", "base", "base_link"}, where)
+            table({where: about}, where, {"links", "tip", "palmar", "base", "base_link"})
             links = strings(about.get("links"), f"{where}.links")
             for link in links:
                 self.body(link, where)

@@ -7,6 +7,7 @@ import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from rich.console import Console
 from rich.progress import Progress
@@ -48,9 +49,9 @@ class DoctorFlags:
 
     env: str = "shadow"
     """A hand: shadow, mpl, allegro, or the path of a hand's .toml file."""
-    grasps: int = 20
+    grasps: Annotated[int, "[1, inf)"] = 20
     """Grasps per layout, each slightly different."""
-    seconds: float = 3.0
+    seconds: Annotated[float, "[0.05, 60]"] = 3.0
     """Length of each hold, s."""
     out: Path | None = None
     """Picture of the grasp with its taxels to write (extra: render)."""
@@ -103,9 +104,6 @@ def main(args: list[str]) -> int:
     name = read.env
     scene = require_scene(found, name)
     _require_used(scene, name)
-    flags.at_least("--grasps", read.grasps, 1)
-    if not 0.05 <= read.seconds <= 60:
-        raise InputError(f"--seconds: found {read.seconds}, allowed from 0.05 to 60")
     chosen = flags.peek(args, "--layout", "")
     names = [chosen] if chosen else [str(i) for i in range(1, 7)]
     with input_errors():

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..algos.mpi import Communicator
-from ..envs import hands, layouts, vector
+from ..envs import hands, layouts, typed, vector
 from ..envs.grasp import setup
 from ..envs.hands import Array, Hand
 from ..envs.layouts import Layout, Taxels
@@ -29,7 +29,7 @@ from ..runs.training import free_cores, start_workers
 from . import analysis, estimators, figures, files, selection
 from .analysis import Choices
 from .files import Played
-from .grasps import PolicyGrasps, Record, Scenes, ScriptedGrasps
+from .grasps import Measured, PolicyGrasps, Scenes, ScriptedGrasps
 from .metrics import AUC
 from .options import AnalysisFlags, GraspFlags, Options
 from .play import play
@@ -41,7 +41,7 @@ class Playing(NamedTuple):
 
     settings: dict[str, Any]
     contact_places: tuple[Place, ...]
-    task: Job[Record]
+    task: Job[Measured]
     start: Callable[[int], vector.Workers]
     """By their number."""
     out: Path
@@ -119,7 +119,7 @@ def _scripted(grasps: GraspFlags, asking: AnalysisFlags, held: ExitStack) -> Pla
         contact_places = tuple(places.of(layouts.load(config.layout).place(hand)))
     with input_errors():
         for variant in drawn.variants():
-            replace(config, **variant).validate()
+            typed.validate(replace(config, **variant))
     task = ScriptedGrasps(drawn, grasps.seed, grasps.hold_verdict)
     start = partial(vector.start, partial(Scenes, grasps.env, config, drawn.variants()))
     out = Path("probes") / f"{hands.short_name(grasps.env)}_{simulator}"

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from .. import algos, envs
 from ..algos import recipes
@@ -21,9 +21,10 @@ from ..envs import hands, layouts, scenes, typed
 from ..envs.choices import nearest, require_known
 from ..envs.grasp import GraspConfig, GraspEnv, setup
 from ..envs.scenes import NamedScene
-from ..errors import InputError, input_errors
+from ..errors import PEERS, InputError, input_errors
 
-MOST_WORKERS = 256  # more than any machine's cores: a slip, and a process each
+Workers = Annotated[int, "[1, 256]"] | None
+"""More than any machine has cores would be a slip, and a process each."""
 
 
 @dataclass(frozen=True)
@@ -35,19 +36,19 @@ class RunOptions:
     env: str = "shadow"
     """A hand (shadow, mpl, allegro, or a hand's .toml file), a toy (lqr, point-reach), or the id of a
     Gymnasium environment with Box or goal-Dict observations and Box actions."""
-    total_timesteps: int = 500_000
+    total_timesteps: Annotated[int, "[1, 1e15]"] = 500_000
     """Environment steps of the whole run, over all processes."""
-    workers: int | None = None
+    workers: Workers = None
     """Episodes played side by side in each process; default: one per free core. Results do not depend
     on it."""
-    seed: int = 0
+    seed: Annotated[int, "[0, 4294967295]"] = 0
     """Random seed of the whole run."""
     out: str | None = None
     """Run folder; default: runs/ALGO_ENV_..._sSEED. A run that is already there continues if its flags
     are the same."""
     device: str = "cpu"
     """PyTorch device of the networks, such as cuda."""
-    threads: int = 1
+    threads: Annotated[int, "[1, 1000]"] = 1
     """PyTorch threads. Another number can change the last digits of the results."""
     matmul: Literal["float32", "bfloat16"] = "float32"
     """Precision of the matrix products in updates. bfloat16 is faster and coarser; it needs a processor
@@ -56,22 +57,10 @@ class RunOptions:
     """Also write TensorBoard events (extra: tensorboard)."""
 
     def validate(self) -> None:
-        """Raise ValueError naming the first invalid field."""
-        for name, most in (("total_timesteps", 10**15), ("threads", 1000)):
-            if not 1 <= getattr(self, name) <= most:
-                raise ValueError(f"{name}: found {getattr(self, name)}, allowed from 1 to {most}")
-        require_workers(self.workers)
+        """Raise ValueError where the environment cannot be one; ranges are in the types."""
         if not (ENV_ID.fullmatch(self.env) or hands.is_hand(self.env)):
             raise ValueError(f"env: found {self.env!r}, allowed a name, a hand's .toml file, an id or "
                              "module:id")  # fmt: skip
-        if not 0 <= self.seed < 2**32:
-            raise ValueError(f"seed: found {self.seed}, allowed from 0 to 2**32 - 1")
-
-
-def require_workers(n: int | None) -> None:
-    """ValueError for a number of workers that no machine has a use for."""
-    if n is not None and not 1 <= n <= MOST_WORKERS:
-        raise ValueError(f"workers: found {n}, allowed from 1 to {MOST_WORKERS}")
 
 
 PARTS = ("run", "scene", "learner")
@@ -103,7 +92,7 @@ class RunConfig:
     def choose(self, choices: Mapping[str, Any]) -> RunConfig:
         """A copy with other values of some fields, by name; ValueError naming an unknown field."""
         own = {name: typed.names(part) for name, part in self.parts.items()}
-        require_known(choices, set().union(*own.values()))
+        require_known(choices, set().union(*own.values()), PEERS)
         chosen = {name: {k: choices[k] for k in choices if k in own[name]} for name in own}
         parts = {name: typed.replace(part, chosen[name]) for name, part in self.parts.items()}
         return dataclasses.replace(self, **parts)
@@ -220,7 +209,7 @@ def defaults(
         raise InputError(f"--algo: unknown algorithm {algo!r}; {hint}allowed: {', '.join(known)}")
     config_type, _ = algos.get(algo)
     with input_errors(f"scene {scene}: train"):
-        require_known(train, {"total_timesteps", *typed.names(config_type)})
+        require_known(train, {"total_timesteps", *typed.names(config_type)}, PEERS)
     if scene and not hands.is_hand(env):
         raise InputError(f"--env: found {env!r} with --scene, allowed: {hands.allowed()}")
     paper = algos.ALGORITHMS[algo]

@@ -12,9 +12,9 @@ from typing import Any, TypeVar, get_type_hints
 
 import tyro
 
-from ..envs import touch
-from ..envs.choices import PEERS, SAME, meant
-from ..errors import InputError
+from ..envs import touch, typed
+from ..envs.choices import meant
+from ..errors import PEERS, SAME, InputError, input_errors
 from . import help
 
 try:
@@ -49,11 +49,17 @@ def parse(
 
     try:
         with on_parse_error(refuse), contextlib.redirect_stderr(io.StringIO()):
-            return tyro.cli(kind, args=args, prog=prog, config=config, **extra)
+            read = tyro.cli(kind, args=args, prog=prog, config=config, **extra)
     except SystemExit as stop:
         if stop.code in (0, None):
             raise
         raise InputError(f"found flags that are not allowed; see {prog} --help") from None
+    own = getattr(read, "command", read)
+    if not hasattr(own, "validate"):  # what has, is validated with what it belongs to
+        with input_errors():
+            for name, hint in get_type_hints(type(own), include_extras=True).items():
+                typed.require_type(getattr(own, name), hint, of_field(name))
+    return read
 
 
 def peek(args: Sequence[str], flag: str, default: str) -> str:
@@ -65,12 +71,6 @@ def peek(args: Sequence[str], flag: str, default: str) -> str:
     if found[:1] == [""]:
         raise InputError(f"{flag}: found nothing, expected a value")
     return found[0] if found else default
-
-
-def at_least(flag: str, value: int, least: int) -> None:
-    """InputError for a smaller value."""
-    if value < least:
-        raise InputError(f"{flag}: found {value}, allowed {least} or more")
 
 
 def _reason(event: Any, args: Sequence[str], kind: type) -> str | None:
@@ -101,7 +101,7 @@ def _hint(token: str, known: list[str]) -> str:
         return f"did you mean {flag} {token}?" if flag[2:] in known else "which is no flag"
     name = token.partition("=")[0].lstrip("-").replace("-", "_")
     no = "no_" if name.startswith("no_") and name not in PEERS else ""
-    likely, why = meant(name.removeprefix(no), known)
+    likely, why = meant(name.removeprefix(no), known, PEERS)
     flags = " or ".join(of_field(no + field) for field in likely)
     hint = f"did you mean {flags}? {why}" if flags else why
     return hint.strip() or "which is no flag"

@@ -113,7 +113,8 @@ def _annotated(name: str, hint: Any, value: Any, doc: str | None) -> tuple[Any, 
         own,
         name=own.name or SHOWN.get(name),
         help=words,
-        metavar=own.metavar or (None if rest else METAVARS.get(name) or _metavar(base)),
+        metavar=own.metavar
+        or (None if any(type(m) is not str for m in rest) else METAVARS.get(name) or _metavar(base)),
         help_behavior_hint="" if is_unset else lambda found: f"(default: {label or found})",
     )
     markers = [tyro.conf.FlagCreatePairsOff] if value is False else []
@@ -122,6 +123,8 @@ def _annotated(name: str, hint: Any, value: Any, doc: str | None) -> tuple[Any, 
 
 def _metavar(hint: Any) -> str | None:
     """What stands for a flag's value; None where tyro knows better."""
+    if get_origin(hint) is Annotated:
+        return _metavar(get_args(hint)[0])
     parts = [part for part in get_args(hint) if part is not NoneType]
     if hint in METAVARS or not parts or get_origin(hint) is Literal:
         return METAVARS.get(hint)
