@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Collection, Iterable, Mapping
 
 Aliases = Mapping[str, tuple[str, str]]
-"""What others call a choice -> what is nearest to it here (names with spaces between), how it differs."""
+"""What others call a choice -> what is nearest to it here (names with spaces between), and why."""
 NONE: Aliases = {}
 
 

@@ -805,8 +805,6 @@ class TestOtherCommands:
     @pytest.mark.parametrize("flag", ["--help", "--help-all"])
     @pytest.mark.parametrize("command", [*COMMANDS, *(f"study {part}" for part in PARTS)])
     def test_help_is_narrow_and_reads_well(self, command, flag, capsys, monkeypatch):
-        if command == "study" and flag == "--help-all":
-            return
         monkeypatch.setenv("COLUMNS", "200")
         with contextlib.suppress(SystemExit):
             main([*command.split(), flag])

@@ -112,7 +112,7 @@ def test_commands_and_flags_exist():
         assert words[0] in cli.COMMANDS, where
         command = words[: 2 if words[0] == "study" else 1]
         extra = ("--algo", "ddpg_her") if {"--algo", "ddpg_her"} <= set(words) else ()
-        known = set(re.findall(r"--[\w-]+", help_of(*command, *extra)))
+        known = {"--help-all", *re.findall(r"--[\w-]+", help_of(*command, *extra))}
         for flag in (word.partition("=")[0] for word in words if word.startswith("--")):
             assert flag in known, f"{where}: no flag {flag}"
 

@@ -334,9 +334,9 @@ def _needs_extra(part: str) -> Iterator[None]:
 
 PARTS: dict[str, tuple[Callable[[list[str]], int], str]] = {
     "run": (run, "run or continue the runs of a study file"),
-    "status": (status, "show how many runs are done, running, failed and left, and the ETA"),
-    "plan": (plan, "say how many pairs of runs an effect needs, from the spread of a pilot"),
-    "compare": (compare, "compare any two parts of studies, in pairs where their seeds agree"),
+    "status": (status, "count runs that are done, running, failed and left"),
+    "plan": (plan, "say how many pairs of runs an effect needs, from a pilot"),
+    "compare": (compare, "compare two parts of studies, in pairs where seeds agree"),
     "collect": (collect, "pack the records of a study into one file"),
     "report": (report, "write tables, figures and report.html"),
 }
@@ -344,7 +344,7 @@ PARTS: dict[str, tuple[Callable[[list[str]], int], str]] = {
 
 def main(args: list[str]) -> int:
     """`tactilerl study PART`"""
-    if not args or args[0] in ("-h", "--help"):
+    if not args or args[0] in ("-h", "--help", "--help-all"):
         lines = [f"  {name:9}{about}" for name, (_, about) in PARTS.items()]
         print("\n".join(["usage: tactilerl study PART [OPTIONS]", "", "parts:", *lines]))
         return 0 if args else 2
