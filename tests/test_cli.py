@@ -818,7 +818,7 @@ class TestOtherCommands:
         with pytest.raises(SystemExit):
             main(["train", "--help"])
         out = capsys.readouterr().out
-        flags = re.findall(r"^│ (--[\w-]+)", out, re.MULTILINE)
+        flags = re.findall(r"^. (--[\w-]+)", out, re.MULTILINE)
         assert flags[:2] == ["--scene", "--algo"]
         assert flags[-1] == "--resume"
         assert len(flags) == 12
