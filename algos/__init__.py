@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 Array = np.ndarray
 IsWanted = Callable[[], bool]
 T = TypeVar("T")
+GOALS = "Dict with observation, achieved_goal and desired_goal"
 MOST = 1e30  # of a hyperparameter: float32 has room for it
 MOST_UNITS, MOST_WEIGHTS = 100_000, 10**8  # of hidden layers: more is a slip, and takes all memory
 
@@ -216,10 +217,7 @@ def flat_size(space: gym.Space[Any]) -> int:
         return sum(flat_size(space[key]) for key in ("observation", "desired_goal"))
     if isinstance(space, gym.spaces.Box):
         return int(np.prod(space.shape))
-    raise ValueError(
-        f"observation space: found {space}, allowed Box, or Dict with observation, "
-        "achieved_goal and desired_goal"
-    )
+    raise ValueError(f"observation space: found {space}, allowed Box, or {GOALS}")
 
 
 def goal_size(space: gym.Space[Any]) -> int:
@@ -229,10 +227,7 @@ def goal_size(space: gym.Space[Any]) -> int:
         sizes = [flat_size(space[key]) for key in keys]
         if sizes[1] == sizes[2]:
             return sizes[2]
-    raise ValueError(
-        f"observation space: found {space}, allowed a goal environment's: Dict with observation, "
-        "achieved_goal and desired_goal"
-    )
+    raise ValueError(f"observation space: found {space}, allowed a goal environment's: {GOALS}")
 
 
 def has_single_goal(space: gym.Space[Any]) -> bool:
