@@ -12,7 +12,8 @@ from rich.table import Table
 
 from ..errors import InputError
 from ..runs.files import damage_named
-from .folder import STATES, RunFiles, State, StudyFolder
+from ..terminal.progress_bar import duration
+from .folder import STATES, RunFiles, State, StudyFolder, seconds_spent
 from .grid import Run
 from .runner import Ending, Job
 
@@ -35,9 +36,10 @@ class Standing:
         state = state or files.state()
         if state in ("left", "damaged"):
             return cls(state, 0.0, 0.0)
-        progress, total = files.progress(), _total_timesteps(files)
-        fraction = 1.0 if state == "done" else min(1.0, progress.env_steps / total)
-        return cls(state, fraction, progress.seconds)
+        rows = files.rows()
+        steps = int(rows[-1]["env_steps"]) if rows else 0
+        fraction = 1.0 if state == "done" else min(1.0, steps / _total_timesteps(files))
+        return cls(state, fraction, seconds_spent(rows))
 
 
 def _total_timesteps(files: RunFiles) -> int:
@@ -94,14 +96,6 @@ class Overview:
 def _seconds_per_run(standings: Iterable[Standing]) -> float:
     standings = list(standings)
     return sum(s.seconds for s in standings) / sum(s.fraction for s in standings)
-
-
-def duration(seconds: float | None) -> str:
-    """Hours, minutes and seconds; a dash for None."""
-    if seconds is None:
-        return "–"
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
 
 
 class Watch:

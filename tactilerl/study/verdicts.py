@@ -135,11 +135,9 @@ def judge(
         return {}
     found = {}
     for cell in setup.cells:
-        own = [r for r in records if (r.run.setup, r.run.cell) == (setup.name, cell)]
-        score, (first, second, *_) = study.primary.score, setup.arms
-        arms = by_seed(own, first, setup, score), by_seed(own, second, setup, score)
+        arms = both_arms(records, setup, cell, study.primary.score)
         if study.looks is not None:
-            found[cell] = _at_looks(study.looks, setup, cell, own, arms)
+            found[cell] = _at_looks(study.looks, setup, cell, records, arms)
         else:
             found[cell] = Verdict(cell, in_pairs(*arms, n_resamples), len(setup.seeds))
     corrected = statistics.holm([one.valid_p for one in found.values()])
@@ -149,13 +147,18 @@ def judge(
     }
 
 
-def by_seed(records: Sequence[Record], arm: str, setup: Setup, score: str) -> BySeed:
-    """A score of one arm's finished runs, in order of the seeds."""
-    return {
-        r.run.seed: scores(r, setup.measure)[score]
-        for r in records
-        if r.run.arm == arm and is_finished(r, setup.measure)
-    }
+def both_arms(records: Sequence[Record], setup: Setup, cell: str, score: str) -> tuple[BySeed, BySeed]:
+    """A score of treatment and control in a cell, of the finished runs in order of the seeds."""
+    of_arms: dict[str, BySeed] = {arm: {} for arm in setup.arms}
+    for record in records:
+        if _is_in(record, setup, cell) and is_finished(record, setup.measure):
+            of_arms[record.run.arm][record.run.seed] = scores(record, setup.measure)[score]
+    treatment, control, *_ = of_arms.values()
+    return treatment, control
+
+
+def _is_in(record: Record, setup: Setup, cell: str) -> bool:
+    return (record.run.setup, record.run.cell) == (setup.name, cell)
 
 
 def _at_looks(
@@ -163,7 +166,8 @@ def _at_looks(
 ) -> Verdict:
     """As it stands at the last look whose runs have all ended. Runs beyond the look that ended the
     comparison do not count."""
-    is_open = {r.run.seed for r in records if r.run.arm in setup.arms[:2] and not r.has_ended}
+    own = (r for r in records if _is_in(r, setup, cell) and r.run.arm in setup.arms[:2])
+    is_open = {r.run.seed for r in own if not r.has_ended}
     n_ended = next((i for i, seed in enumerate(setup.seeds) if seed in is_open), len(setup.seeds))
     whole = in_pairs(*arms)
     at_hand = [sum(s in whole.seeds for s in setup.seeds[:n]) for n in looks.pairs if n <= n_ended]
@@ -218,8 +222,8 @@ def headroom(
 ) -> Headroom | None:
     """With the runs that differ from a cell's controls in seeing the object exactly, and in nothing
     else, wherever in the study they are; None where there are none."""
-    own = [r for r in records if (r.run.setup, r.run.cell) == (setup.name, cell)]
-    blind = next((r.config for r in own if r.config and r.run.arm == setup.arms[1]), None)
+    own = (r for r in records if _is_in(r, setup, cell) and r.run.arm == setup.arms[1])
+    blind = next((r.config for r in own if r.config), None)
     if blind is None or _sight(blind) == "exact":
         return None
     sighted = [
@@ -229,7 +233,7 @@ def headroom(
     ]
     score, measure = study.primary.score, setup.measure
     seen = {r.run.seed: scores(r, measure)[score] for r in sighted if is_finished(r, measure)}
-    touch, control = (by_seed(own, arm, setup, score) for arm in setup.arms[:2])
+    touch, control = both_arms(records, setup, cell, score)
     seeds = [seed for seed in touch if seed in control and seed in seen]
     if not seeds:
         return None
