@@ -107,22 +107,15 @@ def _felt(
 
 def figures(holds: Holds) -> LayoutFigures:
     """What the layout felt in the grasps that held; blind when it felt nothing of any."""
-    name, n_grasps = holds.layout, len(holds.readings)
     held = [bits for bits in holds.readings if bits is not None]
-    if not held:
-        return LayoutFigures(name, len(holds.taxels), n_grasps, 0, 0.0, 0.0, holds.taxels, True)
-    bits = np.concatenate(held)
-    share_any = float(bits.any(axis=1).mean())
-    dense = name == "1"  # the densest layout must feel more than the others
-    needed_share, needed_bits = (0.9, 3.0) if dense else (0.5, 0.0)
-    mean_bits = float(bits.sum(axis=1).mean())
+    bits = np.concatenate([np.zeros((0, len(holds.taxels)), bool), *held])
+    mean_bits, share_any = (
+        float(of_step.mean()) if held else 0.0 for of_step in (bits.sum(axis=1), bits.any(axis=1))
+    )
+    # The densest layout must feel more than the others.
+    needed_share, needed_bits = (0.9, 3.0) if holds.layout == "1" else (0.5, 0.0)
     return LayoutFigures(
-        layout=name,
-        taxels=len(holds.taxels),
-        grasps=n_grasps,
-        held=len(held),
-        mean_bits=mean_bits,
-        share_any=share_any,
+        holds.layout, len(holds.taxels), len(holds.readings), len(held), mean_bits, share_any,
         never_fired=tuple(np.array(holds.taxels)[~bits.any(axis=0)].tolist()),
         is_blind=share_any < needed_share or mean_bits < needed_bits,
-    )
+    )  # fmt: skip

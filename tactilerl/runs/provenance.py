@@ -15,7 +15,7 @@ HERE = Path(__file__).resolve().parents[1]
 PACKAGES = ("torch", "numpy", "mujoco", "pybullet", "gymnasium", "gymnasium-robotics", "mpi4py")
 
 
-class Record(TypedDict):
+class Origin(TypedDict):
     """From where on a run was made with what."""
 
     epoch: int
@@ -26,7 +26,7 @@ class Record(TypedDict):
     """Of the repository that our source belongs to; None when it is installed from a wheel."""
 
 
-def record(epoch: int = 0, env_steps: int = 0) -> Record:
+def record(epoch: int = 0, env_steps: int = 0) -> Origin:
     """What is here now."""
     return {"epoch": epoch, "env_steps": env_steps, "versions": versions(), "commit": commit(HERE)}
 
@@ -42,7 +42,7 @@ def versions(*more: str) -> dict[str, str]:
     return found
 
 
-def difference(before: Record, now: Record) -> str:
+def difference(before: Origin, now: Origin) -> str:
     """What changed, in words; nothing when nothing did."""
     a, b = before["versions"], now["versions"]
     changed = [

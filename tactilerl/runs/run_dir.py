@@ -25,7 +25,7 @@ from .progress_csv import ProgressTable
 FORMAT = 3  # of all files in a run folder; 1 and 2 are those of 0.1
 Values = dict[str, Any]
 PARTS: dict[str, Any] = {"run": Values, "scene": Values | None, "learner": Values, "ranks": int}
-PARTS |= {"provenance": list[provenance.Record]}
+PARTS |= {"provenance": list[provenance.Origin]}
 
 
 class RunDir:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, Literal, NamedTuple
@@ -19,6 +19,7 @@ from .records import Record
 
 SEED = 20_210_830  # of all resampling: the same records give the same report
 SIGHT = ("object_seen", "sight_noise", "sight_noise_kind")
+THRESHOLDS = (0.5, 0.9)
 LEAST_ROOM = 0.3  # between the blind and the sighted control, for a scene to tell what touch is worth
 BySeed = dict[int, float]
 """A score by seed."""
@@ -103,14 +104,18 @@ def is_finished(record: Record, measure: str) -> bool:
 
 
 def scores(record: Record, measure: str, until: float = math.inf) -> dict[str, float]:
-    """What a finished run reached, or had `until` so many steps, by the names in `primary.SCORES`."""
+    """What a finished run reached, or had `until` so many steps, by the names in `primary.SCORES`; and
+    its steps to `THRESHOLDS`."""
     steps, rates = record.curve(measure)
     steps, rates = steps[steps <= until], rates[steps <= until]
-    return {
-        "area": float(statistics.area_under_curve(steps, rates[None])[0]),
-        "final": float(statistics.final_rate(rates[None])[0]),
-        "converged": float(statistics.converged_rate(rates[None])[0]),
+    found = {
+        "area": statistics.area_under_curve(steps, rates[None]),
+        "final": statistics.final_rate(rates[None]),
+        "converged": statistics.converged_rate(rates[None]),
     }
+    for threshold in THRESHOLDS:
+        found[f"steps to {threshold:g}"] = statistics.steps_to_threshold(steps, rates[None], threshold)
+    return {name: float(value[0]) for name, value in found.items()}
 
 
 @cache
@@ -147,13 +152,18 @@ def judge(
     }
 
 
+def by_seed(records: Iterable[Record], setup: Setup, cell: str, arm: str, score: str) -> BySeed:
+    """A score of the finished runs of one arm, in order of the seeds."""
+    return {
+        r.run.seed: scores(r, setup.measure)[score]
+        for r in records
+        if _is_in(r, setup, cell) and r.run.arm == arm and is_finished(r, setup.measure)
+    }
+
+
 def both_arms(records: Sequence[Record], setup: Setup, cell: str, score: str) -> tuple[BySeed, BySeed]:
-    """A score of treatment and control in a cell, of the finished runs in order of the seeds."""
-    of_arms: dict[str, BySeed] = {arm: {} for arm in setup.arms}
-    for record in records:
-        if _is_in(record, setup, cell) and is_finished(record, setup.measure):
-            of_arms[record.run.arm][record.run.seed] = scores(record, setup.measure)[score]
-    treatment, control, *_ = of_arms.values()
+    """The scores of treatment and control."""
+    treatment, control = (by_seed(records, setup, cell, arm, score) for arm in setup.arms[:2])
     return treatment, control
 
 
