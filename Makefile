@@ -39,8 +39,7 @@ SHADOW_LIFT := --algo ppo --env shadow --layout 4 --total-timesteps 36000 --hold
 
 # Goes on with the run when it is there already.
 train: $(TRAINING)
-	if [ -e $(RUN)/config.json ]; then $(BIN)/tactilerl train --resume $(RUN); else \
-		$(BIN)/tactilerl train $(SHADOW_LIFT) --out $(RUN); fi
+	$(BIN)/tactilerl train $(SHADOW_LIFT) --out $(RUN)
 	$(BIN)/tactilerl evaluate $(RUN) --episodes 50
 
 # Several files of tests at a time, each with one thread; some wait, so three keep two cores busy.
@@ -96,7 +95,7 @@ $(DOCS): $(TRAINING)
 docs: export NO_MKDOCS_2_WARNING := 1
 docs: $(DOCS)
 	$(BIN)/mkdocs build --strict
-	@echo "The site is in build/site; to read it: $(PYTHON) -m http.server -d build/site"
+	@echo "The site is in build/site: open build/site/index.html"
 
 clean:
 	rm -rf $(VENV) build *.egg-info

@@ -25,7 +25,7 @@ MOST_UNITS, MOST_WEIGHTS = 100_000, 10**8  # of hidden layers: more is a slip, a
 
 @dataclass(frozen=True)
 class Registration:
-    """A learner that can be asked for by name; it is in the module of that name."""
+    """A learner that can be asked for by name."""
 
     config: str
     """Name of the class of its hyperparameters."""
@@ -35,6 +35,8 @@ class Registration:
     """Length of the paper's runs, in environment steps of all processes."""
     task: str
     """The paper's task with it, where an environment has several."""
+    module: str = ""
+    """Where both classes are; default: in the module here that has the learner's name."""
 
 
 ALGORITHMS = {
@@ -154,8 +156,8 @@ def get(name: str) -> tuple[Any, Any]:
     """(Config, Algorithm) by name; PyTorch is imported here and not before."""
     if name not in ALGORITHMS:
         raise ValueError(f"unknown algorithm {name!r}; allowed: {', '.join(ALGORITHMS)}")
-    module = importlib.import_module(f".{name}", __name__)
     registered = ALGORITHMS[name]
+    module = importlib.import_module(registered.module or f".{name}", __name__)
     return getattr(module, registered.config), getattr(module, registered.algorithm)
 
 

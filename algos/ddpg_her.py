@@ -39,10 +39,7 @@ from .side_by_side import SideBySide, at_once
 from .spaces import Spaces
 
 CHECK_EVERY = 100  # updates between two looks at whether the ranks' parameters are equal
-POLICY_PARTS = ("actor", "obs_stats", "goal_stats")
-SAVED = (*POLICY_PARTS, "critic", "target_actor", "target_critic", "adam", "truth_stats")
 REPLAY_P = 0.8  # paper
-COUNTERS = ("env_steps", "updates", "cycles", "worst", "best")
 
 
 @dataclass(frozen=True)
@@ -137,10 +134,12 @@ def _policy(config: DDPGHERConfig, spaces: Spaces, actor: MLP, stats: GoalStats)
     return Policy(on_cpu(actor), stats.inputs(config.clip_obs), noise, spaces)
 
 
-class DDPGHER:
+class DDPGHER(state.Saved):
     """Actor, critic, their targets and the replay; the interface is `algos.Algorithm`."""
 
-    policy_parts = POLICY_PARTS
+    policy_parts = ("actor", "obs_stats", "goal_stats")
+    saved = (*policy_parts, "critic", "target_actor", "target_critic", "adam", "truth_stats")
+    counters = ("env_steps", "updates", "cycles", "worst", "best")
 
     def __init__(
         self,
@@ -185,13 +184,11 @@ class DDPGHER:
         self.worst, self.best = 1.0, 0.0  # all rewards so far lie from -worst to best
 
     def check(self) -> None:
-        """ValueError when memory is short or the rewards of an episode do not fit."""
         (episode,) = require_transitions(self._play(1, rollout.PROBE))
         self.replay.require_rewards(episode)
         self.replay.require_memory(self.comm.local_size)
 
     def describe(self) -> str:
-        """What the configuration amounts to, in words."""
         config, replay = self.config, self.replay
         epoch = config.n_cycles * config.n_rollouts * replay.max_steps
         return (
@@ -203,7 +200,6 @@ class DDPGHER:
     # -- acting and collecting ---------------------------------------------------------------
 
     def policy(self) -> Policy:
-        """What acts now; good until the next update."""
         return _policy(self.config, self.spaces, self.actor, self.stats)
 
     def _play(self, n: int, purpose: int) -> list[Episode[GoalObs]]:
@@ -235,7 +231,6 @@ class DDPGHER:
         return seen
 
     def test(self) -> dict[str, float]:
-        """Episodes without noise at the end of an epoch."""
         if not (n := self.config.n_test_rollouts * self.config.n_rollouts):
             return {}
         seen = summary(self._play(n, rollout.TEST), self.comm)
@@ -320,17 +315,8 @@ class DDPGHER:
 
     # -- saving ------------------------------------------------------------------------------
 
-    def state_dict(self) -> dict[str, Any]:
-        """Networks, optimiser, normalisers, counters: all but the replay."""
-        return state.save(self, SAVED, COUNTERS)
-
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Go on exactly where `state_dict` was taken."""
-        state.restore(self, saved, SAVED, COUNTERS)
-
     @staticmethod
     def saved_policy(config: DDPGHERConfig, spaces: Spaces, saved: dict[str, Any]) -> Policy:
-        """The policy in what `state_dict` returned, on the CPU and without a learner around it."""
         actor = new_actor(config.hidden, spaces, torch.Generator())
         stats = GoalStats.of(spaces, config.norm_clip, Communicator())
         state.restore_parts({"actor": actor, "obs_stats": stats.obs, "goal_stats": stats.goal}, saved)
@@ -338,13 +324,10 @@ class DDPGHER:
 
     @property
     def experience_bytes(self) -> int:
-        """Of a full replay."""
         return self.replay.nbytes
 
     def new_experience(self, everything: bool = False) -> dict[str, Any]:
-        """Episodes stored since the last call, or all, with their places in the replay."""
         return self.replay.new_experience(everything)
 
     def add_experience(self, saved: dict[str, Any], is_foreign: bool = False) -> None:
-        """Put back what `new_experience` returned; another learner's as new episodes."""
         self.replay.add_experience(saved, is_foreign)

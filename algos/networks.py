@@ -260,10 +260,6 @@ class FlatAdam:
                     beta2=0.999, weight_decay=0.0, eps=self._eps, amsgrad=False, maximize=False,
                 )  # fmt: skip
 
-    def is_finite(self) -> bool:
-        """Are all parameters finite?"""
-        return bool(torch.isfinite(self.vector).all())
-
     def state_dict(self) -> dict[str, Any]:
         """Moments (n,) and steps (modules,). The parameters belong to the modules, step sizes and
         eps to the configuration."""
@@ -277,7 +273,7 @@ class FlatAdam:
 
 def require_finite(adams: Sequence[FlatAdam], losses: Tensor, env_steps: int) -> None:
     """DivergenceError, rather than going on from losses or parameters that are not finite."""
-    if not (bool(torch.isfinite(losses).all()) and all(adam.is_finite() for adam in adams)):
+    if not all(torch.isfinite(values).all() for values in (losses, *(adam.vector for adam in adams))):
         raise DivergenceError(
             f"a loss or a parameter is not finite after {env_steps} steps "
             f"(losses {[f'{x:.3g}' for x in losses.tolist()]})"

@@ -84,10 +84,6 @@ class Normalizer:
             self._scaling = Scaling(high_, low_, scale_, self.clip)
         return self._scaling
 
-    def __call__(self, values: Tensor) -> Tensor:
-        """Normalised float32 (..., size) of `values`, float32."""
-        return self.scaling()(values)
-
     def state_dict(self) -> dict[str, Any]:
         """The moments."""
         moments = {"mean": self.mean, "squares": self._squares}

@@ -28,12 +28,14 @@ from .normalizer import Normalizer, Scaling
 from .spaces import Spaces
 
 LARGEST = float(np.finfo(np.float32).max)
-Noise = Callable[..., Array]
-"""(actions (..., d) in [-1, 1], rng=) -> noisy ones, which may lie beyond."""
+Noise = Callable[[Array, Tensor, np.random.Generator], Array]
+"""(actions (n, d) in [-1, 1], what the network saw (n, size), rng) -> noisy ones, perhaps beyond."""
 
 
-def explore(actions: Array, noise_eps: float, random_eps: float, rng: np.random.Generator) -> Array:
-    """Noisy copies of actions (..., d) in [-1, 1]; whole rows are random with `random_eps`."""
+def explore(
+    actions: Array, seen: Tensor, rng: np.random.Generator, noise_eps: float, random_eps: float
+) -> Array:
+    """Noisy copies of actions (n, d) in [-1, 1]; whole rows are random with `random_eps`."""
     noisy = actions + np.float32(noise_eps) * rng.standard_normal(actions.shape, dtype=np.float32)
     noisy = np.clip(noisy, -1.0, 1.0)
     is_random = rng.random(actions.shape[:-1])[..., None] < random_eps
@@ -78,11 +80,6 @@ class GoalObs(NamedTuple):
     desired_goal: Array
 
 
-def goal_observation(obs: Any) -> GoalObs:
-    """A goal environment's Dict as a `GoalObs`."""
-    return GoalObs(*(np.array(obs[key], np.float32).ravel() for key in GoalObs._fields))
-
-
 @dataclass(frozen=True)
 class GoalInputs:
     """What both networks see: observation and goal, cut and normalised."""
@@ -92,7 +89,7 @@ class GoalInputs:
     limit: float
 
     def read(self, obs: Any) -> GoalObs:
-        return goal_observation(obs)
+        return GoalObs(*(np.array(obs[key], np.float32).ravel() for key in GoalObs._fields))
 
     def stack(self, views: Sequence[GoalObs]) -> Tensor:
         parts = (torch.from_numpy(np.stack(part)) for part in zip(*views, strict=True))
@@ -197,10 +194,11 @@ class Policy:
 
     @torch.inference_mode()
     def _actions(self, views: Sequence[Any], rng: np.random.Generator | None) -> Array:
-        actions: Array = self.network(self.inputs.stack(views)).numpy()
+        seen = self.inputs.stack(views)
+        actions: Array = self.network(seen).numpy()
         if not np.isfinite(actions).all():
             raise ValueError("policy: its action is not finite: the network's weights are damaged")
-        return actions if rng is None else self.noise(actions, rng=rng)
+        return actions if rng is None else self.noise(actions, seen, rng)
 
     def _batch_size(self, obs: Any) -> int | None:
         """Observations in a batch; None for one observation by itself."""

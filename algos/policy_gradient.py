@@ -129,6 +129,6 @@ def surrogate(log_ratio: Tensor, advantages: Tensor, clip_range: float) -> Surro
     )
 
 
-def gaussian(actions: Array, std: Array, rng: np.random.Generator) -> Array:
-    """Actions (..., d) with independent normal noise of standard deviations `std` (d,), float32."""
+def gaussian(actions: Array, seen: Tensor, rng: np.random.Generator, std: Array) -> Array:
+    """Actions (n, d) with independent normal noise of standard deviations `std` (d,), float32."""
     return actions + std * rng.standard_normal(actions.shape, dtype=np.float32)

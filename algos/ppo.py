@@ -25,8 +25,6 @@ from .rollout import Episode, PlayEpisode, finite, play_steps, require_transitio
 from .side_by_side import SideBySide, at_once, each
 from .spaces import Spaces
 
-SAVED = ("actor", "spread", "obs_stats", "truth_stats", "critic", "actor_adam", "critic_adam")
-COUNTERS = ("env_steps", "epochs")
 ACTOR_GAIN = 0.01  # of the last layer when weights start orthogonal
 OBS_CLIP = 5.0  # normalised observations are cut there, as DDPG+HER's are
 
@@ -86,13 +84,8 @@ class PPOConfig:
         check_ranges(
             self,
             positive=(
-                "actor_lr",
-                "critic_lr",
-                "action_variance",
-                "final_variance",
-                "clip_range",
-                "max_grad_norm",
-                "target_kl",
+                *("actor_lr", "critic_lr", "action_variance", "final_variance", "clip_range"),
+                *("max_grad_norm", "target_kl"),
             ),
             shares=("gamma", "gae_lambda"),
             counts=("steps_per_epoch", "n_passes", "n_minibatches", "minibatch_size"),
@@ -144,10 +137,12 @@ class Parts(NamedTuple):
         return Policy(on_cpu(self.actor), self.inputs(config), noise, spaces)
 
 
-class PPO:
+class PPO(state.Saved):
     """Actor, critic and the batch of the current epoch; the interface is `algos.Algorithm`."""
 
     policy_parts = Parts._fields
+    saved = (*policy_parts, "truth_stats", "critic", "actor_adam", "critic_adam")
+    counters = ("env_steps", "epochs")
     cycles_per_epoch = 1
 
     def __init__(
@@ -187,7 +182,6 @@ class PPO:
         self._episodes: list[Episode[Array]] = []
 
     def describe(self) -> str:
-        """What the configuration amounts to, in words."""
         config = self.config
         n, passes = config.minibatches(config.steps_per_epoch), config.n_passes
         return (
@@ -198,7 +192,6 @@ class PPO:
     # -- acting and collecting ---------------------------------------------------------------
 
     def policy(self) -> Policy:
-        """What acts now; good until the next update."""
         return self.parts.policy(self.config, self.spaces)
 
     def collect(self) -> dict[str, float]:
@@ -329,17 +322,8 @@ class PPO:
 
     # -- saving ------------------------------------------------------------------------------
 
-    def state_dict(self) -> dict[str, Any]:
-        """Networks, optimisers, counters: all that the next epoch depends on."""
-        return state.save(self, SAVED, COUNTERS)
-
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Go on exactly where `state_dict` was taken."""
-        state.restore(self, saved, SAVED, COUNTERS)
-
     @staticmethod
     def saved_policy(config: PPOConfig, spaces: Spaces, saved: dict[str, Any]) -> Policy:
-        """The policy in what `state_dict` returned, on the CPU and without a learner around it."""
         parts = Parts.new(config, spaces, torch.Generator())
         state.restore_parts(parts._asdict(), saved)
         return parts.policy(config, spaces)

@@ -9,35 +9,37 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 
 LARGEST = 2**63  # counters stay below
 
 
-def save(learner: Any, parts: Sequence[str], counters: Sequence[str]) -> dict[str, Any]:
-    """`state_dict` of the attributes `parts`, and the values of `counters`."""
-    return {
-        **{name: getattr(learner, name).state_dict() for name in parts},
-        **{name: getattr(learner, name) for name in counters},
-    }
+class Saved:
+    """What a learner is, by the names of its attributes."""
 
+    saved: ClassVar[Sequence[str]]
+    """Those that have states of their own."""
+    counters: ClassVar[Sequence[str]]
 
-def restore(learner: Any, state: dict[str, Any], parts: Sequence[str], counters: Sequence[str]) -> None:
-    """Put back what `save` returned.
+    def state_dict(self) -> dict[str, Any]:
+        """States of the parts, and values of the counters."""
+        states = {name: getattr(self, name).state_dict() for name in self.saved}
+        return states | {name: getattr(self, name) for name in self.counters}
 
-    Raises ValueError, before anything is changed, when the learner's own state is another kind.
-    """
-    require_like(state, save(learner, parts, counters))
-    for name in parts:
-        getattr(learner, name).load_state_dict(state[name])
-    for name in counters:
-        setattr(learner, name, state[name])
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Put back what `state_dict` returned; ValueError, before anything is changed, when the
+        learner's own state is another kind."""
+        require_like(saved, self.state_dict())
+        for name in self.saved:
+            getattr(self, name).load_state_dict(saved[name])
+        for name in self.counters:
+            setattr(self, name, saved[name])
 
 
 def restore_parts(parts: Mapping[str, Any], state: dict[str, Any]) -> None:
-    """Put back only some parts, by name, of what `save` returned; ValueError as of `restore`."""
+    """Put back only some parts, by name, of a learner's state; ValueError as of `load_state_dict`."""
     own = {name: part.state_dict() for name, part in parts.items()}
     is_dict = isinstance(state, dict)
     require_like({k: v for k, v in state.items() if k in parts} if is_dict else state, own)

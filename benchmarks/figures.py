@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
@@ -15,39 +16,55 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from adjustText import adjust_text
+from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 
 from benchmarks.command import ROOT
+from benchmarks.studies import probe_tables
 from tactilerl.envs import hands, layouts
-from tactilerl.pictures.hand_map import TaxelMap
+from tactilerl.pictures.hand_map import MARGIN, TaxelMap, panels
+from tactilerl.pictures.places import Place
+from tactilerl.probe.figures import hand_map
+from tactilerl.study import figures as study_figures
+from tactilerl.study.analysis import analyse
+from tactilerl.study.figures import ARMS, STYLE
+from tactilerl.study.records import load
 
 DOCS = ROOT / "docs"
 WINDOW = 100  # episodes of the running success rate
 SEEDS = range(3)
-# Picture: title, what is drawn, what the runs' files begin with.
+SHIPPED = "#b03020"
+DPI = 130
+# Picture: title, what is drawn, and for each panel its title and what its runs' files begin with.
 RUNS = {
     "learning_shadow_ppo": (
-        "PPO, Shadow Hand in MuJoCo, lift-and-hold, layout 4",
+        "Shadow Hand in MuJoCo, PPO, lift-and-hold, layout 4, 50,000 steps",
         f"success rate, last {WINDOW} episodes",
-        {"main": "ppo_shadow_layout4"},
+        {"": "ppo_shadow_layout4"},
     ),
     "learning_shadow_ddpg_her": (
-        "DDPG+HER, Shadow Hand in MuJoCo, reach-goal, layout 2",
+        "Shadow Hand in MuJoCo, DDPG+HER, reach-goal, layout 2, 36,000 steps",
         "success rate of 20 test episodes",
         {
-            "40 updates a cycle": "ddpg_her_shadow_layout2",
-            "16 updates a cycle": "ddpg_her_shadow_layout2_n_batches16",
-            "8 updates a cycle": "ddpg_her_shadow_layout2_n_batches8",
-            "16, bfloat16": "ddpg_her_shadow_layout2_n_batches16_bfloat16",
+            "40 updates per cycle (the paper's)": "ddpg_her_shadow_layout2",
+            "16 updates per cycle": "ddpg_her_shadow_layout2_n_batches16",
+            "8 updates per cycle": "ddpg_her_shadow_layout2_n_batches8",
+            "16 updates per cycle, bfloat16": "ddpg_her_shadow_layout2_n_batches16_bfloat16",
         },
     ),
 }
-COLOURS = {
-    "main": "#e0a800",  # as in the paper
-    "40 updates a cycle": "#777777",
-    "16 updates a cycle": "#e0a800",
-    "8 updates a cycle": "#2b6cb0",
-    "16, bfloat16": "#38a169",
+# Picture: the collected study, and its set-up whose curves are drawn.
+STUDIES = {
+    "pilot_pybullet": ("pilot", "pybullet"),
+    "pilot_mujoco": ("pilot", "mujoco"),
+    "dark_mpl": ("dark_mpl", "mpl"),
+    "poor_sight_shadow": ("poor_sight_shadow", "shadow"),
 }
+# Picture: the probe of which the first taxels chosen are shown.
+CHOSEN = {
+    "probe_chosen_shadow_mujoco": ("shadow", "Shadow, MuJoCo"),
+    "probe_chosen_mpl_pybullet": ("mpl", "MPL, PyBullet"),
+}
+HANDS = {"shadow": "Shadow Hand", "mpl": "MPL hand"}
 
 
 def curve(path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -72,9 +89,9 @@ def curve(path: Path) -> tuple[np.ndarray, np.ndarray]:
 def speed_against_error() -> None:
     """Every setting of every hand in every simulator; those on the front filled and named. Settings
     with the shipped one's errors to the last digit are the same physics, and left out."""
-    data = json.loads((DOCS / "data" / "speed_vs_error.json").read_text(encoding="utf-8"))
-    figure, grid = plt.subplots(2, 2, figsize=(11, 9))
-    for axes, (name, table) in zip(grid.flat, data.items(), strict=True):
+    figure, grid = plt.subplots(2, 2, figsize=(10, 8.4), layout="constrained")
+    named = []
+    for axes, (name, table) in zip(grid.flat, data("speed_vs_error").items(), strict=True):
         shipped = table["settings"]["as shipped"]
         held = {
             setting: row
@@ -87,17 +104,26 @@ def speed_against_error() -> None:
         for (setting, row), is_best in zip(held.items(), front, strict=True):
             is_shipped = setting == "as shipped"
             at = row["speed"], row["error_median_mm"]
-            colour = "#b03020" if is_shipped else "#2b6cb0"
+            colour = SHIPPED if is_shipped else ARMS[1]
             style = "full" if is_best or is_shipped else "none"
             axes.plot(*at, "s" if is_shipped else "o", color=colour, fillstyle=style)
             if is_best or is_shipped:
                 labels.append(axes.text(*at, setting, fontsize=8, color=colour))
-        axes.set(title=name, yscale="log", xlabel="speed, shipped = 1", ylabel="error, median mm")
-        axes.margins(0.12)
-        axes.grid(alpha=0.3)
-        adjust_text(labels, ax=axes, arrowprops={"arrowstyle": "-", "color": "#888888", "lw": 0.6})
-    figure.tight_layout()
-    figure.savefig(DOCS / "images" / "speed_vs_error.png", dpi=100)
+        hand, _, simulator = name.split()
+        axes.set_title(f"{HANDS[hand]} in {probe_tables.SIMULATORS[simulator]}", loc="left")
+        axes.set(yscale="log", xlabel="speed, shipped = 1", ylabel="median error, mm")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter(NullFormatter())
+        axes.margins(0.14)
+        points = np.array([(row["speed"], row["error_median_mm"]) for row in held.values()]).T
+        named.append((axes, labels, points))
+    figure.canvas.draw()  # so that the labels know where they are
+    figure.set_layout_engine("none")
+    for axes, labels, points in named:
+        arrow = {"arrowstyle": "-", "color": "#888888", "lw": 0.6}
+        adjust_text(labels, *points, ax=axes, expand=(1.2, 1.7), arrowprops=arrow)
+    save(figure, "speed_vs_error")
 
 
 def pareto(points: list[tuple[float, float]]) -> list[bool]:
@@ -105,43 +131,96 @@ def pareto(points: list[tuple[float, float]]) -> list[bool]:
     return [not any(s > speed and e < error for s, e in points) for speed, error in points]
 
 
-def learning_curves(title: str, what: str, files: dict[str, str]) -> plt.Figure:
-    """Seeds thin, their mean thick."""
-    figure, axes = plt.subplots(figsize=(7, 4))
-    for label, name in files.items():
-        curves = [curve(DOCS / "data" / f"{name}_main_s{seed}.csv") for seed in SEEDS]
-        for steps, rate in curves:
-            axes.plot(steps, rate, color=COLOURS[label], lw=0.8, alpha=0.6)
+def learning_curves(name: str, title: str, what: str, files: dict[str, str]) -> None:
+    """A panel for each group of runs: seeds thin, their mean thick."""
+    columns = min(2, len(files))
+    rows = -(-len(files) // columns)
+    size = (4.4 * columns, 3.1 * rows) if columns > 1 else (7.2, 3.6)
+    figure, grid = plt.subplots(
+        rows, columns, figsize=size, sharex=True, sharey=True, squeeze=False, layout="constrained"
+    )
+    for axes, (panel, file) in zip(grid.flat, files.items(), strict=True):
+        curves = [curve(DOCS / "data" / f"{file}_main_s{seed}.csv") for seed in SEEDS]
         steps = np.unique(np.concatenate([steps for steps, _ in curves]))
         steps = steps[steps <= min(steps[-1] for steps, _ in curves)]
         mean = np.mean([np.interp(steps, *each) for each in curves], axis=0)
-        axes.plot(
-            steps, mean, color=COLOURS[label], lw=2.5, label=f"{label}, mean of {len(curves)} seeds"
-        )
-    axes.set(title=title, xlabel="environment steps", ylabel=what, ylim=(0, 1.02))
-    axes.grid(alpha=0.3)
-    axes.legend()
-    figure.tight_layout()
-    return figure
+        axes.plot(steps, mean, color=ARMS[0], lw=2.5, label=f"main, mean of {len(curves)} seeds")
+        for one, (at, rate) in enumerate(curves):
+            axes.plot(at, rate, color=study_figures.INK, lw=0.7, label="a seed" if not one else "")
+        axes.set_title(panel, loc="left")
+        axes.set(ylim=(-0.02, 1.02))
+        axes.xaxis.set_major_formatter(EngFormatter(sep=""))
+    for axes in grid[-1]:
+        axes.set_xlabel("environment steps")
+    figure.supylabel(what, fontsize="medium")
+    figure.suptitle(title, x=0.01, ha="left")
+    handles, labels = grid.flat[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False)
+    save(figure, name)
+
+
+def study_curves(name: str, study: str, setup: str) -> None:
+    """The learning curves of a set-up, as the report of its study draws them."""
+    analysis = analyse(*load(DOCS / "data" / f"{study}.csv.gz"))
+    (found,) = (one for one in analysis.setups if one.setup.name == setup)
+    picture = study_figures.curves(found).formats()["png"]
+    (DOCS / "images" / f"{name}.png").write_bytes(picture)
+
+
+def chosen_taxels(name: str, env: str, result: dict[str, Any]) -> None:
+    """Where the taxels that a probe chose lie, in their order."""
+    places = [Place(**place) for place in result["selection"]["places"]]
+    where = probe_tables.SIMULATORS[result["simulator"]]
+    figure = hand_map(
+        hands.get(env), places, f"{HANDS[env]} in {where}: first {len(places)} taxels chosen"
+    )
+    out = DOCS / "images" / f"{name}.png"
+    figure.savefig(out, dpi=180, bbox_inches="tight", metadata={"Software": None})
 
 
 def layouts_unrolled() -> None:
     """The paper's six, on the Shadow Hand."""
-    hand = hands.get("shadow")
-    figure, grid = plt.subplots(2, 3, figsize=(8, 6.4))
+    hand, height = hands.get("shadow"), 600
+    figure, grid = plt.subplots(2, 3, figsize=(9, 7.2), layout="constrained")
+    pads = panels(hand)
     for axes, name in zip(grid.flat, layouts.PAPER, strict=True):
         layout = layouts.load(name)
         taxels = layout.place(hand)
-        axes.imshow(TaxelMap(hand, taxels, 600).picture(np.zeros(len(taxels), bool)))
-        axes.set_title(f"{name}: {layout.description}, {len(taxels)} taxels", fontsize=9)
+        drawn = TaxelMap(hand, taxels, height)
+        axes.imshow(drawn.picture(np.zeros(len(taxels), bool)))
+        title = f"layout {name}, {len(taxels)} taxels\n{layout.description}"
+        axes.set_title(title, loc="left", pad=16)
+        left = min(pad.x - pad.half_width for pad in pads)
+        right = max(pad.x + pad.half_width for pad in pads)
+        for surface, pad in zip(hand.surfaces, pads, strict=True):
+            if surface.segment == "distal":
+                at = (pad.x - left + MARGIN) / (right - left + 2 * MARGIN)
+                axes.text(at, 1.0, surface.digit, transform=axes.transAxes, ha="center", fontsize=7)
         axes.axis("off")
-    figure.tight_layout()
-    figure.savefig(DOCS / "images" / "layouts.png", dpi=120)
+    save(figure, "layouts")
+
+
+def data(name: str) -> Any:
+    """A file of docs/data."""
+    return json.loads((DOCS / "data" / f"{name}.json").read_text(encoding="utf-8"))
+
+
+def save(figure: plt.Figure, name: str) -> None:
+    """As PNG on white, which dark pages show as a card."""
+    figure.savefig(DOCS / "images" / f"{name}.png", dpi=DPI, metadata={"Software": None})
+    plt.close(figure)
 
 
 def main() -> None:
-    """Speed against error, the layouts, and one picture for each entry of RUNS."""
-    speed_against_error()
-    layouts_unrolled()
-    for name, (title, what, files) in RUNS.items():
-        learning_curves(title, what, files).savefig(DOCS / "images" / f"{name}.png", dpi=110)
+    """Every figure that is drawn from docs/data, in the style of the studies' reports."""
+    probes = data("probe")
+    with matplotlib.rc_context(STYLE):
+        speed_against_error()
+        layouts_unrolled()
+        for name, (title, what, files) in RUNS.items():
+            learning_curves(name, title, what, files)
+        for name, (env, pair) in CHOSEN.items():
+            chosen_taxels(name, env, probes[pair])
+    probe_tables.figure(probes, DOCS / "images" / "probe_selection.png")
+    for name, (study, setup) in STUDIES.items():
+        study_curves(name, study, setup)

@@ -54,9 +54,11 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
     """Actions per episode; default: the task's (lift-and-hold 100, as in the paper)."""
 
     def __post_init__(self) -> None:
-        ObservationConfig.__post_init__(self)
-        ObjectConfig.__post_init__(self)
-        object.__setattr__(self, "layout", str(self.layout))  # 4 is "4"
+        chosen = {**vars(self), "layout": str(self.layout)}  # 4 is "4"
+        if np.ndim(self.object_size) == 0:
+            chosen["object_size"] = (self.object_size,)
+        for name, value in typed.plain(chosen).items():
+            object.__setattr__(self, name, value)
 
     @property
     def n_substeps(self) -> int:
@@ -97,6 +99,7 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
         for name, allowed in (
             ("simulator", tuple(simulators.SIMULATORS)),
             ("touch", tuple(touch.RULES)),
+            ("task", tuple(tasks.TASKS)),
         ):
             if (found := getattr(self, name)) not in allowed:
                 raise ValueError(f"{name}: found {found!r}, allowed: {', '.join(allowed)}")
@@ -106,7 +109,7 @@ def setup(hand: str, **choices: Any) -> GraspConfig:
     """The configuration of a hand's set-up, with some fields chosen otherwise; ValueError when there is
     no such field."""
     require_known(choices, (field.name for field in fields(GraspConfig)))
-    return GraspConfig(**typed.plain({**hands.registration(hand).scene, **choices}))
+    return GraspConfig(**{**hands.registration(hand).scene, **choices})
 
 
 JITTER_JOINT = 0.02  # rad, of every finger joint, within its range
@@ -212,21 +215,21 @@ class GraspEnv(gym.Env[Any, Array]):
         # To spawn draws nothing from the generator itself.
         observer_rng, goal_rng, object_rng = self.np_random.spawn(3)
         self._item = item = self._items.draw(object_rng)
-        positions = self._start_positions.copy()
-        offset, yaw = np.zeros(2), 0.0
+        joints, offset, yaw = self._start_positions.copy(), np.zeros(2), 0.0
         if self.config.jitter:
             rng, furthest, turn = self.np_random, self.config.start_offset, self.config.start_yaw
             offset = rng.uniform(-furthest, furthest, 2)
             yaw = rng.uniform(-turn, turn)
-            positions[3:] += rng.uniform(-JITTER_JOINT, JITTER_JOINT, len(positions) - 3)
-            positions = np.clip(positions, *self.simulator.joint_limits.T)
-        self._targets = self.hand.start_targets()
-        self._steps = 0
+            joints[3:] += rng.uniform(-JITTER_JOINT, JITTER_JOINT, len(joints) - 3)
+            joints = np.clip(joints, *self.simulator.joint_limits.T)
+        place = np.array([*offset, item.shape.half_size[2]])
+        usual = tasks.Start(joints, self.hand.start_targets(), place, yaw)
+        start = self.task.start(usual, self.palm_skin, item.shape)
+        self._targets, self._steps = start.targets, 0
         self._observer.begin(observer_rng)
         try:
             self.simulator.change_object(item.shape, item.mass, item.friction)
-            position = self.task.place(self.palm_skin, item.shape, offset)
-            self.simulator.reset(positions, position, yaw)
+            self.simulator.reset(start.joints, start.position, start.yaw)
             snapshot = self._look()
             sensed = self._sensed(snapshot)
         except simulators.SimulationError as error:
@@ -283,6 +286,10 @@ class GraspEnv(gym.Env[Any, Array]):
     def observation_names(self) -> list[str]:
         """What each entry of ``observation`` is, in order."""
         return list(self._observer.names)
+
+    def observation_entries(self, *terms: str) -> Array:
+        """Which entries of ``observation`` are the newest of some of the hand's terms, or "taxels"."""
+        return self._observer.entries(*terms)
 
     @property
     def side_by_side(self) -> str:

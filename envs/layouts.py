@@ -109,7 +109,12 @@ class Layout:
     def place(self, hand: Hand) -> Taxels:
         """The taxels of this layout on `hand`; ValueError when the hand cannot carry them."""
         self._require_digits(hand)
-        placed = [*self._on_grids(hand), *(_on_link(point, hand) for point in self.taxels)]
+        placed = [
+            (index, (*offset, 0.0), *hand.surfaces[index].place(*offset), radius, name)
+            for index, offset, radius, name in self.on_grids(hand)
+            if not _is_gap(hand.surfaces[index], offset)
+        ]
+        placed += [_on_link(point, hand) for point in self.taxels]
         if not placed:
             raise ValueError(f"layout {self.name!r} puts no taxel on the {hand.name} hand")
         links = tuple(dict.fromkeys(hand.surfaces[taxel[0]].link for taxel in placed))
@@ -137,17 +142,16 @@ class Layout:
             lines += ["", *point.toml()]
         return "\n".join(lines) + "\n"
 
-    def _on_grids(self, hand: Hand) -> Iterator[_Placed]:
+    def on_grids(self, hand: Hand) -> Iterator[tuple[int, tuple[float, float], float, str]]:
+        """Surface, (row, column) on it in m, radius and name of every taxel of a patch, whether or not
+        there is something of the link."""
         for index, surface in enumerate(hand.surfaces):
             for patch in self.patches:
-                if not patch.is_on(surface):
-                    continue
-                row_pitch, column_pitch, radius = _scale(patch, surface, hand)
-                for row, column in patch.offsets:
-                    offset = row * row_pitch, column * column_pitch
-                    name = f"{surface.digit}.{surface.segment}[{_label(patch, row, column)}]"
-                    if not (surface.geoms and surface.is_beside(*offset)):
-                        yield index, (*offset, 0.0), *surface.place(*offset), radius, name
+                if patch.is_on(surface):
+                    row_pitch, column_pitch, radius = _scale(patch, surface, hand)
+                    for row, column in patch.offsets:
+                        name = f"{surface.digit}.{surface.segment}[{_label(patch, row, column)}]"
+                        yield index, (row * row_pitch, column * column_pitch), radius, name
 
     def _require_digits(self, hand: Hand) -> None:
         """ValueError for a digit or a segment that no hand has, or only others."""
@@ -186,21 +190,14 @@ def left_out(layout: Layout, hand: Hand) -> list[str]:
         for p in layout.patches
         for place in product(p.digits or _wanted(p, hand), p.segments or SEGMENTS)
     )
-    surfaces = [
-        f"{digit}.{segment}"
-        for digit, segment in dict.fromkeys(wanted)
-        if (digit, segment) not in there
-    ]
-    return surfaces + [
-        f"{surface.digit}.{surface.segment}[{_label(patch, row, column)}]"
-        for surface in hand.surfaces
-        for patch in layout.patches
-        if surface.geoms and patch.is_on(surface)
-        for row, column in patch.offsets
-        if surface.is_beside(
-            row * _scale(patch, surface, hand)[0], column * _scale(patch, surface, hand)[1]
-        )
-    ]
+    missing = [f"{d}.{s}" for d, s in dict.fromkeys(wanted) if (d, s) not in there]
+    spots = layout.on_grids(hand)
+    return missing + [name for i, offset, _, name in spots if _is_gap(hand.surfaces[i], offset)]
+
+
+def _is_gap(surface: Surface, offset: tuple[float, float]) -> bool:
+    """Has a link of any shape nothing there? (Beside other links no taxel may be.)"""
+    return bool(surface.geoms) and surface.is_beside(*offset)
 
 
 def _wanted(patch: Patch, hand: Hand) -> tuple[str, ...]:

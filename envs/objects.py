@@ -41,10 +41,6 @@ class ObjectConfig:
     start_yaw: float = YAW
     """With jitter: how far the object may be turned, rad."""
 
-    def __post_init__(self) -> None:
-        size = (self.object_size,) if np.ndim(self.object_size) == 0 else self.object_size
-        object.__setattr__(self, "object_size", tuple(size))  # a number, or JSON's list
-
     @property
     def is_near(self) -> bool:
         """Does the object start where the hand leaves room for it?"""

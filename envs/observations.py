@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Literal, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -63,10 +63,6 @@ class SensorConfig(TaxelFaults):
     """Delay of the taxels' readings, in control steps."""
     hand_seed: int | None = None
     """Seed that decides which taxels are broken; default: the run's seed."""
-
-    def __post_init__(self) -> None:
-        if self.sight_noise is not None:
-            object.__setattr__(self, "sight_noise", tuple(self.sight_noise))  # JSON's list
 
 
 @dataclass(frozen=True)
@@ -135,51 +131,48 @@ def _require_defaults(config: ObservationConfig, names: tuple[str, ...], only_wi
 # -- terms -----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Term:
+class Term(NamedTuple):
     """A few entries of the observation; a hand's ``observation`` says which terms it has."""
 
-    names: Callable[[Hand], list[str]]
-    """What each entry is."""
+    what: str
+    """All entries are."""
+    each: Callable[[Hand], Sequence[str]]
+    """Which of that each one is."""
     read: Callable[[Hand, Snapshot], Array]
     """(n,) from what the policy may know."""
 
 
-def _first_joints(hand: Hand) -> list[int]:
-    return [hand.joints.index(joint) for joint in hand.first_joints]
+def term_names(terms: Sequence[str], hand: Hand) -> list[str]:
+    """What each entry of some terms is."""
+    return [f"{TERMS[term].what} {each}" for term in terms for each in TERMS[term].each(hand)]
+
+
+def _of_first_joints(hand: Hand, now: Snapshot) -> Array:
+    return now.joint_positions.take([hand.joints.index(joint) for joint in hand.first_joints])
 
 
 TERMS = {
     "object_id": Term(
-        lambda hand: ["object kind: " + ", ".join(objects.KINDS)],
-        lambda hand, snapshot: np.array([float(objects.KINDS.index(snapshot.shape.kind))]),
+        "object kind:",
+        lambda hand: [", ".join(objects.KINDS)],
+        lambda hand, now: np.array([float(objects.KINDS.index(now.shape.kind))]),
     ),
-    "hand_position": Term(
-        lambda hand: [f"hand {axis}" for axis in "xyz"], lambda hand, snapshot: snapshot.hand
-    ),
-    "finger_joints": Term(
-        lambda hand: [f"position of {joint}" for joint in hand.first_joints],
-        lambda hand, snapshot: snapshot.joint_positions.take(_first_joints(hand)),
-    ),
+    "hand_position": Term("hand", lambda hand: "xyz", lambda hand, now: now.hand),
+    "finger_joints": Term("position of", lambda hand: hand.first_joints, _of_first_joints),
     "joint_positions": Term(
-        lambda hand: [f"position of {joint}" for joint in hand.joints],
-        lambda hand, snapshot: snapshot.joint_positions,
+        "position of", lambda hand: hand.joints, lambda hand, now: now.joint_positions
     ),
     "joint_velocities": Term(
-        lambda hand: [f"velocity of {joint}" for joint in hand.joints],
-        lambda hand, snapshot: snapshot.joint_velocities,
+        "velocity of", lambda hand: hand.joints, lambda hand, now: now.joint_velocities
     ),
-    "object_position": Term(
-        lambda hand: [f"object {axis}" for axis in "xyz"],
-        lambda hand, snapshot: snapshot.object.position,
-    ),
+    "object_position": Term("object", lambda hand: "xyz", lambda hand, now: now.object.position),
     "object_orientation": Term(
-        lambda hand: [f"object quaternion {axis}" for axis in "wxyz"],
-        lambda hand, snapshot: snapshot.object.orientation,
+        "object quaternion", lambda hand: "wxyz", lambda hand, now: now.object.orientation
     ),
     "asked": Term(
-        lambda hand: [f"asked for: {name}" for name in hand.action_names],
-        lambda hand, snapshot: hand.action_map.asked(snapshot.targets),
+        "asked for:",
+        lambda hand: hand.action_names,
+        lambda hand, now: hand.action_map.asked(now.targets),
     ),
 }
 TRUE = ("joint_positions", "joint_velocities", "object_position", "object_orientation")
@@ -300,62 +293,35 @@ class History(Past):
 
 
 class Sight:
-    """How the object's pose is seen; this is how it is."""
+    """How the object's pose is seen: as it is, off by a random offset and a turn about a random axis
+    (at every step or for an episode), as it was when the episode began, or not at all."""
+
+    def __init__(self, config: SensorConfig) -> None:
+        self._seen, self._is_held = config.object_seen, config.sight_noise_kind == "held"
+        self._scale = np.repeat(config.sight_noise or SIGHT_NOISE, 3)
 
     def begin(self, rng: np.random.Generator) -> None:
         """A new episode."""
-
-    def __call__(self, obj: objects.ObjectState) -> objects.ObjectState:
-        """What is seen of it; only position and orientation count."""
-        return obj
-
-
-class NoisySight(Sight):
-    """Off by a random offset and a turn about a random axis, at every step or for an episode."""
-
-    def __init__(self, metres: float, radians: float, is_held: bool) -> None:
-        self.scale, self.is_held = np.repeat([metres, radians], 3), is_held
-
-    def begin(self, rng: np.random.Generator) -> None:
         self._rng = rng
+        self._first: objects.ObjectState | None = None
         self._error = self._draw()
 
     def _draw(self) -> Array:
-        return self.scale * self._rng.standard_normal(6)
+        return self._scale * self._rng.standard_normal(6)
 
     def __call__(self, obj: objects.ObjectState) -> objects.ObjectState:
-        error = self._error if self.is_held else self._draw()
-        turn = Rotation.from_rotvec(error[3:])
-        orientation = (turn * Rotation.from_quat(obj.orientation, scalar_first=True)).as_quat(
-            scalar_first=True
-        )
-        return objects.ObjectState(obj.position + error[:3], orientation, obj.rotation)
-
-
-class FirstSight(Sight):
-    """As it was when the episode began."""
-
-    def begin(self, rng: np.random.Generator) -> None:
-        self._first: objects.ObjectState | None = None
-
-    def __call__(self, obj: objects.ObjectState) -> objects.ObjectState:
+        """What is seen of it; only position and orientation count."""
+        if self._seen == "exact":
+            return obj
+        if self._seen == "hidden":
+            return objects.ObjectState(np.zeros(3), np.zeros(4), obj.rotation)
         self._first = self._first or obj
-        return self._first
-
-
-class NoSight(Sight):
-    """Zeros."""
-
-    def __call__(self, obj: objects.ObjectState) -> objects.ObjectState:
-        return objects.ObjectState(np.zeros(3), np.zeros(4), obj.rotation)
-
-
-def sight(config: SensorConfig) -> Sight:
-    """The one that was chosen."""
-    if config.object_seen == "noisy":
-        metres, radians = config.sight_noise or SIGHT_NOISE
-        return NoisySight(metres, radians, config.sight_noise_kind == "held")
-    return {"exact": Sight, "start": FirstSight, "hidden": NoSight}[config.object_seen]()
+        if self._seen == "start":
+            return self._first
+        error = self._error if self._is_held else self._draw()
+        truth = Rotation.from_quat(obj.orientation, scalar_first=True)
+        orientation = (Rotation.from_rotvec(error[3:]) * truth).as_quat(scalar_first=True)
+        return objects.ObjectState(obj.position + error[:3], orientation, obj.rotation)
 
 
 # -- all of it -------------------------------------------------------------------------------
@@ -377,8 +343,8 @@ class Observer:
     ) -> None:
         """`taxel_names` are those in the observation; `is_boolean` says whether they read 0 or 1."""
         terms = (*hand.observation, *(["asked"] if config.observe_targets else []))
-        self.hand, self._terms = hand, [TERMS[name] for name in terms]
-        self._sight = sight(config)
+        self.hand, self._terms = hand, terms
+        self._sight = Sight(config)
         is_slide = np.isin(hand.joints, SLIDES)
         white = np.where(is_slide, config.slide_noise, config.joint_noise)
         held = np.where(is_slide, config.slide_noise_held, config.joint_noise_held)
@@ -386,17 +352,22 @@ class Observer:
         if white.any() or held.any():
             self._joints = JointErrors(white, held, control_dt)
         self._taxels = taxel_stages(config, len(taxel_names))
-        self._history: list[tuple[History, History]] = []
-        if config.history > 1:
-            self._history = [(History(config.history), History(config.history))]
-        entries = [name for term in self._terms for name in term.names(hand)]
+        self._history = [History(config.history), History(config.history)]
+        names = term_names(terms, hand)
         taxels = [f"taxel {name}" for name in taxel_names]
-        self.names = [*_remembered(entries, config.history), *_remembered(taxels, config.history)]
+        self.names = _remembered(names, config.history) + _remembered(taxels, config.history)
         n_taxels, size = config.history * len(taxels), len(self.names)
         self.low, self.high = np.full(size, -np.inf, np.float32), np.full(size, np.inf, np.float32)
         self.low[size - n_taxels :] = 0.0
         if is_boolean:
             self.high[size - n_taxels :] = 1.0
+        whose = [term for term in terms for _ in TERMS[term].each(hand)]
+        whose += [""] * (size - n_taxels - len(whose)) + ["taxels"] * len(taxels)
+        self._whose = np.array(whose)
+
+    def entries(self, *terms: str) -> Array:
+        """Indices of the newest entries of these terms, as far as the hand has them, or "taxels"."""
+        return np.flatnonzero(np.isin(self._whose, terms))
 
     def begin(self, rng: np.random.Generator) -> None:
         """A new episode, which the next snapshot starts."""
@@ -406,22 +377,19 @@ class Observer:
             self._joints.begin(joints)
         for stage in self._taxels:
             stage.begin(taxels)
-        for pair in self._history:
-            for past in pair:
-                past.begin(history)
+        for past in self._history:
+            past.begin(history)
 
     def observe(self, truth: Snapshot, taxels: Array) -> Array:
         """(n,) float32 from what is true and what the taxels feel; once a control step."""
         sensed = replace(truth, object=self._sight(truth.object))
         if self._joints is not None:
             sensed = self._joints(sensed)
-        parts = [np.concatenate([term.read(self.hand, sensed) for term in self._terms])]
+        terms = np.concatenate([TERMS[term].read(self.hand, sensed) for term in self._terms])
         for stage in self._taxels:
             taxels = stage(taxels)
-        parts.append(taxels)
-        for pair in self._history:
-            parts = [past(part) for past, part in zip(pair, parts, strict=True)]
-        return np.concatenate(parts, dtype=np.float32, casting="same_kind")
+        told = [past(part) for past, part in zip(self._history, (terms, taxels), strict=True)]
+        return np.concatenate(told, dtype=np.float32, casting="same_kind")
 
 
 def truth(hand: Hand, now: Snapshot, taxels: Array) -> Array:
@@ -432,21 +400,29 @@ def truth(hand: Hand, now: Snapshot, taxels: Array) -> Array:
 
 def truth_names(hand: Hand, taxel_names: Sequence[str]) -> list[str]:
     """What the entries of `truth` are."""
-    names = [name for term in TRUE for name in TERMS[term].names(hand)]
-    return [*names, *(f"taxel {name}" for name in taxel_names)]
+    return [*term_names(TRUE, hand), *(f"taxel {name}" for name in taxel_names)]
+
+
+STAGES: list[Callable[[SensorConfig, int], Stage | None]] = [
+    lambda config, n: (
+        FalseReadings(config.taxel_false_on, config.taxel_false_off)
+        if config.taxel_false_on or config.taxel_false_off
+        else None
+    ),
+    lambda config, n: (
+        Broken(n, config.taxel_dead, config.taxel_stuck, config.hand_seed or 0)
+        if config.taxel_dead or config.taxel_stuck
+        else None
+    ),
+    lambda config, n: Delay(config.taxel_delay) if config.taxel_delay else None,
+]
+"""What happens to the readings (n,) of taxels, where it is asked for: they flip at random, a sensor
+that is broken says the same whatever it feels, and all of it is late."""
 
 
 def taxel_stages(config: SensorConfig, n: int) -> list[Stage]:
-    """What happens to the readings (n,) of taxels: they flip at random, a sensor that is broken
-    says the same whatever it feels, and all of it is late."""
-    stages: list[Stage] = []
-    if config.taxel_false_on or config.taxel_false_off:
-        stages.append(FalseReadings(config.taxel_false_on, config.taxel_false_off))
-    if config.taxel_dead or config.taxel_stuck:
-        stages.append(Broken(n, config.taxel_dead, config.taxel_stuck, config.hand_seed or 0))
-    if config.taxel_delay:
-        stages.append(Delay(config.taxel_delay))
-    return stages
+    """Those of STAGES that a configuration asks for."""
+    return [stage for made in STAGES if (stage := made(config, n)) is not None]
 
 
 def _remembered(names: list[str], history: int) -> list[str]:

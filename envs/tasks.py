@@ -53,8 +53,6 @@ class TaskConfig:
 
 def validate(config: TaskConfig) -> None:
     """ValueError naming the first invalid field."""
-    if config.task not in TASKS:
-        raise ValueError(f"task: found {config.task!r}, allowed: {', '.join(TASKS)}")
     for name in ("lift_clearance", "hold_seconds", "goal_height", "goal_tolerance"):
         value = getattr(config, name)
         if not (np.isfinite(value) and value > 0):
@@ -76,6 +74,19 @@ def validate(config: TaskConfig) -> None:
     if config.reward is not None and config.reward not in rewards:
         allowed = ", ".join(rewards)
         raise ValueError(f"reward: found {config.reward!r}, allowed for {config.task}: {allowed}")
+
+
+class Start(NamedTuple):
+    """How hand and object begin an episode."""
+
+    joints: Array
+    """Positions (n_joints,) in the order of the hand's ``joints``, rad and m."""
+    targets: Array
+    """(n_actuators,) that the hand is held to at first."""
+    position: Array
+    """Of the object (3,), m."""
+    yaw: float
+    """Of the object, rad."""
 
 
 class Judgement(NamedTuple):
@@ -121,9 +132,9 @@ class Task(Protocol):
     def of(cls, config: TaskConfig, hand: Hand, own_timestep: float) -> Task:
         """The task as configured, for a hand whose own timestep is that, s."""
 
-    def place(self, palm: Array, shape: Shape, offset: Array) -> Array:
-        """Where an object (3,) starts that is `offset` (2,) from its place, m. `palm` (3,) is a
-        place on the palm's skin, at the bases of the fingers."""
+    def start(self, usual: Start, palm: Array, shape: Shape) -> Start:
+        """How an episode begins: usually with the hand open above an object on the ground, both a
+        little moved. `palm` (3,) is a place on the palm's skin, at the bases of the fingers."""
 
     def act(self, simulator: Simulator, step: int) -> None:
         """What others do in the scene before the hand's action number `step`, or at the start (0)."""
@@ -147,8 +158,8 @@ class FromTheGround:
     rise: ClassVar[float] = 0.0
     giver: ClassVar[Giver | None] = None
 
-    def place(self, palm: Array, shape: Shape, offset: Array) -> Array:
-        return np.array([*offset, shape.half_size[2]])
+    def start(self, usual: Start, palm: Array, shape: Shape) -> Start:
+        return usual
 
     def act(self, simulator: Simulator, step: int) -> None:
         """Nothing."""
@@ -333,9 +344,10 @@ class Handover:
             raise ValueError(f"control_dt: found {control_dt} s, allowed {fastest:.3f} s or more in a "
                              "handover: the object would not arrive")  # fmt: skip
 
-    def place(self, palm: Array, shape: Shape, offset: Array) -> Array:
-        x, y = offset  # fingers point along -y
-        return palm + np.array([x, y - self.reach, -shape.half_size[2] - self.below])
+    def start(self, usual: Start, palm: Array, shape: Shape) -> Start:
+        x, y, _ = usual.position  # fingers point along -y
+        under = np.array([x, y - self.reach, -shape.half_size[2] - self.below])
+        return usual._replace(position=palm + under)
 
     def begin(self, start: Snapshot, rng: np.random.Generator) -> tuple[Array, Array]:
         self._sets_off = int(rng.integers(self.waits[0], self.waits[1], endpoint=True))

@@ -25,7 +25,7 @@ from .layouts import Taxels
 from .objects import ObjectState, Shape
 
 if TYPE_CHECKING:
-    from .hands.skins import Distances, Geom
+    from .hands.skins import Geom
     from .simulators import Simulator
 
 SKIN = 5e-4  # m, how thick the skin is: what is further from a link's surface does not touch it
@@ -81,7 +81,8 @@ class SkinTouch:
 
     def __init__(self, taxels: Taxels, surfaces: tuple[Surface, ...]) -> None:
         self.links = taxels.links
-        self._shaped = _Shaped.of(taxels, surfaces)
+        is_shaped = any(surfaces[index].geoms for index in taxels.surfaces)
+        self._shaped = _Shaped(taxels, surfaces) if is_shaped else None
         bones: list[tuple[int, Array, float]] = []  # link, points (m, 3), reach
         bone_of_link: dict[int, int] = {}
         bone = np.arange(len(taxels))  # of each taxel
@@ -126,31 +127,25 @@ class SkinTouch:
 class _Shaped:
     """The taxels whose links are neither one capsule nor flat."""
 
-    def __init__(self, geoms: Distances, taxels: dict[int, Array], links: dict[int, int]) -> None:
-        self._geoms, self._taxels, self._links = geoms, taxels, links
-
-    @classmethod
-    def of(cls, taxels: Taxels, surfaces: tuple[Surface, ...]) -> _Shaped | None:
-        """None where there are none; only else is MuJoCo imported."""
-        if not any(surfaces[index].geoms for index in taxels.surfaces):
-            return None
-        from .hands.skins import Distances
+    def __init__(self, taxels: Taxels, surfaces: tuple[Surface, ...]) -> None:
+        from .hands.skins import Distances  # imports MuJoCo
 
         geoms: list[Geom] = []
         first: dict[str, range] = {}
         carried: dict[int, list[int]] = {}
-        for surface in (surfaces[index] for index in taxels.surfaces.tolist()):
+        carriers = [surfaces[index] for index in taxels.surfaces.tolist()]
+        for surface in carriers:
             if surface.geoms and surface.link not in first:
                 first[surface.link] = range(len(geoms), len(geoms) + len(surface.geoms))
                 geoms += surface.geoms
-        distances = Distances(geoms)
-        for taxel, index in enumerate(taxels.surfaces.tolist()):
-            if surfaces[index].geoms:
-                own = list(first[surfaces[index].link])
-                nearest, _ = distances.nearest(own, taxels.positions[taxel])
+        self._geoms = Distances(geoms)
+        for taxel, surface in enumerate(carriers):
+            if surface.geoms:
+                own = list(first[surface.link])
+                nearest, _ = self._geoms.nearest(own, taxels.positions[taxel])
                 carried.setdefault(nearest, []).append(taxel)
-        links = {geom: int(taxels.link_index[some[0]]) for geom, some in carried.items()}
-        return cls(distances, {geom: np.array(some) for geom, some in carried.items()}, links)
+        self._links = {geom: int(taxels.link_index[some[0]]) for geom, some in carried.items()}
+        self._taxels = {geom: np.array(some) for geom, some in carried.items()}
 
     def correct(
         self, is_on: Array, positions: Array, rotations: Array, shape: Shape, obj: ObjectState

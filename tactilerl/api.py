@@ -32,7 +32,7 @@ from .algos.policy import Policy
 from .algos.spaces import Spaces
 from .envs import typed, vector
 from .envs.choices import require_known
-from .errors import InputError
+from .errors import PEERS
 from .runs import config, evaluation, policies, training
 from .runs.config import RunOptions
 from .runs.run_dir import RunDir
@@ -77,7 +77,7 @@ class Learner:
         """
         defaults = recipes.recipe(self.algo, recipe)
         options = dict(seed=seed, workers=workers, device=device, threads=threads, matmul=matmul)
-        require_known(hyperparameters, typed.names(defaults) | {*options, "recipe"})
+        require_known(hyperparameters, typed.names(defaults) | {*options, "recipe"}, PEERS)
         self.config = typed.replace(defaults, hyperparameters)
         self._run = typed.replace(RunOptions(algo=self.algo), options)
         for part in (self._run, self.config):
@@ -110,7 +110,7 @@ class Learner:
         Raises DivergenceError (a FloatingPointError) when an observation, a reward, a loss or a
         parameter is no longer finite, and ValueError when the learner cannot use the rewards.
         """
-        require_known(unknown, ("total_timesteps", "progress", "callback"))
+        require_known(unknown, ("total_timesteps", "progress", "callback"), PEERS)
         if isinstance(total_timesteps, float) and total_timesteps % 1 == 0:  # 1e5
             total_timesteps = int(total_timesteps)
         run = typed.replace(self._run, {"total_timesteps": total_timesteps})
@@ -214,13 +214,13 @@ def train(
 
     Flags of the command are keywords, as in ``train("shadow", algo="ppo", layout=4, seed=1)``;
     `recipe` is "paper" where nothing is said; `scene` is a named scene or its file.
-    `resume` goes on with the run in a folder, exactly where its last epoch ended.
+    A run that is in `out` already goes on exactly where its last epoch ended, if it has these settings;
+    `resume` goes on with the run in a folder, whatever its settings.
 
     Raises ValueError naming an unknown or invalid flag, and DivergenceError (a FloatingPointError)
     when an observation, a reward, a loss or a parameter is no longer finite; the last checkpoint
     is kept.
     """
-    comm = mpi.world()
     if resume is None:
         base = config.defaults(algo, env, recipe, scene)
         chosen = base.choose({**flags, **({} if out is None else {"out": str(out)})})
@@ -234,10 +234,7 @@ def train(
             if given:
                 raise ValueError(f"{name}: found it with resume; a resumed run keeps its settings")
         chosen = (saved.with_recipe(recipe) if recipe else saved).choose(flags)
-        if difference := saved.difference(chosen.identity()):
-            raise InputError(f"resume: {difference}; a resumed run keeps its settings")
-    chosen.validate()
-    return training.train(chosen, comm, None if resume is None else Path(resume), any_ranks)
+    return training.train(chosen, mpi.world(), any_ranks)
 
 
 def _start(env: Env, workers: int | None, threads: int = 1) -> vector.Workers:

@@ -6,6 +6,22 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+PEERS = {
+    "batch_size": ["minibatch_size"],
+    "gradient_steps": ["n_batches"],
+    "learning_rate": ["actor_lr", "critic_lr"],
+    "log_std_init": ["action_variance"],
+    "n_envs": ["workers"],
+    "n_epochs": ["n_passes"],
+    "n_steps": ["steps_per_epoch"],
+    "num_envs": ["workers"],
+    "policy_kwargs": ["hidden"],
+    "progress_bar": ["progress"],
+    "tau": ["polyak"],
+    "tensorboard_log": ["tensorboard"],
+}
+"""What Stable-Baselines3 and Gymnasium call a choice -> what is nearest to it here."""
+
 
 class InputError(ValueError):
     """One line: what was wrong, what was found, what is allowed. The command exits with 2."""

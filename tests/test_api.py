@@ -288,7 +288,7 @@ class TestTrain:
             (dict(gamma=0.5), "gamma: found 0.5, the run was made with 0.99"),
             (dict(algo="ddpg_her"), "algo: "),
             (dict(out="there"), "out: "),
-            (dict(recipe="steady"), "resume: .*, the run was made with"),
+            (dict(recipe="steady"), "run: .*, the run was made with"),
             (dict(env="shadow"), "env: found 'shadow', the run was made with 'lqr'"),
         ]:
             with pytest.raises(ValueError, match=words):

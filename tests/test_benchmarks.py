@@ -1,9 +1,13 @@
 """The benchmarks that reach into the library still find what they change."""
 
 import importlib
+import json
+from dataclasses import replace
 
 import pytest
 
+from benchmarks.command import run_missing
+from benchmarks.learners import steady
 from benchmarks.physics import hold_verdict
 from benchmarks.physics.speed_vs_error import BULLET, Setting, environment
 
@@ -29,3 +33,30 @@ def test_verdicts_on_objects_that_vary():
     tests = {"full": ({"verdict": "full"}, 0.0), "early": ({"verdict": "settled"}, 0.0)}
     found = hold_verdict.measure(hand, choices, policy, 2, tests)
     assert (found["holds"], found["changed_by_push"]) == (2, None)
+
+
+def doubled(number):
+    return {"doubled": 2 * number}
+
+
+def test_a_second_call_runs_what_is_missing(tmp_path):
+    out = tmp_path / "runs.json"
+    run_missing(out, {"sizes": (1, 2)}, [(3,)], doubled, 1)
+    content = json.loads(out.read_text())
+    assert content == {"sizes": [1, 2], "runs": {"3": {"doubled": 6}}}
+    out.write_text(json.dumps(content | {"runs": {"3": "kept"}}))
+    assert run_missing(out, {"sizes": (1, 2)}, [(3,), (4,)], doubled, 1) == {
+        "3": "kept",
+        "4": {"doubled": 8},
+    }
+    with pytest.raises(SystemExit, match="other configurations"):
+        run_missing(out, {"sizes": (1, 3)}, [(3,)], doubled, 1)
+
+
+@pytest.mark.parametrize("learn", [steady.ours, steady.theirs])
+def test_curves_of_both_libraries_have_points_where_the_task_says(learn):
+    task = replace(steady.TASKS["point-reach"], steps=200, every=100, sizes={"hidden": (8,)})
+    curve = learn(replace(steady.STEADY, n_batches=2, batch_size=16), task, seed=10_000)
+    assert curve.steps == [100, 200]
+    assert all(0.0 <= rate <= 1.0 for rate in curve.rates)
+    assert -25.0 <= curve.total <= 0.0

@@ -394,6 +394,40 @@ class TestResume:
         fails_with(capsys, ["evaluate", "run"], "checkpoint.pt: damaged")
 
 
+class TestGoingOn:
+    """With the folder of a run that is there already."""
+
+    def test_the_same_flags_go_on_bit_for_bit(self, capsys):
+        whole = [*TOY, "--total-timesteps", "480"]
+        assert main([*whole, "--out", "whole"]) == 0
+        assert main([*TOY, "--total-timesteps", "240", "--out", "parts"]) == 0
+        assert main([*whole, "--out", "parts"]) == 0
+        assert "after epoch 2, 240 steps" in capsys.readouterr().out
+        states = [torch.load(f"{run}/checkpoint.pt")["ranks"] for run in ("whole", "parts")]
+        assert all(
+            torch.equal(a, b)
+            for a, b in zip(*(state[0]["actor"].values() for state in states), strict=True)
+        )
+        assert main([*whole, "--out", "parts"]) == 0
+        assert "nothing to do" in capsys.readouterr().out
+
+    def test_another_run_stays_as_it_is(self, capsys):
+        short = [*TOY, "--total-timesteps", "120"]
+        assert main([*short, "--out", "run"]) == 0
+        before = {path: path.read_bytes() for path in Path("run").iterdir()}
+        capsys.readouterr()
+        fails_with(capsys, [*short, "--seed", "5", "--out", "run"], "seed: found 5", "made with 0")
+        assert {path: path.read_bytes() for path in Path("run").iterdir()} == before
+
+    def test_a_folder_whose_process_died_at_once_is_begun_anew(self):
+        Path("run").mkdir()
+        for name in (".lock", f".{'0' * 16}.tmp"):
+            Path("run", name).write_text("")
+        assert main([*TOY, "--total-timesteps", "120", "--out", "run"]) == 0
+        assert Path("run/checkpoint.pt").exists()
+        assert not Path("run", f".{'0' * 16}.tmp").exists()
+
+
 class TestBadInput:
     @pytest.mark.parametrize(
         ("args", "words"),
@@ -468,8 +502,9 @@ class TestBadInput:
     def test_existing_run_folder_is_kept(self, capsys):
         Path("mine").mkdir()
         Path("mine/thesis.txt").write_text("years of work")
-        fails_with(capsys, [*TOY, "--out", "mine"], "'mine' exists", "--resume mine")
+        fails_with(capsys, [*TOY, "--out", "mine"], "'mine' exists; choose another with --out")
         assert Path("mine/thesis.txt").read_text() == "years of work"
+        assert len(list(Path("mine").iterdir())) == 1
 
     def test_damaged_configuration(self, capsys):
         main([*TOY, "--total-timesteps", "1", "--out", "run"])

@@ -1,6 +1,8 @@
 """The docs hold: links lead somewhere, commands and flags exist, examples in Python run."""
 
 import contextlib
+import dataclasses
+import importlib
 import io
 import os
 import re
@@ -139,6 +141,42 @@ def benchmark_flags(page):
     shared = (*ROOT.glob("benchmarks/**/timing.py"), *ROOT.glob("benchmarks/command.py"))
     text += "".join(path.read_text(encoding="utf-8") for path in shared)
     return set(re.findall(r"--[\w-]+", text))
+
+
+# -- the site --------------------------------------------------------------------------------
+
+COLUMNS = 88  # of code, that a page 1280 pixels wide shows without scrolling
+
+
+def test_code_fits_its_page():
+    for page in PAGES:
+        if page.name == "CHANGELOG.md":
+            continue
+        for _, language, text in BLOCK.findall(page.read_text(encoding="utf-8")):
+            wide = [line for line in text.splitlines() if len(line) > COLUMNS]
+            assert not wide, (
+                f"{page.relative_to(ROOT)}, {language}: wider than {COLUMNS} columns: {wide}"
+            )
+
+
+@pytest.fixture
+def hooks(monkeypatch):
+    """The module that mkdocs takes the pages made from code from."""
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    monkeypatch.setattr(os, "environ", os.environ.copy())
+    return importlib.import_module("docs_hooks")
+
+
+def test_help_fits_its_page(hooks):
+    for command in ("train", "study plan"):
+        assert max(map(len, hooks.flags(command).splitlines())) <= 78
+
+
+def test_learners_list_their_hyperparameters(hooks):
+    for name, config in hooks.LEARNERS.items():
+        shown = hooks.entry(name)
+        for field in dataclasses.fields(config):
+            assert f"| `{field.name}` | `{getattr(config(), field.name)!r}` | " in shown
 
 
 # -- examples --------------------------------------------------------------------------------

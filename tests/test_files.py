@@ -27,7 +27,6 @@ from tactilerl.errors import InputError
 from tactilerl.runs import files, provenance, sealed
 from tactilerl.runs.progress_csv import ProgressTable
 from tactilerl.runs.run_dir import RunDir
-from tactilerl.terminal import interrupts
 
 PPO = ["train", "--env", "lqr", "--hidden", "8", "--steps-per-epoch", "60", "--n-passes", "1"]
 HER = ["train", "--algo", "ddpg_her", "--env", "point-reach", "--hidden", "8", "--n-cycles", "1"]
@@ -366,7 +365,6 @@ class TestWriting:
     @pytest.mark.parametrize("name", ["my run", "-x"])
     def test_hints_can_be_pasted(self, ppo, capsys, monkeypatch, name):
         shutil.copytree("run", f"./{name}")
-        fails_with(capsys, [*PPO, f"--out={name}"], f"--resume {files.pasted(name)}")
         hint = f"tactilerl train --resume {files.pasted(name)}"
         assert main(shlex.split(hint)[1:]) == 0
         assert f"tactilerl evaluate {files.pasted(name)}" in capsys.readouterr().out
@@ -602,13 +600,9 @@ class TestTerminal:
         assert b" ? " in result.stdout
 
     def test_an_interrupt_ends_the_process_at_once_with_one_line(self):
-        code = "import os, signal\nfrom tactilerl.terminal import interrupts\n"
-        code += "from tactilerl.commands.cli import main\n{}\n"
-        code += "with interrupts.leaving_at_once():\n    {}os.kill(os.getpid(), signal.SIGINT)"
-        for start, inside in (("", ""), ("interrupts.leave_at_once()", "")):
-            run = [sys.executable, "-c", code.format(start, inside)]
-            result = subprocess.run(run, capture_output=True, text=True)
-            assert (result.returncode, result.stderr) == (130, "tactilerl: interrupted\n")
+        code = "import os, signal, tactilerl.__main__\nos.kill(os.getpid(), signal.SIGINT)"
+        result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+        assert (result.returncode, result.stderr) == (130, "tactilerl: interrupted\n")
 
     @pytest.mark.parametrize(("env", "again"), [("lqr", ""), ("cut:Cut-v0", " --env cut:Cut-v0")])
     def test_an_interrupt_of_training_is_put_in_order(self, env, again, tmp_path, monkeypatch, capsys):
@@ -627,8 +621,13 @@ class TestTerminal:
             f"tactilerl: interrupted; the last checkpoint is kept: --resume new{again}\n"
         )
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-        with interrupts.leaving_at_once():
-            assert signal.getsignal(signal.SIGINT) is not signal.default_int_handler
+
+    def test_what_was_put_in_order_leaves_at_once_again(self):
+        code = "import os, signal, tactilerl.__main__\nfrom tactilerl.terminal import interrupts\n"
+        code += "try:\n    with interrupts.in_order(): os.kill(os.getpid(), signal.SIGINT)\n"
+        code += "except KeyboardInterrupt: print(1, flush=True)\nos.kill(os.getpid(), signal.SIGINT)"
+        result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+        assert (result.stdout, result.returncode) == ("1\n", 130)
 
 
 class TestMemory:

@@ -7,10 +7,9 @@ import pytest
 
 from tactilerl import envs
 from tactilerl.commands.cli import main
-from tactilerl.envs import reflexes
-from tactilerl.envs.reflexes import Reflex
-from tactilerl.probe import gate
+from tactilerl.probe import gate, reflexes
 from tactilerl.probe.gate import Found
+from tactilerl.probe.reflexes import Reflex
 
 FEW = ["--starts", "12", "--search", "1", "--workers", "1", "--seed", "10000"]
 

@@ -6,8 +6,8 @@ import pytest
 from tactilerl import envs
 from tactilerl.envs import objects, tasks
 from tactilerl.envs.givers import Giver
-from tactilerl.envs.reflexes import Reflex
 from tactilerl.envs.simulators import SimulationError
+from tactilerl.probe.reflexes import Reflex
 
 SIMULATORS = ["mujoco", "pybullet"]
 PAIRS = [(hand, simulator) for hand in ("mpl", "shadow", "allegro") for simulator in SIMULATORS]

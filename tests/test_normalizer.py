@@ -39,7 +39,7 @@ def test_ten_million_rows():
 def test_constant_columns_do_not_explode():
     stats = fed([np.full((50, 2), [3.0, 1e8]) for _ in range(3)], 2)
     assert (stats.std == MIN_STD).all()
-    assert (stats(torch.tensor([[3.0, 1e8]])) == 0).all()
+    assert (stats.scaling()(torch.tensor([[3.0, 1e8]])) == 0).all()
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
@@ -51,7 +51,7 @@ def test_a_column_that_explodes_spoils_nothing(kind):
     stats = Normalizer(2, Communicator(), clip=5.0)
     for batch in np.array_split(rows, 37):
         stats.update(batch)
-        assert torch.isfinite(stats(torch.from_numpy(rows.astype(np.float32)))).all()
+        assert torch.isfinite(stats.scaling()(torch.from_numpy(rows.astype(np.float32)))).all()
     np.testing.assert_allclose(stats.mean, rows.mean(axis=0, dtype=np.float64), rtol=1e-12)
     np.testing.assert_allclose(stats.std, rows.std(axis=0, dtype=np.float64), rtol=1e-12)
 
@@ -61,33 +61,33 @@ def test_normalised_values_keep_their_digits():
     rows = (1e8 + 800.0 * np.random.default_rng(0).standard_normal((5000, 1))).astype(np.float32)
     stats = fed([rows], 1)
     exact = (rows.astype(np.float64) - rows.mean(dtype=np.float64)) / rows.std(dtype=np.float64)
-    assert np.abs(stats(torch.from_numpy(rows)).numpy() - exact).max() < 1e-5
+    assert np.abs(stats.scaling()(torch.from_numpy(rows)).numpy() - exact).max() < 1e-5
 
 
 def test_clip_and_before_the_first_update():
     stats = Normalizer(2, Communicator(), clip=5.0)
-    assert stats(torch.tensor([[-1.0, 99.0]])).tolist() == [[-1.0, 5.0]]
+    assert stats.scaling()(torch.tensor([[-1.0, 99.0]])).tolist() == [[-1.0, 5.0]]
 
 
 def test_columns_as_they_are():
     stats = Normalizer(2, Communicator(), clip=5.0, as_is=np.array([False, True]))
     for rows in np.random.default_rng(0).normal(3.0, 2.0, (4, 50, 2)):
         stats.update(rows)
-    assert stats(torch.tensor([[3.0, 1.0]]))[0].tolist() == [pytest.approx(0.0, abs=0.2), 1.0]
+    assert stats.scaling()(torch.tensor([[3.0, 1.0]]))[0].tolist() == [pytest.approx(0.0, abs=0.2), 1.0]
 
 
 def test_the_argument_is_left_alone():
     stats, values = fed([np.arange(6.0).reshape(3, 2)], 2), torch.ones(4, 2)
-    stats(values)
+    stats.scaling()(values)
     assert (values == 1).all()
 
 
 def test_later_rows_change_what_comes_out():
     stats = fed([np.array([[0.0], [2.0]])], 1)
-    before = stats(torch.tensor([[3.0]])).item()
+    before = stats.scaling()(torch.tensor([[3.0]])).item()
     stats.update(np.array([[10.0], [20.0]]))
     assert before == 2.0
-    assert stats(torch.tensor([[3.0]])).item() < 0
+    assert stats.scaling()(torch.tensor([[3.0]])).item() < 0
 
 
 def test_ranks_merge_to_one_stream():
@@ -125,9 +125,9 @@ def test_a_rank_without_rows_and_no_rows_at_all():
 def test_saved_and_restored():
     stats = fed([np.random.default_rng(0).standard_normal((9, 2))], 2)
     again = Normalizer(2, Communicator())
-    again(torch.zeros(1, 2))  # whatever it computed before must not stick
+    again.scaling()(torch.zeros(1, 2))  # whatever it computed before must not stick
     again.load_state_dict(stats.state_dict())
     values = torch.ones(1, 2)
-    assert torch.equal(stats(values), again(values))
+    assert torch.equal(stats.scaling()(values), again.scaling()(values))
     again.update(np.ones((1, 2)))
     assert stats.count == 9

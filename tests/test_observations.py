@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from tactilerl import envs
 from tactilerl.envs import observations
 from tactilerl.envs.observations import Broken, Delay, FalseReadings
-from tactilerl.envs.reflexes import Reflex
+from tactilerl.probe.reflexes import Reflex
 
 BOTH = [
     pytest.param("shadow", "mujoco"),
@@ -82,11 +82,11 @@ class TestSight:
 
     @pytest.mark.parametrize("kind", ["white", "held"])
     def test_noise_has_the_size_that_was_asked_for(self, kind):
-        exact = observations.sight(observations.SensorConfig())
+        exact = observations.Sight(observations.SensorConfig())
         noise = observations.SensorConfig(
             object_seen="noisy", sight_noise=(0.02, 0.3), sight_noise_kind=kind
         )
-        noisy = observations.sight(noise)
+        noisy = observations.Sight(noise)
         turn = Rotation.from_rotvec([0.4, -0.2, 1.0])
         thing = observations.objects.ObjectState(
             np.array([1.0, 2.0, 3.0]), turn.as_quat(scalar_first=True), turn.as_matrix()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tactilerl.algos.policy import GoalObs, goal_observation
+from tactilerl.algos.policy import GoalInputs, GoalObs
 from tactilerl.algos.replay import Replay, future_goal_steps
 from tactilerl.algos.rollout import Episode
 
@@ -230,7 +230,7 @@ class TestSaving:
 
 def test_goal_observation_copies():
     obs = {name: np.zeros(2) for name in GoalObs._fields}
-    read = goal_observation(obs)
+    read = GoalInputs(None, None, 0.0).read(obs)
     obs["achieved_goal"][:] = 1.0
     assert read.achieved_goal.dtype == np.float32
     assert not read.achieved_goal.any()

@@ -1,10 +1,13 @@
 """Goals that are drawn, and what a task may look at."""
 
+import dataclasses
+from typing import ClassVar
+
 import numpy as np
 import pytest
 
 from tactilerl import envs
-from tactilerl.envs import objects
+from tactilerl.envs import hands, objects, tasks
 
 BOTH = [("shadow", "mujoco"), ("mpl", "pybullet")]
 
@@ -70,3 +73,29 @@ def test_the_objects_velocity_is_what_its_poses_say(simulator):
 def test_a_state_without_a_velocity_is_at_rest():
     state = objects.ObjectState(np.zeros(3), np.array([1.0, 0, 0, 0]), np.eye(3))
     assert not np.concatenate([state.velocity, state.angular_velocity]).any()
+
+
+@dataclasses.dataclass(frozen=True)
+class InHand(tasks.ReachGoal):
+    """An episode begins with the hand closed around an object, up in the air."""
+
+    rise: ClassVar[float] = 0.3
+
+    def start(self, usual, palm, shape):
+        hand = hands.get("shadow")
+        closed = [hand.closed.get(name, 0.0) for name in hand.actuators]
+        pose = dict(zip(hand.actuated, closed, strict=True))
+        joints = np.array([pose.get(joint, 0.0) for joint in hand.joints])
+        return tasks.Start(joints, np.array(closed), palm - [0.0, 0.05, 0.04], 0.5)
+
+
+def test_a_task_of_ones_own_decides_how_an_episode_begins(monkeypatch):
+    monkeypatch.setitem(tasks.TASKS, "in-hand", InHand)
+    env = envs.make("shadow", task="in-hand", object_size=0.03)
+    env.reset(seed=0)
+    hand, (joints, _) = env.hand, env.simulator.joint_state()
+    assert joints[hand.joints.index("robot0:FFJ2")] == hand.closed["robot0:A_FFJ2"] == 1.571
+    in_hand = env.simulator.object_state().position - env.palm_skin
+    np.testing.assert_allclose(in_hand, [0.0, -0.05, -0.04], atol=1e-12)
+    assert env.simulator.object_state().position[2] > 0.2
+    np.testing.assert_array_equal(env._targets, [hand.closed.get(n, 0.0) for n in hand.actuators])

@@ -1,21 +1,30 @@
-"""Reference pages of the docs, made from the code while mkdocs builds the site.
+"""What the site of the docs has from the code, while mkdocs builds it.
 
 The pages in docs/reference are complete in a repository's browser; the site adds what would go stale if
-it were written by hand: the flags of every command, and signatures and docstrings.
+it were written by hand: the flags of every command, signatures and docstrings, the hyperparameters of
+each learner, the version, and a link to the repository that the checkout was cloned from.
 """
 
 from __future__ import annotations
 
+import ast
 import contextlib
+import inspect
 import io
 import os
+import re
+import subprocess
+import textwrap
 from typing import Any
 
 import tactilerl
+from tactilerl.algos.ddpg_her import DDPGHERConfig
+from tactilerl.algos.ppo import PPOConfig
 from tactilerl.commands import cli
 from tactilerl.commands.study import PARTS as STUDY
 
-os.environ |= {"COLUMNS": "96", "NO_COLOR": "1"}  # of help texts
+WIDTH = 78  # of help texts: what a page shows without scrolling
+os.environ |= {"COLUMNS": str(WIDTH), "NO_COLOR": "1"}
 SEVERAL = {  # commands whose flags depend on what follows them
     "train": ("train", "train --algo ddpg_her"),
     "study": tuple(f"study {part}" for part in STUDY),
@@ -36,14 +45,57 @@ PYTHON = (
 )
 
 
+LEARNERS = {"tactilerl.api.PPO": PPOConfig, "tactilerl.api.DDPGHER": DDPGHERConfig}
+
+
+def on_config(config: Any) -> Any:
+    """Called by mkdocs with its configuration."""
+    config.site_name = f"tactilerl {tactilerl.__version__}"
+    config.copyright = f"tactilerl {tactilerl.__version__}, MIT licence"
+    config.repo_url = config.repo_url or repository()
+    if config.repo_url:
+        config.repo_name = "Repository"
+    return config
+
+
+def repository() -> str:
+    """Where the checkout was cloned from, as a page; empty where that is none."""
+    asked = ["git", "remote", "get-url", "origin"]
+    told = subprocess.run(asked, capture_output=True, text=True).stdout.strip()
+    address = re.sub(r"^(?:ssh://)?git@([^:/]+)[:/]", r"https://\1/", told).removesuffix(".git")
+    return address if address.startswith("https://") and "@" not in address else ""
+
+
 def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
     """Called by mkdocs with the text of each page."""
     if page.file.src_uri == "reference/command-line.md":
         calls = [call for name in cli.COMMANDS for call in SEVERAL.get(name, (name,))]
         return markdown + "".join(map(flags, calls))
     if page.file.src_uri == "reference/python.md":
-        return f"{markdown}\n## Entries\n\n" + "".join(f"::: {name}\n\n" for name in python())
+        return f"{markdown}\n## Entries\n\n" + "".join(map(entry, python()))
     return markdown
+
+
+def entry(name: str) -> str:
+    """What a name is, and of a learner all its hyperparameters."""
+    shown = f"::: {name}\n\n"
+    if name not in LEARNERS:
+        return shown
+    rows = "".join(hyperparameters(LEARNERS[name]))
+    head = "Hyperparameters, with the paper's values:\n\n| keyword | default | |\n|---|---|---|\n"
+    return f"{shown}{head}{rows}\n"
+
+
+def hyperparameters(config: type) -> list[str]:
+    """A row for each field: name, default, docstring."""
+    (found,) = ast.parse(textwrap.dedent(inspect.getsource(config))).body
+    defaults, rows = config(), []
+    for field, said in zip(found.body, found.body[1:], strict=False):
+        if isinstance(field, ast.AnnAssign) and isinstance(said, ast.Expr):
+            text = re.sub(r"\s+", " ", ast.literal_eval(said.value)).replace("|", "\\|")
+            name = ast.unparse(field.target)
+            rows.append(f"| `{name}` | `{getattr(defaults, name)!r}` | {text} |\n")
+    return rows
 
 
 def flags(command: str) -> str:
@@ -51,7 +103,12 @@ def flags(command: str) -> str:
     output = io.StringIO()
     with contextlib.redirect_stdout(output), contextlib.suppress(SystemExit):
         cli.main([*command.split(), "--help"])
-    return f"\n## tactilerl {command}\n\n```text\n{output.getvalue()}```\n"
+    lines = (
+        textwrap.wrap(line, WIDTH, drop_whitespace=False) or [""]
+        for line in output.getvalue().splitlines()
+    )
+    text = "\n".join(line for wrapped in lines for line in wrapped)
+    return f"\n## tactilerl {command}\n\n```text\n{text}\n```\n"
 
 
 def python() -> list[str]:

@@ -13,13 +13,17 @@ import json
 from pathlib import Path
 from typing import Any
 
+from matplotlib import rc_context
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from benchmarks.command import parser, write
-from tactilerl.probe.figures import draw_selection
+from tactilerl.probe.figures import BARE, LAYOUT, draw_selection
+from tactilerl.study.figures import STYLE
 
 NAMES = {"shadow": "Shadow", "mpl": "MPL", "allegro": "Allegro"}
 SIMULATORS = {"mujoco": "MuJoCo", "pybullet": "PyBullet"}
+MARKS = ((BARE, "o", "-"), (LAYOUT, "s", ""))  # of the best taxels found, and of layouts
 Results = dict[str, dict[str, Any]]
 """probe.json by the pair's name."""
 
@@ -33,7 +37,7 @@ def in_words(pair: str) -> str:
 def gains(results: Results, noise: float) -> None:
     """Gain in AUC over the joint angles."""
     print(f"\n### Will it hold? Gain in AUC, joint angles with {noise:g} rad of noise\n")
-    _head("told beyond the joints", results)
+    _head("added to the joints", results)
     rows = {name: _rows(result, "hold", "auc", noise) for name, result in results.items()}
     _line("(joints alone: AUC)", [f"{found['joints', None]['value']:.3f}" for found in rows.values()])
     for told, layout in next(iter(rows.values())):
@@ -47,7 +51,7 @@ def gains(results: Results, noise: float) -> None:
 def places(results: Results, noise: float) -> None:
     """Where is the object?"""
     print(f"\n### Where is it, and how is it turned? mm and degrees, {noise:g} rad of noise\n")
-    _head("told", results)
+    _head("features", results)
     where = [_rows(result, "position", "error_mm", noise) for result in results.values()]
     turned = [_rows(result, "yaw", "error_deg", noise) for result in results.values()]
     for told, layout in where[0]:
@@ -95,14 +99,23 @@ def differences(results: Results, noise: float) -> None:
 
 def figure(results: Results, path: Path) -> None:
     """A panel for each pair."""
-    picture = Figure(figsize=(9, 6.4), layout="constrained")
-    panels = picture.subplots(2, 2, sharex=True, sharey=True).flat
-    for (name, result), axes in zip(results.items(), panels, strict=False):
-        draw_selection(axes, result["selection"])
-        axes.set_title(f"{name}: {result['grasps']:,} grasps, {result['held']:.0%} held")
-    picture.supxlabel("taxels")
-    picture.supylabel("gain in AUC over joint angles with 0.05 rad of noise")
-    picture.savefig(path, dpi=110)
+    with rc_context(STYLE):
+        picture = Figure(figsize=(9, 6.6), layout="constrained")
+        panels = picture.subplots(2, 2, sharex=True, sharey=True).flat
+        for (name, result), axes in zip(results.items(), panels, strict=False):
+            draw_selection(axes, result["selection"])
+            hand, simulator = name.split(", ")
+            axes.set_title(
+                f"{hand} hand in {simulator}: {result['grasps']:,} grasps, {result['held']:.0%} held",
+                loc="left",
+            )
+        for axes in picture.axes[2:]:
+            axes.set_xlabel("number of taxels")
+        picture.supylabel("gain in AUC over joint angles with 0.05 rad of noise")
+        line, square = (Line2D([], [], color=c, marker=m, ls=s) for c, m, s in MARKS)
+        names = ["best taxels found, 95 % interval", "the paper's layouts 1 to 6, 95 % interval"]
+        picture.legend([line, square], names, loc="outside lower center", ncols=2, frameon=False)
+        picture.savefig(path, dpi=120, metadata={"Software": None})
 
 
 def _rows(result: dict[str, Any], question: str, metric: str, noise: float) -> dict[Any, Any]:

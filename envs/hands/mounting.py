@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
 
@@ -35,13 +35,13 @@ class Mount:
     palm: str
     drop: tuple[str, ...] = ()
     """Patterns of names of what is left out of the model: bodies, geoms, tendons, actuators, sites."""
-    masses: tuple[tuple[str, float], ...] = ()
+    masses: dict[str, float] = field(default_factory=dict)
     """Of bodies that weigh something else than in the model, kg."""
     keeps_contacts: bool = False
     """Do links touch what the model says, each other too? Else only the object and the ground."""
-    slides: tuple[tuple[str, float], ...] = ()
-    """What is different from SLIDE."""
-    servos: tuple[tuple[str, tuple[tuple[str, float], ...]], ...] = ()
+    slides: dict[str, float] = field(default_factory=lambda: SLIDE)
+    """As SLIDE."""
+    servos: dict[str, dict[str, float]] = field(default_factory=dict)
     """What is different from SERVOS."""
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Of the model's root body, m."""
@@ -62,7 +62,7 @@ class Mount:
         if not np.allclose(rotation, np.array(self.own_rotation), atol=1e-9):
             root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
             root.quat = _quaternion(rotation)
-        figures = {**SLIDE, **dict(self.slides)}
+        figures = self.slides
         for name, axis in zip(SLIDES, rotation, strict=True):
             damping = [figures["damping"], 0, 0]
             root.add_joint(name=name, type=LINEAR, axis=axis, damping=damping)
@@ -85,10 +85,9 @@ class Mount:
             )
         if not visual:
             spec.discard_visual()
-        masses = dict(self.masses)
         for body in spec.bodies[1:]:
             body.gravcomp = 1.0
-            body.mass = masses.get(body.name, body.mass)
+            body.mass = self.masses.get(body.name, body.mass)
         if not self.keeps_contacts:
             _touch_only_others(spec)
         if not spec.actuators:
@@ -121,10 +120,9 @@ class Mount:
     def _add_servos(self, spec: mujoco.MjSpec) -> None:
         """For all joints but those that follow another."""
         followers = {follower for follower, _, _ in followed(spec)}
-        chosen = {kind: dict(figures) for kind, figures in self.servos}
         for joint in spec.joints:
             kind = "slide" if joint.type == LINEAR else "hinge"
-            figures = {**SERVOS[kind], **chosen.get(kind, {})}
+            figures = {**SERVOS[kind], **self.servos.get(kind, {})}
             if joint.name not in followers:
                 joint.damping = np.maximum(joint.damping, [figures["damping"], 0, 0])
                 joint.armature = max(joint.armature, figures["armature"])

@@ -54,12 +54,10 @@ class Parts:
             model=_model_file(data.get("model"), self.folder),
             palm=str(data.get("palm")),
             drop=strings(data["drop"], "drop") if "drop" in data else (),
-            masses=tuple(numbers(table(data, "masses"), "masses").items()),
+            masses=numbers(table(data, "masses"), "masses"),
             keeps_contacts=contacts == "model",
-            slides=tuple(
-                numbers({k: slides.get(k, v) for k, v in mounting.SLIDE.items()}, "slides").items()
-            ),
-            servos=tuple((k, tuple(numbers(servos[k], f"servos.{k}").items())) for k in servos),
+            slides=numbers({k: slides.get(k, v) for k, v in mounting.SLIDE.items()}, "slides"),
+            servos={k: numbers(servos[k], f"servos.{k}") for k in servos},
         )
 
     @cached_property

@@ -49,9 +49,8 @@ def load(name: str) -> NamedScene:
     path = Path(name) if name.endswith(SUFFIX) else FOLDER / f"{name}{SUFFIX}"
     data = toml_files.read(path, "scene file")
     kinds = {"about": str, "base": str, "env": str, "scene": dict, "train": dict}
+    toml_files.only(data, set(kinds), f"scene file {path}")
     for key, value in data.items():
-        if key not in kinds:
-            raise ValueError(f"scene file {path}: unknown key {key!r}; allowed: {', '.join(kinds)}")
         if not isinstance(value, kinds[key]):
             raise ValueError(
                 f"scene file {path}: {key}: found {value!r}, allowed a {kinds[key].__name__}"

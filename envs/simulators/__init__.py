@@ -152,12 +152,14 @@ def joint_limits(model: mujoco.MjModel, hand: Hand) -> Array:
 
 @dataclass(frozen=True)
 class Registration:
-    """A simulator that can be asked for by name, in a module of that name."""
+    """A simulator that can be asked for by name."""
 
     simulator: str
     """Name of the class there."""
     missing: str = ""
     """What to say where the module cannot be imported."""
+    module: str = ""
+    """Where the class is; default: in the module here that has the simulator's name."""
 
 
 SIMULATORS = {
@@ -176,7 +178,7 @@ def make(name: str, scene: Scene) -> Simulator:
         raise ValueError(f"unknown simulator {name!r}; allowed: {', '.join(SIMULATORS)}")
     registered = SIMULATORS[name]
     try:
-        module = importlib.import_module(f".{name}", __name__)
+        module = importlib.import_module(registered.module or f".{name}", __name__)
     except ModuleNotFoundError as error:
         raise ImportError(registered.missing or str(error)) from error
     simulator: Simulator = getattr(module, registered.simulator)(scene)

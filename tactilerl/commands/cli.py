@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from importlib import import_module
 
 from ..errors import InputError, let_rank_0_speak
-from ..terminal import interrupts
 from ..version import __version__
 
 COMMANDS = {  # each a module here with `main(args)`, imported when it runs; what it does
@@ -32,11 +31,10 @@ def main(args: Sequence[str] | None = None) -> int:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
-        with interrupts.leaving_at_once():
-            try:
-                code = _run(list(sys.argv[1:] if args is None else args))
-            finally:
-                sys.stdout.flush()
+        try:
+            code = _run(list(sys.argv[1:] if args is None else args))
+        finally:
+            sys.stdout.flush()
     except BrokenPipeError:  # who read our output has gone, such as `head`
         code = _closed_output()
     except Exception:

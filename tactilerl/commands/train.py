@@ -1,4 +1,4 @@
-"""`tactilerl train`: all flags of a run, and the run."""
+"""`tactilerl train`: flags in, run folder out."""
 
 from __future__ import annotations
 
@@ -33,14 +33,11 @@ def main(args: list[str]) -> int:
     if resume and any(arg.partition("=")[0] == "--out" for arg in args):
         raise InputError("--out: a resumed run stays in its folder; leave it out")
     with input_errors():
-        config.validate()
         comm = mpi.world()
         # A resumed run has its layout's own copy: the file may be gone.
         notes = layout_notes(config.run.env, config.scene.layout) if config.scene and not resume else []
         summary = _summary(config, comm.size, notes)
-    if saved and (difference := saved.difference(config.identity())):
-        raise InputError(f"--resume {resume}: {difference}; a resumed run keeps its settings")
-    path = train(config, comm, Path(resume) if resume else None, options.any_ranks, summary)
+    path = train(config, comm, options.any_ranks, summary)
     if comm.rank == 0:
         console.print(
             f"\nThe run is in {path}: progress.csv (learning curve), checkpoint.pt, config.json.\n"

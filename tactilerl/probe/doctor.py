@@ -10,7 +10,7 @@ import numpy as np
 from ..envs import scripted
 from ..envs.grasp import GraspConfig, GraspEnv
 from ..envs.hands import ScriptedGrasp
-from ..envs.simulators import SimulationError
+from ..envs.simulators import SIMULATORS, SimulationError
 
 SEED = 20_000  # apart from any seed of a training run or of the search for the grasps
 
@@ -47,7 +47,7 @@ def examine(
     result = figures(holds)
     if not compare:
         return result
-    other = replace(config, simulator="pybullet" if config.simulator == "mujoco" else "mujoco")
+    other = replace(config, simulator=next(s for s in SIMULATORS if s != config.simulator))
     return replace(result, agreement=agreement(holds, record(env_name, other, grasps, seconds, grasp)))
 
 

@@ -12,7 +12,10 @@ from ..envs.hands import Hand
 from ..pictures.hand_map import ROUND, panels, point
 from ..pictures.places import Place
 
-BARE, LAYOUT, CHANCE = "tab:blue", "tab:orange", "0.7"
+BARE, LAYOUT, CHANCE = "#2b6cb0", "#e0a800", "0.7"  # as the arms of a study
+DPI = 160
+EDGE = 2.0  # mm of a pad beyond the places of its outermost taxels
+TICKS = (1, 2, 5, 10, 20, 50, 100)  # of a number of taxels
 
 
 def draw(result: dict[str, Any], hand: Hand, out: Path) -> list[Path]:
@@ -24,19 +27,19 @@ def draw(result: dict[str, Any], hand: Hand, out: Path) -> list[Path]:
     figures = {"gain": _gains(result), "learning_curve": _learning(result)}
     skin = result["worth"]
     places = [Place(**place) for place in skin["places"]]
-    title = f"layout {skin['layout']}: what each taxel tells beyond the joint angles"
+    title = f"layout {skin['layout']}: information that each taxel adds to the joint angles"
     figures["worth"] = hand_map(hand, places, title, np.array(skin["bits"]))
     if "selection" in result:
         figures["selection"] = _selection(result["selection"])
         chosen = [Place(**place) for place in result["selection"]["places"]]
-        title = f"the {len(chosen)} taxels that tell most together, by rank"
+        title = f"the first {len(chosen)} taxels chosen, in order"
         figures["selected"] = hand_map(hand, chosen, title)
     written = []
     for name, figure in figures.items():
         for suffix in ("png", "svg"):
             written.append(out / f"{name}.{suffix}")
             metadata = {"Date": None} if suffix == "svg" else None
-            figure.savefig(written[-1], dpi=120, bbox_inches="tight", metadata=metadata)
+            figure.savefig(written[-1], dpi=DPI, bbox_inches="tight", metadata=metadata)
     return written
 
 
@@ -112,13 +115,19 @@ def draw_selection(axes: Any, selection: dict[str, Any]) -> None:
     axes.fill_between(n, low, high, color=BARE, alpha=0.15)
     for row in selection["layouts"]:
         ends = np.array(row["gain_interval"])[:, None]
-        axes.errorbar(
-            row["taxels"], row["gain"], np.abs(ends - row["gain"]), fmt="s", color=LAYOUT, capsize=3
-        )
-        at = (row["taxels"], row["gain"])
-        axes.annotate(Path(row["layout"]).stem, at, xytext=(5, 4), textcoords="offset points")
+        at = row["taxels"], row["gain"]
+        axes.errorbar(*at, np.abs(ends - row["gain"]), fmt="s", color=LAYOUT, capsize=3)
+        beside = [one for one in selection["layouts"] if 0.7 < one["taxels"] / row["taxels"] < 1.4]
+        is_left = any(one["taxels"] > row["taxels"] for one in beside)
+        is_lower = any(one["gain"] > row["gain"] for one in beside)
+        axes.annotate(
+            Path(row["layout"]).stem, at, xytext=(-6 if is_left else 6, -9 if is_lower else 4),
+            textcoords="offset points", ha="right" if is_left else "left",
+        )  # fmt: skip
     axes.axhline(0, color=CHANCE, zorder=0)
     axes.set_xscale("log")
+    axes.set_xticks(TICKS, [str(tick) for tick in TICKS])
+    axes.minorticks_off()
 
 
 def hand_map(hand: Hand, places: Sequence[Place], title: str, worth: np.ndarray | None = None) -> Any:
@@ -131,17 +140,17 @@ def hand_map(hand: Hand, places: Sequence[Place], title: str, worth: np.ndarray 
     for x, y, half_width, low, high in drawn:
         corner, size = (x - half_width, y + low), (2 * half_width, high - low)
         shape = FancyBboxPatch(
-            corner, *size, boxstyle=f"round,pad=0,rounding_size={ROUND * half_width}",
+            corner, *size, boxstyle=f"round,pad={EDGE},rounding_size={ROUND * half_width}",
             facecolor="0.95", edgecolor="0.6",
         )  # fmt: skip
         axes.add_patch(shape)
     points = np.array([point(place, drawn) for place in places])
     colour = np.arange(1, len(places) + 1) if worth is None else worth
     dots = axes.scatter(*points.T, c=colour, s=14, cmap="viridis_r" if worth is None else "inferno")
-    figure.colorbar(dots, label="rank" if worth is None else "bits a grasp", shrink=0.7)
+    figure.colorbar(dots, label="order" if worth is None else "bits per grasp", shrink=0.7)
     for surface, panel in zip(hand.surfaces, drawn, strict=True):
         if surface.segment == "distal":
-            axes.text(panel.x, panel.y + panel.high + 5, surface.digit, ha="center")
+            axes.text(panel.x, panel.y + panel.high + 2 * EDGE, surface.digit, ha="center", va="bottom")
     axes.set(aspect="equal", title=title)
     axes.axis("off")
     axes.autoscale_view()

@@ -15,7 +15,7 @@ from ..envs.objects import KINDS
 from ..errors import InputError
 from ..pictures.places import Place
 from ..runs.files import damage_named, read_arrays, replacing
-from .grasps import Arrays, shapes_of
+from .grasps import Measured, shapes_of
 
 FORMAT = 1
 LARGEST = 1e6  # of any number in it, SI units
@@ -29,7 +29,7 @@ NEEDED = (
 class Played(NamedTuple):
     """Grasps 0, 1, 2, ... as they were recorded."""
 
-    records: Arrays
+    records: Measured
     settings: dict[str, Any]
     """What they follow from, besides their number."""
     contact_places: tuple[Place, ...]
@@ -73,7 +73,7 @@ def read(path: Path) -> Played:
     return Played(arrays, about, places)
 
 
-def _check(arrays: Arrays) -> None:
+def _check(arrays: Measured) -> None:
     """ValueError unless all is there, of one length, and of numbers that occur."""
     for name in NEEDED:
         if name not in arrays:
@@ -85,7 +85,7 @@ def _check(arrays: Arrays) -> None:
             raise ValueError(f"{name} is not finite, or out of range")
 
 
-def _check_scene(arrays: Arrays, about: dict[str, Any], places: tuple[Place, ...]) -> None:
+def _check_scene(arrays: Measured, about: dict[str, Any], places: tuple[Place, ...]) -> None:
     """ValueError unless everything is as one of our hands gives it."""
     for setting, kind in (("simulator", str), ("touch", str), ("seed", int)):
         typed.require_type(about.get(setting), kind, setting)

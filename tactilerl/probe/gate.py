@@ -11,11 +11,12 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from ..envs import reflexes, vector
+from ..envs import vector
 from ..envs.grasp import GraspConfig, GraspEnv
 from ..envs.observations import TaxelFaults
-from ..envs.reflexes import Reflex
 from ..runs.evaluation import success_rate
+from . import reflexes
+from .reflexes import Reflex
 
 SEARCH = 1_000_000  # starts of the search are not those of the comparison
 TELLS = 0.3  # what a scene must leave to win to tell anything

@@ -25,7 +25,8 @@ from ..envs.vector import IsWanted
 if TYPE_CHECKING:  # the processes that fit estimators start without PyTorch
     from ..algos.policy import Policy
 
-Arrays = dict[str, Array]
+Measured = dict[str, Array]
+"""What is kept of a grasp, by name; stacked, of many."""
 STREAM = 5  # keeps these random numbers apart from those of training and evaluation
 HOLD_SECONDS = 2.0
 AT_REST = 2e-3  # m that the object would move until the end, at the speed of the last control step
@@ -86,7 +87,7 @@ class ScriptedGrasps:
     seed: int
     verdict: Verdict = "settled"
 
-    def __call__(self, env: gym.Env[Any, Any], number: int, is_wanted: IsWanted) -> Arrays:
+    def __call__(self, env: gym.Env[Any, Any], number: int, is_wanted: IsWanted) -> Measured:
         """The grasp's record; what it is when the grasp is not wanted any more does not matter."""
         assert isinstance(env, Scenes)
         drawn, rng = self.perturbation, np.random.default_rng([self.seed, STREAM, number])
@@ -109,7 +110,7 @@ class ScriptedGrasps:
 
     def _play(
         self, env: GraspEnv, start: scripted.Start, closing: float, is_wanted: IsWanted
-    ) -> Arrays:
+    ) -> Measured:
         """Approach, close, take the record, lift, hold."""
         dt = scripted.period(env.config.timestep)
         n_substeps = round(dt / env.config.timestep)
@@ -156,7 +157,7 @@ class PolicyGrasps:
     policy: Policy
     seed: int
 
-    def __call__(self, env: gym.Env[Any, Any], number: int, is_wanted: IsWanted) -> Arrays:
+    def __call__(self, env: gym.Env[Any, Any], number: int, is_wanted: IsWanted) -> Measured:
         base = env.unwrapped
         assert isinstance(base, GraspEnv)
         rng = np.random.default_rng([self.seed, STREAM, number])
@@ -189,7 +190,7 @@ def links_of(hand: Hand) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*(surface.link for surface in hand.surfaces), hand.palm]))
 
 
-def moment(env: GraspEnv) -> Arrays:
+def moment(env: GraspEnv) -> Measured:
     """The state of hand and object now, SI units, world frame, quaternions wxyz."""
     simulator, obj = env.simulator, env.simulator.object_state()
     positions, velocities = simulator.joint_state()
@@ -224,7 +225,7 @@ def shapes_of(hand: Hand) -> dict[str, tuple[int, ...]]:
     }
 
 
-def broken(env: GraspEnv) -> Arrays:
+def broken(env: GraspEnv) -> Measured:
     """The record of a grasp in which the physics broke: it is counted, and asked nothing."""
     n_taxels = len(env.taxels) if env.config.touch == "contact" else 0
     return {
@@ -237,12 +238,12 @@ def broken(env: GraspEnv) -> Arrays:
     }
 
 
-def stack(records: list[Arrays]) -> Arrays:
+def stack(records: list[Measured]) -> Measured:
     """Records as one, with a leading axis."""
     return {name: np.stack([record[name] for record in records]) for name in records[0]}
 
 
-def iterate(records: Arrays) -> Iterator[Arrays]:
+def iterate(records: Measured) -> Iterator[Measured]:
     """Single records of a stack."""
     for k in range(len(records["held"])):
         yield {name: values[k] for name, values in records.items()}

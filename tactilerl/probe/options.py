@@ -27,8 +27,8 @@ class GraspFlags:
     it."""
     env: str = "shadow"
     """Which hand: shadow, mpl, allegro, or the path of a hand's .toml file."""
-    simulator: Literal["mujoco", "pybullet"] | None = None
-    """The physics engine; default: the hand's."""
+    simulator: str | None = None
+    """The physics engine: mujoco or pybullet; default: the hand's."""
     policy: Path | None = None
     """Grasps of a trained policy with its noise, in its run's own scene, instead of scripted ones."""
     grasps: int = 2_000

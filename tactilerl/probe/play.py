@@ -14,7 +14,7 @@ from ..errors import InputError
 from ..pictures.places import Place
 from . import files
 from .files import Played
-from .grasps import Arrays, iterate, stack
+from .grasps import Measured, iterate, stack
 
 SAVE_EVERY = 20.0  # s
 ROUND = 8  # grasps of each worker between two gatherings of all ranks
@@ -25,7 +25,7 @@ def play(
     n: int,
     settings: dict[str, Any],
     contact_places: tuple[Place, ...],
-    task: Job[Arrays],
+    task: Job[Measured],
     start: Callable[[], Workers],
     comm: Communicator,
     show: Callable[[int], None],
@@ -53,7 +53,7 @@ def play(
     return Played(stack(records[:n]), settings, contact_places)
 
 
-def _kept(path: Path, settings: dict[str, Any]) -> list[Arrays]:
+def _kept(path: Path, settings: dict[str, Any]) -> list[Measured]:
     """What an earlier call left."""
     if not path.exists():
         return []
@@ -64,8 +64,8 @@ def _kept(path: Path, settings: dict[str, Any]) -> list[Arrays]:
 
 
 def _play(
-    workers: Workers, task: Job[Arrays], first: int, last: int, comm: Communicator
-) -> Generator[Arrays]:
+    workers: Workers, task: Job[Measured], first: int, last: int, comm: Communicator
+) -> Generator[Measured]:
     """Records of the numbers from `first` to before `last`, in order, on every rank."""
     if comm.size == 1:
         yield from workers.play(task, range(first, last))

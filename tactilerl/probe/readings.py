@@ -15,7 +15,7 @@ from ..envs.observations import SensorConfig, TaxelFaults, taxel_stages
 from ..envs.touch import SkinTouch
 from ..pictures import places
 from ..pictures.places import Place
-from .grasps import Arrays, links_of
+from .grasps import Measured, links_of
 
 BATCH = 200  # grasps read at once: what is in between takes memory
 
@@ -25,7 +25,7 @@ class Grasps:
     """Recorded grasps of one hand, those that broke left out."""
 
     hand: Hand
-    records: Arrays
+    records: Measured
     contact_places: tuple[Place, ...] = ()
     """Of the recorded readings of the rule "contact", where there are any."""
 

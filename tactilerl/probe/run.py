@@ -29,7 +29,7 @@ from ..runs.training import free_cores, start_workers
 from . import analysis, estimators, figures, files, selection
 from .analysis import Choices, Probe
 from .files import Played
-from .grasps import Arrays, PolicyGrasps, Scenes, ScriptedGrasps
+from .grasps import Measured, PolicyGrasps, Scenes, ScriptedGrasps
 from .options import AnalysisFlags, GraspFlags, Options
 from .play import play
 from .readings import Grasps, with_faults
@@ -40,7 +40,7 @@ class Playing(NamedTuple):
 
     settings: dict[str, Any]
     contact_places: tuple[Place, ...]
-    task: Job[Arrays]
+    task: Job[Measured]
     start: Callable[[int], vector.Workers]
     """By their number."""
     out: Path

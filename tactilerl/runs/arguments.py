@@ -51,7 +51,7 @@ def read(args: list[str], base: RunConfig) -> tuple[RunConfig, Any]:
     with hands_named(base.run.env):
         given: Any = flags.parse(options, args, "tactilerl train", options(**base.parts), about)
     parts = {name: getattr(given, name) for name in base.parts}
-    return dataclasses.replace(base, folder=None, **parts), given
+    return dataclasses.replace(base, **parts), given
 
 
 @contextmanager

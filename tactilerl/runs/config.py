@@ -19,9 +19,9 @@ from .. import algos, envs
 from ..algos import recipes
 from ..envs import hands, layouts, scenes, typed
 from ..envs.choices import require_known
-from ..envs.grasp import GraspConfig, setup
+from ..envs.grasp import GraspConfig, GraspEnv, setup
 from ..envs.scenes import NamedScene
-from ..errors import InputError, input_errors
+from ..errors import PEERS, InputError, input_errors
 
 MOST_WORKERS = 256  # more than any machine's cores: a slip, and a process each
 
@@ -44,7 +44,8 @@ class RunOptions:
     seed: int = 0
     """Random seed of the whole run."""
     out: str | None = None
-    """Run folder, which must not exist yet; default: runs/ALGO_ENV_..._sSEED."""
+    """Run folder; a run that is there already goes on, if its flags are these. Default:
+    runs/ALGO_ENV_..._sSEED."""
     device: str = "cpu"
     """PyTorch device of the networks."""
     threads: int = 1
@@ -103,7 +104,7 @@ class RunConfig:
     def choose(self, choices: Mapping[str, Any]) -> RunConfig:
         """A copy with other values of some fields, by name; ValueError naming an unknown field."""
         own = {name: typed.names(part) for name, part in self.parts.items()}
-        require_known(choices, set().union(*own.values()))
+        require_known(choices, set().union(*own.values()), PEERS)
         chosen = {name: {k: choices[k] for k in choices if k in own[name]} for name in own}
         parts = {name: typed.replace(part, chosen[name]) for name, part in self.parts.items()}
         return dataclasses.replace(self, **parts)
@@ -133,12 +134,14 @@ class RunConfig:
             )
         if self.hand:
             self._require_same_hand()
-        choices = dataclasses.asdict(self.scene) if self.scene is not None else {}
-        if choices.get("hand_seed", 0) is None:
+        if self.scene is None:
+            return partial(envs.make, self.run.env)
+        choices: dict[str, Any] = {}
+        if self.scene.hand_seed is None:
             choices["hand_seed"] = self.run.seed
         if self.layout_file and self.folder and (self.folder / LAYOUT_COPY).is_file():
             choices["layout"] = str(self.folder / LAYOUT_COPY)
-        return partial(envs.make, self.run.env, **choices)
+        return partial(GraspEnv, self.run.env, dataclasses.replace(self.scene, **choices))
 
     def _require_same_hand(self) -> None:
         try:
@@ -216,7 +219,7 @@ def defaults(
     with input_errors("--algo"):
         config_type, _ = algos.get(algo)
     with input_errors(f"scene {scene}: train"):
-        require_known(train, {"total_timesteps", *typed.names(config_type)})
+        require_known(train, {"total_timesteps", *typed.names(config_type)}, PEERS)
     if scene and not hands.is_hand(env):
         raise InputError(f"--env: found {env!r} with --scene, allowed: {hands.allowed()}")
     paper = algos.ALGORITHMS[algo]

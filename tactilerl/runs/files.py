@@ -28,6 +28,8 @@ MAX_JSON = 1_000_000  # bytes of a file with settings
 UNPACKED, RATIO = 50_000_000, 100  # bytes, or times its size, that a file may unpack to
 NAME = re.compile(r"[A-Za-z0-9][\w.+-]*")
 LONGEST_NAME = 240  # bytes; file systems allow 255, endings included
+PATIENCE = 2.0  # s; who only looks at a lock has it for an instant
+IN_USE = "is writing to this folder"
 LEFTOVER = re.compile(r"\.[0-9a-f]{16}\.tmp")  # of a process that was killed while it wrote
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)  # not the fault of who named the file
 
@@ -145,14 +147,14 @@ def locked(folder: Path) -> Iterator[None]:
     try:
         with ExitStack() as held:
             with writable(path):
-                held.enter_context(filelock.FileLock(path, blocking=False))
+                held.enter_context(filelock.FileLock(path, timeout=PATIENCE))
                 with open(path, "w", encoding="utf-8", opener=no_link) as file:
                     file.write(f"process {os.getpid()} on {platform.node()}")
             remove_leftovers(folder)
             yield
     except filelock.Timeout:
         holder = path.read_text(encoding="utf-8", errors="replace")[:200] or "another process"
-        raise InputError(f"{folder}: {holder} is writing to this folder") from None
+        raise InputError(f"{folder}: {holder} {IN_USE}") from None
 
 
 def remove_leftovers(folder: Path) -> None:

@@ -9,10 +9,11 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TypedDict
 
+from ..envs.simulators import SIMULATORS
 from ..version import __version__
 
 HERE = Path(__file__).resolve().parents[1]
-PACKAGES = ("torch", "numpy", "mujoco", "pybullet", "gymnasium", "gymnasium-robotics", "mpi4py")
+PACKAGES = ("torch", "numpy", "gymnasium", "gymnasium-robotics", "mpi4py")
 
 
 class Origin(TypedDict):
@@ -34,7 +35,7 @@ def record(epoch: int = 0, env_steps: int = 0) -> Origin:
 def versions(*more: str) -> dict[str, str]:
     """Of Python, our own, our packages and `more` of them, as far as they are installed."""
     found = {"tactilerl": __version__, "python": platform.python_version()}
-    for package in (*PACKAGES, *more):
+    for package in (*PACKAGES, *SIMULATORS, *more):
         try:
             found[package] = version(package)
         except PackageNotFoundError:

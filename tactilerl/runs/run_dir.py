@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,7 +20,7 @@ from ..envs.typed import require_type
 from ..errors import InputError
 from . import files, provenance
 from .config import LAYOUT_COPY, RunConfig, from_dict
-from .files import damage_named, pasted, read_json, replacing
+from .files import damage_named, read_json, replacing
 from .progress_csv import ProgressTable
 
 FORMAT = 3  # of all files in a run folder; 1 and 2 are those of 0.1
@@ -38,23 +39,32 @@ class RunDir:
         self.checkpoint_file = path / "checkpoint.pt"
         self.experience_folder = path / "experience"
 
-    def create(self, config: RunConfig) -> None:
-        """Make the folder; InputError when it exists."""
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            self.path.mkdir()
-            if config.layout_file:
-                text = layouts.load(str(config.layout_file)).toml()
-                (self.path / LAYOUT_COPY).write_text(text, encoding="utf-8")
-        except FileExistsError:
+    def settled(self, config: RunConfig) -> RunConfig:
+        """The configuration of a run here. InputError where one is here already that is another run."""
+        config = dataclasses.replace(config, folder=self.path)
+        if not os.path.exists(self.config_file):  # False for any name
+            return config
+        saved, _ = self.read_config(config.run.env)
+        if difference := saved.difference(config.identity()):
             raise InputError(
-                f"run folder {str(self.path)!r} exists; choose another with --out, "
-                f"or continue it: --resume {pasted(self.path)}"
-            ) from None
+                f"{self.path}: {difference}; a run that goes on keeps its settings (another --out "
+                "makes another run)"
+            )
+        return dataclasses.replace(config, hand=saved.hand)
+
+    def create(self) -> None:
+        """Make the folder where there is none; InputError where that cannot be, or it is no run's."""
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            names = {path.name for path in self.path.iterdir() if path.suffix != ".tmp"}
         except OSError as error:
             raise InputError(
                 f"cannot make the run folder {str(self.path)!r}: {error.strerror}"
             ) from error
+        if not (self.config_file.exists() or names <= {LAYOUT_COPY, ".lock"}):
+            raise InputError(
+                f"folder {str(self.path)!r} exists; choose another with --out, for it holds no run"
+            )
 
     @contextmanager
     def lock(self) -> Iterator[None]:
@@ -79,6 +89,9 @@ class RunDir:
         if changed or not records:
             records.append(now)
         content = {"format": FORMAT, **config.as_dict(), "ranks": ranks, "provenance": records}
+        if config.layout_file and not (self.path / LAYOUT_COPY).exists():
+            text = layouts.load(str(config.layout_file)).toml()
+            (self.path / LAYOUT_COPY).write_text(text, encoding="utf-8")
         if hand := config.hand or hands.digest(config.run.env):
             content["hand"] = hand
         with replacing(self.config_file) as file:

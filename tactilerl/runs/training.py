@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -73,31 +72,29 @@ def start_workers(config: RunConfig, comm: Communicator, n: int | None) -> vecto
 def train(
     config: RunConfig,
     comm: Communicator,
-    resume: Path | None = None,
     any_ranks: bool = False,
     summary: str = "",
 ) -> Path:
     """Train until the learner's `total_timesteps`; returns the run folder.
 
-    With `resume`, goes on from that folder's checkpoint, bit for bit as if the run had never
-    been cut off. `any_ranks` allows another number of processes, which ends that equality.
-    `summary` is shown when the run begins.
+    A run that is there already goes on from its checkpoint, bit for bit as if it had never been cut
+    off. `any_ranks` allows another number of processes, which ends that equality. `summary` is shown
+    at the beginning.
     Raises InputError over bad input and DivergenceError when the learner or every episode
     breaks; the last checkpoint stays.
     """
-    path = resume or Path(config.run.out or Path("runs") / config.name())
-    config = dataclasses.replace(config, folder=path)
+    run_dir = RunDir(config.folder or Path(config.run.out or Path("runs") / config.name()))
+    config = run_dir.settled(config)
     learner, workers = make_algorithm(config, comm)
     try:
         if config.run.tensorboard:
             require_tensorboard()
         with input_errors():
             check(learner)
-        run_dir = RunDir(path)
         checkpoint = Checkpoint(run_dir, config, learner, comm)
-        with _writing(run_dir, config, comm, is_new=resume is None):
-            epoch = _begun(checkpoint, any_ranks) if resume else 0
-            if resume:
+        with _writing(run_dir, config, comm):
+            epoch = _begun(checkpoint, any_ranks)
+            if epoch:
                 _require_ahead(run_dir, config, learner.env_steps)
             changed = ""
             if comm.rank == 0:
@@ -127,17 +124,17 @@ def train(
         raise InputError(str(error)) from error
     finally:
         workers.close()
-    return path
+    return run_dir.path
 
 
 @contextmanager
-def _writing(run_dir: RunDir, config: RunConfig, comm: Communicator, is_new: bool) -> Iterator[None]:
+def _writing(run_dir: RunDir, config: RunConfig, comm: Communicator) -> Iterator[None]:
     """Rank 0 holds the run folder; what ends the run says that its last checkpoint stays."""
     with ExitStack() as held:
         if comm.rank == 0:
-            if is_new:
-                run_dir.create(config)
+            run_dir.create()
             held.enter_context(run_dir.lock())
+            run_dir.settled(config)  # another process may have begun it meanwhile
         held.enter_context(interrupts.in_order())
         try:
             yield

@@ -2,7 +2,6 @@
 
 study.json                what the runs are, as `Study.as_dict` has it
 runs/NAME/                the run folder of `tactilerl train`
-runs/NAME.lock            held by the process that trains it
 runs/NAME.log             what it printed
 runs/NAME.json            how it ended: done, or failed and why
 runs/NAME.damaged1        what was left of a finished run that had to be trained again
@@ -14,6 +13,7 @@ import csv
 import itertools
 import json
 import os
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
@@ -22,13 +22,12 @@ import filelock
 
 from ..envs import typed
 from ..errors import InputError
-from ..runs.files import content, damage_named, read_json, replacing, writable
+from ..runs.files import PATIENCE, content, damage_named, read_json, replacing, writable
 from ..runs.progress_csv import Row, whole
 from ..runs.run_dir import RunDir
 from .grid import Run, Study, from_dict
 
 State = Literal["done", "failed", "running", "interrupted", "damaged", "left"]
-PATIENCE = 2.0  # s; who only looks at a lock has it for an instant
 STATES: tuple[State, ...] = ("done", "running", "failed", "interrupted", "damaged", "left")
 
 
@@ -48,7 +47,7 @@ class RunFiles:
     def __init__(self, base: Path) -> None:
         self.base = base
         self.run_dir = RunDir(base)
-        self.lock_file = base.with_name(base.name + ".lock")
+        self.lock_file = base / ".lock"
         self.log_file = base.with_name(base.name + ".log")
         self.outcome_file = base.with_name(base.name + ".json")
 
@@ -86,7 +85,9 @@ class RunFiles:
         happens where another process has done so."""
         if self.is_running():
             return None
-        with writable(self.base), filelock.FileLock(self.lock_file, timeout=PATIENCE):
+        with writable(self.base), ExitStack() as held:
+            if self.base.is_dir():
+                held.enter_context(filelock.FileLock(self.lock_file, timeout=PATIENCE))
             if not self.damage():  # any more
                 return None
             numbers = (self.base.with_name(f"{self.base.name}.damaged{n}") for n in itertools.count(1))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import concurrent.futures
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -19,10 +20,9 @@ from pathlib import Path
 from typing import Any, Literal, cast
 
 from ..algos import mpi
-from ..runs.files import no_link
+from ..runs.files import IN_USE, no_link
 from ..terminal import interrupts
 from .folder import Outcome, RunFiles
-from .worker import BUSY
 
 ATTEMPTS = 2
 LOOK = 1.0  # s between looks at what runs
@@ -30,6 +30,9 @@ BAD_INPUT = 2  # exit code of what a second attempt cannot mend
 INTERRUPTED = (130, -signal.SIGINT)
 LAUNCHER_PREFIXES = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "MPI_LOCAL")
 THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+# What a process of a run does first: from then on it ends with its parent, by whatever name it goes.
+BEGIN = "import os, sys; from tactilerl.terminal import interrupts; "
+BEGIN += "interrupts.end_with(int(sys.argv[1])); os.execv(sys.argv[2], sys.argv[2:])"
 Ending = Literal["done", "failed", "busy", "interrupted"]
 
 _children: set[subprocess.Popen[bytes]] = set()
@@ -62,13 +65,13 @@ def run_job(job: Job) -> Ending:
             code = INTERRUPTED[0] if _stopping.is_set() else _process(files, job)
             if _stopping.is_set() or code in INTERRUPTED:
                 return "interrupted"
-            if code == BUSY:
-                return "busy"
             if code in (0, BAD_INPUT):
                 break
         outcome = Outcome("done", job.total_timesteps)
         if code:
             outcome = Outcome("failed", job.total_timesteps, _reason(code, files.log_file))
+        if code == BAD_INPUT and IN_USE in outcome.reason:
+            return "busy"
         files.write_outcome(outcome)
         return outcome.state
     except OSError as error:
@@ -77,10 +80,13 @@ def run_job(job: Job) -> Ending:
 
 
 def _process(files: RunFiles, job: Job) -> int:
-    command = [sys.executable, "-m", "tactilerl.study.worker", str(os.getpid()), str(job.base)]
+    command = [sys.executable, "-m", "tactilerl", "train", *job.arguments, "--out", str(job.base)]
+    if job.ranks > 1:
+        launcher = shutil.which("mpirun") or str(Path(sys.executable).with_name("mpirun"))
+        command = [launcher, "-n", str(job.ranks), *command]
     with open(files.log_file, "ab", opener=no_link) as log:
         child = subprocess.Popen(
-            [*command, str(job.ranks), *job.arguments],
+            [sys.executable, "-c", BEGIN, str(os.getpid()), *command],
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=subprocess.STDOUT,

@@ -11,7 +11,7 @@ from typing import Any, TypeVar, get_type_hints
 import tyro
 
 from ..envs.choices import meant
-from ..errors import InputError
+from ..errors import PEERS, InputError
 
 try:
     from tyro._errors import on_parse_error
@@ -65,7 +65,7 @@ def _reason(event: Any, args: Sequence[str], kind: type) -> str | None:
         case "UnrecognizedArgs", {"tokens": [token, *_]}:
             name = token.partition("=")[0].removeprefix("--").replace("-", "_")
             no = "no_" if name.startswith("no_") else ""
-            known = meant(name.removeprefix(no), list(_names(kind)))
+            known = meant(name.removeprefix(no), list(_names(kind)), PEERS)
             likely = " or ".join(of_field(no + field) for field in known)
             hint = f"did you mean {likely}?" if likely else "which is no flag"
             return f"found {token!r}, {hint}"

@@ -6,52 +6,34 @@ import ctypes
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 from typing import NoReturn
 
 
 def leave_at_once() -> None:
-    """From now on; for a program that has just started."""
+    """From now on Ctrl-C ends the process with one line, wherever it is; for a program that has just
+    started, where it is not handled otherwise, or not at all as in the background of a shell.
+
+    For commands that leave nothing behind, and while modules are imported: a KeyboardInterrupt in
+    the middle of an import comes out as all kinds of errors.
+    """
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _leave)
 
 
 @contextmanager
-def leaving_at_once() -> Iterator[None]:
-    """Ctrl-C ends the process with one line, wherever it is; of no effect in a program that said
-    so from its start.
-
-    For commands that leave nothing behind, and while modules are imported: a KeyboardInterrupt in
-    the middle of an import comes out as all kinds of errors.
-    """
-    with _handling(signal.default_int_handler, _leave):
-        yield
-
-
-@contextmanager
 def in_order() -> Iterator[None]:
-    """Inside of `leaving_at_once`: Ctrl-C is a KeyboardInterrupt again."""
-    with _handling(_leave, signal.default_int_handler):
-        yield
-
-
-@contextmanager
-def _handling(before: Callable[..., object], now: Callable[..., object]) -> Iterator[None]:
-    """Handle Ctrl-C by `now`, if it is handled by `before`: not another's way, nor none at all, as
-    in the background of a shell."""
-    is_ours = signal.getsignal(signal.SIGINT) is before
-    try:
-        if is_ours:
-            signal.signal(signal.SIGINT, now)
-    except ValueError:  # not the main thread: Ctrl-C does not come here
-        is_ours = False
+    """After `leave_at_once`: Ctrl-C is a KeyboardInterrupt again inside."""
+    is_ours = signal.getsignal(signal.SIGINT) is _leave
+    if is_ours:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         yield
     finally:
         if is_ours:
-            signal.signal(signal.SIGINT, before)
+            signal.signal(signal.SIGINT, _leave)
 
 
 PR_SET_PDEATHSIG = 1  # of prctl, linux/prctl.h

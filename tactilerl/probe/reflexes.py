@@ -13,9 +13,9 @@ from itertools import chain, product, repeat
 
 import numpy as np
 
-from .grasp import GraspEnv
-from .hands import Array
-from .scripted import LIFT_HEIGHT, grasp_for, legs
+from ..envs.grasp import GraspEnv
+from ..envs.hands import Array
+from ..envs.scripted import LIFT_HEIGHT, grasp_for, legs
 
 BASELINE = 5  # readings: before, nothing has come to the hand yet
 RESOLUTION = 1e-4  # rad or m: what any joint's reading may be off by
@@ -54,16 +54,11 @@ class _Reading:
     """What the policy would be told, by sense; the newest observation and the first few."""
 
     def __init__(self, env: GraspEnv, obs: dict[str, Array]) -> None:
-        names = env.observation_names()
-        newest = [i for i, name in enumerate(names) if "(t-" not in name]
-
-        def entries(*starts: str) -> list[int]:
-            return [i for i in newest if names[i].startswith(starts)]
-
-        self._joints = entries("position of ", "hand ")
-        if not self._joints or not entries("object x"):
+        entries = env.observation_entries
+        self._joints = entries("hand_position", "finger_joints", "joint_positions")
+        self._object, self._taxels = entries("object_position"), entries("taxels")
+        if not (len(self._joints) and len(self._object)):
             raise ValueError("reflexes go by joints and the object, which this hand does not observe")
-        self._taxels, self._object = entries("taxel "), entries("object x", "object y", "object z")
         self.is_handed_over = env.task.giver is not None
         self.second_steps = 0 if self.is_handed_over else _n_lift(env)
         self._touching = env.palm_skin[2] - env.shape.half_size[2]

@@ -1,0 +1,66 @@
+"""One file and one registration: what is added from outside works in every command."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tactilerl
+from tactilerl import algos
+from tactilerl.commands.cli import main
+from tactilerl.envs import observations, simulators, tasks
+from tests import outside
+
+TINY = ["--hidden", "8", "--steps-per-epoch", "8", "--n-passes", "1", "--workers", "1"]
+HAND = Path(__file__).parent / "hands"
+
+
+@pytest.fixture(autouse=True)
+def _registered(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    saturn = simulators.Registration("Saturn", module="tests.outside")
+    brave = algos.Registration("BraveConfig", "Brave", 500, "reach-goal", module="tests.outside")
+    monkeypatch.setitem(simulators.SIMULATORS, "saturn", saturn)
+    monkeypatch.setitem(tasks.TASKS, "nudge", outside.Nudge)
+    monkeypatch.setitem(algos.ALGORITHMS, "brave", brave)
+    stages = [*observations.STAGES, lambda config, n: outside.Inverted()]
+    monkeypatch.setattr(observations, "STAGES", stages)
+
+
+def test_all_of_them_train_together_and_are_evaluated():
+    scene = ["--simulator", "saturn", "--task", "nudge", "--max-episode-steps", "4", "--layout", "5"]
+    args = ["train", "--algo", "brave", "--courage", "3", *scene, *TINY, "--total-timesteps", "8"]
+    assert main([*args, "--out", "run"]) == 0
+    saved = json.loads(Path("run/config.json").read_text())
+    assert saved["learner"]["courage"] == 3.0
+    assert (saved["scene"]["simulator"], saved["scene"]["task"]) == ("saturn", "nudge")
+    assert main(["train", "--resume", "run", "--total-timesteps", "16"]) == 0
+    assert main(["evaluate", "run", "--episodes", "2", "--workers", "1"]) == 0
+    env = tactilerl.make("shadow", simulator="saturn", task="nudge", layout=5)
+    obs, _ = env.reset(seed=0)
+    assert tactilerl.load_policy("run").act(obs).shape == env.action_space.shape
+    assert env.unwrapped.simulator.model.opt.gravity[2] < -10
+    assert np.array_equal(obs["observation"][-19:], np.ones(19))  # nothing touches, inverted
+    assert bool(env.step(env.action_space.sample())[-1]["is_success"])
+    env.close()
+
+
+def test_a_simulator_in_doctor_probe_and_gate(capsys):
+    few = ["--simulator", "saturn", "--layout", "5"]
+    assert main(["doctor", *few, "--grasps", "1", "--seconds", "0.1", "--compare"]) in (0, 1)
+    assert "fires in both" in capsys.readouterr().out
+    few += ["--grasps", "12", "--joint-noise", "0", "--resamples", "100", "--shuffles", "2"]
+    assert main(["probe", *few, "--folds", "2", "--workers", "1", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["simulator"] == "saturn"
+
+
+def test_a_hand_in_another_simulator(capsys):
+    gripper = ["--env", str(HAND / "gripper.toml"), "--simulator", "saturn"]
+    assert main(["env", *gripper]) == 0
+    assert "taxels:" in capsys.readouterr().out
+
+
+def test_what_is_not_registered_is_refused(capsys):
+    assert main(["probe", "--simulator", "mars"]) == 2
+    assert "simulator: found 'mars', allowed: mujoco, pybullet, saturn" in capsys.readouterr().err
