@@ -225,7 +225,7 @@ def table(samples: Samples) -> list[dict[str, Any]]:
         }
         gain = gain_samples(samples, cell, metric)
         if gain is not None:
-            row |= {"gain": metrics.number(gain[0]), "gain_interval": metrics.interval(gain[1:])}
+            row |= metrics.gain(gain)
         rows.append(row)
     return rows
 

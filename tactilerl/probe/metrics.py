@@ -129,4 +129,4 @@ def interval(samples: Array) -> list[float] | None:
 
 def gain(samples: Array) -> dict[str, Any]:
     """As JSON has a gain: of all grasps, and its interval by the bootstrap samples behind it."""
-    return {"gain": float(samples[0]), "gain_interval": interval(samples[1:])}
+    return {"gain": number(samples[0]), "gain_interval": interval(samples[1:])}

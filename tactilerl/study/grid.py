@@ -38,7 +38,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from ..envs.typed import require
-from ..errors import InputError
+from ..errors import InputError, input_errors
 from ..runs.files import MAX_JSON, content, damage_named, require_name
 from .primary import Looks, Primary
 
@@ -228,6 +228,8 @@ def _part(data: dict[str, Any], key: str, kind: type[Part]) -> Part:
     for name in table:
         _one_of(name, tuple(field.name for field in dataclasses.fields(kind)), key)
     part = kind(**table)
+    with input_errors(key):
+        require(kind, vars(part))
     part.validate()
     return part
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass, field
 
-from ..envs.typed import require
-from ..errors import InputError, input_errors
+from ..errors import InputError
 
 SCORES = {
     "area": "area under the curve",
@@ -24,8 +22,6 @@ class Primary:
 
     def validate(self) -> None:
         """InputError naming the first value that is not allowed."""
-        with input_errors("primary"):
-            require(type(self), vars(self))
         if self.score not in SCORES:
             raise InputError(f"primary.score: found {self.score!r}, allowed: {', '.join(SCORES)}")
 
@@ -43,13 +39,7 @@ class Looks:
 
     def validate(self) -> None:
         """InputError naming the first value that is not allowed."""
-        with input_errors("looks"):
-            require(type(self), vars(self))
-        if (
-            not self.pairs
-            or self.pairs[0] < 2
-            or any(a >= b for a, b in itertools.pairwise(self.pairs))
-        ):
+        if sorted(set(self.pairs)) != self.pairs or min(self.pairs, default=0) < 2:
             raise InputError(
                 f"looks.pairs: found {self.pairs}, allowed growing numbers, such as [6, 9, 12, 16]"
             )
