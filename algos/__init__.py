@@ -6,7 +6,7 @@ import importlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, TypeVar, runtime_checkable
 
 import gymnasium as gym
 import numpy as np
@@ -19,7 +19,11 @@ if TYPE_CHECKING:
 Array = np.ndarray
 IsWanted = Callable[[], bool]
 T = TypeVar("T")
-MOST = 1e30  # of a hyperparameter: float32 has room for it
+# Of hyperparameters, with their ranges; float32 has room for 1e30.
+Positive = Annotated[float, "(0, 1e30]"]
+NotNegative = Annotated[float, "[0, inf)"]
+Share = Annotated[float, "[0, 1]"]
+Count = Annotated[int, "[1, inf)"]
 MOST_UNITS, MOST_WEIGHTS = 100_000, 10**8  # of hidden layers: more is a slip, and takes all memory
 
 
@@ -171,27 +175,8 @@ def flat_observation(obs: Any) -> Array:
     return np.array(obs, np.float32).ravel()
 
 
-def check_ranges(
-    config: Any,
-    positive: Sequence[str] = (),
-    shares: Sequence[str] = (),
-    counts: Sequence[str] = (),
-) -> None:
-    """Raise ValueError naming the first field out of its range; None is in every range.
-
-    `positive` are finite and above 0, `shares` lie in [0, 1], `counts` are 1 or more.
-    """
-    ranges: list[tuple[Sequence[str], Callable[[float], bool], str]] = [
-        (positive, lambda x: 0 < x <= MOST, f"a number above 0, up to {MOST:g}"),
-        (shares, lambda x: 0 <= x <= 1, "from 0 to 1"),
-        (counts, lambda x: x >= 1, "1 or more"),
-    ]
-    for names, is_allowed, allowed in ranges:
-        for name in names:
-            value = getattr(config, name)
-            if value is not None and not is_allowed(value):
-                raise ValueError(f"{name}: found {value}, allowed {allowed}")
-    hidden = config.hidden
+def require_hidden(hidden: Sequence[int]) -> None:
+    """ValueError for hidden layers that are none, or too large."""
     if not hidden or not 1 <= min(hidden) <= max(hidden) <= MOST_UNITS:
         raise ValueError(f"hidden: found {hidden}, allowed one or more sizes from 1 to {MOST_UNITS}")
     if sum(a * b for a, b in pairwise(hidden)) > MOST_WEIGHTS:

@@ -12,21 +12,25 @@ import copy
 import dataclasses
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from . import (
+    Count,
     DivergenceError,
+    NotNegative,
+    Positive,
+    Share,
     Workers,
     action_size,
-    check_ranges,
     flat_size,
     goal_size,
     has_single_goal,
     n_boolean,
+    require_hidden,
     rollout,
     state,
 )
@@ -48,39 +52,39 @@ class DDPGHERConfig:
 
     hidden: tuple[int, ...] = (256, 256, 256)
     """Units of each hidden layer, actor and critic alike."""
-    actor_lr: float = 1e-3
+    actor_lr: Positive = 1e-3
     """Adam step size of the actor."""
-    critic_lr: float = 1e-3
+    critic_lr: Positive = 1e-3
     """Adam step size of the critic."""
-    buffer_size: int = 1_000_000
+    buffer_size: Count = 1_000_000
     """Transitions in the replay of each process."""
     anneal_lr: bool = False
     """Let both step sizes fall linearly to zero over the run."""
-    polyak: float = 0.95
+    polyak: Share = 0.95
     """Share of itself that the target network keeps, once per cycle."""
-    gamma: float | None = None
+    gamma: Annotated[float, "[0, 1)"] | None = None
     """Discount factor; default: 1 - 1/T, T the steps of an episode (source)."""
-    action_l2: float = 1.0
+    action_l2: NotNegative = 1.0
     """Weight of the mean squared action in the actor's loss."""
-    clip_obs: float = 200.0
+    clip_obs: Positive = 200.0
     """Observations and goals are clipped to ± this first."""
-    norm_clip: float = 5.0
+    norm_clip: Positive = 5.0
     """They are clipped to ± this after normalisation."""
-    batch_size: int = 256
+    batch_size: Count = 256
     """Transitions per update and process."""
-    n_rollouts: int = 2
+    n_rollouts: Count = 2
     """Episodes per cycle and process."""
-    n_cycles: int = 50
+    n_cycles: Count = 50
     """Cycles per epoch."""
-    n_batches: int = 40
+    n_batches: Count = 40
     """Updates per cycle."""
-    n_test_rollouts: int = 10
+    n_test_rollouts: Annotated[int, "[0, inf)"] = 10
     """Test episodes per epoch and process, in units of --n-rollouts."""
-    random_eps: float = 0.3
+    random_eps: Share = 0.3
     """Probability of a uniformly random action."""
-    noise_eps: float = 0.2
+    noise_eps: NotNegative = 0.2
     """Standard deviation of the noise on all other actions, relative to half the action range."""
-    replay_p: float | None = None
+    replay_p: Share | None = None
     """Probability that a sampled transition is relabelled (HER); default: 0.8 (paper), or 0 where
     the task has a single goal."""
     reduction: Literal["sum", "mean"] = "sum"
@@ -98,19 +102,8 @@ class DDPGHERConfig:
         return self.anneal_lr
 
     def validate(self) -> None:
-        """Raise ValueError naming the first invalid field."""
-        check_ranges(
-            self,
-            positive=("actor_lr", "critic_lr", "clip_obs", "norm_clip"),
-            shares=("polyak", "random_eps", "replay_p"),
-            counts=("buffer_size", "batch_size", "n_rollouts", "n_cycles", "n_batches"),
-        )
-        for name in ("action_l2", "noise_eps", "n_test_rollouts"):
-            value = getattr(self, name)
-            if not 0 <= value < np.inf:
-                raise ValueError(f"{name}: found {value}, allowed a finite number, 0 or more")
-        if self.gamma is not None and not 0 <= self.gamma < 1:
-            raise ValueError(f"gamma: found {self.gamma}, allowed from 0 to below 1")
+        """Raise ValueError naming what does not go together; ranges are in the types."""
+        require_hidden(self.hidden)
 
 
 def targets(

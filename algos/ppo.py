@@ -15,7 +15,19 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from . import Array, DivergenceError, Workers, action_size, check_ranges, flat_size, rollout, state
+from . import (
+    Array,
+    Count,
+    DivergenceError,
+    Positive,
+    Share,
+    Workers,
+    action_size,
+    flat_size,
+    require_hidden,
+    rollout,
+    state,
+)
 from .mpi import Communicator, same_on_all_ranks
 from .networks import MLP, FlatAdam, require_finite, start_orthogonal
 from .normalizer import Normalizer
@@ -35,33 +47,33 @@ class PPOConfig:
 
     hidden: tuple[int, ...] = (256, 256, 256)
     """Units of each hidden layer, actor and critic alike."""
-    actor_lr: float = 3e-4
+    actor_lr: Positive = 3e-4
     """Adam step size of the actor."""
-    critic_lr: float = 1e-3
+    critic_lr: Positive = 1e-3
     """Adam step size of the critic."""
-    action_variance: float = 0.05
+    action_variance: Positive = 0.05
     """Variance of the Gaussian policy in every action dimension, in units where the bounds are ±1."""
-    gamma: float = 0.99
+    gamma: Share = 0.99
     """Discount factor."""
-    gae_lambda: float = 0.97
+    gae_lambda: Share = 0.97
     """Lambda of the generalised advantage estimator."""
-    clip_range: float = 0.2
+    clip_range: Positive = 0.2
     """Clip range of the probability ratio."""
-    steps_per_epoch: int = 1000
+    steps_per_epoch: Count = 1000
     """Least environment steps per epoch, over all processes; episodes are played to their end."""
-    n_passes: int = 80
+    n_passes: Count = 80
     """Passes over the batch per epoch ("Updates per epoch")."""
-    n_minibatches: int | None = None
+    n_minibatches: Count | None = None
     """Minibatches per pass; default: 6, unless --minibatch-size is given. (The paper's
     "Minibatch size: 6", read as its source reads it.)"""
-    minibatch_size: int | None = None
+    minibatch_size: Count | None = None
     """Transitions per minibatch: the other reading. Excludes --n-minibatches."""
-    max_grad_norm: float = 0.5
+    max_grad_norm: Positive = 0.5
     """Largest gradient norm, of actor and critic separately; larger gradients are scaled down."""
     exploration: Literal["fixed", "annealed", "learned"] = "fixed"
     """The policy's variance. fixed: --action-variance; annealed: from there towards --final-variance,
     linearly over the run; learned: one for each action dimension, which starts there."""
-    final_variance: float | None = None
+    final_variance: Positive | None = None
     """With --exploration annealed: where the variance ends; default: a tenth of --action-variance."""
     orthogonal_init: bool = False
     """Let weights start orthogonal, and the actor's last layer near zero, so that the first policy
@@ -75,21 +87,13 @@ class PPOConfig:
     or nothing. In the paper's task a time-out ends the task itself, with -100."""
     anneal_lr: bool = False
     """Let both step sizes fall linearly to zero over the run (in the source, not in the paper)."""
-    target_kl: float | None = None
+    target_kl: Positive | None = None
     """End the epoch's passes when the KL divergence from the old policy exceeds this (in the
     source, not in the paper)."""
 
     def validate(self) -> None:
-        """Raise ValueError naming the first invalid field."""
-        check_ranges(
-            self,
-            positive=(
-                *("actor_lr", "critic_lr", "action_variance", "final_variance", "clip_range"),
-                *("max_grad_norm", "target_kl"),
-            ),
-            shares=("gamma", "gae_lambda"),
-            counts=("steps_per_epoch", "n_passes", "n_minibatches", "minibatch_size"),
-        )
+        """Raise ValueError naming what does not go together; ranges are in the types."""
+        require_hidden(self.hidden)
         if self.n_minibatches is not None and self.minibatch_size is not None:
             raise ValueError(
                 "n_minibatches and minibatch_size: found both, allowed one of them; "

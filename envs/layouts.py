@@ -20,7 +20,7 @@ import numpy as np
 from . import taxel_files, toml_files
 from .hands import DIGITS, HANDS, SEGMENTS, Array, Hand, Surface
 from .taxel_files import Point
-from .toml_files import is_number, only, strings
+from .toml_files import is_number, only, strings, table
 
 LEAST = 1e-7  # m: nearer places are the same
 NAMED = Path(__file__).with_name("layout_files")
@@ -340,9 +340,7 @@ def _require_distinct(patches: tuple[Patch, ...]) -> None:
 
 
 def _patch(data: Any, where: str) -> Patch:
-    if not isinstance(data, dict):
-        raise ValueError(f"{where}: found {data!r}, expected a table")
-    only(data, {"digits", "segments", "offsets_mm", "radius_mm"}, where)
+    table({where: data}, where, {"digits", "segments", "offsets_mm", "radius_mm"})
     digits = strings(data.get("digits"), f"{where}: digits")
     segments = strings(data.get("segments"), f"{where}: segments")
     radius = data.get("radius_mm")

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Literal, NamedTuple, Protocol
+from typing import Annotated, Literal, NamedTuple, Protocol
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -18,22 +18,22 @@ from scipy.spatial.transform import Rotation
 from . import objects
 from .hands import SLIDES, Array, Hand
 from .snapshot import Snapshot
+from .typed import NotNegative, Share
 
 SIGHT_NOISE = (0.01, 0.1)  # m and rad, where noise is asked for without saying how much
-LONGEST = 100  # control steps of history or delay: more is a slip
 
 
 @dataclass(frozen=True)
 class TaxelFaults:
     """Broken taxels and false readings. None, by default."""
 
-    taxel_false_on: float = 0.0
+    taxel_false_on: Share = 0.0
     """Probability, at every step, that a taxel that is off reads on."""
-    taxel_false_off: float = 0.0
+    taxel_false_off: Share = 0.0
     """Probability, at every step, that a taxel that is on reads off."""
-    taxel_dead: float = 0.0
+    taxel_dead: Share = 0.0
     """Share of the taxels that never fire; the hand's seed decides which."""
-    taxel_stuck: float = 0.0
+    taxel_stuck: Share = 0.0
     """Share of the taxels that always fire; the hand's seed decides which."""
 
 
@@ -44,24 +44,24 @@ class SensorConfig(TaxelFaults):
     object_seen: Literal["exact", "noisy", "start", "hidden"] = "exact"
     """How the policy sees the object's position and orientation: exact (paper), noisy (--sight-noise),
     start (as at the start of the episode), hidden (zeros)."""
-    sight_noise: tuple[float, float] | None = None
+    sight_noise: tuple[NotNegative, NotNegative] | None = None
     """With --object-seen noisy: standard deviation of the noise on each coordinate, m, and about each
     axis, rad; default: 0.01 0.1."""
     sight_noise_kind: Literal["white", "held"] = "white"
     """white: drawn at every step; held: drawn once an episode."""
-    joint_noise: float = 0.0
+    joint_noise: NotNegative = 0.0
     """Standard deviation of the noise on each observed joint angle, rad, drawn at every step.
     Velocities get the matching error: the difference of two samples divided by the control step."""
-    joint_noise_held: float = 0.0
+    joint_noise_held: NotNegative = 0.0
     """Standard deviation of a constant offset on each observed joint angle, rad, drawn once an
     episode."""
-    slide_noise: float = 0.0
+    slide_noise: NotNegative = 0.0
     """The same as --joint-noise for the slides, and so for the hand's position, m."""
-    slide_noise_held: float = 0.0
+    slide_noise_held: NotNegative = 0.0
     """The same as --joint-noise-held for the slides, m."""
-    taxel_delay: int = 0
+    taxel_delay: Annotated[int, "[0, 100]"] = 0
     """Delay of the taxels' readings, in control steps."""
-    hand_seed: int | None = None
+    hand_seed: Annotated[int, "[0, 4294967295]"] | None = None
     """Seed that decides which taxels are broken; default: the run's seed."""
 
 
@@ -69,7 +69,7 @@ class SensorConfig(TaxelFaults):
 class ObservationConfig(SensorConfig):
     """What the policy is told."""
 
-    history: int = 1
+    history: Annotated[int, "[1, 100]"] = 1
     """How many of the latest observations are given side by side."""
     observe_targets: bool = False
     """Include the current joint targets in the observation, or how far groups of fingers are to be
@@ -79,13 +79,12 @@ class ObservationConfig(SensorConfig):
     not."""
 
 
-NOISES = ("joint_noise", "joint_noise_held", "slide_noise", "slide_noise_held")
 SHARES = tuple(field.name for field in fields(TaxelFaults))
 
 
 def validate(config: ObservationConfig, run_type: str, is_boolean: bool) -> None:
-    """ValueError naming the first field that is invalid, or does nothing in a run of this type."""
-    _validate_values(config)
+    """ValueError naming the first field that does nothing in a run of this type."""
+    validate_faults(config)
     if config.object_seen != "noisy":
         _require_defaults(config, ("sight_noise", "sight_noise_kind"), "object_seen noisy")
     if run_type != "main":
@@ -96,26 +95,8 @@ def validate(config: ObservationConfig, run_type: str, is_boolean: bool) -> None
         _require_defaults(config, ("taxel_false_on", "taxel_stuck"), only_with)
 
 
-def _validate_values(config: ObservationConfig) -> None:
-    validate_faults(config)
-    for name in (*NOISES, "sight_noise"):
-        for value in np.ravel(getattr(config, name) or 0.0):
-            if not (np.isfinite(value) and value >= 0):
-                raise ValueError(f"{name}: found {value}, allowed a finite number from 0")
-    for name, least, most in (
-        *(("history", 1, LONGEST), ("taxel_delay", 0, LONGEST)),
-        ("hand_seed", 0, 2**32 - 1),
-    ):
-        found = getattr(config, name)
-        if found is not None and not least <= found <= most:
-            raise ValueError(f"{name}: found {found}, allowed from {least} to {most}")
-
-
 def validate_faults(faults: TaxelFaults) -> None:
-    """ValueError naming the first share that is none."""
-    for name in SHARES:
-        if not 0 <= getattr(faults, name) <= 1:
-            raise ValueError(f"{name}: found {getattr(faults, name)}, allowed from 0 to 1")
+    """ValueError where there are more broken taxels than taxels."""
     if (together := faults.taxel_dead + faults.taxel_stuck) > 1:
         raise ValueError(f"taxel_stuck: found {together:g} with taxel_dead, allowed together up to 1")
 

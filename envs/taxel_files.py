@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from . import toml_files
 from .hands import Array
-from .toml_files import number, only, strings, vector
+from .toml_files import number, strings, table, vector
 
 RADIUS = 2e-3  # m, where a file gives none
 LARGEST, MOST = 20_000_000, 20_000  # bytes and taxels
@@ -55,9 +55,7 @@ def point(data: Any, index: int) -> Point:
     """From a table with link, position, normal, and perhaps radius and name; ValueError naming what
     is wrong with it."""
     where = f"taxel {index + 1}"
-    if not isinstance(data, dict):
-        raise ValueError(f"{where}: found {data!r}, expected a table")
-    only(data, {*Point._fields}, where)
+    table({where: data}, where, {*Point._fields})
     link = data.get("link")
     if not isinstance(link, str) or not link:
         raise ValueError(f"{where}: link: found {link!r}, expected the name of a link")
@@ -103,7 +101,7 @@ def read(path: Path, link: str | None = None) -> tuple[Point, ...]:
         own = {} if link is None else {"link": link}
         if link is None and "link" not in tables[0]:
             raise ValueError("names no link; put it on one in a layout file: [[sensor]]")
-        points = tuple(point({**table, **own}, index) for index, table in enumerate(tables))
+        points = tuple(point({**one, **own}, index) for index, one in enumerate(tables))
         require_distinct(points)
         return points
 
@@ -112,9 +110,7 @@ def mounted(data: Any, index: int, folder: Path) -> Iterator[Point]:
     """The taxels of a sensor that has a file of its own, on each of its links; ValueError naming what
     is wrong, and FileNotFoundError."""
     where = f"sensor {index + 1}"
-    if not isinstance(data, dict):
-        raise ValueError(f"{where}: found {data!r}, expected a table")
-    only(data, {"file", "links", "position", "quaternion", "radius"}, where)
+    table({where: data}, where, {"file", "links", "position", "quaternion", "radius"})
     file = data.get("file")
     if not isinstance(file, str) or Path(file).suffix not in READERS:
         raise ValueError(

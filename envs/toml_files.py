@@ -43,11 +43,13 @@ def only(data: dict[str, Any], allowed: set[str], where: str) -> None:
         raise ValueError(f"{where}: unknown key {unknown[0]!r}; allowed: {', '.join(sorted(allowed))}")
 
 
-def table(data: dict[str, Any], key: str) -> dict[str, Any]:
-    """A table of a file, empty where there is none; ValueError for something else."""
+def table(data: dict[str, Any], key: str, allowed: set[str] | None = None) -> dict[str, Any]:
+    """A table of a file, empty where there is none; ValueError for something else, and for a key in it
+    that is not allowed."""
     value = data.get(key, {})
     if not isinstance(value, dict):
         raise ValueError(f"{key}: found {value!r}, expected a table")
+    only(value, set(value) if allowed is None else allowed, key)
     return value
 
 

@@ -189,6 +189,8 @@ class Rule(Protocol):
     sensed: Taxels | None
     """Taxels that the simulator itself has to sense."""
 
+    def __init__(self, taxels: Taxels, hand: Hand) -> None: ...
+
     def read(self, simulator: Simulator, shape: Shape, obj: ObjectState) -> Array:
         """(n_taxels,) what the taxels feel now of the object with this shape and state."""
 
@@ -247,8 +249,4 @@ class ForceRule:
         )
 
 
-RULES: dict[str, type[SkinRule] | type[ContactRule] | type[ForceRule]] = {
-    "skin": SkinRule,
-    "contact": ContactRule,
-    "force": ForceRule,
-}
+RULES: dict[str, type[Rule]] = {"skin": SkinRule, "contact": ContactRule, "force": ForceRule}

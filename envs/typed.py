@@ -1,15 +1,21 @@
-"""Are values of the types that a dataclass says? For files that anybody may have written."""
+"""Are values of the types and in the ranges that a dataclass says? For what anybody may have written.
+
+A range is an interval in a field's type: `Annotated[float, "[0, 1)"]`.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, TypeVar, get_args, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 from typeguard import CollectionCheckStrategy, TypeCheckError, check_type
 
 T = TypeVar("T")
+Positive = Annotated[float, "(0, inf)"]
+NotNegative = Annotated[float, "[0, inf)"]
+Share = Annotated[float, "[0, 1]"]
 LARGEST = 2**63  # whole numbers stay below, so that they have a place in an array
 
 
@@ -53,16 +59,19 @@ def validate(instance: Any) -> None:
 
 def require(kind: type, values: Mapping[str, Any]) -> None:
     """ValueError naming the first of `values` that is not what the field of that name says."""
-    for name, hint in get_type_hints(kind).items():
+    for name, hint in get_type_hints(kind, include_extras=True).items():
         require_type(values[name], hint, name)
 
 
 def require_type(value: Any, hint: Any, name: str) -> None:
-    """ValueError when `value` is not of the type `hint`; True is no number, nor is 10**400."""
+    """ValueError when `value` is not of the type `hint`, or not in its range; True is no number, nor is
+    10**400."""
     try:
         check_type(value, hint, collection_check_strategy=CollectionCheckStrategy.ALL_ITEMS)
     except TypeCheckError as error:
         reason = " ".join(str(error).split())
+        if choices := [c for part in (hint, *get_args(hint)) for c in _choices(part)]:
+            raise ValueError(f"{name}: found {value!r}, allowed: {', '.join(choices)}") from None
         if "in the union" in reason:
             reason = f"allowed {str(hint).replace('typing.', '')}"
         raise ValueError(f"{name}: found {_short(value)}: {reason[:200]}") from None
@@ -71,6 +80,32 @@ def require_type(value: Any, hint: Any, name: str) -> None:
             raise ValueError(f"{name}: found {item}, expected a number")
         if isinstance(item, int) and abs(item) >= LARGEST:
             raise ValueError(f"{name}: found a number of {item.bit_length()} bits, allowed up to 63")
+        for interval in _intervals(hint) if isinstance(item, int | float) else ():
+            _require_within(item, interval, name)
+
+
+def _require_within(value: float, interval: str, name: str) -> None:
+    low, high = interval[1:-1].split(", ")
+    is_from, is_to = interval[0] == "[", interval[-1] == "]"
+    is_above = value > float(low) or (is_from and value == float(low))
+    if is_above and (value < float(high) or (is_to and value == float(high))):
+        return
+    if high == "inf":
+        allowed = f"{low} or more" if is_from else f"a finite number above {low}"
+    else:
+        end = "up to " if not is_from else "to " if is_to else "to below "
+        allowed = f"from {low} {end}{high}" if is_from else f"above {low}, {end}{high}"
+    raise ValueError(f"{name}: found {value}, allowed {allowed}")
+
+
+def _intervals(hint: Any) -> list[str]:
+    """All that stand in a type."""
+    own = [text for text in getattr(hint, "__metadata__", ()) if isinstance(text, str)]
+    return own + [text for part in get_args(hint) for text in _intervals(part)]
+
+
+def _choices(hint: Any) -> list[str]:
+    return [c for c in get_args(hint) if isinstance(c, str)] if get_origin(hint) is Literal else []
 
 
 def _allows_bool(hint: Any) -> bool:

@@ -71,7 +71,7 @@ class Learner:
         `seed` is the random seed of everything, `device` PyTorch's device for the networks, `threads`
         PyTorch's threads while learning, `matmul` the precision of the products in updates.
         Hyperparameters are the flags of ``tactilerl train``, with the same defaults:
-        those of `recipe`, "paper" or, for PPO, "steady".
+        those of `recipe`, "paper" or "steady".
 
         Raises ValueError, in one line, for an invalid argument.
         """
@@ -185,7 +185,7 @@ def evaluate(
     """
     if not isinstance(episodes, Integral) or episodes < 1:
         raise ValueError(f"episodes: found {episodes}, allowed a whole number, 1 or more")
-    config.require_workers(workers)
+    typed.require_type(workers, config.Workers, "workers")
     if isinstance(policy, Learner):
         policy = policy.policy()
     if not isinstance(policy, Policy):

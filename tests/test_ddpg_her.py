@@ -15,7 +15,7 @@ from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig, targets
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.networks import FlatAdam
 from tactilerl.algos.policy import explore
-from tactilerl.envs import vector
+from tactilerl.envs import typed, vector
 
 
 class GoalEnv(gym.Env):
@@ -70,6 +70,7 @@ SMALL = dict(hidden=(16, 16), buffer_size=200, batch_size=8, n_cycles=2, n_batch
 def make(env=None, seed=0, comm=None, **choices):
     config = DDPGHERConfig(**{**SMALL, **choices})
     workers = vector.start(lambda: env or GoalEnv())
+    typed.validate(config)
     return DDPGHER(config, workers, comm or Communicator(), seed, total_timesteps=100)
 
 

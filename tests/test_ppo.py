@@ -19,7 +19,7 @@ from tactilerl.algos.policy_gradient import Spread, gae, normalise, surrogate
 from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.algos.rollout import TRAIN, PlayEpisode, play_steps
 from tactilerl.algos.spaces import Spaces
-from tactilerl.envs import vector
+from tactilerl.envs import typed, vector
 
 SMALL = dict(hidden=(32, 32), steps_per_epoch=60, n_passes=5)
 STEADY = {**asdict(recipes.recipe("ppo", "steady")), **SMALL, "minibatch_size": 16}
@@ -603,4 +603,4 @@ class TestHardCases:
 )
 def test_config_rejects(choices):
     with pytest.raises(ValueError, match=next(iter(choices))):
-        PPOConfig(**choices).validate()
+        typed.validate(PPOConfig(**choices))

@@ -139,6 +139,22 @@ def show(table: dict[str, Any]) -> None:
     Console(width=200).print(shown)
 
 
+def markdown(content: dict[str, Any]) -> None:
+    """The tasks that all contenders have done, for the docs."""
+    table = content["table"]
+    tasks = [task for task in TASKS if all(task in row for row in table.values())]
+    print("| |", *(f"{task.rpartition('-')[0]} |" for task in tasks), "s |")
+    print("|---" * (len(tasks) + 2) + "|")
+    for name, row in table.items():
+        cells = ("{} ({} to {})".format(*map(_short, row[task]["return"])) for task in tasks)
+        seconds = np.median([row[task]["seconds"] for task in tasks])
+        print(f"| {name.replace('stable-b', 'Stable-B')} | {' | '.join(cells)} | {seconds:.0f} |")
+
+
+def _short(value: float) -> str:
+    return f"{value:,.{0 if abs(value) >= 100 else 1}f}".replace("-", "−")
+
+
 def main() -> None:
     """What is missing of all contenders, tasks and seeds; seeds outermost."""
     flags = parser(__doc__)

@@ -366,12 +366,11 @@ def registration(name: str) -> Registration:
     path = file(name)
     with toml_files.blamed(f"hand file {path}"):
         data = toml_files.read(path, "hand file")
-        about, scene = (toml_files.table(data, key) for key in ("environment", "scene"))
-        toml_files.only(about, {"id", "closing"}, "environment")
+        about = toml_files.table(data, "environment", {"id", "closing"})
         low, high = toml_files.vector(
             about.get("closing", Registration.closing), 2, "environment.closing"
         )
-        return Registration(str(about.get("id", "")), (low, high), scene)
+        return Registration(str(about.get("id", "")), (low, high), toml_files.table(data, "scene"))
 
 
 def digest(name: str) -> str:

@@ -133,8 +133,7 @@ def _require_still(hand: Hand, timestep: float) -> None:
 
 def _hung(parts: Parts) -> tuple[Mount, Array]:
     """The model's mount, and where a point of the palm hangs at the start, m."""
-    place = table(parts.data, "place")
-    only(place, {"of", "at"}, "place")
+    place = table(parts.data, "place", {"of", "at"})
     of = np.array(vector(place.get("of", parts.palm_point), 3, "place.of"))
     data = parts.posed(parts.start)
     root, palm = (data.xmat[body].reshape(3, 3) for body in (1, parts.palm))
@@ -237,8 +236,7 @@ def _joint_action(parts: Parts, grasps: tuple[ScriptedGrasp, ...], at: Array) ->
 
 def _with_actions(data: dict[str, Any], hand: Hand) -> Hand:
     """The hand with the actions that the file wants: of joints, or increments of slides and groups."""
-    actions, slides = table(data, "actions"), table(data, "slides")
-    only(actions, {"kind", "step", "groups"}, "actions")
+    actions, slides = table(data, "actions", {"kind", "step", "groups"}), table(data, "slides")
     kind = actions.get("kind", "joints")
     if kind not in ("joints", "closing"):
         raise ValueError(f"actions.kind: found {kind!r}, allowed: joints, closing")

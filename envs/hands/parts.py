@@ -45,9 +45,8 @@ class Parts:
         contacts = data.get("contacts", "others")
         if contacts not in ("others", "model"):
             raise ValueError(f"contacts: found {contacts!r}, allowed: others, model")
-        slides, servos = table(data, "slides"), table(data, "servos")
-        only(slides, {*mounting.SLIDE, "centre", "half_range", "step", "limits"}, "slides")
-        only(servos, set(mounting.SERVOS), "servos")
+        slides = table(data, "slides", {*mounting.SLIDE, "centre", "half_range", "step", "limits"})
+        servos = table(data, "servos", set(mounting.SERVOS))
         for kind in servos:
             only(table(servos, kind), set(mounting.SERVOS[kind]), f"servos.{kind}")
         return Mount(
@@ -104,7 +103,7 @@ class Parts:
         found = {}
         for joint, about in table(self.data, "couplings").items():
             where = f"couplings.{joint}"
-            only(table({where: about}, where), {"follows", "ratio"}, where)
+            table({where: about}, where, {"follows", "ratio"})
             driver = about.get("follows")
             self.angles({joint: 0, driver: 0}, "couplings")
             found[joint] = joint, str(driver), number(about.get("ratio"), f"{where}.ratio")
@@ -187,7 +186,7 @@ class Parts:
         found = {}
         for name, about in table(self.data, "digits").items():
             where = f"digits.{name}"
-            only(table({where: about}, where), {"links", "tip", "palmar", "base", "base_link"}, where)
+            table({where: about}, where, {"links", "tip", "palmar", "base", "base_link"})
             links = strings(about.get("links"), f"{where}.links")
             for link in links:
                 self.body(link, where)

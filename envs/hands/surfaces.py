@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ..toml_files import number, only, table, vector
+from ..toml_files import number, table, vector
 from . import SEGMENTS, Array, Pitch, Surface, mounting
 from .parts import Parts, beside, numbers, unit
 from .skins import Distances, Geom, geoms_of, meet
@@ -41,8 +41,8 @@ def of(parts: Parts) -> tuple[Surface, ...]:
 
 def pitch(parts: Parts, surfaces: tuple[Surface, ...]) -> Pitch:
     """The file's, or what fits on the smallest segment."""
-    about = table(parts.data, "pitch")
-    only(about, {"rows", "column", "radius", "large_radius", "distal_shift"}, "pitch")
+    allowed = {"rows", "column", "radius", "large_radius", "distal_shift"}
+    about = table(parts.data, "pitch", allowed)
     segments = [surface for surface in surfaces if surface.segment != "palm"]
     rows = dict.fromkeys((surface.segment for surface in segments), 5e-3)
     for surface in segments:

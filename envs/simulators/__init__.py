@@ -41,11 +41,10 @@ class Scene:
     visual: bool = False
     """Keep the meshes, for pictures."""
 
-    def with_object(self, shape: Shape, mass: float, friction: float) -> Scene | None:
-        """The scene with another object; None where it is the same."""
-        if (shape, mass, friction) == (self.shape, self.mass, self.friction):
-            return None
-        return replace(self, shape=shape, mass=mass, friction=friction)
+    def with_object(self, shape: Shape, mass: float, friction: float) -> Scene:
+        """The scene with another object; itself where it is the same."""
+        is_same = (shape, mass, friction) == (self.shape, self.mass, self.friction)
+        return self if is_same else replace(self, shape=shape, mass=mass, friction=friction)
 
     def build_hand(self, visual: bool) -> mujoco.MjSpec:
         """The hand alone, where it starts."""

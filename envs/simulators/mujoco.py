@@ -187,7 +187,7 @@ class MujocoSimulator:
     def change_object(self, shape: Shape, mass: float, friction: float) -> None:
         """Writes into the compiled model what another object would have been compiled to."""
         scene = self.scene.with_object(shape, mass, friction)
-        if scene is None:
+        if scene is self.scene:
             return
         self.scene, model = scene, self.model
         alone = mujoco.MjSpec()

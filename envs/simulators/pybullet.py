@@ -161,7 +161,7 @@ class PyBulletSimulator:
     # -- running -----------------------------------------------------------------------------
 
     def change_object(self, shape: Shape, mass: float, friction: float) -> None:
-        self.scene = self.scene.with_object(shape, mass, friction) or self.scene
+        self.scene = self.scene.with_object(shape, mass, friction)
 
     def reset(self, joint_positions: Array, object_position: Array, yaw: float) -> None:
         if not pybullet.isConnected(self.client):

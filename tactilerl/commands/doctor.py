@@ -7,6 +7,7 @@ import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from rich.console import Console
 from rich.progress import Progress
@@ -36,9 +37,9 @@ class DoctorFlags:
 
     env: str = "shadow"
     """Name of the environment."""
-    grasps: int = 20
+    grasps: Annotated[int, "[1, inf)"] = 20
     """Perturbed grasps per layout."""
-    seconds: float = 3.0
+    seconds: Annotated[float, "[0.05, 60]"] = 3.0
     """Length of each hold, s."""
     out: Path | None = None
     """Write a picture of the grasp with its taxels here (extra: render)."""
@@ -91,9 +92,6 @@ def main(args: list[str]) -> int:
     name = read.env
     scene = require_scene(found, name)
     _require_used(scene, name)
-    flags.at_least("--grasps", read.grasps, 1)
-    if not 0.05 <= read.seconds <= 60:
-        raise InputError(f"--seconds: found {read.seconds}, allowed from 0.05 to 60")
     chosen = flags.peek(args, "--layout", "")
     names = [chosen] if chosen else [str(i) for i in range(1, 7)]
     with input_errors():

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import tyro
 from rich.console import Console
@@ -21,7 +21,7 @@ from ..algos.mpi import Communicator
 from ..envs.observations import SensorConfig
 from ..errors import InputError, input_errors
 from ..runs import evaluation, policies, sweep
-from ..runs.config import RunConfig, require_workers
+from ..runs.config import RunConfig, Workers
 from ..runs.run_dir import RunDir
 from ..runs.training import start_workers
 from ..terminal import flags
@@ -34,11 +34,11 @@ class EvaluateFlags:
 
     run: tyro.conf.Positional[Path]
     """Run folder."""
-    episodes: int = 100
+    episodes: Annotated[int, "[1, inf)"] = 100
     """Episodes to play; their starts are not those of training."""
     stochastic: bool = False
     """Keep the exploration noise."""
-    workers: int | None = None
+    workers: Workers = None
     """Episodes played side by side; default: the free cores."""
     env: str = ""
     """The run's environment again: allows the import of the module in its id."""
@@ -58,7 +58,6 @@ def main(args: list[str]) -> int:
     if read.out is not None and not read.sweep:
         raise InputError("--out: found without --sweep, allowed only with it")
     with input_errors():
-        require_workers(read.workers)
         if read.out is not None:
             sweep.require_drawable(read.out)
     trained = policies.read_run(read.run, read.env, read.trust)
@@ -87,7 +86,6 @@ def _read_evaluate(args: list[str]) -> tuple[EvaluateFlags, SensorConfig | None]
     run has no scene of ours."""
     sensors = SensorConfig()
     read, _ = _parse_evaluate(args, sensors)  # which run, before its sensors are known
-    flags.at_least("--episodes", read.episodes, 1)
     scene = RunDir(read.run).read_config(read.env, read.trust)[0].scene
     if scene is None:
         return flags.parse(EvaluateFlags, args, "tactilerl evaluate"), None

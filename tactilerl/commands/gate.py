@@ -5,16 +5,17 @@ from __future__ import annotations
 import dataclasses
 import json
 from dataclasses import dataclass
+from typing import Annotated
 
 from rich.progress import Progress
 from rich.table import Table
 
 from ..algos.mpi import Communicator
+from ..envs import typed
 from ..errors import InputError, input_errors
 from ..probe import gate
-from ..runs.config import require_workers
+from ..runs.config import Workers
 from ..runs.training import free_cores
-from ..terminal import flags
 from ..terminal.console import console
 from .scene import read_scene, require_scene
 
@@ -27,13 +28,13 @@ class GateFlags:
 
     env: str = "mpl"
     """The hand."""
-    starts: int = 200
+    starts: Annotated[int, "[1, inf)"] = 200
     """Starts from which the chosen reflexes are compared."""
-    search: int = 20
+    search: Annotated[int, "[1, inf)"] = 20
     """Starts per candidate during the search; each sense has 15 candidates."""
-    seed: int = 0
+    seed: Annotated[int, "[0, 999999]"] = 0
     """Random seed of the starts."""
-    workers: int | None = None
+    workers: Workers = None
     """Episodes played side by side; default: the free cores."""
     json: bool = False
     """Print JSON instead of a table."""
@@ -43,15 +44,10 @@ def main(args: list[str]) -> int:
     """`tactilerl gate --scene handover`"""
     read, found = read_scene(GateFlags, args, "tactilerl gate", ABOUT)
     scene = require_scene(found, read.env)
-    for name in ("starts", "search"):
-        flags.at_least(flags.of_field(name), getattr(read, name), 1)
-    if not 0 <= read.seed < 10**6:
-        raise InputError(f"--seed: found {read.seed}, allowed from 0 to 999,999")
     with input_errors():
-        require_workers(read.workers)
         if scene.run_type != "main":
             raise InputError(f"--run-type: found {scene.run_type}, allowed main: a gate plays all")
-        scene.validate()
+        typed.validate(scene)
     with Progress(console=console, transient=True) as progress, input_errors():
         task = progress.add_task("trying reflexes", total=None)
         rows = gate.examine(

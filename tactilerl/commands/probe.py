@@ -17,9 +17,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from ..algos import mpi
+from ..envs import typed
 from ..errors import InputError, input_errors
 from ..probe.options import GraspFlags, Options
-from ..runs.config import require_workers
+from ..runs.config import Workers
 from ..runs.files import pasted
 from ..terminal import flags, interrupts
 from ..terminal.console import console
@@ -34,7 +35,7 @@ def main(args: list[str]) -> int:
     read = flags.parse(Options, args, "tactilerl probe", usual, about)
     with input_errors():
         read.validate()
-        require_workers(read.output.workers)
+        typed.require_type(read.output.workers, Workers, "workers")
         comm = mpi.world()
     _require_extra()
     from ..probe import run

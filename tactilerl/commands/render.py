@@ -6,7 +6,7 @@ import dataclasses
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 from rich.console import Console
@@ -30,7 +30,7 @@ class RenderFlags:
     starts. Without one: picture of a scripted grasp."""
     video: Path = Path("episodes.mp4")
     """The film of a run's policy to write."""
-    episodes: int = 1
+    episodes: Annotated[int, "[1, inf)"] = 1
     """Episodes in the film: the first that `evaluate` would play. Hold tests last 2 s unless
     --hold-seconds is given."""
     env: str = "shadow"
@@ -43,7 +43,7 @@ class RenderFlags:
     """Direction of the camera, degrees; 300 looks at the palm."""
     elevation: float = Camera.elevation
     """Elevation of the camera, degrees; positive looks up from below."""
-    distance: float = Camera.distance
+    distance: Annotated[float, "[0.05, 10]"] = Camera.distance
     """Distance of the camera, m."""
     follow: render.Follow = "grasp"
     """What the camera of a film follows. grasp: the middle between hand and object; hand: the hand
@@ -59,8 +59,6 @@ def main(args: list[str]) -> int:
     """`tactilerl render`: a scripted grasp with its taxels; `tactilerl render RUN`: a film."""
     read, scene = read_scene(RenderFlags, args, "tactilerl render")
     name = read.env
-    if not 0.05 <= read.distance <= 10:
-        raise InputError(f"--distance: found {read.distance}, allowed from 0.05 to 10")
     for flag in ("env", "out", "pose") if read.run else ("video", "episodes", "follow"):
         if getattr(read, flag) != getattr(RenderFlags, flag):
             needed = "without" if read.run else "with"
@@ -86,7 +84,6 @@ def _film(args: list[str], read: RenderFlags, scene: GraspConfig | None) -> int:
         raise InputError(
             "render RUN: found scene flags, allowed only --hold-seconds: a run keeps its scene"
         )
-    flags.at_least("--episodes", read.episodes, 1)
     columns = SpinnerColumn(), TextColumn("{task.completed:.0f} pictures"), TimeElapsedColumn()
     bar = Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty())
     with input_errors(), bar:

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from rich import box
@@ -39,9 +39,9 @@ class RunFlags:
     """Study file (TOML)."""
     out: Path | None = None
     """Folder of the study; default: studies/NAME. Runs already in it are continued."""
-    jobs: int | None = None
+    jobs: Annotated[int, "[1, inf)"] | None = None
     """Runs trained at a time; default: one per core, or under mpirun one per rank but the first."""
-    ranks_per_run: int = 1
+    ranks_per_run: Annotated[int, "[1, inf)"] = 1
     """Processes of each run (DDPG+HER with several workers)."""
     retry_failed: bool = False
     """Try failed runs again."""
@@ -52,9 +52,6 @@ def run(args: list[str]) -> int:
     read = flags.parse(RunFlags, args, "tactilerl study run")
     from ..study import runner
 
-    for flag, value in (("--jobs", read.jobs), ("--ranks-per-run", read.ranks_per_run)):
-        if value is not None:
-            flags.at_least(flag, value, 1)
     parallel = read.jobs or max(1, free_cores(Communicator()) // read.ranks_per_run)
     with runner.executor(parallel) as pool:
         return _run(read, pool, parallel) if pool is not None else 0
@@ -182,14 +179,13 @@ class ReportFlags:
     """Folder of the study, or the file that `collect` wrote."""
     out: Path | None = None
     """Folder for the report; default: report/ beside the runs or the collected file."""
-    resamples: int = 50_000
+    resamples: Annotated[int, "[100, inf)"] = 50_000
     """Resamples of every bootstrap and permutation test; fewer are faster and less exact."""
 
 
 def report(args: list[str]) -> int:
     """`tactilerl study report FOLDER`"""
     read = flags.parse(ReportFlags, args, "tactilerl study report")
-    flags.at_least("--resamples", read.resamples, 100)
     with _needs_extra("report"):
         from ..study import report as page
         from ..study import summary

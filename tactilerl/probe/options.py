@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from ..envs import hands, objects, scenes, tasks
+from ..envs import hands, objects, scenes, tasks, typed
 from ..envs.grasp import setup
 from ..envs.hold import Verdict
 from ..envs.observations import TaxelFaults, validate_faults
@@ -178,4 +178,5 @@ class Options:
         """Raise ValueError naming the first invalid flag."""
         self.grasp.validate()
         self.analysis.validate()
+        typed.require(TaxelFaults, vars(self.fault))
         validate_faults(self.fault)

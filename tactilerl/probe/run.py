@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..algos.mpi import Communicator
-from ..envs import hands, layouts, vector
+from ..envs import hands, layouts, typed, vector
 from ..envs.grasp import setup
 from ..envs.hands import Array, Hand
 from ..envs.layouts import Layout, Taxels
@@ -118,7 +118,7 @@ def _scripted(grasps: GraspFlags, asking: AnalysisFlags, held: ExitStack) -> Pla
         contact_places = tuple(places.of(layouts.load(config.layout).place(hand)))
     with input_errors():
         for variant in drawn.variants():
-            replace(config, **variant).validate()
+            typed.validate(replace(config, **variant))
     task = ScriptedGrasps(drawn, grasps.seed, grasps.hold_verdict)
     start = partial(vector.start, partial(Scenes, grasps.env, config, drawn.variants()))
     out = Path("probes") / f"{hands.short_name(grasps.env)}_{simulator}"

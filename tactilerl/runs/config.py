@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from .. import algos, envs
 from ..algos import recipes
@@ -23,7 +23,8 @@ from ..envs.grasp import GraspConfig, GraspEnv, setup
 from ..envs.scenes import NamedScene
 from ..errors import PEERS, InputError, input_errors
 
-MOST_WORKERS = 256  # more than any machine's cores: a slip, and a process each
+Workers = Annotated[int, "[1, 256]"] | None
+"""More than any machine has cores would be a slip, and a process each."""
 
 
 @dataclass(frozen=True)
@@ -36,19 +37,19 @@ class RunOptions:
     """shadow (Shadow Hand in MuJoCo), mpl (MPL hand in PyBullet), allegro (Allegro Hand in MuJoCo),
     the path of a hand's .toml file, a toy (lqr, point-reach), or any registered Gymnasium id with Box
     or goal-Dict observations and Box actions."""
-    total_timesteps: int = 500_000
+    total_timesteps: Annotated[int, "[1, 1e15]"] = 500_000
     """Environment steps of the whole run, over all processes; the paper's by default."""
-    workers: int | None = None
+    workers: Workers = None
     """Episodes that each process plays side by side; default: one per free core. Results do not
     depend on it."""
-    seed: int = 0
+    seed: Annotated[int, "[0, 4294967295]"] = 0
     """Random seed of the whole run."""
     out: str | None = None
     """Run folder; a run that is there already goes on, if its flags are these. Default:
     runs/ALGO_ENV_..._sSEED."""
     device: str = "cpu"
     """PyTorch device of the networks."""
-    threads: int = 1
+    threads: Annotated[int, "[1, 1000]"] = 1
     """PyTorch threads; another number can change the last digits of the results."""
     matmul: Literal["float32", "bfloat16"] = "float32"
     """Precision of the matrix products in updates. bfloat16 is faster and coarser; it needs a processor
@@ -57,22 +58,10 @@ class RunOptions:
     """Write TensorBoard events as well (needs the extra: pip install 'tactilerl[tensorboard]')."""
 
     def validate(self) -> None:
-        """Raise ValueError naming the first invalid field."""
-        for name, most in (("total_timesteps", 10**15), ("threads", 1000)):
-            if not 1 <= getattr(self, name) <= most:
-                raise ValueError(f"{name}: found {getattr(self, name)}, allowed from 1 to {most}")
-        require_workers(self.workers)
+        """Raise ValueError where the environment cannot be one; ranges are in the types."""
         if not (ENV_ID.fullmatch(self.env) or hands.is_hand(self.env)):
             raise ValueError(f"env: found {self.env!r}, allowed a name, a hand's .toml file, an id or "
                              "module:id")  # fmt: skip
-        if not 0 <= self.seed < 2**32:
-            raise ValueError(f"seed: found {self.seed}, allowed from 0 to 2**32 - 1")
-
-
-def require_workers(n: int | None) -> None:
-    """ValueError for a number of workers that no machine has a use for."""
-    if n is not None and not 1 <= n <= MOST_WORKERS:
-        raise ValueError(f"workers: found {n}, allowed from 1 to {MOST_WORKERS}")
 
 
 PARTS = ("run", "scene", "learner")

@@ -10,8 +10,9 @@ from typing import Any, TypeVar, get_type_hints
 
 import tyro
 
+from ..envs import typed
 from ..envs.choices import meant
-from ..errors import PEERS, InputError
+from ..errors import PEERS, InputError, input_errors
 
 try:
     from tyro._errors import on_parse_error
@@ -35,11 +36,17 @@ def parse(kind: type[T], args: Sequence[str], prog: str, default: Any = None, ab
 
     try:
         with on_parse_error(refuse), contextlib.redirect_stderr(io.StringIO()):
-            return tyro.cli(kind, args=args, prog=prog, description=about, config=config, **extra)
+            read = tyro.cli(kind, args=args, prog=prog, description=about, config=config, **extra)
     except SystemExit as stop:
         if stop.code in (0, None):
             raise
         raise InputError(f"found flags that are not allowed; see {prog} --help") from None
+    own = getattr(read, "command", read)
+    if not hasattr(own, "validate"):  # what has, is validated with what it belongs to
+        with input_errors():
+            for name, hint in get_type_hints(type(own), include_extras=True).items():
+                typed.require_type(getattr(own, name), hint, of_field(name))
+    return read
 
 
 def peek(args: Sequence[str], flag: str, default: str) -> str:
@@ -51,12 +58,6 @@ def peek(args: Sequence[str], flag: str, default: str) -> str:
     if found[:1] == [""]:
         raise InputError(f"{flag}: found nothing, expected a value")
     return found[0] if found else default
-
-
-def at_least(flag: str, value: int, least: int) -> None:
-    """InputError for a smaller value."""
-    if value < least:
-        raise InputError(f"{flag}: found {value}, allowed {least} or more")
 
 
 def _reason(event: Any, args: Sequence[str], kind: type) -> str | None:
