@@ -38,7 +38,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from ..envs.typed import require
-from ..errors import InputError, input_errors
+from ..errors import InputError
 from ..runs.files import MAX_JSON, content, damage_named, require_name
 from .primary import Looks, Primary
 
@@ -212,11 +212,14 @@ def _study(data: dict[str, Any]) -> Study:
     setups = _table(data, "setups")
     if not setups:
         raise InputError("setups: found none, expected one or more tables [setups.NAME]")
+    looks = _part(data, "looks", Looks) if "looks" in data else None
+    if looks is not None:
+        looks.validate()
     study = Study(
         data.get("name"),  # type: ignore[arg-type]
         [_setup(key, setups, data) for key in setups],
         _part(data, "primary", Primary),
-        _part(data, "looks", Looks) if "looks" in data else None,
+        looks,
     )
     study.validate()
     return study
@@ -228,9 +231,10 @@ def _part(data: dict[str, Any], key: str, kind: type[Part]) -> Part:
     for name in table:
         _one_of(name, tuple(field.name for field in dataclasses.fields(kind)), key)
     part = kind(**table)
-    with input_errors(key):
+    try:
         require(kind, vars(part))
-    part.validate()
+    except ValueError as error:
+        raise InputError(f"{key}.{error}") from error
     return part
 
 
