@@ -9,14 +9,13 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, Protocol, TypeVar, runtime_checkable
 
 import gymnasium as gym
-import numpy as np
 
+from .spaces import Array as Array
 from .spaces import Spaces
 
 if TYPE_CHECKING:
     from .policy import Policy
 
-Array = np.ndarray
 IsWanted = Callable[[], bool]
 T = TypeVar("T")
 # Of hyperparameters, with their ranges; float32 has room for 1e30.
@@ -165,80 +164,9 @@ def get(name: str) -> tuple[Any, Any]:
     return getattr(module, registered.config), getattr(module, registered.algorithm)
 
 
-def flat_observation(obs: Any) -> Array:
-    """What a policy sees, float32 (n,): a goal environment's observation and desired goal.
-
-    Always a copy: an environment may reuse its buffer.
-    """
-    if isinstance(obs, dict):
-        obs = np.concatenate([np.ravel(obs["observation"]), np.ravel(obs["desired_goal"])])
-    return np.array(obs, np.float32).ravel()
-
-
 def require_hidden(hidden: Sequence[int]) -> None:
     """ValueError for hidden layers that are none, or too large."""
     if not hidden or not 1 <= min(hidden) <= max(hidden) <= MOST_UNITS:
         raise ValueError(f"hidden: found {hidden}, allowed one or more sizes from 1 to {MOST_UNITS}")
     if sum(a * b for a, b in pairwise(hidden)) > MOST_WEIGHTS:
         raise ValueError(f"hidden: found {hidden}, allowed up to {MOST_WEIGHTS} weights between them")
-
-
-def action_bounds(space: gym.Space[Any]) -> tuple[Array, Array]:
-    """(low, high) of an action space; ValueError when it is not a bounded Box."""
-    if isinstance(space, gym.spaces.Box) and space.is_bounded():
-        return space.low, space.high
-    raise ValueError(f"action space: found {space}, allowed Box with finite bounds")
-
-
-def action_size(space: gym.Space[Any]) -> int:
-    """Number of entries of an action; ValueError when the space is not a bounded Box."""
-    return int(action_bounds(space)[0].size)
-
-
-def flat_size(space: gym.Space[Any]) -> int:
-    """Length of `flat_observation`; ValueError for spaces no algorithm here can read."""
-    if isinstance(space, gym.spaces.Dict) and {"observation", "desired_goal"} <= set(space.spaces):
-        return sum(flat_size(space[key]) for key in ("observation", "desired_goal"))
-    if isinstance(space, gym.spaces.Box):
-        return int(np.prod(space.shape))
-    raise ValueError(
-        f"observation space: found {space}, allowed Box, or Dict with observation, "
-        "achieved_goal and desired_goal"
-    )
-
-
-def goal_size(space: gym.Space[Any]) -> int:
-    """Length of a goal environment's goals; ValueError when it is not one."""
-    keys = ("observation", "achieved_goal", "desired_goal")
-    if isinstance(space, gym.spaces.Dict) and set(keys) <= set(space.spaces):
-        sizes = [flat_size(space[key]) for key in keys]
-        if sizes[1] == sizes[2]:
-            return sizes[2]
-    raise ValueError(
-        f"observation space: found {space}, allowed a goal environment's: Dict with observation, "
-        "achieved_goal and desired_goal"
-    )
-
-
-def has_single_goal(space: gym.Space[Any]) -> bool:
-    """Does the space of desired goals hold one goal only?"""
-    desired = space["desired_goal"] if isinstance(space, gym.spaces.Dict) else None
-    return isinstance(desired, gym.spaces.Box) and np.array_equal(desired.low, desired.high)
-
-
-def may_be_boolean(space: gym.Space[Any]) -> Array:
-    """Which entries (n,) of `flat_observation` lie between 0 and 1, and so may be Boolean?"""
-    if isinstance(space, gym.spaces.Dict):
-        parts = [may_be_boolean(space[key]) for key in ("observation", "desired_goal")]
-        return np.concatenate(parts)
-    assert isinstance(space, gym.spaces.Box)
-    return (np.ravel(space.low) == 0.0) & (np.ravel(space.high) == 1.0)
-
-
-def n_boolean(space: gym.Space[Any]) -> int:
-    """How many entries at the end of a goal environment's observation may be Boolean."""
-    box = space["observation"] if isinstance(space, gym.spaces.Dict) else None
-    if not isinstance(box, gym.spaces.Box):
-        return 0
-    within = may_be_boolean(box)
-    return len(within) - 1 - int(np.max(np.flatnonzero(~within), initial=-1))

@@ -25,11 +25,6 @@ from . import (
     Positive,
     Share,
     Workers,
-    action_size,
-    flat_size,
-    goal_size,
-    has_single_goal,
-    n_boolean,
     require_hidden,
     rollout,
     state,
@@ -40,7 +35,7 @@ from .policy import GoalObs, GoalStats, Policy, explore, flat_stats, new_actor, 
 from .replay import Batch, Replay
 from .rollout import Episode, PlayEpisode, require_transitions, summary
 from .side_by_side import SideBySide, at_once
-from .spaces import Spaces
+from .spaces import Spaces, action_size, flat_size, goal_size, has_single_goal, n_boolean
 
 CHECK_EVERY = 100  # updates between two looks at whether the ranks' parameters are equal
 REPLAY_P = 0.8  # paper

@@ -12,9 +12,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from . import (
-    Array,
-    UnfitError,
+from . import Array, UnfitError
+from .mpi import Communicator
+from .networks import MLP
+from .normalizer import Normalizer, Scaling
+from .spaces import (
+    Spaces,
     action_bounds,
     action_size,
     flat_observation,
@@ -22,10 +25,6 @@ from . import (
     goal_size,
     may_be_boolean,
 )
-from .mpi import Communicator
-from .networks import MLP
-from .normalizer import Normalizer, Scaling
-from .spaces import Spaces
 
 LARGEST = float(np.finfo(np.float32).max)
 Noise = Callable[[Array, Tensor, np.random.Generator], Array]

@@ -15,19 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from . import (
-    Array,
-    Count,
-    DivergenceError,
-    Positive,
-    Share,
-    Workers,
-    action_size,
-    flat_size,
-    require_hidden,
-    rollout,
-    state,
-)
+from . import Array, Count, DivergenceError, Positive, Share, Workers, require_hidden, rollout, state
 from .mpi import Communicator, same_on_all_ranks
 from .networks import MLP, FlatAdam, require_finite, start_orthogonal
 from .normalizer import Normalizer
@@ -35,7 +23,7 @@ from .policy import FlatInputs, Policy, flat_stats, new_actor, on_cpu
 from .policy_gradient import Batch, Spread, gae, gaussian, normalise, surrogate
 from .rollout import Episode, PlayEpisode, finite, play_steps, require_transitions, summary
 from .side_by_side import SideBySide, at_once, each
-from .spaces import Spaces
+from .spaces import Spaces, action_size, flat_size
 
 ACTOR_GAIN = 0.01  # of the last layer when weights start orthogonal
 OBS_CLIP = 5.0  # normalised observations are cut there, as DDPG+HER's are

@@ -1,4 +1,4 @@
-"""The spaces of an environment, and what of them a saved policy keeps, as plain values."""
+"""The spaces of an environment: what a learner reads of them, and what a saved policy keeps."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 
+Array = np.ndarray
 GOAL_KEYS = ("observation", "achieved_goal", "desired_goal")
 TRUTH = "truth"  # of a Dict: what a critic may see besides, and no policy
 LARGEST = 10**7  # entries of an observation or an action: more is a damaged file
@@ -89,3 +90,73 @@ def _box(low: Any, high: Any, shape: Any, dtype: Any) -> gym.spaces.Box:
     if not all(isinstance(n, int) and n >= 0 for n in shape) or math.prod(shape) > LARGEST:
         raise ValueError(f"spaces: found the shape {str(shape)[:50]}")
     return gym.spaces.Box(low, high, tuple(shape), dtype)
+
+
+def flat_observation(obs: Any) -> Array:
+    """What a policy sees, float32 (n,): a goal environment's observation and desired goal.
+
+    Always a copy: an environment may reuse its buffer.
+    """
+    if isinstance(obs, dict):
+        obs = np.concatenate([np.ravel(obs["observation"]), np.ravel(obs["desired_goal"])])
+    return np.array(obs, np.float32).ravel()
+
+
+def action_bounds(space: gym.Space[Any]) -> tuple[Array, Array]:
+    """(low, high) of an action space; ValueError when it is not a bounded Box."""
+    if isinstance(space, gym.spaces.Box) and space.is_bounded():
+        return space.low, space.high
+    raise ValueError(f"action space: found {space}, allowed Box with finite bounds")
+
+
+def action_size(space: gym.Space[Any]) -> int:
+    """Number of entries of an action; ValueError when the space is not a bounded Box."""
+    return int(action_bounds(space)[0].size)
+
+
+def flat_size(space: gym.Space[Any]) -> int:
+    """Length of `flat_observation`; ValueError for spaces no algorithm here can read."""
+    if isinstance(space, gym.spaces.Dict) and {"observation", "desired_goal"} <= set(space.spaces):
+        return sum(flat_size(space[key]) for key in ("observation", "desired_goal"))
+    if isinstance(space, gym.spaces.Box):
+        return int(np.prod(space.shape))
+    raise ValueError(
+        f"observation space: found {space}, allowed Box, or Dict with observation, "
+        "achieved_goal and desired_goal"
+    )
+
+
+def goal_size(space: gym.Space[Any]) -> int:
+    """Length of a goal environment's goals; ValueError when it is not one."""
+    if isinstance(space, gym.spaces.Dict) and set(GOAL_KEYS) <= set(space.spaces):
+        sizes = [flat_size(space[key]) for key in GOAL_KEYS]
+        if sizes[1] == sizes[2]:
+            return sizes[2]
+    raise ValueError(
+        f"observation space: found {space}, allowed a goal environment's: Dict with observation, "
+        "achieved_goal and desired_goal"
+    )
+
+
+def has_single_goal(space: gym.Space[Any]) -> bool:
+    """Does the space of desired goals hold one goal only?"""
+    desired = space["desired_goal"] if isinstance(space, gym.spaces.Dict) else None
+    return isinstance(desired, gym.spaces.Box) and np.array_equal(desired.low, desired.high)
+
+
+def may_be_boolean(space: gym.Space[Any]) -> Array:
+    """Which entries (n,) of `flat_observation` lie between 0 and 1, and so may be Boolean?"""
+    if isinstance(space, gym.spaces.Dict):
+        parts = [may_be_boolean(space[key]) for key in ("observation", "desired_goal")]
+        return np.concatenate(parts)
+    assert isinstance(space, gym.spaces.Box)
+    return (np.ravel(space.low) == 0.0) & (np.ravel(space.high) == 1.0)
+
+
+def n_boolean(space: gym.Space[Any]) -> int:
+    """How many entries at the end of a goal environment's observation may be Boolean."""
+    box = space["observation"] if isinstance(space, gym.spaces.Dict) else None
+    if not isinstance(box, gym.spaces.Box):
+        return 0
+    within = may_be_boolean(box)
+    return len(within) - 1 - int(np.max(np.flatnonzero(~within), initial=-1))

@@ -19,7 +19,7 @@ from adjustText import adjust_text
 from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 
 from benchmarks.command import ROOT
-from benchmarks.studies import probe_tables
+from benchmarks.studies import answer, probe_tables
 from tactilerl.envs import hands, layouts
 from tactilerl.pictures.hand_map import MARGIN, TaxelMap, panels
 from tactilerl.pictures.places import Place
@@ -217,6 +217,7 @@ def main() -> None:
     with matplotlib.rc_context(STYLE):
         speed_against_error()
         layouts_unrolled()
+        answer.draw(DOCS / "images")
         for name, (title, what, files) in RUNS.items():
             learning_curves(name, title, what, files)
         for name, (env, pair) in CHOSEN.items():

@@ -15,17 +15,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
-from benchmarks.command import ROOT, earlier, parser
+from benchmarks.command import ROOT, earlier
 from benchmarks.studies import gates
 from tactilerl import statistics
 from tactilerl.statistics import Array, Estimate
-from tactilerl.study import records, verdicts
+from tactilerl.study import figures, records, verdicts
 from tactilerl.study.grid import Study
 from tactilerl.study.records import Record
 
+DPI = 130
 DATA = ROOT / "docs" / "data"
 CHOSEN = re.compile(r"layout \S*_(\d+)\.toml")
-COLOURS = {"main": "#e0a800", "control": "#2b6cb0"}  # main: as in the paper
+COLOURS = dict(zip(("main", "control"), figures.ARMS, strict=False))
 SIGHTED = "no touch, but sight"
 PAIR = "MPL, MuJoCo"  # of the probe's results: the hand and simulator of the handover scenes
 ARMS = {"main": "touch", "control": "no touch", "absent": "no touch, and no inputs for it"}
@@ -196,23 +197,24 @@ def line(*cells: object, head: bool = False) -> None:
         print(f"|{'---|' * len(cells)}")
 
 
-def figure(path: Path) -> None:
-    """Left: learning curves of every run where touch decides. Right: layouts where they decide."""
-    picture = Figure(figsize=(11, 4.2), layout="constrained")
-    left, right = picture.subplots(1, 2, width_ratios=(1.2, 1))
+def draw(folder: Path) -> None:
+    """Learning curves where touch decides (study.png), and what each layout reaches where they decide
+    (study_layouts.png)."""
     study, found = load("handover")
     setup = study.setups[0]
+    picture = Figure(figsize=(9, 4.2), layout="constrained")
+    axes = picture.subplots()
     for run_type in setup.arms[:2]:
-        runs = [
-            r.curve(setup.measure) for r in found if r.run.setup == setup.name and r.run.arm == run_type
-        ]
-        _curves(left, [curve for curve in runs if len(curve[0])], run_type)
-    left.set(title="MPL hand in MuJoCo, handover, PPO, layout 2", xlabel="environment steps")
-    left.set(ylabel="success rate", ylim=(0, 1.02))
-    left.legend(loc="upper left")
+        own = [r for r in found if r.run.setup == setup.name and r.run.arm == run_type]
+        _curves(axes, [r.curve(setup.measure) for r in own if r.state == "done"], run_type)
+    title = "Handover: MPL hand in MuJoCo, PPO, layout 2, 30,000 steps"
+    axes.set(title=title, xlabel="environment steps", ylabel="success rate", ylim=(0, 1.02))
+    axes.legend(loc="upper left")
+    picture.savefig(folder / "study.png", dpi=DPI, metadata={"Software": None})
     if is_there("handover_fingers"):
-        _layouts(right, "handover_fingers")
-    picture.savefig(path, dpi=110)
+        picture = Figure(figsize=(9, 4.2), layout="constrained")
+        _layouts(picture.subplots(), "handover_fingers")
+        picture.savefig(folder / "study_layouts.png", dpi=DPI, metadata={"Software": None})
 
 
 def _curves(axes: Axes, runs: Sequence[tuple[Array, Array]], run_type: str) -> None:
@@ -235,9 +237,12 @@ def _layouts(axes: Axes, name: str) -> None:
             x, colour = place + aside, COLOURS[run_type]
             axes.plot([x] * len(rates), rates, "o", color=colour, ms=4, alpha=0.45, mew=0)
             axes.plot([x - 0.12, x + 0.12], [np.mean(rates)] * 2, color=colour, lw=3) if rates else None
-    axes.set_xticks(range(len(labels)), [each.replace("of the ", "") for each in labels], rotation=30)
-    axes.set(title="Object against the fingers: by layout", ylim=(0, 1.02))
-    axes.set_ylabel("success rate, last tenth of training")
+    axes.set_xticks(range(len(labels)), [each.replace("of the ", "") for each in labels])
+    axes.set(title="Handover to the fingers: MPL hand in MuJoCo, PPO, 30,000 steps", xlabel="layout")
+    axes.set(ylabel="success rate, last tenth of training", ylim=(0, 1.02))
+    for run_type in setup.arms:
+        axes.plot([], [], "o", color=COLOURS[run_type], label=ARMS[run_type])
+    axes.legend()
 
 
 TABLES: Mapping[str, tuple[str, Callable[[str], None]]] = {
@@ -262,12 +267,7 @@ def show(table: str) -> None:
 
 
 def main() -> None:
-    """All tables, and the figure where it is asked for."""
-    flags = parser(__doc__)
-    flags.add_argument("--figure", type=Path, help="draw learning curves and layouts here")
-    options = flags.parse_args()
-    if options.figure:
-        figure(options.figure)
+    """All tables."""
     for table in TABLES:
         print(f"\n### {table}\n")
         show(table)
