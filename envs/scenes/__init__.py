@@ -45,7 +45,7 @@ def load(name: str) -> NamedScene:
     """A scene by name, or from a .toml file; ValueError naming what is wrong, and FileNotFoundError."""
     if not name.endswith(SUFFIX) and name not in names():
         raise ValueError(
-            f"scene: found {name!r}; {nearest(name, names())}allowed: {', '.join(names())}, or the "
+            f"scene: found {name!r}, {nearest(name, names())}allowed: {', '.join(names())}, or the "
             "path of a .toml file"
         )
     path = Path(name) if name.endswith(SUFFIX) else FOLDER / f"{name}{SUFFIX}"
