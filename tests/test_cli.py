@@ -661,6 +661,14 @@ class TestOtherCommands:
             assert "no taxels at thumb.palm, which shadow does not have" in out
             assert "beyond the end of their segment: thumb.distal[+30,+0 mm], index.distal[" in out
 
+    def test_env_says_what_it_is_first(self, capsys):
+        assert main(["env", "--env", "shadow", "--touch", "off"]) == 0
+        out = capsys.readouterr().out
+        assert out.startswith(
+            "env: shadow\ntask: lift-and-hold in mujoco, up to 100 actions of 0.2 s\n"
+        )
+        assert "inf" not in out
+
     def test_env_describe(self, capsys):
         assert main(["env", "--env", "shadow", "--layout", "5", "--describe"]) == 0
         out = capsys.readouterr().out

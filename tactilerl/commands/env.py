@@ -87,6 +87,9 @@ def main(args: list[str]) -> int:
         print(json.dumps(described))
         return 0
     print(f"env: {name}")
+    if scene:
+        length = f"up to {base.max_episode_steps} actions of {scene.control_dt:g} s"
+        print(f"task: {scene.task} in {scene.simulator}, {length}")
     print(f"action_space: {_short(made.action_space)}")
     print(f"observation_space: {_short(made.observation_space)}")
     if scene:
@@ -105,8 +108,8 @@ def main(args: list[str]) -> int:
 
 
 def _short(space: gym.Space[Any]) -> str:
-    """Of one line: bounds that differ between entries are left out."""
+    """Of one line: bounds that are infinite, or differ between entries, are left out."""
     if isinstance(space, gym.spaces.Dict):
         return f"Dict({', '.join(f'{key}: {_short(part)}' for key, part in space.spaces.items())})"
     whole = str(space)
-    return whole if "[" not in whole else f"{type(space).__name__}{space.shape}"
+    return whole if "[" not in whole and "inf" not in whole else f"{type(space).__name__}{space.shape}"
