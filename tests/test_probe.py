@@ -4,7 +4,6 @@ import json
 import os
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -419,11 +418,11 @@ class TestAnalysis:
             return np.array([max(pool["num_threads"] for pool in threadpool_info())])
 
         question = analysis.Question("threads", (), np.zeros(1), threads)
-        builder = SimpleNamespace(features=lambda inputs: np.zeros((1, 1)))
         with threadpool_limits(2):
             assert threads(None) == 2
-            (found,) = analysis.ask([question], [analysis.Inputs(0.0, "joints")], builder, 1).values()
-        assert found == 1
+            inputs = [analysis.Inputs(0.0, "joints")]
+            found = analysis.ask([question], inputs, lambda inputs: np.zeros((1, 1)), 1)
+        assert list(found.values()) == [1]
 
     def test_no_taxel_is_chosen_twice_nor_beside_its_copy(self):
         rng = np.random.default_rng(0)

@@ -20,7 +20,7 @@ from benchmarks.studies import gates
 from tactilerl import statistics
 from tactilerl.statistics import Array, Estimate
 from tactilerl.study import figures, records, verdicts
-from tactilerl.study.grid import Setup, Study
+from tactilerl.study.grid import Study
 from tactilerl.study.records import Record
 
 DPI = 130
@@ -30,7 +30,7 @@ COLOURS = dict(zip(("main", "control"), figures.ARMS, strict=False))
 SIGHTED = "no touch, but sight"
 PAIR = "MPL, MuJoCo"  # of the probe's results: the hand and simulator of the handover scenes
 ARMS = {"main": "touch", "control": "no touch", "absent": "no touch, and no inputs for it"}
-BySeed = dict[int, float]
+BySeed = verdicts.BySeed
 
 
 @cache
@@ -50,12 +50,6 @@ def label(cell: str) -> str:
     return f"layout of the probe's {found[1]}" if found else cell
 
 
-def arm(found: Iterable[Record], setup: Setup, cell: str, run_type: str, score: str) -> BySeed:
-    """A score of the finished runs of one arm, by seed."""
-    own = [r for r in found if (r.run.setup, r.run.cell) == (setup.name, cell)]
-    return verdicts.by_seed(own, run_type, setup, score)
-
-
 def decides(name: str = "handover") -> None:
     """Every arm."""
     study, found = load(name)
@@ -65,7 +59,7 @@ def decides(name: str = "handover") -> None:
     arms[SIGHTED] = sighted, sighted.cells[0], ""
     line("arm", "runs", "mean success over the run", "over its last tenth", head=True)
     for title, place in arms.items():
-        areas, finals = (arm(found, *place, score) for score in ("area", "final"))
+        areas, finals = (verdicts.by_seed(found, *place, score) for score in ("area", "final"))
         line(title, len(areas), mean(areas.values()), mean(finals.values()))
 
 
@@ -77,7 +71,7 @@ def worth(name: str = "handover") -> None:
     for other in setup.arms[1:]:
         pairs = {
             score: verdicts.in_pairs(
-                *(arm(found, setup, cell, each, score) for each in (setup.arms[0], other))
+                *(verdicts.by_seed(found, setup, cell, each, score) for each in (setup.arms[0], other))
             )
             for score in ("area", "final")
         }
@@ -103,7 +97,7 @@ def layouts(name: str) -> None:
     )  # fmt: skip
     for cell, verdict in verdicts.judge(study, setup, found).items():
         pairs, where = verdict.pairs, label(cell)
-        finals = arm(found, setup, cell, "main", "final")
+        finals = verdicts.by_seed(found, setup, cell, "main", "final")
         line(
             where.removeprefix("layout "), len(pairs),
             *(f"{np.mean(v):.2f}" if len(v) else "" for v in (pairs.treatment, pairs.control)),
@@ -128,7 +122,7 @@ def senses(name: str = "senses") -> None:
         row = []
         for cell in cells:
             pairs = verdicts.in_pairs(
-                *(arm(found, setup, cell, each, "area") for each in setup.arms[:2])
+                *(verdicts.by_seed(found, setup, cell, each, "area") for each in setup.arms[:2])
             )
             row.append(f"{estimate(pairs.difference, '+.2f')}, of {len(pairs)}" if len(pairs) else "")
         line(setup.name.replace("_", " "), *row)
@@ -138,7 +132,7 @@ def orders(name: str = "handover_fingers") -> None:
     """Do scripted reflexes and the probe foretell the order of layouts in learning?"""
     study, found = load(name)
     (setup,) = study.setups
-    areas = {label(cell): arm(found, setup, cell, "main", "area") for cell in setup.cells}
+    areas = {label(cell): verdicts.by_seed(found, setup, cell, "main", "area") for cell in setup.cells}
     areas = {cell: by_seed for cell, by_seed in areas.items() if by_seed}
     seeds = sorted(set.intersection(*(set(by_seed) for by_seed in areas.values())))
     learned = np.array([[by_seed[seed] for seed in seeds] for by_seed in areas.values()])
@@ -239,7 +233,7 @@ def _layouts(axes: Axes, name: str) -> None:
     labels = [label(cell).removeprefix("layout ") for cell in setup.cells]
     for run_type, aside in zip(setup.arms, (-0.13, 0.13), strict=True):
         for place, cell in enumerate(setup.cells):
-            rates = list(arm(found, setup, cell, run_type, "final").values())
+            rates = list(verdicts.by_seed(found, setup, cell, run_type, "final").values())
             x, colour = place + aside, COLOURS[run_type]
             axes.plot([x] * len(rates), rates, "o", color=colour, ms=4, alpha=0.45, mew=0)
             axes.plot([x - 0.12, x + 0.12], [np.mean(rates)] * 2, color=colour, lw=3) if rates else None

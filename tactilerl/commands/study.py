@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
@@ -17,12 +16,15 @@ import tyro
 from rich import box
 from rich.table import Table
 
+from ..algos.mpi import Communicator
 from ..errors import InputError
 from ..runs.files import pasted
+from ..runs.training import free_cores
 from ..study import display, grid
 from ..study.folder import Outcome, RunFiles, StudyFolder
 from ..terminal import flags
 from ..terminal.console import console
+from ..terminal.progress_bar import duration
 
 if TYPE_CHECKING:
     from ..study.planning import Need
@@ -50,14 +52,9 @@ def run(args: list[str]) -> int:
     read = flags.parse(RunFlags, args, "tactilerl study run")
     from ..study import runner
 
-    parallel = read.jobs or max(1, _cores() // read.ranks_per_run)
+    parallel = read.jobs or max(1, free_cores(Communicator()) // read.ranks_per_run)
     with runner.executor(parallel) as pool:
         return _run(read, pool, parallel) if pool is not None else 0
-
-
-def _cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _run(read: RunFlags, pool: Executor, parallel: int) -> int:
@@ -135,7 +132,7 @@ def status(args: list[str]) -> int:
     folder = StudyFolder(read.folder)
     study = folder.study()
     overview = display.Overview(folder, study.runs())
-    eta = overview.eta(overview.counts()["running"] or _cores())
+    eta = overview.eta(overview.counts()["running"] or free_cores(Communicator()))
     found = looks.judge(study, folder)
     said = looks.answers(study, found)
     if read.json:
@@ -149,7 +146,7 @@ def status(args: list[str]) -> int:
         console.print(sentence)
     has_all = overview.counts()["done"] + overview.counts()["failed"] == len(overview.runs)
     is_over = has_all or looks.have_ended(found)
-    console.print("nothing left to do" if is_over else f"ETA {display.duration(eta)}")
+    console.print("nothing left to do" if is_over else f"ETA {duration(eta)}")
     _print_failures(folder, overview.runs)
     return 0
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +25,11 @@ class Metric:
     higher_is_better: bool
     measure: Callable[[Array, Array, Array], Array]
     """(truth, prediction, weights (b, n)) -> (b,)"""
+
+    @property
+    def sign(self) -> int:
+        """Of a difference that is for the better."""
+        return 1 if self.higher_is_better else -1
 
     def __call__(self, truth: Array, prediction: Array, weights: Array) -> Array:
         size = max(1, MEMORY // weights.shape[1])
@@ -119,3 +125,8 @@ def interval(samples: Array) -> list[float] | None:
     """Percentile interval [low, high] of bootstrap samples; None where there is no number."""
     low, high = statistics.percentile_interval(samples)
     return None if math.isnan(low) else [low, high]
+
+
+def gain(samples: Array) -> dict[str, Any]:
+    """As JSON has a gain: of all grasps, and its interval by the bootstrap samples behind it."""
+    return {"gain": number(samples[0]), "gain_interval": interval(samples[1:])}

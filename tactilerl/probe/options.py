@@ -18,6 +18,16 @@ LOST = {"object_density", "finger_gain", "timestep"}  # of a scene: probed grasp
 SIX = ("1", "2", "3", "4", "5", "6")
 
 
+def _validate(flags: Any, *lists: str) -> None:
+    """ValueError naming the first flag that is out of its range, and the first of the `lists` that is
+    empty or has something twice."""
+    typed.require(type(flags), vars(flags))
+    for name in lists:
+        values = getattr(flags, name)
+        if not values or len(set(values)) < len(values):
+            raise ValueError(f"{name}: found {list(values)}, allowed one or more, each once")
+
+
 @dataclass(frozen=True)
 class GraspFlags:
     """The grasps to play."""
@@ -31,9 +41,9 @@ class GraspFlags:
     """The physics engine: mujoco or pybullet; default: the hand's."""
     policy: Path | None = None
     """Grasps of a trained policy with its noise, in its run's own scene, instead of scripted ones."""
-    grasps: int = 2_000
+    grasps: Annotated[int, "[1, inf)"] = 2_000
     """Number of grasps."""
-    seed: int = 0
+    seed: Annotated[int, "[0, 4294967295]"] = 0
     """Random seed of grasps, folds, noise and bootstrap samples."""
     touch: Literal["skin", "contact"] = "skin"
     """Touch rule. skin: any layout can be read afterwards; contact: the simulator's own contacts are
@@ -44,14 +54,14 @@ class GraspFlags:
     """Edges of cubes, diameters (and heights) of others, m."""
     friction: tuple[float, ...] = (0.5, 1.0)
     """Sliding frictions of the object."""
-    start_offset: float = 0.025
+    start_offset: Annotated[float, "[0, 0.05]"] = 0.025
     """Largest distance of the object from its place along x and y, m."""
-    start_yaw: float = 0.6
+    start_yaw: Annotated[float, "[0, 3.2]"] = 0.6
     """Largest turn of the object, rad."""
     closing: tuple[float, float] | None = None
     """How far the fingers close, from and to: 1 is all the way of the scripted grasp; default: what
     lets 30 to 70 % of the grasps hold (mpl 0.8 1.1, others 0.5 0.9)."""
-    joint_jitter: float = 0.1
+    joint_jitter: typed.Share = 0.1
     """Largest offset of a finger joint at the start, rad."""
     hold_verdict: Verdict = "settled"
     """full: is the object up 2 s after the lift?; settled: the same, called early in PyBullet when the
@@ -93,18 +103,7 @@ class GraspFlags:
         """Raise ValueError naming the first invalid flag."""
         if not hands.is_hand(self.env):
             raise ValueError(f"env: found {self.env!r}, allowed: {hands.allowed()}")
-        if self.grasps < 1:
-            raise ValueError(f"grasps: found {self.grasps}, allowed 1 or more")
-        if not 0 <= self.seed < 2**32:
-            raise ValueError(f"seed: found {self.seed}, allowed from 0 to 2**32 - 1")
-        for name in ("object", "object_size", "friction"):
-            values = getattr(self, name)
-            if not values or len(set(values)) < len(values):
-                raise ValueError(f"{name}: found {list(values)}, allowed one or more, each once")
-        for name, most in (("start_offset", 0.05), ("start_yaw", 3.2), ("joint_jitter", 1.0)):
-            value = getattr(self, name)
-            if not 0 <= value <= most:
-                raise ValueError(f"{name}: found {value}, allowed from 0 to {most}")
+        _validate(self, "object", "object_size", "friction")
         low, high = self.perturbation.closing
         if not 0 <= low <= high <= 2:
             raise ValueError(f"closing: found {low} {high}, allowed from 0 to 2, the smaller first")
@@ -118,36 +117,24 @@ class AnalysisFlags:
     """Layouts: 1-6, named designs, or paths of .toml files."""
     estimator: Literal["linear", "boosting"] = "linear"
     """linear: regularised linear models; boosting: boosted trees, which take many times as long."""
-    joint_noise: tuple[float, ...] = (0.0, 0.05)
+    joint_noise: tuple[Annotated[float, "[0, 10]"], ...] = (0.0, 0.05)
     """Standard deviations of noise on the joint angles, rad; each is reported."""
-    folds: int = 5
+    folds: Annotated[int, "[2, inf)"] = 5
     """Folds of the cross-validation."""
     hold_out: Literal["grasps", "objects"] = "grasps"
     """What a fold holds back: some grasps, or all grasps of some objects, so that these are new."""
-    resamples: int = 2_000
+    resamples: Annotated[int, "[100, inf)"] = 2_000
     """Bootstrap samples behind an interval."""
-    shuffles: int = 10
+    shuffles: Annotated[int, "[2, inf)"] = 10
     """How often outcomes are shuffled, to check that nothing is gained then."""
-    select: tuple[int, ...] = ()
+    select: tuple[Annotated[int, "[1, inf)"], ...] = ()
     """Choose this many taxels from a dense skin; several numbers give a layout file each."""
     skin: str = "1"
     """The skin to choose from: a layout, or the spacing of a grid over all phalanges, such as 2mm."""
 
     def validate(self) -> None:
         """Raise ValueError naming the first invalid flag."""
-        for name, least in (("folds", 2), ("resamples", 100), ("shuffles", 2)):
-            if getattr(self, name) < least:
-                raise ValueError(f"{name}: found {getattr(self, name)}, allowed {least} or more")
-        for noise in self.joint_noise:
-            if not 0 <= noise <= 10:
-                raise ValueError(f"joint_noise: found {noise}, allowed from 0 to 10")
-        for n in self.select:
-            if n < 1:
-                raise ValueError(f"select: found {n}, allowed 1 or more")
-        for name in ("layout", "joint_noise"):
-            values = getattr(self, name)
-            if not values or len(set(values)) < len(values):
-                raise ValueError(f"{name}: found {list(values)}, allowed one or more, each once")
+        _validate(self, "layout", "joint_noise")
 
 
 @dataclass(frozen=True)

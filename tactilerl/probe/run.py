@@ -27,10 +27,9 @@ from ..runs import provenance
 from ..runs.files import locked, replacing
 from ..runs.training import free_cores, start_workers
 from . import analysis, estimators, figures, files, selection
-from .analysis import Choices
+from .analysis import Choices, Probe
 from .files import Played
 from .grasps import Measured, PolicyGrasps, Scenes, ScriptedGrasps
-from .metrics import AUC
 from .options import AnalysisFlags, GraspFlags, Options
 from .play import play
 from .readings import Grasps, with_faults
@@ -185,21 +184,25 @@ def analyse(read: Options, played: Played, out: Path) -> dict[str, Any]:
     is_whole = ~played.records["broken"].astype(bool)
     kept = {name: values[is_whole] for name, values in played.records.items()}
     asked = Grasps(hand, kept, played.contact_places)
-    choices = Choices(
-        settings["seed"], asking.folds, asking.estimator, asking.joint_noise, asking.resamples,
-        asking.shuffles, asking.hold_out == "objects", free_cores(Communicator()),
-    )  # fmt: skip
+    choices = Choices(**vars(asking), seed=settings["seed"], jobs=free_cores(Communicator()))
     where = _of_layouts(asking.layout, hand)
     with input_errors(), estimators.expected_warnings():
         readings = {name: _feel(read, asked, settings, taxels) for name, taxels in where.items()}
+        probe = Probe(asked, readings, choices)
         result = {
             **_about(read, played, asked),
             "layouts": {name: {"taxels": len(taxels)} for name, taxels in where.items()},
-            **_answers(asked, readings, choices, out),
-            "worth": _worth(asked, readings, where, choices),
+            **_answers(probe, out),
+            "worth": _worth(probe, where[probe.densest]),
         }
         if asking.select:
-            result["selection"] = _select(read, asked, settings, readings, choices, out)
+            candidates = _of_layouts([asking.skin], hand)[asking.skin]
+            skin = _feel(read, asked, settings, candidates)
+            path, found = selection.select(probe, skin, asking.select)
+            written = _write_chosen(probe, candidates, path, settings, out)
+            spots = [asdict(place) for place in places.of(candidates)]
+            about = {"skin": asking.skin, "candidates": len(spots), **found}
+            result["selection"] = {**about, "places": [spots[i] for i in path], "files": written}
     with replacing(out / "probe.json") as file:
         file.write((json.dumps(result, indent=1) + "\n").encode())
     figures.draw(result, hand, out)
@@ -228,65 +231,46 @@ def _about(read: Options, played: Played, asked: Grasps) -> dict[str, Any]:
     }
 
 
-def _answers(asked: Grasps, readings: dict[str, Array], choices: Choices, out: Path) -> dict[str, Any]:
+def _answers(probe: Probe, out: Path) -> dict[str, Any]:
     """The table, the differences, the learning curve and the check; gains.npz to compare hands."""
-    kept = analysis.kept_folds(asked, choices)
-    every = analysis.questions(asked, kept, choices)
-    inputs = analysis.all_inputs(list(readings), choices.joint_noise)
-    builder = analysis.FeatureBuilder(asked, readings, choices.seed)
-    predicted = analysis.ask(every, inputs, builder, choices.jobs)
-    weights = analysis.bootstrap(len(asked), choices)
-    samples = analysis.measured(every, predicted, weights, choices.jobs)
-    most = max(readings, key=lambda name: readings[name].shape[1])
-    gains = {
-        f"{cell.inputs.noise:g} {cell.inputs.layout}": analysis.gain_samples(samples, cell, metric)
-        for cell, metric in samples
-        if metric is AUC and cell.inputs.what == analysis.TAXELS
+    layouts, noises = [*probe.readings], probe.choices.joint_noise
+    samples = probe.answers(analysis.questions(probe), analysis.all_inputs(layouts, noises))
+    gains: dict[str, Any] = {
+        f"{noise:g} {layout}": analysis.hold_gain(samples, noise, layout).astype(np.float32)
+        for noise in noises
+        for layout in layouts
     }
     with replacing(out / "gains.npz") as file:
-        arrays: dict[str, Any] = {k: v.astype(np.float32) for k, v in gains.items() if v is not None}
-        np.savez_compressed(file, **arrays)
+        np.savez_compressed(file, **gains)
     return {
         "table": analysis.table(samples),
-        "differences": analysis.differences(samples, list(readings)),
-        "learning_curve": analysis.learning_curve(asked, readings, choices, samples),
-        "shuffled": analysis.shuffled_gain(asked, most, readings[most], choices),
+        "differences": analysis.differences(samples, layouts),
+        "learning_curve": analysis.learning_curve(probe, samples),
+        "shuffled": analysis.shuffled_gain(probe),
     }
 
 
-def _worth(
-    asked: Grasps, readings: dict[str, Array], where: dict[str, Taxels], choices: Choices
-) -> dict[str, Any]:
+def _worth(probe: Probe, taxels: Taxels) -> dict[str, Any]:
     """What each taxel of the densest layout tells alone, by the angles with the last noise."""
-    most = max(readings, key=lambda name: readings[name].shape[1])
-    noise = choices.joint_noise[-1]
-    known = analysis.FeatureBuilder(asked, readings, choices.seed).angles(noise)
-    bits = selection.worth(known, readings[most], asked.held)
-    spots = [asdict(place) for place in places.of(where[most])]
+    noise, most = probe.choices.joint_noise[-1], probe.densest
+    known = probe.features(analysis.Inputs(noise, analysis.JOINTS))
+    bits = selection.worth(known, probe.readings[most], probe.grasps.held)
+    spots = [asdict(place) for place in places.of(taxels)]
     return {"layout": most, "joint_noise": noise, "bits": bits.tolist(), "places": spots}
 
 
-def _select(
-    read: Options,
-    asked: Grasps,
-    settings: dict[str, Any],
-    readings: dict[str, Array],
-    choices: Choices,
-    out: Path,
-) -> dict[str, Any]:
-    """Choose from the skin; a layout file for each number that was asked for."""
-    name, hand = read.analysis.skin, asked.hand
-    candidates = _of_layouts([name], hand)[name]
-    skin = _feel(read, asked, settings, candidates)
-    path, found = selection.select(asked, skin, read.analysis.select, readings, choices)
+def _write_chosen(
+    probe: Probe, candidates: Taxels, path: list[int], settings: dict[str, Any], out: Path
+) -> list[str]:
+    """A layout file for each number that was asked for."""
     written = []
-    for n in sorted({min(n, len(path)) for n in read.analysis.select}):
-        about = f"{n} taxels chosen from skin {name} by {len(asked)} grasps"
+    for n in sorted({min(n, len(path)) for n in probe.choices.select}):
+        about = (
+            f"{n} taxels chosen from skin {probe.choices.skin} by {len(probe.grasps)} grasps "
+            f"of {settings['env']} in {settings['simulator']}"
+        )
+        chosen = layouts.of_taxels(candidates.take(path[:n]), probe.grasps.hand, about)
         written.append(f"selected_{n}.toml")
         with replacing(out / written[-1]) as file:
-            about += f" of {settings['env']} in {settings['simulator']}"
-            chosen = layouts.of_taxels(candidates.take(path[:n]), hand, about)
             file.write(chosen.toml().encode())
-    spots = places.of(candidates)
-    taxels = [asdict(spots[i]) for i in path]
-    return {"skin": name, "candidates": len(spots), **found, "places": taxels, "files": written}
+    return written

@@ -8,7 +8,7 @@ estimate of the gain in likelihood, for all candidates at once, from one fit wit
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -19,8 +19,8 @@ from threadpoolctl import threadpool_limits
 
 from ..envs.hands import Array
 from . import metrics
-from .analysis import JOINTS, Choices, FeatureBuilder, Inputs, bootstrap, hold_question, kept_folds
-from .readings import Grasps
+from .analysis import JOINTS, Inputs, Probe, hold_question
+from .estimators import Kind
 
 # C of the regression from which candidates are judged, of standardised features. Weak: a penalty
 # pulls at the weights of what is chosen, so that copies of it would seem to tell something.
@@ -73,70 +73,56 @@ def _scores(features: Array, candidates: Array, held: Array) -> Array:
     return np.where(is_new, np.square(slope) / np.where(is_new, left, 1.0), 0.0)
 
 
-def select(
-    grasps: Grasps,
-    skin: Array,
-    numbers: Sequence[int],
-    layouts: Mapping[str, Array],
-    choices: Choices,
-) -> tuple[list[int], dict[str, Any]]:
+def select(probe: Probe, skin: Array, numbers: Sequence[int]) -> tuple[list[int], dict[str, Any]]:
     """The taxels of `skin` (n, m) chosen from all grasps, in order, and an honest curve.
 
     In the curve each grasp is predicted from taxels that were chosen without it, at `numbers`, at
     those of `CURVE` below and at the number of each layout; by the angles with the last of the
-    noises. Layouts (n, taxels) are scored in the same folds.
+    noises. The probe's layouts are scored in the same folds.
     """
-    noise = choices.joint_noise[-1]
-    known = FeatureBuilder(grasps, {}, choices.seed).features(Inputs(noise, JOINTS))
-    held, kept, most = grasps.held, kept_folds(grasps, choices), max(numbers)
-    sizes = [readings.shape[1] for readings in layouts.values()]
-    points = sorted({k for k in (*numbers, *CURVE, *sizes) if k <= min(most, skin.shape[1])})
+    noise, jobs = probe.choices.joint_noise[-1], probe.choices.jobs
+    known = probe.features(Inputs(noise, JOINTS))
+    held, kept, most = probe.grasps.held, probe.folds(), max(numbers)
+    sizes = {name: readings.shape[1] for name, readings in probe.readings.items()}
+    points = sorted({k for k in (*numbers, *CURVE, *sizes.values()) if k <= min(most, skin.shape[1])})
     with threadpool_limits(1):
-        *paths, final = Parallel(choices.jobs, prefer="threads")(
+        *paths, final = Parallel(jobs, prefer="threads")(
             delayed(forward)(known[train], skin[train], held[train], most)
             for train in (*(train for train, _ in kept), np.arange(len(held)))
         )
-        weights = bootstrap(len(grasps), choices)
-        every = np.concatenate([np.ones((1, len(held)), weights.dtype), weights])
+        every = probe.weights()
         tried: dict[Any, list[Array]] = {(JOINTS,): [known] * len(kept)}
-        tried |= {("layout", name): [_with(known, r)] * len(kept) for name, r in layouts.items()}
+        tried |= {("layout", name): [_with(known, r)] * len(kept) for name, r in probe.readings.items()}
         tried |= {("best", k): [_with(known, skin[:, p[:k]]) for p in paths] for k in points}
-        scored = Parallel(choices.jobs, prefer="threads")(
-            delayed(_score)(features, held, kept, choices, every) for features in tried.values()
+        scored = Parallel(jobs, prefer="threads")(
+            delayed(_score)(features, held, kept, probe.choices.estimator, every)
+            for features in tried.values()
         )
     auc = dict(zip(tried, scored, strict=True))
     gains = {key: value - auc[(JOINTS,)] for key, value in auc.items()}
-    return final, _curve(gains, points, {k: v.shape[1] for k, v in layouts.items()}, noise)
+    return final, {"joint_noise": noise, **_curve(gains, points, sizes)}
 
 
 def _with(known: Array, readings: Array) -> Array:
     return np.column_stack([known, readings.astype(float)])
 
 
-def _score(
-    features: list[Array], held: Array, kept: list[Any], choices: Choices, weights: Array
-) -> Array:
+def _score(features: list[Array], held: Array, kept: list[Any], kind: Kind, weights: Array) -> Array:
     """AUC (b,) of predictions in which each fold has features (n, d) of its own."""
     predicted = np.full((len(held), 2), np.nan)
     for own, fold in zip(features, kept, strict=True):
-        found = hold_question(held, [fold], choices.estimator).predict(own)
+        found = hold_question(held, [fold], kind).predict(own)
         predicted[fold[1]] = found[fold[1]]
     return metrics.AUC(held, predicted, weights)
 
 
-def _curve(
-    gains: dict[Any, Array], points: list[int], sizes: dict[str, int], noise: float
-) -> dict[str, Any]:
-    curve = [{"taxels": k, **_row(gains["best", k])} for k in points]
+def _curve(gains: dict[Any, Array], points: list[int], sizes: dict[str, int]) -> dict[str, Any]:
+    curve = [{"taxels": k, **metrics.gain(gains["best", k])} for k in points]
     against = []
     for name, size in sizes.items():
-        row = {"layout": name, "taxels": size, **_row(gains["layout", name])}
+        row = {"layout": name, "taxels": size, **metrics.gain(gains["layout", name])}
         if size in points:  # how far the layout is behind the best of the same number
             lead = gains["best", size] - gains["layout", name]
             row |= {"lead": float(lead[0]), "lead_interval": metrics.interval(lead[1:])}
         against.append(row)
-    return {"joint_noise": noise, "curve": curve, "layouts": against}
-
-
-def _row(gain: Array) -> dict[str, Any]:
-    return {"gain": float(gain[0]), "gain_interval": metrics.interval(gain[1:])}
+    return {"curve": curve, "layouts": against}

@@ -18,7 +18,6 @@ from .records import Record
 from .verdicts import SEED, Headroom, Pairs, Verdict
 
 MOST_POINTS = 500  # of a curve
-THRESHOLDS = (0.5, 0.9)
 
 
 @dataclass(frozen=True)
@@ -35,7 +34,7 @@ class Group:
     iqm_bounds: Array
     """(points, 2): its pointwise intervals."""
     scores: dict[str, Array]
-    """By name in SCORES, (runs,)."""
+    """By name as in `verdicts.scores`, (runs,)."""
     counts: Array
     """Bootstrap resamples of these runs."""
 
@@ -146,14 +145,9 @@ def _common_steps(curves: list[Array]) -> Array:
 def _group(
     cell: str, arm: str, records: list[Record], measure: str, steps: Array, counts: Array
 ) -> Group:
-    raw = [record.curve(measure) for record in records]
-    curves = np.array([np.interp(steps, *one) for one in raw])
+    curves = np.array([np.interp(steps, *record.curve(measure)) for record in records])
     reached = [verdicts.scores(record, measure) for record in records]
-    scores = {name: np.array([one[name] for one in reached]) for name in SCORES}
-    for threshold in THRESHOLDS:
-        scores[f"steps to {threshold:g}"] = np.array(
-            [statistics.steps_to_threshold(s, rates[None], threshold)[0] for s, rates in raw]
-        )
+    scores = {name: np.array([one[name] for one in reached]) for name in reached[0]}
     seeds = [record.run.seed for record in records]
     aggregated = statistics.sample_efficiency(curves, "iqm", counts)
     return Group(cell, arm, seeds, curves, *aggregated, scores, counts)

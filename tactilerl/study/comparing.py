@@ -38,16 +38,9 @@ class Row:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
+        counts = {"runs": self.runs, "until": self.until, "pairs": len(self.pairs)}
         p_values = {"p": self.pairs.p_value, "p_holm": self.p_holm}
-        gap = self.pairs.difference._asdict()
-        return {
-            "place": self.place,
-            "runs": self.runs,
-            "until": self.until,
-            "pairs": len(self.pairs),
-            **gap,
-            **p_values,
-        }
+        return {"place": self.place, **counts, **self.pairs.difference._asdict(), **p_values}
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,8 @@ from rich.table import Table
 
 from ..errors import InputError
 from ..runs.files import damage_named
-from .folder import STATES, RunFiles, State, StudyFolder
+from ..terminal.progress_bar import duration
+from .folder import STATES, RunFiles, State, StudyFolder, seconds_spent
 from .grid import Run
 from .runner import Ending, Job
 
@@ -35,9 +36,10 @@ class Standing:
         state = state or files.state()
         if state in ("left", "damaged"):
             return cls(state, 0.0, 0.0)
-        progress, total = files.progress(), _total_timesteps(files)
-        fraction = 1.0 if state == "done" else min(1.0, progress.env_steps / total)
-        return cls(state, fraction, progress.seconds)
+        rows = files.rows()
+        steps = int(rows[-1]["env_steps"]) if rows else 0
+        fraction = 1.0 if state == "done" else min(1.0, steps / _total_timesteps(files))
+        return cls(state, fraction, seconds_spent(rows))
 
 
 def _total_timesteps(files: RunFiles) -> int:
@@ -70,18 +72,16 @@ class Overview:
         A run is taken to be as long as the others of its set-up; of set-ups of which nothing has
         run yet, as those of the others.
         """
-        known = [s for s in self.standings.values() if s.fraction > 0 and s.seconds > 0]
-        if not known:
-            return None
-        overall = _seconds_per_run(known)
-        left = 0.0
-        for setup in dict.fromkeys(run.setup for run in self.runs):
-            standings = [self.standings[run.name] for run in self.runs if run.setup == setup]
-            begun = [s for s in standings if s.fraction > 0 and s.seconds > 0]
-            each = _seconds_per_run(begun) if begun else overall
-            open_ = [s for s in standings if s.state not in ("done", "failed")]
-            left += each * sum(1 - s.fraction for s in open_)
-        return left / max(1, parallel)
+        overall = _seconds_per_run(self.standings.values())
+        by_setup: dict[str, list[Standing]] = {}
+        for run in self.runs:
+            by_setup.setdefault(run.setup, []).append(self.standings[run.name])
+        left = sum(
+            (_seconds_per_run(some) or overall or 0.0)
+            * sum(1 - one.fraction for one in some if one.state not in ("done", "failed"))
+            for some in by_setup.values()
+        )
+        return left / max(1, parallel) if overall else None
 
     def table(self, title: str) -> Table:
         """Set-ups by states."""
@@ -91,17 +91,9 @@ class Overview:
         return table
 
 
-def _seconds_per_run(standings: Iterable[Standing]) -> float:
-    standings = list(standings)
-    return sum(s.seconds for s in standings) / sum(s.fraction for s in standings)
-
-
-def duration(seconds: float | None) -> str:
-    """Hours, minutes and seconds; a dash for None."""
-    if seconds is None:
-        return "–"
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
+def _seconds_per_run(standings: Iterable[Standing]) -> float | None:
+    begun = [one for one in standings if one.fraction > 0 and one.seconds > 0]
+    return sum(s.seconds for s in begun) / sum(s.fraction for s in begun) if begun else None
 
 
 class Watch:
@@ -112,17 +104,15 @@ class Watch:
         self.console = Console(highlight=False, soft_wrap=True, markup=False)
         self._names = {overview.folder.files(run).base: run.name for run in overview.runs}
         self._seen: dict[Path, Ending] = {}
-        self._live = (
-            Live(console=self.console, auto_refresh=False) if self.console.is_terminal else None
-        )
+        self._live = Live(console=self.console, auto_refresh=False)
 
     def __enter__(self) -> Watch:
-        if self._live is not None:
+        if self.console.is_terminal:
             self._live.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._live is not None:
+        if self.console.is_terminal:
             self._live.stop()
 
     def __call__(self, running: list[Job], endings: dict[Path, Ending]) -> None:
@@ -131,7 +121,7 @@ class Watch:
             if self._seen.get(base) != ending:
                 self._seen[base] = ending
                 self._note(self._names[base], base)
-        if self._live is None:
+        if not self.console.is_terminal:
             return
         for job in running:
             self.overview.standings[self._names[job.base]] = Standing.of(RunFiles(job.base), "running")

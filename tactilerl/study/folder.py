@@ -41,15 +41,6 @@ class Outcome:
     reason: str = ""
 
 
-@dataclass(frozen=True)
-class Progress:
-    """How far a run has come."""
-
-    env_steps: int = 0
-    seconds: float = 0.0
-    """Spent on them, without starting and stopping."""
-
-
 class RunFiles:
     """What there is of one run."""
 
@@ -144,16 +135,14 @@ class RunFiles:
         except (FileNotFoundError, InputError):
             return [], "it cannot be read"
 
-    def progress(self) -> Progress:
-        """Steps and seconds so far, from the progress table."""
-        seconds, steps = 0.0, 0
-        try:
-            for row in self.rows():
-                now = int(float(row["env_steps"]))
-                seconds, steps = seconds + (now - steps) / float(row["steps_per_s"]), now
-        except (KeyError, TypeError, ValueError, ArithmeticError):
-            pass  # damaged from here on
-        return Progress(steps, seconds)
+
+def seconds_spent(rows: list[Row]) -> float:
+    """In epochs, without starting and saving."""
+    seconds, steps = 0.0, 0
+    for row in rows:
+        now, speed = int(row["env_steps"]), float(row.get("steps_per_s") or 0)
+        seconds, steps = seconds + ((now - steps) / speed if speed > 0 else 0.0), now
+    return seconds
 
 
 class StudyFolder:

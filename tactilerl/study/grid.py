@@ -32,10 +32,10 @@ import math
 import re
 import tomllib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from ..envs.typed import require
 from ..errors import InputError
@@ -50,6 +50,7 @@ SEED = "seed"
 FLAG = re.compile(r"[a-z][a-z0-9_-]*")
 NUMBER = re.compile(r"-\.?\d.*")  # begins as a flag does, but is none
 MOST_RUNS = 10_000  # a slip in a grid multiplies
+Part = TypeVar("Part", Primary, Looks)
 
 
 @dataclass(frozen=True)
@@ -76,21 +77,6 @@ class Setup:
     def n_runs(self) -> int:
         """How many runs it stands for."""
         return len(self.seeds) * math.prod(map(len, self.grid.values()))
-
-    def validate(self) -> None:
-        """InputError or ValueError naming the first value that no study file has."""
-        where = f"setups.{self.name}"[:60]
-        require_name(self.name, where)
-        for one in (self, self.compare):
-            if one is not None:
-                require(type(one), vars(one))
-        _one_of(self.measure, MEASURES, "measure")
-        _flags(self.flags, where)
-        _seeds(list(self.seeds), where)
-        _grid(self.grid, where)
-        if self.compare is not None:
-            pair = [self.compare.treatment, self.compare.control]
-            _compare({self.compare.flag: pair}, self.grid)
 
     @property
     def cell_flags(self) -> list[str]:
@@ -170,20 +156,14 @@ class Study:
         return runs
 
     def validate(self) -> None:
-        """InputError or ValueError naming the first thing that no study file says: names that lead
-        out of its folder, values of other types, too many runs."""
+        """InputError naming the first thing that the parts allow, but not together."""
         require_name(self.name, "name")
         for setup in self.setups:
-            setup.validate()
-        self.primary.validate()
-        if self.looks is not None:
-            self.looks.validate()
-            for setup in self.setups:
-                if setup.compare and len(setup.seeds) != self.looks.pairs[-1]:
-                    raise InputError(
-                        f"looks.pairs: found {self.looks.pairs}, but {setup.name} has "
-                        f"{len(setup.seeds)} seeds; the last look is at all of them"
-                    )
+            if self.looks and setup.compare and len(setup.seeds) != self.looks.pairs[-1]:
+                raise InputError(
+                    f"looks.pairs: found {self.looks.pairs}, but {setup.name} has "
+                    f"{len(setup.seeds)} seeds; the last look is at all of them"
+                )
         twice = [name for name, n in Counter(setup.name for setup in self.setups).items() if n > 1]
         n_runs = sum(setup.n_runs for setup in self.setups)
         if twice or not 1 <= n_runs <= MOST_RUNS:
@@ -200,16 +180,21 @@ class Study:
 def from_dict(data: Any) -> Study:
     """The study that `as_dict` was made from; what is no such dictionary is an error of any kind.
 
-    Anybody may have written it: it is checked as a study file is.
+    Anybody may have written it: it is read as the study file that says the same.
     """
-    setups = [
-        Setup(**{**one, "compare": one["compare"] and Compare(**one["compare"])})
-        for one in data["setups"]
-    ]
-    looks = data.get("looks")  # as studies of 0.2.0 have none
-    study = Study(data["name"], setups, Primary(**data.get("primary", {})), looks and Looks(**looks))
-    study.validate()
-    return study
+    tables = {}
+    for one in data["setups"]:
+        setup = Setup(**{**one, "compare": one["compare"] and Compare(**one["compare"])})
+        for part in filter(None, (setup, setup.compare)):
+            require(type(part), vars(part))
+        pair = setup.compare and {setup.compare.flag: [setup.compare.treatment, setup.compare.control]}
+        grid = {**setup.grid, SEED: list(setup.seeds)}
+        parts = {"measure": setup.measure, "compare": pair or {}, "grid": grid}
+        tables[setup.name] = {**setup.flags, **parts}
+    if len(tables) < len(data["setups"]):
+        raise InputError("setups: found one twice")
+    known = {key: data[key] for key in ("primary", "looks") if data.get(key) is not None}
+    return _study({"name": data["name"], "setups": tables, **known})  # 0.2.0 had neither of `known`
 
 
 def read(path: Path) -> Study:
@@ -227,16 +212,35 @@ def _study(data: dict[str, Any]) -> Study:
     setups = _table(data, "setups")
     if not setups:
         raise InputError("setups: found none, expected one or more tables [setups.NAME]")
-    name: Any = data.get("name")
-    primary = Primary(**_keys(_table(data, "primary"), Primary, "primary"))
-    looks = Looks(**_keys(_table(data, "looks"), Looks, "looks")) if "looks" in data else None
-    study = Study(name, [_setup(key, setups, data) for key in setups], primary, looks)
+    looks = _part(data, "looks", Looks) if "looks" in data else None
+    if looks is not None:
+        looks.validate()
+    study = Study(
+        data.get("name"),  # type: ignore[arg-type]
+        [_setup(key, setups, data) for key in setups],
+        _part(data, "primary", Primary),
+        looks,
+    )
     study.validate()
     return study
 
 
+def _part(data: dict[str, Any], key: str, kind: type[Part]) -> Part:
+    """A table that has a dataclass of its own."""
+    table = _table(data, key)
+    for name in table:
+        _one_of(name, tuple(field.name for field in dataclasses.fields(kind)), key)
+    part = kind(**table)
+    try:
+        require(kind, vars(part))
+    except ValueError as error:
+        raise InputError(f"{key}.{error}") from error
+    return part
+
+
 def _setup(name: str, setups: dict[str, Any], study: dict[str, Any]) -> Setup:
     where = f"setups.{name}"
+    require_name(name, where[:60])
     own = _table(setups, name, "setups.")
     flags = _flags({key: value for key, value in own.items() if key not in OWN_KEYS}, where)
     source = where + ".grid" if "grid" in own else "grid"
@@ -251,31 +255,33 @@ def _setup(name: str, setups: dict[str, Any], study: dict[str, Any]) -> Setup:
     return Setup(name, flags, grid, seeds, compare, measure)
 
 
-def _flags(table: dict[str, Any], where: str) -> dict[str, Any]:
-    flags = {_flag(key, where): value for key, value in table.items()}
-    for flag, value in flags.items():
-        if flag in TAKEN:
-            raise InputError(f"{where}.{flag}: {_taken(flag)}")
-        _require_values(value, f"{where}.{flag}")
-    return flags
+def _flags(table: dict[str, Any], where: str, taken: Sequence[str] = TAKEN) -> dict[str, Any]:
+    """Values by the names of their flags, with underscores, as in config.json."""
+    for key, value in table.items():
+        flag = _flag(key, where)
+        if flag in taken:
+            is_seed = flag == SEED
+            reason = (
+                "belongs in the grid" if is_seed else "is decided by `tactilerl study`; leave it out"
+            )
+            raise InputError(f"{where}.{key}: {reason}")
+        _require_values(value, f"{where}.{key}")
+    return {_flag(key, where): value for key, value in table.items()}
 
 
 def _grid(table: dict[str, Any], where: str) -> dict[str, list[Any]]:
-    grid: dict[str, list[Any]] = {}
     for key, value in table.items():
-        flag = _flag(key, where)
-        if flag in TAKEN and flag != SEED:
-            raise InputError(f"{where}.{key}: {_taken(flag)}")
-        _require_values(value, f"{where}.{key}")
-        values = value if isinstance(value, list) else [value]
-        if not values:
+        if value == []:
             raise InputError(f"{where}.{key}: found no values, expected one or more")
-        labels = [text(one) for one in values]
-        for label, times in Counter(labels).most_common(1):
-            if times > 1:
-                raise InputError(f"{where}.{key}: found {label[:60]} twice")
-        grid[flag] = values
-    return grid
+        (label, times), *_ = Counter(map(text, _as_list(value))).most_common(1)
+        if times > 1:
+            raise InputError(f"{where}.{key}: found {label[:60]} twice")
+    flags = _flags(table, where, [name for name in TAKEN if name != SEED])
+    return {flag: _as_list(value) for flag, value in flags.items()}
+
+
+def _as_list(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else [value]
 
 
 def _seeds(values: list[Any], where: str) -> list[int]:
@@ -323,20 +329,9 @@ def _table(data: dict[str, Any], key: str, where: str = "") -> dict[str, Any]:
     return table
 
 
-def _keys(table: dict[str, Any], kind: type, where: str) -> dict[str, Any]:
-    """The table, which names nothing but fields of a dataclass."""
-    for key in table:
-        _one_of(key, tuple(field.name for field in dataclasses.fields(kind)), where)
-    return table
-
-
 def _one_of(value: Any, allowed: tuple[str, ...], where: str) -> None:
     if value not in allowed:
         raise InputError(f"{where}: found {value!r}, allowed: {', '.join(allowed)}")
-
-
-def _taken(flag: str) -> str:
-    return "belongs in the grid" if flag == SEED else "is decided by `tactilerl study`; leave it out"
 
 
 def _flag(key: str, where: str) -> str:
@@ -381,7 +376,7 @@ def to_arguments(flags: dict[str, Any]) -> list[str]:
         if isinstance(value, bool):
             arguments.append(f"--{name}" if value else f"--no-{name}")
         else:
-            arguments += [f"--{name}", *map(text, value if isinstance(value, list) else [value])]
+            arguments += [f"--{name}", *map(text, _as_list(value))]
     return arguments
 
 

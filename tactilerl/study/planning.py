@@ -12,7 +12,7 @@ from ..statistics import Array
 from .grid import Setup, Study
 from .primary import SCORES
 from .records import Record
-from .verdicts import SEED, Pairs, by_seed, in_pairs
+from .verdicts import SEED, Pairs, both_arms, in_pairs
 
 AT = (10, 20)  # pairs
 SHARES = (3 / 8, 9 / 16, 3 / 4, 1)  # of the pairs, at which to look: 6, 9, 12 and 16 of 16
@@ -51,17 +51,11 @@ def plan(
     needs = []
     for setup in study.setups:
         for score in SCORES if setup.compare else ():
-            cells = [_pairs(setup, cell, records, score) for cell in setup.cells]
+            cells = [in_pairs(*both_arms(records, setup, cell, score)) for cell in setup.cells]
             cells = [one for one in cells if len(one) > 1]
             if cells:
                 needs.append(_need(setup, score, cells, effect, power, alpha))
     return needs
-
-
-def _pairs(setup: Setup, cell: str, records: Sequence[Record], score: str) -> Pairs:
-    own = [r for r in records if (r.run.setup, r.run.cell) == (setup.name, cell)]
-    treatment, control = (by_seed(own, arm, setup, score) for arm in setup.arms[:2])
-    return in_pairs(treatment, control)
 
 
 def spread(cells: Sequence[tuple[Array, Array]]) -> tuple[float, float, float]:

@@ -30,7 +30,7 @@ from ..runs.files import damage_named, replacing, unzip
 from ..runs.progress_csv import whole
 from ..runs.run_dir import require_record
 from ..statistics import Array
-from .folder import STATES, RunFiles, StudyFolder
+from .folder import STATES, RunFiles, StudyFolder, seconds_spent
 from .grid import Run, Study, from_dict
 
 COLLECTED = "collected.csv.gz"
@@ -67,9 +67,7 @@ class Record:
     @property
     def seconds(self) -> float:
         """Spent in epochs."""
-        steps, speed = self.column("env_steps"), self.column("steps_per_s")
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return float(np.nansum(np.diff(steps, prepend=0) / speed))
+        return seconds_spent(self.rows)
 
 
 def _number(text: str | None) -> float:

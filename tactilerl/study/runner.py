@@ -59,32 +59,24 @@ def run_job(job: Job) -> Ending:
 
     What another process trains is left to it.
     """
+    files, code = RunFiles(job.base), 1
     try:
-        return _run(job, RunFiles(job.base))
+        for _ in range(ATTEMPTS):
+            code = INTERRUPTED[0] if _stopping.is_set() else _process(files, job)
+            if _stopping.is_set() or code in INTERRUPTED:
+                return "interrupted"
+            if code in (0, BAD_INPUT):
+                break
+        outcome = Outcome("done", job.total_timesteps)
+        if code:
+            outcome = Outcome("failed", job.total_timesteps, _reason(code, files.log_file))
+        if code == BAD_INPUT and IN_USE in outcome.reason:
+            return "busy"
+        files.write_outcome(outcome)
+        return outcome.state
     except OSError as error:
         error.add_note(f"run {job.base.name}")
         raise
-
-
-def _run(job: Job, files: RunFiles) -> Ending:
-    outcome = None
-    for _ in range(ATTEMPTS):
-        if _stopping.is_set():
-            return "interrupted"
-        code = _process(files, job)
-        if _stopping.is_set() or code in INTERRUPTED:
-            return "interrupted"
-        if code == 0:
-            outcome = Outcome("done", job.total_timesteps)
-            break
-        outcome = Outcome("failed", job.total_timesteps, _reason(code, files.log_file))
-        if code == BAD_INPUT and IN_USE in outcome.reason:
-            return "busy"
-        if code == BAD_INPUT:
-            break
-    assert outcome is not None
-    files.write_outcome(outcome)
-    return outcome.state
 
 
 def _process(files: RunFiles, job: Job) -> int:

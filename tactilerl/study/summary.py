@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from ..statistics import FEWEST_PAIRS, Estimate
+from ..statistics import FEW_RUNS, FEWEST_PAIRS, Estimate
 from .analysis import Analysis, Group, SetupResult
 from .grid import Setup
 from .primary import SCORES
 from .records import Record
 from .verdicts import LEAST_ROOM, Headroom, Verdict
 
-FEW_RUNS = 10  # below this an interval of an arm is too narrow: docs/statistics.md
 STILL_RISING = 0.1  # final over converged rate
 NAMES = {
     "shadow": "Shadow Hand",
@@ -97,7 +96,7 @@ def ranging(estimate: Estimate) -> str:
 def answer(setup: Setup, verdict: Verdict) -> str:
     """The primary comparison of a cell in one sentence, with its interval."""
     treatment, control = (setup.label(arm) for arm in setup.arms[:2])
-    where = setup.name if setup.cells == [verdict.cell] else f"{setup.name}, {verdict.cell}"
+    where = _place(setup, verdict.cell)
     pairs, stage, missing = verdict.pairs, verdict.stage, verdict.n_seeds - len(verdict.pairs)
     if not len(pairs):
         return f"{where}: no seed has both runs yet."
@@ -126,6 +125,10 @@ def answer(setup: Setup, verdict: Verdict) -> str:
     )
 
 
+def _place(setup: Setup, cell: str) -> str:
+    return setup.name if setup.cells == [cell] else f"{setup.name}, {cell}"
+
+
 ENDINGS = {
     "": "the study goes on",
     "difference": "stopped for a difference",
@@ -136,7 +139,7 @@ ENDINGS = {
 
 def room(setup: Setup, cell: str, found: Headroom) -> str:
     """What touch gives of what sight would give, or that the scene cannot tell."""
-    where = setup.name if setup.cells == [cell] else f"{setup.name}, {cell}"
+    where = _place(setup, cell)
     sight = f"a control that sees the object is {ranging(found.room)} above one that does not"
     if not found.is_enough:
         return (

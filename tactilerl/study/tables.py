@@ -16,9 +16,10 @@ from ..errors import InputError
 from ..runs import config as configuration
 from ..statistics import Estimate
 from . import published
-from .analysis import THRESHOLDS, Analysis, SetupResult, pair
+from .analysis import Analysis, SetupResult, pair
 from .primary import SCORES
 from .summary import ENDINGS, made_with, subject
+from .verdicts import THRESHOLDS
 
 UNTOLD = ("seed", "out", "workers", "threads", "tensorboard", "device", "algo", "env")
 HEADINGS = {name: score.capitalize() for name, score in SCORES.items()}

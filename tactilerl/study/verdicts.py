@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, Literal, NamedTuple
@@ -19,6 +19,7 @@ from .records import Record
 
 SEED = 20_210_830  # of all resampling: the same records give the same report
 SIGHT = ("object_seen", "sight_noise", "sight_noise_kind")
+THRESHOLDS = (0.5, 0.9)
 LEAST_ROOM = 0.3  # between the blind and the sighted control, for a scene to tell what touch is worth
 BySeed = dict[int, float]
 """A score by seed."""
@@ -103,14 +104,18 @@ def is_finished(record: Record, measure: str) -> bool:
 
 
 def scores(record: Record, measure: str, until: float = math.inf) -> dict[str, float]:
-    """What a finished run reached, or had `until` so many steps, by the names in `primary.SCORES`."""
+    """What a finished run reached, or had `until` so many steps, by the names in `primary.SCORES`; and
+    its steps to `THRESHOLDS`."""
     steps, rates = record.curve(measure)
     steps, rates = steps[steps <= until], rates[steps <= until]
-    return {
-        "area": float(statistics.area_under_curve(steps, rates[None])[0]),
-        "final": float(statistics.final_rate(rates[None])[0]),
-        "converged": float(statistics.converged_rate(rates[None])[0]),
+    found = {
+        "area": statistics.area_under_curve(steps, rates[None]),
+        "final": statistics.final_rate(rates[None]),
+        "converged": statistics.converged_rate(rates[None]),
     }
+    for threshold in THRESHOLDS:
+        found[f"steps to {threshold:g}"] = statistics.steps_to_threshold(steps, rates[None], threshold)
+    return {name: float(value[0]) for name, value in found.items()}
 
 
 @cache
@@ -135,11 +140,9 @@ def judge(
         return {}
     found = {}
     for cell in setup.cells:
-        own = [r for r in records if (r.run.setup, r.run.cell) == (setup.name, cell)]
-        score, (first, second, *_) = study.primary.score, setup.arms
-        arms = by_seed(own, first, setup, score), by_seed(own, second, setup, score)
+        arms = both_arms(records, setup, cell, study.primary.score)
         if study.looks is not None:
-            found[cell] = _at_looks(study.looks, setup, cell, own, arms)
+            found[cell] = _at_looks(study.looks, setup, cell, records, arms)
         else:
             found[cell] = Verdict(cell, in_pairs(*arms, n_resamples), len(setup.seeds))
     corrected = statistics.holm([one.valid_p for one in found.values()])
@@ -149,13 +152,23 @@ def judge(
     }
 
 
-def by_seed(records: Sequence[Record], arm: str, setup: Setup, score: str) -> BySeed:
-    """A score of one arm's finished runs, in order of the seeds."""
+def by_seed(records: Iterable[Record], setup: Setup, cell: str, arm: str, score: str) -> BySeed:
+    """A score of the finished runs of one arm, in order of the seeds."""
     return {
         r.run.seed: scores(r, setup.measure)[score]
         for r in records
-        if r.run.arm == arm and is_finished(r, setup.measure)
+        if _is_in(r, setup, cell) and r.run.arm == arm and is_finished(r, setup.measure)
     }
+
+
+def both_arms(records: Sequence[Record], setup: Setup, cell: str, score: str) -> tuple[BySeed, BySeed]:
+    """The scores of treatment and control."""
+    treatment, control = (by_seed(records, setup, cell, arm, score) for arm in setup.arms[:2])
+    return treatment, control
+
+
+def _is_in(record: Record, setup: Setup, cell: str) -> bool:
+    return (record.run.setup, record.run.cell) == (setup.name, cell)
 
 
 def _at_looks(
@@ -163,7 +176,8 @@ def _at_looks(
 ) -> Verdict:
     """As it stands at the last look whose runs have all ended. Runs beyond the look that ended the
     comparison do not count."""
-    is_open = {r.run.seed for r in records if r.run.arm in setup.arms[:2] and not r.has_ended}
+    own = (r for r in records if _is_in(r, setup, cell) and r.run.arm in setup.arms[:2])
+    is_open = {r.run.seed for r in own if not r.has_ended}
     n_ended = next((i for i, seed in enumerate(setup.seeds) if seed in is_open), len(setup.seeds))
     whole = in_pairs(*arms)
     at_hand = [sum(s in whole.seeds for s in setup.seeds[:n]) for n in looks.pairs if n <= n_ended]
@@ -218,8 +232,8 @@ def headroom(
 ) -> Headroom | None:
     """With the runs that differ from a cell's controls in seeing the object exactly, and in nothing
     else, wherever in the study they are; None where there are none."""
-    own = [r for r in records if (r.run.setup, r.run.cell) == (setup.name, cell)]
-    blind = next((r.config for r in own if r.config and r.run.arm == setup.arms[1]), None)
+    own = (r for r in records if _is_in(r, setup, cell) and r.run.arm == setup.arms[1])
+    blind = next((r.config for r in own if r.config), None)
     if blind is None or _sight(blind) == "exact":
         return None
     sighted = [
@@ -229,7 +243,7 @@ def headroom(
     ]
     score, measure = study.primary.score, setup.measure
     seen = {r.run.seed: scores(r, measure)[score] for r in sighted if is_finished(r, measure)}
-    touch, control = (by_seed(own, arm, setup, score) for arm in setup.arms[:2])
+    touch, control = both_arms(records, setup, cell, score)
     seeds = [seed for seed in touch if seed in control and seed in seen]
     if not seeds:
         return None

@@ -88,7 +88,7 @@ class ProgressBar:
             left = (time.perf_counter() - self._started) * (self.total - row["env_steps"]) / done
             self.console.print(
                 f"epoch {row['epoch']:4d}  steps {row['env_steps']:,}/{self.total:,}  {text}  "
-                f"ETA {_duration(max(0.0, left))}"
+                f"ETA {duration(max(0.0, left))}"
             )
         if self._events is not None:
             for key, value in row.items():
@@ -100,10 +100,12 @@ def _rate(value: float) -> str:
     return "  –  " if math.isnan(value) else f"{100 * value:4.0f}%"
 
 
-def _duration(seconds: float) -> str:
-    minutes, seconds = divmod(int(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{seconds:02d}"
+def duration(seconds: float | None) -> str:
+    """Hours, minutes and seconds; a dash for None."""
+    if seconds is None:
+        return "–"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
 
 
 def require_tensorboard() -> Any:
