@@ -52,19 +52,19 @@ class DDPGHERConfig:
     critic_lr: Positive = 1e-3
     """Adam step size of the critic."""
     buffer_size: Count = 1_000_000
-    """Transitions in the replay of each process."""
+    """Transitions in the replay buffer of each process."""
     anneal_lr: bool = False
-    """Let both step sizes fall linearly to zero over the run."""
+    """Decay both step sizes linearly to zero over the run."""
     polyak: Share = 0.95
-    """Share of itself that the target network keeps, once per cycle."""
+    """Share of a target network that is kept when it is updated, once per cycle; 1 - tau elsewhere."""
     gamma: Annotated[float, "[0, 1)"] | None = None
-    """Discount factor; default: 1 - 1/T, T the steps of an episode (source)."""
+    """Discount factor; default: 1 - 1/T, where T is the length of an episode (source)."""
     action_l2: NotNegative = 1.0
     """Weight of the mean squared action in the actor's loss."""
     clip_obs: Positive = 200.0
-    """Observations and goals are clipped to ± this first."""
+    """Bound on observations and goals before they are normalised."""
     norm_clip: Positive = 5.0
-    """They are clipped to ± this after normalisation."""
+    """Bound on them after they are normalised."""
     batch_size: Count = 256
     """Transitions per update and process."""
     n_rollouts: Count = 2
@@ -78,18 +78,18 @@ class DDPGHERConfig:
     random_eps: Share = 0.3
     """Probability of a uniformly random action."""
     noise_eps: NotNegative = 0.2
-    """Standard deviation of the noise on all other actions, relative to half the action range."""
+    """Standard deviation of the noise on other actions, relative to half the action range."""
     replay_p: Share | None = None
-    """Probability that a sampled transition is relabelled (HER); default: 0.8 (paper), or 0 where
-    the task has a single goal."""
+    """Probability that a sampled transition is relabelled (HER); default: 0.8 (paper), or 0 if the task
+    has a single goal."""
     reduction: Literal["sum", "mean"] = "sum"
-    """How gradients of several processes are combined (source: sum)."""
+    """How the gradients of several processes are combined (source: sum)."""
     clip_target: bool = True
-    """Clip targets to what returns can be: -1/(1 - gamma) and 0 (source), or 1/(1 - gamma) times the
-    lowest and the highest reward seen where these lie beyond -1 and 0."""
+    """Clip value targets to the returns that are possible: from -1/(1 - gamma) to 0 (source), or wider
+    where rewards below -1 or above 0 were seen."""
     termination: Literal["bootstrap", "terminal"] = "bootstrap"
-    """What follows the last step of an episode that terminated: the target network's value
-    (the source has no done mask), or nothing."""
+    """How a terminated episode is treated. bootstrap: the target network's value follows (the source
+    has no done mask); terminal: nothing does."""
 
     @property
     def anneals(self) -> bool:

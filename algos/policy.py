@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, NoReturn, Protocol
 
 import gymnasium as gym
 import numpy as np
@@ -118,11 +118,26 @@ class GoalStats(NamedTuple):
         return GoalInputs(self.obs.scaling(), self.goal.scaling(), limit)
 
 
+class Elsewhere:
+    """A name that other libraries have: using it says what ours is."""
+
+    def __init__(self, ours: str) -> None:
+        self.ours = ours
+
+    def __set_name__(self, _: type, name: str) -> None:
+        self.name = name
+
+    def __get__(self, _: object, owner: type) -> NoReturn:
+        raise AttributeError(f"{owner.__name__} has no {self.name}; {self.ours}")
+
+
 class Policy:
     """Acts on observations; small, picklable, and the same wherever it is.
 
     It has no random state of its own: who asks for exploration brings a generator.
     """
+
+    predict = Elsewhere("act(obs) returns the actions")
 
     def __init__(self, network: MLP, inputs: Inputs, noise: Noise, spaces: Spaces):
         self.network, self.inputs, self.noise = network, inputs, noise

@@ -44,40 +44,40 @@ class PPOConfig:
     gamma: Share = 0.99
     """Discount factor."""
     gae_lambda: Share = 0.97
-    """Lambda of the generalised advantage estimator."""
+    """Lambda of generalised advantage estimation."""
     clip_range: Positive = 0.2
     """Clip range of the probability ratio."""
     steps_per_epoch: Count = 1000
-    """Least environment steps per epoch, over all processes; episodes are played to their end."""
+    """Least environment steps per epoch, over all processes; episodes are played to their end. Also
+    --n-steps."""
     n_passes: Count = 80
-    """Passes over the batch per epoch ("Updates per epoch")."""
+    """Passes over the batch per epoch (paper: updates per epoch). Also --n-epochs."""
     n_minibatches: Count | None = None
-    """Minibatches per pass; default: 6, unless --minibatch-size is given. (The paper's
-    "Minibatch size: 6", read as its source reads it.)"""
+    """Minibatches per pass; default: 6, unless --minibatch-size is given. The paper says "minibatch
+    size: 6", which its source takes as the number."""
     minibatch_size: Count | None = None
-    """Transitions per minibatch: the other reading. Excludes --n-minibatches."""
+    """Transitions per minibatch, instead of --n-minibatches. Also --batch-size."""
     max_grad_norm: Positive = 0.5
-    """Largest gradient norm, of actor and critic separately; larger gradients are scaled down."""
+    """Largest norm of the gradient, clipped separately for actor and critic."""
     exploration: Literal["fixed", "annealed", "learned"] = "fixed"
-    """The policy's variance. fixed: --action-variance; annealed: from there towards --final-variance,
-    linearly over the run; learned: one for each action dimension, which starts there."""
+    """Variance of the policy. fixed: --action-variance; annealed: linear over the run, from there to
+    --final-variance; learned: one per action dimension, starting there."""
     final_variance: Positive | None = None
-    """With --exploration annealed: where the variance ends; default: a tenth of --action-variance."""
+    """With --exploration annealed: the last variance; default: a tenth of --action-variance."""
     orthogonal_init: bool = False
-    """Let weights start orthogonal, and the actor's last layer near zero, so that the first policy
-    is the same everywhere; default: uniform in ±1/sqrt(inputs)."""
+    """Orthogonal initial weights, with an actor whose last layer is near zero; otherwise they are
+    uniform in ±1/sqrt(inputs)."""
     normalise_obs: bool = False
-    """Show the networks observations with mean 0 and standard deviation 1, by all that were seen in
-    the epochs before, cut at ±5. Entries between 0 and 1, such as Boolean taxels, stay as they are:
-    one that seldom fires would be shown as a 5."""
+    """Normalise observations with the mean and standard deviation of all earlier epochs, clipped to ±5.
+    Entries between 0 and 1, such as Boolean taxels, stay as they are."""
     truncation: Literal["bootstrap", "terminal"] = "bootstrap"
-    """What follows the last step before a time limit: the critic's value of the last observation,
-    or nothing. In the paper's task a time-out ends the task itself, with -100."""
+    """How a time limit is treated. bootstrap: the critic's value of the last observation follows;
+    terminal: nothing does. In the paper's task a time-out is a failure, with -100."""
     anneal_lr: bool = False
-    """Let both step sizes fall linearly to zero over the run (in the source, not in the paper)."""
+    """Decay both step sizes linearly to zero over the run (in the source, not in the paper)."""
     target_kl: Positive | None = None
-    """End the epoch's passes when the KL divergence from the old policy exceeds this (in the
-    source, not in the paper)."""
+    """Stop an epoch's passes when the KL divergence from the old policy exceeds this (in the source,
+    not in the paper)."""
 
     def validate(self) -> None:
         """Raise ValueError naming what does not go together; ranges are in the types."""

@@ -16,7 +16,7 @@ from functools import partial
 from typing import Any
 
 from benchmarks.command import ROOT
-from benchmarks.learners import ablation, cut_short, learning
+from benchmarks.learners import ablation, cut_short, learning, steady
 from benchmarks.studies import (
     answer,
     coverage,
@@ -61,6 +61,7 @@ PRINTED: dict[str, Callable[[], None]] = {
     "probe hold": _of("probe_hold", probe_hold.show),
     "cut short": _of("cut_short", cut_short.show),
     "ablation": _of("ablation", ablation.markdown),
+    "steady": _of("steady", steady.markdown),
     "pairs": _of("pairs", pairs.markdown),
     "shared": _of("shared", shared.markdown),
     "errors": _of("errors", errors.p_values_markdown),

@@ -11,11 +11,13 @@ from __future__ import annotations
 
 import os
 import sys
+import traceback
 from typing import Any
 
 import gymnasium as gym
 
 from . import hands, scenes
+from .choices import nearest
 
 TOYS = {"lqr": "tactilerl/LQR-v0", "point-reach": "tactilerl/PointReach-v0"}
 
@@ -52,16 +54,18 @@ def make(
     try:
         return gym.make(TOYS.get(name, name), **choices)
     except gym.error.Error as error:
-        known = ", ".join((*hands.HANDS, *TOYS))
+        known = (*hands.HANDS, *TOYS)
         reason = str(error).strip().splitlines()[0]
         raise ValueError(
-            f"unknown environment {name!r}; allowed: {known}, a hand's .toml file, a Gymnasium id, or "
+            f"unknown environment {name!r}; {nearest(name, known)}allowed: {', '.join(known)}, a "
+            "hand's .toml file, a Gymnasium id, or "
             f"MODULE:ID with the module that registers it ({reason})"
         ) from None
     except (ValueError, OSError, ImportError, RuntimeError):  # say what is wrong
         raise
     except Exception as error:  # of an environment that is not ours
-        reason = f"{type(error).__name__} {error}".strip()
+        where = traceback.extract_tb(error.__traceback__)[-1].line  # an assertion says nothing else
+        reason = f"{type(error).__name__}: {str(error) or where}"
         raise ValueError(f"env: {name!r} cannot be made here ({reason})") from error
 
 

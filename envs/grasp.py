@@ -32,25 +32,27 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
     """
 
     simulator: str = "mujoco"
-    """The physics engine: mujoco or pybullet (mpl: pybullet, an extra)."""
+    """Physics engine: mujoco or pybullet (extra: pybullet)."""
     layout: str = "2"
-    """Taxels: 1-6 (paper, Fig. 2), a named design, or the path of a .toml file."""
+    """Where the taxels are: 1 to 6 (paper, Fig. 2), a named design, or a .toml file."""
     run_type: Literal["main", "control", "absent"] = "main"
-    """main: taxels read; control: all zero, same size (paper); absent: no taxel entries."""
+    """on: taxels read contact; off: all read zero, the paper's control; absent: the observation has no
+    taxels. Files and Python say run_type main, control or absent."""
     touch: str = "skin"
-    """Touch rule. skin: the taxel's sphere overlaps the object, and its skin touches it; contact: the
-    simulator's own contact points (paper); force: normal force in N. See docs/concepts/touch.md."""
+    """When a taxel fires. skin: its sphere overlaps the object, which touches the skin there; contact:
+    a contact point of the simulator lies in its sphere (paper); force: it reads the normal force, N.
+    Files and Python say touch. See docs/concepts/touch.md."""
     actions: Literal["all", "fingers", "grip"] = "all"
-    """all: the hand's own (paper); fingers: the slides stand still, groups of fingers close and open;
-    grip: one action closes and opens the whole hand."""
+    """all: every joint and slide of the hand (paper); fingers: the slides stand still, and groups of
+    fingers close and open; grip: one action closes and opens the whole hand."""
     start_closing: Annotated[float, "[0, 1)"] = 0.2
-    """With actions fingers or grip: how far the hand is closed at the start, 1 being all the way."""
+    """With --actions fingers or grip: how far the hand is closed at the start; 1: fully."""
     finger_gain: Positive = 1.0
     """Position gain and force limit of the fingers, relative to the hand model's."""
     timestep: Positive = 0.004
-    """Physics step, s (mpl: 1/240)."""
+    """Physics step, s."""
     control_dt: Positive = 0.2
-    """Time between actions, s; a whole number of timesteps (mpl: 0.1)."""
+    """Time between actions, s; a whole number of timesteps."""
     max_episode_steps: Annotated[int, "[1, inf)"] | None = None
     """Actions per episode; default: the task's (lift-and-hold 100, as in the paper)."""
 

@@ -26,20 +26,20 @@ class ObjectConfig:
     """Which objects there are, and where they start."""
 
     object: str = "box"
-    """box, sphere or cylinder; with several (box,sphere), each episode draws one."""
+    """box, sphere or cylinder. Of several (box,sphere), each episode draws one."""
     object_size: tuple[Number, ...] = (0.05,)
-    """Edge of the cube or three edges of a box, diameter of a sphere, diameter and height of a
-    standing cylinder, m. This, density and friction may be ranges, such as 0.04..0.05."""
+    """Edge of a cube or three edges of a box, diameter of a sphere, or diameter and height of a
+    standing cylinder, m. Size, density and friction may be ranges, such as 0.04..0.05."""
     object_density: Number = 567.0
-    """Density, kg/m^3 (manipulate_block.xml of the Shadow Hand's model; mpl: 800, a cube of 0.1 kg)."""
+    """Density, kg/m^3."""
     friction: Number = 1.0
-    """Sliding friction of the object (the models' own value)."""
+    """Coefficient of sliding friction of the object."""
     jitter: bool = True
-    """Vary the start a little in every episode (the paper does not)."""
+    """Vary the start slightly in every episode (the paper does not)."""
     start_offset: float = OFFSET
-    """With jitter: how far the object may be moved along x and y, m."""
+    """With jitter: largest offset of the object along x and y, m."""
     start_yaw: float = YAW
-    """With jitter: how far the object may be turned, rad."""
+    """With jitter: largest turn of the object, rad."""
 
     @property
     def is_near(self) -> bool:

@@ -28,13 +28,13 @@ class TaxelFaults:
     """Broken taxels and false readings. None, by default."""
 
     taxel_false_on: Share = 0.0
-    """Probability, at every step, that a taxel that is off reads on."""
+    """Probability per step that a taxel that is off reads on."""
     taxel_false_off: Share = 0.0
-    """Probability, at every step, that a taxel that is on reads off."""
+    """Probability per step that a taxel that is on reads off."""
     taxel_dead: Share = 0.0
-    """Share of the taxels that never fire; the hand's seed decides which."""
+    """Share of taxels that never fire; --hand-seed decides which."""
     taxel_stuck: Share = 0.0
-    """Share of the taxels that always fire; the hand's seed decides which."""
+    """Share of taxels that always fire; --hand-seed decides which."""
 
 
 @dataclass(frozen=True)
@@ -42,41 +42,41 @@ class SensorConfig(TaxelFaults):
     """How well the hand senses its joints, the object and touch. Perfectly, by default."""
 
     object_seen: Literal["exact", "noisy", "start", "hidden"] = "exact"
-    """How the policy sees the object's position and orientation: exact (paper), noisy (--sight-noise),
-    start (as at the start of the episode), hidden (zeros)."""
+    """How the policy sees the object's pose: exact (paper), noisy (--sight-noise), start (where it was
+    at the start of the episode), or hidden (zeros)."""
     sight_noise: tuple[NotNegative, NotNegative] | None = None
-    """With --object-seen noisy: standard deviation of the noise on each coordinate, m, and about each
+    """With --object-seen noisy: standard deviations of the noise on each coordinate, m, and about each
     axis, rad; default: 0.01 0.1."""
     sight_noise_kind: Literal["white", "held"] = "white"
-    """white: drawn at every step; held: drawn once an episode."""
+    """white: drawn at every step; held: drawn once per episode."""
     joint_noise: NotNegative = 0.0
     """Standard deviation of the noise on each observed joint angle, rad, drawn at every step.
-    Velocities get the matching error: the difference of two samples divided by the control step."""
+    Velocities get the matching error."""
     joint_noise_held: NotNegative = 0.0
-    """Standard deviation of a constant offset on each observed joint angle, rad, drawn once an
+    """Standard deviation of a constant offset on each observed joint angle, rad, drawn once per
     episode."""
     slide_noise: NotNegative = 0.0
-    """The same as --joint-noise for the slides, and so for the hand's position, m."""
+    """Like --joint-noise, for the slides, which carry the hand, m."""
     slide_noise_held: NotNegative = 0.0
-    """The same as --joint-noise-held for the slides, m."""
+    """Like --joint-noise-held, for the slides, m."""
     taxel_delay: Annotated[int, "[0, 100]"] = 0
-    """Delay of the taxels' readings, in control steps."""
+    """Delay of the taxel readings, in control steps."""
     hand_seed: Annotated[int, "[0, 4294967295]"] | None = None
-    """Seed that decides which taxels are broken; default: the run's seed."""
+    """Random seed that decides which taxels are broken; default: the run's seed."""
 
 
 @dataclass(frozen=True)
 class ObservationConfig(SensorConfig):
-    """What the policy is told."""
+    """What the policy observes."""
 
     history: Annotated[int, "[1, 100]"] = 1
-    """How many of the latest observations are given side by side."""
+    """Number of latest observations that the policy sees, stacked."""
     observe_targets: bool = False
-    """Include the current joint targets in the observation, or how far groups of fingers are to be
-    closed. The paper leaves them out, so the policy cannot see the accumulated increments."""
+    """Include the current joint targets in the observation, or how far groups of fingers are to close.
+    The paper leaves them out."""
     critic_sees: Literal["observation", "truth"] = "observation"
-    """truth: the critic also sees the object's pose, exact joints and what touches; the policy does
-    not."""
+    """truth: the critic, but not the policy, also sees the object's pose, exact joint angles and
+    contacts."""
 
 
 SHARES = tuple(field.name for field in fields(TaxelFaults))

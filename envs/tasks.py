@@ -27,27 +27,27 @@ class TaskConfig:
     """Which task, and its thresholds."""
 
     task: str = "lift-and-hold"
-    """lift-and-hold: the paper's PPO task; reach-goal: its DDPG+HER task; handover: close the hand
-    while somebody holds the object against it."""
+    """lift-and-hold (the paper's task for PPO), reach-goal (its task for DDPG+HER), or handover (close
+    the hand while somebody holds the object against it)."""
     reward: Literal["staged", "sparse", "dense", "outcome"] | None = None
-    """staged (lift-and-hold), sparse 0/-1 or dense -10 x distance (reach-goal), outcome (handover);
-    default: the task's first."""
+    """staged (lift-and-hold), sparse: 0 or -1, dense: -10 x distance (both reach-goal), outcome
+    (handover); default: the task's first."""
     lift_clearance: Positive = 0.03
-    """lift-and-hold: the object counts as lifted when its lowest point is this high, m."""
+    """lift-and-hold: height of the object's lowest point at which it counts as lifted, m."""
     hold_seconds: Positive = 20.0
-    """lift-and-hold and handover: length of the hold test, s (5,000 timesteps, paper; mpl: 20.83)."""
+    """lift-and-hold and handover: length of the hold test, s (paper: 5,000 timesteps)."""
     hold_verdict: Verdict = "full"
-    """lift-and-hold and handover: full, or settled (a compressed test of about 1 s, sometimes wrong;
-    see docs/concepts/tasks.md)."""
+    """lift-and-hold and handover: full, or settled, a test of about 1 s that is sometimes wrong. See
+    docs/concepts/tasks.md."""
     handover_reach: Annotated[float, "[0, 0.1]"] = 0.0
-    """handover: distance from the finger bases to the object, towards the fingertips, m; 0: against the
-    palm."""
+    """handover: how far from the finger bases towards the fingertips the object is held, m; 0: against
+    the palm."""
     goal_height: Positive = 0.08
-    """reach-goal: the goal is this far above where the object stands without jitter, m."""
+    """reach-goal: height of the goal above the object's start without jitter, m."""
     goal_range: float = 0.0
-    """reach-goal: how far each episode's goal may be from there along x, y and z, m."""
+    """reach-goal: largest random offset of the goal along x, y and z, m."""
     goal_tolerance: Positive = 0.03
-    """reach-goal: success within this distance, m."""
+    """reach-goal: largest distance from the goal that counts as success, m."""
 
 
 def validate(config: TaskConfig) -> None:

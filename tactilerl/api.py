@@ -28,7 +28,7 @@ from . import envs
 from .algos import mpi, recipes
 from .algos.mpi import Communicator
 from .algos.networks import Precision
-from .algos.policy import Policy
+from .algos.policy import Elsewhere, Policy
 from .algos.spaces import Spaces
 from .envs import typed, vector
 from .envs.choices import require_known
@@ -47,11 +47,13 @@ class Learner:
     """What `PPO` and `DDPGHER` have in common."""
 
     algo: ClassVar[str]
+    predict = Elsewhere("act(obs) returns the actions")
+    load = Elsewhere("load_policy(path) reads what save wrote, train(resume=...) continues a run")
 
     def __init__(
         self,
         env: Env,
-        *,
+        *others: Any,
         seed: int = 0,
         workers: int | None = None,
         device: str = "cpu",
@@ -75,6 +77,11 @@ class Learner:
 
         Raises ValueError, in one line, for an invalid argument.
         """
+        if others:
+            found = ", ".join(type(each).__name__ for each in (env, *others))
+            raise ValueError(
+                f"found {found}, allowed the environment alone; `hidden` sets the networks"
+            )
         defaults = recipes.recipe(self.algo, recipe)
         options = dict(seed=seed, workers=workers, device=device, threads=threads, matmul=matmul)
         require_known(hyperparameters, typed.names(defaults) | {*options, "recipe"}, PEERS)

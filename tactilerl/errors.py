@@ -6,21 +6,45 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-PEERS = {
-    "batch_size": ["minibatch_size"],
-    "gradient_steps": ["n_batches"],
-    "learning_rate": ["actor_lr", "critic_lr"],
-    "log_std_init": ["action_variance"],
-    "n_envs": ["workers"],
-    "n_epochs": ["n_passes"],
-    "n_steps": ["steps_per_epoch"],
-    "num_envs": ["workers"],
-    "policy_kwargs": ["hidden"],
-    "progress_bar": ["progress"],
-    "tau": ["polyak"],
-    "tensorboard_log": ["tensorboard"],
+PEERS: dict[str, tuple[str, str]] = {
+    "batch_size": ("minibatch_size", ""),
+    "blind": ("run_type", "with off, all taxels read zero"),
+    "clip_range_vf": ("", "value updates are not clipped"),
+    "cuda": ("device", "cuda is a GPU"),
+    "deterministic": ("", "evaluate is deterministic unless --stochastic is given"),
+    "ent_coef": ("exploration", "there is no entropy bonus"),
+    "env_id": ("env", ""),
+    "env_name": ("env", ""),
+    "eval_episodes": ("episodes", ""),
+    "gpu": ("device", "cuda is a GPU"),
+    "gradient_steps": ("n_batches", "per cycle"),
+    "hand": ("env", ""),
+    "learning_rate": ("actor_lr critic_lr", ""),
+    "log_std_init": ("action_variance", "the variance is exp(2 log_std)"),
+    "lr": ("actor_lr critic_lr", ""),
+    "n_envs": ("workers", "results do not depend on it"),
+    "n_epochs": ("n_passes", ""),
+    "n_eval_episodes": ("episodes", ""),
+    "n_steps": ("steps_per_epoch", ""),
+    "net_arch": ("hidden", ""),
+    "no_taxels": ("run_type", "with off, all taxels read zero"),
+    "no_touch": ("run_type", "with off, all taxels read zero"),
+    "num_envs": ("workers", "results do not depend on it"),
+    "num_timesteps": ("total_timesteps", ""),
+    "policy_kwargs": ("hidden", ""),
+    "progress_bar": ("progress", ""),
+    "robot": ("env", ""),
+    "taxels": ("run_type", "with off, all taxels read zero"),
+    "tau": ("polyak", "polyak is 1 - tau"),
+    "tensorboard_log": ("tensorboard", ""),
+    "timesteps": ("total_timesteps", ""),
+    "verbose": ("", "train shows its progress; in Python, learn(progress=True) does"),
+    "vf_coef": ("critic_lr", "the critic has a network and a step size of its own"),
 }
-"""What Stable-Baselines3 and Gymnasium call a choice -> what is nearest to it here."""
+"""What people type, mostly names of Stable-Baselines3 and Gymnasium -> what is nearest to it here, and
+how it differs."""
+SAME = {"batch_size": "minibatch_size", "n_epochs": "n_passes", "n_steps": "steps_per_epoch"}
+"""Of these, flags that the command takes under either name."""
 
 
 class InputError(ValueError):

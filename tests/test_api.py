@@ -541,3 +541,22 @@ class TestExamples:
         result = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=600)
         assert result.returncode == 0, result.stderr
         assert "tactilerl: error" not in result.stderr, result.stderr
+
+
+@pytest.mark.parametrize(
+    ("use", "error", "said"),
+    [
+        (lambda: tactilerl.PPO("MlpPolicy", "lqr"), ValueError, "the environment alone; `hidden` sets"),
+        (lambda: tactilerl.PPO.load("x"), AttributeError, "PPO has no load; load_policy"),
+        (lambda: tactilerl.PPO("lqr").predict, AttributeError, r"PPO has no predict; act\(obs\)"),
+        (
+            lambda: tactilerl.PPO("lqr").policy().predict,
+            AttributeError,
+            r"Policy has no predict; act\(",
+        ),
+    ],
+)
+def test_habits_from_stable_baselines3_are_told_ours(use, error, said):
+    with pytest.raises(error, match=said) as caught:
+        use()
+    assert "\n" not in str(caught.value)

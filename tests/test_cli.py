@@ -19,11 +19,12 @@ import tyro
 
 import tactilerl
 from tactilerl.algos import recipes
-from tactilerl.commands.cli import main
+from tactilerl.commands.cli import COMMANDS, main
+from tactilerl.commands.study import PARTS
 from tactilerl.envs import scripted
 from tactilerl.envs.vector import Workers
 from tactilerl.pictures.render import _Filmed
-from tactilerl.runs import sealed
+from tactilerl.runs import arguments, sealed
 from tactilerl.terminal import flags
 
 FAST = ["--hidden", "16", "--steps-per-epoch", "120", "--n-passes", "2"]
@@ -446,13 +447,19 @@ class TestBadInput:
             (["train", "--total-timesteps", "-5"], ["total_timesteps: found -5", "from 1 to"]),
             (["train", "--gama", "0.9"], ["found '--gama'", "did you mean --gamma? See"]),
             (["train", "--no-orthogonal-int"], ["did you mean --no-orthogonal-init?"]),
-            (["train", "--algo", "ddpg_her", "--tau", "0.9"], ["did you mean --polyak?"]),
+            (
+                ["train", "--algo", "ddpg_her", "--tau", "0.9"],
+                ["did you mean --polyak? polyak is 1 - tau; see"],
+            ),
             (["train", "--tau", "0.9"], ["found '--tau', which is no flag; see tactilerl train"]),
             (["train", "more"], ["found 'more'", "is no flag", "tactilerl train --help"]),
-            (["train", "--gamma", "much"], ["--gamma: found 'much', allowed FLOAT"]),
-            (["train", "--steps_per_epoch=1.5"], ["--steps-per-epoch: found '1.5', allowed INT"]),
-            (["train", "--gamma"], ["--gamma: found no value, allowed FLOAT"]),
-            (["probe", "--closing", "0.1"], ["--closing: found '0.1', allowed {FLOAT FLOAT}"]),
+            (["train", "--gamma", "much"], ["--gamma: found 'much', allowed a number"]),
+            (
+                ["train", "--steps_per_epoch=1.5"],
+                ["--steps-per-epoch: found '1.5', allowed a whole number"],
+            ),
+            (["train", "--gamma"], ["--gamma: found no value, allowed a number"]),
+            (["probe", "--closing", "0.1"], ["--closing: found '0.1', allowed two numbers"]),
             (["evaluate"], ["found no RUN", "tactilerl evaluate --help"]),
             (["train", "--gamma", "nan"], ["gamma", "nan"]),
             (["train", "--device", "cuda:99"], ["device", "cuda:99"]),
@@ -485,6 +492,50 @@ class TestBadInput:
     def test_one_clear_line(self, capsys, args, words):
         fails_with(capsys, args, *words)
         assert not Path("runs").exists()
+
+    @pytest.mark.parametrize(
+        ("typed", "hint"),
+        [
+            ("train --no-touch", "did you mean --touch? with off, all taxels read zero; see"),
+            ("train --taxels off", "did you mean --touch? with off"),
+            ("train --timesteps 5", "did you mean --total-timesteps?"),
+            ("train --num-timesteps 5", "did you mean --total-timesteps?"),
+            ("train --env-id x", "did you mean --env?"),
+            ("train --hand mpl", "did you mean --env?"),
+            ("train --gpu", "did you mean --device? cuda is a GPU"),
+            ("train --sim mujoco", "did you mean --simulator?"),
+            ("train --scen handover", "did you mean --scene?"),
+            ("train --scene handovr", "did you mean handover?"),
+            ("train --ent-coef 0", "did you mean --exploration? there is no entropy bonus"),
+            ("train --deterministic", "evaluate is deterministic unless --stochastic is given"),
+            ("train --tau 0.1", "which is no flag"),  # PPO has no target network
+            ("train runs/first", "did you mean --resume runs/first?"),
+            ("train handover", "did you mean --scene handover?"),
+            ("env shadow", "did you mean --env shadow?"),
+            ("train --env shadwo", "did you mean shadow?"),
+            ("train --env Shadow", "did you mean shadow?"),
+            ("train --env Shadow --layout 4", "did you mean shadow?"),
+            ("train --algo PPO", "--algo: unknown algorithm 'PPO'; did you mean ppo?"),
+            ("train --total-timesteps 1e6", "allowed a whole number in digits, such as 50000"),
+            ("train --total-timesteps 50k", "allowed a whole number in digits, such as 50000"),
+            ("train --touch of", "--touch: found 'of', allowed: on, off, absent"),
+            ("train --touch", "--touch: found '', allowed: on, off, absent"),
+            ("gate --scene handover --touch off", "--touch: leave it out"),
+            ("trian", "did you mean train?"),
+        ],
+    )
+    def test_what_was_meant(self, typed, hint, capsys):
+        fails_with(capsys, typed.split(), hint)
+
+    def test_an_environment_that_breaks_when_it_is_made(self, capsys, monkeypatch):
+        Path("broken.py").write_text(
+            "import gymnasium as gym\n\n\nclass Broken(gym.Env):\n    def __init__(self):\n"
+            '        assert "joint" in ()\n\n\ngym.register("Broken-v0", Broken)\n'
+        )
+        monkeypatch.syspath_prepend(".")
+        fails_with(
+            capsys, ["train", "--env", "broken:Broken-v0"], 'AssertionError: assert "joint" in ()'
+        )
 
     def test_one_clear_line_when_tyro_reports_nothing(self, capsys, monkeypatch):
         """Its reports are not of its stable interface: an upgrade may cost words, nothing else."""
@@ -621,7 +672,7 @@ class TestOtherCommands:
         ("flags", "words"),
         [
             (["--taxel-dead", "0.9"], "--taxel-dead: found 0.9, which changes nothing here"),
-            (["--run-type", "control"], "--run-type: "),
+            (["--run-type", "control"], "--touch: "),
             (["--object-size", "0.04..0.05"], "object: found several, or a range"),
         ],
     )
@@ -720,13 +771,70 @@ class TestOtherCommands:
         still = np.abs(np.diff(touch[: len(touch) // 2], axis=0))[:, 200:].mean()
         assert still < 1.0  # the ground does not move
 
+    def test_rendering_without_a_display_is_one_line(self):
+        pytest.importorskip("imageio.v2")
+        hidden = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
+        hidden["MUJOCO_GL"] = "glfw"
+        command = [sys.executable, "-m", "tactilerl", "render", "--layout", "1"]
+        result = subprocess.run(command, env=hidden, capture_output=True, text=True)
+        assert result.returncode == 2
+        assert result.stderr.startswith("tactilerl: error: MuJoCo cannot draw here; without a display")
+        assert result.stderr.count("\n") == 1
+
+    @pytest.mark.parametrize(
+        ("given", "run_type", "rule"),
+        [
+            ("--touch off", "control", "skin"),
+            ("--touch=absent", "absent", "skin"),
+            ("--touch on --touch-rule force", "main", "force"),
+            ("--run-type control --touch contact", "control", "contact"),  # as before 0.3
+        ],
+    )
+    def test_touch_is_a_switch_and_its_rule_another_flag(self, given, run_type, rule):
+        args = ["--env", "shadow", *given.split()]
+        scene = arguments.read(args, arguments.defaults(args))[0].scene
+        assert (scene.run_type, scene.touch) == (run_type, rule)
+
+    def test_names_of_stable_baselines3_where_they_mean_the_same(self):
+        args = ["--n-epochs", "3", "--n_steps=70", "--batch-size", "16"]
+        learner = arguments.read(args, arguments.defaults(args))[0].learner
+        assert (learner.n_passes, learner.steps_per_epoch, learner.minibatch_size) == (3, 70, 16)
+        args = ["--algo", "ddpg_her", "--batch-size", "16"]  # which has one of its own
+        assert arguments.read(args, arguments.defaults(args))[0].learner.batch_size == 16
+
+    @pytest.mark.parametrize("flag", ["--help", "--help-all"])
+    @pytest.mark.parametrize("command", [*COMMANDS, *(f"study {part}" for part in PARTS)])
+    def test_help_is_narrow_and_reads_well(self, command, flag, capsys, monkeypatch):
+        monkeypatch.setenv("COLUMNS", "200")
+        with contextlib.suppress(SystemExit):
+            main([*command.split(), flag])
+        out = capsys.readouterr().out
+        lines = [line for line in out.splitlines() if not line.startswith("usage: ")]
+        assert max(map(len, lines)) <= 78
+        for ugly in ("{None}", "default: None", "default: ''", "default: False", "FLOAT|STR"):
+            assert ugly not in out, ugly
+
+    def test_short_help_begins_with_what_matters(self, capsys):
+        with pytest.raises(SystemExit):
+            main(["train", "--help"])
+        out = capsys.readouterr().out
+        flags = re.findall(r"^. (--[\w-]+)", out, re.MULTILINE)
+        assert flags[:2] == ["--scene", "--algo"]
+        assert flags[-1] == "--resume"
+        assert len(flags) == 12
+        assert "--touch {on,off,absent}" in out
+        assert out.index("examples:") > out.index("--resume")
+        assert "--help-all lists all" in out
+
     def test_help_lists_every_hyperparameter(self, capsys):
         with pytest.raises(SystemExit) as stop:
-            main(["train", "--help"])
+            main(["train", "--help-all"])
         assert stop.value.code == 0
         out = capsys.readouterr().out
-        flags = "algo env simulator task reward layout run-type total-timesteps workers seed out resume"
-        flags += " device gamma gae-lambda clip-range n-passes action-variance"
+        flags = (
+            "algo env simulator task reward layout touch touch-rule total-timesteps workers seed out"
+        )
+        flags += " resume device gamma gae-lambda clip-range n-passes action-variance"
         for flag in flags.split():
             assert f"--{flag}" in out, flag
 

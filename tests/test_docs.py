@@ -80,10 +80,10 @@ def test_docs_name_files_that_exist():
 
 @cache
 def help_of(*command):
-    """What `tactilerl COMMAND --help` prints."""
+    """What `tactilerl COMMAND --help-all` prints."""
     output = io.StringIO()
     with contextlib.redirect_stdout(output), contextlib.suppress(SystemExit):
-        cli.main([*command, "--help"])
+        cli.main([*command, "--help-all"])
     return output.getvalue()
 
 
@@ -112,7 +112,7 @@ def test_commands_and_flags_exist():
         assert words[0] in cli.COMMANDS, where
         command = words[: 2 if words[0] == "study" else 1]
         extra = ("--algo", "ddpg_her") if {"--algo", "ddpg_her"} <= set(words) else ()
-        known = set(re.findall(r"--[\w-]+", help_of(*command, *extra)))
+        known = {"--help-all", *re.findall(r"--[\w-]+", help_of(*command, *extra))}
         for flag in (word.partition("=")[0] for word in words if word.startswith("--")):
             assert flag in known, f"{where}: no flag {flag}"
 
@@ -122,7 +122,14 @@ def test_flags_in_prose_exist():
     commands += [("train", "--algo", "ddpg_her")]
     commands += [("study", part) for part in ("run", "status", "plan", "compare", "collect", "report")]
     known = {flag for command in commands for flag in re.findall(r"--[\w-]+", help_of(*command))}
-    others = {"--oversubscribe", "--hostfile", "--bind-to", "--mpi", "--version"}  # of MPI and Slurm
+    others = {
+        "--oversubscribe",
+        "--hostfile",
+        "--bind-to",
+        "--mpi",
+        "--version",
+        "--help-all",
+    }  # of MPI and Slurm
     for page in PAGES:
         if page.name == "CHANGELOG.md":
             continue

@@ -108,7 +108,7 @@ def test_a_table_and_a_sentence(capsys):
         (["--search", "0"], "--search: found 0, allowed 1 or more"),
         (["--seed", "-1"], "--seed: found -1"),
         (["--env", "lqr"], "--env: found 'lqr'"),
-        (["--scene", "handover", "--run-type", "control"], "--run-type: found control, allowed main"),
+        (["--scene", "handover", "--run-type", "control"], "--touch: leave it out"),
         (["--scene", "nowhere"], "scene: found 'nowhere'"),
     ],
 )

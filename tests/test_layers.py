@@ -27,7 +27,7 @@ ALLOWED = {
     "sklearn": ("tactilerl/probe/",),
     "torch": ("algos/", "tactilerl/", "benchmarks/"),
     "tyro": (
-        "tactilerl/terminal/flags.py",
+        "tactilerl/terminal/",
         "tactilerl/runs/arguments.py",
         "tactilerl/commands/",
         "tactilerl/probe/options.py",

@@ -81,7 +81,7 @@ def test_forces_are_learned_from(learner, env, simulator):
         (["--object-size", "0.05..0.04"], "object_size: found '0.05..0.04'"),
         (["--friction", "rough"], "friction: found 'rough'"),
         (["--touch", "force", "--taxel-stuck", "0.1"], "taxel_stuck: found 0.1"),
-        (["--touch", "smell"], "touch: found 'smell', allowed: skin, contact, force"),
+        (["--touch-rule", "smell"], "touch: found 'smell', allowed: skin, contact, force"),
         (["--task", "fly"], "task: found 'fly', allowed: lift-and-hold, reach-goal"),
         (["--history", "0"], "history: found 0"),
     ],

@@ -102,7 +102,7 @@ def flags(command: str) -> str:
     """A section with the help of one command."""
     output = io.StringIO()
     with contextlib.redirect_stdout(output), contextlib.suppress(SystemExit):
-        cli.main([*command.split(), "--help"])
+        cli.main([*command.split(), "--help-all"])
     lines = (
         textwrap.wrap(line, WIDTH, drop_whitespace=False) or [""]
         for line in output.getvalue().splitlines()

@@ -143,7 +143,7 @@ def markdown(content: dict[str, Any]) -> None:
             print(
                 f"| {task} | {name} | {len(runs)} | {', '.join(f'{x:.2f}' for x in finals)} "
                 f"| {(finals < ENOUGH).sum()} | {areas.mean():.2f} "
-                f"| {np.mean([r['return'] for r in runs]):.1f} |"
+                f"| {np.mean([r['return'] for r in runs]):.1f} |".replace("| -", "| −")
             )
 
 

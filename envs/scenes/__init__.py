@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from .. import toml_files
+from ..choices import nearest
 
 FOLDER = Path(__file__).parent
 SUFFIX = ".toml"
@@ -44,7 +45,8 @@ def load(name: str) -> NamedScene:
     """A scene by name, or from a .toml file; ValueError naming what is wrong, and FileNotFoundError."""
     if not name.endswith(SUFFIX) and name not in names():
         raise ValueError(
-            f"scene: found {name!r}, allowed: {', '.join(names())}, or the path of a .toml file"
+            f"scene: found {name!r}, {nearest(name, names())}allowed: {', '.join(names())}, or the "
+            "path of a .toml file"
         )
     path = Path(name) if name.endswith(SUFFIX) else FOLDER / f"{name}{SUFFIX}"
     data = toml_files.read(path, "scene file")

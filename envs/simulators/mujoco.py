@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 
 import mujoco
 import numpy as np
@@ -320,11 +321,12 @@ class MujocoSimulator:
             offscreen = self.model.vis.global_
             offscreen.offwidth, offscreen.offheight = camera.width, camera.height
             try:
-                self._renderer = mujoco.Renderer(self.model, camera.height, camera.width)
+                with warnings.catch_warnings(action="ignore"):  # GLFW's, before the error says it
+                    self._renderer = mujoco.Renderer(self.model, camera.height, camera.width)
             except (mujoco.FatalError, ImportError, AttributeError) as error:
                 raise OSError(
-                    f"MuJoCo cannot draw here ({' '.join(str(error).split())}); without a display set "
-                    "MUJOCO_GL=egl or MUJOCO_GL=osmesa"
+                    "MuJoCo cannot draw here; without a display set MUJOCO_GL=egl or MUJOCO_GL=osmesa "
+                    f"({' '.join(str(error).split()).partition(', this most')[0]})"
                 ) from error
         view = mujoco.MjvCamera()
         middle = (self.data.xpos[self._object_body] + self.link_positions()[0]) / 2

@@ -13,14 +13,14 @@ from ..errors import InputError, let_rank_0_speak
 from ..version import __version__
 
 COMMANDS = {  # each a module here with `main(args)`, imported when it runs; what it does
-    "train": "train a policy (start here; --resume continues a run)",
-    "evaluate": "success rate and return of a trained run, with confidence intervals",
+    "train": "train a policy (start here)",
+    "evaluate": "success rate of a trained run, with confidence intervals",
     "env": "describe an environment: its observations, actions and taxels",
-    "doctor": "do the taxels respond? scripted grasps, figures per layout",
-    "probe": "what can a layout know? answers from played grasps, with intervals",
-    "gate": "what can touch win in a scene? scripted reflexes, with intervals",
-    "render": "a picture of a grasp with its taxels, or a film of a run",
-    "study": "many runs from one file, compared: tables, figures, a report",
+    "doctor": "check which taxels fire during scripted grasps",
+    "probe": "how well a layout's readings predict whether a grasp holds",
+    "gate": "whether touch can make a difference in a scene, before training",
+    "render": "draw a grasp with its taxels, or film a trained run",
+    "study": "train many runs from one file and compare them in a report",
 }
 LONGEST = 600  # characters of an error's line: a path may have 5,000
 
@@ -57,7 +57,10 @@ def _run(args: list[str]) -> int:
     name, rest = args[0], args[1:]
     try:
         if name not in COMMANDS:
-            raise InputError(f"unknown command {name!r}; allowed: {', '.join(COMMANDS)}")
+            from ..envs.choices import nearest
+
+            hint = nearest(name, COMMANDS)
+            raise InputError(f"unknown command {name!r}; {hint}allowed: {', '.join(COMMANDS)}")
         code: int = import_module(f".{name}", __package__).main(rest)
         return code
     except InputError as error:

@@ -25,10 +25,22 @@ from ..probe import doctor, grasp_search
 from ..runs.training import free_cores
 from ..terminal import flags
 from ..terminal.console import console
+from ..terminal.help import About
 from .scene import layout_notes, read_scene, require_scene
 
 FEW = 10  # taxels that are named anyway
 LEAST = 0.5  # of the time that an object must be up for a found grasp to be of use
+
+
+ABOUT = About(
+    "Do the taxels respond? Plays scripted grasps and shows for each layout how many taxels fire while "
+    "the object is held: the paper's six, or --layout. The exit code is 1 when a layout is blind.",
+    first=("layout", "touch", "simulator", "object", "object_size"),
+    examples=(
+        "tactilerl doctor --env shadow",
+        "tactilerl doctor --env mpl --layout my_layout.toml --out grasp.png",
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -36,17 +48,17 @@ class DoctorFlags:
     """Flags of `tactilerl doctor`, besides the scene's."""
 
     env: str = "shadow"
-    """Name of the environment."""
+    """A hand: shadow, mpl, allegro, or the path of a hand's .toml file."""
     grasps: Annotated[int, "[1, inf)"] = 20
-    """Perturbed grasps per layout."""
+    """Grasps per layout, each slightly different."""
     seconds: Annotated[float, "[0.05, 60]"] = 3.0
     """Length of each hold, s."""
     out: Path | None = None
-    """Write a picture of the grasp with its taxels here (extra: render)."""
+    """Picture of the grasp with its taxels to write (extra: render)."""
     compare: bool = False
-    """Run the same grasps in the other simulator too: how far do the taxels agree?"""
+    """Also play the grasps in the other simulator, and show how often the taxels agree."""
     verbose: bool = False
-    """Name the taxels that never fired, however many they are."""
+    """List all taxels that never fired."""
     json: bool = False
     """Print JSON instead of a table."""
 
@@ -88,7 +100,7 @@ def _find_grasp(name: str, scene: GraspConfig) -> ScriptedGrasp:
 
 def main(args: list[str]) -> int:
     """`tactilerl doctor`: exit 1 when a layout is blind."""
-    read, found = read_scene(DoctorFlags, args, "tactilerl doctor")
+    read, found = read_scene(DoctorFlags, args, "tactilerl doctor", ABOUT)
     name = read.env
     scene = require_scene(found, name)
     _require_used(scene, name)

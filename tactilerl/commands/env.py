@@ -17,7 +17,15 @@ from ..envs.layouts import Taxels
 from ..envs.taxel_files import WRITERS
 from ..errors import InputError, input_errors
 from ..runs.files import replacing
+from ..terminal.help import About
 from .scene import layout_notes, read_scene
+
+ABOUT = About(
+    "Describe an environment: what it is, its actions, observations and taxels. Without flags it also "
+    "lists the named scenes.",
+    first=("layout", "run_type", "simulator", "task"),
+    examples=("tactilerl env --scene handover", "tactilerl env --env shadow --layout 4 --describe"),
+)
 
 
 @dataclass(frozen=True)
@@ -25,9 +33,9 @@ class EnvFlags:
     """Flags of `tactilerl env`, besides the scene's."""
 
     env: str = "shadow"
-    """Name of the environment."""
+    """A hand, a toy (lqr, point-reach) or a Gymnasium id."""
     describe: bool = False
-    """List every entry of the observation and of the action."""
+    """List every entry of the observation and the action."""
     export: Path | None = None
     """Write the layout as points on the hand's links: .toml, .json (Genesis), .npz (DEX-01), .csv."""
     json: bool = False
@@ -56,7 +64,7 @@ def _export(path: Path, taxels: Taxels | None) -> None:
 
 def main(args: list[str]) -> int:
     """`tactilerl env --describe`"""
-    read, scene = read_scene(EnvFlags, args, "tactilerl env")
+    read, scene = read_scene(EnvFlags, args, "tactilerl env", ABOUT)
     name = read.env
     with input_errors():
         made = envs.make(name, **(dataclasses.asdict(scene) if scene else {}))

@@ -26,6 +26,17 @@ from ..runs.run_dir import RunDir
 from ..runs.training import start_workers
 from ..terminal import flags
 from ..terminal.console import console
+from ..terminal.help import About
+
+ABOUT = About(
+    "Success rate and return of a trained run, with confidence intervals. Sensor flags play it with "
+    "other sensors than it was trained with.",
+    first=("run", "episodes", "stochastic", "taxel_dead", "sweep", "out", "workers", "json"),
+    examples=(
+        "tactilerl evaluate runs/X",
+        "tactilerl evaluate runs/X --sweep taxel-dead 0 0.1 0.2 0.5 --out faults.png",
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -39,15 +50,15 @@ class EvaluateFlags:
     stochastic: bool = False
     """Keep the exploration noise."""
     workers: Workers = None
-    """Episodes played side by side; default: the free cores."""
+    """Episodes played side by side; default: one per free core."""
     env: str = ""
-    """The run's environment again: allows the import of the module in its id."""
+    """The id of the run's environment once more, to allow the import of the module it names."""
     trust: bool = False
     """Allow that import without naming the environment."""
     sweep: tuple[str, ...] = ()
     """A sensor flag and the values to try: --sweep taxel-dead 0 0.1 0.2 0.5."""
     out: Path | None = None
-    """With --sweep: picture to write, .png, .svg or .pdf (needs 'tactilerl[plots]')."""
+    """With --sweep: picture to write, .png, .svg or .pdf (extra: plots)."""
     json: bool = False
     """Print JSON instead of a table."""
 
@@ -88,7 +99,7 @@ def _read_evaluate(args: list[str]) -> tuple[EvaluateFlags, SensorConfig | None]
     read, _ = _parse_evaluate(args, sensors)  # which run, before its sensors are known
     scene = RunDir(read.run).read_config(read.env, read.trust)[0].scene
     if scene is None:
-        return flags.parse(EvaluateFlags, args, "tactilerl evaluate"), None
+        return flags.parse(EvaluateFlags, args, "tactilerl evaluate", about=ABOUT), None
     names = [field.name for field in dataclasses.fields(SensorConfig)]
     return _parse_evaluate(args, SensorConfig(**{name: getattr(scene, name) for name in names}))
 
@@ -96,7 +107,7 @@ def _read_evaluate(args: list[str]) -> tuple[EvaluateFlags, SensorConfig | None]
 def _parse_evaluate(args: list[str], sensors: SensorConfig) -> tuple[EvaluateFlags, SensorConfig]:
     kinds: list[Any] = [("command", EvaluateFlags), ("sensor", SensorConfig, sensors)]
     options: Any = dataclasses.make_dataclass("Options", kinds)
-    read = flags.parse(options, args, "tactilerl evaluate")
+    read = flags.parse(options, args, "tactilerl evaluate", about=ABOUT)
     return read.command, read.sensor
 
 

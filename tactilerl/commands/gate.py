@@ -17,9 +17,18 @@ from ..probe import gate
 from ..runs.config import Workers
 from ..runs.training import free_cores
 from ..terminal.console import console
+from ..terminal.help import About
 from .scene import read_scene, require_scene
 
-ABOUT = "What can touch win in a scene? Scripted reflexes of each sense, before any training."
+ABOUT = About(
+    "Can touch make a difference in a scene? Compares scripted reflexes that feel, see, or do neither, "
+    "before any training.",
+    first=("layout", "simulator", "task"),
+    examples=(
+        "tactilerl gate --scene handover",
+        "tactilerl gate --scene handover --starts 50 --search 5",
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -46,7 +55,7 @@ def main(args: list[str]) -> int:
     scene = require_scene(found, read.env)
     with input_errors():
         if scene.run_type != "main":
-            raise InputError(f"--run-type: found {scene.run_type}, allowed main: a gate plays all")
+            raise InputError("--touch: leave it out; the gate plays with touch and without")
         typed.validate(scene)
     with Progress(console=console, transient=True) as progress, input_errors():
         task = progress.add_task("trying reflexes", total=None)

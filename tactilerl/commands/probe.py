@@ -24,15 +24,28 @@ from ..runs.config import Workers
 from ..runs.files import pasted
 from ..terminal import flags, interrupts
 from ..terminal.console import console
+from ..terminal.help import About
+
+ABOUT = About(
+    "How well do a layout's readings just before the lift predict whether a grasp holds? Plays "
+    "scripted grasps and compares layouts, without training (extra: probe).",
+    first=(
+        "scene", "env", "simulator", "policy", "grasps", "seed", "layout", "joint_noise", "select",
+        "out", "grasps_file", "workers", "json",
+    ),
+    examples=(
+        "tactilerl probe --env shadow",
+        "tactilerl probe --env shadow --layout 1 my_layout.toml --select 8",
+    ),
+)  # fmt: skip
 
 
 def main(args: list[str]) -> int:
     """`tactilerl probe`: exit 130 when it was interrupted."""
-    about = "What do taxels tell of a grasp, at the moment before the lift? Needs the extra probe."
     with input_errors("--scene"):
         scene = flags.peek(args, "--scene", "")
         usual = Options(GraspFlags.of_scene(scene) if scene else GraspFlags())
-    read = flags.parse(Options, args, "tactilerl probe", usual, about)
+    read = flags.parse(Options, args, "tactilerl probe", usual, ABOUT)
     with input_errors():
         read.validate()
         typed.require_type(read.output.workers, Workers, "workers")

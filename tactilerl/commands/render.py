@@ -18,7 +18,18 @@ from ..errors import InputError, input_errors
 from ..pictures import render
 from ..terminal import flags
 from ..terminal.console import console
+from ..terminal.help import About
 from .scene import layout_notes, read_scene, require_scene
+
+ABOUT = About(
+    "Draw a scripted grasp with its taxels, or film a trained run (extra: render). Without a display, "
+    "set MUJOCO_GL=egl or MUJOCO_GL=osmesa.",
+    first=("layout", "simulator"),
+    examples=(
+        "tactilerl render --env shadow --layout 1",
+        "tactilerl render runs/X --episodes 3 --video film.mp4",
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -26,19 +37,19 @@ class RenderFlags:
     """Flags of `tactilerl render`, besides the scene's."""
 
     run: tyro.conf.Positional[tuple[Path, ...]] = ()
-    """Run folder: film its policy in its own scene; several are shown side by side, from the same
-    starts. Without one: picture of a scripted grasp."""
+    """Run folder whose policy is filmed in its own scene. Several are shown side by side, from the
+    same starts. Without one, a scripted grasp is drawn."""
     video: Path = Path("episodes.mp4")
-    """The film of a run's policy to write."""
+    """Film to write."""
     episodes: Annotated[int, "[1, inf)"] = 1
-    """Episodes in the film: the first that `evaluate` would play. Hold tests last 2 s unless
-    --hold-seconds is given."""
+    """Episodes in the film, the first that `evaluate` plays. Hold tests last 2 s unless --hold-seconds
+    is given."""
     env: str = "shadow"
-    """Environment of the picture."""
+    """Hand in the picture."""
     out: Path = Path("grasp.png")
-    """The picture to write."""
+    """Picture to write."""
     pose: Literal["start", "grasp"] = "grasp"
-    """The start of an episode, or a scripted grasp (picture)."""
+    """What the picture shows: the start of an episode, or a scripted grasp."""
     azimuth: float = Camera.azimuth
     """Direction of the camera, degrees; 300 looks at the palm."""
     elevation: float = Camera.elevation
@@ -46,8 +57,8 @@ class RenderFlags:
     distance: Annotated[float, "[0.05, 10]"] = Camera.distance
     """Distance of the camera, m."""
     follow: render.Follow = "grasp"
-    """What the camera of a film follows. grasp: the middle between hand and object; hand: the hand
-    alone, so that one sees what it leaves behind; nothing: it stands still."""
+    """What the camera of a film follows. grasp: the midpoint between hand and object; hand: the hand;
+    nothing: the camera stands still."""
 
     @property
     def camera(self) -> Camera:
@@ -57,7 +68,7 @@ class RenderFlags:
 
 def main(args: list[str]) -> int:
     """`tactilerl render`: a scripted grasp with its taxels; `tactilerl render RUN`: a film."""
-    read, scene = read_scene(RenderFlags, args, "tactilerl render")
+    read, scene = read_scene(RenderFlags, args, "tactilerl render", ABOUT)
     name = read.env
     for flag in ("env", "out", "pose") if read.run else ("video", "episodes", "follow"):
         if getattr(read, flag) != getattr(RenderFlags, flag):

@@ -12,14 +12,18 @@ from ..errors import InputError, input_errors
 from ..pictures import hand_map
 from ..runs.arguments import NAMED_SCENE, hands_named
 from ..terminal import flags
+from ..terminal.help import About
 
 T = TypeVar("T")
 
 
 def read_scene(
-    kind: type[T], args: Sequence[str], prog: str, about: str = ""
+    kind: type[T], args: Sequence[str], prog: str, about: About
 ) -> tuple[T, GraspConfig | None]:
-    """The command's own flags, and the scene's where its environment has a scene."""
+    """The command's own flags, and the scene's where its environment has a scene. --help shows the
+    first, and of the scene's those that `about` names."""
+    own = [field.name for field in dataclasses.fields(kind)]  # type: ignore[arg-type]
+    about = about._replace(first=("named_scene", "env", *about.first, *own))
     with input_errors("--scene"):
         name = flags.peek(args, "--scene", "")
         named = scenes.load(name) if name else None

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import tyro
 from rich import box
@@ -24,8 +24,10 @@ from ..study import display, grid
 from ..study.folder import Outcome, RunFiles, StudyFolder
 from ..terminal import flags
 from ..terminal.console import console
+from ..terminal.help import About
 from ..terminal.progress_bar import duration
 
+T = TypeVar("T")
 if TYPE_CHECKING:
     from ..study.planning import Need
     from ..study.records import Record
@@ -49,7 +51,7 @@ class RunFlags:
 
 def run(args: list[str]) -> int:
     """`tactilerl study run FILE`"""
-    read = flags.parse(RunFlags, args, "tactilerl study run")
+    read = _read(RunFlags, args, "run")
     from ..study import runner
 
     parallel = read.jobs or max(1, free_cores(Communicator()) // read.ranks_per_run)
@@ -128,7 +130,7 @@ def status(args: list[str]) -> int:
     """`tactilerl study status FOLDER`"""
     from ..study import looks
 
-    read = flags.parse(StatusFlags, args, "tactilerl study status")
+    read = _read(StatusFlags, args, "status")
     folder = StudyFolder(read.folder)
     study = folder.study()
     overview = display.Overview(folder, study.runs())
@@ -165,7 +167,7 @@ def collect(args: list[str]) -> int:
     """`tactilerl study collect FOLDER`"""
     from ..study import records
 
-    read = flags.parse(CollectFlags, args, "tactilerl study collect")
+    read = _read(CollectFlags, args, "collect")
     path = records.collect(read.folder, read.out)
     console.print(f"{path}: {path.stat().st_size / 1e6:.2f} MB")
     return 0
@@ -185,7 +187,7 @@ class ReportFlags:
 
 def report(args: list[str]) -> int:
     """`tactilerl study report FOLDER`"""
-    read = flags.parse(ReportFlags, args, "tactilerl study report")
+    read = _read(ReportFlags, args, "report")
     with _needs_extra("report"):
         from ..study import report as page
         from ..study import summary
@@ -224,7 +226,7 @@ def plan(args: list[str]) -> int:
     """`tactilerl study plan FOLDER`"""
     from ..study import planning
 
-    read = flags.parse(PlanFlags, args, "tactilerl study plan")
+    read = _read(PlanFlags, args, "plan")
     for name in ("effect", "power", "alpha"):
         if not 0 < getattr(read, name) < 1:
             raise InputError(f"--{name}: found {getattr(read, name)}, allowed between 0 and 1")
@@ -281,7 +283,7 @@ def compare(args: list[str]) -> int:
     """`tactilerl study compare A B`"""
     from ..study import comparing
 
-    read = flags.parse(CompareFlags, args, "tactilerl study compare")
+    read = _read(CompareFlags, args, "compare")
     a, b = comparing.read(read.a), comparing.read(read.b)
     rows = comparing.compare(a, b, read.score)
     differing = comparing.differing(a, b)
@@ -303,6 +305,13 @@ def compare(args: list[str]) -> int:
     return 0
 
 
+def _read(kind: type[T], args: list[str], part: str) -> T:
+    about = PARTS[part][1]
+    return flags.parse(
+        kind, args, f"tactilerl study {part}", about=About(f"{about[0].upper()}{about[1:]}.")
+    )
+
+
 def _load(path: Path) -> tuple[grid.Study, list[Record]]:
     from ..study import records
 
@@ -322,17 +331,17 @@ def _needs_extra(part: str) -> Iterator[None]:
 
 PARTS: dict[str, tuple[Callable[[list[str]], int], str]] = {
     "run": (run, "run or continue the runs of a study file"),
-    "status": (status, "done, running, failed, left, ETA"),
-    "plan": (plan, "how many pairs of runs an effect needs, from the spread of a pilot"),
-    "compare": (compare, "any two parts of studies, in pairs where their seeds agree"),
-    "collect": (collect, "pack all that a study has recorded into one file"),
-    "report": (report, "tables, figures and report.html"),
+    "status": (status, "count runs that are done, running, failed and left"),
+    "plan": (plan, "say how many pairs of runs an effect needs, from a pilot"),
+    "compare": (compare, "compare two parts of studies, in pairs where seeds agree"),
+    "collect": (collect, "pack the records of a study into one file"),
+    "report": (report, "write tables, figures and report.html"),
 }
 
 
 def main(args: list[str]) -> int:
     """`tactilerl study PART`"""
-    if not args or args[0] in ("-h", "--help"):
+    if not args or args[0] in ("-h", "--help", "--help-all"):
         lines = [f"  {name:9}{about}" for name, (_, about) in PARTS.items()]
         print("\n".join(["usage: tactilerl study PART [OPTIONS]", "", "parts:", *lines]))
         return 0 if args else 2

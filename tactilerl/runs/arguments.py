@@ -11,13 +11,15 @@ import tyro
 
 from ..algos import recipes
 from ..envs import hands, scenes
+from ..envs.choices import nearest
 from ..envs.grasp import GraspConfig
 from ..errors import InputError
 from ..terminal import flags
+from ..terminal.help import About
 from . import config as configuration
 from .config import RunConfig
 
-ABOUT = f"a named scene ({', '.join(scenes.names())}) or its .toml file; other flags override it"
+ABOUT = f"A named scene ({', '.join(scenes.names())}) or its .toml file; other flags override it."
 NAMED_SCENE = ("named_scene", Annotated[str, tyro.conf.arg(name="scene", help=ABOUT)], "")
 
 
@@ -27,29 +29,39 @@ def defaults(args: list[str]) -> RunConfig:
     return configuration.defaults(**{name: flags.peek(args, f"--{name}", "") for name in deciding})
 
 
+TRAIN = About(
+    "Train a policy. --scene, --algo and --env decide which flags there are and their defaults, which "
+    "are the paper's without --scene and --recipe.",
+    first=(
+        "named_scene", "algo", "env", "layout", "run_type", "task", "recipe", "total_timesteps", "seed",
+        "workers", "out", "resume",
+    ),
+    examples=(
+        "tactilerl train --scene handover",
+        "tactilerl train --scene handover --touch off",
+        "tactilerl train --algo ddpg_her --env shadow --layout 4 --seed 1",
+        "tactilerl train --resume runs/X --total-timesteps 1000000",
+    ),
+)  # fmt: skip
 TRUST = "allow the import of the module in the environment's id"
 
 
 def read(args: list[str], base: RunConfig) -> tuple[RunConfig, Any]:
     """All flags of `train`, over the defaults `base`; and those that are not of the configuration."""
-    about = "continue the run in this folder from its last whole epoch"
+    about = "Continue the run in this folder from its last whole epoch."
     resume = ("resume", Annotated[str, tyro.conf.arg(help=about, metavar="RUN")], "")
-    about = "with --resume: allow another number of processes; no longer the same bit for bit"
+    about = "With --resume: allow another number of processes; results then differ in their bits."
     any_ranks = ("any_ranks", Annotated[bool, tyro.conf.arg(help=about)], False)
-    trust = ("trust", Annotated[bool, tyro.conf.arg(help=f"with --resume: {TRUST}")], False)
-    about = "hyperparameters that go together; other flags change them one by one"
+    trust = ("trust", Annotated[bool, tyro.conf.arg(help=f"With --resume: {TRUST}.")], False)
+    about = "Hyperparameters that go together; other flags override them."
     known = tuple(recipes.recipes(base.run.algo))
     recipe = ("recipe", Annotated[Literal[known], tyro.conf.arg(help=about)], recipes.PAPER)
     kinds = [(name, type(part)) for name, part in base.parts.items()]
     options = dataclasses.make_dataclass(
         "Options", [*kinds, recipe, NAMED_SCENE, resume, any_ranks, trust]
     )
-    about = (
-        "Train a policy. --algo and --env decide which flags there are; their defaults are the "
-        "paper's, or those of --recipe and --scene."
-    )
     with hands_named(base.run.env):
-        given: Any = flags.parse(options, args, "tactilerl train", options(**base.parts), about)
+        given: Any = flags.parse(options, args, "tactilerl train", options(**base.parts), TRAIN)
     parts = {name: getattr(given, name) for name in base.parts}
     return dataclasses.replace(base, **parts), given
 
@@ -66,4 +78,5 @@ def hands_named(env: str) -> Iterator[None]:
         }
         if hands.is_hand(env) or not is_scene:
             raise
-        raise InputError(f"{error} (--env {env} is none of {hands.allowed()})") from error
+        hint = nearest(env, hands.HANDS)
+        raise InputError(f"{error} ({hint}--env {env} is none of {hands.allowed()})") from error

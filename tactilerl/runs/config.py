@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal
 from .. import algos, envs
 from ..algos import recipes
 from ..envs import hands, layouts, scenes, typed
-from ..envs.choices import require_known
+from ..envs.choices import nearest, require_known
 from ..envs.grasp import GraspConfig, GraspEnv, setup
 from ..envs.scenes import NamedScene
 from ..errors import PEERS, InputError, input_errors
@@ -32,30 +32,29 @@ class RunOptions:
     """What is trained, how long, and where it is written."""
 
     algo: str = "ppo"
-    """The algorithm: ppo or ddpg_her."""
+    """Learner: ppo or ddpg_her."""
     env: str = "shadow"
-    """shadow (Shadow Hand in MuJoCo), mpl (MPL hand in PyBullet), allegro (Allegro Hand in MuJoCo),
-    the path of a hand's .toml file, a toy (lqr, point-reach), or any registered Gymnasium id with Box
-    or goal-Dict observations and Box actions."""
+    """A hand (shadow, mpl, allegro, or a hand's .toml file), a toy (lqr, point-reach), or the id of a
+    Gymnasium environment with Box or goal-Dict observations and Box actions."""
     total_timesteps: Annotated[int, "[1, 1e15]"] = 500_000
-    """Environment steps of the whole run, over all processes; the paper's by default."""
+    """Environment steps of the whole run, over all processes."""
     workers: Workers = None
-    """Episodes that each process plays side by side; default: one per free core. Results do not
-    depend on it."""
+    """Episodes played side by side in each process; default: one per free core. Results do not depend
+    on it."""
     seed: Annotated[int, "[0, 4294967295]"] = 0
     """Random seed of the whole run."""
     out: str | None = None
-    """Run folder; a run that is there already goes on, if its flags are these. Default:
-    runs/ALGO_ENV_..._sSEED."""
+    """Run folder; default: runs/ALGO_ENV_..._sSEED. A run that is already there continues if its flags
+    are the same."""
     device: str = "cpu"
-    """PyTorch device of the networks."""
+    """PyTorch device of the networks, such as cuda."""
     threads: Annotated[int, "[1, 1000]"] = 1
-    """PyTorch threads; another number can change the last digits of the results."""
+    """PyTorch threads. Another number can change the last digits of the results."""
     matmul: Literal["float32", "bfloat16"] = "float32"
     """Precision of the matrix products in updates. bfloat16 is faster and coarser; it needs a processor
     with AMX, and --device cpu. Acting stays in float32."""
     tensorboard: bool = False
-    """Write TensorBoard events as well (needs the extra: pip install 'tactilerl[tensorboard]')."""
+    """Also write TensorBoard events (extra: tensorboard)."""
 
     def validate(self) -> None:
         """Raise ValueError where the environment cannot be one; ranges are in the types."""
@@ -205,8 +204,10 @@ def defaults(
     algo, env = algo or own, env or named.env
     is_own = algo == own
     train = {k: v for k, v in named.train.items() if is_own and k not in ("algo", "recipe")}
-    with input_errors("--algo"):
-        config_type, _ = algos.get(algo)
+    if algo not in (known := algos.ALGORITHMS):
+        hint = nearest(algo, known)
+        raise InputError(f"--algo: unknown algorithm {algo!r}; {hint}allowed: {', '.join(known)}")
+    config_type, _ = algos.get(algo)
     with input_errors(f"scene {scene}: train"):
         require_known(train, {"total_timesteps", *typed.names(config_type)}, PEERS)
     if scene and not hands.is_hand(env):

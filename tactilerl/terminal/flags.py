@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import io
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import is_dataclass
+from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
 import tyro
 
-from ..envs import typed
+from ..envs import touch, typed
 from ..envs.choices import meant
-from ..errors import PEERS, InputError, input_errors
+from ..errors import PEERS, SAME, InputError, input_errors
+from . import help
 
 try:
     from tyro._errors import on_parse_error
@@ -20,10 +23,20 @@ except ImportError:  # tyro does not promise to keep it; without it, errors only
     on_parse_error = contextlib.nullcontext  # type: ignore[assignment,misc]
 
 T = TypeVar("T")
+VALUES = {
+    "INT": "a whole number in digits, such as 50000",
+    "FLOAT": "a number",
+    "{FLOAT FLOAT}": "two numbers",
+}
 
 
-def parse(kind: type[T], args: Sequence[str], prog: str, default: Any = None, about: str = "") -> T:
+def parse(
+    kind: type[T], args: Sequence[str], prog: str, default: Any = None, about: help.About = help.NOTHING
+) -> T:
     """Read `args` into a dataclass; InputError over bad flags, SystemExit(0) after --help."""
+    if help.SHORT & {*args} or help.ALL in args:
+        help.show(kind, default, prog, about, everything=help.ALL in args)
+    args = _own(args, set(_names(kind)))
     extra = {} if default is None else {"default": default}
     config = (tyro.conf.OmitArgPrefixes,)
 
@@ -36,7 +49,7 @@ def parse(kind: type[T], args: Sequence[str], prog: str, default: Any = None, ab
 
     try:
         with on_parse_error(refuse), contextlib.redirect_stderr(io.StringIO()):
-            read = tyro.cli(kind, args=args, prog=prog, description=about, config=config, **extra)
+            read = tyro.cli(kind, args=args, prog=prog, config=config, **extra)
     except SystemExit as stop:
         if stop.code in (0, None):
             raise
@@ -64,24 +77,66 @@ def _reason(event: Any, args: Sequence[str], kind: type) -> str | None:
     """What tyro's event says is wrong, found and allowed; None for one that is not known here."""
     match type(event).__name__, vars(event):
         case "UnrecognizedArgs", {"tokens": [token, *_]}:
-            name = token.partition("=")[0].removeprefix("--").replace("-", "_")
-            no = "no_" if name.startswith("no_") else ""
-            known = meant(name.removeprefix(no), list(_names(kind)), PEERS)
-            likely = " or ".join(of_field(no + field) for field in known)
-            hint = f"did you mean {likely}?" if likely else "which is no flag"
-            return f"found {token!r}, {hint}"
+            return f"found {token!r}, {_hint(token, list(_names(kind)))}"
         case "MissingArgs", {"missing_arguments": [missing, *_]}:
             return f"found no {_name(missing.arg).upper()}"
         case "InvalidChoice", {"argument": argument, "value": value, "choices": choices}:
             return f"{_name(argument)}: found {value!r}, allowed: {', '.join(choices)}"
         case "BadValue" | "InstantiationFailure", {"argument": argument} if argument is not None:
             values = " ".join(_given(args, _name(argument)))
-            allowed = argument.lowered.metavar.replace("{None}|", "")
+            metavar = argument.lowered.metavar.replace("{None}|", "")
+            allowed = VALUES.get(metavar, metavar)
             found = repr(values) if values else "no value"
             return f"{_name(argument)}: found {found}, allowed {allowed}"
         case "InstantiationFailure", {"message": message}:
             return str(message)
     return None
+
+
+def _hint(token: str, known: list[str]) -> str:
+    """What may have been meant by what is no flag."""
+    known = [*known, "scene"]
+    if not token.startswith("-"):
+        flag = _place(token)
+        return f"did you mean {flag} {token}?" if flag[2:] in known else "which is no flag"
+    name = token.partition("=")[0].lstrip("-").replace("-", "_")
+    no = "no_" if name.startswith("no_") and name not in PEERS else ""
+    likely, why = meant(name.removeprefix(no), known, PEERS)
+    flags = " or ".join(of_field(no + field) for field in likely)
+    hint = f"did you mean {flags}? {why}" if flags else why
+    return hint.strip() or "which is no flag"
+
+
+def _place(token: str) -> str:
+    """The flag that takes a value which stands alone; "" for none."""
+    from ..algos import ALGORITHMS
+    from ..envs import hands, scenes
+
+    values = {"--scene": scenes.names(), "--env": hands.HANDS, "--algo": ALGORITHMS}
+    is_folder = os.sep in token or Path(token).is_dir()
+    return next((f for f, known in values.items() if token in known), "--resume" if is_folder else "")
+
+
+def _own(args: Sequence[str], known: set[str]) -> list[str]:
+    """The arguments with the names that our fields have: --touch off is --run-type control."""
+    own = list(args)
+    for at, arg in enumerate(args):
+        flag, equals, value = arg.partition("=")
+        name = flag[2:].replace("-", "_") if flag.startswith("--") else ""
+        found = value if equals else next(iter(args[at + 1 :]), "")
+        if name == "touch_rule":
+            flag = "--touch"
+        elif name == "touch" and "run_type" in known:
+            if found in help.SWITCH:
+                flag, value = "--run-type", help.SWITCH[found]
+                own[at + 1 : at + 2] = own[at + 1 : at + 2] if equals else [value]
+            elif found not in touch.RULES:
+                raise InputError(f"--touch: found {found!r}, allowed: {', '.join(help.SWITCH)}")
+        elif name not in known and SAME.get(name) in known:
+            flag = of_field(SAME[name])
+        if name:
+            own[at] = f"{flag}{equals}{value}" if equals else flag
+    return own
 
 
 def _names(kind: Any) -> Iterator[str]:
@@ -92,7 +147,7 @@ def _names(kind: Any) -> Iterator[str]:
 
 def of_field(field: str) -> str:
     """The flag of a field."""
-    return f"--{field.replace('_', '-')}"
+    return f"--{help.SHOWN.get(field, field).replace('_', '-')}"
 
 
 def _name(argument: Any) -> str:
