@@ -60,6 +60,7 @@ PRINTED: dict[str, Callable[[], None]] = {
     "probe agreement": _of("probe_agreement", probe_agreement.show),
     "probe hold": _of("probe_hold", probe_hold.show),
     "cut short": _of("cut_short", cut_short.show),
+    "many cores": _of("cut_short", cut_short.many_cores),
     "ablation": _of("ablation", ablation.markdown),
     "steady": _of("steady", steady.markdown),
     "pairs": _of("pairs", pairs.markdown),

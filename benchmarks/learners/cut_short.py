@@ -23,14 +23,16 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.command import parser, write
+from benchmarks.command import ROOT, earlier, parser, write
 from tactilerl import envs
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.algos.rollout import TRAIN, PlayEpisode
 from tactilerl.envs import vector
 from tactilerl.runs.policies import read_run
+from tactilerl.study import records
 
+DATA = ROOT / "docs" / "data"
 SEED = 60_000
 WORKERS = (2, 4, 8, 16)
 Costs = list[int]
@@ -155,6 +157,28 @@ def show(results: dict[str, dict[str, Any]]) -> None:
             print(f"| {name} | {row['mean_length']:.0f} | {workers} | {shares} |")
 
 
+def many_cores(results: dict[str, dict[str, Any]]) -> None:
+    """What one run and a study would gain from more cores: a prediction from measured parts. The run is
+    the least disturbed of studies/handover.toml with touch; actor and critic learn on two cores."""
+    name = "handover_layout-2_run_type-main_s0"
+    idle = {1: 0.0} | {n: results[f"run {name}"][str(n)]["waiting"] for n in WORKERS}
+    at_once = earlier(DATA / "scaling.json")["updates"]["ratios"]["PPO: 2 cores / 1"]
+    runs = [r for r in records.load(DATA / "handover.csv.gz")[1] if r.run.name[:-1] == name[:-1]]
+    parts = [
+        [np.nansum(r.column(part)) for part in ("collect_s", "update_s")] / r.column("env_steps")[-1]
+        for r in runs
+    ]
+    collect, update = 1000 * min(parts, key=sum)
+    print(
+        "| cores | one run: seconds per 1,000 steps | as fast | a study: runs of 30,000 steps an hour |"
+    )
+    print("|---|---|---|---|")
+    for n, share in idle.items():
+        seconds = collect / (n * (1 - share)) + update / (at_once if n > 1 else 1)
+        ratio, hourly = (collect + update) / seconds, n * 3600 / (30 * (collect + update))
+        print(f"| {n} | {seconds:.2f} | {ratio:.1f} | {hourly:.0f} |")
+
+
 def main() -> None:
     """Untrained policies, and those of runs."""
     flags = parser(__doc__)
@@ -168,4 +192,5 @@ def main() -> None:
     sources |= {f"run {run.name}": partial(trained, run) for run in options.run}
     results = {name: measure(*source(), options.epochs) for name, source in sources.items()}
     show(results)
+    many_cores(results)
     write(options.out, results)
