@@ -9,6 +9,7 @@ from study_records import PAPER_LIKE, make_study
 from tactilerl.commands.cli import main
 from tactilerl.study import looks, records, summary, verdicts
 from tactilerl.study.folder import Outcome, RunFiles
+from tactilerl.study.grid import Compare, Setup
 from tactilerl.study.primary import Looks
 
 LOOKS = PAPER_LIKE[: PAPER_LIKE.index("[setups.mujoco]")].replace(
@@ -235,3 +236,17 @@ class TestErrorsOfLooks:
 
     def test_at_the_last_look_holm_may_find_what_bonferroni_did_not(self):
         assert self.verdict("last look", 0.02, 0.04).is_difference
+
+    @pytest.mark.parametrize(
+        ("ending", "words"), [("", "not decided yet"), ("no difference", "no difference was detected")]
+    )
+    def test_a_look_that_decides_nothing_says_so(self, ending, words):
+        setup = Setup(
+            "one",
+            {},
+            {"run_type": ["main", "control"]},
+            [0],
+            Compare("run_type", "main", "control"),
+            "success_rate",
+        )
+        assert words in summary.answer(setup, self.verdict(ending, 0.02))

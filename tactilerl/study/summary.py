@@ -113,6 +113,8 @@ def answer(setup: Setup, verdict: Verdict) -> str:
     if verdict.is_difference:
         first, second = (treatment, control) if found.value > 0 else (control, treatment)
         return f"{where}: {first} is ahead of {second} ({numbers}).{look}"
+    if stage is not None and not stage.ending:
+        return f"{where}: not decided yet ({numbers}).{look}"
     if len(pairs) < FEWEST_PAIRS:
         few = f"too few runs to detect a difference at {verdict.alpha:g}, which takes {FEWEST_PAIRS}"
         return f"{where}: {few} pairs ({numbers}).{look}"
