@@ -7,31 +7,50 @@ The run cannot be resumed from there: optimisers, critics and experience stay be
 
 from __future__ import annotations
 
+import argparse
 import shutil
 import sys
 from pathlib import Path
 
 from tactilerl import algos
+from tactilerl.errors import InputError
 from tactilerl.runs import checkpoint, sealed
+from tactilerl.runs.config import LAYOUT_COPY
 from tactilerl.runs.run_dir import RunDir
-
-FILES = ("config.json", "progress.csv", "layout.toml")
 
 
 def ship(run: Path, folder: Path) -> None:
-    """Write `folder` anew."""
-    run_dir = RunDir(run)
-    config, _ = run_dir.read_config()
-    data = checkpoint.read(run_dir, config)
+    """Write `folder`, anew where it holds a policy already; InputError where it holds a run or anything
+    else."""
+    source, target = RunDir(run), RunDir(folder)
+    config, _ = source.read_config()
+    data = checkpoint.read(source, config)
     parts = (*algos.get(config.run.algo)[1].policy_parts, "env_steps")
     state = {name: data["ranks"][0][name] for name in parts}
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    for name in FILES:
+    copied = {source.config_file.name, source.progress.path.name, LAYOUT_COPY}
+    folder.mkdir(parents=True, exist_ok=True)
+    if any(path.name not in {*copied, target.checkpoint_file.name} for path in folder.iterdir()):
+        raise InputError(f"{folder}: found other files in it, allowed a new folder or a policy's")
+    if target.checkpoint_file.exists() and "critic" in sealed.read(target.checkpoint_file)["ranks"][0]:
+        raise InputError(f"{folder}: found a whole run, allowed a new folder or a policy's")
+    for name in copied:
         if (run / name).exists():
             shutil.copy(run / name, folder)
-    sealed.write(RunDir(folder).checkpoint_file, data | {"ranks": [state], "experience": []})
+    sealed.write(target.checkpoint_file, data | {"ranks": [state], "experience": []})
+
+
+def main() -> int:
+    """Both folders from the command line."""
+    flags = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    flags.add_argument("run", type=Path)
+    flags.add_argument("folder", type=Path)
+    try:
+        ship(**vars(flags.parse_args()))
+    except (InputError, OSError) as error:
+        print(f"ship_policy.py: error: {error}", file=sys.stderr)
+        return 2
+    return 0
 
 
 if __name__ == "__main__":
-    ship(*map(Path, sys.argv[1:]))
+    sys.exit(main())

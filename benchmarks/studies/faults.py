@@ -38,10 +38,12 @@ IN_WORDS = {
 def sweep(run: Path, flag: str, episodes: int) -> list[float]:
     """Success of one run, by size of the fault."""
     with contextlib.redirect_stdout(io.StringIO()) as printed:
-        cli.main(
+        code = cli.main(
             ["evaluate", str(run), "--workers", "1", "--episodes", str(episodes), "--json",
              "--sweep", flag, *SWEEPS[flag]]
         )  # fmt: skip
+    if code:  # it has said why
+        raise SystemExit(code)
     points = json.loads(printed.getvalue())["points"]
     return [point["success_rate"] for point in points]
 
