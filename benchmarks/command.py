@@ -25,6 +25,13 @@ def parser(description: str | None) -> argparse.ArgumentParser:
     return flags
 
 
+def count(text: str) -> int:
+    """A flag's number of things, 1 to a million."""
+    if not text.isdecimal() or not 1 <= int(text) <= 1_000_000:
+        raise argparse.ArgumentTypeError(f"found {text!r}, allowed 1 to 1000000")
+    return int(text)
+
+
 def run_parts(description: str | None, parts: dict[str, Part], *packages: str) -> None:
     """A benchmark's command line: all parts or one, on one thread; machine, versions of
     `packages` and results as JSON where asked for. Other parts in the file are kept."""

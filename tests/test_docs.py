@@ -233,3 +233,14 @@ def test_tables_are_what_their_data_say():
         assert tables.filled(text) == text, f"{page}: run python -m benchmarks tables"
     found = {name for text in pages.values() for _, name, *_ in tables.MARKED.findall(text)}
     assert found == set(tables.PRINTED)
+
+
+def test_readme_has_the_rates_of_the_study():
+    """Success over the last tenth, with touch and without."""
+    study = (ROOT / "docs" / "study.md").read_text()
+    rates = [
+        re.search(rf"^\| {arm} \|.*\| ([\d.]+) \([^)]*\) \|$", study, re.MULTILINE).group(1)
+        for arm in ("touch", "no touch")
+    ]
+    sentence = "hands with touch end at a mean success rate of {}, and hands without touch at {}."
+    assert sentence.format(*rates) in " ".join((ROOT / "README.md").read_text().split())

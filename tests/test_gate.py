@@ -97,8 +97,8 @@ def test_a_table_and_a_sentence(capsys):
     few = ["--starts", "2", "--search", "1", "--workers", "1"]
     assert main(["gate", "--scene", "dark_mpl", *few]) == 0
     text = capsys.readouterr().out
-    assert "waits a fixed time" in text
-    assert "sees the object exactly" in text
+    assert "a fixed time has passed" in text
+    assert "the object is in place, seen exactly" in text
 
 
 @pytest.mark.parametrize(

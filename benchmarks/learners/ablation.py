@@ -22,7 +22,7 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.command import parser, run_missing, write
+from benchmarks.command import count, parser, run_missing, write
 from benchmarks.peers.solve import Act, play
 from tactilerl import envs, statistics
 from tactilerl.algos import recipes
@@ -158,8 +158,8 @@ def _short(value: float) -> str:
 def main() -> None:
     """What is missing of all contenders, tasks and seeds; seeds outermost."""
     flags = parser(__doc__)
-    flags.add_argument("--jobs", type=int, default=2)
-    flags.add_argument("--seeds", type=int, default=SEEDS)
+    flags.add_argument("--jobs", type=count, default=2)
+    flags.add_argument("--seeds", type=count, default=SEEDS)
     flags.add_argument("--first-seed", type=int, default=0, help="10000 and more for pilots")
     contenders = [*VARIANTS, *PEERS]
     flags.add_argument("--only", nargs="+", choices=contenders, default=contenders, metavar="NAME")

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.command import ROOT, earlier, parser, write
+from benchmarks.command import ROOT, count, earlier, parser, write
 from tactilerl import envs
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
@@ -183,7 +183,7 @@ def main() -> None:
     """Untrained policies, and those of runs."""
     flags = parser(__doc__)
     flags.add_argument("--run", type=Path, nargs="*", default=[], help="folders of PPO's runs")
-    flags.add_argument("--epochs", type=int, default=5)
+    flags.add_argument("--epochs", type=count, default=5)
     options = flags.parse_args()
     sources = {
         f"Shadow Hand, untrained, hold verdict {verdict}": partial(untrained, verdict)

@@ -17,7 +17,7 @@ from rich.progress import track
 from rich.table import Table
 from scipy import stats
 
-from benchmarks.command import parser, write
+from benchmarks.command import count, parser, write
 from tactilerl import envs
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
@@ -59,7 +59,7 @@ def explore(choices: dict[str, Any], episodes: int) -> dict[str, float]:
 def main() -> None:
     """All variants."""
     flags = parser(__doc__)
-    flags.add_argument("--episodes", type=int, default=300)
+    flags.add_argument("--episodes", type=count, default=300)
     options = flags.parse_args()
     torch.set_num_threads(1)
     result: dict[str, Any] = {"episodes": options.episodes, "variants": {}}
@@ -67,9 +67,9 @@ def main() -> None:
     for name, choices in track(VARIANTS.items(), console=Console(stderr=True)):
         counts = explore(choices, options.episodes)
         row = {}
-        for what, count in counts.items():
-            test = stats.binomtest(int(count), options.episodes).proportion_ci(method="wilson")
-            row[what] = [count / options.episodes, float(test.low), float(test.high)]
+        for what, number in counts.items():
+            test = stats.binomtest(int(number), options.episodes).proportion_ci(method="wilson")
+            row[what] = [number / options.episodes, float(test.low), float(test.high)]
         result["variants"][name] = row
         if not table.row_count:
             for what in counts:

@@ -20,7 +20,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.command import write
+from benchmarks.command import count, write
 from benchmarks.figures import DOCS, curve
 from tactilerl.algos.mpi import Communicator
 from tactilerl.runs import evaluation
@@ -93,7 +93,7 @@ def main() -> None:
     flags = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     flags.add_argument("name", help="of the files in docs/data")
     flags.add_argument("runs", nargs="+", type=Path, help="run folders")
-    flags.add_argument("--episodes", type=int, default=100, help="of the evaluation")
+    flags.add_argument("--episodes", type=count, default=100, help="of the evaluation")
     options = flags.parse_args()
     found = [examined(run, options.episodes) for run in options.runs]
     show(options.name, found, options.episodes)

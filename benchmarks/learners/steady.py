@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.command import parser, run_missing
+from benchmarks.command import count, parser, run_missing
 from benchmarks.peers.solve import Act, Looks, play, sb3_ddpg
 from tactilerl import envs, statistics
 from tactilerl.algos import recipes
@@ -151,8 +151,8 @@ def main() -> None:
     """What is missing of all contenders, tasks and seeds; seeds outermost."""
     flags = parser(__doc__)
     contenders = [*VARIANTS, PEER]
-    flags.add_argument("--jobs", type=int, default=1)
-    flags.add_argument("--seeds", type=int, default=5)
+    flags.add_argument("--jobs", type=count, default=1)
+    flags.add_argument("--seeds", type=count, default=5)
     flags.add_argument("--first-seed", type=int, default=10, help="10000 and more for pilots")
     flags.add_argument("--only", nargs="+", choices=contenders, default=contenders, metavar="NAME")
     flags.add_argument("--tasks", nargs="+", choices=TASKS, default=[*TASKS], metavar="TASK")

@@ -15,7 +15,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.command import parser, write
+from benchmarks.command import count, parser, write
 from benchmarks.timing import Watches
 from tactilerl.algos.mpi import Communicator
 from tactilerl.runs import checkpoint
@@ -66,7 +66,7 @@ def main() -> None:
     flags = parser(__doc__)
     flags.add_argument("run", type=Path)
     flags.add_argument("--hold-verdict", choices=("full", "settled"), default="full")
-    flags.add_argument("--rounds", type=int, default=1)
+    flags.add_argument("--rounds", type=count, default=1)
     options = flags.parse_args()
     result = shares(options.run, options.hold_verdict, options.rounds)
     table = Table("", "share of the time", title=f"{options.run}, hold verdict {options.hold_verdict}")

@@ -22,7 +22,7 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.command import ROOT, parser, write
+from benchmarks.command import ROOT, count, parser, write
 from tactilerl.runs import checkpoint
 from tactilerl.runs.config import RunConfig
 from tactilerl.runs.run_dir import RunDir
@@ -100,7 +100,7 @@ def main() -> None:
     flags = parser(__doc__)
     flags.add_argument("--checkout", type=Path, required=True, help="of the earlier version")
     flags.add_argument("--run", type=Path, nargs="+", required=True, help="trained runs of PPO")
-    flags.add_argument("--cores", type=int, default=2)
+    flags.add_argument("--cores", type=count, default=2)
     options = flags.parse_args()
     table = Table("run", "earlier, steps/s", "now, steps/s", "ratio")
     result = {}

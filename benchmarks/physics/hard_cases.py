@@ -23,7 +23,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.command import earlier, parser, write
+from benchmarks.command import count, earlier, parser, write
 from benchmarks.physics.speed_vs_error import deepest
 from tactilerl.envs.grasp import EJECTED, GraspConfig, GraspEnv, setup
 
@@ -206,7 +206,7 @@ def main() -> int:
     flags.add_argument("--hand", choices=("shadow", "mpl"), action="append")
     flags.add_argument("--simulator", choices=("mujoco", "pybullet"), action="append")
     flags.add_argument("--case", choices=CASES, action="append")
-    flags.add_argument("--steps", type=int, default=1000, help="control steps of each case")
+    flags.add_argument("--steps", type=count, default=1000, help="control steps of each case")
     options = flags.parse_args()
     result = earlier(options.out)
     is_ok = True

@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy import stats
 
-from benchmarks.command import earlier, parser, write
+from benchmarks.command import count, earlier, parser, write
 from tactilerl import envs
 from tactilerl.envs import scripted
 from tactilerl.envs.hands import Array, ClosingAction
@@ -201,7 +201,7 @@ def main() -> None:
     flags.add_argument("--run", type=Path, nargs="*", default=[], help="folders of trained runs")
     pairs = [f"{hand}/{simulator}" for hand, simulator in PAIRS]
     flags.add_argument("--scripted", nargs="*", default=pairs, choices=pairs, metavar="HAND/SIMULATOR")
-    flags.add_argument("--holds", type=int, default=150)
+    flags.add_argument("--holds", type=count, default=150)
     flags.add_argument("--push", action="store_true", help="hold a third time, 1 µm aside")
     flags.add_argument("--early", nargs="*", default=[], metavar="FIELD=VALUE", help="of HoldTest")
     options = flags.parse_args()

@@ -28,7 +28,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from benchmarks.command import earlier, parser, write
+from benchmarks.command import count, earlier, parser, write
 from benchmarks.physics.free_motion import BRICK, BULLET, fall, swing
 from tactilerl.envs import hands, scripted
 from tactilerl.envs.grasp import GraspEnv, setup
@@ -349,8 +349,8 @@ def main() -> None:
     flags = parser(__doc__)
     flags.add_argument("--hand", choices=sorted(SIZES), action="append")
     flags.add_argument("--simulator", choices=sorted(SETTINGS), action="append")
-    flags.add_argument("--grasps", type=int, default=5, help="of each cube")
-    flags.add_argument("--jobs", type=int, default=1, help="hands and simulators side by side")
+    flags.add_argument("--grasps", type=count, default=5, help="of each cube")
+    flags.add_argument("--jobs", type=count, default=1, help="hands and simulators side by side")
     options = flags.parse_args()
     result = earlier(options.out)
     pairs = [

@@ -18,7 +18,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.command import parser, write
+from benchmarks.command import count, parser, write
 from tactilerl import envs
 from tactilerl.envs import hands, layouts, scripted, simulators, touch
 from tactilerl.envs.grasp import GraspEnv
@@ -132,7 +132,7 @@ def cell(rows: list[dict[str, Any]], layout: str, rule: str, phase: str) -> str:
 def main() -> None:
     """All hands in all simulators."""
     flags = parser(__doc__)
-    flags.add_argument("--grasps", type=int, default=20)
+    flags.add_argument("--grasps", type=count, default=20)
     options = flags.parse_args()
     results, console = {}, Console(width=150)
     for hand in hands.HANDS:

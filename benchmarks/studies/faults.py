@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.command import earlier, parser, write
+from benchmarks.command import count, earlier, parser, write
 from benchmarks.studies.answer import line, mean
 from tactilerl.commands import cli
 
@@ -62,7 +62,7 @@ def main() -> None:
     """Play what is missing, then print the tables."""
     flags = parser(__doc__)
     flags.add_argument("runs", nargs="+", type=Path)
-    flags.add_argument("--episodes", type=int, default=100)
+    flags.add_argument("--episodes", type=count, default=100)
     options = flags.parse_args()
     known = earlier(options.out)
     for run in options.runs:

@@ -11,7 +11,7 @@ import dataclasses
 import itertools
 from typing import Any
 
-from benchmarks.command import earlier, parser, write
+from benchmarks.command import count, earlier, parser, write
 from tactilerl.algos.mpi import Communicator
 from tactilerl.envs import scenes, tasks
 from tactilerl.envs.grasp import setup
@@ -81,8 +81,8 @@ def _cell(found: dict[str, Any] | None) -> str:
 def main() -> None:
     """Play what is missing, then print all tables."""
     flags = parser(__doc__)
-    flags.add_argument("--starts", type=int, default=200)
-    flags.add_argument("--search", type=int, default=20)
+    flags.add_argument("--starts", type=count, default=200)
+    flags.add_argument("--search", type=count, default=20)
     options = flags.parse_args()
     known = earlier(options.out)
     for table, wanted in tables().items():

@@ -14,7 +14,7 @@ from contextlib import closing
 import numpy as np
 from scipy import stats
 
-from benchmarks.command import parser, write
+from benchmarks.command import count, parser, write
 from benchmarks.studies.probe_tables import NAMES
 from tactilerl.envs.grasp import setup
 from tactilerl.probe.grasps import Scenes, ScriptedGrasps
@@ -61,7 +61,7 @@ def main() -> None:
     """Print a table, write JSON after each hand."""
     flags = parser(__doc__)
     flags.add_argument("--hands", nargs="+", default=["shadow", "mpl"])
-    flags.add_argument("--grasps", type=int, default=300)
+    flags.add_argument("--grasps", type=count, default=300)
     options = flags.parse_args()
     results = {}
     for hand in options.hands:

@@ -16,7 +16,7 @@ from typing import Any
 
 import psutil
 
-from benchmarks.command import parser, write
+from benchmarks.command import count, parser, write
 
 FLAGS = {"env": "lqr", "hidden": 8, "steps_per_epoch": 60, "n_passes": 1, "total_timesteps": 60}
 ALONE = 5  # plain runs to compare with
@@ -74,8 +74,8 @@ def measure(runs: int, jobs: int) -> dict[str, Any]:
 def main() -> None:
     """Measure, show, write."""
     flags = parser(__doc__)
-    flags.add_argument("--runs", type=int, default=1000)
-    flags.add_argument("--jobs", type=int, default=2)
+    flags.add_argument("--runs", type=count, default=1000)
+    flags.add_argument("--jobs", type=count, default=2)
     options = flags.parse_args()
     result = measure(options.runs, options.jobs)
     print(json.dumps(result, indent=1))

@@ -69,6 +69,11 @@ USED |= {field.name for field in dataclasses.fields(ObjectConfig)} - {"jitter"}
 
 def _require_used(scene: GraspConfig, env: str) -> None:
     """InputError for flags of the scene on which scripted grasps of one object do not depend."""
+    if scene.task == "handover":
+        raise InputError(
+            "--task: found handover, allowed tasks whose object lies on the ground, where the grasps "
+            "here are played; for a handover use tactilerl gate"
+        )
     for name, usual in vars(setup(env)).items():
         if name not in USED and (found := getattr(scene, name)) != usual:
             flag = flags.of_field(name)

@@ -42,7 +42,7 @@ ABOUT = About(
 
 def main(args: list[str]) -> int:
     """`tactilerl probe`: exit 130 when it was interrupted."""
-    with input_errors("--scene"):
+    with input_errors():
         scene = flags.peek(args, "--scene", "")
         usual = Options(GraspFlags.of_scene(scene) if scene else GraspFlags())
     read = flags.parse(Options, args, "tactilerl probe", usual, ABOUT)
@@ -60,7 +60,7 @@ def main(args: list[str]) -> int:
                 with interrupts.in_order():
                     played, out = run.grasps(read, comm, held, bar.show)
             except KeyboardInterrupt:
-                kept = f"{bar.done} of {read.grasp.grasps} grasps are kept; the same command goes on"
+                kept = f"{bar.done} of {read.grasp.grasps} grasps are kept; repeat the command to go on"
                 print(f"tactilerl: interrupted; {kept}", file=sys.stderr)
                 return 130
         if comm.rank > 0:
@@ -148,7 +148,7 @@ def _print(result: dict[str, Any], out: Path) -> None:
         if "lead" in row:
             low, high = row["lead_interval"]
             console.print(
-                f"layout {row['layout']}: {row['taxels']} taxels chosen from the skin tell "
+                f"layout {row['layout']}: {row['taxels']} taxels chosen from the skin gain "
                 f"{row['lead']:+.3f} ({low:+.3f} – {high:+.3f}) more"
             )
     for path in result.get("selection", {}).get("files", ()):
@@ -171,7 +171,7 @@ def _print_differences(found: list[dict[str, Any]]) -> None:
         )
     if found and not clear:
         console.print(
-            f"of {len(found)} comparisons, none shows that a layout tells more of the outcome"
+            f"in none of {len(found)} comparisons does one layout clearly predict the outcome better"
         )
 
 
@@ -181,7 +181,7 @@ def _table(
     """A row for each that is told something else, a column for each measure that there is."""
     found = {(row["told"], row["layout"], row["metric"]): row for row in rows}
     metrics = [metric for metric in columns if any(row["metric"] == metric for row in rows)]
-    table = Table("told", title=title, box=box.SIMPLE_HEAD)
+    table = Table("features", title=title, box=box.SIMPLE_HEAD)
     for heading in ("taxels", *(columns[metric][0] for metric in metrics)):
         table.add_column(heading, justify="right", no_wrap=True)
     if "auc" in metrics:

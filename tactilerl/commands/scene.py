@@ -24,7 +24,7 @@ def read_scene(
     first, and of the scene's those that `about` names."""
     own = [field.name for field in dataclasses.fields(kind)]  # type: ignore[arg-type]
     about = about._replace(first=("named_scene", "env", *about.first, *own))
-    with input_errors("--scene"):
+    with input_errors():
         name = flags.peek(args, "--scene", "")
         named = scenes.load(name) if name else None
     command: Any = kind()

@@ -22,11 +22,11 @@ SEARCH = 1_000_000  # starts of the search are not those of the comparison
 TELLS = 0.3  # what a scene must leave to win to tell anything
 NO_FAULTS: dict[str, Any] = {**dataclasses.asdict(TaxelFaults()), "taxel_delay": 0}
 SENSES = {
-    "blind": ("time", "waits a fixed time"),
-    "joints": ("joints", "goes by the joints and the hand's position"),
-    "sight": ("sight", "goes by the object as the scene shows it"),
-    "touch": ("touch", "goes by the number of taxels that fire"),
-    "sighted": ("sight", "sees the object exactly"),
+    "blind": ("time", "a fixed time has passed"),
+    "joints": ("joints", "the joints or the hand have moved"),
+    "sight": ("sight", "the object looks near in the scene"),
+    "touch": ("touch", "enough taxels fire"),
+    "sighted": ("sight", "the object is in place, seen exactly"),
 }
 
 

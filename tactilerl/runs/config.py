@@ -198,7 +198,7 @@ def defaults(
 
     With another learner than the scene's own, the scene's hyperparameters are left out.
     """
-    with input_errors("--scene"):
+    with input_errors():
         named = scenes.load(scene) if scene else NamedScene(env=RunOptions.env)
     own = named.train.get("algo", RunOptions.algo)
     algo, env = algo or own, env or named.env

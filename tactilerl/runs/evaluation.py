@@ -83,6 +83,8 @@ def by_object(played: list[dict[str, Any]]) -> list[dict[str, Any]]:
         "height": [thing["size"][2] for thing in objects],
         **{name: [thing[name] for thing in objects] for name in ("density", "friction")},
     }
+    if measures["height"] == measures["width"]:  # cubes and spheres: one measure
+        del measures["height"]
     for name, values in measures.items():
         parts += _thirds(name, np.array(values))
     rows = ((what, successes[chosen]) for what, chosen in parts)
