@@ -1,6 +1,6 @@
 """Contenders in solving: seconds and steps until a toy with a known optimum is solved.
 
-Both libraries get the hyperparameters of tests/test_toy_learning.py. What cannot be made equal:
+Both libraries get the hyperparameters of tests/algos/test_toy_learning.py. What cannot be made equal:
 
 - PPO: Stable-Baselines3 clips the gradient of actor and critic together, normalises advantages
   in each minibatch, and its mean action has no tanh. Its policy's variance is fixed and its first

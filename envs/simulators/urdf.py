@@ -2,7 +2,7 @@
 
 Every body becomes a link of the same name and frame; a body with several joints hangs on
 massless links, one for each joint but the last. Poses, joint ranges, masses and inertias
-carry over to the last digit (tests/test_simulators.py), what URDF cannot say does not:
+carry over to the last digit (tests/envs/test_simulators.py), what URDF cannot say does not:
 tendons, armature, actuators, friction, contact filters.
 """
 

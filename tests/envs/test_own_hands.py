@@ -19,7 +19,7 @@ from tactilerl.pictures import hand_map, places
 from tactilerl.probe import grasp_search
 from tactilerl.runs.run_dir import RunDir
 
-FILES = Path(__file__).parent / "hands"
+FILES = Path(__file__).parents[1] / "hands"
 GRIPPER = str(FILES / "gripper.toml")
 
 

@@ -1,8 +1,8 @@
 """Thousands of mutated flags, files and arguments: each ends with one line, none with a traceback, no
 flipped bit passes, and nothing is written outside of the folder where it happens.
 
-`pytest -m slow -s tests/test_fuzz.py` tries all and prints how many that were; without `-m slow`
-a few of each are tried."""
+`pytest -m slow -s tests/commands/test_fuzz.py` tries all and prints how many that were; without
+`-m slow` a few of each are tried."""
 
 import contextlib
 import gzip
@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from grasp_records import ASKED, synthetic
 from study_records import make_study
-from test_probe import ASKED, synthetic
 
 import tactilerl
 from tactilerl.commands.cli import main

@@ -9,7 +9,7 @@ from tactilerl.commands.cli import main
 from tactilerl.errors import InputError
 from tactilerl.study import check, grid
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 GOOD = """
 name = "toy"
 [compare]

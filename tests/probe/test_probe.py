@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from grasp_records import ASKED, TOUCHED, synthetic
 from sklearn.metrics import balanced_accuracy_score, r2_score, roc_auc_score
 from threadpoolctl import threadpool_info, threadpool_limits
 
@@ -35,7 +36,6 @@ from tactilerl.runs.files import locked
 
 DRAWN = Perturbation(("box",), (0.04, 0.05), (1.0,), 0.02, 0.5, (0.7, 1.1), 0.1)
 MPL = setup("mpl", simulator="mujoco")
-ASKED = ["--joint-noise", "0", "--resamples", "200", "--shuffles", "2", "--folds", "2", "--workers=1"]
 
 
 def start(workers=1, config=MPL):
@@ -286,31 +286,6 @@ class TestMetrics:
         truth, guess = self.rng.integers(3, size=(2, 60))
         expected = map(balanced_accuracy_score, self.repeated(truth), self.repeated(guess))
         assert np.allclose(metrics.BALANCED_ACCURACY(truth, guess, self.weights), list(expected))
-
-
-TOUCHED = ("index", "distal")
-
-
-def synthetic(hand, touches):
-    """Grasps of a hand with its links far apart, whose joints never differ; where `touches`, a cube
-    lies on the tip of the index finger, elsewhere far from everything."""
-    touches = np.array(touches, bool)
-    n, links = len(touches), links_of(hand)
-    surface = next(s for s in hand.surfaces if (s.digit, s.segment) == TOUCHED)
-    apart = np.column_stack([np.arange(len(links)), np.zeros((len(links), 2))])
-    on_tip = apart[links.index(surface.link)] + surface.place(0, 0)[0] + 0.02 * np.array(surface.palmar)
-    return {
-        "held": touches.copy(),
-        "broken": np.zeros(n, bool),
-        "joint_positions": np.zeros((n, len(hand.joints))),
-        "link_positions": np.tile(apart, (n, 1, 1)),
-        "link_rotations": np.tile(np.eye(3), (n, len(links), 1, 1)),
-        "object_position": np.where(touches[:, None], on_tip, on_tip + np.array([0, 5.0, 0])),
-        "object_orientation": np.tile([1.0, 0, 0, 0], (n, 1)),
-        "object_kind": np.zeros(n, int),
-        "object_half_size": np.full((n, 3), 0.02),
-        "contact": np.zeros((n, 0), bool),
-    }
 
 
 def write(path, records):

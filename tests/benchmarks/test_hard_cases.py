@@ -11,7 +11,7 @@ import pytest
 from benchmarks.physics import hard_cases
 from tactilerl.envs.grasp import GraspEnv, setup
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 PAIRS = [(hand, simulator) for hand in ("shadow", "mpl") for simulator in ("mujoco", "pybullet")]
 SLOWEST = ("shadow", "pybullet")
 

@@ -10,7 +10,7 @@ import pytest
 
 from tactilerl.commands import cli
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 POLICIES = ROOT / "examples" / "policies"
 TOY = ["--algo", "ddpg_her", "--env", "point-reach", "--n-cycles", "1", "--n-test-rollouts", "0"]
 RATES = {"handover_touch": (0.6, 1.0), "handover_blind": (0.0, 0.4), "shadow_lift": (0.7, 1.0)}

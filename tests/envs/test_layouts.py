@@ -176,7 +176,7 @@ def test_the_map_of_a_hand_lights_the_taxels_that_fire(hand):
     assert (np.sum(changed, axis=0) <= 1).all()
 
 
-CHOSEN = sorted((Path(__file__).resolve().parents[1] / "docs" / "data" / "chosen").glob("*.toml"))
+CHOSEN = sorted((Path(__file__).resolve().parents[2] / "docs" / "data" / "chosen").glob("*.toml"))
 
 
 @pytest.mark.parametrize("file", CHOSEN, ids=lambda file: file.stem)
@@ -203,5 +203,5 @@ def test_the_guide_says_how_much_room_there_is(name):
                         (("high", others), ("half_width", tips + others)))  # fmt: skip
         cells.append((f"−{low} to {high}", ends, widths))
     row = " | ".join(f"{finger} (thumb: {thumb})" for finger, thumb in zip(*cells, strict=True))
-    guide = Path(__file__).parents[1] / "docs/guides/layouts.md"
+    guide = Path(__file__).parents[2] / "docs/guides/layouts.md"
     assert f"Hand | {row} |" in guide.read_text(encoding="utf-8"), row
