@@ -30,6 +30,16 @@ COLOURS = dict(zip(("main", "control"), figures.ARMS, strict=False))
 SIGHTED = "no touch, but sight"
 PAIR = "MPL, MuJoCo"  # of the probe's results: the hand and simulator of the handover scenes
 ARMS = {"main": "touch", "control": "no touch", "absent": "no touch, and no inputs for it"}
+BETWEEN = {
+    ("2", "4"): "places of the 79 taxels",
+    ("2", "3"): "the 15 taxels in the middle of phalanges",
+    ("1", "2"): "60 more taxels",
+    ("2", "5"): "60 more taxels",
+    ("6", "5"): "radius of the 19 taxels",
+    ("1", "6"): "120 more taxels, but smaller ones",
+}
+"""Layouts that the paper compares, or that differ in one thing."""
+FAULTS = {"dead": "a fifth of the taxels dead", "late": "readings one step (0.1 s) late"}
 BySeed = verdicts.BySeed
 
 
@@ -104,6 +114,34 @@ def layouts(name: str) -> None:
             estimate(pairs.difference, "+.2f"), p_value(verdict), mean(finals.values()),
             f"{scripted[where]:.2f}" if where in scripted else "",
         )  # fmt: skip
+
+
+def between(name: str) -> None:
+    """Layouts with touch against each other, in pairs: what the paper says of them."""
+    study, found = load(name)
+    (setup,) = study.setups
+    area = {cell: verdicts.by_seed(found, setup, cell, "main", "area") for cell in setup.cells}
+    pairs = [verdicts.in_pairs(*(area[f"layout {each}"] for each in both)) for both in BETWEEN]
+    line("layouts", "they differ in", "pairs", "difference", "p, Holm", head=True)
+    corrected = statistics.holm([each.p_value for each in pairs])
+    for ((a, b), what), each, p in zip(BETWEEN.items(), pairs, corrected, strict=True):
+        line(f"{a} − {b}", what, len(each), estimate(each.difference, "+.2f"), f"{p:.3f}")
+
+
+def trained_with(name: str = "faults", without: str = "handover") -> None:
+    """Hands that learned with faulty touch, in pairs with those whose touch was sound or silent."""
+    study, found = load(name)
+    others, sound = load(without)
+    place = others.setups[0], others.setups[0].cells[0]
+    line("trained with", "pairs", "mean success", "− touch without faults", "− no touch", head=True)
+    for setup in study.setups:
+        own = verdicts.by_seed(found, setup, setup.cells[0], "", "area")
+        pairs = [
+            verdicts.in_pairs(own, verdicts.by_seed(sound, *place, arm, "area"))
+            for arm in ("main", "control")
+        ]
+        differences = (estimate(each.difference, "+.2f") for each in pairs)
+        line(FAULTS[setup.name], len(pairs[0]), mean(own.values()), *differences)
 
 
 def p_value(verdict: verdicts.Verdict) -> str:
@@ -251,6 +289,8 @@ TABLES: Mapping[str, tuple[str, Callable[[str], None]]] = {
         "study palm": ("handover_layouts", layouts),
         "study orders": ("handover_fingers", orders),
         "study senses": ("senses", senses),
+        "study between": ("handover_fingers", between),
+        "study trained with faults": ("faults", trained_with),
     }.items()
     if is_there(one[0])
 }
