@@ -21,19 +21,18 @@ from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 from benchmarks.command import ROOT
 from benchmarks.studies import answer, probe_tables
 from tactilerl.envs import hands, layouts
-from tactilerl.pictures.hand_map import MARGIN, TaxelMap, panels
+from tactilerl.pictures.hand_map import TaxelMap
 from tactilerl.pictures.places import Place
 from tactilerl.probe.figures import hand_map
 from tactilerl.study import figures as study_figures
 from tactilerl.study.analysis import analyse
-from tactilerl.study.figures import ARMS, STYLE
 from tactilerl.study.records import load
+from tactilerl.style import ARMS, DPI, FAINT, HEAD, NAMES, OTHERS, STYLE, arm
 
 DOCS = ROOT / "docs"
 WINDOW = 100  # episodes of the running success rate
 SEEDS = range(3)
-SHIPPED = "#b03020"
-DPI = 130
+SETTING, SHIPPED = OTHERS[:2]
 # Picture: title, what is drawn, and for each panel its title and what its runs' files begin with.
 RUNS = {
     "learning_shadow_ppo": (
@@ -61,10 +60,9 @@ STUDIES = {
 }
 # Picture: the probe of which the first taxels chosen are shown.
 CHOSEN = {
-    "probe_chosen_shadow_mujoco": ("shadow", "Shadow, MuJoCo"),
-    "probe_chosen_mpl_pybullet": ("mpl", "MPL, PyBullet"),
+    "probe_chosen_shadow_mujoco": "Shadow, MuJoCo",
+    "probe_chosen_mpl_pybullet": "MPL, PyBullet",
 }
-HANDS = {"shadow": "Shadow Hand", "mpl": "MPL hand"}
 
 
 def curve(path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -89,7 +87,7 @@ def curve(path: Path) -> tuple[np.ndarray, np.ndarray]:
 def speed_against_error() -> None:
     """Every setting of every hand in every simulator; those on the front filled and named. Settings
     with the shipped one's errors to the last digit are the same physics, and left out."""
-    figure, grid = plt.subplots(2, 2, figsize=(10, 8.4), layout="constrained")
+    figure, grid = plt.subplots(2, 2, figsize=(9, 8), layout="constrained")
     named = []
     for axes, (name, table) in zip(grid.flat, data("speed_vs_error").items(), strict=True):
         shipped = table["settings"]["as shipped"]
@@ -104,25 +102,26 @@ def speed_against_error() -> None:
         for (setting, row), is_best in zip(held.items(), front, strict=True):
             is_shipped = setting == "as shipped"
             at = row["speed"], row["error_median_mm"]
-            colour = SHIPPED if is_shipped else ARMS[1]
+            colour = SHIPPED if is_shipped else SETTING
             style = "full" if is_best or is_shipped else "none"
             axes.plot(*at, "s" if is_shipped else "o", color=colour, fillstyle=style)
             if is_best or is_shipped:
                 labels.append(axes.text(*at, setting, fontsize=8, color=colour))
         hand, _, simulator = name.split()
-        axes.set_title(f"{HANDS[hand]} in {probe_tables.SIMULATORS[simulator]}", loc="left")
-        axes.set(yscale="log", xlabel="speed, shipped = 1", ylabel="median error, mm")
+        axes.set_title(f"{NAMES[hand]} in {NAMES[simulator]}")
+        axes.set(yscale="log", xlabel="speed, as shipped = 1", ylabel="median error, mm")
         axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_formatter(NullFormatter())
         axes.margins(0.14)
         points = np.array([(row["speed"], row["error_median_mm"]) for row in held.values()]).T
         named.append((axes, labels, points))
+    figure.suptitle("Physics settings: scripted grasps against a reference with small steps", **HEAD)
     figure.canvas.draw()  # so that the labels know where they are
     figure.set_layout_engine("none")
     for axes, labels, points in named:
         arrow = {"arrowstyle": "-", "color": "#888888", "lw": 0.6}
-        adjust_text(labels, *points, ax=axes, expand=(1.2, 1.7), arrowprops=arrow)
+        adjust_text(labels, *points, ax=axes, expand=(1.3, 1.8), arrowprops=arrow)
     save(figure, "speed_vs_error")
 
 
@@ -135,7 +134,7 @@ def learning_curves(name: str, title: str, what: str, files: dict[str, str]) -> 
     """A panel for each group of runs: seeds thin, their mean thick."""
     columns = min(2, len(files))
     rows = -(-len(files) // columns)
-    size = (4.4 * columns, 3.1 * rows) if columns > 1 else (7.2, 3.6)
+    size = (3.5 * columns, 2.6 * rows + 0.4) if columns > 1 else (7, 3.5)
     figure, grid = plt.subplots(
         rows, columns, figsize=size, sharex=True, sharey=True, squeeze=False, layout="constrained"
     )
@@ -144,18 +143,20 @@ def learning_curves(name: str, title: str, what: str, files: dict[str, str]) -> 
         steps = np.unique(np.concatenate([steps for steps, _ in curves]))
         steps = steps[steps <= min(steps[-1] for steps, _ in curves)]
         mean = np.mean([np.interp(steps, *each) for each in curves], axis=0)
-        axes.plot(steps, mean, color=ARMS[0], lw=2.5, label=f"main, mean of {len(curves)} seeds")
-        for one, (at, rate) in enumerate(curves):
-            axes.plot(at, rate, color=study_figures.INK, lw=0.7, label="a seed" if not one else "")
-        axes.set_title(panel, loc="left")
+        label = f"{arm('main')}, mean of {len(curves)} runs"
+        axes.plot(steps, mean, color=ARMS[0], lw=2.5, label=label)
+        for at, rate in curves:
+            axes.plot(at, rate, color=ARMS[0], lw=0.8, alpha=0.7)
+        axes.plot([], [], color=FAINT, lw=0.8, label="a run")
+        axes.set_title(panel)
         axes.set(ylim=(-0.02, 1.02))
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))
     for axes in grid[-1]:
         axes.set_xlabel("environment steps")
     figure.supylabel(what, fontsize="medium")
-    figure.suptitle(title, x=0.01, ha="left")
+    figure.suptitle(title, **HEAD)
     handles, labels = grid.flat[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False)
+    figure.legend(handles, labels, loc="outside lower center", ncols=2)
     save(figure, name)
 
 
@@ -167,36 +168,25 @@ def study_curves(name: str, study: str, setup: str) -> None:
     (DOCS / "images" / f"{name}.png").write_bytes(picture)
 
 
-def chosen_taxels(name: str, env: str, result: dict[str, Any]) -> None:
+def chosen_taxels(name: str, result: dict[str, Any]) -> None:
     """Where the taxels that a probe chose lie, in their order."""
     places = [Place(**place) for place in result["selection"]["places"]]
-    where = probe_tables.SIMULATORS[result["simulator"]]
-    figure = hand_map(
-        hands.get(env), places, f"{HANDS[env]} in {where}: first {len(places)} taxels chosen"
-    )
-    out = DOCS / "images" / f"{name}.png"
-    figure.savefig(out, dpi=180, bbox_inches="tight", metadata={"Software": None})
+    hand, simulator = NAMES[result["env"]], NAMES[result["simulator"]]
+    title = f"{hand} in {simulator}: the first {len(places)} taxels chosen"
+    save(hand_map(hands.get(result["env"]), places, title), name)
 
 
 def layouts_unrolled() -> None:
     """The paper's six, on the Shadow Hand."""
-    hand, height = hands.get("shadow"), 600
-    figure, grid = plt.subplots(2, 3, figsize=(9, 7.2), layout="constrained")
-    pads = panels(hand)
+    hand, height = hands.get("shadow"), 900
+    figure, grid = plt.subplots(2, 3, figsize=(7.4, 6.4), layout="constrained")
     for axes, name in zip(grid.flat, layouts.PAPER, strict=True):
         layout = layouts.load(name)
         taxels = layout.place(hand)
-        drawn = TaxelMap(hand, taxels, height)
-        axes.imshow(drawn.picture(np.zeros(len(taxels), bool)))
-        title = f"layout {name}, {len(taxels)} taxels\n{layout.description}"
-        axes.set_title(title, loc="left", pad=16)
-        left = min(pad.x - pad.half_width for pad in pads)
-        right = max(pad.x + pad.half_width for pad in pads)
-        for surface, pad in zip(hand.surfaces, pads, strict=True):
-            if surface.segment == "distal":
-                at = (pad.x - left + MARGIN) / (right - left + 2 * MARGIN)
-                axes.text(at, 1.0, surface.digit, transform=axes.transAxes, ha="center", fontsize=7)
+        axes.imshow(TaxelMap(hand, taxels, height).picture(np.zeros(len(taxels), bool)))
+        axes.set_title(f"layout {name}, {len(taxels)} taxels\n{layout.description}", fontsize="medium")
         axes.axis("off")
+    figure.suptitle("Shadow Hand: the paper's six layouts", **HEAD)
     save(figure, "layouts")
 
 
@@ -220,8 +210,8 @@ def main() -> None:
         answer.draw(DOCS / "images")
         for name, (title, what, files) in RUNS.items():
             learning_curves(name, title, what, files)
-        for name, (env, pair) in CHOSEN.items():
-            chosen_taxels(name, env, probes[pair])
+        for name, pair in CHOSEN.items():
+            chosen_taxels(name, probes[pair])
     probe_tables.figure(probes, DOCS / "images" / "probe_selection.png")
     for name, (study, setup) in STUDIES.items():
         study_curves(name, study, setup)

@@ -6,30 +6,29 @@ python -m benchmarks answer
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter
 from scipy.stats import spearmanr
 
 from benchmarks.command import ROOT, earlier
 from benchmarks.studies import gates
-from tactilerl import statistics
+from tactilerl import statistics, style
 from tactilerl.statistics import Array, Estimate
-from tactilerl.study import figures, records, verdicts
+from tactilerl.study import records, verdicts
 from tactilerl.study.grid import Study
 from tactilerl.study.records import Record
 
-DPI = 130
 DATA = ROOT / "docs" / "data"
 CHOSEN = re.compile(r"layout \S*_(\d+)\.toml")
-COLOURS = dict(zip(("main", "control"), figures.ARMS, strict=False))
+COLOURS = dict(zip(("main", "control"), style.ARMS, strict=False))
 SIGHTED = "no touch, but sight"
 PAIR = "MPL, MuJoCo"  # of the probe's results: the hand and simulator of the handover scenes
-ARMS = {"main": "touch", "control": "no touch", "absent": "no touch, and no inputs for it"}
 BETWEEN = {
     ("2", "4"): "places of the 79 taxels",
     ("2", "3"): "the 15 taxels in the middle of phalanges",
@@ -65,7 +64,7 @@ def decides(name: str = "handover") -> None:
     study, found = load(name)
     main, sighted = study.setups
     (cell,) = main.cells
-    arms = {ARMS[each]: (main, cell, each) for each in main.arms}
+    arms = {style.ROLES[each]: (main, cell, each) for each in main.arms}
     arms[SIGHTED] = sighted, sighted.cells[0], ""
     line("arm", "runs", "mean success over the run", "over its last tenth", head=True)
     for title, place in arms.items():
@@ -87,8 +86,9 @@ def worth(name: str = "handover") -> None:
         }
         area = pairs["area"]
         line(
-            f"{ARMS['main']} − {ARMS[other]}", len(area), estimate(area.difference, "+.2f"),
-            f"{area.p_value:.3f}", estimate(pairs["final"].difference, "+.2f"),
+            f"{style.ROLES['main']} − {style.ROLES[other]}", len(area),
+            estimate(area.difference, "+.2f"), f"{area.p_value:.3f}",
+            estimate(pairs["final"].difference, "+.2f"),
         )  # fmt: skip
     share = verdicts.headroom(study, setup, cell, found, statistics.N_RESAMPLES)
     if share is not None:
@@ -235,49 +235,56 @@ def line(*cells: object, head: bool = False) -> None:
 def draw(folder: Path) -> None:
     """Learning curves where touch decides (study.png), and what each layout reaches where they decide
     (study_layouts.png)."""
-    study, found = load("handover")
+    pictures = {
+        "study": (_curves, "handover", 3, "MPL hand in MuJoCo, PPO, layout 2, 30,000 steps"),
+        "study_layouts": (_layouts, "handover_fingers", 2, "MPL hand in MuJoCo, PPO, 30,000 steps"),
+    }
+    for name, (fill, study, columns, title) in pictures.items():
+        picture = Figure(figsize=(7, 3.5), layout="constrained")
+        fill(picture.subplots(), *load(study))
+        picture.suptitle(title, **style.HEAD)
+        picture.legend(loc="outside lower center", ncols=columns)
+        picture.savefig(folder / f"{name}.png", dpi=style.DPI, metadata={"Software": None})
+
+
+def _curves(axes: Axes, study: Study, found: list[Record]) -> None:
+    """Every run thin, their mean thick."""
     setup = study.setups[0]
-    picture = Figure(figsize=(9, 4.2), layout="constrained")
-    axes = picture.subplots()
     for run_type in setup.arms[:2]:
         own = [r for r in found if r.run.setup == setup.name and r.run.arm == run_type]
-        _curves(axes, [r.curve(setup.measure) for r in own if r.state == "done"], run_type)
-    title = "Handover: MPL hand in MuJoCo, PPO, layout 2, 30,000 steps"
-    axes.set(title=title, xlabel="environment steps", ylabel="success rate", ylim=(0, 1.02))
-    axes.legend(loc="upper left")
-    picture.savefig(folder / "study.png", dpi=DPI, metadata={"Software": None})
-    if is_there("handover_fingers"):
-        picture = Figure(figsize=(9, 4.2), layout="constrained")
-        _layouts(picture.subplots(), "handover_fingers")
-        picture.savefig(folder / "study_layouts.png", dpi=DPI, metadata={"Software": None})
+        runs = [r.curve(setup.measure) for r in own if r.state == "done"]
+        steps = np.linspace(max(x[0] for x, _ in runs), min(x[-1] for x, _ in runs), 60)
+        curves = np.array([np.interp(steps, *run) for run in runs])
+        axes.plot(steps, curves.T, color=COLOURS[run_type], lw=0.8, alpha=0.6)
+        label = f"{style.arm(run_type)}, mean of {len(runs)} runs"
+        axes.plot(steps, curves.mean(axis=0), color=COLOURS[run_type], lw=2.5, label=label)
+    axes.plot([], [], color=style.FAINT, lw=0.8, label="a run")
+    axes.set(title="Handover to the palm", xlabel="environment steps", ylabel="success rate")
+    axes.set_ylim(0, 1.02)
+    axes.xaxis.set_major_formatter(EngFormatter(sep=""))
 
 
-def _curves(axes: Axes, runs: Sequence[tuple[Array, Array]], run_type: str) -> None:
-    """Every run thin, their mean thick."""
-    steps = np.linspace(max(x[0] for x, _ in runs), min(x[-1] for x, _ in runs), 60)
-    curves = np.array([np.interp(steps, *run) for run in runs])
-    axes.plot(steps, curves.T, color=COLOURS[run_type], lw=0.7, alpha=0.45)
-    label = f"{ARMS[run_type]}, mean of {len(runs)} runs"
-    axes.plot(steps, curves.mean(axis=0), color=COLOURS[run_type], lw=3, label=label)
-
-
-def _layouts(axes: Axes, name: str) -> None:
+def _layouts(axes: Axes, study: Study, found: list[Record]) -> None:
     """Success over the last tenth, each run and their mean."""
-    study, found = load(name)
     (setup,) = study.setups
-    labels = [label(cell).removeprefix("layout ") for cell in setup.cells]
+    labels = [label(cell).removeprefix("layout ").replace("of the ", "") for cell in setup.cells]
     for run_type, aside in zip(setup.arms, (-0.13, 0.13), strict=True):
+        colour, named = COLOURS[run_type], style.arm(run_type)
         for place, cell in enumerate(setup.cells):
             rates = list(verdicts.by_seed(found, setup, cell, run_type, "final").values())
-            x, colour = place + aside, COLOURS[run_type]
-            axes.plot([x] * len(rates), rates, "o", color=colour, ms=4, alpha=0.45, mew=0)
-            axes.plot([x - 0.12, x + 0.12], [np.mean(rates)] * 2, color=colour, lw=3) if rates else None
-    axes.set_xticks(range(len(labels)), [each.replace("of the ", "") for each in labels])
-    axes.set(title="Handover to the fingers: MPL hand in MuJoCo, PPO, 30,000 steps", xlabel="layout")
-    axes.set(ylabel="success rate, last tenth of training", ylim=(0, 1.02))
-    for run_type in setup.arms:
-        axes.plot([], [], "o", color=COLOURS[run_type], label=ARMS[run_type])
-    axes.legend()
+            x, is_first = place + aside, place == 0
+            axes.plot(
+                [x] * len(rates), rates, "o", color=colour, ms=4, alpha=0.45, mew=0, clip_on=False,
+                label=f"{named}, a run" * is_first,
+            )  # fmt: skip
+            axes.plot(
+                [x - 0.12, x + 0.12], [np.mean(rates)] * 2, color=colour, lw=2.5,
+                label=f"{named}, mean" * is_first,
+            )  # fmt: skip
+    axes.set_xticks(range(len(labels)), labels)
+    axes.set(title="Handover to the fingers", xlabel="layout", ylim=(0, 1.02))
+    axes.set_ylabel("success rate, last tenth of training")
+    axes.grid(axis="x", visible=False)
 
 
 TABLES: Mapping[str, tuple[str, Callable[[str], None]]] = {

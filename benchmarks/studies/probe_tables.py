@@ -18,12 +18,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from benchmarks.command import parser, write
-from tactilerl.probe.figures import BARE, LAYOUT, draw_selection
-from tactilerl.study.figures import STYLE
+from tactilerl.probe.figures import CHOSEN, LAYOUT, draw_selection
+from tactilerl.style import DPI, HEAD, NAMES, STYLE
 
-NAMES = {"shadow": "Shadow", "mpl": "MPL", "allegro": "Allegro"}
-SIMULATORS = {"mujoco": "MuJoCo", "pybullet": "PyBullet"}
-MARKS = ((BARE, "o", "-"), (LAYOUT, "s", ""))  # of the best taxels found, and of layouts
+HANDS = {"shadow": "Shadow", "mpl": "MPL", "allegro": "Allegro"}
+MARKS = ((CHOSEN, "o", "-"), (LAYOUT, "s", ""))  # of the best taxels found, and of layouts
 Results = dict[str, dict[str, Any]]
 """probe.json by the pair's name."""
 
@@ -31,7 +30,7 @@ Results = dict[str, dict[str, Any]]
 def in_words(pair: str) -> str:
     """Hand and simulator of a folder such as mpl_mujoco."""
     hand, _, simulator = pair.partition("_")
-    return f"{NAMES[hand]}, {SIMULATORS[simulator]}"
+    return f"{HANDS[hand]}, {NAMES[simulator]}"
 
 
 def gains(results: Results, noise: float) -> None:
@@ -102,20 +101,19 @@ def figure(results: Results, path: Path) -> None:
     with rc_context(STYLE):
         picture = Figure(figsize=(9, 6.6), layout="constrained")
         panels = picture.subplots(2, 2, sharex=True, sharey=True).flat
-        for (name, result), axes in zip(results.items(), panels, strict=False):
+        for result, axes in zip(results.values(), panels, strict=False):
             draw_selection(axes, result["selection"])
-            hand, simulator = name.split(", ")
-            axes.set_title(
-                f"{hand} hand in {simulator}: {result['grasps']:,} grasps, {result['held']:.0%} held",
-                loc="left",
-            )
+            hand, simulator = NAMES[result["env"]], NAMES[result["simulator"]]
+            axes.set_title(f"{hand} in {simulator}, {100 * result['held']:.0f} % of grasps held")
         for axes in picture.axes[2:]:
             axes.set_xlabel("number of taxels")
-        picture.supylabel("gain in AUC over joint angles with 0.05 rad of noise")
+        picture.supylabel("gain in AUC over joint angles with 0.05 rad of noise", fontsize="medium")
+        (grasps,) = {result["grasps"] for result in results.values()}
+        picture.suptitle(f"Prediction of whether a grasp will hold, {grasps:,} grasps each", **HEAD)
         line, square = (Line2D([], [], color=c, marker=m, ls=s) for c, m, s in MARKS)
         names = ["best taxels found, 95 % interval", "the paper's layouts 1 to 6, 95 % interval"]
-        picture.legend([line, square], names, loc="outside lower center", ncols=2, frameon=False)
-        picture.savefig(path, dpi=120, metadata={"Software": None})
+        picture.legend([line, square], names, loc="outside lower center", ncols=2)
+        picture.savefig(path, dpi=DPI, metadata={"Software": None})
 
 
 def _rows(result: dict[str, Any], question: str, metric: str, noise: float) -> dict[Any, Any]:

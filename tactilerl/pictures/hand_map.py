@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,13 +13,14 @@ from ..envs.layouts import Taxels
 from . import places
 from .places import Place
 
-COLUMN, ROW = (
-    38.0,
-    52.0,
-)  # mm between digits and between segments on the map, or more where they are large
-MARGIN = 6.0  # mm around all of it
+# All mm.
+COLUMN, ROW = 38.0, 52.0  # between digits and between segments on the map, or more where they are large
+MARGIN = 6.0  # around all of it
+EDGE = 3.0  # of a panel beyond the places of its outermost taxels, for they have a radius
+LETTERS = 10.0  # the height of a label
 ROUND = 0.4  # radius of a panel's corners, of half its width
 PAPER, PHALANX, TAXEL, LIT = (255, 255, 255), (224, 224, 224), (70, 90, 160), (255, 200, 0)
+LETTER = (20, 20, 20)
 
 
 class Panel(NamedTuple):
@@ -30,6 +33,14 @@ class Panel(NamedTuple):
     low: float
     high: float
     """Its ends, from there."""
+
+
+class Label(NamedTuple):
+    """A word on the map, and the middle of its baseline, mm."""
+
+    text: str
+    x: float
+    y: float
 
 
 def panels(hand: Hand) -> list[Panel]:
@@ -55,6 +66,21 @@ def panels(hand: Hand) -> list[Panel]:
         y = apart * segments[surface.digit].index(surface.segment)
         found.append(Panel(across * columns.index(surface.digit), y, half_width, low, high))
     return found
+
+
+def labels(hand: Hand, drawn: list[Panel]) -> list[Label]:
+    """What each digit is called, above its tip, and below the palm what that is."""
+    both = list(zip(hand.surfaces, drawn, strict=True))
+    tips = [
+        Label(surface.digit, panel.x, panel.y + panel.high + EDGE + LETTERS / 3)
+        for surface, panel in both
+        if surface.segment == "distal"
+    ]
+    palm = [panel for surface, panel in both if surface.segment == "palm"]
+    if not palm:
+        return tips
+    middle = sum(panel.x for panel in palm) / len(palm)
+    return [*tips, Label("palm", middle, min(p.y + p.low for p in palm) - EDGE - LETTERS)]
 
 
 def point(place: Place, drawn: list[Panel]) -> tuple[float, float]:
@@ -107,14 +133,17 @@ class TaxelMap:
         drawn = panels(hand)
         left = min(panel.x - panel.half_width for panel in drawn) - MARGIN
         right = max(panel.x + panel.half_width for panel in drawn) + MARGIN
-        bottom = min(panel.y + panel.low for panel in drawn) - MARGIN
-        top = max(panel.y + panel.high for panel in drawn) + MARGIN
+        bottom = min(panel.y + panel.low for panel in drawn) - MARGIN - LETTERS
+        top = max(panel.y + panel.high for panel in drawn) + MARGIN + LETTERS
         n_columns = 2 * round(height * (right - left) / (top - bottom) / 2)  # even: films want that
         x = np.linspace(left, right, n_columns)
         y = np.linspace(top, bottom, height)[:, None]
         self._blank = np.full((height, n_columns, 3), PAPER, np.uint8)
         for panel in drawn:
             self._blank[_inside(x, y, panel)] = PHALANX
+        scale = height / (top - bottom)
+        words = [(text, (x - left) * scale, (top - y) * scale) for text, x, y in labels(hand, drawn)]
+        self._blank = lettered(self._blank, words, LETTERS * scale, "ms")
         self._discs = []
         for place in places.of(taxels):
             across, up = point(place, drawn)
@@ -130,9 +159,20 @@ class TaxelMap:
 
 def _inside(x: Array, y: Array, panel: Panel) -> Array:
     """Which points lie in a panel, whose corners are round."""
-    corner = ROUND * panel.half_width
-    middle, half_height = panel.y + (panel.low + panel.high) / 2, (panel.high - panel.low) / 2
-    beyond_x = np.maximum(np.abs(x - panel.x) - (panel.half_width - corner), 0.0)
+    corner, half_width = ROUND * panel.half_width + EDGE, panel.half_width + EDGE
+    middle, half_height = panel.y + (panel.low + panel.high) / 2, (panel.high - panel.low) / 2 + EDGE
+    beyond_x = np.maximum(np.abs(x - panel.x) - (half_width - corner), 0.0)
     beyond_y = np.maximum(np.abs(y - middle) - (half_height - corner), 0.0)
     is_inside: Array = np.hypot(beyond_x, beyond_y) <= corner
     return is_inside
+
+
+def lettered(
+    picture: Array, words: Sequence[tuple[str, float, float]], size: float, anchor: str
+) -> Array:
+    """With words at (x, y) in pixels, `size` of them high; `anchor` as in Pillow."""
+    drawn = importlib.import_module("PIL.Image").fromarray(picture)
+    draw = importlib.import_module("PIL.ImageDraw").Draw(drawn)
+    for text, x, y in words:
+        draw.text((x, y), text, fill=LETTER, font_size=size, anchor=anchor)
+    return np.array(drawn)

@@ -17,7 +17,7 @@ from ..envs.grasp import GraspConfig, GraspEnv
 from ..envs.hands import ScriptedGrasp
 from ..envs.simulators import Camera, Simulator
 from ..errors import InputError
-from .hand_map import TaxelMap
+from .hand_map import TaxelMap, lettered
 
 Pose = Literal["start", "grasp"]
 Follow = Literal["grasp", "hand", "nothing"]
@@ -163,12 +163,7 @@ class _Row:
 
 def _labelled(picture: np.ndarray, label: str) -> np.ndarray:
     """With a word in its corner."""
-    if not label:
-        return picture
-    drawn = importlib.import_module("PIL.Image").fromarray(picture)
-    draw = importlib.import_module("PIL.ImageDraw").Draw(drawn)
-    draw.text((12, 8), label, fill=(20, 20, 20), font_size=22)
-    return np.asarray(drawn)
+    return lettered(picture, [(label, 12, 8)], 22, "la") if label else picture
 
 
 def _map_of(env: GraspEnv, camera: Camera) -> TaxelMap | None:

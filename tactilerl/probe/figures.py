@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 
 from ..envs.hands import Hand
-from ..pictures.hand_map import ROUND, panels, point
+from ..pictures.hand_map import EDGE, ROUND, labels, panels, point
 from ..pictures.places import Place
+from ..style import DPI, FAINT, HEAD, INK, NAMES, OTHERS, STYLE
 
-BARE, LAYOUT, CHANCE = "#2b6cb0", "#e0a800", "0.7"  # as the arms of a study
-DPI = 160
-EDGE = 2.0  # mm of a pad beyond the places of its outermost taxels
+CHOSEN, LAYOUT = OTHERS[0], INK
 TICKS = (1, 2, 5, 10, 20, 50, 100)  # of a number of taxels
 
 
@@ -22,24 +21,27 @@ def draw(result: dict[str, Any], hand: Hand, out: Path) -> list[Path]:
     """All figures that there is something to draw for; the files written."""
     import matplotlib
 
-    matplotlib.use("Agg")
-    matplotlib.rcParams["svg.hashsalt"] = "tactilerl"  # the same file from the same figures
+    with matplotlib.rc_context(STYLE):
+        return _draw(result, hand, out)
+
+
+def _draw(result: dict[str, Any], hand: Hand, out: Path) -> list[Path]:
     figures = {"gain": _gains(result), "learning_curve": _learning(result)}
     skin = result["worth"]
     places = [Place(**place) for place in skin["places"]]
-    title = f"layout {skin['layout']}: information that each taxel adds to the joint angles"
+    title = f"{_title(result)}\nlayout {skin['layout']}: what each taxel adds to the joint angles"
     figures["worth"] = hand_map(hand, places, title, np.array(skin["bits"]))
     if "selection" in result:
-        figures["selection"] = _selection(result["selection"])
+        figures["selection"] = _selection(result)
         chosen = [Place(**place) for place in result["selection"]["places"]]
-        title = f"the first {len(chosen)} taxels chosen, in order"
+        title = f"{_title(result)}\nthe first {len(chosen)} taxels chosen"
         figures["selected"] = hand_map(hand, chosen, title)
     written = []
     for name, figure in figures.items():
         for suffix in ("png", "svg"):
             written.append(out / f"{name}.{suffix}")
             metadata = {"Date": None} if suffix == "svg" else None
-            figure.savefig(written[-1], dpi=DPI, bbox_inches="tight", metadata=metadata)
+            figure.savefig(written[-1], dpi=DPI, metadata=metadata)
     return written
 
 
@@ -68,14 +70,17 @@ def _gains(result: dict[str, Any]) -> Any:
             label=f"joint noise {noise:g} rad",
         )  # fmt: skip
         axes.set_xticks(range(len(some)), labels)
-    axes.axhline(0, color=CHANCE, zorder=0)
-    axes.set(xlabel="layout", ylabel="gain in AUC over joint angles", title=_title(result))
+    axes.axhline(0, color=FAINT, zorder=0)
+    axes.set(xlabel="layout", ylabel="gain in AUC over joint angles")
     axes.legend()
+    figure.suptitle(_title(result), **HEAD)
     return figure
 
 
 def _title(result: dict[str, Any]) -> str:
-    return f"{result['env']} in {result['simulator']}: {result['grasps']} grasps"
+    """Hand, simulator and number of grasps."""
+    hand = NAMES.get(result["env"], Path(result["env"]).name)
+    return f"{hand} in {NAMES[result['simulator']]}, {result['grasps']:,} grasps"
 
 
 def _learning(result: dict[str, Any]) -> Any:
@@ -90,19 +95,22 @@ def _learning(result: dict[str, Any]) -> Any:
             low, high = np.array([row["gain_interval"] for row in some]).T
             (line,) = axes.plot(n, gain, "o-", label=Path(layout).stem)
             axes.fill_between(n, low, high, color=line.get_color(), alpha=0.1)
-        axes.axhline(0, color=CHANCE, zorder=0)
+        axes.axhline(0, color=FAINT, zorder=0)
         axes.set(xlabel="grasps", title=f"joint noise {noise:g} rad")
     panels[0].set_ylabel("gain in AUC")
     panels[-1].legend(title="layout")
+    figure.suptitle(_title(result), **HEAD)
     return figure
 
 
-def _selection(selection: dict[str, Any]) -> Any:
+def _selection(result: dict[str, Any]) -> Any:
     figure, (axes,) = _figure(6, 3.6)
+    selection = result["selection"]
     draw_selection(axes, selection)
     noise = f"joint noise {selection['joint_noise']:g} rad"
-    axes.set(xlabel="taxels", ylabel="gain in AUC over joint angles", title=noise)
+    axes.set(xlabel="number of taxels", ylabel="gain in AUC over joint angles", title=noise)
     axes.legend()
+    figure.suptitle(_title(result), **HEAD)
     return figure
 
 
@@ -111,8 +119,8 @@ def draw_selection(axes: Any, selection: dict[str, Any]) -> None:
     curve = selection["curve"]
     n, gain = ([row[key] for row in curve] for key in ("taxels", "gain"))
     low, high = np.array([row["gain_interval"] for row in curve]).T
-    axes.plot(n, gain, "o-", color=BARE, label="chosen from the skin")
-    axes.fill_between(n, low, high, color=BARE, alpha=0.15)
+    axes.plot(n, gain, "o-", color=CHOSEN, label="chosen from the skin")
+    axes.fill_between(n, low, high, color=CHOSEN, alpha=0.15)
     for row in selection["layouts"]:
         ends = np.array(row["gain_interval"])[:, None]
         at = row["taxels"], row["gain"]
@@ -124,7 +132,7 @@ def draw_selection(axes: Any, selection: dict[str, Any]) -> None:
             Path(row["layout"]).stem, at, xytext=(-6 if is_left else 6, -9 if is_lower else 4),
             textcoords="offset points", ha="right" if is_left else "left",
         )  # fmt: skip
-    axes.axhline(0, color=CHANCE, zorder=0)
+    axes.axhline(0, color=FAINT, zorder=0)
     axes.set_xscale("log")
     axes.set_xticks(TICKS, [str(tick) for tick in TICKS])
     axes.minorticks_off()
@@ -135,23 +143,23 @@ def hand_map(hand: Hand, places: Sequence[Place], title: str, worth: np.ndarray 
     bits, or in their order."""
     from matplotlib.patches import FancyBboxPatch
 
-    figure, (axes,) = _figure(6, 6)
+    figure, (axes,) = _figure(6, 5.4)
     drawn = panels(hand)
     for x, y, half_width, low, high in drawn:
         corner, size = (x - half_width, y + low), (2 * half_width, high - low)
         shape = FancyBboxPatch(
-            corner, *size, boxstyle=f"round,pad={EDGE},rounding_size={ROUND * half_width}",
+            corner, *size, boxstyle=f"round,pad={EDGE},rounding_size={ROUND * half_width + EDGE}",
             facecolor="0.95", edgecolor="0.6",
         )  # fmt: skip
         axes.add_patch(shape)
     points = np.array([point(place, drawn) for place in places])
     colour = np.arange(1, len(places) + 1) if worth is None else worth
     dots = axes.scatter(*points.T, c=colour, s=14, cmap="viridis_r" if worth is None else "inferno")
-    figure.colorbar(dots, label="order" if worth is None else "bits per grasp", shrink=0.7)
-    for surface, panel in zip(hand.surfaces, drawn, strict=True):
-        if surface.segment == "distal":
-            axes.text(panel.x, panel.y + panel.high + 2 * EDGE, surface.digit, ha="center", va="bottom")
-    axes.set(aspect="equal", title=title)
+    figure.colorbar(dots, label="order of choice" if worth is None else "bits per grasp", shrink=0.7)
+    for text, x, y in labels(hand, drawn):
+        axes.text(x, y, text, ha="center", va="baseline")
+    axes.set_aspect("equal")
     axes.axis("off")
     axes.autoscale_view()
+    figure.suptitle(title, **HEAD)
     return figure

@@ -14,27 +14,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..statistics import METRICS, Estimate
+from ..style import ARMS, DPI, FAINT, HEAD, INK, STYLE, arm
 from .analysis import Analysis, SetupResult
 from .primary import SCORES
 from .summary import subject
 
-INK, FAINT = "#1b1f24", "#b0b0b1"
-ARMS = ("#e0a800", "#2b6cb0", "#8a5a9e", "#4d8f5b")  # treatment and control as in the paper
-STYLE: dict[Any, Any] = {  # with it the same input gives the same bytes
-    "svg.hashsalt": "tactilerl",
-    "text.parse_math": False,  # names may hold "$"
-    "svg.fonttype": "none",
-    "font.family": "sans-serif",
-    "font.size": 9,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.axisbelow": True,
-    "axes.grid": True,
-    "grid.color": FAINT,
-    "grid.linewidth": 0.4,
-    **{f"{part}color": INK for part in ("text.", "axes.label", "axes.edge", "xtick.", "ytick.")},
-}
-DPI = 180
 LABELS = {"median": "median of runs", "iqm": "IQM", "mean": "mean"}
 Draw = Callable[[Axes], None]
 
@@ -64,16 +48,16 @@ class Picture:
             axes = figure.subplots(rows, columns, squeeze=False).ravel()
             for (title, draw), one in zip(self.panels, axes, strict=False):
                 draw(one)
-                one.set_title(title, loc="left")
+                one.set_title(title)
                 handles, labels = one.get_legend_handles_labels()
                 shown |= dict(zip(labels, handles, strict=True))
             for spare in axes[len(self.panels) :]:
                 spare.set_axis_off()
             figure.legend(
-                [*shown.values()], [*shown], loc="outside lower center", ncols=5, frameon=False,
+                [*shown.values()], [*shown], loc="outside lower center", ncols=5,
                 fontsize=8, columnspacing=1.0, handletextpad=0.4,
             )  # fmt: skip
-            figure.suptitle(self.of, x=0.01, ha="left", fontweight="bold", wrap=True)
+            figure.suptitle(self.of, **HEAD)
             for ending, unsaid in (("svg", "Date"), ("png", "Software")):
                 file = io.BytesIO()
                 figure.savefig(file, format=ending, dpi=DPI, metadata={unsaid: None})
@@ -99,16 +83,16 @@ def _of(one: SetupResult) -> str:
 
 def _label(text: str) -> str:
     """Of a cell or an arm; the only one there is needs none."""
-    return "" if text == "all" else text
+    return "" if text == "all" else arm(text)
 
 
 def _arm_colours(one: SetupResult) -> dict[str, str]:
-    return {arm: ARMS[index % len(ARMS)] for index, arm in enumerate(one.setup.arms)}
+    return {name: ARMS[index % len(ARMS)] for index, name in enumerate(one.setup.arms)}
 
 
 def differences(one: SetupResult, score: str) -> Picture:
     """Every pair's difference by the primary score, and their means with intervals."""
-    treatment, control = (one.setup.label(arm) for arm in one.setup.arms[:2])
+    treatment, control = map(one.setup.label, one.setup.arms[:2])
     label = f"{SCORES[score]}: {treatment} − {control}"
     title = f"{treatment} − {control}, {SCORES[score]}: each pair, mean and 95 % interval"
     panels = [("", partial(_differences_of, one, label))]
@@ -141,14 +125,16 @@ def curves(one: SetupResult) -> Picture:
 
 
 def _curves_of(one: SetupResult, cell: str, axes: Axes) -> None:
-    for arm, colour in _arm_colours(one).items():
-        group = one.groups.get((cell, arm))
+    axes.plot([], [], color=FAINT, lw=0.8, label="a run")
+    for name, colour in _arm_colours(one).items():
+        group = one.groups.get((cell, name))
         if group is None:
             continue
         # Bands below everything and so light that two of them do not mix to a third colour.
         axes.fill_between(one.steps, *group.iqm_bounds.T, color=colour, alpha=0.13, lw=0, zorder=1)
-        axes.plot(one.steps, group.curves.T, color=colour, lw=0.6, alpha=0.6, zorder=2)
-        marker, label = "o" if len(one.steps) == 1 else None, _label(one.setup.label(arm)) or "IQM"
+        axes.plot(one.steps, group.curves.T, color=colour, lw=0.8, alpha=0.7, zorder=2)
+        marker, named = "o" if len(one.steps) == 1 else None, _label(one.setup.label(name))
+        label = ", ".join(filter(None, [named, "IQM with 95 % interval"]))
         axes.plot(
             one.steps, group.iqm_curve, color=colour, lw=2.2, label=label, marker=marker, zorder=3
         )
@@ -159,17 +145,17 @@ def _curves_of(one: SetupResult, cell: str, axes: Axes) -> None:
 
 def converged(one: SetupResult) -> Picture:
     """The paper's Figures 4 and 6: median, IQM and mean of converged rates, a panel per arm."""
-    arms = [arm for arm in one.setup.arms if any(arm == a for _, a in one.groups)]
-    panels = [(_label(one.setup.label(arm)), partial(_converged_of, one, arm)) for arm in arms]
+    arms = [name for name in one.setup.arms if any(name == each for _, each in one.groups)]
+    panels = [(_label(one.setup.label(name)), partial(_converged_of, one, name)) for name in arms]
     title = "Converged success rates, the paper's measure, with 95 % intervals"
     size = 5.2, 1.3 + 0.62 * len(one.cells)
     return Picture(f"{one.setup.name}_converged", title, _of(one), panels, size)
 
 
-def _converged_of(one: SetupResult, arm: str, axes: Axes) -> None:
-    colour, cells = _arm_colours(one)[arm], one.cells
+def _converged_of(one: SetupResult, name: str, axes: Axes) -> None:
+    colour, cells = _arm_colours(one)[name], one.cells
     for row, cell in enumerate(cells):
-        group = one.groups.get((cell, arm))
+        group = one.groups.get((cell, name))
         if group is None:
             continue
         is_first = not axes.get_legend_handles_labels()[1]
@@ -180,7 +166,7 @@ def _converged_of(one: SetupResult, arm: str, axes: Axes) -> None:
             estimate = group.estimate(metric, "converged")
             label = LABELS[metric] * is_first
             _bar(axes, row - 0.15 + 0.15 * at, estimate, colour, "Dos"[at], label)
-        theirs = one.published and one.published.estimates.get((cell, arm))
+        theirs = one.published and one.published.estimates.get((cell, name))
         if theirs:
             _bar(axes, row + 0.33, theirs["iqm"], INK, "x", "IQM in the paper" * is_first)
     axes.set(ylim=(len(cells) - 0.4, -0.6), xlim=(-0.02, 1.02), xlabel="converged success rate")

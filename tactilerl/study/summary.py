@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..statistics import FEW_RUNS, FEWEST_PAIRS, Estimate
+from ..style import NAMES, arm
 from .analysis import Analysis, Group, SetupResult
 from .grid import Setup
 from .primary import SCORES
@@ -16,19 +17,6 @@ from .records import Record
 from .verdicts import LEAST_ROOM, Headroom, Verdict
 
 STILL_RISING = 0.1  # final over converged rate
-NAMES = {
-    "shadow": "Shadow Hand",
-    "mpl": "MPL hand",
-    "allegro": "Allegro Hand",
-    "mujoco": "MuJoCo",
-    "pybullet": "PyBullet",
-    "ppo": "PPO",
-    "ddpg_her": "DDPG+HER",
-}
-ARMS = {
-    "main": "with taxels",
-    "control": "without",
-}
 MEASURES = {
     "success_rate": "success rate of the training episodes",
     "test_success_rate": "success rate of the tests",
@@ -57,8 +45,7 @@ def about(one: SetupResult, score: str) -> str:
     said = f"{one.setup.name}: {', '.join(parts)}."
     if one.setup.compare is None:
         return said
-    arms = one.setup.arms[:2]
-    names = [f"{one.setup.label(arm)}{f' ({ARMS[arm]})' if arm in ARMS else ''}" for arm in arms]
+    names = [arm(one.setup.label(each)) for each in one.setup.arms[:2]]
     return (
         f"{said} {names[0]} against {names[1]}, in pairs of runs of the same seed, by {SCORES[score]} "
         f"of the {MEASURES[one.setup.measure]}."
@@ -95,7 +82,7 @@ def ranging(estimate: Estimate) -> str:
 
 def answer(setup: Setup, verdict: Verdict) -> str:
     """The primary comparison of a cell in one sentence, with its interval."""
-    treatment, control = (setup.label(arm) for arm in setup.arms[:2])
+    treatment, control = map(setup.label, setup.arms[:2])
     where = _place(setup, verdict.cell)
     pairs, stage, missing = verdict.pairs, verdict.stage, verdict.n_seeds - len(verdict.pairs)
     if not len(pairs):
