@@ -27,7 +27,7 @@ from tactilerl.probe.figures import hand_map
 from tactilerl.study import figures as study_figures
 from tactilerl.study.analysis import analyse
 from tactilerl.study.records import load
-from tactilerl.style import ARMS, DPI, FAINT, HEAD, NAMES, OTHERS, STYLE, arm
+from tactilerl.style import ARMS, DPI, HEAD, INK, NAMES, OTHERS, STYLE, arm
 
 DOCS = ROOT / "docs"
 WINDOW = 100  # episodes of the running success rate
@@ -147,7 +147,7 @@ def learning_curves(name: str, title: str, what: str, files: dict[str, str]) -> 
         axes.plot(steps, mean, color=ARMS[0], lw=2.5, label=label)
         for at, rate in curves:
             axes.plot(at, rate, color=ARMS[0], lw=0.8, alpha=0.7)
-        axes.plot([], [], color=FAINT, lw=0.8, label="a run")
+        axes.plot([], [], color=INK, lw=0.8, alpha=0.7, label="a run")
         axes.set_title(panel)
         axes.set(ylim=(-0.02, 1.02))
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))

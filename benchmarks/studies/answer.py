@@ -258,7 +258,7 @@ def _curves(axes: Axes, study: Study, found: list[Record]) -> None:
         axes.plot(steps, curves.T, color=COLOURS[run_type], lw=0.8, alpha=0.6)
         label = f"{style.arm(run_type)}, mean of {len(runs)} runs"
         axes.plot(steps, curves.mean(axis=0), color=COLOURS[run_type], lw=2.5, label=label)
-    axes.plot([], [], color=style.FAINT, lw=0.8, label="a run")
+    axes.plot([], [], color=style.INK, lw=0.8, alpha=0.7, label="a run")
     axes.set(title="Handover to the palm", xlabel="environment steps", ylabel="success rate")
     axes.set_ylim(0, 1.02)
     axes.xaxis.set_major_formatter(EngFormatter(sep=""))

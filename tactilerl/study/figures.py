@@ -20,6 +20,7 @@ from .primary import SCORES
 from .summary import subject
 
 LABELS = {"median": "median of runs", "iqm": "IQM", "mean": "mean"}
+LEGEND = 2.4  # inches for an entry of the legend
 Draw = Callable[[Axes], None]
 
 
@@ -54,7 +55,8 @@ class Picture:
             for spare in axes[len(self.panels) :]:
                 spare.set_axis_off()
             figure.legend(
-                [*shown.values()], [*shown], loc="outside lower center", ncols=5,
+                [*shown.values()], [*shown], loc="outside lower center",
+                ncols=int(figure.get_figwidth() // LEGEND),
                 fontsize=8, columnspacing=1.0, handletextpad=0.4,
             )  # fmt: skip
             figure.suptitle(self.of, **HEAD)
@@ -125,7 +127,6 @@ def curves(one: SetupResult) -> Picture:
 
 
 def _curves_of(one: SetupResult, cell: str, axes: Axes) -> None:
-    axes.plot([], [], color=FAINT, lw=0.8, label="a run")
     for name, colour in _arm_colours(one).items():
         group = one.groups.get((cell, name))
         if group is None:
@@ -134,10 +135,12 @@ def _curves_of(one: SetupResult, cell: str, axes: Axes) -> None:
         axes.fill_between(one.steps, *group.iqm_bounds.T, color=colour, alpha=0.13, lw=0, zorder=1)
         axes.plot(one.steps, group.curves.T, color=colour, lw=0.8, alpha=0.7, zorder=2)
         marker, named = "o" if len(one.steps) == 1 else None, _label(one.setup.label(name))
-        label = ", ".join(filter(None, [named, "IQM with 95 % interval"]))
+        label = ", ".join(filter(None, [named, "IQM"]))
         axes.plot(
             one.steps, group.iqm_curve, color=colour, lw=2.2, label=label, marker=marker, zorder=3
         )
+    axes.plot([], [], color=INK, lw=0.8, alpha=0.7, label="a run")
+    axes.fill_between([], [], color=INK, alpha=0.13, lw=0, label="95 % interval of the IQM")
     axes.set(xlabel="environment steps", ylabel=one.setup.measure.replace("_", " "), ylim=(-0.02, 1.02))
     axes.xaxis.set_major_locator(matplotlib.ticker.MaxNLocator(4))
     axes.xaxis.set_major_formatter(matplotlib.ticker.EngFormatter(sep=""))
