@@ -47,6 +47,10 @@ class RunFlags:
     """Processes of each run (DDPG+HER with several workers)."""
     retry_failed: bool = False
     """Try failed runs again."""
+    only: str = ""
+    """Train only the runs of these set-ups, cells and arms: NAME,NAME as in `compare`."""
+    collected: tuple[Path, ...] = ()
+    """Leave out runs that are done in these folders or collected files of the study."""
 
 
 def run(args: list[str]) -> int:
@@ -60,11 +64,16 @@ def run(args: list[str]) -> int:
 
 
 def _run(read: RunFlags, pool: Executor, parallel: int) -> int:
-    from ..study import check, looks, runner
+    from ..study import check, looks, records, runner
 
     study = grid.read(read.study)
     folder = StudyFolder(read.out or Path("studies") / study.name)
-    runs = study.runs()
+    chosen = study.choose(read.only, read.study)
+    if not chosen:
+        raise InputError(f"--only: found {read.only!r}, but no run has all these names")
+    elsewhere = records.load(read.study, *read.collected)[1] if read.collected else []
+    done = {one.run.name for one in elsewhere if one.state == "done"}
+    runs = [run for run in study.runs() if run.name in chosen and run.name not in done]
     title = f"study {study.name}"
     console.print(f"{title}: checking {len(runs)} runs")
     configs = check.configure(runs)
@@ -84,10 +93,10 @@ def _run(read: RunFlags, pool: Executor, parallel: int) -> int:
         if study.looks is None:
             endings = run_all(list(jobs.values()))
         else:
-            endings = looks.run(study, folder, jobs, run_all, console.print)
+            endings = looks.run(study, folder, jobs, run_all, console.print, read.collected)
     failures = _print_failures(folder, runs)
-    if elsewhere := list(endings.values()).count("busy"):
-        console.print(f"{elsewhere} runs are trained by another `study run`")
+    if busy := list(endings.values()).count("busy"):
+        console.print(f"{busy} runs are trained by another `study run`")
     console.print(f"  tactilerl study report {pasted(folder.path)}")
     return 1 if failures else 0
 
@@ -158,9 +167,11 @@ class CollectFlags:
     """Flags of `tactilerl study collect`."""
 
     folder: tyro.conf.Positional[Path]
-    """Folder of the study."""
+    """Folder of the study, or a collected file."""
+    more: tyro.conf.Positional[tuple[Path, ...]] = ()
+    """More of the same study to merge, its file too; of each run the furthest record counts."""
     out: Path | None = None
-    """The file; default: collected.csv.gz in the folder."""
+    """The file; default, of one folder: collected.csv.gz in it."""
 
 
 def collect(args: list[str]) -> int:
@@ -168,7 +179,9 @@ def collect(args: list[str]) -> int:
     from ..study import records
 
     read = _read(CollectFlags, args, "collect")
-    path = records.collect(read.folder, read.out)
+    if read.more and read.out is None:
+        raise InputError("study collect: found several folders and files, expected --out FILE")
+    path = records.collect(read.folder, *read.more, out=read.out)
     console.print(f"{path}: {path.stat().st_size / 1e6:.2f} MB")
     return 0
 

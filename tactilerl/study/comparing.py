@@ -15,7 +15,6 @@ import numpy as np
 from .. import statistics
 from ..errors import InputError
 from . import records as recorded
-from .grid import Setup
 from .records import Record
 from .verdicts import SEED, BySeed, Pairs, in_pairs, is_finished, scores
 
@@ -68,27 +67,15 @@ def read(text: str) -> Part:
     whole, path, chosen = Path(text), text, ""
     if not whole.exists():
         path, _, chosen = text.rpartition(":") if ":" in text else (text, "", "")
-    names = [name.strip() for name in chosen.split(",") if name.strip()]
     study, records = recorded.load(Path(path))
-    setups = {setup.name: setup for setup in study.setups}
-    known = list(dict.fromkeys(name for r in records for name in _names(r, setups)))
-    for name in names:
-        if name not in known:
-            raise InputError(f"{path}: found no {name!r} in it, allowed: {', '.join(known)[:300]}")
+    places, measures = study.choose(chosen, path), {one.name: one.measure for one in study.setups}
     groups: dict[Place, list[Record]] = {}
     for record in records:
-        own = _names(record, setups)
-        if set(names) <= set(own) and is_finished(record, setups[record.run.setup].measure):
-            groups.setdefault(tuple(n for n in own if n not in names), []).append(record)
+        if record.run.name in places and is_finished(record, measures[record.run.setup]):
+            groups.setdefault(places[record.run.name], []).append(record)
     if not groups:
         raise InputError(f"{text}: no finished run in it")
-    return Part(groups, {name: setup.measure for name, setup in setups.items()})
-
-
-def _names(record: Record, setups: dict[str, Setup]) -> list[str]:
-    setup = setups[record.run.setup]
-    names = [setup.name, record.run.cell, setup.label(record.run.arm) if setup.compare else ""]
-    return [name for name in names if name and name != "all"]
+    return Part(groups, measures)
 
 
 def compare(a: Part, b: Part, score: str) -> list[Row]:

@@ -104,6 +104,11 @@ class Setup:
             return arm or "all"
         return f"{self.compare.flag.replace('_', ' ')} {arm}"
 
+    def names(self, run: Run) -> list[str]:
+        """Of the set-up, cell and arm of a run, those that somebody chose."""
+        names = [self.name, run.cell, self.label(run.arm) if self.compare else ""]
+        return [name for name in names if name not in ("", "all")]
+
 
 @dataclass(frozen=True)
 class Run:
@@ -154,6 +159,31 @@ class Study:
                 f"grid: {times} runs would be called {name!r}; their values must differ more"
             )
         return runs
+
+    def choose(self, chosen: str, where: object) -> dict[str, tuple[str, ...]]:
+        """The runs that have all names of `NAME,NAME` (set-ups, cells, arms), with their other names;
+        InputError for a name that no run has."""
+        setups = {setup.name: setup for setup in self.setups}
+        own = {run.name: setups[run.setup].names(run) for run in self.runs()}
+        known = dict.fromkeys(itertools.chain.from_iterable(own.values()))
+        names = [name.strip() for name in chosen.split(",") if name.strip()]
+        for name in names:
+            if name not in known:
+                allowed = ", ".join(known)[:300]
+                raise InputError(f"{where}: found no {name!r} in it, allowed: {allowed}")
+        return {
+            run: tuple(name for name in told if name not in names)
+            for run, told in own.items()
+            if set(names) <= set(told)
+        }
+
+    def told(self) -> dict[str, str]:
+        """What is said of each run, and how runs are compared; when to look is not part of it."""
+        told = {"name": self.name, "primary.score": self.primary.score}
+        told |= {f"setups.{s.name}": f"{s.measure} of {', '.join(s.arms[:2])}" for s in self.setups}
+        for run in self.runs():
+            told[f"run {run.name}"] = " ".join(to_arguments(dict(sorted(run.flags.items()))))
+        return told
 
     def validate(self) -> None:
         """InputError naming the first thing that the parts allow, but not together."""

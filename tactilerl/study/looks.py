@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,6 +25,7 @@ def run(
     jobs: Mapping[str, Job],
     run_all: RunAll,
     say: Callable[[str], None],
+    collected: Sequence[Path] = (),
 ) -> Endings:
     """Run jobs, by name of their run, up to one look after the other; how they ended, by `Job.base`.
 
@@ -35,7 +36,7 @@ def run(
     waiting = dict(jobs)
     for n in study.looks.pairs:
         is_last = n == study.looks.pairs[-1]
-        found = judge(study, folder, waiting)
+        found = judge(study, folder, waiting, collected)
         due = [r for r in study.runs() if r.name in waiting and _is_due(study, r, n, is_last, found)]
         batch = [waiting.pop(r.name) for r in due]
         endings |= run_all(batch)
@@ -43,19 +44,22 @@ def run(
             time.sleep(PATIENCE)
             endings |= run_all(busy)
         if batch or (is_last and not endings):
-            for sentence in answers(study, judge(study, folder, waiting)):
+            for sentence in answers(study, judge(study, folder, waiting, collected)):
                 say(sentence)
     return endings
 
 
 def judge(
-    study: Study, folder: StudyFolder, waiting: Collection[str] = ()
+    study: Study,
+    folder: StudyFolder,
+    waiting: Collection[str] = (),
+    collected: Sequence[Path] = (),
 ) -> dict[str, dict[str, Verdict]]:
     """All primary comparisons, by set-up and cell; runs that are `waiting` are not done, whatever was
     recorded of them."""
     found = [
         replace(record, state="left") if record.run.name in waiting else record
-        for record in records.load(folder.path)[1]
+        for record in records.load(folder.path, *collected)[1]
     ]
     return {setup.name: verdicts.judge(study, setup, found) for setup in study.setups}
 

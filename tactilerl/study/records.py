@@ -31,7 +31,7 @@ from ..runs.progress_csv import whole
 from ..runs.run_dir import require_record
 from ..statistics import Array
 from .folder import STATES, RunFiles, StudyFolder, seconds_spent
-from .grid import Run, Study, from_dict
+from .grid import Run, Study, from_dict, read
 
 COLLECTED = "collected.csv.gz"
 FIXED = ("run", "state", "reason", "record")
@@ -65,6 +65,16 @@ class Record:
         return self.state in ("done", "failed")
 
     @property
+    def progress(self) -> tuple[bool, bool, int]:
+        """Orders records of one run by how far they are."""
+        return self.state == "done", self.state == "failed", len(self.rows)
+
+    @property
+    def results(self) -> tuple[Any, ...]:
+        """What it was made with and what came out; a column of other runs is none of it."""
+        return self.config, [{k: v for k, v in row.items() if v} for row in self.rows]
+
+    @property
     def seconds(self) -> float:
         """Spent in epochs."""
         return seconds_spent(self.rows)
@@ -77,8 +87,35 @@ def _number(text: str | None) -> float:
         return math.nan
 
 
-def load(path: Path) -> tuple[Study, list[Record]]:
-    """The study and all its runs in order of the grid, from a folder or a collected file."""
+def load(*paths: Path) -> tuple[Study, list[Record]]:
+    """The study and all its runs in order of the grid, from its folder, file or collected file.
+
+    From several: the one with the most runs, and of each run the record that is furthest. InputError
+    where another part says something else, has more runs, or has one done with other results.
+    """
+    parts = {path: _load(path) for path in paths}
+    whole = max(paths, key=lambda path: len(parts[path][1]))
+    study, found = parts[whole][0], dict[str, Record]()
+    told = study.told()
+    for path, (part, records) in parts.items():
+        for what, said in part.told().items():
+            if told.get(what) != said:
+                allowed = told.get(what, "none; name the study file that has both, too")
+                raise InputError(f"{path}: {what}: found {said}, but {whole} has {allowed}")
+        for record in records:
+            known = found.setdefault(record.run.name, record)
+            if known.state == record.state == "done" and known.results != record.results:
+                raise InputError(
+                    f"{path}: run {record.run.name}: found it done, with other results than elsewhere"
+                )
+            found[record.run.name] = max(known, record, key=lambda one: one.progress)
+    return study, [found[run.name] for run in study.runs()]
+
+
+def _load(path: Path) -> tuple[Study, list[Record]]:
+    if path.suffix == ".toml":
+        study = read(path)
+        return study, [Record(run, "left", "", None, []) for run in study.runs()]
     if path.exists() and not path.is_dir():
         return _unpack(path)
     folder = StudyFolder(path)
@@ -107,10 +144,10 @@ def _anywhere(config: dict[str, Any]) -> dict[str, Any]:
     return {**config, "run": {k: v for k, v in config["run"].items() if k != "out"}}
 
 
-def collect(path: Path, out: Path | None = None) -> Path:
-    """Pack a study's folder into one file; returns it."""
-    study, records = load(path)
-    out = out or path / COLLECTED
+def collect(*paths: Path, out: Path | None = None) -> Path:
+    """Pack folders and collected files of a study into one file; returns it."""
+    study, records = load(*paths)
+    out = out or paths[0] / COLLECTED
     text = io.StringIO()
     columns = dict.fromkeys(column for record in records for row in record.rows for column in row)
     writer = csv.DictWriter(text, [*FIXED, *columns], lineterminator="\n")

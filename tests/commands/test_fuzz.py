@@ -250,7 +250,7 @@ def test_study_folders(study, tried, cases):
 
 def test_collected_studies(study, tried, cases):
     rng, path = random.Random(8), Path("c.csv.gz")
-    good = records.collect(study, path).read_bytes()
+    good = records.collect(study, out=path).read_bytes()
     whole, text = records.load(path), gzip.decompress(good).decode()
     for i in cases(300):
         bad, at = bytearray(good), rng.randrange(8 * len(good))

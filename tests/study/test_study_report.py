@@ -162,7 +162,7 @@ class TestFiles:
         path = tmp_path / "one.csv.gz"
         assert main(["study", "collect", str(folder.path), "--out", str(path)]) == 0
         first = path.read_bytes()
-        records.collect(folder.path, path)
+        records.collect(folder.path, out=path)
         assert path.read_bytes() == first
         args = [
             "report",
@@ -197,7 +197,7 @@ class TestFiles:
         assert "$x^$" in drawn
 
     def test_a_collected_study_with_a_name_that_leads_elsewhere(self, folder, tmp_path, capsys):
-        path = records.collect(folder.path, tmp_path / "c.csv.gz")
+        path = records.collect(folder.path, out=tmp_path / "c.csv.gz")
         text = gzip.decompress(path.read_bytes()).decode()
         for name in ("../../../pwn", '""""><img src=x onerror=alert(1)>'):
             path.write_bytes(gzip.compress(text.replace("mujoco", name).encode()))
@@ -216,7 +216,7 @@ class TestFiles:
             file.write_text(json.dumps(data))
         failed = StudyFolder(copy).files(runs[0])
         failed.write_outcome(Outcome("failed", 1, f"{failed.base}/checkpoint.pt: damaged"))
-        path = records.collect(copy, tmp_path / "c.csv.gz")
+        path = records.collect(copy, out=tmp_path / "c.csv.gz")
         assert "secret" not in gzip.decompress(path.read_bytes()).decode()
         assert records.load(path) == records.load(copy)
         assert f"{runs[0].name}/checkpoint.pt: damaged" == records.load(path)[1][0].reason
@@ -327,6 +327,89 @@ class TestWarnings:
         monkeypatch.delattr(package, "report")
         assert main(["study", "report", str(tmp_path)]) == 2
         assert "pip install 'tactilerl[study]'" in capsys.readouterr().err
+
+
+class TestSplitStudies:
+    """A study whose runs lie in several places."""
+
+    @pytest.fixture
+    def parts(self, folder, tmp_path):
+        """The study file, and folders of its set-ups, of which one names no other."""
+        text = folder.path.with_suffix(".toml").read_text()
+        first = StudyFolder(tmp_path / "first")
+        first.create(folder.study())
+        shutil.copytree(folder.path / "runs", first.path / "runs", dirs_exist_ok=True)
+        for path in first.path.glob("runs/mujoco*"):
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+        alone = text[: text.index("[setups.pybullet]")] + text[text.index("[setups.mujoco]") :]
+        second = make_study(tmp_path / "second", alone)
+        for path in (folder.path / "runs").glob("mujoco*/*"):
+            shutil.copy(path, second.path / path.relative_to(folder.path))
+        return folder.path.with_suffix(".toml"), first.path, second.path
+
+    def collect(self, out, *parts):
+        return main(["study", "collect", *map(str, parts), "--out", str(out)])
+
+    def test_parts_make_the_study(self, folder, parts, tmp_path):
+        whole = records.load(folder.path)
+        for number, some in enumerate((parts, parts[:0:-1], parts[1:])):
+            assert self.collect(tmp_path / f"{number}.csv.gz", *some) == 0
+            assert records.load(tmp_path / f"{number}.csv.gz") == whole
+        again = tmp_path / "again.csv.gz"
+        assert self.collect(again, tmp_path / "0.csv.gz", parts[2], tmp_path / "1.csv.gz") == 0
+        assert again.read_bytes() == (tmp_path / "0.csv.gz").read_bytes()
+
+    def test_the_record_that_is_furthest_counts(self, folder, tmp_path):
+        other = StudyFolder(tmp_path / "other")
+        other.create(folder.study())
+        shutil.copytree(folder.path / "runs", other.path / "runs", dirs_exist_ok=True)
+        done, failed, begun, *_ = runs = folder.study().runs()
+        other.files(done).write_outcome(Outcome("failed", 1, "diverged"))
+        for run in (failed, begun):
+            other.files(run).outcome_file.unlink()
+        packed = records.collect(other.path, out=tmp_path / "c.csv.gz")
+        other.files(failed).write_outcome(Outcome("failed", 1, "diverged"))
+        progress = other.files(begun).run_dir.progress.path
+        progress.write_text("".join(progress.read_text().splitlines(keepends=True)[:9]))
+        states = [record.state for record in records.load(packed, other.path)[1]]
+        assert states == ["failed", "failed", "interrupted", *["done"] * (len(runs) - 3)]
+        assert [len(r.rows) for r in records.load(other.path, packed)[1]][:3] == [25, 25, 25]
+        assert records.load(packed, folder.path) == records.load(folder.path)
+
+    def test_two_that_are_done_and_differ(self, folder, parts, tmp_path, capsys):
+        run = folder.study().runs()[0]
+        file = StudyFolder(parts[1]).files(run).run_dir.progress.path
+        file.write_text(file.read_text().replace(",100.0", ",90.0"))
+        assert self.collect(tmp_path / "c", folder.path, parts[1]) == 2
+        err = capsys.readouterr().err
+        assert f"run {run.name}: found it done, with other results" in err
+        assert err.count("\n") == 1
+
+    @pytest.mark.parametrize(
+        ("old", "new", "words"),
+        [
+            ("60_000", "70_000", ["run mujoco", "--total-timesteps 70000", "60000"]),
+            ("0-3", "3-4", ["_s4", "none"]),
+            ("[setups.mujoco]", "[setups.other]", ["setups.other", "none"]),
+            ('measure = "test_success_rate"\n', "", ["found success_rate", "test_success_rate"]),
+            ('"main", "control"]\n\n[grid]', '"control", "main"]\n\n[grid]', ["of control, main"]),
+            ('"made-up"', '"made-up"\nprimary.score = "final"', ["primary.score: found final"]),
+            ('"made-up"', '"other"', ["name: found other"]),
+        ],
+    )
+    def test_other_studies(self, parts, tmp_path, capsys, old, new, words):
+        text = parts[0].read_text()
+        assert old in text
+        (tmp_path / "other.toml").write_text(text.replace(old, new))
+        assert self.collect(tmp_path / "c", *parts[:2], tmp_path / "other.toml") == 2
+        err = capsys.readouterr().err
+        assert err.count("\n") == 1
+        for word in words:
+            assert word in err
+
+    def test_where_to_write_it(self, parts, capsys):
+        assert main(["study", "collect", *map(str, parts)]) == 2
+        assert "expected --out" in capsys.readouterr().err
 
 
 class TestPlan:

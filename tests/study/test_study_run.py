@@ -92,6 +92,30 @@ class TestRun:
         assert main(["study", "run", str(write(tmp_path)), "--out", str(tmp_path / "out")]) == 2
         assert "holds no study" in capsys.readouterr().err
 
+    def test_only_some_runs_and_the_rest_another_day(self, undisturbed, tmp_path, capsys):
+        file, out, packed = write(tmp_path), tmp_path / "out", tmp_path / "c.csv.gz"
+        assert main(["study", "run", str(file), "--out", str(out), "--only", "reach,polyak 0.95"]) == 0
+        assert "1 runs, 1 to do" in capsys.readouterr().out
+        states = [record.state for record in records.load(out)[1]]
+        assert states == ["left", "done"]
+        assert main(["study", "collect", str(undisturbed), "--out", str(packed)]) == 0
+        args = ["study", "run", str(file), "--out", str(tmp_path / "b"), "--collected", str(packed)]
+        assert main(args) == 0
+        assert "0 runs, 0 to do" in capsys.readouterr().out
+
+    @pytest.mark.parametrize(
+        ("only", "words"),
+        [("polyak 0.8", ["'polyak 0.8'", "reach, polyak 0.9"]), ("polyak 0.9,polyak 0.95", ["no run"])],
+    )
+    def test_only_what_there_is(self, tmp_path, capsys, only, words):
+        args = ["study", "run", str(write(tmp_path)), "--out", str(tmp_path / "out"), "--only", only]
+        assert main(args) == 2
+        err = capsys.readouterr().err
+        assert err.count("\n") == 1
+        for word in words:
+            assert word in err
+        assert not (tmp_path / "out").exists()
+
 
 class TestFailures:
     @pytest.mark.slow
