@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Annotated, Any, Literal
 
@@ -132,7 +131,7 @@ class GraspEnv(gym.Env[Any, Array]):
             self.hand = self.hand.closing_from(config.start_closing, config.actions)
         self.taxels = layouts.load(config.layout).place(self.hand)
         self._touch = touch.RULES[config.touch](self.taxels, self.hand)
-        self.task: tasks.Task = tasks.TASKS[config.task].of(config, self.hand, setup(hand).timestep)
+        self.task: tasks.Task = tasks.TASKS[config.task](config, self.hand, setup(hand).timestep)
         self.max_episode_steps = config.max_episode_steps or self.task.max_episode_steps
         self.simulator = simulators.make(
             config.simulator,
@@ -175,18 +174,15 @@ class GraspEnv(gym.Env[Any, Array]):
         """Taxels lie between 0 and 1; a task with a single goal has it as its only one."""
         unbounded, goal = np.full(self.task.goal_size, np.inf), self.task.only_goal
         lowest, highest = (-unbounded, unbounded) if goal is None else (goal, goal)
-        truth, seen = {}, self._observer
+        truth = {}
         if self.config.critic_sees == "truth":
-            names = observations.truth_names(self.hand, self.taxels.names)
-            n, n_taxels = len(names), len(self.taxels)
-            low, high = np.full((2, n), np.inf) * [[-1.0], [1.0]]
-            low[n - n_taxels :] = 0.0
-            high[n - n_taxels :] = 1.0 if self._touch.is_boolean else np.inf
-            truth["truth"] = NamedBox(low, high, names)
+            truth["truth"] = observations.truth_space(
+                self.hand, self.taxels.names, self._touch.is_boolean
+            )
         return gym.spaces.Dict(
             {
                 **truth,
-                "observation": NamedBox(seen.low, seen.high, seen.names),
+                "observation": self._observer.space,
                 "achieved_goal": _float_box(-unbounded, unbounded),
                 "desired_goal": _float_box(lowest, highest),
             }
@@ -269,7 +265,7 @@ class GraspEnv(gym.Env[Any, Array]):
 
     def observation_names(self) -> list[str]:
         """What each entry of ``observation`` is, in order."""
-        return list(self._observer.names)
+        return list(self._observer.space.names)
 
     def observation_entries(self, *terms: str) -> Array:
         """Which entries of ``observation`` are the newest of some of the hand's terms, or "taxels"."""
@@ -364,13 +360,5 @@ class GraspEnv(gym.Env[Any, Array]):
         }
 
 
-class NamedBox(gym.spaces.Box):
-    """A Box of float32 that says what its entries are."""
-
-    def __init__(self, low: Array, high: Array, names: Sequence[str]) -> None:
-        super().__init__(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
-        self.names = tuple(names)
-
-
 def _float_box(low: Array, high: Array) -> gym.spaces.Box:
-    return gym.spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
+    return gym.spaces.Box(low.astype(np.float32), high.astype(np.float32))

@@ -69,9 +69,10 @@ class Hold:
         # From where the slide is, not from its target: the hand may lag far behind that.
         self.targets[2] = now.joint_positions[2]
         self._top = self.targets[2] + test.height - now.hand[2]
-        self._every, self._left = (_n_steps(t, timestep) for t in (test.look_every, test.seconds))
+        times = (test.look_every, test.seconds)
+        self._every, self._left = (max(1, round(seconds / timestep)) for seconds in times)
         self._way = RAISE_SPEED * timestep * self._every
-        self._n_looks, self._corners = 0, _corners_in_hand(now)
+        self._n_looks, self._corners = 0, _corners(now)
         self._plan()
 
     @property
@@ -83,16 +84,13 @@ class Hold:
         """Targets (n_actuators,) of the next steps, and whether the object stays in the hand: None as
         long as that is open. `now` is what the last steps led to."""
         self._n_looks += 1
-        verdict = None
-        if not np.linalg.norm(_in_hand(now)) <= OUT_OF_REACH:
-            verdict = False
-        elif (self.is_at_top and not self._left) or (
-            self.test.verdict == "settled" and self._settles(now)
-        ):
-            verdict = True
-        else:
-            self._plan()
-        return self.targets, verdict
+        if not np.linalg.norm(now.object.position - now.hand) <= OUT_OF_REACH:
+            return self.targets, False
+        is_over = self.is_at_top and not self._left
+        if is_over or (self.test.verdict == "settled" and self._settles(now)):
+            return self.targets, True
+        self._plan()
+        return self.targets, None
 
     def _plan(self) -> None:
         """What comes next: the palm does not turn, but rise and stay."""
@@ -106,7 +104,7 @@ class Hold:
     def _settles(self, now: Snapshot) -> bool:
         """The early verdict: at rest, or still in the hand when time is up and it is at the top."""
         test, before = self.test, self._corners
-        self._corners = _corners_in_hand(now)
+        self._corners = _corners(now)
         compressed = (self._n_looks - round(test.shake_seconds / test.look_every)) * test.look_every
         if compressed >= 0:
             self.creep = test.creep
@@ -115,23 +113,10 @@ class Hold:
         left = max(0.0, (test.seconds + test.height / RAISE_SPEED) / test.creep - compressed)
         speed = np.linalg.norm(self._corners - before, axis=1).max() / test.look_every
         is_at_rest = speed * (left + test.look_every) < test.settle_distance
-        return bool(is_at_rest and _is_clear(now)) or (self.is_at_top and left == 0)
+        return bool(is_at_rest and now.clearance > CLEAR) or (self.is_at_top and left == 0)
 
 
-def _n_steps(seconds: float, timestep: float) -> int:
-    return max(1, round(seconds / timestep))
-
-
-def _in_hand(now: Snapshot) -> Array:
-    """The object's position relative to the palm (3,), m."""
-    return now.object.position - now.hand
-
-
-def _corners_in_hand(now: Snapshot) -> Array:
-    """Corners of the object's bounding box relative to the palm (8, 3), m: they show turns."""
-    return _in_hand(now) + CORNERS * now.shape.half_size @ now.object.rotation.T
-
-
-def _is_clear(now: Snapshot) -> bool:
-    """Is the object off the ground?"""
-    return bool(now.object.position[2] - now.shape.half_height(now.object.rotation) > CLEAR)
+def _corners(now: Snapshot) -> Array:
+    """Of the object's bounding box relative to the palm (8, 3), m: they show turns."""
+    from_palm = now.object.position - now.hand
+    return from_palm + CORNERS * now.shape.half_size @ now.object.rotation.T

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from . import taxel_files, toml_files
-from .hands import DIGITS, HANDS, SEGMENTS, Array, Hand, Surface
+from .hands import DIGITS, HANDS, SEGMENTS, Array, Hand, Pitch, Surface
 from .taxel_files import Point
-from .toml_files import is_number, only, strings, table
+from .toml_files import is_number, number, only, strings, table
 
 LEAST = 1e-7  # m: nearer places are the same
 NAMED = Path(__file__).with_name("layout_files")
@@ -49,20 +49,25 @@ class Taxels:
     def __len__(self) -> int:
         return len(self.names)
 
+    @classmethod
+    def of(cls, points: Sequence[Point], surfaces: Any, offsets: Any) -> Taxels:
+        """From points on links, and where each is on the hand's surfaces."""
+        links = tuple(dict.fromkeys(point.link for point in points))
+        return cls(
+            links,
+            np.array([links.index(point.link) for point in points], int),
+            np.array([point.position for point in points]),
+            np.array([point.radius for point in points]),
+            tuple(point.name for point in points),
+            np.array([point.normal for point in points]),
+            np.array(surfaces),
+            np.array(offsets),
+        )
+
     def take(self, chosen: Sequence[int]) -> Taxels:
         """Some of them, in that order."""
-        index = list(chosen)
-        used = list(dict.fromkeys(self.link_index[index].tolist()))
-        return Taxels(
-            tuple(self.links[i] for i in used),
-            np.array([used.index(i) for i in self.link_index[index].tolist()], int),
-            self.positions[index],
-            self.radii[index],
-            tuple(self.names[i] for i in index),
-            self.normals[index],
-            self.surfaces[index],
-            self.offsets[index],
-        )
+        index, points = list(chosen), self.points()
+        return Taxels.of([points[i] for i in index], self.surfaces[index], self.offsets[index])
 
     def points(self) -> list[Point]:
         """Each as a point on its link."""
@@ -89,12 +94,21 @@ class Patch:
 
     def is_on(self, surface: Surface) -> bool:
         """Does it put taxels there?"""
-        is_palm = surface.segment == "palm"
-        if not (not is_palm if self.segments is None else surface.segment in self.segments):
-            return False
-        return not (is_palm and surface.digit == "thumb") if self.digits is None else (
-            surface.digit in self.digits
-        )  # fmt: skip
+        place = surface.digit, surface.segment
+        on_segment = place[1] != "palm" if self.segments is None else place[1] in self.segments
+        on_digit = place != ("thumb", "palm") if self.digits is None else place[0] in self.digits
+        return on_segment and on_digit
+
+    def spots(self, surface: Surface, pitch: Pitch) -> Iterator[tuple[tuple[float, float], float, str]]:
+        """(row, column) on a surface in m, radius and label of its taxels there; labels are in pitches,
+        or in mm."""
+        rows, columns, radius, scale, unit = 1.0, 1.0, self.radius, 1e3, " mm"
+        if radius is None:
+            rows, columns = pitch.rows.get(surface.segment, 0.0), pitch.column
+            radius, scale, unit = pitch.large_radius if self.large else pitch.radius, 1.0, ""
+        for row, column in self.offsets:
+            label = f"{scale * row:+g},{scale * column:+g}{unit}"
+            yield (row * rows, column * columns), radius, label
 
 
 @dataclass(frozen=True)
@@ -110,25 +124,14 @@ class Layout:
         """The taxels of this layout on `hand`; ValueError when the hand cannot carry them."""
         self._require_digits(hand)
         placed = [
-            (index, (*offset, 0.0), *hand.surfaces[index].place(*offset), radius, name)
-            for index, offset, radius, name in self.on_grids(hand)
-            if not _is_gap(hand.surfaces[index], offset)
+            (Point(surface.link, *surface.place(*offset), radius, name), index, (*offset, 0.0))
+            for index, surface, offset, radius, name in self.on_grids(hand)
+            if not _is_gap(surface, offset)
         ]
-        placed += [_on_link(point, hand) for point in self.taxels]
+        placed += [(point, *_on_surface(point, hand)) for point in self.taxels]
         if not placed:
             raise ValueError(f"layout {self.name!r} puts no taxel on the {hand.name} hand")
-        links = tuple(dict.fromkeys(hand.surfaces[taxel[0]].link for taxel in placed))
-        surfaces, offsets, positions, normals, radii, names = zip(*placed, strict=True)
-        return Taxels(
-            links=links,
-            link_index=np.array([links.index(hand.surfaces[index].link) for index in surfaces]),
-            positions=np.array(positions),
-            radii=np.array(radii),
-            names=names,
-            normals=np.array(normals),
-            surfaces=np.array(surfaces),
-            offsets=np.array(offsets),
-        )
+        return Taxels.of(*zip(*placed, strict=True))
 
     def toml(self) -> str:
         """The text of a layout file, exact to the last digit."""
@@ -142,16 +145,15 @@ class Layout:
             lines += ["", *point.toml()]
         return "\n".join(lines) + "\n"
 
-    def on_grids(self, hand: Hand) -> Iterator[tuple[int, tuple[float, float], float, str]]:
+    def on_grids(self, hand: Hand) -> Iterator[tuple[int, Surface, tuple[float, float], float, str]]:
         """Surface, (row, column) on it in m, radius and name of every taxel of a patch, whether or not
         there is something of the link."""
         for index, surface in enumerate(hand.surfaces):
             for patch in self.patches:
                 if patch.is_on(surface):
-                    row_pitch, column_pitch, radius = _scale(patch, surface, hand)
-                    for row, column in patch.offsets:
-                        name = f"{surface.digit}.{surface.segment}[{_label(patch, row, column)}]"
-                        yield index, (row * row_pitch, column * column_pitch), radius, name
+                    for offset, radius, label in patch.spots(surface, hand.pitch):
+                        name = f"{surface.digit}.{surface.segment}[{label}]"
+                        yield index, surface, offset, radius, name
 
     def _require_digits(self, hand: Hand) -> None:
         """ValueError for a digit or a segment that no hand has, or only others."""
@@ -164,12 +166,8 @@ class Layout:
                         raise ValueError(f"layout {self.name!r}: found {name!r}, allowed: {allowed}")
 
 
-_Placed = tuple[int, tuple[float, float, float], Array, Array, float, str]
-"""Surface, offset on it, position and normal, radius, name."""
-
-
-def _on_link(point: Point, hand: Hand) -> _Placed:
-    """A taxel given as a point, and where on the hand's surfaces that is."""
+def _on_surface(point: Point, hand: Hand) -> tuple[int, tuple[float, float, float]]:
+    """Which of the hand's surfaces a point is on, and where."""
     own = [i for i, surface in enumerate(hand.surfaces) if surface.link == point.link]
     if not own:
         links = ", ".join(dict.fromkeys(surface.link for surface in hand.surfaces))
@@ -177,8 +175,7 @@ def _on_link(point: Point, hand: Hand) -> _Placed:
     position = np.array(point.position)
     index = min(own, key=lambda i: float(np.linalg.norm(position - hand.surfaces[i].centre)))
     row, column, height = hand.surfaces[index].offset(position)
-    offset = row, column, height if abs(height) > LEAST else LEAST  # 0 is of grids
-    return index, offset, position, np.array(point.normal), point.radius, point.name
+    return index, (row, column, height if abs(height) > LEAST else LEAST)  # 0 is of grids
 
 
 def left_out(layout: Layout, hand: Hand) -> list[str]:
@@ -192,7 +189,7 @@ def left_out(layout: Layout, hand: Hand) -> list[str]:
     )
     missing = [f"{d}.{s}" for d, s in dict.fromkeys(wanted) if (d, s) not in there]
     spots = layout.on_grids(hand)
-    return missing + [name for i, offset, _, name in spots if _is_gap(hand.surfaces[i], offset)]
+    return missing + [name for _, surface, at, _, name in spots if _is_gap(surface, at)]
 
 
 def _is_gap(surface: Surface, offset: tuple[float, float]) -> bool:
@@ -206,41 +203,29 @@ def _wanted(patch: Patch, hand: Hand) -> tuple[str, ...]:
     return tuple(d for d in digits if d != "thumb" or patch.segments != ("palm",))
 
 
-def _scale(patch: Patch, surface: Surface, hand: Hand) -> tuple[float, float, float]:
-    """(row pitch, column pitch, radius) in m of a patch on one surface."""
-    if patch.radius is not None:
-        return 1.0, 1.0, patch.radius
-    pitch = hand.pitch
-    radius = pitch.large_radius if patch.large else pitch.radius
-    return pitch.rows.get(surface.segment, 0.0), pitch.column, radius
-
-
-def _label(patch: Patch, row: float, column: float) -> str:
-    """Where on its phalanx a taxel is, in pitches, or in mm."""
-    if patch.radius is None:
-        return f"{row:+g},{column:+g}"
-    return f"{1e3 * row:+g},{1e3 * column:+g} mm"
-
-
 CENTRE = ((0.0, 0.0),)
 CORNERS = ((1.0, -1.0), (1.0, 1.0), (-1.0, -1.0), (-1.0, 1.0))
 EDGES = ((1.0, 0.0), (0.0, -1.0), (0.0, 1.0), (-1.0, 0.0))
 # Paper, Fig. 2 and Results: per phalanx, and four on the palm at the bases of the fingers.
 PAPER = {
-    "1": ("3 x 3 grid", CENTRE + CORNERS + EDGES),
-    "2": ("corners and centre", CENTRE + CORNERS),
-    "3": ("corners", CORNERS),
-    "4": ("centre and edge midpoints", CENTRE + EDGES),
-    "5": ("small centre", CENTRE),
-    "6": ("large centre", CENTRE),
+    name: Layout(
+        name,
+        description,
+        (
+            Patch(None, None, tuple(sorted(offsets)), large=name == "6"),
+            Patch(None, ("palm",), CENTRE),
+        ),
+    )
+    for name, description, offsets in (
+        ("1", "3 x 3 grid", CENTRE + CORNERS + EDGES),
+        ("2", "corners and centre", CENTRE + CORNERS),
+        ("3", "corners", CORNERS),
+        ("4", "centre and edge midpoints", CENTRE + EDGES),
+        ("5", "small centre", CENTRE),
+        ("6", "large centre", CENTRE),
+    )
 }
-
-
-def paper_layout(name: str) -> Layout:
-    """One of the paper's configurations 1-6 (139, 79, 64, 79, 19, 19 taxels)."""
-    description, offsets = PAPER[name]
-    phalanges = Patch(None, None, tuple(sorted(offsets)), large=name == "6")
-    return Layout(name, description, (phalanges, Patch(None, ("palm",), CENTRE)))
+"""The paper's configurations 1-6 (139, 79, 64, 79, 19, 19 taxels)."""
 
 
 def names() -> tuple[str, ...]:
@@ -260,41 +245,36 @@ def load(name: str) -> Layout:
     Raises ValueError naming what is wrong with the file, and FileNotFoundError.
     """
     if name in PAPER:
-        return paper_layout(name)
-    if Path(name).suffix in taxel_files.READERS:
-        return Layout(Path(name).stem, f"points of {name}", (), taxel_files.read(Path(name)))
-    if name.endswith(".toml"):
-        return _read(Path(name))
-    path = NAMED / f"{name}.toml"
-    if Path(name).name != name or not os.path.isfile(path):
-        meant = f"did you mean {name}.toml? " if os.path.isfile(f"{name}.toml") else ""
-        raise ValueError(
-            f"unknown layout {name!r}; {meant}allowed: {', '.join(names())} or the path of a file: "
-            f".toml, {', '.join(taxel_files.READERS)}"
-        )
-    return _read(path)
-
-
-def _read(path: Path) -> Layout:
+        return PAPER[name]
+    path = Path(name)
+    if path.suffix in taxel_files.READERS:
+        return Layout(path.stem, f"points of {name}", (), taxel_files.read(path))
+    if not name.endswith(".toml"):
+        path = NAMED / f"{name}.toml"
+        if Path(name).name != name or not os.path.isfile(path):
+            meant = f"did you mean {name}.toml? " if os.path.isfile(f"{name}.toml") else ""
+            raise ValueError(
+                f"unknown layout {name!r}; {meant}allowed: {', '.join(names())} or the path of a file: "
+                f".toml, {', '.join(taxel_files.READERS)}"
+            )
     data = toml_files.read(path, "layout file")
     with toml_files.blamed(f"layout file {path}"):
-        return parse(data, path.stem, path.parent)
+        return _parse(data, path)
 
 
-def parse(data: dict[str, Any], name: str, folder: Path = Path()) -> Layout:
-    """A layout from the content of a file (docs/guides/layouts.md); `folder` is where it lies."""
+def _parse(data: dict[str, Any], path: Path) -> Layout:
+    """A layout from the content of a file (docs/guides/layouts.md)."""
     only(data, {"description", "patch", "taxel", "sensor"}, "the file")
     tables = [data.get(key, []) for key in ("patch", "taxel", "sensor")]
     if not all(isinstance(each, list) for each in tables) or not any(tables):
         raise ValueError("needs at least one [[patch]], [[taxel]] or [[sensor]] table")
-    patches, taxels, sensors = tables
-    parsed = tuple(_patch(patch, f"patch {i + 1}") for i, patch in enumerate(patches))
-    _require_distinct(parsed)
-    points = tuple(taxel_files.point(taxel, i) for i, taxel in enumerate(taxels))
-    for i, sensor in enumerate(sensors):
-        points += tuple(taxel_files.mounted(sensor, i, folder))
+    patches = tuple(_patch(patch, f"patch {i}") for i, patch in enumerate(tables[0], 1))
+    _require_distinct(patches)
+    points = [taxel_files.point(taxel, i) for i, taxel in enumerate(tables[1])]
+    for i, sensor in enumerate(tables[2]):
+        points += taxel_files.mounted(sensor, i, path.parent)
     taxel_files.require_distinct(points)
-    return Layout(name, str(data.get("description", "")), parsed, points)
+    return Layout(path.stem, str(data.get("description", "")), patches, tuple(points))
 
 
 def of_taxels(taxels: Taxels, hand: Hand, description: str) -> Layout:
@@ -328,24 +308,22 @@ def mm(metres: float) -> float:
 def _require_distinct(patches: tuple[Patch, ...]) -> None:
     """ValueError when two patches put a taxel in the same place."""
     seen: dict[tuple[str, str, tuple[float, float]], int] = {}
-    for number, patch in enumerate(patches, 1):
+    for count, patch in enumerate(patches, 1):
         for place in product(set(patch.digits or ()), set(patch.segments or ()), patch.offsets):
             if place in seen:
                 digit, segment, (row, column) = place
                 raise ValueError(
-                    f"patch {number}: {digit}.{segment} has a taxel at "
+                    f"patch {count}: {digit}.{segment} has a taxel at "
                     f"[{1e3 * row:g}, {1e3 * column:g}] mm already, from patch {seen[place]}"
                 )
-            seen[place] = number
+            seen[place] = count
 
 
 def _patch(data: Any, where: str) -> Patch:
     table({where: data}, where, {"digits", "segments", "offsets_mm", "radius_mm"})
     digits = strings(data.get("digits"), f"{where}: digits")
     segments = strings(data.get("segments"), f"{where}: segments")
-    radius = data.get("radius_mm")
-    if radius is None or not is_number(radius) or not 0.1 <= radius <= 20:
-        raise ValueError(f"{where}: radius_mm: found {radius!r}, allowed a number from 0.1 to 20")
+    radius = number(data.get("radius_mm"), f"{where}: radius_mm", 0.1, 20.0)
     offsets = data.get("offsets_mm")
     if not isinstance(offsets, list) or not offsets:
         raise ValueError(f"{where}: offsets_mm: found {offsets!r}, expected [[row, column], ...]")

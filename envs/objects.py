@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 
 from .hands import Array
+from .typed import allow_only_with
 
 Kind = Literal["box", "sphere", "cylinder"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
@@ -36,9 +37,9 @@ class ObjectConfig:
     """Coefficient of sliding friction of the object."""
     jitter: bool = True
     """Vary the start slightly in every episode (the paper does not)."""
-    start_offset: float = OFFSET
+    start_offset: Annotated[float, f"[0, {FURTHEST}]"] = OFFSET
     """With jitter: largest offset of the object along x and y, m."""
-    start_yaw: float = YAW
+    start_yaw: Annotated[float, "[0, 3.142]"] = YAW
     """With jitter: largest turn of the object, rad."""
 
     @property
@@ -49,7 +50,7 @@ class ObjectConfig:
 
 @dataclass(frozen=True)
 class Shape:
-    """A primitive in its own frame, centred at the origin; a cylinder stands along z."""
+    """A primitive in its own frame, centred at the origin; a cylinder stands along z. In m."""
 
     kind: Kind
     half_size: tuple[float, float, float]
@@ -62,7 +63,6 @@ class Shape:
 
     @property
     def height(self) -> float:
-        """m"""
         return 2 * self.half_size[2]
 
     @property
@@ -113,20 +113,13 @@ class ObjectState:
 def make(kind: Kind, size: tuple[float, ...]) -> Shape:
     """A shape from its measures in m: a box's edges (one: a cube), a sphere's diameter, a
     cylinder's diameter and height (one: both). ValueError for another number of them."""
-    numbers = {"box": (1, 3), "sphere": (1,), "cylinder": (1, 2)}[kind]
-    if len(size) not in numbers:
-        raise ValueError(
-            f"object_size: found {len(size)} numbers, allowed for a {kind}: "
-            + " or ".join(map(str, numbers))
-        )
+    allowed = {"box": "1 or 3", "sphere": "1", "cylinder": "1 or 2"}[kind]
+    if str(len(size)) not in allowed.split():
+        found = f"found {len(size)} numbers"
+        raise ValueError(f"object_size: {found}, allowed for a {kind}: {allowed}")
     edges = {1: size * 3, 2: (size[0], size[0], size[-1]), 3: size}[len(size)]
     x, y, z = (edge / 2 for edge in edges)
     return Shape(kind, (x, y, z))
-
-
-def cube(size: float) -> Shape:
-    """A cube with edges of `size` m."""
-    return make("box", (size,))
 
 
 @dataclass(frozen=True)
@@ -161,12 +154,9 @@ class Items:
         ranges = (*self._sizes, self._density, self._friction)
         self.vary = len(self._kinds) > 1 or any(low < high for low, high in ranges)
         largest = [make(kind, tuple(high for _, high in self._sizes)) for kind in self._kinds]
-        self.width = max(shape.width for shape in largest)
-        """Of the widest, m."""
-        self.height = max(shape.height for shape in largest)
-        """Of the highest, m."""
+        self.width, self.height = (max(getattr(s, of) for s in largest) for of in ("width", "height"))
         self.smallest = min(low for low, _ in self._sizes)
-        """Of all measures, m."""
+        """Of all measures, m; `width` is of the widest, `height` of the highest."""
         self.first = Item(largest[0], self._density[1], self._friction[1])
         """The largest of the first kind; the only one where they do not vary."""
 
@@ -208,20 +198,12 @@ def bounds(name: str, value: Number) -> tuple[float, float]:
 def validate(config: ObjectConfig) -> None:
     """ValueError naming the first invalid field."""
     items = Items(config)
-    if items.smallest < SMALLEST:
-        raise ValueError(f"object_size: found {items.smallest:g} m, allowed {SMALLEST} m or more")
-    for size, most, where in (
-        (items.width, WIDEST, "across"),
-        (items.height, TALLEST, "in height"),
+    for size, is_wrong, allowed in (
+        (items.smallest, items.smallest < SMALLEST, f"{SMALLEST} m or more"),
+        (items.width, items.width > WIDEST, f"up to {WIDEST} m across"),
+        (items.height, items.height > TALLEST, f"up to {TALLEST} m in height"),
     ):
-        if size > most:
-            raise ValueError(f"object_size: found {size:g} m, allowed up to {most} m {where}")
-    for name, most, usual in (
-        ("start_offset", FURTHEST, OFFSET),
-        ("start_yaw", math.pi, YAW),
-    ):
-        value = getattr(config, name)
-        if not 0 <= value <= most:
-            raise ValueError(f"{name}: found {value}, allowed from 0 to {most:.4g}")
-        if value != usual and not config.jitter:
-            raise ValueError(f"{name}: found {value}, allowed only with jitter")
+        if is_wrong:
+            raise ValueError(f"object_size: found {size:g} m, allowed {allowed}")
+    if not config.jitter:
+        allow_only_with("jitter", config, "start_offset", "start_yaw")

@@ -9,16 +9,18 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Annotated, Literal, NamedTuple, Protocol
+from dataclasses import dataclass, replace
+from operator import attrgetter
+from typing import Annotated, Literal, NamedTuple
 
+import gymnasium as gym
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from . import objects
 from .hands import SLIDES, Array, Hand
 from .snapshot import Snapshot
-from .typed import NotNegative, Share
+from .typed import NotNegative, Share, allow_only_with
 
 SIGHT_NOISE = (0.01, 0.1)  # m and rad, where noise is asked for without saying how much
 
@@ -79,34 +81,23 @@ class ObservationConfig(SensorConfig):
     contacts."""
 
 
-SHARES = tuple(field.name for field in fields(TaxelFaults))
-
-
 def validate(config: ObservationConfig, run_type: str, is_boolean: bool) -> None:
     """ValueError naming the first field that does nothing in a run of this type."""
     validate_faults(config)
     if config.object_seen != "noisy":
-        _require_defaults(config, ("sight_noise", "sight_noise_kind"), "object_seen noisy")
+        allow_only_with("object_seen noisy", config, "sight_noise", "sight_noise_kind")
     if run_type != "main":
-        only_with = "run_type main (in others no taxel is read)"
-        _require_defaults(config, (*SHARES, "taxel_delay"), only_with)
+        what = "run_type main (in others no taxel is read)"
+        allow_only_with(what, config, *vars(TaxelFaults()), "taxel_delay")
     if not is_boolean:
-        only_with = "Boolean taxels (touch skin or contact)"
-        _require_defaults(config, ("taxel_false_on", "taxel_stuck"), only_with)
+        what = "Boolean taxels (touch skin or contact)"
+        allow_only_with(what, config, "taxel_false_on", "taxel_stuck")
 
 
 def validate_faults(faults: TaxelFaults) -> None:
     """ValueError where there are more broken taxels than taxels."""
     if (together := faults.taxel_dead + faults.taxel_stuck) > 1:
         raise ValueError(f"taxel_stuck: found {together:g} with taxel_dead, allowed together up to 1")
-
-
-def _require_defaults(config: ObservationConfig, names: tuple[str, ...], only_with: str) -> None:
-    """ValueError for a field that was set where it does nothing."""
-    defaults = {field.name: field.default for field in fields(config)}
-    for name in names:
-        if (found := getattr(config, name)) != defaults[name]:
-            raise ValueError(f"{name}: found {found}, allowed only with {only_with}")
 
 
 # -- terms -----------------------------------------------------------------------------------
@@ -135,25 +126,19 @@ def _of_first_joints(hand: Hand, now: Snapshot) -> Array:
 TERMS = {
     "object_id": Term(
         "object kind:",
-        lambda hand: [", ".join(objects.KINDS)],
-        lambda hand, now: np.array([float(objects.KINDS.index(now.shape.kind))]),
+        lambda _: [", ".join(objects.KINDS)],
+        lambda _, now: np.array([float(objects.KINDS.index(now.shape.kind))]),
     ),
-    "hand_position": Term("hand", lambda hand: "xyz", lambda hand, now: now.hand),
-    "finger_joints": Term("position of", lambda hand: hand.first_joints, _of_first_joints),
-    "joint_positions": Term(
-        "position of", lambda hand: hand.joints, lambda hand, now: now.joint_positions
-    ),
-    "joint_velocities": Term(
-        "velocity of", lambda hand: hand.joints, lambda hand, now: now.joint_velocities
-    ),
-    "object_position": Term("object", lambda hand: "xyz", lambda hand, now: now.object.position),
+    "hand_position": Term("hand", lambda _: "xyz", lambda _, now: now.hand),
+    "finger_joints": Term("position of", attrgetter("first_joints"), _of_first_joints),
+    "joint_positions": Term("position of", attrgetter("joints"), lambda _, now: now.joint_positions),
+    "joint_velocities": Term("velocity of", attrgetter("joints"), lambda _, now: now.joint_velocities),
+    "object_position": Term("object", lambda _: "xyz", lambda _, now: now.object.position),
     "object_orientation": Term(
-        "object quaternion", lambda hand: "wxyz", lambda hand, now: now.object.orientation
+        "object quaternion", lambda _: "wxyz", lambda _, now: now.object.orientation
     ),
     "asked": Term(
-        "asked for:",
-        lambda hand: hand.action_names,
-        lambda hand, now: hand.action_map.asked(now.targets),
+        "asked for:", attrgetter("action_names"), lambda h, now: h.action_map.asked(now.targets)
     ),
 }
 TRUE = ("joint_positions", "joint_velocities", "object_position", "object_orientation")
@@ -162,14 +147,16 @@ TRUE = ("joint_positions", "joint_velocities", "object_position", "object_orient
 # -- stages ----------------------------------------------------------------------------------
 
 
-class Stage(Protocol):
+class Stage:
     """What happens to a reading (..., n) on its way to the policy."""
 
     def begin(self, rng: np.random.Generator) -> None:
         """A new episode, whose draws come from `rng`."""
+        self._rng = rng
 
     def __call__(self, reading: Array) -> Array:
         """What comes out of one control step's reading; the first is the episode's start."""
+        raise NotImplementedError
 
 
 class JointErrors:
@@ -201,14 +188,11 @@ class JointErrors:
         )
 
 
-class FalseReadings:
+class FalseReadings(Stage):
     """Bits that flip at random."""
 
     def __init__(self, false_on: float, false_off: float) -> None:
         self.false_on, self.false_off = false_on, false_off
-
-    def begin(self, rng: np.random.Generator) -> None:
-        self._rng = rng
 
     def __call__(self, reading: Array) -> Array:
         draws = self._rng.random(reading.shape)
@@ -216,7 +200,7 @@ class FalseReadings:
         return np.where(reading > 0, np.where(draws < self.false_off, 0, reading), off)
 
 
-class Broken:
+class Broken(Stage):
     """Sensors that always read the same: some are dead and read 0, some are stuck and read 1.
 
     Which ones follows from `seed` alone, and those of a smaller share are among those of a larger.
@@ -228,16 +212,13 @@ class Broken:
         self.dead = order[:n_dead]
         self.stuck = order[max(n_dead, n - round(stuck * n)) :]
 
-    def begin(self, rng: np.random.Generator) -> None:
-        """A hand's life is longer than an episode."""
-
     def __call__(self, reading: Array) -> Array:
         reading = reading.copy()
         reading[..., self.dead], reading[..., self.stuck] = 0, 1
         return reading
 
 
-class Past:
+class Past(Stage):
     """The readings of the last `n` control steps; before an episode, all was as at its start."""
 
     def __init__(self, n: int) -> None:
@@ -247,9 +228,9 @@ class Past:
         self._readings.clear()
 
     def add(self, reading: Array) -> deque[Array]:
-        """With this one, the oldest first."""
+        """With this one, the newest first."""
         n_missing = 1 if self._readings else (self._readings.maxlen or 1)
-        self._readings.extend([reading] * n_missing)
+        self._readings.extendleft([reading] * n_missing)
         return self._readings
 
 
@@ -260,14 +241,7 @@ class Delay(Past):
         super().__init__(steps + 1)
 
     def __call__(self, reading: Array) -> Array:
-        return self.add(reading)[0]
-
-
-class History(Past):
-    """The last `n` readings side by side, the newest first."""
-
-    def __call__(self, reading: Array) -> Array:
-        return np.concatenate(list(reversed(self.add(reading))))
+        return self.add(reading)[-1]
 
 
 # -- sight -----------------------------------------------------------------------------------
@@ -282,7 +256,6 @@ class Sight:
         self._scale = np.repeat(config.sight_noise or SIGHT_NOISE, 3)
 
     def begin(self, rng: np.random.Generator) -> None:
-        """A new episode."""
         self._rng = rng
         self._first: objects.ObjectState | None = None
         self._error = self._draw()
@@ -308,6 +281,19 @@ class Sight:
 # -- all of it -------------------------------------------------------------------------------
 
 
+class NamedBox(gym.spaces.Box):
+    """A Box of float32 that says what its entries are; the last `n_taxels` are readings from 0 up."""
+
+    def __init__(self, names: Sequence[str], n_taxels: int, is_boolean: bool) -> None:
+        high = np.full(len(names), np.inf, np.float32)
+        low = -high
+        low[len(names) - n_taxels :] = 0.0
+        if is_boolean:
+            high[len(names) - n_taxels :] = 1.0
+        super().__init__(low, high, dtype=np.float32)
+        self.names = tuple(names)
+
+
 class Observer:
     """Turns snapshots into the observation of one hand with its sensors.
 
@@ -323,8 +309,7 @@ class Observer:
         control_dt: float,
     ) -> None:
         """`taxel_names` are those in the observation; `is_boolean` says whether they read 0 or 1."""
-        terms = (*hand.observation, *(["asked"] if config.observe_targets else []))
-        self.hand, self._terms = hand, terms
+        self.hand, self._terms = hand, [*hand.observation, *["asked"] * config.observe_targets]
         self._sight = Sight(config)
         is_slide = np.isin(hand.joints, SLIDES)
         white = np.where(is_slide, config.slide_noise, config.joint_noise)
@@ -333,18 +318,14 @@ class Observer:
         if white.any() or held.any():
             self._joints = JointErrors(white, held, control_dt)
         self._taxels = taxel_stages(config, len(taxel_names))
-        self._history = [History(config.history), History(config.history)]
-        names = term_names(terms, hand)
-        taxels = [f"taxel {name}" for name in taxel_names]
-        self.names = _remembered(names, config.history) + _remembered(taxels, config.history)
-        n_taxels, size = config.history * len(taxels), len(self.names)
-        self.low, self.high = np.full(size, -np.inf, np.float32), np.full(size, np.inf, np.float32)
-        self.low[size - n_taxels :] = 0.0
-        if is_boolean:
-            self.high[size - n_taxels :] = 1.0
-        whose = [term for term in terms for _ in TERMS[term].each(hand)]
-        whose += [""] * (size - n_taxels - len(whose)) + ["taxels"] * len(taxels)
-        self._whose = np.array(whose)
+        self._past = Past(config.history), Past(config.history)
+        now = term_names(self._terms, hand), [f"taxel {name}" for name in taxel_names]
+        ages = ["", *(f" (t-{age})" for age in range(1, config.history))]
+        names = [f"{name}{age}" for part in now for age in ages for name in part]
+        self.space = NamedBox(names, len(ages) * len(taxel_names), is_boolean)
+        whose = [term for term in self._terms for _ in TERMS[term].each(hand)]
+        taxels = np.repeat(["taxels"] + [""] * (len(ages) - 1), len(taxel_names))
+        self._whose = np.array([*whose, *[""] * (len(ages) - 1) * len(whose), *taxels])
 
     def entries(self, *terms: str) -> Array:
         """Indices of the newest entries of these terms, as far as the hand has them, or "taxels"."""
@@ -352,14 +333,12 @@ class Observer:
 
     def begin(self, rng: np.random.Generator) -> None:
         """A new episode, which the next snapshot starts."""
-        sight, joints, taxels, history = rng.spawn(4)
+        sight, joints, taxels = rng.spawn(3)
         self._sight.begin(sight)
         if self._joints is not None:
             self._joints.begin(joints)
-        for stage in self._taxels:
+        for stage in (*self._taxels, *self._past):
             stage.begin(taxels)
-        for past in self._history:
-            past.begin(history)
 
     def observe(self, truth: Snapshot, taxels: Array) -> Array:
         """(n,) float32 from what is true and what the taxels feel; once a control step."""
@@ -369,7 +348,7 @@ class Observer:
         terms = np.concatenate([TERMS[term].read(self.hand, sensed) for term in self._terms])
         for stage in self._taxels:
             taxels = stage(taxels)
-        told = [past(part) for past, part in zip(self._history, (terms, taxels), strict=True)]
+        told = [*self._past[0].add(terms), *self._past[1].add(taxels)]
         return np.concatenate(told, dtype=np.float32, casting="same_kind")
 
 
@@ -379,9 +358,10 @@ def truth(hand: Hand, now: Snapshot, taxels: Array) -> Array:
     return np.concatenate([*parts, taxels], dtype=np.float32, casting="same_kind")
 
 
-def truth_names(hand: Hand, taxel_names: Sequence[str]) -> list[str]:
-    """What the entries of `truth` are."""
-    return [*term_names(TRUE, hand), *(f"taxel {name}" for name in taxel_names)]
+def truth_space(hand: Hand, taxel_names: Sequence[str], is_boolean: bool) -> NamedBox:
+    """Where `truth` lies."""
+    names = [*term_names(TRUE, hand), *(f"taxel {name}" for name in taxel_names)]
+    return NamedBox(names, len(taxel_names), is_boolean)
 
 
 STAGES: list[Callable[[SensorConfig, int], Stage | None]] = [
@@ -404,9 +384,3 @@ that is broken says the same whatever it feels, and all of it is late."""
 def taxel_stages(config: SensorConfig, n: int) -> list[Stage]:
     """Those of STAGES that a configuration asks for."""
     return [stage for made in STAGES if (stage := made(config, n)) is not None]
-
-
-def _remembered(names: list[str], history: int) -> list[str]:
-    """Names of the entries of the last `history` observations, the newest first."""
-    older = [f"{name} (t-{age})" for age in range(1, history) for name in names]
-    return [*names, *older]

@@ -83,22 +83,18 @@ def legs(
 ) -> tuple[list[Array], list[Array], list[Array]]:
     """Joint targets (n_actuators,) every `dt` s of approach, closing and lift. `closing` is how far
     the fingers go from their start to where the grasp has them: 1 is all the way."""
-    start, actuators = env.hand.start_targets(), env.hand.actuators
-    closed = np.array(
-        [grasp.targets.get(name, value) for name, value in zip(actuators, start, strict=True)]
-    )
+    start = env.hand.start_targets()
+    starts = dict(zip(env.hand.actuators, start, strict=True))
+    closed = np.array([grasp.targets.get(name, value) for name, value in starts.items()])
     closed[3:] += (closing - 1.0) * (closed[3:] - start[3:])
     above = np.concatenate([closed[:3], start[3:]])
     lifted = closed + LIFT_HEIGHT * np.eye(len(closed))[2]
-    return (
-        _ramp(start, above, round(APPROACH / dt)),
-        _ramp(above, closed, round(CLOSE / dt)),
-        _ramp(closed, lifted, round(LIFT / dt)),
-    )
 
+    def ramp(begin: Array, end: Array, seconds: float) -> list[Array]:
+        n = round(seconds / dt)
+        return [begin + (end - begin) * k / n for k in range(1, n + 1)]
 
-def _ramp(begin: Array, end: Array, n: int) -> list[Array]:
-    return [begin + (end - begin) * k / n for k in range(1, n + 1)]
+    return ramp(start, above, APPROACH), ramp(above, closed, CLOSE), ramp(closed, lifted, LIFT)
 
 
 def grasp_for(env: GraspEnv) -> ScriptedGrasp:

@@ -24,3 +24,8 @@ class Snapshot:
     """(n_actuators,) the joint targets last asked for."""
     object: ObjectState
     shape: Shape
+
+    @property
+    def clearance(self) -> float:
+        """Under the object's lowest point, m."""
+        return float(self.object.position[2] - self.shape.half_height(self.object.rotation))

@@ -8,7 +8,7 @@ relabelling can recompute them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
 
 import numpy as np
@@ -19,7 +19,7 @@ from .hold import LOOK_STEPS, HoldTest, Verdict
 from .objects import Shape
 from .simulators import Simulator
 from .snapshot import Snapshot
-from .typed import Positive
+from .typed import Positive, allow_only_with
 
 
 @dataclass(frozen=True)
@@ -55,12 +55,9 @@ def validate(config: TaskConfig) -> None:
     if not 0 <= config.goal_range <= config.goal_height:
         allowed = f"from 0 to goal_height, {config.goal_height:g} m"
         raise ValueError(f"goal_range: found {config.goal_range} m, allowed {allowed}")
-    if config.goal_range and config.task != "reach-goal":
-        raise ValueError(f"goal_range: found {config.goal_range}, allowed only with task reach-goal")
-    if config.handover_reach and config.task != "handover":
-        raise ValueError(
-            f"handover_reach: found {config.handover_reach}, allowed only with task handover"
-        )
+    for task, name in (("reach-goal", "goal_range"), ("handover", "handover_reach")):
+        if config.task != task:
+            allow_only_with(f"task {task}", config, name)
     rewards = TASKS[config.task].rewards
     if config.reward is not None and config.reward not in rewards:
         allowed = ", ".join(rewards)
@@ -94,38 +91,33 @@ class Judgement(NamedTuple):
 
 
 class Task(Protocol):
-    """Goals, rewards and verdicts of one environment's episodes."""
+    """Goals, rewards and verdicts of one environment's episodes. Unless it says otherwise, the object
+    lies on the ground, and nobody but the hand moves it."""
 
     rewards: ClassVar[tuple[str, ...]]
     """The kinds of reward it has; the first is the default."""
+    max_episode_steps: ClassVar[int]
+    """Length of an episode unless the configuration says otherwise."""
+    rise: ClassVar[float] = 0.0
+    """How much higher than usual the hand hangs, m."""
+    giver: ClassVar[Giver | None] = None
+    """Who carries the object before the hand has it."""
+    goal_size: int
+    """Length of achieved and desired goals."""
+    only_goal: Array | None = None
+    """The goal (goal_size,) of every episode, where no other is ever asked for or could be."""
+    config: TaskConfig
+    hold: HoldTest
 
-    @property
-    def goal_size(self) -> int:
-        """Length of achieved and desired goals."""
-
-    @property
-    def only_goal(self) -> Array | None:
-        """The goal (goal_size,) of every episode, where no other is ever asked for or could be."""
-
-    @property
-    def max_episode_steps(self) -> int:
-        """Length of an episode unless the configuration says otherwise."""
-
-    @property
-    def rise(self) -> float:
-        """How much higher than usual the hand hangs, m."""
-
-    @property
-    def giver(self) -> Giver | None:
-        """Who carries the object before the hand has it."""
-
-    @classmethod
-    def of(cls, config: TaskConfig, hand: Hand, own_timestep: float) -> Task:
-        """The task as configured, for a hand whose own timestep is that, s."""
+    def __init__(self, config: TaskConfig, hand: Hand, own_timestep: float) -> None:
+        """As configured, for a hand whose own timestep is that, s."""
+        self.config = config
+        self.hold = HoldTest(config.hold_seconds, LOOK_STEPS * own_timestep, config.hold_verdict)
 
     def start(self, usual: Start, palm: Array, shape: Shape) -> Start:
         """How an episode begins: usually with the hand open above an object on the ground, both a
         little moved. `palm` (3,) is a place on the palm's skin, at the bases of the fingers."""
+        return usual
 
     def act(self, simulator: Simulator, step: int) -> None:
         """What others do in the scene before the hand's action number `step`, or at the start (0)."""
@@ -143,44 +135,17 @@ class Task(Protocol):
         """bool (...)"""
 
 
-class FromTheGround:
-    """The object lies on the ground, and nobody but the hand moves it."""
-
-    rise: ClassVar[float] = 0.0
-    giver: ClassVar[Giver | None] = None
-
-    def start(self, usual: Start, palm: Array, shape: Shape) -> Start:
-        return usual
-
-    def act(self, simulator: Simulator, step: int) -> None:
-        """Nothing."""
-
-
-@dataclass(frozen=True)
-class ReachGoal(FromTheGround):
+class ReachGoal(Task):
     """Bring the object to a place above the ground and keep it there (paper, MuJoCo set-up)."""
 
-    rewards: ClassVar[tuple[str, ...]] = ("sparse", "dense")
-    goal_size: ClassVar[int] = 3
-    only_goal: ClassVar[Array | None] = None
-    max_episode_steps: ClassVar[int] = 20
-
-    height: float
-    """Of the goal over the object at rest, m."""
-    tolerance: float
-    kind: str = "sparse"
-    spread: float = 0.0
-    """How far the goal may be drawn from there along each axis, m."""
-
-    @classmethod
-    def of(cls, config: TaskConfig, hand: Hand, own_timestep: float) -> ReachGoal:
-        kind = config.reward or cls.rewards[0]
-        return cls(config.goal_height, config.goal_tolerance, kind, config.goal_range)
+    rewards = ("sparse", "dense")
+    max_episode_steps = 20
+    goal_size = 3
 
     def begin(self, start: Snapshot, rng: np.random.Generator) -> tuple[Array, Array]:
-        goal = np.array([0.0, 0.0, start.shape.half_size[2] + self.height])
-        if self.spread:
-            goal += rng.uniform(-self.spread, self.spread, 3)
+        goal = np.array([0.0, 0.0, start.shape.half_size[2] + self.config.goal_height])
+        if spread := self.config.goal_range:
+            goal += rng.uniform(-spread, spread, 3)
         return start.object.position, goal
 
     def judge(self, now: Snapshot, is_last: bool) -> Judgement:
@@ -189,12 +154,12 @@ class ReachGoal(FromTheGround):
     def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """sparse: 0 within the tolerance, else -1; dense: -10 x distance in m. Both readings
         of the paper exist in the code it builds on (Plappert et al. 2018)."""
-        if self.kind == "dense":
+        if self.config.reward == "dense":
             return -10.0 * _distance(achieved_goal, desired_goal)
         return self.is_success(achieved_goal, desired_goal) - 1.0
 
     def is_success(self, achieved_goal: Array, desired_goal: Array) -> Array:
-        return _distance(achieved_goal, desired_goal) <= self.tolerance
+        return _distance(achieved_goal, desired_goal) <= self.config.goal_tolerance
 
 
 Outcome = Literal["undecided", "fell_back", "lifted", "dropped", "held", "timed_out", "missed"]
@@ -212,8 +177,7 @@ FINAL = ("held", "dropped", "timed_out")  # the paper's time-out is a verdict to
 OFF_GROUND = 0.005  # m under the object's lowest point: an attempt has begun
 
 
-@dataclass
-class LiftAndHold(FromTheGround):
+class LiftAndHold(Task):
     """Grasp, lift, and survive a long unrecorded hold at 1 m (paper, PyBullet set-up).
 
     The achieved goal holds the distances the reward is made of (palm, then fingertips, to the
@@ -221,28 +185,15 @@ class LiftAndHold(FromTheGround):
     only, so relabelling an episode leaves its rewards as they are.
     """
 
-    rewards: ClassVar[tuple[str, ...]] = ("staged",)
-    max_episode_steps: ClassVar[int] = 100
+    rewards = ("staged",)
+    max_episode_steps = 100
     finger_weight: ClassVar[float] = 0.2
     """alpha of the paper's reward."""
 
-    clearance: float
-    """Under a lifted object, m."""
-    hold: HoldTest
-    n_digits: int = 5
-    _is_off_ground: bool = field(default=False, repr=False)
-
-    @classmethod
-    def of(cls, config: TaskConfig, hand: Hand, own_timestep: float) -> LiftAndHold:
-        return cls(config.lift_clearance, _hold_test(config, own_timestep), len(hand.fingertips))
-
-    @property
-    def goal_size(self) -> int:
-        return 1 + self.n_digits + 1
-
-    @property
-    def only_goal(self) -> Array:
-        return _with_outcome(np.zeros(1 + self.n_digits), "held")
+    def __init__(self, config: TaskConfig, hand: Hand, own_timestep: float) -> None:
+        super().__init__(config, hand, own_timestep)
+        self.only_goal: Array = np.append(np.zeros(1 + len(hand.fingertips)), OUTCOMES["held"])
+        self.goal_size = len(self.only_goal)
 
     def begin(self, start: Snapshot, rng: np.random.Generator) -> tuple[Array, Array]:
         self._is_off_ground = False
@@ -256,8 +207,8 @@ class LiftAndHold(FromTheGround):
         return Judgement(self._achieved(now, outcome), outcome in FINAL)
 
     def _before_hold(self, now: Snapshot, is_last: bool) -> Outcome:
-        clearance = now.object.position[2] - now.shape.half_height(now.object.rotation)
-        if clearance > self.clearance:
+        clearance = now.clearance
+        if clearance > self.config.lift_clearance:
             return "lifted"
         was_off, self._is_off_ground = self._is_off_ground, clearance > OFF_GROUND
         if is_last:
@@ -266,26 +217,24 @@ class LiftAndHold(FromTheGround):
 
     def _achieved(self, now: Snapshot, outcome: Outcome) -> Array:
         points = np.vstack([now.hand, now.fingertips])
-        return _with_outcome(_distance(points, now.object.position), outcome)
+        return np.append(_distance(points, now.object.position), OUTCOMES[outcome])
 
     def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """Closeness of palm and fingertips until a lift; 5 more for a failed attempt, whether
         the object fell back before it was lifted or was dropped in the hold test; 1000 for a
         lift that held; -100 at time-out. Squares are of metres, as the paper has them."""
-        distances, outcome = _split(achieved_goal)
-        closeness = np.exp(-(distances**2))
-        reward = closeness[..., 0] + self.finger_weight * closeness[..., 1:].sum(axis=-1)
-        failed = (outcome == OUTCOMES["fell_back"]) | (outcome == OUTCOMES["dropped"])
-        reward = np.where(failed, reward + 5.0, reward)
-        reward = np.where(outcome == OUTCOMES["timed_out"], -100.0, reward)
-        return np.where(self.is_success(achieved_goal, desired_goal), 1000.0, reward)
+        closeness = np.exp(-(np.asarray(achieved_goal)[..., :-1] ** 2))
+        near = closeness[..., 0] + self.finger_weight * closeness[..., 1:].sum(axis=-1)
+        failed = near + 5.0
+        return _by_outcome(
+            achieved_goal, near, fell_back=failed, dropped=failed, timed_out=-100.0, held=1000.0
+        )
 
     def is_success(self, achieved_goal: Array, desired_goal: Array) -> Array:
-        return _split(achieved_goal)[1] == OUTCOMES["held"]
+        return np.asarray(achieved_goal)[..., -1] == OUTCOMES["held"]
 
 
-@dataclass
-class Handover:
+class Handover(Task):
     """Close the hand while somebody holds an object against it, and keep it.
 
     The arm stands still. At a time that is not known, somebody brings the object up from below,
@@ -293,12 +242,12 @@ class Handover:
     is missed when it falls; if it is still in the hand a little later, the hold test decides.
     """
 
-    rewards: ClassVar[tuple[str, ...]] = ("outcome",)
-    goal_size: ClassVar[int] = 1
-    only_goal: ClassVar[Array] = np.array([OUTCOMES["held"]])
-    max_episode_steps: ClassVar[int] = 60
-    rise: ClassVar[float] = 0.2
+    rewards = ("outcome",)
+    max_episode_steps = 60
+    rise = 0.2
     giver: ClassVar[Giver] = Giver()
+    goal_size = 1
+    only_goal: Array = np.array([OUTCOMES["held"]])
     below: ClassVar[float] = 0.12
     """How far under the palm the object waits, m."""
     beyond: ClassVar[float] = 0.004
@@ -311,17 +260,6 @@ class Handover:
     """Actions from letting go to the hold test."""
     fallen: ClassVar[float] = 0.2
     """m from the palm: it was missed."""
-
-    hold: HoldTest
-    reach: float = 0.0
-    """Of where the object is held, from the bases of the fingers towards their tips, m."""
-    _step: int = field(default=0, repr=False)
-    _sets_off: int = field(default=0, repr=False)
-    _wait: Array = field(default_factory=lambda: np.zeros(3), repr=False)
-
-    @classmethod
-    def of(cls, config: TaskConfig, hand: Hand, own_timestep: float) -> Handover:
-        return cls(_hold_test(config, own_timestep), config.handover_reach)
 
     @classmethod
     def require_time(cls, max_episode_steps: int | None, control_dt: float) -> None:
@@ -337,13 +275,13 @@ class Handover:
 
     def start(self, usual: Start, palm: Array, shape: Shape) -> Start:
         x, y, _ = usual.position  # fingers point along -y
-        under = np.array([x, y - self.reach, -shape.half_size[2] - self.below])
-        return usual._replace(position=palm + under)
+        under = [x, y - self.config.handover_reach, -shape.half_size[2] - self.below]
+        return usual._replace(position=palm + np.array(under))
 
     def begin(self, start: Snapshot, rng: np.random.Generator) -> tuple[Array, Array]:
-        self._sets_off = int(rng.integers(self.waits[0], self.waits[1], endpoint=True))
+        self._sets_off = int(rng.integers(*self.waits, endpoint=True))
         self._wait = start.object.position
-        return self._achieved("undecided"), self.only_goal
+        return _outcome("undecided"), self.only_goal
 
     def act(self, simulator: Simulator, step: int) -> None:
         self._step = step
@@ -357,37 +295,31 @@ class Handover:
     def judge(self, now: Snapshot, is_last: bool) -> Judgement:
         since = self._step - self._sets_off - self.stays
         if since >= 0 and _distance(now.hand, now.object.position) > self.fallen:
-            return Judgement(self._achieved("missed"), True)
+            return Judgement(_outcome("missed"), True)
         if since >= self.settles:
-            return Judgement(self._achieved("held"), True, self.hold, self._achieved("missed"))
-        return Judgement(self._achieved("undecided"))
-
-    def _achieved(self, outcome: Outcome) -> Array:
-        return np.array([OUTCOMES[outcome]])
+            return Judgement(_outcome("held"), True, self.hold, _outcome("missed"))
+        return Judgement(_outcome("undecided"))
 
     def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """1000 for an object that is held in the end, -100 for one that is missed."""
-        outcome = np.asarray(achieved_goal)[..., 0]
-        reward = np.where(outcome == OUTCOMES["missed"], -100.0, 0.0)
-        return np.where(outcome == OUTCOMES["held"], 1000.0, reward)
+        return _by_outcome(achieved_goal, 0.0, missed=-100.0, held=1000.0)
 
     def is_success(self, achieved_goal: Array, desired_goal: Array) -> Array:
-        return np.asarray(achieved_goal)[..., 0] == OUTCOMES["held"]
+        return np.asarray(achieved_goal)[..., -1] == OUTCOMES["held"]
 
 
-def _hold_test(config: TaskConfig, own_timestep: float) -> HoldTest:
-    return HoldTest(config.hold_seconds, LOOK_STEPS * own_timestep, config.hold_verdict)
+def _outcome(name: Outcome) -> Array:
+    """A goal of handover."""
+    return np.array([OUTCOMES[name]])
 
 
-def _with_outcome(distances: Array, outcome: Outcome) -> Array:
-    """A goal of lift-and-hold."""
-    return np.append(distances, OUTCOMES[outcome])
-
-
-def _split(goal: Any) -> tuple[Array, Array]:
-    """Distances (..., 1 + n_digits) and outcomes (...) of goals of lift-and-hold."""
-    goal = np.asarray(goal)
-    return goal[..., :-1], goal[..., -1]
+def _by_outcome(goals: Array, reward: Any, **rewards: Any) -> Array:
+    """The rewards (...) of goals (..., n) that end in an outcome: those named, or `reward`."""
+    outcome = np.asarray(goals)[..., -1]
+    for name, value in OUTCOMES.items():
+        if name in rewards:
+            reward = np.where(outcome == value, rewards[name], reward)
+    return reward
 
 
 def _distance(a: Any, b: Any) -> Array:

@@ -65,9 +65,7 @@ def point(data: Any, index: int) -> Point:
     length = float(np.linalg.norm(normal))
     if not 0.5 <= length <= 2.0:
         raise ValueError(f"{where}: normal: found {list(normal)}, expected a unit vector")
-    radius = number(data.get("radius", RADIUS), f"{where}: radius")
-    if not 1e-4 <= radius <= 0.02:
-        raise ValueError(f"{where}: radius: found {radius:g}, allowed from 0.0001 to 0.02 m")
+    radius = number(data.get("radius", RADIUS), f"{where}: radius", 1e-4, 0.02)
     name = str(data.get("name") or f"{link}[{index + 1}]")
     return Point(link, position, tuple((np.array(normal) / length).tolist()), radius, name)
 

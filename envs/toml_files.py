@@ -58,12 +58,11 @@ def is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e9
 
 
-def number(value: Any, where: str, least: float = -1e9) -> float:
-    """A number from `least` up; ValueError for anything else."""
-    if not is_number(value) or value < least:
-        raise ValueError(
-            f"{where}: found {value!r}, expected a number" + f" from {least:g}" * (least > -1e9)
-        )
+def number(value: Any, where: str, least: float = -1e9, most: float = 1e9) -> float:
+    """A number from `least` to `most`; ValueError for anything else."""
+    if not is_number(value) or not least <= value <= most:
+        span = f" from {least:g}" * (least > -1e9) + f" to {most:g}" * (most < 1e9)
+        raise ValueError(f"{where}: found {value!r}, expected a number{span}")
     return float(value)
 
 

@@ -63,6 +63,14 @@ def require(kind: type, values: Mapping[str, Any]) -> None:
         require_type(values[name], hint, name)
 
 
+def allow_only_with(what: str, config: Any, *names: str) -> None:
+    """ValueError for a field of `config` that is not as usual, where it does nothing without `what`."""
+    usual = {field.name: field.default for field in dataclasses.fields(config)}
+    for name in names:
+        if (found := getattr(config, name)) != usual[name]:
+            raise ValueError(f"{name}: found {found}, allowed only with {what}")
+
+
 def require_type(value: Any, hint: Any, name: str) -> None:
     """ValueError when `value` is not of the type `hint`, or not in its range; True is no number, nor is
     10**400."""

@@ -17,7 +17,6 @@ class Saturn(MujocoSimulator):
         self.model.opt.gravity[2] *= 1.06
 
 
-@dataclass(frozen=True)
 class Nudge(ReachGoal):
     """Any place will do that is not the first."""
 

@@ -73,7 +73,7 @@ class GraspFlags:
         where its objects do not lie on the ground."""
         named = scenes.load(scene)
         config = setup(named.env, **named.scene)
-        if not issubclass(tasks.TASKS[config.task], tasks.FromTheGround):
+        if tasks.TASKS[config.task].giver is not None:
             raise ValueError(f"scene: found {scene!r}, whose task is {config.task}, allowed scenes "
                              "whose object lies on the ground; or probe a run: --policy")  # fmt: skip
         if len(config.object_size) > 1 or LOST & named.scene.keys():

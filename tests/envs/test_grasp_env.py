@@ -206,9 +206,11 @@ class TestRewards:
     def test_reach_goal(self):
         goal = np.array([0.0, 0.0, 0.1])
         achieved = np.array([[0.0, 0.0, 0.1], [0.0, 0.03, 0.1], [0.0, 0.04, 0.1]])
-        sparse = tasks.ReachGoal(0.08, 0.03, "sparse")
+        config = tasks.TaskConfig(goal_height=0.08, goal_tolerance=0.03)
+        hand = make().hand
+        sparse = tasks.ReachGoal(config, hand, 0.004)
         assert sparse.reward(achieved, goal).tolist() == [0.0, 0.0, -1.0]
-        dense = tasks.ReachGoal(0.08, 0.03, "dense")
+        dense = tasks.ReachGoal(dataclasses.replace(config, reward="dense"), hand, 0.004)
         np.testing.assert_allclose(dense.reward(achieved, goal), [0.0, -0.3, -0.4])
         assert sparse.is_success(achieved, goal).tolist() == [True, True, False]
 

@@ -204,7 +204,7 @@ class TestTouch:
         """Of boxes and hulls: on while a cube is nearer than SKIN, off beyond, by points of a hull."""
         hand = hands.get(GRIPPER)
         taxels = layouts.load("5").place(hand)
-        rule, shape = SkinTouch(taxels, hand.surfaces), objects.cube(0.04)
+        rule, shape = SkinTouch(taxels, hand.surfaces), objects.make("box", (0.04,))
         rng = np.random.default_rng(0)
         for index in range(len(taxels)):
             link = taxels.link_index[index]
@@ -221,7 +221,7 @@ class TestTouch:
     def test_many_readings_at_once_are_those_one_by_one(self):
         hand = hands.get(GRIPPER)
         taxels = layouts.load("1").place(hand)
-        rule, shape = SkinTouch(taxels, hand.surfaces), objects.cube(0.05)
+        rule, shape = SkinTouch(taxels, hand.surfaces), objects.make("box", (0.05,))
         rng, k = np.random.default_rng(1), len(taxels.links)
         positions = 0.02 * rng.normal(size=(20, k, 3))
         rotations = Rotation.random(20 * k, rng=rng).as_matrix().reshape(20, k, 3, 3)
@@ -236,7 +236,9 @@ class TestTouch:
 
     def test_taxels_lie_on_the_skin(self):
         hand = hands.get(GRIPPER)
-        model = Scene(hand, objects.cube(0.05), 0.1, 1.0, 0.004, 1.0).build_hand(False).compile()
+        model = (
+            Scene(hand, objects.make("box", (0.05,)), 0.1, 1.0, 0.004, 1.0).build_hand(False).compile()
+        )
         tip = layouts.load("1").place(hand)
         box = [i for i, name in enumerate(tip.names) if name.startswith("left.proximal")]
         assert np.allclose(tip.positions[box][:, 0], -0.006)

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.pybullet
 
 def make_scene(hand, **choices):
     defaults = dict(
-        hand=hands.get(hand), shape=objects.cube(0.05), mass=0.1, friction=1.0,
+        hand=hands.get(hand), shape=objects.make("box", (0.05,)), mass=0.1, friction=1.0,
         timestep=1 / 240, finger_gain=1.0,
     )  # fmt: skip
     return simulators.Scene(**{**defaults, **choices})

@@ -1,6 +1,5 @@
 """Goals that are drawn, and what a task may look at."""
 
-import dataclasses
 from typing import ClassVar
 
 import numpy as np
@@ -75,7 +74,6 @@ def test_a_state_without_a_velocity_is_at_rest():
     assert not np.concatenate([state.velocity, state.angular_velocity]).any()
 
 
-@dataclasses.dataclass(frozen=True)
 class InHand(tasks.ReachGoal):
     """An episode begins with the hand closed around an object, up in the air."""
 

@@ -82,7 +82,7 @@ def test_a_taxel_feels_what_touches_its_skin_and_not_what_is_only_near(surface, 
     """A cube with its face to the palmar side; taxels in the middle of it and 5 mm beyond."""
     y = -(surface.radius or 0.0) - gap - 0.02
     middle = pose([0.0, y, surface.centre[2]], np.eye(3))
-    assert read(surface, [0.0, 0.025], objects.cube(0.04), middle) == [on, False]
+    assert read(surface, [0.0, 0.025], objects.make("box", (0.04,)), middle) == [on, False]
 
 
 def test_a_taxel_reaches_as_far_as_its_radius_along_a_link_that_touches():
@@ -90,7 +90,7 @@ def test_a_taxel_reaches_as_far_as_its_radius_along_a_link_that_touches():
     tilt = Rotation.from_rotvec([0.1, 0.0, 0.0]).as_matrix()
     thing = pose(-(R + 0.05) * tilt[:, 1], tilt)
     rows = np.array([0.0, 0.012, 0.018]) - L / 2
-    assert read(PHALANX, rows, objects.cube(0.1), thing) == [True, True, False]
+    assert read(PHALANX, rows, objects.make("box", (0.1,)), thing) == [True, True, False]
 
 
 def test_a_link_that_does_not_touch_is_silent_whatever_another_feels():
@@ -99,7 +99,7 @@ def test_a_link_that_does_not_touch_is_silent_whatever_another_feels():
     rule = touch.SkinTouch(taxels, (PHALANX, twin))
     poses = np.array([[0.0, 0.0, 0.0], [0.0, 1e-3, 0.0]]), np.tile(np.eye(3), (2, 1, 1))
     thing = pose([0.0, -R - 0.02, L / 2], np.eye(3))
-    assert rule.read(*poses, objects.cube(0.04), thing).tolist() == [True, False]
+    assert rule.read(*poses, objects.make("box", (0.04,)), thing).tolist() == [True, False]
 
 
 @pytest.mark.parametrize("hand", hands.HANDS)
@@ -141,7 +141,7 @@ def test_many_readings_at_once_are_those_one_by_one(kind):
 
 
 def test_half_height():
-    shape = objects.cube(0.05)
+    shape = objects.make("box", (0.05,))
     assert shape.half_height(np.eye(3)) == pytest.approx(0.025)
     c = np.cos(np.pi / 4)
     tipped = np.array([[1, 0, 0], [0, c, -c], [0, c, c]])
@@ -222,7 +222,7 @@ class TestForce:
             link_poses = env.simulator.link_poses
 
         around = objects.ObjectState(at.mean(axis=0), np.array([1.0, 0, 0, 0]), np.eye(3))
-        force = env._touch.read(Pressed(), objects.cube(0.3), around)
+        force = env._touch.read(Pressed(), objects.make("box", (0.3,)), around)
         assert force.sum() == pytest.approx(2.0)
         assert not np.delete(force, mine).any()
         assert np.argmax(force) == mine[0]
