@@ -77,10 +77,8 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
                 raise ValueError(f"{name}: found {found!r}, allowed: {', '.join(known)}")
         ratio = self.control_dt / self.timestep
         if self.n_substeps < 1 or abs(ratio - self.n_substeps) > 1e-6 * ratio:
-            raise ValueError(
-                f"control_dt: found {self.control_dt} s, allowed a whole number of timesteps "
-                f"of {self.timestep} s"
-            )
+            allowed = f"a whole number of timesteps of {self.timestep} s"
+            raise ValueError(f"control_dt: found {self.control_dt} s, allowed {allowed}")
         objects.validate(self)
         tasks.validate(self)
         if self.task == "handover":
@@ -112,10 +110,7 @@ class GraspEnv(gym.Env[Any, Array]):
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}
 
     def __init__(
-        self,
-        hand: str = "shadow",
-        config: GraspConfig | None = None,
-        render_mode: str | None = None,
+        self, hand: str = "shadow", config: GraspConfig | None = None, render_mode: str | None = None
     ) -> None:
         self.config = config = config or setup(hand)
         typed.validate(config)
@@ -151,9 +146,8 @@ class GraspEnv(gym.Env[Any, Array]):
         names = () if config.run_type == "absent" else self.taxels.names
         is_boolean = self._touch.is_boolean
         self._observer = Observer(config, self.hand, names, is_boolean, config.control_dt)
-        self._start_positions = self.hand.start_positions()
         self._targets = self.hand.start_targets()
-        self.simulator.reset(self._start_positions, np.array([0.0, 0.0, items.height / 2]), 0.0)
+        self.simulator.reset(self.hand.start_positions(), np.array([0.0, 0.0, items.height / 2]), 0.0)
         self.palm_skin = self._palm_skin()
         self._warnings = self.simulator.warnings
         self._steps, self._object_position = 0, np.zeros(3)
@@ -164,8 +158,8 @@ class GraspEnv(gym.Env[Any, Array]):
 
     def _palm_skin(self) -> Array:
         """The place (3,) on the palm's skin where objects are handed over."""
-        hand = self.hand
-        palm = [s for s in hand.surfaces if s.segment == "palm" and s.digit not in hand.handed_beside]
+        beside = self.hand.handed_beside
+        palm = [s for s in self.hand.surfaces if s.segment == "palm" and s.digit not in beside]
         positions, rotations = self.simulator.link_poses(tuple(surface.link for surface in palm))
         centres = np.array([surface.centre for surface in palm])[:, :, None]
         return np.asarray((positions + (rotations @ centres)[:, :, 0]).mean(axis=0))
@@ -195,7 +189,7 @@ class GraspEnv(gym.Env[Any, Array]):
         # To spawn draws nothing from the generator itself.
         observer_rng, goal_rng, object_rng = self.np_random.spawn(3)
         self._item = item = self._items.draw(object_rng)
-        joints, offset, yaw = self._start_positions.copy(), np.zeros(2), 0.0
+        joints, offset, yaw = self.hand.start_positions(), np.zeros(2), 0.0
         if self.config.jitter:
             rng, furthest, turn = self.np_random, self.config.start_offset, self.config.start_yaw
             offset = rng.uniform(-furthest, furthest, 2)
@@ -279,7 +273,7 @@ class GraspEnv(gym.Env[Any, Array]):
     def taxel_readings(self) -> Array:
         """(n_taxels,) what the taxels feel now by the configured touch rule, without their faults:
         bool, or by rule "force" N."""
-        return self._read_taxels(self.simulator.object_state())
+        return self._touch.read(self.simulator, self.shape, self.simulator.object_state())
 
     def render(self) -> Array | None:
         """A picture of the scene, taxels that fire lit, when made with "rgb_array"."""
@@ -306,12 +300,8 @@ class GraspEnv(gym.Env[Any, Array]):
         moved, self._object_position = position - self._object_position, position
         speed = math.sqrt(moved @ moved) / self.config.control_dt
         if not speed < EJECTED:
-            raise simulators.SimulationError(
-                f"the object moved at {speed:.3g} m/s: it was ejected or the physics broke"
-            )
-
-    def _read_taxels(self, obj: objects.ObjectState) -> Array:
-        return self._touch.read(self.simulator, self.shape, obj)
+            reason = f"the object moved at {speed:.3g} m/s: it was ejected or the physics broke"
+            raise simulators.SimulationError(reason)
 
     def _sensed(self, now: Snapshot) -> dict[str, Array]:
         """What policy and critic are told; SimulationError when the physics broke. Before a hold test
@@ -319,14 +309,13 @@ class GraspEnv(gym.Env[Any, Array]):
         run_type, has_truth = self.config.run_type, self.config.critic_sees == "truth"
         felt = np.zeros(0)
         if has_truth or run_type == "main":
-            felt = self._read_taxels(now.object)
+            felt = self._touch.read(self.simulator, self.shape, now.object)
         blind = np.zeros(len(self.taxels) if run_type == "control" else 0)
         observation = self._observer.observe(now, felt if run_type == "main" else blind)
         largest = np.abs(observation).max()
         if not largest < LIMIT:
-            raise simulators.SimulationError(
-                f"an observation is as large as {largest}: the physics broke"
-            )
+            reason = f"an observation is as large as {largest}: the physics broke"
+            raise simulators.SimulationError(reason)
         truth = {"truth": observations.truth(self.hand, now, felt)} if has_truth else {}
         return {**truth, "observation": observation}
 

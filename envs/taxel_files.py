@@ -11,7 +11,7 @@ import io
 import json
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
-from itertools import groupby
+from itertools import chain, groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -111,9 +111,8 @@ def mounted(data: Any, index: int, folder: Path) -> Iterator[Point]:
     table({where: data}, where, {"file", "links", "position", "quaternion", "radius"})
     file = data.get("file")
     if not isinstance(file, str) or Path(file).suffix not in READERS:
-        raise ValueError(
-            f"{where}: file: found {file!r}, allowed names that end in {', '.join(READERS)}"
-        )
+        allowed = f"names that end in {', '.join(READERS)}"
+        raise ValueError(f"{where}: file: found {file!r}, allowed {allowed}")
     shift = np.array(vector(data.get("position", (0, 0, 0)), 3, f"{where}: position"))
     quaternion = vector(data.get("quaternion", (1, 0, 0, 0)), 4, f"{where}: quaternion")
     if abs(float(np.linalg.norm(quaternion)) - 1.0) > 0.1:
@@ -131,24 +130,17 @@ def _read_genesis(content: bytes) -> Iterator[dict[str, Any]]:
     """One entry a link, its probes in rows of a grid or in a list."""
     for entry in json.loads(content.decode("utf-8")):
         rows = entry["probes"]
-        for row in rows if rows and isinstance(rows[0], list) else [rows]:
-            for probe in row:
-                radius = {"radius": probe["radius"]} if "radius" in probe else {}
-                place = {"position": probe["pos"], "normal": probe["normal"]}
-                yield {"link": entry["link_name"], **place, **radius}
+        for probe in chain(*rows) if rows and isinstance(rows[0], list) else rows:
+            radius = {"radius": probe["radius"]} if "radius" in probe else {}
+            place = {"position": probe["pos"], "normal": probe["normal"]}
+            yield {"link": entry["link_name"], **place, **radius}
 
 
 def _write_genesis(points: Sequence[Point]) -> bytes:
-    entries = [
-        {
-            "link_name": link,
-            "kind": "grid",
-            "probes": [
-                [{"radius": p.radius, "pos": list(p.position), "normal": list(p.normal)} for p in group]
-            ],
-        }
-        for link, group in groupby(sorted(points, key=lambda p: p.link), key=lambda p: p.link)
-    ]
+    entries = []
+    for link, group in groupby(sorted(points, key=lambda p: p.link), key=lambda p: p.link):
+        probes = [{"radius": p.radius, "pos": p.position, "normal": p.normal} for p in group]
+        entries.append({"link_name": link, "kind": "grid", "probes": [probes]})
     return (json.dumps(entries, indent=1) + "\n").encode()
 
 
@@ -160,9 +152,8 @@ def _read_dex01(content: bytes) -> Iterator[dict[str, Any]]:
     with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
         poses = arrays["poses"]
     if poses.ndim != 3 or poses.shape[1:] != (3, 4) or poses.dtype.kind != "f":
-        raise ValueError(
-            f"poses: found shape {poses.shape} of {poses.dtype}, expected (n, 3, 4) floats"
-        )
+        found = f"found shape {poses.shape} of {poses.dtype}"
+        raise ValueError(f"poses: {found}, expected (n, 3, 4) floats")
     for pose in poses.astype(float):
         yield {"position": pose[:, 3].tolist(), "normal": pose[:, 2].tolist()}
 
@@ -172,9 +163,8 @@ def _write_dex01(points: Sequence[Point]) -> bytes:
     if len(links) != 1:
         raise ValueError(f"the format is for taxels on one link; found {', '.join(links)}")
     poses = np.array([np.column_stack([_frame(np.array(p.normal)), p.position]) for p in points])
-    width = int(np.ceil(np.sqrt(len(points))))
+    width, file = int(np.ceil(np.sqrt(len(points)))), io.BytesIO()
     cells = np.array([divmod(index, width) for index in range(len(points))], np.int64)
-    file = io.BytesIO()
     np.savez(file, poses=poses, taxel2pixel=cells)
     return file.getvalue()
 
@@ -191,16 +181,14 @@ def _read_csv(content: bytes) -> Iterator[dict[str, Any]]:
     rows = csv.DictReader(io.StringIO(content.decode("utf-8-sig"), newline=""))
     heading = tuple(rows.fieldnames or ())
     if heading not in (COLUMNS, (*COLUMNS, "name")):
-        raise ValueError(
-            f"found the columns {', '.join(heading)}, expected {', '.join(COLUMNS)}[, name]"
-        )
+        expected = f"{', '.join(COLUMNS)}[, name]"
+        raise ValueError(f"found the columns {', '.join(heading)}, expected {expected}")
     for line, row in enumerate(rows, 2):
         try:
             x, y, z, nx, ny, nz, radius = (float(row[column]) for column in COLUMNS[1:])
         except (TypeError, ValueError):
-            raise ValueError(
-                f"line {line}: found {list(row.values())}, expected a link and numbers"
-            ) from None
+            found = f"found {list(row.values())}, expected a link and numbers"
+            raise ValueError(f"line {line}: {found}") from None
         place = {"position": [x, y, z], "normal": [nx, ny, nz], "radius": radius}
         yield {"link": row["link"], **place, "name": row.get("name")}
 

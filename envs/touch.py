@@ -184,9 +184,9 @@ def _cap(position: Array, radius: float, normal: Array) -> tuple[Array, float]:
 class Rule(Protocol):
     """A touch rule for the taxels of one layout on one hand."""
 
-    is_boolean: bool
+    is_boolean: bool = True
     """Are its readings 0 or 1?"""
-    sensed: Taxels | None
+    sensed: Taxels | None = None
     """Taxels that the simulator itself has to sense."""
 
     def __init__(self, taxels: Taxels, hand: Hand) -> None: ...
@@ -195,11 +195,8 @@ class Rule(Protocol):
         """(n_taxels,) what the taxels feel now of the object with this shape and state."""
 
 
-class SkinRule:
+class SkinRule(Rule):
     """Rule "skin": Boolean, by geometry."""
-
-    is_boolean = True
-    sensed: Taxels | None = None
 
     def __init__(self, taxels: Taxels, hand: Hand) -> None:
         self._skin = SkinTouch(taxels, hand.surfaces)
@@ -208,29 +205,26 @@ class SkinRule:
         return self._skin.read(*simulator.link_poses(self._skin.links), shape, obj)
 
 
-class ContactRule:
+class ContactRule(Rule):
     """Rule "contact": Boolean, by what the simulator calls a contact."""
 
-    is_boolean = True
-
     def __init__(self, taxels: Taxels, hand: Hand) -> None:
-        self.sensed: Taxels | None = taxels
+        self.sensed = taxels
 
     def read(self, simulator: Simulator, shape: Shape, obj: ObjectState) -> Array:
         return simulator.contact_taxels()
 
 
-class ForceRule:
+class ForceRule(SkinRule):
     """Rule "force": normal force in N. A contact's force goes to the taxels of its link that are on
     by rule "skin", in the proportion 1 / (d² + r²), d being a taxel's distance from the contact and r
     its radius; where none is on, it is felt by none."""
 
     is_boolean = False
-    sensed: Taxels | None = None
 
     def __init__(self, taxels: Taxels, hand: Hand) -> None:
+        super().__init__(taxels, hand)
         self._taxels, self._points = taxels, taxel_points(taxels)
-        self._skin = SkinTouch(taxels, hand.surfaces)
 
     def read(self, simulator: Simulator, shape: Shape, obj: ObjectState) -> Array:
         taxels, contacts = self._taxels, simulator.contacts()

@@ -52,16 +52,15 @@ def load(name: str) -> NamedScene:
     data = toml_files.read(path, "scene file")
     kinds = {"about": str, "base": str, "env": str, "scene": dict, "train": dict}
     toml_files.only(data, set(kinds), f"scene file {path}")
+    base = NamedScene()
     for key, value in data.items():
         if not isinstance(value, kinds[key]):
-            raise ValueError(
-                f"scene file {path}: {key}: found {value!r}, allowed a {kinds[key].__name__}"
-            )
-    if "base" not in data:
-        return NamedScene(**data)
-    if data["base"] not in names():
-        raise ValueError(f"scene file {path}: base: found {data['base']!r}, "
-                         f"allowed: {', '.join(names())}")  # fmt: skip
-    base = load(data.pop("base"))
+            allowed = f"a {kinds[key].__name__}"
+            raise ValueError(f"scene file {path}: {key}: found {value!r}, allowed {allowed}")
+        if key == "base":
+            if value not in names():
+                allowed = ", ".join(names())
+                raise ValueError(f"scene file {path}: base: found {value!r}, allowed: {allowed}")
+            base = load(value)
     both = {key: {**getattr(base, key), **data.get(key, {})} for key in ("scene", "train")}
     return NamedScene(data.get("about", base.about), data.get("env", base.env), **both)
