@@ -259,10 +259,10 @@ def load(name: str) -> Layout:
             )
     data = toml_files.read(path, "layout file")
     with toml_files.blamed(f"layout file {path}"):
-        return _parse(data, path)
+        return parse(data, path)
 
 
-def _parse(data: dict[str, Any], path: Path) -> Layout:
+def parse(data: dict[str, Any], path: Path) -> Layout:
     """A layout from the content of a file (docs/guides/layouts.md)."""
     only(data, {"description", "patch", "taxel", "sensor"}, "the file")
     tables = [data.get(key, []) for key in ("patch", "taxel", "sensor")]

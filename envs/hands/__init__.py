@@ -69,14 +69,13 @@ class Surface:
         if self.geoms:
             from .skins import meet
 
-            found = meet(self.geoms, above, -palmar)
-            if found is None:
-                raise ValueError(
-                    f"a taxel {1e3 * row:.1f} mm along and {1e3 * column:.1f} mm beside the middle of "
-                    f"{self.digit}.{self.segment} lies beside the link: found nothing there, allowed "
-                    f"±{1e3 * self.extent[0]:.1f} mm along and ±{1e3 * self.extent[1]:.1f} mm beside"
-                )
-            return found
+            if found := meet(self.geoms, above, -palmar):
+                return found
+            raise ValueError(
+                f"a taxel {1e3 * row:.1f} mm along and {1e3 * column:.1f} mm beside the middle of "
+                f"{self.digit}.{self.segment} lies beside the link: found nothing there, allowed "
+                f"±{1e3 * self.extent[0]:.1f} mm along and ±{1e3 * self.extent[1]:.1f} mm beside"
+            )
         if self.radius is None:
             return above, palmar
         if abs(column) > self.radius + 1e-9:  # its very edge, in mm, is not exact in m
@@ -268,32 +267,26 @@ class Hand:
         """The hand with its slides standing still and fingers that close and open again, from where
         they are `start` of the way from open to closed: all by one action ("grip") or group by group
         ("fingers")."""
-        opened, closed = (
-            np.array([ends.get(name, self.start.get(joint, 0.0)) for name, joint in self._driven])
-            for ends in (self.opened, self.closed)
-        )
-        opened += start * (closed - opened)
-        members = [np.array([self.actuators.index(name) for name in group]) for group in self.groups]
+        action, names = self.closing(np.zeros(0), np.zeros((0, 2)), CLOSING_STEP), self.group_names
+        opened = action.open + start * (action.closed - action.open)
         pose = dict(zip(self.actuated, opened.tolist(), strict=True))
         pose |= {joint: ratio * pose[driver] for joint, driver, ratio in self.couplings}
-        is_grip = actions == "grip"
-        return replace(
-            self,
-            action_map=ClosingAction(
-                slide_step=np.zeros(0),
-                slide_limits=np.zeros((0, 2)),
-                closing_step=CLOSING_STEP,
-                groups=(np.concatenate(members),) if is_grip else tuple(members),
-                open=opened,
-                closed=closed,
-            ),
-            action_names=("closing of the hand",) if is_grip else self.group_names,
-            start={joint: angle for joint, angle in pose.items() if angle},
-        )
+        action = replace(action, open=opened)
+        if actions == "grip":
+            action = replace(action, groups=(np.concatenate(action.groups),))
+            names = ("closing of the hand",)
+        pose = {joint: angle for joint, angle in pose.items() if angle}
+        return replace(self, action_map=action, action_names=names, start=pose)
 
-    @property
-    def _driven(self) -> list[tuple[str, str]]:
-        return list(zip(self.actuators, self.actuated, strict=True))
+    def closing(self, slide_step: Array, slide_limits: Array, closing_step: float) -> ClosingAction:
+        """Actions that close and open its groups; see there."""
+        driven = [*zip(self.actuators, self.actuated, strict=True)]
+        opened, closed = (
+            np.array([ends.get(name, self.start.get(joint, 0.0)) for name, joint in driven])
+            for ends in (self.opened, self.closed)
+        )
+        groups = tuple(np.array([self.actuators.index(n) for n in group]) for group in self.groups)
+        return ClosingAction(slide_step, slide_limits, closing_step, groups, opened, closed)
 
     def start_above(self, width: float, height: float) -> Hand:
         """The hand as it starts over an object of these measures, m.
@@ -354,11 +347,6 @@ def file(name: str) -> Path:
     if not is_hand(name):
         raise ValueError(f"unknown hand {name!r}; allowed: {allowed()}")
     return Path(name) if name.endswith(SUFFIX) else FOLDER / f"{name}{SUFFIX}"
-
-
-def short_name(name: str) -> str:
-    """Of a hand by name or file, for the names of folders."""
-    return file(name).stem
 
 
 def registration(name: str) -> Registration:

@@ -20,7 +20,6 @@ from . import (
     FOLDER,
     SLIDES,
     Array,
-    ClosingAction,
     Hand,
     LinearAction,
     ScriptedGrasp,
@@ -139,8 +138,8 @@ def _hung(parts: Parts) -> tuple[Mount, Array]:
     root, palm = (data.xmat[body].reshape(3, 3) for body in (1, parts.palm))
     turn = mounting.turned(root.T @ palm, parts.palmar, parts.fingers)
     steps = root.T @ (data.xpos[parts.palm] - data.xpos[1]), root.T @ palm @ of
-    own = tuple(map(tuple, parts.posed({}).xmat[1].reshape(3, 3).tolist()))
-    mount = replace(parts.mount, rotation=tuple(map(tuple, turn.tolist())), own_rotation=own)
+    is_turned = not np.allclose(turn, parts.posed({}).xmat[1].reshape(3, 3), atol=1e-9)
+    mount = replace(parts.mount, rotation=tuple(map(tuple, turn.tolist())), is_turned=is_turned)
 
     def at_place(at: Array) -> Mount:
         for step in steps:
@@ -247,12 +246,9 @@ def _with_actions(data: dict[str, Any], hand: Hand) -> Hand:
     limits = slides.get("limits", SLIDE_LIMITS)
     if not isinstance(limits, list | tuple) or len(limits) != 3:
         raise ValueError(f"slides.limits: found {limits!r}, expected three pairs")
-    action = ClosingAction(
-        slide_step=np.array(vector(slides.get("step", SLIDE_STEP), 3, "slides.step")),
-        slide_limits=np.array([vector(pair, 2, "slides.limits") for pair in limits]),
-        closing_step=number(actions.get("step", CLOSING_STEP), "actions.step", 0.0),
-        groups=tuple(np.array([hand.actuators.index(n) for n in group]) for group in hand.groups),
-        open=np.array([hand.opened.get(name, 0.0) for name in hand.actuators]),
-        closed=np.array([hand.closed.get(name, 0.0) for name in hand.actuators]),
+    action = hand.closing(
+        np.array(vector(slides.get("step", SLIDE_STEP), 3, "slides.step")),
+        np.array([vector(pair, 2, "slides.limits") for pair in limits]),
+        number(actions.get("step", CLOSING_STEP), "actions.step", 0.0),
     )
     return replace(hand, action_map=action, action_names=(*SLIDES, *hand.group_names))

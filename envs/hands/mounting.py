@@ -46,9 +46,9 @@ class Mount:
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Of the model's root body, m."""
     rotation: tuple[tuple[float, ...], ...] = ()
-    """(3, 3) of the root body; it is left alone where it has that already."""
-    own_rotation: tuple[tuple[float, ...], ...] = ()
-    """(3, 3) that the model gives it."""
+    """(3, 3) of the root body."""
+    is_turned: bool = False
+    """Does the model give it another?"""
 
     def __call__(self, visual: bool = False, finger_gain: float = 1.0) -> mujoco.MjSpec:
         """The hand alone as an editable model: no ground, no object, no taxels.
@@ -59,14 +59,13 @@ class Mount:
         spec = self.bare(visual)
         root, rotation = spec.worldbody.first_body(), np.array(self.rotation)
         root.pos = self.position
-        if not np.allclose(rotation, np.array(self.own_rotation), atol=1e-9):
+        if self.is_turned:
             root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
             root.quat = _quaternion(rotation)
-        figures = self.slides
+        damping = [self.slides["damping"], 0, 0]
         for name, axis in zip(SLIDES, rotation, strict=True):
-            damping = [figures["damping"], 0, 0]
             root.add_joint(name=name, type=LINEAR, axis=axis, damping=damping)
-            _add_servo(spec, name, figures["gain"], figures["force"])
+            _add_servo(spec, name, self.slides["gain"], self.slides["force"])
         for actuator in spec.actuators:
             if finger_gain != 1.0 and self._is_finger(spec, actuator.target):
                 for figure in ("gainprm", "biasprm", "forcerange"):
@@ -100,16 +99,12 @@ class Mount:
             for element in getattr(spec, elements):  # those that are left
                 if any(fnmatchcase(element.name, pattern) for pattern in self.drop):
                     spec.delete(element)
-        for element in (*spec.sensors, *spec.lights, *spec.cameras, *spec.keys):
-            spec.delete(element)
         used = {geom.meshname for geom in spec.geoms}
-        for mesh in spec.meshes:
-            if mesh.name not in used:
-                spec.delete(mesh)
-        for root in spec.worldbody.bodies:
-            for joint in root.joints:
-                if joint.type == mujoco.mjtJoint.mjJNT_FREE:
-                    spec.delete(joint)
+        meshes = [mesh for mesh in spec.meshes if mesh.name not in used]
+        joints = [joint for root in spec.worldbody.bodies for joint in root.joints]
+        free = [joint for joint in joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
+        for element in (*spec.sensors, *spec.lights, *spec.cameras, *spec.keys, *meshes, *free):
+            spec.delete(element)
 
     def files(self) -> list[Path]:
         """The model's, with its meshes."""
@@ -193,16 +188,9 @@ def followed(spec: mujoco.MjSpec) -> Iterator[tuple[str, str, float]]:
 
 def _add_servo(spec: mujoco.MjSpec, joint: str, gain: float, limit: float) -> None:
     """An actuator of the joint's name: force = gain x (target - position), at most `limit`."""
-    spec.add_actuator(
-        name=joint,
-        target=joint,
-        trntype=mujoco.mjtTrn.mjTRN_JOINT,
-        gainprm=[gain] + [0] * 9,
-        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-        biasprm=[0, -gain] + [0] * 8,
-        forcelimited=True,
-        forcerange=[-limit, limit],
-    )
+    servo = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    servo.forcelimited, servo.forcerange = True, [-limit, limit]
+    servo.set_to_position(kp=gain)
 
 
 def is_servo(actuator: mujoco.MjsActuator) -> bool:

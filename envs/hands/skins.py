@@ -6,6 +6,7 @@ A mesh counts as its convex hull, which is what the simulators collide.
 from __future__ import annotations
 
 from functools import lru_cache
+from itertools import product
 from typing import NamedTuple
 
 import mujoco
@@ -41,14 +42,11 @@ class Geom(NamedTuple):
     @property
     def points(self) -> Array:
         """Corners (n, 3) of the shape, or of a box around it, in the link's frame, m."""
-        size = np.array(self.size)
+        radius, half, size = *self.size[:2], self.size
         if self.kind in ("sphere", "capsule", "cylinder"):
-            radius, half = size[:2]
-            size = np.array([radius, radius, half])
-            size[2] = {"sphere": radius, "capsule": half + radius}.get(self.kind, half)
-        corners = np.array(self.corners) if self.corners else size * np.array(
-            [[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
-        )  # fmt: skip
+            length = {"sphere": radius, "capsule": half + radius}.get(self.kind, half)
+            size = radius, radius, length
+        corners = np.array(self.corners or [*product((-1, 1), repeat=3)] * np.array(size))
         return np.array(self.position) + corners @ np.array(self.rotation).T
 
 
@@ -61,10 +59,8 @@ def geoms_of(model: mujoco.MjModel, body: int) -> tuple[Geom, ...]:
         if not (geom.contype[0] or geom.conaffinity[0]):
             continue
         if int(geom.type[0]) not in names:
-            kinds = ", ".join(KINDS)
-            raise ValueError(
-                f"body {model.body(body).name!r}: found a geom of another kind, allowed: {kinds}"
-            )
+            found = f"body {model.body(body).name!r}: found a geom of another kind"
+            raise ValueError(f"{found}, allowed: {', '.join(KINDS)}")
         kind = names[int(geom.type[0])]
         corners: Array = np.zeros((0, 3))
         if kind == MESH:
@@ -73,10 +69,8 @@ def geoms_of(model: mujoco.MjModel, body: int) -> tuple[Geom, ...]:
             corners = _hull(model.mesh_vert[first : first + n].astype(float))
         rotation = np.zeros(9)
         mujoco.mju_quat2Mat(rotation, geom.quat)
-        rows = tuple(map(tuple, rotation.reshape(3, 3).tolist()))
-        found.append(
-            Geom(kind, tuple(geom.size), tuple(geom.pos), rows, tuple(map(tuple, corners.tolist())))
-        )
+        rows, points = (tuple(map(tuple, a.tolist())) for a in (rotation.reshape(3, 3), corners))
+        found.append(Geom(kind, tuple(geom.size), tuple(geom.pos), rows, points))
     return tuple(found)
 
 
@@ -96,9 +90,8 @@ def meet(geoms: tuple[Geom, ...], above: Array, direction: Array) -> tuple[Array
         normal = np.zeros(3)
         rotation = np.array(geom.rotation)
         if geom.kind == MESH:
-            away, normal = _meet_hull(
-                geom, rotation.T @ (start - geom.position), rotation.T @ direction
-            )
+            begin = rotation.T @ (start - geom.position)
+            away, normal = _meet_hull(geom, begin, rotation.T @ direction)
             normal = rotation @ normal
         else:
             away = mujoco.mju_rayGeom(

@@ -121,7 +121,7 @@ def _scripted(grasps: GraspFlags, asking: AnalysisFlags, held: ExitStack) -> Pla
             typed.validate(replace(config, **variant))
     task = ScriptedGrasps(drawn, grasps.seed, grasps.hold_verdict)
     start = partial(vector.start, partial(Scenes, grasps.env, config, drawn.variants()))
-    out = Path("probes") / f"{hands.short_name(grasps.env)}_{simulator}"
+    out = Path("probes") / f"{hands.file(grasps.env).stem}_{simulator}"
     return Playing(settings, contact_places, task, start, out)
 
 

@@ -156,7 +156,7 @@ class RunConfig:
     def name(self) -> str:
         """Default name of the run's folder."""
         env = self.run.env
-        env = hands.short_name(env) if hands.is_hand(env) else env
+        env = hands.file(env).stem if hands.is_hand(env) else env
         parts = [self.run.algo, re.sub("[/:]", "-", env)]
         if self.scene is not None:
             layout = Path(self.scene.layout).stem

@@ -28,7 +28,7 @@ def test_a_hand_carries_taxels_on_the_fingers_it_has():
         assert len(taxels) == 12 * n + 3
         assert not [name for name in taxels.names if name.startswith("little")]
     little = {"digits": ["little"], "segments": ["distal"], "offsets_mm": [[0, 0]], "radius_mm": 2}
-    layout = layouts.parse({"patch": [little]}, "little")
+    layout = layouts.parse({"patch": [little]}, Path("little.toml"))
     with pytest.raises(ValueError, match="puts no taxel on the allegro hand"):
         layout.place(hand)
 
@@ -39,7 +39,9 @@ def test_what_a_hand_has_no_place_for_is_named():
     little = [f"little.{segment}" for segment in ("proximal", "middle", "distal", "palm")]
     assert sorted(layouts.left_out(layouts.load("5"), hand)) == sorted(little)
     patch = {"digits": ["thumb", "index"], "segments": ["palm"], "offsets_mm": [[0, 0]], "radius_mm": 2}
-    assert layouts.left_out(layouts.parse({"patch": [patch]}, "palm"), HAND) == ["thumb.palm"]
+    assert layouts.left_out(layouts.parse({"patch": [patch]}, Path("palm.toml")), HAND) == [
+        "thumb.palm"
+    ]
 
 
 @pytest.mark.parametrize("name", hands.HANDS)
@@ -49,7 +51,7 @@ def test_taxels_beyond_their_segment_are_named(name):
         assert beyond(hand, layouts.load(known).place(hand)) == []
     patch = {"digits": ["index"], "segments": ["distal"], "radius_mm": 2}
     for offset in ([30, 0], [-45, 0]):
-        far = layouts.parse({"patch": [{**patch, "offsets_mm": [offset, [0, 0]]}]}, "far")
+        far = layouts.parse({"patch": [{**patch, "offsets_mm": [offset, [0, 0]]}]}, Path("far.toml"))
         taxels = far.place(hand)
         assert beyond(hand, taxels) == [taxels.names[0]]
 
