@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Collection, Iterable, Mapping
+from typing import Any
 
 Aliases = Mapping[str, tuple[str, str]]
 """What others call a choice -> what is nearest to it here (names with spaces between), and why."""
@@ -20,6 +21,12 @@ def require_known(names: Iterable[str], known: Iterable[str], aliases: Aliases =
             hint = f"did you mean {' or '.join(likely)}? " if likely else ""
             reason = f"({why}) " if why else ""
             raise ValueError(f"{name}: unknown; {hint}{reason}allowed: {', '.join(known)}")
+
+
+def require_one_of(known: Iterable[str], value: Any, where: str) -> None:
+    """ValueError where a value is none of those that are known."""
+    if value not in (known := list(known)):
+        raise ValueError(f"{where}: found {value!r}, allowed: {', '.join(known)}")
 
 
 def meant(name: str, known: Collection[str], aliases: Aliases = NONE) -> tuple[list[str], str]:

@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 
 from . import hands, layouts, objects, observations, simulators, tasks, touch, typed
-from .choices import require_known
+from .choices import require_known, require_one_of
 from .hands import Array
 from .hold import HoldTest
 from .objects import ObjectConfig
@@ -73,8 +73,7 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
             "simulator": simulators.SIMULATORS, "touch": touch.RULES, "task": tasks.TASKS
         }  # fmt: skip
         for name, known in registered.items():
-            if (found := getattr(self, name)) not in known:
-                raise ValueError(f"{name}: found {found!r}, allowed: {', '.join(known)}")
+            require_one_of(known, getattr(self, name), name)
         ratio = self.control_dt / self.timestep
         if self.n_substeps < 1 or abs(ratio - self.n_substeps) > 1e-6 * ratio:
             allowed = f"a whole number of timesteps of {self.timestep} s"

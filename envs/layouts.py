@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from . import taxel_files, toml_files
+from .choices import require_one_of
 from .hands import DIGITS, HANDS, SEGMENTS, Array, Hand, Pitch, Surface
 from .taxel_files import Point
 from .toml_files import is_number, number, only, strings, table
@@ -123,11 +124,12 @@ class Layout:
     def place(self, hand: Hand) -> Taxels:
         """The taxels of this layout on `hand`; ValueError when the hand cannot carry them."""
         self._require_digits(hand)
-        placed = [
-            (Point(surface.link, *surface.place(*offset), radius, name), index, (*offset, 0.0))
-            for index, surface, offset, radius, name in self.on_grids(hand)
-            if not _is_gap(surface, offset)
-        ]
+        placed = []
+        for index, surface, offset, radius, name in self.on_grids(hand):
+            if not _is_gap(surface, offset):
+                position, normal = (tuple(v.tolist()) for v in surface.place(*offset))
+                point = Point(surface.link, position, normal, radius, name)
+                placed.append((point, index, (*offset, 0.0)))
         placed += [(point, *_on_surface(point, hand)) for point in self.taxels]
         if not placed:
             raise ValueError(f"layout {self.name!r} puts no taxel on the {hand.name} hand")
@@ -161,9 +163,7 @@ class Layout:
         for patch in self.patches:
             for names, there in zip((patch.digits, patch.segments), known, strict=True):
                 for name in names or ():
-                    if name not in (*there, "palm"):
-                        allowed = ", ".join(dict.fromkeys((*there, "palm")))
-                        raise ValueError(f"layout {self.name!r}: found {name!r}, allowed: {allowed}")
+                    require_one_of(dict.fromkeys((*there, "palm")), name, f"layout {self.name!r}")
 
 
 def _on_surface(point: Point, hand: Hand) -> tuple[int, tuple[float, float, float]]:
@@ -207,16 +207,10 @@ CENTRE = ((0.0, 0.0),)
 CORNERS = ((1.0, -1.0), (1.0, 1.0), (-1.0, -1.0), (-1.0, 1.0))
 EDGES = ((1.0, 0.0), (0.0, -1.0), (0.0, 1.0), (-1.0, 0.0))
 # Paper, Fig. 2 and Results: per phalanx, and four on the palm at the bases of the fingers.
+PALM = Patch(None, ("palm",), CENTRE)
 PAPER = {
-    name: Layout(
-        name,
-        description,
-        (
-            Patch(None, None, tuple(sorted(offsets)), large=name == "6"),
-            Patch(None, ("palm",), CENTRE),
-        ),
-    )
-    for name, description, offsets in (
+    name: Layout(name, about, (Patch(None, None, tuple(sorted(offsets)), large=name == "6"), PALM))
+    for name, about, offsets in (
         ("1", "3 x 3 grid", CENTRE + CORNERS + EDGES),
         ("2", "corners and centre", CENTRE + CORNERS),
         ("3", "corners", CORNERS),

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 
+from .choices import require_one_of
 from .hands import Array
 from .typed import allow_only_with
 
@@ -171,8 +172,8 @@ class Items:
 
 def _kinds(names: str) -> tuple[Kind, ...]:
     found = str(names)[:80].split(",")
-    if unknown := [name for name in found if name not in KINDS]:
-        raise ValueError(f"object: found {unknown[0]!r}, allowed: {', '.join(KINDS)}")
+    for name in found:
+        require_one_of(KINDS, name, "object")
     if len(set(found)) < len(found):
         raise ValueError(f"object: found {names!r}, allowed each kind once")
     return tuple(kind for name in found for kind in KINDS if kind == name)

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 
 from .. import toml_files
+from ..choices import require_one_of
 from ..toml_files import number, only, strings, table, vector
 from . import (
     CLOSING_STEP,
@@ -97,9 +98,8 @@ def _names(
 ) -> tuple[str, ...]:
     """A list of the file, each of those that are known."""
     found = strings(data[key], key) if key in data else usual
-    for name in found:
-        if known and name not in known:
-            raise ValueError(f"{key}: found {name!r}, allowed: {', '.join(known)}")
+    for name in found if known else ():
+        require_one_of(known, name, key)
     return found
 
 
@@ -134,11 +134,11 @@ def _hung(parts: Parts) -> tuple[Mount, Array]:
     """The model's mount, and where a point of the palm hangs at the start, m."""
     place = table(parts.data, "place", {"of", "at"})
     of = np.array(vector(place.get("of", parts.palm_point), 3, "place.of"))
-    data = parts.posed(parts.start)
+    data = posed(parts.model, parts.start)
     root, palm = (data.xmat[body].reshape(3, 3) for body in (1, parts.palm))
     turn = mounting.turned(root.T @ palm, parts.palmar, parts.fingers)
     steps = root.T @ (data.xpos[parts.palm] - data.xpos[1]), root.T @ palm @ of
-    is_turned = not np.allclose(turn, parts.posed({}).xmat[1].reshape(3, 3), atol=1e-9)
+    is_turned = not np.allclose(turn, posed(parts.model, {}).xmat[1].reshape(3, 3), atol=1e-9)
     mount = replace(parts.mount, rotation=tuple(map(tuple, turn.tolist())), is_turned=is_turned)
 
     def at_place(at: Array) -> Mount:
@@ -157,8 +157,8 @@ def _above_the_object(parts: Parts, mount: Mount) -> Array:
     """Where that point can be (3,), m: what closes around the object is above it, and as low as the
     hand is free of ground and object."""
     spec, room = mount(), Hand.start_clearance / 2
-    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 0.1])
-    box = mujoco.mjtGeom.mjGEOM_BOX
+    plane, box = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_BOX
+    spec.worldbody.add_geom(type=plane, size=[1, 1, 0.1])
     spec.worldbody.add_geom(type=box, size=[room] * 3, pos=[0, 0, room], margin=CLEAR)
     model = mounting.compiled(spec)
     halfway = parts.tips(model, posed(model, parts.start | parts.at(0.5)))
@@ -206,9 +206,7 @@ def _groups(parts: Parts) -> dict[str, tuple[str, ...]]:
     found = {}
     for group in chosen:
         for digit in strings(group, "actions.groups"):
-            if digit not in parts.digits:
-                allowed = ", ".join(parts.digits)
-                raise ValueError(f"actions.groups: found {digit!r}, allowed: {allowed}")
+            require_one_of(parts.digits, digit, "actions.groups")
         members = [parts.driven[joint] for digit in group for joint in parts.closing_of(digit)]
         if members:
             found["closing of " + " and ".join(group)] = tuple(members)
@@ -218,12 +216,9 @@ def _groups(parts: Parts) -> dict[str, tuple[str, ...]]:
 def _joint_action(parts: Parts, grasps: tuple[ScriptedGrasp, ...], at: Array) -> LinearAction:
     """Every actuator over its range; action 0 of the slides is the grasping height."""
     slides, model = table(parts.data, "slides"), parts.model
-    limits = np.array(
-        [
-            model.actuator_ctrlrange[i] if model.actuator_ctrllimited[i] else model.joint(joint).range
-            for i, joint in enumerate(parts.driven)
-        ]
-    )
+    limits = np.array([model.joint(joint).range for joint in parts.driven])
+    limited = model.actuator_ctrllimited.astype(bool)
+    limits[limited] = model.actuator_ctrlrange[limited]
     height = grasps[-1].targets[SLIDES[2]] if grasps else min(0.0, 0.06 - float(at[2]))
     centre = vector(slides.get("centre", (0.0, 0.0, round(height, NANO))), 3, "slides.centre")
     half_range = vector(slides.get("half_range", HALF_RANGE), 3, "slides.half_range")
@@ -236,9 +231,7 @@ def _joint_action(parts: Parts, grasps: tuple[ScriptedGrasp, ...], at: Array) ->
 def _with_actions(data: dict[str, Any], hand: Hand) -> Hand:
     """The hand with the actions that the file wants: of joints, or increments of slides and groups."""
     actions, slides = table(data, "actions", {"kind", "step", "groups"}), table(data, "slides")
-    kind = actions.get("kind", "joints")
-    if kind not in ("joints", "closing"):
-        raise ValueError(f"actions.kind: found {kind!r}, allowed: joints, closing")
+    require_one_of(("joints", "closing"), kind := actions.get("kind", "joints"), "actions.kind")
     if kind == "joints":
         return hand
     if not hand.groups:

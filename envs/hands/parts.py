@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
+from ..choices import require_one_of
 from ..toml_files import number, only, strings, table, vector
 from . import Array, mounting
 from .mounting import Mount
@@ -43,8 +44,7 @@ class Parts:
         """Of the model where its file has it."""
         data = self.data
         contacts = data.get("contacts", "others")
-        if contacts not in ("others", "model"):
-            raise ValueError(f"contacts: found {contacts!r}, allowed: others, model")
+        require_one_of(("others", "model"), contacts, "contacts")
         slides = table(data, "slides", {*mounting.SLIDE, "centre", "half_range", "step", "limits"})
         servos = table(data, "servos", set(mounting.SERVOS))
         for kind in servos:
@@ -80,15 +80,13 @@ class Parts:
     def model(self) -> mujoco.MjModel:
         """The same, compiled."""
         model = mounting.compiled(self.spec)
-        for index in range(model.njnt):
-            if not model.jnt_limited[index]:
-                name = model.joint(index).name
-                raise ValueError(f"joint {name!r}: has no range; give it one in the model")
+        for index in np.flatnonzero(model.jnt_limited == 0):
+            name = model.joint(index).name
+            raise ValueError(f"joint {name!r}: has no range; give it one in the model")
         return model
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
-        """All of the model."""
         return tuple(self.model.joint(i).name for i in range(self.model.njnt))
 
     @cached_property
@@ -115,14 +113,9 @@ class Parts:
         """Its index; ValueError where there is none of that name."""
         bodies = [self.model.body(i).name for i in range(1, self.model.nbody)]
         if name not in bodies:
-            raise ValueError(
-                f"{where}: found no body {name!r} in the model, allowed: {', '.join(bodies)}"
-            )
+            allowed = ", ".join(bodies)
+            raise ValueError(f"{where}: found no body {name!r} in the model, allowed: {allowed}")
         return 1 + bodies.index(name)
-
-    def posed(self, angles: Mapping[str, float]) -> mujoco.MjData:
-        """The model with these joint angles, the others at 0."""
-        return posed(self.model, angles)
 
     # -- joint angles ------------------------------------------------------------------------
 
@@ -132,16 +125,13 @@ class Parts:
         for pattern, value in values.items():
             joints = [pattern] if pattern in self.joints else matching(self.joints, str(pattern))
             if not joints:
-                allowed = ", ".join(self.joints)
-                raise ValueError(
-                    f"{where}: found no joint {pattern!r} in the model, allowed: {allowed}"
-                )
+                found_no = f"found no joint {pattern!r} in the model"
+                raise ValueError(f"{where}: {found_no}, allowed: {', '.join(self.joints)}")
             found |= dict.fromkeys(joints, number(value, f"{where}.{pattern}"))
         return found
 
     @cached_property
     def closed(self) -> Angles:
-        """The closed hand."""
         closed = self.angles(table(self.data, "closed"), "closed")
         for joint in closed:
             if joint not in self.driven:
@@ -182,7 +172,6 @@ class Parts:
 
     @cached_property
     def digits(self) -> dict[str, Digit]:
-        """By name."""
         found = {}
         for name, about in table(self.data, "digits").items():
             where = f"digits.{name}"
@@ -197,12 +186,11 @@ class Parts:
 
     def closing_of(self, digit: str) -> list[str]:
         """The joints of [closed] that move a digit."""
-        moved, body = set(), self.model.body(self.digits[digit].links[-1]).id
+        chain, body = set(), self.model.body(self.digits[digit].links[-1]).id
         while body > 0:
-            first, n = self.model.body_jntadr[body], self.model.body_jntnum[body]
-            moved |= {self.model.joint(i).name for i in range(first, first + n)}
+            chain.add(body)
             body = self.model.body_parentid[body]
-        return [joint for joint in self.closed if joint in moved]
+        return [joint for joint in self.closed if self.model.joint(joint).bodyid[0] in chain]
 
     def tips(self, model: mujoco.MjModel, data: mujoco.MjData) -> Array:
         """(n_digits, 3) in a posed model, m."""
@@ -213,7 +201,6 @@ class Parts:
 
     @cached_property
     def palm(self) -> int:
-        """The body."""
         return self.body(self.data.get("palm"), "palm")
 
     @cached_property

@@ -59,8 +59,8 @@ def geoms_of(model: mujoco.MjModel, body: int) -> tuple[Geom, ...]:
         if not (geom.contype[0] or geom.conaffinity[0]):
             continue
         if int(geom.type[0]) not in names:
-            found = f"body {model.body(body).name!r}: found a geom of another kind"
-            raise ValueError(f"{found}, allowed: {', '.join(KINDS)}")
+            what = f"body {model.body(body).name!r}: found a geom of another kind"
+            raise ValueError(f"{what}, allowed: {', '.join(KINDS)}")
         kind = names[int(geom.type[0])]
         corners: Array = np.zeros((0, 3))
         if kind == MESH:

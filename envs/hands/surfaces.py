@@ -10,7 +10,7 @@ import numpy as np
 
 from ..toml_files import number, table, vector
 from . import SEGMENTS, Array, Pitch, Surface, mounting
-from .parts import Parts, beside, numbers, unit
+from .parts import Parts, beside, numbers, posed, unit
 from .skins import Distances, Geom, geoms_of, meet
 
 BEYOND = 0.01  # m that a fingertip may lie off the shapes of its link
@@ -18,7 +18,7 @@ BEYOND = 0.01  # m that a fingertip may lie off the shapes of its link
 
 def of(parts: Parts) -> tuple[Surface, ...]:
     """The palmar sides of all segments, then of the palm at the bases of the fingers."""
-    open_hand, found = parts.posed(parts.opened), []
+    open_hand, found = posed(parts.model, parts.opened), []
     shift = number(table(parts.data, "pitch").get("distal_shift", 0.0), "pitch.distal_shift")
     tips = dict(zip(parts.digits, parts.tips(parts.model, open_hand), strict=True))
     for digit, (links, tip) in parts.digits.items():
@@ -71,15 +71,15 @@ def _sides(value: Any, n: int, where: str) -> list[Array | None]:
     return [unit(vector(one, 3, where), where) for one in each]
 
 
-def _flexion(parts: Parts, links: tuple[str, ...], posed: mujoco.MjData) -> list[Array]:
+def _flexion(parts: Parts, links: tuple[str, ...], data: mujoco.MjData) -> list[Array]:
     """About what the first of these links and those beyond it turn when the hand closes: unit vectors
     (3,) in the frame of the first."""
     model, found = parts.model, []
-    own = posed.xmat[model.body(links[0]).id].reshape(3, 3)
+    own = data.xmat[model.body(links[0]).id].reshape(3, 3)
     for link in links:
         body, turn = model.body(link), np.eye(3)
         if link != links[0]:
-            turn = np.round(own.T @ posed.xmat[body.id].reshape(3, 3), 12)
+            turn = np.round(own.T @ data.xmat[body.id].reshape(3, 3), 12)
         for joint in range(body.jntadr[0], body.jntadr[0] + body.jntnum[0]):
             way = parts.way(model.joint(joint).name)
             if way and model.jnt_type[joint] == int(mounting.HINGE):
@@ -140,8 +140,8 @@ def _palm_side(parts: Parts, digit: str, about: dict[str, Any]) -> Surface:
     link = str(about.get("base_link", parts.model.body(parts.palm).name))
     body = parts.body(link, f"digits.{digit}.base_link")
     base = vector(about["base"], 3, f"digits.{digit}.base")
-    posed = parts.posed({})
-    here, there = (posed.xmat[b].reshape(3, 3) for b in (body, parts.palm))
+    data = posed(parts.model, {})
+    here, there = (data.xmat[b].reshape(3, 3) for b in (body, parts.palm))
     turn = np.round(here.T @ there, 12)
     along, palmar = (tuple((turn @ v + 0.0).tolist()) for v in (parts.fingers, parts.palmar))
     plane = Surface(digit, "palm", link, base, along, palmar)  # type: ignore[arg-type]

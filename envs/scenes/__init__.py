@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from .. import toml_files
-from ..choices import nearest
+from ..choices import nearest, require_one_of
 
 FOLDER = Path(__file__).parent
 SUFFIX = ".toml"
@@ -58,9 +58,7 @@ def load(name: str) -> NamedScene:
             allowed = f"a {kinds[key].__name__}"
             raise ValueError(f"scene file {path}: {key}: found {value!r}, allowed {allowed}")
         if key == "base":
-            if value not in names():
-                allowed = ", ".join(names())
-                raise ValueError(f"scene file {path}: base: found {value!r}, allowed: {allowed}")
+            require_one_of(names(), value, f"scene file {path}: base")
             base = load(value)
     both = {key: {**getattr(base, key), **data.get(key, {})} for key in ("scene", "train")}
     return NamedScene(data.get("about", base.about), data.get("env", base.env), **both)

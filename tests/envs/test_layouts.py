@@ -62,7 +62,7 @@ def test_designs_from_the_literature(name, count):
 
 
 def test_grids_are_the_papers_figure():
-    offsets = {name: set(layouts.PAPER[name][1]) for name in layouts.PAPER}
+    offsets = {name: set(layouts.PAPER[name].patches[0].offsets) for name in layouts.PAPER}
     assert offsets["2"] | offsets["4"] == offsets["1"]
     assert offsets["2"] & offsets["4"] == offsets["5"] == offsets["6"] == {(0.0, 0.0)}
     assert offsets["3"] == offsets["2"] - {(0.0, 0.0)}
