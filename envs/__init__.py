@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 import sys
 import traceback
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -23,11 +24,7 @@ TOYS = {"lqr": "tactilerl/LQR-v0", "point-reach": "tactilerl/PointReach-v0"}
 
 
 def make(
-    name: str | None = None,
-    *,
-    scene: str | None = None,
-    render_mode: str | None = None,
-    **choices: Any,
+    name: str | None = None, *, scene: str | None = None, render_mode: str | None = None, **choices: Any
 ) -> gym.Env[Any, Any]:
     """An environment by name.
 
@@ -69,22 +66,11 @@ def make(
         raise ValueError(f"env: {name!r} cannot be made here ({reason})") from error
 
 
-_OURS: dict[str, dict[str, Any]] = {
-    **{hands.registration(hand).id: {"name": hand} for hand in hands.HANDS},
-    **{scenes.gymnasium_id(scene): {"scene": scene} for scene in scenes.names()},
-}
-for _id, _kwargs in _OURS.items():
-    gym.register(
-        _id,
-        entry_point="tactilerl.envs:make",
-        kwargs=_kwargs,
-        order_enforce=False,
-        disable_env_checker=True,
-    )
-gym.register("tactilerl/LQR-v0", entry_point="tactilerl.envs.toy:LQREnv")
-gym.register(
-    "tactilerl/PointReach-v0",
-    entry_point="tactilerl.envs.toy:PointReachEnv",
-    order_enforce=False,  # no wrapper may hide `compute_reward`
-    disable_env_checker=True,
-)
+# No wrapper may hide `compute_reward`.
+_register = partial(gym.register, order_enforce=False, disable_env_checker=True)
+for _hand in hands.HANDS:
+    _register(hands.registration(_hand).id, "tactilerl.envs:make", kwargs={"name": _hand})
+for _scene in scenes.names():
+    _register(scenes.gymnasium_id(_scene), "tactilerl.envs:make", kwargs={"scene": _scene})
+_register("tactilerl/PointReach-v0", "tactilerl.envs.toy:PointReachEnv")
+gym.register("tactilerl/LQR-v0", "tactilerl.envs.toy:LQREnv")

@@ -318,15 +318,15 @@ def _patch(data: Any, where: str) -> Patch:
     digits = strings(data.get("digits"), f"{where}: digits")
     segments = strings(data.get("segments"), f"{where}: segments")
     radius = number(data.get("radius_mm"), f"{where}: radius_mm", 0.1, 20.0)
-    offsets = data.get("offsets_mm")
+    where, offsets = f"{where}: offsets_mm", data.get("offsets_mm")
     if not isinstance(offsets, list) or not offsets:
-        raise ValueError(f"{where}: offsets_mm: found {offsets!r}, expected [[row, column], ...]")
+        raise ValueError(f"{where}: found {offsets!r}, expected [[row, column], ...]")
     for offset in offsets:
         if not isinstance(offset, list) or len(offset) != 2 or not all(map(is_number, offset)):
-            raise ValueError(f"{where}: offsets_mm: found {offset!r}, expected [row, column] in mm")
-        if max(abs(value) for value in offset) > 50:
-            raise ValueError(f"{where}: offsets_mm: found {offset!r}, allowed up to 50 mm")
-    if len({tuple(offset) for offset in offsets}) < len(offsets):
-        raise ValueError(f"{where}: offsets_mm: the same [row, column] is given twice")
+            raise ValueError(f"{where}: found {offset!r}, expected [row, column] in mm")
+        if max(map(abs, offset)) > 50:
+            raise ValueError(f"{where}: found {offset!r}, allowed up to 50 mm")
     metres = tuple((1e-3 * row, 1e-3 * column) for row, column in offsets)
+    if len(set(metres)) < len(metres):
+        raise ValueError(f"{where}: the same [row, column] is given twice")
     return Patch(digits, segments, metres, 1e-3 * radius)

@@ -173,7 +173,6 @@ OUTCOMES: dict[Outcome, float] = {
     "dropped": 0.5,  # was lifted, and did not survive the hold test
     "held": 1.0,
 }
-FINAL = ("held", "dropped", "timed_out")  # the paper's time-out is a verdict too, with its -100
 OFF_GROUND = 0.005  # m under the object's lowest point: an attempt has begun
 
 
@@ -200,20 +199,14 @@ class LiftAndHold(Task):
         return self._achieved(start, "undecided"), self.only_goal
 
     def judge(self, now: Snapshot, is_last: bool) -> Judgement:
-        outcome = self._before_hold(now, is_last)
-        if outcome == "lifted":
+        if now.clearance > self.config.lift_clearance:
             held, dropped = self._achieved(now, "held"), self._achieved(now, "dropped")
             return Judgement(held, True, self.hold, dropped)
-        return Judgement(self._achieved(now, outcome), outcome in FINAL)
-
-    def _before_hold(self, now: Snapshot, is_last: bool) -> Outcome:
-        clearance = now.clearance
-        if clearance > self.config.lift_clearance:
-            return "lifted"
-        was_off, self._is_off_ground = self._is_off_ground, clearance > OFF_GROUND
-        if is_last:
-            return "timed_out"
-        return "fell_back" if was_off and not self._is_off_ground else "undecided"
+        was_off, self._is_off_ground = self._is_off_ground, now.clearance > OFF_GROUND
+        if is_last:  # the paper's time-out is a verdict too, with its -100
+            return Judgement(self._achieved(now, "timed_out"), True)
+        has_fallen = was_off and not self._is_off_ground
+        return Judgement(self._achieved(now, "fell_back" if has_fallen else "undecided"))
 
     def _achieved(self, now: Snapshot, outcome: Outcome) -> Array:
         points = np.vstack([now.hand, now.fingertips])

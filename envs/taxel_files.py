@@ -41,14 +41,8 @@ class Point(NamedTuple):
 
     def toml(self) -> list[str]:
         """Lines of a layout file."""
-        lists = {"position": self.position, "normal": self.normal}
-        return [
-            "[[taxel]]",
-            f"name = {json.dumps(self.name, ensure_ascii=False)}",
-            f"link = {json.dumps(self.link, ensure_ascii=False)}",
-            *(f"{key} = [{', '.join(map(repr, xyz))}]" for key, xyz in lists.items()),
-            f"radius = {self.radius!r}",
-        ]
+        values = {"name": self.name, **self._asdict()}.items()
+        return ["[[taxel]]", *(f"{k} = {json.dumps(v, ensure_ascii=False)}" for k, v in values)]
 
 
 def point(data: Any, index: int) -> Point:

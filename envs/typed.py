@@ -6,7 +6,7 @@ A range is an interval in a field's type: `Annotated[float, "[0, 1)"]`.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -78,18 +78,21 @@ def require_type(value: Any, hint: Any, name: str) -> None:
         check_type(value, hint, collection_check_strategy=CollectionCheckStrategy.ALL_ITEMS)
     except TypeCheckError as error:
         reason = " ".join(str(error).split())
-        if choices := [c for part in (hint, *get_args(hint)) for c in _choices(part)]:
+        if choices := [
+            c for part in _parts(hint) if get_origin(part) is Literal for c in get_args(part)
+        ]:
             raise ValueError(f"{name}: found {value!r}, allowed: {', '.join(choices)}") from None
         if "in the union" in reason:
             reason = f"allowed {str(hint).replace('typing.', '')}"
         raise ValueError(f"{name}: found {_short(value)}: {reason[:200]}") from None
     for item in value if isinstance(value, tuple) else (value,):
-        if isinstance(item, bool) and not _allows_bool(hint):
+        if isinstance(item, bool) and bool not in _parts(hint):
             raise ValueError(f"{name}: found {item}, expected a number")
         if isinstance(item, int) and abs(item) >= LARGEST:
             raise ValueError(f"{name}: found a number of {item.bit_length()} bits, allowed up to 63")
-        for interval in _intervals(hint) if isinstance(item, int | float) else ():
-            _require_within(item, interval, name)
+        for part in _parts(hint) if isinstance(item, int | float) else ():
+            for interval in getattr(part, "__metadata__", ()):
+                _require_within(item, interval, name)
 
 
 def _require_within(value: float, interval: str, name: str) -> None:
@@ -106,18 +109,11 @@ def _require_within(value: float, interval: str, name: str) -> None:
     raise ValueError(f"{name}: found {value}, allowed {allowed}")
 
 
-def _intervals(hint: Any) -> list[str]:
-    """All that stand in a type."""
-    own = [text for text in getattr(hint, "__metadata__", ()) if isinstance(text, str)]
-    return own + [text for part in get_args(hint) for text in _intervals(part)]
-
-
-def _choices(hint: Any) -> list[str]:
-    return [c for c in get_args(hint) if isinstance(c, str)] if get_origin(hint) is Literal else []
-
-
-def _allows_bool(hint: Any) -> bool:
-    return hint is bool or any(_allows_bool(part) for part in get_args(hint))
+def _parts(hint: Any) -> Iterator[Any]:
+    """A type, and the types that it is made of."""
+    yield hint
+    for part in get_args(hint):
+        yield from _parts(part)
 
 
 def _short(value: Any) -> str:

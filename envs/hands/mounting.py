@@ -78,17 +78,18 @@ class Mount:
         self._leave_out(spec)
         roots = [body.name for body in spec.worldbody.bodies]
         if len(roots) != 1:
-            raise ValueError(
-                f"model: found {len(roots)} bodies at its root ({', '.join(roots)}), allowed one; "
-                'leave others out with drop = ["NAME"]'
-            )
+            found = f"found {len(roots)} bodies at its root ({', '.join(roots)})"
+            raise ValueError(f'model: {found}, allowed one; leave others out with drop = ["NAME"]')
         if not visual:
             spec.discard_visual()
         for body in spec.bodies[1:]:
             body.gravcomp = 1.0
             body.mass = self.masses.get(body.name, body.mass)
-        if not self.keeps_contacts:
-            _touch_only_others(spec)
+        if not self.keeps_contacts:  # contype without conaffinity meets the object and the ground
+            for pair in (*spec.pairs, *spec.excludes):
+                spec.delete(pair)
+            for geom in spec.geoms:
+                geom.contype, geom.conaffinity = int(bool(geom.contype or geom.conaffinity)), 0
         if not spec.actuators:
             self._add_servos(spec)
         return spec
@@ -169,14 +170,6 @@ def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
         return spec.compile()
     except ValueError as error:
         raise ValueError(f"model: {' '.join(str(error).split())}") from None
-
-
-def _touch_only_others(spec: mujoco.MjSpec) -> None:
-    """Links do not touch each other: contype without conaffinity meets the object and the ground."""
-    for pair in (*spec.pairs, *spec.excludes):
-        spec.delete(pair)
-    for geom in spec.geoms:
-        geom.contype, geom.conaffinity = int(bool(geom.contype or geom.conaffinity)), 0
 
 
 def followed(spec: mujoco.MjSpec) -> Iterator[tuple[str, str, float]]:

@@ -5,6 +5,7 @@ A mesh counts as its convex hull, which is what the simulators collide.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import lru_cache
 from itertools import product
 from typing import NamedTuple
@@ -66,20 +67,14 @@ def geoms_of(model: mujoco.MjModel, body: int) -> tuple[Geom, ...]:
         if kind == MESH:
             mesh = model.mesh(geom.dataid[0])
             first, n = int(mesh.vertadr[0]), int(mesh.vertnum[0])
-            corners = _hull(model.mesh_vert[first : first + n].astype(float))
+            corners = model.mesh_vert[first : first + n].astype(float)
+            with suppress(QhullError):  # it is flat
+                corners = corners[ConvexHull(corners).vertices]
         rotation = np.zeros(9)
         mujoco.mju_quat2Mat(rotation, geom.quat)
         rows, points = (tuple(map(tuple, a.tolist())) for a in (rotation.reshape(3, 3), corners))
         found.append(Geom(kind, tuple(geom.size), tuple(geom.pos), rows, points))
     return tuple(found)
-
-
-def _hull(points: Array) -> Array:
-    """The corners of the convex hull."""
-    try:
-        return points[ConvexHull(points).vertices]
-    except QhullError:  # it is flat
-        return points
 
 
 def meet(geoms: tuple[Geom, ...], above: Array, direction: Array) -> tuple[Array, Array] | None:
