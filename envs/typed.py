@@ -92,7 +92,8 @@ def require_type(value: Any, hint: Any, name: str) -> None:
             raise ValueError(f"{name}: found a number of {item.bit_length()} bits, allowed up to 63")
         for part in _parts(hint) if isinstance(item, int | float) else ():
             for interval in getattr(part, "__metadata__", ()):
-                _require_within(item, interval, name)
+                if isinstance(interval, str):
+                    _require_within(item, interval, name)
 
 
 def _require_within(value: float, interval: str, name: str) -> None:
