@@ -17,10 +17,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from ..algos import mpi
-from ..envs import typed
 from ..errors import InputError, input_errors
 from ..probe.options import GraspFlags, Options
-from ..runs.config import Workers
 from ..runs.files import pasted
 from ..terminal import flags, interrupts
 from ..terminal.console import console
@@ -48,9 +46,11 @@ def main(args: list[str]) -> int:
     read = flags.parse(Options, args, "tactilerl probe", usual, ABOUT)
     with input_errors():
         read.validate()
-        typed.require_type(read.output.workers, Workers, "workers")
         comm = mpi.world()
-    _require_extra()
+    for package, name in (("sklearn", "scikit-learn"), ("matplotlib", "matplotlib")):
+        if find_spec(package) is None:
+            extra = "install the extra: pip install 'tactilerl[probe]'"
+            raise InputError(f"probe: found no {name}; {extra}")
     from ..probe import run
 
     with ExitStack() as held:
@@ -70,49 +70,30 @@ def main(args: list[str]) -> int:
         result = run.analyse(read, played, out)
     if read.output.json:
         print(json.dumps(result))
-        return 0
-    _print(result, out)
+    else:
+        _print(result, out)
     return 0
-
-
-def _require_extra() -> None:
-    for package, name in (("sklearn", "scikit-learn"), ("matplotlib", "matplotlib")):
-        if find_spec(package) is None:
-            raise InputError(
-                f"probe: found no {name}; install the extra: pip install 'tactilerl[probe]'"
-            )
 
 
 EVERY = 30.0  # s between lines
 
 
-class _Bar:
+class _Bar(Progress):
     """Grasps played so far: a bar on a terminal, elsewhere a line now and then."""
 
     def __init__(self, total: int, is_shown: bool) -> None:
-        screen = Console(stderr=True)
+        screen, self.done, self._n = Console(stderr=True), 0, total
         columns = (TextColumn("grasps"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        self._progress = Progress(
-            *columns, console=screen, disable=not (is_shown and screen.is_terminal)
-        )
-        self._task = self._progress.add_task("", total=None)
+        super().__init__(*columns, console=screen, disable=not (is_shown and screen.is_terminal))
+        self._bar = self.add_task("", total=None)
         self._said = time.monotonic() if is_shown and not screen.is_terminal else math.inf
-        self.done, self._total = 0, total
 
     def show(self, done: int) -> None:
-        """So many are there."""
         self.done = done
         if time.monotonic() - self._said > EVERY:
             self._said = time.monotonic()
-            print(f"grasps {done:,}/{self._total:,}", file=sys.stderr, flush=True)
-        self._progress.update(self._task, completed=done, total=self._total)
-
-    def __enter__(self) -> _Bar:
-        self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._progress.stop()
+            print(f"grasps {done:,}/{self._n:,}", file=sys.stderr, flush=True)
+        self.update(self._bar, completed=done, total=self._n)
 
 
 HOLDS = {"auc": ("AUC", ".3f"), "bits": ("bits", ".3f")}  # metric -> heading and format
@@ -137,21 +118,17 @@ def _print(result: dict[str, Any], out: Path) -> None:
         console.print(_table(title, rows, HOLDS, taxels))
         console.print(_table("where is the object, and which is it?", rows, OBJECT, taxels))
     check = result["shuffled"]
-    low, high = check["interval"]
     verdict = "no gain, as it should be" if check["is_zero"] else "not 0: do not trust the gains"
-    console.print(
-        f"outcomes shuffled: layout {check['layout']} gains {check['gain']:+.3f} "
-        f"({low:+.3f} … {high:+.3f}), {verdict}"
-    )
+    gain = _signed(check["gain"], check["interval"])
+    console.print(f"outcomes shuffled: layout {check['layout']} gains {gain}, {verdict}")
     _print_differences([d for d in result["differences"] if d["question"] == "hold"])
-    for row in result.get("selection", {}).get("layouts", ()):
+    selected = result.get("selection", {"layouts": (), "files": ()})
+    for row in selected["layouts"]:
         if "lead" in row:
-            low, high = row["lead_interval"]
-            console.print(
-                f"layout {row['layout']}: {row['taxels']} taxels chosen from the skin gain "
-                f"{row['lead']:+.3f} ({low:+.3f} – {high:+.3f}) more"
-            )
-    for path in result.get("selection", {}).get("files", ()):
+            lead = _signed(row["lead"], row["lead_interval"], "–")
+            chosen = f"{row['taxels']} taxels chosen from the skin"
+            console.print(f"layout {row['layout']}: {chosen} gain {lead} more")
+    for path in selected["files"]:
         console.print(f"chosen: {out / path}    tactilerl train --layout {pasted(out / path)}")
     written = sorted(path.name for path in out.iterdir() if not path.name.startswith("."))
     console.print(f"{out}: {', '.join(written)}")
@@ -164,11 +141,9 @@ def _print_differences(found: list[dict[str, Any]]) -> None:
     """What one layout tells of the outcome more than another; of many pairs, those that surely do."""
     clear = [d for d in found if d["p_holm"] < 0.05]
     for d in found if len(found) <= FEW else clear:
-        console.print(
-            f"joint noise {d['joint_noise']:g}: layout {d['a']} − {d['b']}: AUC "
-            f"{d['difference']:+.3f} ({d['interval'][0]:+.3f} … {d['interval'][1]:+.3f}), "
-            f"p {d['p_holm']:.3f} (Holm)"
-        )
+        pair = f"joint noise {d['joint_noise']:g}: layout {d['a']} − {d['b']}"
+        more = _signed(d["difference"], d["interval"])
+        console.print(f"{pair}: AUC {more}, p {d['p_holm']:.3f} (Holm)")
     if found and not clear:
         console.print(
             f"in none of {len(found)} comparisons does one layout clearly predict the outcome better"
@@ -180,29 +155,27 @@ def _table(
 ) -> Table:
     """A row for each that is told something else, a column for each measure that there is."""
     found = {(row["told"], row["layout"], row["metric"]): row for row in rows}
-    metrics = [metric for metric in columns if any(row["metric"] == metric for row in rows)]
+    metrics = [metric for metric in columns if any(metric == key[-1] for key in found)]
     table = Table("features", title=title, box=box.SIMPLE_HEAD)
     for heading in ("taxels", *(columns[metric][0] for metric in metrics)):
         table.add_column(heading, justify="right", no_wrap=True)
     if "auc" in metrics:
         table.add_column("gain by taxels (95 %)", no_wrap=True)
-    for told, layout in dict.fromkeys((row["told"], row["layout"]) for row in rows):
-        cells = [(found.get((told, layout, metric)), columns[metric][1]) for metric in metrics]
-        if not any(row for row, _ in cells):
+    for told, layout in dict.fromkeys(key[:2] for key in found):
+        measured = {metric: found.get((told, layout, metric), {}) for metric in metrics}
+        if not any(measured.values()):
             continue
-        name = told if layout is None else told.replace("taxels", f"layout {layout}")
-        values = [_value(row, form) for row, form in cells]
-        gain = [_gain(cells[0][0])] if "auc" in metrics else []
-        table.add_row(name, "" if layout is None else str(taxels[layout]), *values, *gain)
+        cells = [told, ""]
+        if layout is not None:
+            cells = [told.replace("taxels", f"layout {layout}"), str(taxels[layout])]
+        for metric, row in measured.items():
+            value = row.get("value")
+            cells.append("" if value is None else format(value, columns[metric][1]))
+        if "gain" in measured.get("auc", {}):
+            cells.append(_signed(measured["auc"]["gain"], measured["auc"]["gain_interval"]))
+        table.add_row(*cells)
     return table
 
 
-def _value(row: dict[str, Any] | None, form: str) -> str:
-    return "" if row is None or row["value"] is None else format(row["value"], form)
-
-
-def _gain(row: dict[str, Any] | None) -> str:
-    if row is None or "gain" not in row:
-        return ""
-    low, high = row["gain_interval"]
-    return f"{row['gain']:+.3f} ({low:+.3f} … {high:+.3f})"
+def _signed(value: float, ends: list[float], dash: str = "…") -> str:
+    return f"{value:+.3f} ({ends[0]:+.3f} {dash} {ends[1]:+.3f})"

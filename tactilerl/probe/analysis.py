@@ -20,9 +20,8 @@ from threadpoolctl import threadpool_limits
 from .. import statistics
 from ..envs.hands import Array
 from . import estimators, metrics
-from .metrics import Metric
 from .options import AnalysisFlags
-from .readings import Grasps, noisy_angles
+from .readings import Grasps
 
 JOINTS, SIGHT = "joints", "joints+sight"
 TAXELS, BOTH, ALONE = "joints+taxels", "joints+taxels+sight", "taxels"
@@ -32,19 +31,11 @@ NOISE, FAULTS, BOOTSTRAP, SHUFFLE = range(4)  # each has random numbers of its o
 
 
 @dataclass(frozen=True)
-class Choices(AnalysisFlags):
-    """How grasps are asked."""
-
-    seed: int = 0
-    jobs: int = 1
-
-
-@dataclass(frozen=True)
 class Question:
     """Something to tell, and how good an answer is."""
 
     name: str
-    metrics: tuple[Metric, ...]
+    metrics: tuple[str, ...]
     """The first is the one by which layouts are compared."""
     truth: Array
     predict: Callable[[Array], Array]
@@ -53,23 +44,21 @@ class Question:
     """Who sees the object is not asked."""
 
 
-class Inputs(NamedTuple):
-    """What a classifier is given."""
-
-    noise: float
-    """Of the joint angles, rad."""
-    what: str
-    layout: str | None = None
+Inputs = tuple[float, str, str | None]
+"""What a classifier is given: noise of the joint angles, rad, what it is told, of which layout."""
 
 
 class Cell(NamedTuple):
-    """One answer: to which question, and by whom."""
+    """A measure of one answer: to which question, and by whom."""
 
     question: str
-    inputs: Inputs
+    metric: str
+    joint_noise: float
+    told: str
+    layout: str | None = None
 
 
-Samples = Mapping[tuple[Cell, Metric], Array]
+Samples = Mapping[Cell, Array]
 """Values of a measure (1 + resamples,): of all grasps, then of each bootstrap sample."""
 
 
@@ -80,201 +69,160 @@ class Probe:
     grasps: Grasps
     readings: Mapping[str, Array]
     """By layout, bool (n, taxels)."""
-    choices: Choices
-
-    def first(self, n: int) -> Probe:
-        """The first `n` grasps."""
-        readings = {name: felt[:n] for name, felt in self.readings.items()}
-        return Probe(self.grasps.first(n), readings, self.choices)
+    choices: AnalysisFlags
+    seed: int = 0
+    jobs: int = 1
 
     @property
     def densest(self) -> str:
         """The layout with the most taxels."""
         return max(self.readings, key=lambda name: self.readings[name].shape[1])
 
-    def features(self, inputs: Inputs) -> Array:
-        """(n, d)"""
-        known, rng = inputs.what.split("+"), np.random.default_rng([self.choices.seed, NOISE])
-        parts = [noisy_angles(self.grasps.angles, inputs.noise, rng)] if "joints" in known else []
-        parts += [self.readings[str(inputs.layout)].astype(float)] if "taxels" in known else []
-        parts += [self.grasps.sight()] if "sight" in known else []
+    def features(self, noise: float, told: str, layout: str | None = None) -> Array:
+        """(n, d). Joint angles have the same draws at any noise."""
+        known, rng = told.split("+"), np.random.default_rng([self.seed, NOISE])
+        angles, parts = self.grasps.angles, []
+        if "joints" in known:
+            parts.append(angles + noise * rng.standard_normal(angles.shape))
+        if "taxels" in known:
+            parts.append(self.readings[str(layout)].astype(float))
+        if "sight" in known:
+            parts.append(self.grasps.sight())
         return np.concatenate(parts, axis=1)
 
-    def folds(self, held: Array | None = None) -> list[estimators.Fold]:
+    def inputs(self) -> list[Inputs]:
+        """All that are compared. Joint noise does not matter to taxels alone."""
+        layouts, noises = [*self.readings], self.choices.joint_noise
+        inputs: list[Inputs] = [(noises[0], ALONE, layout) for layout in layouts]
+        for noise in noises:
+            inputs += [(noise, JOINTS, None), (noise, SIGHT, None)]
+            inputs += [(noise, told, layout) for told in (TAXELS, BOTH) for layout in layouts]
+        return inputs
+
+    def folds(self, held: Array) -> list[estimators.Fold]:
         """The folds that everybody is asked in."""
-        groups = self.grasps.objects if self.choices.hold_out == "objects" else None
-        outcome = self.grasps.held if held is None else held
-        return estimators.folds(outcome, self.choices.folds, groups, self.choices.seed)
+        groups = self.grasps.objects()[1] if self.choices.hold_out == "objects" else None
+        return estimators.folds(held, self.choices.folds, groups, self.seed)
 
     def weights(self) -> Array:
         """How often each grasp is in all of them (1, n), and in each bootstrap sample below."""
-        n, rng = len(self.grasps), np.random.default_rng([self.choices.seed, BOOTSTRAP])
+        n, rng = len(self.grasps), np.random.default_rng([self.seed, BOOTSTRAP])
         drawn = np.ascontiguousarray(statistics.resample(rng, n, self.choices.resamples).T)
         return np.concatenate([np.ones((1, n), drawn.dtype), drawn])
+
+    def will_it_hold(self, held: Array) -> Question:
+        """The question whose answer is `held` (n,)."""
+        how: Any = {"kept": self.folds(held), "kind": self.choices.estimator}
+        predict = partial(estimators.probabilities, targets=held, **how)
+        return Question("hold", ("auc", "bits", "log_loss"), held, predict)
+
+    def questions(self) -> list[Question]:
+        """All that can be asked of these grasps."""
+        grasps, asked = self.grasps, [self.will_it_hold(self.grasps.held)]
+        how: Any = {"kept": self.folds(grasps.held), "kind": self.choices.estimator}
+        place, (names, index) = grasps.object_in_hand()[0][:, :2], grasps.objects()
+        predict = partial(estimators.values, targets=place, **how)
+        asked.append(Question("position", ("r2", "error_mm"), place, predict, of_the_blind=True))
+        if self.choices.hold_out == "grasps" and len(names) > 1:
+            predict = partial(estimators.classes, targets=index, **how)
+            asked.append(Question("object", ("balanced_accuracy",), index, predict))
+        yaw, parts = grasps.turn()
+        if parts:
+            truth = np.column_stack([yaw, np.full(len(yaw), 2 * math.pi / parts)])
+            circle = np.column_stack([np.cos(parts * yaw), np.sin(parts * yaw)])
+            predict = partial(estimators.values, targets=circle, **how)
+            asked.append(Question("yaw", ("error_deg",), truth, predict, of_the_blind=True))
+        return asked
 
     def answers(
         self, asked: Sequence[Question], inputs: Sequence[Inputs], weights: Array | None = None
     ) -> Samples:
-        """All measures of all answers; every one in the same bootstrap samples, or by `weights`."""
-        predicted = ask(asked, inputs, self.features, self.choices.jobs)
+        """All measures of all answers; every one in the same bootstrap samples, or by `weights`. In
+        processes, for the solvers are Python half of the time."""
         every = self.weights() if weights is None else weights
-        known = {question.name: question for question in asked}
-        pairs = [(cell, metric) for cell in predicted for metric in known[cell.question].metrics]
-        with threadpool_limits(1):
-            values = Parallel(self.choices.jobs, prefer="threads")(
-                delayed(metric)(known[cell.question].truth, predicted[cell], every)
-                for cell, metric in pairs
-            )
-        return dict(zip(pairs, values, strict=True))
+        pairs = [
+            (question, given)
+            for question, given in itertools.product(asked, inputs)
+            if not (question.of_the_blind and "sight" in given[1])
+        ]
+        found = Parallel(self.jobs, prefer="processes")(
+            delayed(answer)(question, self.features(*given), every) for question, given in pairs
+        )
+        return {
+            Cell(question.name, metric, *given): values
+            for (question, given), measured in zip(pairs, found, strict=True)
+            for metric, values in zip(question.metrics, measured, strict=True)
+        }
 
 
-def hold_question(held: Array, kept: list[estimators.Fold], kind: estimators.Kind) -> Question:
-    """Will it hold?"""
-    measures = (metrics.AUC, metrics.BITS, metrics.LOG_LOSS)
-    predict = partial(estimators.probabilities, held=held, kept=kept, kind=kind)
-    return Question("hold", measures, held, predict)
+def answer(question: Question, features: Array, weights: Array) -> list[Array]:
+    """A question's measures by some features (n, d), with `weights` (b, n).
 
-
-def questions(probe: Probe) -> list[Question]:
-    """All that can be asked of these grasps."""
-    grasps, kept = probe.grasps, probe.folds()
-    how: dict[str, Any] = {"kept": kept, "kind": probe.choices.estimator}
-    place, index = grasps.object_in_hand()[0][:, :2], grasps.objects
-    asked = [hold_question(grasps.held, **how)]
-    measures = (metrics.R_SQUARED, metrics.ERROR_MM)
-    predict = partial(estimators.values, targets=place, **how)
-    asked.append(Question("position", measures, place, predict, of_the_blind=True))
-    if probe.choices.hold_out == "grasps" and len(grasps.object_names) > 1:
-        predict = partial(estimators.classes, labels=index, **how)
-        asked.append(Question("object", (metrics.BALANCED_ACCURACY,), index, predict))
-    yaw, parts = grasps.turn()
-    if parts:
-        truth = np.column_stack([yaw, np.full(len(yaw), 2 * math.pi / parts)])
-        predict = partial(_turns, yaw=yaw, parts=parts, **how)
-        asked.append(Question("yaw", (metrics.ERROR_DEGREES,), truth, predict, of_the_blind=True))
-    return asked
-
-
-def _turns(features: Array, yaw: Array, parts: int, **how: Any) -> Array:
-    """Predicted yaw (n, 1), through the point on the circle where equal looks coincide."""
-    circle = np.column_stack([np.cos(parts * yaw), np.sin(parts * yaw)])
-    found = estimators.values(features, circle, **how)
-    return np.arctan2(found[:, 1], found[:, 0])[:, None] / parts
-
-
-def all_inputs(layouts: Sequence[str], noises: Sequence[float]) -> list[Inputs]:
-    """All that are compared. Joint noise does not matter to taxels alone."""
-    inputs = [Inputs(noises[0], ALONE, layout) for layout in layouts]
-    for noise in noises:
-        inputs += [Inputs(noise, JOINTS), Inputs(noise, SIGHT)]
-        inputs += [Inputs(noise, what, layout) for what in (TAXELS, BOTH) for layout in layouts]
-    return inputs
-
-
-def ask(
-    asked: Sequence[Question],
-    inputs: Sequence[Inputs],
-    features: Callable[[Inputs], Array],
-    jobs: int,
-) -> dict[Cell, Array]:
-    """All predictions. In processes, for the solvers are Python half of the time."""
-    every = itertools.product(asked, inputs)
-    pairs = [(q, t) for q, t in every if not (q.of_the_blind and "sight" in t.what)]
-    predictions = Parallel(jobs, prefer="processes")(
-        delayed(_predictions)(q, features(t)) for q, t in pairs
-    )
-    return {Cell(q.name, t): p for (q, t), p in zip(pairs, predictions, strict=True)}
-
-
-def _predictions(question: Question, features: Array) -> Array:
-    """With one thread, in whichever process: the digits must not depend on the number of cores.
-    Nor does a process know which warnings another one leaves unsaid."""
+    With one thread, in whichever process: the digits must not depend on the number of cores. Nor
+    does a process know which warnings another one leaves unsaid.
+    """
     with threadpool_limits(1), estimators.expected_warnings():
-        return question.predict(features)
+        told = question.predict(features)
+        return [metrics.measure(name, question.truth, told, weights) for name in question.metrics]
 
 
-def gain_samples(samples: Samples, cell: Cell, metric: Metric) -> Array | None:
-    """What `cell` knows beyond its control: better is above 0; None without a control."""
-    inputs = cell.inputs
-    if inputs.what not in CONTROL:
-        return None
-    control = Cell(cell.question, Inputs(inputs.noise, CONTROL[inputs.what]))
-    return metric.sign * (samples[cell, metric] - samples[control, metric])
+def gain(samples: Samples, cell: Cell) -> Array:
+    """What `cell` knows beyond its control: better is above 0."""
+    control = cell._replace(told=CONTROL[cell.told], layout=None)
+    return metrics.sign(cell.metric) * (samples[cell] - samples[control])
 
 
 def hold_gain(samples: Samples, noise: float, layout: str, question: str = "hold") -> Array:
     """Gain in AUC (1 + resamples,) of a layout over the joints."""
-    inputs = Inputs(noise, TAXELS, layout)
-    gain = gain_samples(samples, Cell(question, inputs), metrics.AUC)
-    assert gain is not None
-    return gain
+    return gain(samples, Cell(question, "auc", noise, TAXELS, layout))
 
 
 def table(samples: Samples) -> list[dict[str, Any]]:
     """A row for each measure of each answer, with its gain over its control."""
     rows = []
-    for (cell, metric), values in samples.items():
-        row = {
-            "question": cell.question,
-            "metric": metric.name,
-            "joint_noise": cell.inputs.noise,
-            "told": cell.inputs.what,
-            "layout": cell.inputs.layout,
-            "value": metrics.number(values[0]),
-            "interval": metrics.interval(values[1:]),
-        }
-        gain = gain_samples(samples, cell, metric)
-        if gain is not None:
-            row |= metrics.gain(gain)
-        rows.append(row)
+    for cell, values in samples.items():
+        gained = metrics.gain(gain(samples, cell)) if cell.told in CONTROL else {}
+        rows.append({**cell._asdict(), **metrics.estimate("value", values), **gained})
     return rows
 
 
-def differences(samples: Samples, layouts: Sequence[str]) -> list[dict[str, Any]]:
+def differences(probe: Probe, asked: list[Question], samples: Samples) -> list[dict[str, Any]]:
     """Every two layouts, given with the joints, by each question's first measure; p-values of one
     question at one noise are corrected together (Holm)."""
     rows = []
-    cells = [(cell, metric) for cell, metric in samples if cell.inputs.what == TAXELS]
-    first: dict[str, Metric] = {}
-    for cell, metric in cells:
-        first.setdefault(cell.question, metric)
-    noises = dict.fromkeys(cell.inputs.noise for cell, _ in cells)
-    for (question, metric), noise in itertools.product(first.items(), noises):
-        family: list[dict[str, Any]] = []
-        for a, b in itertools.combinations(layouts, 2):
-            one, other = (samples[Cell(question, Inputs(noise, TAXELS, x)), metric] for x in (a, b))
-            way = metric.sign * (one - other)
-            family.append(
-                {
-                    "question": question, "metric": metric.name, "joint_noise": noise,
-                    "a": a, "b": b, "difference": metrics.number(way[0]),
-                    "interval": metrics.interval(way[1:]), "p": statistics.bootstrap_p(way[1:]),
-                }
-            )  # fmt: skip
-        for row, p in zip(family, statistics.holm([row["p"] for row in family]), strict=True):
-            rows.append({**row, "p_holm": float(p)})
+    for question, noise in itertools.product(asked, probe.choices.joint_noise):
+        name, metric = question.name, question.metrics[0]
+        known = {x: samples[Cell(name, metric, noise, TAXELS, x)] for x in probe.readings}
+        pairs = list(itertools.combinations(known, 2))
+        ways = [metrics.sign(metric) * (known[a] - known[b]) for a, b in pairs]
+        p_values = [statistics.bootstrap_p(way[1:]) for way in ways]
+        corrected = statistics.holm(p_values).tolist()
+        for (a, b), way, p, p_holm in zip(pairs, ways, p_values, corrected, strict=True):
+            about = {"question": name, "metric": metric, "joint_noise": noise, "a": a, "b": b}
+            told = metrics.estimate("difference", way)
+            rows.append({**about, **told, "p": p, "p_holm": p_holm})
     return rows
 
 
 def learning_curve(probe: Probe, samples: Samples) -> list[dict[str, Any]]:
     """Gain in AUC from the first part of the grasps, up to all of them, which are measured in
     `samples`: were there enough?"""
-    rows, choices, n_all = [], probe.choices, len(probe.grasps)
-    for n in (*sorted({round(share * n_all) for share in SHARES}), n_all):
-        some, measured = probe.first(n), samples
-        if n < n_all:
-            try:
-                kept = some.folds()
-            except ValueError:  # too few of one outcome for the folds
-                continue
-            asked = [hold_question(some.grasps.held, kept, choices.estimator)]
-            inputs = [t for t in all_inputs([*probe.readings], choices.joint_noise)
-                      if t.what in (JOINTS, TAXELS)]  # fmt: skip
-            measured = some.answers(asked, inputs)
-        for noise, layout in itertools.product(choices.joint_noise, probe.readings):
-            gain = metrics.gain(hold_gain(measured, noise, layout))
-            rows.append({"grasps": n, "joint_noise": noise, "layout": layout, **gain})
-    return rows
+    measured = {}
+    for n in sorted({round(share * len(probe.grasps)) for share in SHARES}):
+        readings = {name: felt[:n] for name, felt in probe.readings.items()}
+        some = replace(probe, grasps=probe.grasps.first(n), readings=readings)
+        try:
+            asked = [some.will_it_hold(some.grasps.held)]
+        except ValueError:  # too few of one outcome for the folds
+            continue
+        measured[n] = some.answers(asked, [x for x in some.inputs() if x[1] in (JOINTS, TAXELS)])
+    measured[len(probe.grasps)] = samples
+    return [
+        {"grasps": n, "joint_noise": noise, "layout": layout}
+        | metrics.gain(hold_gain(found, noise, layout))
+        for n, found in measured.items()
+        for noise, layout in itertools.product(probe.choices.joint_noise, probe.readings)
+    ]
 
 
 def shuffled_gain(probe: Probe) -> dict[str, Any]:
@@ -283,14 +231,13 @@ def shuffled_gain(probe: Probe) -> dict[str, Any]:
     expected."""
     from scipy import stats
 
-    rng = np.random.default_rng([probe.choices.seed, SHUFFLE])
+    rng = np.random.default_rng([probe.seed, SHUFFLE])
     noise, layout, shuffles = probe.choices.joint_noise[0], probe.densest, probe.choices.shuffles
-    asked = []
-    for number in range(shuffles):
-        held = rng.permutation(probe.grasps.held)
-        question = hold_question(held, probe.folds(held), probe.choices.estimator)
-        asked.append(replace(question, name=f"shuffled {number}", metrics=(metrics.AUC,)))
-    inputs = [Inputs(noise, JOINTS), Inputs(noise, TAXELS, layout)]
+    asked = [
+        replace(probe.will_it_hold(rng.permutation(probe.grasps.held)), name=str(k), metrics=("auc",))
+        for k in range(shuffles)
+    ]
+    inputs: list[Inputs] = [(noise, JOINTS, None), (noise, TAXELS, layout)]
     samples = probe.answers(asked, inputs, np.ones((1, len(probe.grasps)), np.uint8))
     gains = [float(hold_gain(samples, noise, layout, question.name)[0]) for question in asked]
     mean, spread = float(np.mean(gains)), float(np.std(gains, ddof=1))

@@ -12,12 +12,18 @@ from contextlib import contextmanager
 from typing import Any, Literal
 
 import numpy as np
-from sklearn.base import BaseEstimator
+from sklearn.compose import TransformedTargetRegressor
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 from sklearn.ensemble import HistGradientBoostingClassifier, HistGradientBoostingRegressor
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LogisticRegressionCV, RidgeCV
-from sklearn.model_selection import GridSearchCV, GroupKFold, KFold, StratifiedKFold
+from sklearn.model_selection import (
+    GridSearchCV,
+    GroupKFold,
+    KFold,
+    StratifiedKFold,
+    cross_val_predict,
+)
 from sklearn.multioutput import MultiOutputRegressor
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
@@ -66,38 +72,13 @@ def folds(held: Array, n: int, groups: Array | None, seed: int) -> list[Fold]:
     return list(GroupKFold(min(n, n_groups)).split(unasked, held, groups))
 
 
-def probabilities(features: Array, held: Array, kept: list[Fold], kind: Kind) -> Array:
+def probabilities(features: Array, targets: Array, kept: list[Fold], kind: Kind) -> Array:
     """(n, 2): probability that each grasp holds, and the share that held in its training folds."""
-    predicted = np.full((len(held), 2), np.nan)
+    predicted = np.full((len(targets), 2), np.nan)
     for train, test in kept:
-        model = _classifier(kind).fit(features[train], held[train])
+        model = _classifier(kind).fit(features[train], targets[train])
         predicted[test, 0] = model.predict_proba(features[test])[:, 1]
-        predicted[test, 1] = held[train].mean()
-    return predicted
-
-
-def values(features: Array, targets: Array, kept: list[Fold], kind: Kind) -> Array:
-    """(n, d) predictions of `targets` (n, d)."""
-    predicted = np.full(targets.shape, np.nan)
-    for train, test in kept:
-        # Ridge regression shrinks what is measured in large units less.
-        scale = StandardScaler().fit(targets[train])
-        model = _regressor(kind).fit(features[train], scale.transform(targets[train]))
-        predicted[test] = scale.inverse_transform(model.predict(features[test]).reshape(len(test), -1))
-    return predicted
-
-
-def classes(features: Array, labels: Array, kept: list[Fold], kind: Kind) -> Array:
-    """(n,) predictions of the classes `labels`."""
-    predicted = np.full(labels.shape, -1)
-    for train, test in kept:
-        if kind == "linear":  # its shrinkage is not chosen but follows from the training folds
-            model: BaseEstimator = make_pipeline(
-                StandardScaler(), LinearDiscriminantAnalysis(solver="lsqr", shrinkage="auto")
-            )
-        else:
-            model = _boosted(HistGradientBoostingClassifier(class_weight="balanced", **TREES))
-        predicted[test] = model.fit(features[train], labels[train]).predict(features[test])
+        predicted[test, 1] = targets[train].mean()
     return predicted
 
 
@@ -112,10 +93,25 @@ def _classifier(kind: Kind) -> Any:
     return make_pipeline(StandardScaler(), chosen)
 
 
-def _regressor(kind: Kind) -> Any:
+def values(features: Array, targets: Array, kept: list[Fold], kind: Kind) -> Array:
+    """(n, d) predictions of `targets` (n, d)."""
     if kind == "boosting":
-        return MultiOutputRegressor(_boosted(HistGradientBoostingRegressor(**TREES)))
-    return make_pipeline(StandardScaler(), RidgeCV(RIDGES))  # leaves one out, in closed form
+        model: Any = MultiOutputRegressor(_boosted(HistGradientBoostingRegressor(**TREES)))
+    else:  # leaves one out, in closed form
+        model = make_pipeline(StandardScaler(), RidgeCV(RIDGES))
+    # Ridge regression shrinks what is measured in large units less.
+    scaled = TransformedTargetRegressor(model, transformer=StandardScaler())
+    return cross_val_predict(scaled, features, targets, cv=kept)
+
+
+def classes(features: Array, targets: Array, kept: list[Fold], kind: Kind) -> Array:
+    """(n,) predictions of the classes `targets`."""
+    if kind == "boosting":
+        model = _boosted(HistGradientBoostingClassifier(class_weight="balanced", **TREES))
+    else:  # its shrinkage is not chosen but follows from the training folds
+        discriminant = LinearDiscriminantAnalysis(solver="lsqr", shrinkage="auto")
+        model = make_pipeline(StandardScaler(), discriminant)
+    return cross_val_predict(model, features, targets, cv=kept)
 
 
 def _boosted(model: Any) -> Any:

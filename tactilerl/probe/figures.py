@@ -1,4 +1,4 @@
-"""Pictures of what was found, as PNG and SVG. matplotlib is imported when one is drawn."""
+"""Pictures of what was found, as PNG and SVG."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+from matplotlib.patches import FancyBboxPatch
 
 from ..envs.hands import Hand
 from ..pictures.hand_map import EDGE, ROUND, labels, panels, point
@@ -15,17 +18,12 @@ from ..style import DPI, FAINT, HEAD, INK, NAMES, OTHERS, STYLE
 
 CHOSEN, LAYOUT = OTHERS[0], INK
 TICKS = (1, 2, 5, 10, 20, 50, 100)  # of a number of taxels
+Rows = list[dict[str, Any]]
 
 
-def draw(result: dict[str, Any], hand: Hand, out: Path) -> list[Path]:
-    """All figures that there is something to draw for; the files written."""
-    import matplotlib
-
-    with matplotlib.rc_context(STYLE):
-        return _draw(result, hand, out)
-
-
-def _draw(result: dict[str, Any], hand: Hand, out: Path) -> list[Path]:
+@rc_context(STYLE)
+def draw(result: dict[str, Any], hand: Hand, out: Path) -> None:
+    """All figures that there is something to draw for."""
     figures = {"gain": _gains(result), "learning_curve": _learning(result)}
     skin = result["worth"]
     places = [Place(**place) for place in skin["places"]]
@@ -36,31 +34,22 @@ def _draw(result: dict[str, Any], hand: Hand, out: Path) -> list[Path]:
         chosen = [Place(**place) for place in result["selection"]["places"]]
         title = f"{_title(result)}\nthe first {len(chosen)} taxels chosen"
         figures["selected"] = hand_map(hand, chosen, title)
-    written = []
     for name, figure in figures.items():
-        for suffix in ("png", "svg"):
-            written.append(out / f"{name}.{suffix}")
-            metadata = {"Date": None} if suffix == "svg" else None
-            figure.savefig(written[-1], dpi=DPI, metadata=metadata)
-    return written
+        for suffix, metadata in (("png", None), ("svg", {"Date": None})):
+            figure.savefig(out / f"{name}.{suffix}", dpi=DPI, metadata=metadata)
 
 
-def _figure(width: float, height: float, columns: int = 1) -> tuple[Any, Any]:
-    from matplotlib.figure import Figure
-
+def _figure(width: float, height: float, columns: int = 1) -> tuple[Figure, Any]:
     figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.subplots(1, columns, squeeze=False, sharey=True)[0]
 
 
 def _gains(result: dict[str, Any]) -> Any:
     """Gain in AUC of each layout at each joint noise."""
-    rows = [
-        row
-        for row in result["table"]
-        if row["metric"] == "auc" and row["told"] in ("joints+taxels", "joints+sight")
-    ]
+    told = ("joints+taxels", "joints+sight")
+    rows = [row for row in result["table"] if row["metric"] == "auc" and row["told"] in told]
     figure, (axes,) = _figure(6, 3.4)
-    for place, noise in enumerate(dict.fromkeys(row["joint_noise"] for row in rows)):
+    for place, noise in enumerate(result["asking"]["joint_noise"]):
         some = [row for row in rows if row["joint_noise"] == noise]
         labels = [Path(row["layout"]).stem if row["layout"] else "sight" for row in some]
         gains = np.array([row["gain"] for row in some])
@@ -86,21 +75,26 @@ def _title(result: dict[str, Any]) -> str:
 def _learning(result: dict[str, Any]) -> Any:
     """Gain against the number of grasps, a panel for each noise."""
     rows = result["learning_curve"]
-    noises = list(dict.fromkeys(row["joint_noise"] for row in rows))
-    figure, panels = _figure(4 * max(1, len(noises)), 3.4, max(1, len(noises)))
-    for noise, axes in zip(noises, panels, strict=False):
+    noises = result["asking"]["joint_noise"]
+    figure, panels = _figure(4 * len(noises), 3.4, len(noises))
+    for noise, axes in zip(noises, panels, strict=True):
         for layout in dict.fromkeys(row["layout"] for row in rows):
             some = [r for r in rows if r["layout"] == layout and r["joint_noise"] == noise]
-            n, gain = ([row[key] for row in some] for key in ("grasps", "gain"))
-            low, high = np.array([row["gain_interval"] for row in some]).T
-            (line,) = axes.plot(n, gain, "o-", label=Path(layout).stem)
-            axes.fill_between(n, low, high, color=line.get_color(), alpha=0.1)
+            _band(axes, "grasps", some, 0.1, label=Path(layout).stem)
         axes.axhline(0, color=FAINT, zorder=0)
         axes.set(xlabel="grasps", title=f"joint noise {noise:g} rad")
     panels[0].set_ylabel("gain in AUC")
     panels[-1].legend(title="layout")
     figure.suptitle(_title(result), **HEAD)
     return figure
+
+
+def _band(axes: Any, along: str, rows: Rows, alpha: float, **style: Any) -> None:
+    """Gains and their intervals `along` a number."""
+    n, gain = ([row[key] for row in rows] for key in (along, "gain"))
+    low, high = np.array([row["gain_interval"] for row in rows]).T
+    (line,) = axes.plot(n, gain, "o-", **style)
+    axes.fill_between(n, low, high, color=line.get_color(), alpha=alpha)
 
 
 def _selection(result: dict[str, Any]) -> Any:
@@ -116,11 +110,7 @@ def _selection(result: dict[str, Any]) -> Any:
 
 def draw_selection(axes: Any, selection: dict[str, Any]) -> None:
     """Gain against the number of taxels: the best found, and the layouts as points."""
-    curve = selection["curve"]
-    n, gain = ([row[key] for row in curve] for key in ("taxels", "gain"))
-    low, high = np.array([row["gain_interval"] for row in curve]).T
-    axes.plot(n, gain, "o-", color=CHOSEN, label="chosen from the skin")
-    axes.fill_between(n, low, high, color=CHOSEN, alpha=0.15)
+    _band(axes, "taxels", selection["curve"], 0.15, color=CHOSEN, label="chosen from the skin")
     for row in selection["layouts"]:
         ends = np.array(row["gain_interval"])[:, None]
         at = row["taxels"], row["gain"]
@@ -141,17 +131,12 @@ def draw_selection(axes: Any, selection: dict[str, Any]) -> None:
 def hand_map(hand: Hand, places: Sequence[Place], title: str, worth: np.ndarray | None = None) -> Any:
     """The palmar side unrolled: a column a digit, fingertips up; taxels coloured by `worth` (n,),
     bits, or in their order."""
-    from matplotlib.patches import FancyBboxPatch
-
     figure, (axes,) = _figure(6, 5.4)
     drawn = panels(hand)
     for x, y, half_width, low, high in drawn:
         corner, size = (x - half_width, y + low), (2 * half_width, high - low)
-        shape = FancyBboxPatch(
-            corner, *size, boxstyle=f"round,pad={EDGE},rounding_size={ROUND * half_width + EDGE}",
-            facecolor="0.95", edgecolor="0.6",
-        )  # fmt: skip
-        axes.add_patch(shape)
+        style = f"round,pad={EDGE},rounding_size={ROUND * half_width + EDGE}"
+        axes.add_patch(FancyBboxPatch(corner, *size, style, facecolor="0.95", edgecolor="0.6"))
     points = np.array([point(place, drawn) for place in places])
     colour = np.arange(1, len(places) + 1) if worth is None else worth
     dots = axes.scatter(*points.T, c=colour, s=14, cmap="viridis_r" if worth is None else "inferno")

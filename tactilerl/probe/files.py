@@ -20,10 +20,6 @@ from .grasps import Measured, shapes_of
 FORMAT = 1
 LARGEST = 1e6  # of any number in it, SI units
 SETTINGS = "settings"
-NEEDED = (
-    *("held", "broken", "joint_positions", "link_positions", "link_rotations"),
-    *("object_position", "object_orientation", "object_kind", "object_half_size", "contact"),
-)
 
 
 class Played(NamedTuple):
@@ -35,24 +31,12 @@ class Played(NamedTuple):
     contact_places: tuple[Place, ...]
 
 
-def folder(path: Path) -> Path:
-    """Make the folder of the results, where there is none; InputError when that cannot be."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot make the folder {str(path)!r}: {error.strerror}") from error
-    return path
-
-
 def write(path: Path, played: Played) -> None:
     """Write the file, or leave what is there."""
-    about = {
-        "format": FORMAT,
-        **played.settings,
-        "contact_places": [asdict(place) for place in played.contact_places],
-    }
+    spots = [asdict(place) for place in played.contact_places]
+    about = json.dumps({"format": FORMAT, **played.settings, "contact_places": spots})
+    arrays: dict[str, Any] = {SETTINGS: np.array(about), **played.records}
     with replacing(path) as file:
-        arrays: dict[str, Any] = {SETTINGS: np.array(json.dumps(about)), **played.records}
         np.savez_compressed(file, **arrays)
 
 
@@ -65,46 +49,30 @@ def read(path: Path) -> Played:
             if about.pop("format") != FORMAT:
                 raise ValueError("it has another format")
             places = tuple(typed.make(Place, place, "place") for place in about.pop("contact_places"))
-            _check(arrays)
             if hands.is_hand(str(about.get("env"))):
-                _check_scene(arrays, about, places)
+                _check(arrays, about, places)
     except FileNotFoundError:
         raise InputError(f"grasps file {str(path)!r} does not exist") from None
     return Played(arrays, about, places)
 
 
-def _check(arrays: Measured) -> None:
-    """ValueError unless all is there, of one length, and of numbers that occur."""
-    for name in NEEDED:
-        if name not in arrays:
-            raise ValueError(f"{name} is missing")
-    for name, values in arrays.items():
-        if values.ndim == 0 or len(values) != len(arrays["held"]):
-            raise ValueError(f"{name} differs in length from the others")
-        if values.dtype.kind not in "fiub" or not (np.abs(values.astype(float)) < LARGEST).all():
-            raise ValueError(f"{name} is not finite, or out of range")
-
-
-def _check_scene(arrays: Measured, about: dict[str, Any], places: tuple[Place, ...]) -> None:
-    """ValueError unless everything is as one of our hands gives it."""
+def _check(arrays: Measured, about: dict[str, Any], places: tuple[Place, ...]) -> None:
+    """ValueError unless all is there, as one of our hands gives it, and of numbers that occur."""
     for setting, kind in (("simulator", str), ("touch", str), ("seed", int)):
         typed.require_type(about.get(setting), kind, setting)
     hand = hands.get(about["env"])
-    shapes = {**shapes_of(hand), "contact": (len(places),)}
+    shapes = {"held": (), "broken": (), **shapes_of(hand), "contact": (len(places),)}
+    for name in shapes:
+        if name not in arrays and name != "joint_velocities":
+            raise ValueError(f"{name} is missing")
     for name, values in arrays.items():
-        if values.shape[1:] != shapes.get(name, ()):
-            raise ValueError(f"{name} has the shape {values.shape}")
+        expected = (arrays["held"].size, *shapes.get(name, ()))
+        if values.shape != expected:
+            raise ValueError(f"{name} has the shape {values.shape}, expected {expected}")
+        if values.dtype.kind not in "fiub" or not (np.abs(values.astype(float)) < LARGEST).all():
+            raise ValueError(f"{name} is not finite, or out of range")
     kinds, sizes = arrays["object_kind"], arrays["object_half_size"]
     if not (np.isin(kinds, range(len(KINDS))).all() and (sizes > 0).all()):
         raise ValueError("it has objects that do not exist")
     if any(not 0 <= place.surface < len(hand.surfaces) for place in places):
         raise ValueError("it has taxels that are not on the hand")
-
-
-def difference(mine: dict[str, Any], others: dict[str, Any]) -> str | None:
-    """The first setting in which grasps that exist are others than asked for."""
-    mine = json.loads(json.dumps(mine))
-    for name in {**mine, **others}:
-        if mine.get(name) != others.get(name):
-            return f"{name}: found {mine.get(name)!r}, they were played with {others.get(name)!r}"
-    return None

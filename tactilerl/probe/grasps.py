@@ -7,8 +7,6 @@ layout can be read from it afterwards, and whether the object was held.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -61,7 +59,6 @@ class Scenes(gym.Wrapper[Any, Any, Any, Any]):
 
     def __init__(self, hand: str, config: GraspConfig, variants: list[dict[str, Any]]) -> None:
         self._hand, self._config, self._variants = hand, config, variants
-        self._opened = ExitStack()
         self._made: dict[int, GraspEnv] = {}
         super().__init__(self.scene(0))
 
@@ -70,13 +67,12 @@ class Scenes(gym.Wrapper[Any, Any, Any, Any]):
         if variant not in self._made:
             # Where objects start far off, the hand hangs high enough to be free of all of them.
             choices = {**self._variants[variant], "start_offset": objects.FURTHEST}
-            env = GraspEnv(self._hand, replace(self._config, **choices))
-            self._opened.callback(env.close)
-            self._made[variant] = env
+            self._made[variant] = GraspEnv(self._hand, replace(self._config, **choices))
         return self._made[variant]
 
     def close(self) -> None:
-        self._opened.close()
+        for env in self._made.values():
+            env.close()
 
 
 @dataclass(frozen=True)
@@ -170,19 +166,16 @@ class PolicyGrasps:
                 )
                 is_done = terminated or truncated
                 # After the step that ended the task, a hold test may have been played.
-                is_lifted = is_lifted or terminated or _clearance(base) > LIFTED
+                thing = base.simulator.object_state()
+                height = thing.position[2] - base.shape.half_height(thing.rotation)
+                is_lifted = is_lifted or terminated or height > LIFTED
                 if not is_lifted:
                     record = moment(base)
         except SimulationError:
-            return broken(base)
+            info = {"diverged": True}
         if info.get("diverged"):
             return broken(base)
         return {**record, "held": np.array(bool(info["is_success"]))}
-
-
-def _clearance(env: GraspEnv) -> float:
-    obj = env.simulator.object_state()
-    return float(obj.position[2]) - env.shape.half_height(obj.rotation)
 
 
 def links_of(hand: Hand) -> tuple[str, ...]:
@@ -192,23 +185,15 @@ def links_of(hand: Hand) -> tuple[str, ...]:
 
 def moment(env: GraspEnv) -> Measured:
     """The state of hand and object now, SI units, world frame, quaternions wxyz."""
-    simulator, obj = env.simulator, env.simulator.object_state()
-    positions, velocities = simulator.joint_state()
-    link_positions, link_rotations = simulator.link_poses(links_of(env.hand))
-    contact = simulator.contact_taxels() if env.config.touch == "contact" else np.zeros(0)
-    return {
-        "held": np.array(False),
-        "broken": np.array(False),
-        "joint_positions": positions.copy(),
-        "joint_velocities": velocities.copy(),
-        "link_positions": link_positions.copy(),
-        "link_rotations": link_rotations.copy(),
-        "object_position": obj.position.copy(),
-        "object_orientation": obj.orientation.copy(),
-        "object_kind": np.array(objects.KINDS.index(env.shape.kind)),
-        "object_half_size": np.array(env.shape.half_size, dtype=float),
-        "contact": np.asarray(contact, bool),
-    }
+    simulator, thing, record = env.simulator, env.simulator.object_state(), broken(env)
+    record["broken"] = np.array(False)
+    record["joint_positions"], record["joint_velocities"] = simulator.joint_state()
+    poses = simulator.link_poses(links_of(env.hand))
+    record["link_positions"], record["link_rotations"] = poses
+    record["object_position"], record["object_orientation"] = thing.position, thing.orientation
+    if env.config.touch == "contact":
+        record["contact"] = np.asarray(simulator.contact_taxels(), bool)
+    return record
 
 
 def shapes_of(hand: Hand) -> dict[str, tuple[int, ...]]:
@@ -221,6 +206,7 @@ def shapes_of(hand: Hand) -> dict[str, tuple[int, ...]]:
         "link_rotations": (n_links, 3, 3),
         "object_position": (3,),
         "object_orientation": (4,),
+        "object_kind": (),
         "object_half_size": (3,),
     }
 
@@ -241,9 +227,3 @@ def broken(env: GraspEnv) -> Measured:
 def stack(records: list[Measured]) -> Measured:
     """Records as one, with a leading axis."""
     return {name: np.stack([record[name] for record in records]) for name in records[0]}
-
-
-def iterate(records: Measured) -> Iterator[Measured]:
-    """Single records of a stack."""
-    for k in range(len(records["held"])):
-        yield {name: values[k] for name, values in records.items()}

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,28 +13,19 @@ from .. import statistics
 from ..envs.hands import Array
 
 MEMORY = 4_000_000  # weights handled at once
+LOWER_IS_BETTER = ("log_loss", "error_mm", "error_deg")
 
 
-@dataclass(frozen=True)
-class Metric:
-    """A measure of predictions against the truth."""
+def measure(name: str, truth: Array, prediction: Array, weights: Array) -> Array:
+    """The measure of that name, (b,)."""
+    size = max(1, MEMORY // weights.shape[1])
+    batches = (weights[i : i + size] for i in range(0, len(weights), size))
+    return np.concatenate([MEASURES[name](truth, prediction, batch) for batch in batches])
 
-    name: str
-    unit: str
-    higher_is_better: bool
-    measure: Callable[[Array, Array, Array], Array]
-    """(truth, prediction, weights (b, n)) -> (b,)"""
 
-    @property
-    def sign(self) -> int:
-        """Of a difference that is for the better."""
-        return 1 if self.higher_is_better else -1
-
-    def __call__(self, truth: Array, prediction: Array, weights: Array) -> Array:
-        size = max(1, MEMORY // weights.shape[1])
-        batches = (weights[i : i + size] for i in range(0, len(weights), size))
-        parts = [self.measure(truth, prediction, w) for w in batches]
-        return np.concatenate(parts)
+def sign(name: str) -> int:
+    """Of a difference that is for the better."""
+    return -1 if name in LOWER_IS_BETTER else 1
 
 
 def auc(held: Array, prediction: Array, weights: Array) -> Array:
@@ -70,13 +60,11 @@ def _surprise(held: Array, probability: Array) -> Array:
     return -np.log2(np.clip(np.where(held, probability, 1.0 - probability), 1e-12, 1.0))
 
 
-def r_squared(truth: Array, prediction: Array, weights: Array) -> Array:
+def r2(truth: Array, prediction: Array, weights: Array) -> Array:
     """Share of the variance that is explained, mean over columns (n, d)."""
-    weights = weights.astype(float)
-    total = weights.sum(1, keepdims=True)
-    variance = weights @ truth**2 / total - (weights @ truth / total) ** 2
+    variance = _mean(truth**2, weights) - _mean(truth, weights) ** 2
     with np.errstate(invalid="ignore", divide="ignore"):
-        return (1.0 - (weights @ (truth - prediction) ** 2 / total) / variance).mean(axis=1)
+        return (1.0 - _mean((truth - prediction) ** 2, weights) / variance).mean(axis=1)
 
 
 def error_mm(truth: Array, prediction: Array, weights: Array) -> Array:
@@ -84,49 +72,42 @@ def error_mm(truth: Array, prediction: Array, weights: Array) -> Array:
     return 1e3 * np.sqrt(_mean(np.square(truth - prediction).sum(axis=1), weights))
 
 
-def error_degrees(truth: Array, prediction: Array, weights: Array) -> Array:
-    """Mean error of angles (n, 2), degrees: of the first column; the second is the period, rad."""
-    period = truth[:, 1]
-    off = np.abs((truth[:, 0] - prediction[:, 0] + period / 2) % period - period / 2)
+def error_deg(truth: Array, prediction: Array, weights: Array) -> Array:
+    """Mean error of angles (n, 2), degrees: of the first column; the second is the period, rad. What
+    is predicted is the point (n, 2) on a circle of one period."""
+    yaw, period = truth.T
+    found = np.arctan2(prediction[:, 1], prediction[:, 0]) * (period / (2 * math.pi))
+    off = np.abs((yaw - found + period / 2) % period - period / 2)
     return np.degrees(_mean(off, weights))
 
 
 def balanced_accuracy(truth: Array, prediction: Array, weights: Array) -> Array:
     """Share of right classes (n,) in each class, mean over the classes."""
-    right, weights = (truth == prediction).astype(float), weights.astype(float)
-    shares = []
+    right, classes = truth == prediction, (truth == label for label in np.unique(truth))
     with np.errstate(invalid="ignore"):
-        for label in np.unique(truth):
-            is_one = truth == label
-            shares.append((weights @ (right * is_one)) / (weights @ is_one.astype(float)))
-    return np.mean(shares, axis=0)
+        return np.mean([_mean(right[one], weights[:, one]) for one in classes], axis=0)
 
 
 def _mean(values: Array, weights: Array) -> Array:
+    """(n,) -> (b,), (n, d) -> (b, d)."""
     weights = weights.astype(float)
-    return weights @ values / weights.sum(axis=1)
+    return ((weights @ values).T / weights.sum(axis=1)).T
 
 
-AUC = Metric("auc", "", True, auc)
-BITS = Metric("bits", "bit", True, bits)
-LOG_LOSS = Metric("log_loss", "bit", False, log_loss)
-R_SQUARED = Metric("r2", "", True, r_squared)
-ERROR_MM = Metric("error_mm", "mm", False, error_mm)
-ERROR_DEGREES = Metric("error_deg", "°", False, error_degrees)
-BALANCED_ACCURACY = Metric("balanced_accuracy", "", True, balanced_accuracy)
+MEASURES: dict[str, Callable[[Array, Array, Array], Array]] = {
+    each.__name__: each for each in (auc, bits, log_loss, r2, error_mm, error_deg, balanced_accuracy)
+}
+"""(truth, prediction, weights (b, n)) -> (b,), by name."""
 
 
-def number(value: float) -> float | None:
-    """As JSON has it: None where there is no number."""
-    return float(value) if math.isfinite(value) else None
-
-
-def interval(samples: Array) -> list[float] | None:
-    """Percentile interval [low, high] of bootstrap samples; None where there is no number."""
-    low, high = statistics.percentile_interval(samples)
-    return None if math.isnan(low) else [low, high]
+def estimate(name: str, samples: Array, interval: str = "interval") -> dict[str, Any]:
+    """As JSON has a value: of all grasps, and its percentile interval [low, high] by the bootstrap
+    samples behind it, under these names; None where there is no number."""
+    low, high = statistics.percentile_interval(samples[1:])
+    ends = None if math.isnan(low) else [low, high]
+    return {name: float(samples[0]) if math.isfinite(samples[0]) else None, interval: ends}
 
 
 def gain(samples: Array) -> dict[str, Any]:
-    """As JSON has a gain: of all grasps, and its interval by the bootstrap samples behind it."""
-    return {"gain": number(samples[0]), "gain_interval": interval(samples[1:])}
+    """As JSON has a gain."""
+    return estimate("gain", samples, "gain_interval")

@@ -12,10 +12,10 @@ from ..envs import hands, objects, scenes, tasks, typed
 from ..envs.grasp import setup
 from ..envs.hold import Verdict
 from ..envs.observations import TaxelFaults, validate_faults
+from ..runs.config import Workers
 from .grasps import Perturbation
 
 LOST = {"object_density", "finger_gain", "timestep"}  # of a scene: probed grasps keep the hand's
-SIX = ("1", "2", "3", "4", "5", "6")
 
 
 def _validate(flags: Any, *lists: str) -> None:
@@ -79,17 +79,15 @@ class GraspFlags:
         if len(config.object_size) > 1 or LOST & named.scene.keys():
             raise ValueError(f"scene: found {scene!r}, which has several measures of an object or says "
                              f"{', '.join(sorted(LOST))}, allowed scenes that do not")  # fmt: skip
-        said: dict[str, Any] = {"env": named.env, "simulator": config.simulator}
-        for name in ("start_offset", "start_yaw", "hold_verdict"):
-            if name in named.scene:
-                said[name] = named.scene[name]
+        copied = ("start_offset", "start_yaw", "hold_verdict")
+        said: dict[str, Any] = {name: named.scene[name] for name in copied if name in named.scene}
         for name, values in (("object_size", config.object_size), ("friction", (config.friction,))):
             if name in named.scene:  # of a range, both ends
-                ends = (objects.bounds(name, value) for value in values)
-                said[name] = tuple(sorted({end for pair in ends for end in pair}))
+                ends = {end for value in values for end in objects.bounds(name, value)}
+                said[name] = tuple(sorted(ends))
         if "object" in named.scene:
             said["object"] = tuple(config.object.split(","))
-        return cls(scene=scene, **said)
+        return cls(scene=scene, env=named.env, simulator=config.simulator, **said)
 
     @property
     def perturbation(self) -> Perturbation:
@@ -113,7 +111,7 @@ class GraspFlags:
 class AnalysisFlags:
     """The questions to ask."""
 
-    layout: tuple[str, ...] = SIX
+    layout: tuple[str, ...] = tuple("123456")
     """Layouts: 1-6, named designs, or paths of .toml files."""
     estimator: Literal["linear", "boosting"] = "linear"
     """linear: regularised linear models; boosting: boosted trees, which take many times as long."""
@@ -146,7 +144,7 @@ class OutputFlags:
     continues what is there."""
     grasps_file: Annotated[Path | None, tyro.conf.arg(name="from", metavar="FILE")] = None
     """Read the grasps from this file instead of playing any."""
-    workers: int | None = None
+    workers: Workers = None
     """Grasps played side by side; default: one per free core. Results do not depend on it."""
     json: bool = False
     """Print JSON instead of a table."""
@@ -167,3 +165,4 @@ class Options:
         self.analysis.validate()
         typed.require(TaxelFaults, vars(self.fault))
         validate_faults(self.fault)
+        typed.require(OutputFlags, vars(self.output))

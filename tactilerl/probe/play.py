@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Generator
 from contextlib import closing
@@ -13,8 +14,7 @@ from ..envs.vector import Job, Workers
 from ..errors import InputError
 from ..pictures.places import Place
 from . import files
-from .files import Played
-from .grasps import Measured, iterate, stack
+from .grasps import Measured, stack
 
 SAVE_EVERY = 20.0  # s
 ROUND = 8  # grasps of each worker between two gatherings of all ranks
@@ -29,7 +29,7 @@ def play(
     start: Callable[[], Workers],
     comm: Communicator,
     show: Callable[[int], None],
-) -> Played:
+) -> files.Played:
     """Grasps 0 to n - 1, on every rank; those in the file at `path` are not played again.
 
     `show` is told how many there are. What was played stays in the file whatever stops it.
@@ -45,22 +45,26 @@ def play(
                     records.append(record)
                     show(len(records))
                     if comm.rank == 0 and time.monotonic() - saved > SAVE_EVERY:
-                        files.write(path, Played(stack(records), settings, contact_places))
+                        files.write(path, files.Played(stack(records), settings, contact_places))
                         saved = time.monotonic()
             finally:
                 if comm.rank == 0 and records:
-                    files.write(path, Played(stack(records), settings, contact_places))
-    return Played(stack(records[:n]), settings, contact_places)
+                    files.write(path, files.Played(stack(records), settings, contact_places))
+    return files.Played(stack(records[:n]), settings, contact_places)
 
 
 def _kept(path: Path, settings: dict[str, Any]) -> list[Measured]:
     """What an earlier call left."""
     if not path.exists():
         return []
-    played = files.read(path)
-    if difference := files.difference(settings, played.settings):
-        raise InputError(f"{path}: {difference}; choose another folder with --out")
-    return list(iterate(played.records))
+    arrays, theirs, _ = files.read(path)
+    ours = json.loads(json.dumps(settings))
+    for name in {**ours, **theirs}:
+        mine, other = ours.get(name), theirs.get(name)
+        if mine != other:
+            raise InputError(f"{path}: {name}: found {mine!r}, they were played with {other!r}; "
+                             "choose another folder with --out")  # fmt: skip
+    return [{name: values[k] for name, values in arrays.items()} for k in range(len(arrays["held"]))]
 
 
 def _play(

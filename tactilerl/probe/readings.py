@@ -7,10 +7,9 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..envs import objects
 from ..envs.hands import SLIDES, Array, Hand
 from ..envs.layouts import Taxels
-from ..envs.objects import ObjectState, Shape
+from ..envs.objects import KINDS, ObjectState, Shape
 from ..envs.observations import SensorConfig, TaxelFaults, taxel_stages
 from ..envs.touch import SkinTouch
 from ..pictures import places
@@ -48,25 +47,16 @@ class Grasps:
         own = [i for i, name in enumerate(self.hand.joints) if name not in SLIDES]
         return self.records["joint_positions"][:, own]
 
-    @property
-    def objects(self) -> Array:
-        """int (n,): which object, counted over those that there are."""
-        return self._kinds()[1]
-
-    @property
-    def object_names(self) -> list[str]:
-        """Kind and measures in mm of each."""
-        rows, _ = self._kinds()
-        return [
-            f"{objects.KINDS[int(kind)]} {' x '.join(f'{2e3 * s:g}' for s in sizes)} mm"
-            for kind, *sizes in rows.tolist()
-        ]
-
-    def _kinds(self) -> tuple[Array, Array]:
+    def objects(self) -> tuple[list[str], Array]:
+        """Kind and measures in mm of each object that there is; int (n,): which of them."""
         kind, sizes = self.records["object_kind"], self.records["object_half_size"]
         table = np.column_stack([kind, sizes.round(6)])
         rows, index = np.unique(table, axis=0, return_inverse=True)
-        return rows, index.reshape(-1)
+        names = [
+            f"{KINDS[int(kind)]} {' x '.join(f'{2e3 * s:g}' for s in sizes)} mm"
+            for kind, *sizes in rows.tolist()
+        ]
+        return names, index.reshape(-1)
 
     def object_in_hand(self) -> tuple[Array, Array]:
         """The object's centre (n, 3) from the palm point and its orientation (n, 3, 3) in axes of
@@ -83,12 +73,11 @@ class Grasps:
     def turn(self) -> tuple[Array, int]:
         """Yaw (n,) of the object in the palm's plane, rad, and after how many equal parts of a turn
         it looks the same; 0 where it has no yaw."""
-        kinds = {objects.KINDS[int(kind)] for kind in np.unique(self.records["object_kind"])}
+        is_box = (self.records["object_kind"] == KINDS.index("box")).all()
         half = self.records["object_half_size"]
-        is_square = bool(np.allclose(half[:, 0], half[:, 1]))
+        parts = 4 if np.allclose(half[:, 0], half[:, 1]) else 2
         _, rotation = self.object_in_hand()
-        yaw = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
-        return yaw, (4 if is_square else 2) if kinds == {"box"} else 0
+        return np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0]), parts if is_box else 0
 
     def sight(self) -> Array:
         """The object's pose in the hand (n, 7): position, quaternion wxyz with w from 0 up."""
@@ -101,14 +90,13 @@ class Grasps:
         touch = SkinTouch(taxels, self.hand.surfaces)
         links = [links_of(self.hand).index(link) for link in taxels.links]
         readings = np.zeros((len(self), len(taxels)), bool)
-        for index in range(len(self.object_names)):
-            chosen = np.flatnonzero(self.objects == index)
-            shape = self._shape(int(chosen[0]))
-            for begin in range(0, len(chosen), BATCH):
-                some = chosen[begin : begin + BATCH]
+        names, which = self.objects()
+        for index in range(len(names)):
+            chosen = np.flatnonzero(which == index)
+            for some in np.split(chosen, range(BATCH, len(chosen), BATCH)):
                 positions = self.records["link_positions"][some][:, links]
                 rotations = self.records["link_rotations"][some][:, links]
-                readings[some] = touch.read(positions, rotations, shape, self._object(some))
+                readings[some] = touch.read(positions, rotations, *self._object(some))
         return readings
 
     def feel_contact(self, taxels: Taxels) -> Array:
@@ -122,15 +110,14 @@ class Grasps:
             )
         return self.records["contact"][:, index].astype(bool)
 
-    def _shape(self, k: int) -> Shape:
-        kind = objects.KINDS[int(self.records["object_kind"][k])]
-        x, y, z = self.records["object_half_size"][k].tolist()
-        return Shape(kind, (x, y, z))
-
-    def _object(self, some: Array) -> ObjectState:
-        orientation = self.records["object_orientation"][some]
-        position = self.records["object_position"][some]
-        return ObjectState(position, orientation, _rotations(orientation))
+    def _object(self, some: Array) -> tuple[Shape, ObjectState]:
+        """Of grasps of one object."""
+        position, orientation, kind, size = (
+            self.records[f"object_{name}"][some]
+            for name in ("position", "orientation", "kind", "half_size")
+        )
+        shape = Shape(KINDS[int(kind[0])], tuple(size[0].tolist()))
+        return shape, ObjectState(position, orientation, _rotations(orientation))
 
 
 def _rotations(quaternions: Array) -> Array:
@@ -141,13 +128,7 @@ def with_faults(readings: Array, faults: TaxelFaults, rng: np.random.Generator) 
     """What the environment does to readings on their way, done to bool (n, taxels): the same taxels are
     broken in all."""
     sensors = SensorConfig(**asdict(faults), hand_seed=int(rng.integers(2**32)))
-    faulty = readings
     for stage in taxel_stages(sensors, readings.shape[1]):
         stage.begin(rng)
-        faulty = stage(faulty)
-    return faulty.astype(bool)
-
-
-def noisy_angles(angles: Array, noise: float, rng: np.random.Generator) -> Array:
-    """Joint angles (n, joints) with white noise of `noise` rad; the same draws at any `noise`."""
-    return angles + noise * rng.standard_normal(angles.shape)
+        readings = stage(readings)
+    return readings.astype(bool)

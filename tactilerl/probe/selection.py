@@ -8,7 +8,6 @@ estimate of the gain in likelihood, for all candidates at once, from one fit wit
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,9 +17,8 @@ from sklearn.preprocessing import StandardScaler
 from threadpoolctl import threadpool_limits
 
 from ..envs.hands import Array
-from . import metrics
-from .analysis import JOINTS, Inputs, Probe, hold_question
-from .estimators import Kind
+from . import estimators, metrics
+from .analysis import JOINTS, Cell, Probe, Samples, hold_gain
 
 # C of the regression from which candidates are judged, of standardised features. Weak: a penalty
 # pulls at the weights of what is chosen, so that copies of it would seem to tell something.
@@ -29,12 +27,15 @@ REDUNDANT = 1e-6  # share of a candidate's variance that the others leave unexpl
 CURVE = (1, 2, 3, 5, 7, 10, 14, 19, 28, 40, 56, 79, 110, 160)  # taxels at which the gain is scored
 
 
-def worth(known: Array, candidates: Array, held: Array) -> Array:
-    """What each candidate (n, m) would tell of `held` (n,) alone, beyond `known` (n, d): bits a
-    grasp (m,), less what a taxel of noise would seem to tell."""
+def worth(probe: Probe) -> dict[str, Any]:
+    """What each taxel of the densest layout would tell alone, beyond the angles with the last of the
+    noises: bits a grasp, less what a taxel of noise would seem to tell."""
+    noise, layout, held = probe.choices.joint_noise[-1], probe.densest, probe.grasps.held
+    known = StandardScaler().fit_transform(probe.features(noise, JOINTS))
     with threadpool_limits(1):  # as everywhere here: the digits do not depend on the cores
-        score = _scores(StandardScaler().fit_transform(known), candidates.astype(float), held)
-    return np.maximum(score - 1.0, 0.0) / (2.0 * len(held) * math.log(2.0))
+        score = _scores(known, probe.readings[layout].astype(float), held)
+    bits = np.maximum(score - 1.0, 0.0) / (2.0 * len(held) * math.log(2.0))
+    return {"layout": layout, "joint_noise": noise, "bits": bits.tolist()}
 
 
 def forward(known: Array, candidates: Array, held: Array, n: int) -> list[int]:
@@ -73,56 +74,43 @@ def _scores(features: Array, candidates: Array, held: Array) -> Array:
     return np.where(is_new, np.square(slope) / np.where(is_new, left, 1.0), 0.0)
 
 
-def select(probe: Probe, skin: Array, numbers: Sequence[int]) -> tuple[list[int], dict[str, Any]]:
+def select(probe: Probe, skin: Array, samples: Samples) -> tuple[list[int], dict[str, Any]]:
     """The taxels of `skin` (n, m) chosen from all grasps, in order, and an honest curve.
 
-    In the curve each grasp is predicted from taxels that were chosen without it, at `numbers`, at
-    those of `CURVE` below and at the number of each layout; by the angles with the last of the
-    noises. The probe's layouts are scored in the same folds.
+    In the curve each grasp is predicted from taxels that were chosen without it, at the numbers asked
+    for, at those of `CURVE` below and at the number of each layout; by the angles with the last of
+    the noises. The probe's layouts were scored in the same folds, in `samples`.
     """
-    noise, jobs = probe.choices.joint_noise[-1], probe.choices.jobs
-    known = probe.features(Inputs(noise, JOINTS))
-    held, kept, most = probe.grasps.held, probe.folds(), max(numbers)
+    noise, most = probe.choices.joint_noise[-1], max(probe.choices.select)
+    known, held = probe.features(noise, JOINTS), probe.grasps.held
+    kept, weights = probe.folds(held), probe.weights()
+    alone = samples[Cell("hold", "auc", noise, JOINTS)]
     sizes = {name: readings.shape[1] for name, readings in probe.readings.items()}
-    points = sorted({k for k in (*numbers, *CURVE, *sizes.values()) if k <= min(most, skin.shape[1])})
+    numbers = {*probe.choices.select, *CURVE, *sizes.values()}
+    points = sorted(k for k in numbers if k <= min(most, skin.shape[1]))
+
+    def gain(k: int) -> Array:
+        """Of the best `k`, which differ from fold to fold, in AUC (b,)."""
+        predicted = np.full((len(held), 2), np.nan)
+        for path, fold in zip(paths, kept, strict=True):
+            features = np.column_stack([known, skin[:, path[:k]].astype(float)])
+            found = estimators.probabilities(features, held, [fold], probe.choices.estimator)
+            predicted[fold[1]] = found[fold[1]]
+        return metrics.measure("auc", held, predicted, weights) - alone
+
+    in_threads = Parallel(probe.jobs, prefer="threads")
     with threadpool_limits(1):
-        *paths, final = Parallel(jobs, prefer="threads")(
+        *paths, final = in_threads(
             delayed(forward)(known[train], skin[train], held[train], most)
             for train in (*(train for train, _ in kept), np.arange(len(held)))
         )
-        every = probe.weights()
-        tried: dict[Any, list[Array]] = {(JOINTS,): [known] * len(kept)}
-        tried |= {("layout", name): [_with(known, r)] * len(kept) for name, r in probe.readings.items()}
-        tried |= {("best", k): [_with(known, skin[:, p[:k]]) for p in paths] for k in points}
-        scored = Parallel(jobs, prefer="threads")(
-            delayed(_score)(features, held, kept, probe.choices.estimator, every)
-            for features in tried.values()
-        )
-    auc = dict(zip(tried, scored, strict=True))
-    gains = {key: value - auc[(JOINTS,)] for key, value in auc.items()}
-    return final, {"joint_noise": noise, **_curve(gains, points, sizes)}
-
-
-def _with(known: Array, readings: Array) -> Array:
-    return np.column_stack([known, readings.astype(float)])
-
-
-def _score(features: list[Array], held: Array, kept: list[Any], kind: Kind, weights: Array) -> Array:
-    """AUC (b,) of predictions in which each fold has features (n, d) of its own."""
-    predicted = np.full((len(held), 2), np.nan)
-    for own, fold in zip(features, kept, strict=True):
-        found = hold_question(held, [fold], kind).predict(own)
-        predicted[fold[1]] = found[fold[1]]
-    return metrics.AUC(held, predicted, weights)
-
-
-def _curve(gains: dict[Any, Array], points: list[int], sizes: dict[str, int]) -> dict[str, Any]:
-    curve = [{"taxels": k, **metrics.gain(gains["best", k])} for k in points]
-    against = []
+        best = dict(zip(points, in_threads(delayed(gain)(k) for k in points), strict=True))
+    layouts = []
     for name, size in sizes.items():
-        row = {"layout": name, "taxels": size, **metrics.gain(gains["layout", name])}
-        if size in points:  # how far the layout is behind the best of the same number
-            lead = gains["best", size] - gains["layout", name]
-            row |= {"lead": float(lead[0]), "lead_interval": metrics.interval(lead[1:])}
-        against.append(row)
-    return {"curve": curve, "layouts": against}
+        told = hold_gain(samples, noise, name)
+        row = {"layout": name, "taxels": size, **metrics.gain(told)}
+        if size in best:  # how far the layout is behind the best of the same number
+            row |= metrics.estimate("lead", best[size] - told, "lead_interval")
+        layouts.append(row)
+    curve = [{"taxels": k, **metrics.gain(told)} for k, told in best.items()]
+    return final, {"joint_noise": noise, "curve": curve, "layouts": layouts}

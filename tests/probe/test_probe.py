@@ -29,9 +29,9 @@ from tactilerl.probe.grasps import (
     moment,
     stack,
 )
-from tactilerl.probe.options import GraspFlags
+from tactilerl.probe.options import AnalysisFlags, GraspFlags
 from tactilerl.probe.play import play
-from tactilerl.probe.readings import Grasps, noisy_angles, with_faults
+from tactilerl.probe.readings import Grasps, with_faults
 from tactilerl.runs.files import locked
 
 DRAWN = Perturbation(("box",), (0.04, 0.05), (1.0,), 0.02, 0.5, (0.7, 1.1), 0.1)
@@ -243,7 +243,10 @@ class TestFaults:
         assert felt[self.readings].mean() == pytest.approx(0.9, abs=0.01)
 
     def test_joint_noise_has_its_size(self):
-        noise = noisy_angles(np.zeros((2000, 20)), 0.05, np.random.default_rng(0))
+        hand = hands.get("shadow")
+        grasps = Grasps(hand, synthetic(hand, np.zeros(2000)))  # whose joints never differ
+        probe = analysis.Probe(grasps, {}, AnalysisFlags(), seed=0, jobs=1)
+        noise = probe.features(0.05, "joints")
         assert noise.std() == pytest.approx(0.05, rel=0.02)
 
 
@@ -260,32 +263,37 @@ class TestMetrics:
     def test_auc_counts_ties_half(self):
         scores = self.rng.integers(5, size=(60, 1)) / 5
         expected = map(roc_auc_score, self.repeated(self.held), self.repeated(scores[:, 0]))
-        assert np.allclose(metrics.AUC(self.held, scores, self.weights), list(expected))
+        assert np.allclose(metrics.measure("auc", self.held, scores, self.weights), list(expected))
 
     def test_bits_of_a_sure_and_right_answer_are_the_outcomes_entropy(self):
         sure = np.column_stack([self.held.astype(float), np.full(60, 0.25)])
         p = self.held.mean()
         expected = -p * np.log2(0.25) - (1 - p) * np.log2(0.75)
-        assert metrics.BITS(self.held, sure, self.weights)[0] == pytest.approx(expected)
-        assert metrics.LOG_LOSS(self.held, sure, self.weights)[0] == pytest.approx(0.0, abs=1e-9)
+        assert metrics.measure("bits", self.held, sure, self.weights)[0] == pytest.approx(expected)
+        assert metrics.measure("log_loss", self.held, sure, self.weights)[0] == pytest.approx(
+            0.0, abs=1e-9
+        )
 
     def test_r_squared_and_distance(self):
         truth, guess = self.rng.random((2, 60, 2))
         expected = map(r2_score, self.repeated(truth), self.repeated(guess))
-        assert np.allclose(metrics.R_SQUARED(truth, guess, self.weights), list(expected))
+        assert np.allclose(metrics.measure("r2", truth, guess, self.weights), list(expected))
         off = truth + np.array([0.003, 0.004])
-        assert np.allclose(metrics.ERROR_MM(truth, off, self.weights), 5.0)
+        assert np.allclose(metrics.measure("error_mm", truth, off, self.weights), 5.0)
 
     def test_angles_wrap(self):
         truth = np.array([[0.01, np.pi / 2]])
-        guess = np.array([[np.pi / 2 - 0.01]])
-        error = metrics.ERROR_DEGREES(truth, guess, np.ones((1, 1)))
+        angle = 4 * (np.pi / 2 - 0.01)
+        guess = np.array([[np.cos(angle), np.sin(angle)]])
+        error = metrics.measure("error_deg", truth, guess, np.ones((1, 1)))
         assert error[0] == pytest.approx(np.degrees(0.02))
 
     def test_balanced_accuracy(self):
         truth, guess = self.rng.integers(3, size=(2, 60))
         expected = map(balanced_accuracy_score, self.repeated(truth), self.repeated(guess))
-        assert np.allclose(metrics.BALANCED_ACCURACY(truth, guess, self.weights), list(expected))
+        assert np.allclose(
+            metrics.measure("balanced_accuracy", truth, guess, self.weights), list(expected)
+        )
 
 
 def write(path, records):
@@ -369,7 +377,7 @@ class TestAnalysis:
         held = a ^ b
         kept = estimators.folds(held, 2, None, 0)
         told = estimators.probabilities(np.column_stack([a, b]).astype(float), held, kept, kind)
-        value = metrics.AUC(held, told, np.ones((1, 300)))[0]
+        value = metrics.measure("auc", held, told, np.ones((1, 300)))[0]
         assert value > 0.95 if kind == "boosting" else value < 0.7
 
     def test_objects_held_out_are_on_one_side_only(self):
@@ -386,18 +394,17 @@ class TestAnalysis:
         skin = np.column_stack([rng.random(400) < 0.5, a, a, b])
         assert selection.forward(np.zeros((400, 1)), skin, held, 2) == [1, 3]
 
-    def test_predictions_are_made_with_one_thread(self):
+    def test_predictions_are_made_with_one_thread(self, monkeypatch):
         """However many the caller has: the last digits of a product depend on it."""
 
         def threads(features):
-            return np.array([max(pool["num_threads"] for pool in threadpool_info())])
+            return max(pool["num_threads"] for pool in threadpool_info())
 
-        question = analysis.Question("threads", (), np.zeros(1), threads)
+        question = analysis.Question("threads", ("threads",), np.zeros(1), threads)
+        monkeypatch.setitem(metrics.MEASURES, "threads", lambda truth, told, weights: np.array([told]))
         with threadpool_limits(2):
             assert threads(None) == 2
-            inputs = [analysis.Inputs(0.0, "joints")]
-            found = analysis.ask([question], inputs, lambda inputs: np.zeros((1, 1)), 1)
-        assert list(found.values()) == [1]
+            assert analysis.answer(question, np.zeros((1, 1)), np.ones((1, 1))) == [1]
 
     def test_no_taxel_is_chosen_twice_nor_beside_its_copy(self):
         rng = np.random.default_rng(0)
@@ -549,7 +556,6 @@ def test_the_settings_are_those_of_the_environments_own_touch():
     links = [links_of(hand).index(link) for link in taxels.links]
     touch = SkinTouch(taxels, hand.surfaces)
     poses = (grasps.records[f"link_{what}"][0][links] for what in ("positions", "rotations"))
-    thing = grasps._object(np.array([0]))
-    shape = grasps._shape(0)
+    shape, thing = grasps._object(np.array([0]))
     alone = type(thing)(thing.position[0], thing.orientation[0], thing.rotation[0])
     assert np.array_equal(touch.read(*poses, shape, alone), felt[0])
