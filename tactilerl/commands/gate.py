@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from dataclasses import dataclass
 from typing import Annotated
 
 from rich.progress import Progress
@@ -31,7 +30,7 @@ ABOUT = About(
 )
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class GateFlags:
     """Flags of `tactilerl gate`, besides the scene's."""
 
@@ -70,7 +69,7 @@ def main(args: list[str]) -> int:
     table = Table("reflex", "switches when", "success", "95 % interval")
     for row in rows:
         low, high = row.interval
-        about = gate.SENSES[row.name][1]
+        _, about = gate.SENSES[row.name]
         table.add_row(row.name, about, f"{row.rate:.2f}", f"{low:.2f} – {high:.2f}")
     console.print(table)
     console.print(sentence)

@@ -8,7 +8,6 @@ from contextlib import closing
 from functools import partial
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 
 from ..envs import vector
@@ -16,7 +15,6 @@ from ..envs.grasp import GraspConfig, GraspEnv
 from ..envs.observations import TaxelFaults
 from ..runs.evaluation import success_rate
 from . import reflexes
-from .reflexes import Reflex
 
 SEARCH = 1_000_000  # starts of the search are not those of the comparison
 TELLS = 0.3  # what a scene must leave to win to tell anything
@@ -36,9 +34,9 @@ class Found:
 
     name: str
     """One of SENSES."""
-    reflex: Reflex
+    reflex: reflexes.Reflex
     rate: float
-    interval: tuple[float, float]
+    interval: Sequence[float]
     """Wilson's, 95 %."""
     episodes: int
 
@@ -53,11 +51,8 @@ def examine(
     tick: Callable[[], None] = lambda: None,
     senses: Sequence[str] = tuple(SENSES),
 ) -> list[Found]:
-    """The best reflex of each sense in a scene, `starts` starts each.
-
-    Each has as many candidates, and each candidate the same `search` starts. `tick` is called after
-    every candidate.
-    """  # fmt: skip
+    """The best reflex of each sense in a scene, `starts` starts each. Each has as many candidates, and
+    each candidate the same `search` starts. `tick` is called after every candidate."""
     found = []
     for name in senses:
         sense, _ = SENSES[name]
@@ -65,9 +60,8 @@ def examine(
             continue  # nothing to go by, or what "sighted" is
         own = scene if sense == "touch" else dataclasses.replace(scene, run_type="absent", **NO_FAULTS)
         if name == "sighted":
-            own = dataclasses.replace(
-                own, object_seen="exact", sight_noise=None, sight_noise_kind="white"
-            )
+            exact: Any = {"object_seen": "exact", "sight_noise": None, "sight_noise_kind": "white"}
+            own = dataclasses.replace(own, **exact)
         make = partial(GraspEnv, hand, own)
         with closing(vector.start(make, workers)) as played_in:
             rates = []
@@ -78,36 +72,27 @@ def examine(
                 tick()
             best = candidates[int(np.argmax(rates))]
             said = success_rate(_play(played_in, best, seed, starts))
-            found.append(
-                Found(name, best, said["success_rate"], tuple(said["success_rate_ci"]), starts)
-            )
+            found.append(Found(name, best, said["success_rate"], said["success_rate_ci"], starts))
     return found
 
 
-def _play(workers: vector.Workers, reflex: Reflex, seed: int, n: int) -> np.ndarray:
+def _play(workers: vector.Workers, reflex: reflexes.Reflex, first: int, n: int) -> np.ndarray:
     """(n,) whether each start succeeds."""
-    return np.array(list(workers.play(partial(_one, reflex, seed), range(n))))
-
-
-def _one(
-    reflex: Reflex, seed: int, env: gym.Env[Any, Any], number: int, is_wanted: vector.IsWanted
-) -> bool:
-    return reflex.play(env.unwrapped, seed + number)  # type: ignore[arg-type]
+    return np.array(list(workers.play(reflex.play, range(first, first + n))))
 
 
 def verdict(found: list[Found]) -> str:
     """One sentence about the scene."""
     rates = {each.name: each.rate for each in found}
-    without = {name: rate for name, rate in rates.items() if name not in ("touch", "sighted")}
-    best = max(without, key=without.__getitem__)
-    room, won = rates["sighted"] - without[best], rates["touch"] - without[best]
+    best = max((name for name in rates if name not in ("touch", "sighted")), key=rates.__getitem__)
+    without, room = rates[best], rates["sighted"] - rates[best]
     if room < TELLS:
         return (
-            f"This scene cannot tell: the best reflex without touch ({best}) succeeds in "
-            f"{without[best]:.2f} of its starts, a sighted one in {rates['sighted']:.2f}."
+            f"This scene cannot tell: the best reflex without touch ({best}) succeeds in {without:.2f} "
+            f"of its starts, a sighted one in {rates['sighted']:.2f}."
         )
-    won = min(max(0.0, won), room)
+    won = min(max(0.0, rates["touch"] - without), room)
     return (
         f"Touch can win {won:.2f} of the {room:.2f} that lie between the best reflex without "
-        f"touch ({best}, {without[best]:.2f}) and a sighted one ({rates['sighted']:.2f})."
+        f"touch ({best}, {without:.2f}) and a sighted one ({rates['sighted']:.2f})."
     )
