@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -16,7 +15,6 @@ from rich.table import Table
 from ..algos.mpi import Communicator
 from ..envs import hands
 from ..envs.grasp import GraspConfig, setup
-from ..envs.hands import ScriptedGrasp
 from ..envs.objects import Items, ObjectConfig
 from ..envs.simulators import Camera
 from ..errors import InputError, input_errors
@@ -43,7 +41,7 @@ ABOUT = About(
 )
 
 
-@dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True)
 class DoctorFlags:
     """Flags of `tactilerl doctor`, besides the scene's."""
 
@@ -83,7 +81,7 @@ def _require_used(scene: GraspConfig, env: str) -> None:
             raise ValueError("object: found several, or a range; the grasps here are of one object")
 
 
-def _find_grasp(name: str, scene: GraspConfig) -> ScriptedGrasp:
+def _find_grasp(name: str, scene: GraspConfig) -> hands.ScriptedGrasp:
     """A grasp for a hand whose file has none, shown so that it can be pasted; ValueError where there
     is none that holds."""
     screen = Console(stderr=True, markup=False)
@@ -110,23 +108,21 @@ def main(args: list[str]) -> int:
     scene = require_scene(found, name)
     _require_used(scene, name)
     chosen = flags.peek(args, "--layout", "")
-    names = [chosen] if chosen else [str(i) for i in range(1, 7)]
+    names = [chosen] if chosen else [*"123456"]
     with input_errors():
         grasp = None if hands.get(name).grasps else _find_grasp(name, scene)
         if read.out is not None:
             picture = dataclasses.replace(scene, layout=chosen or "1", run_type="main")
             render.picture(name, picture, "grasp", Camera(), read.out, grasp)
+        scenes = [dataclasses.replace(scene, layout=layout) for layout in names]
         figures = [
-            doctor.examine(
-                *(name, dataclasses.replace(scene, layout=layout), read.grasps, read.seconds),
-                *(read.compare, grasp),
-            )
-            for layout in names
+            doctor.examine(name, each, grasp, read.grasps, read.seconds, read.compare)
+            for each in scenes
         ]
-    blind = [f.layout for f in figures if f.is_blind]
+    code = int(any(f.is_blind for f in figures))
     if read.json:
         print(json.dumps([dataclasses.asdict(f) for f in figures]))
-        return 1 if blind else 0
+        return code
     table = Table(title=f"{name} in {scene.simulator}, rule {scene.touch}: taxels during the hold")
     for column in ("layout", "taxels", "held", "bits on", "steps with any", "never fired", ""):
         table.add_column(column, justify="right")
@@ -144,4 +140,4 @@ def main(args: list[str]) -> int:
             console.print(f"layout {f.layout} never fired: {', '.join(f.never_fired) or 'none'}")
         for note in layout_notes(name, f.layout):
             console.print(note)
-    return 1 if blind else 0
+    return code

@@ -33,48 +33,37 @@ class LayoutFigures:
     """With the other simulator, if compared: see `agreement`."""
 
 
-Readings = list[np.ndarray | None]
-"""Of each grasp: bool (hold steps, taxels), or None where the object was not held."""
+Felt = np.ndarray | None
+"""In one grasp: bool (hold steps, taxels), or None where the object was not held."""
 
 
 def examine(
-    env_name: str,
-    config: GraspConfig,
-    grasps: int,
-    seconds: float,
-    compare: bool = False,
-    grasp: ScriptedGrasp | None = None,
+    hand: str, config: GraspConfig, grasp: ScriptedGrasp | None, n: int, seconds: float, compare: bool
 ) -> LayoutFigures:
-    """What one layout feels in `grasps` scripted grasps held for `seconds`, always the same ones; with
+    """What one layout feels in `n` scripted grasps held for `seconds`, always the same ones; with
     `compare`, also whether the other simulator agrees. `grasp`: instead of the hand's own. Blind is a
     layout that felt nothing of any."""
-    simulators = [config.simulator]
-    simulators += [next(name for name in SIMULATORS if name != config.simulator)] if compare else []
     felt = []
-    for simulator in simulators:
-        with closing(GraspEnv(env_name, replace(config, simulator=simulator))) as env:
-            chosen, names = grasp or scripted.grasp_for(env), env.taxels.names
-            starts = scripted.perturbed_starts(env, SEED, grasps)
+    others = [name for name in SIMULATORS if compare and name != config.simulator]
+    for simulator in (config.simulator, *others):
+        with closing(GraspEnv(hand, replace(config, simulator=simulator))) as env:
+            chosen, names = grasp or scripted.grasp_for(env), np.array(env.taxels.names)
+            starts = scripted.perturbed_starts(env, SEED, n)
             felt.append([_felt(env, chosen, start, seconds) for start in starts])
     held = [bits for bits in felt[0] if bits is not None]
     bits = np.concatenate(held) if held else np.zeros((1, len(names)), bool)
     mean_bits, share_any = float(bits.sum(axis=1).mean()), float(bits.any(axis=1).mean())
     # The densest layout must feel more than the others.
     needed_share, needed_bits = (0.9, 3.0) if config.layout == "1" else (0.5, 0.0)
+    is_blind = share_any < needed_share or mean_bits < needed_bits
+    counts, never_fired = (len(names), n, len(held)), tuple(names[~bits.any(axis=0)].tolist())
     return LayoutFigures(
-        layout=config.layout,
-        taxels=len(names),
-        grasps=grasps,
-        held=len(held),
-        mean_bits=mean_bits,
-        share_any=share_any,
-        never_fired=tuple(np.array(names)[~bits.any(axis=0)].tolist()),
-        is_blind=share_any < needed_share or mean_bits < needed_bits,
+        *(config.layout, *counts, mean_bits, share_any, never_fired, is_blind),
         agreement=agreement(*felt) if compare else None,
     )
 
 
-def agreement(a: Readings, b: Readings) -> float | None:
+def agreement(a: list[Felt], b: list[Felt]) -> float | None:
     """How alike two simulators feel the same grasps: of what fires in one or the other, the share
     that fires in both. None where none of the grasps held, or nothing fired, in both.
 
@@ -88,10 +77,8 @@ def agreement(a: Readings, b: Readings) -> float | None:
     return both / either if either else None
 
 
-def _felt(
-    env: GraspEnv, grasp: ScriptedGrasp, start: scripted.Start, seconds: float
-) -> np.ndarray | None:
-    """Readings at each control step of one hold."""
+def _felt(env: GraspEnv, grasp: ScriptedGrasp, start: scripted.Start, seconds: float) -> Felt:
+    """At each control step of one hold."""
     felt = []
     try:
         for is_up in scripted.hold_steps(env, grasp, start, seconds):

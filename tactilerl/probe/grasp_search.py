@@ -54,7 +54,8 @@ def find(
                 drawn = rng.normal(best.mean(axis=0), spread, (n, len(lowest)))
                 candidates = np.clip(drawn, lowest, highest)
             for figures in candidates:
-                tried.append((_score(played_in, own, size, figures), figures))
+                task = partial(_hold, _grasp(own, size, figures))
+                tried.append((float(np.mean(list(played_in.play(task, range(STARTS))))), figures))
                 tick()
             tried.sort(key=lambda each: -each[0])
     score, figures = tried[0]
@@ -67,11 +68,6 @@ def _grasp(hand: Hand, size: float, figures: Array) -> ScriptedGrasp:
     targets = dict(zip(SLIDES, place, strict=True))
     closed = {n: o + share * (hand.closed[n] - o) for n, o in hand.opened.items()}
     return ScriptedGrasp(size, {**targets, **closed})
-
-
-def _score(played_in: vector.Workers, hand: Hand, size: float, figures: Array) -> float:
-    task = partial(_hold, _grasp(hand, size, figures))
-    return float(np.mean(list(played_in.play(task, range(STARTS)))))
 
 
 def _hold(
@@ -90,14 +86,8 @@ def _hold(
 def toml(hand: Hand, grasp: ScriptedGrasp) -> str:
     """The grasp as text to paste into the hand's file."""
     moving = next(name for name, angle in hand.closed.items() if angle != hand.opened[name])
-    way = hand.closed[moving] - hand.opened[moving]
-    share = (grasp.targets[moving] - hand.opened[moving]) / way
+    opened, closed = hand.opened[moving], hand.closed[moving]
+    share = (grasp.targets[moving] - opened) / (closed - opened)
     slides = ", ".join(f"{grasp.targets[name]:.4g}" for name in SLIDES)
-    return "\n".join(
-        [
-            "[[grasp]]",
-            f"object_size = {grasp.object_size:g}",
-            f"slides = [{slides}]",
-            f"closing = {share:.4g}",
-        ]
-    )
+    figures = f"slides = [{slides}]\nclosing = {share:.4g}"
+    return f"[[grasp]]\nobject_size = {grasp.object_size:g}\n{figures}"
