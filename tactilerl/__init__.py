@@ -9,7 +9,7 @@ interface; the command `tactilerl` trains on them, and so do the few names here:
 Each is imported when it is first used.
 """
 
-from .registration import with_gymnasium
+from . import registration as registration
 from .version import __version__ as __version__
 
 TYPE_CHECKING = False  # as in registration.py
@@ -36,6 +36,3 @@ def __getattr__(name: str) -> "Any":
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
-
-
-with_gymnasium()

@@ -35,7 +35,7 @@ from .envs.choices import require_known
 from .errors import PEERS
 from .runs import config, evaluation, policies, training
 from .runs.config import RunOptions
-from .runs.run_dir import RunDir
+from .runs.run_dir import resolve
 from .terminal.progress_bar import ProgressBar
 
 Env = gym.Env[Any, Any] | str | Callable[[], gym.Env[Any, Any]]
@@ -228,19 +228,11 @@ def train(
     when an observation, a reward, a loss or a parameter is no longer finite; the last checkpoint
     is kept.
     """
-    if resume is None:
-        base = config.defaults(algo, env, recipe, scene)
-        chosen = base.choose({**flags, **({} if out is None else {"out": str(out)})})
-    else:
-        saved, _ = RunDir(Path(resume)).read_config(env or "", trust)
-        for name, given in (
-            ("algo", algo not in (None, saved.run.algo)),
-            ("out", out is not None),
-            ("scene", scene is not None),
-        ):
-            if given:
-                raise ValueError(f"{name}: found it with resume; a resumed run keeps its settings")
-        chosen = (saved.with_recipe(recipe) if recipe else saved).choose(flags)
+    if resume is not None and out is not None:
+        raise ValueError("out: found it with resume; a resumed run stays in its folder")
+    base = resolve(algo, env or "", recipe, scene, resume, trust)
+    said = {"algo": algo, "out": out and str(out)}
+    chosen = base.choose({**flags, **{name: value for name, value in said.items() if value}})
     return training.train(chosen, mpi.world(), any_ranks)
 
 

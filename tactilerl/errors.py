@@ -7,43 +7,35 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 PEERS: dict[str, tuple[str, str]] = {
-    "batch_size": ("minibatch_size", ""),
-    "blind": ("run_type", "with off, all taxels read zero"),
-    "clip_range_vf": ("", "value updates are not clipped"),
-    "cuda": ("device", "cuda is a GPU"),
-    "deterministic": ("", "evaluate is deterministic unless --stochastic is given"),
-    "ent_coef": ("exploration", "there is no entropy bonus"),
-    "env_id": ("env", ""),
-    "env_name": ("env", ""),
-    "eval_episodes": ("episodes", ""),
-    "gpu": ("device", "cuda is a GPU"),
-    "gradient_steps": ("n_batches", "per cycle"),
-    "hand": ("env", ""),
-    "learning_rate": ("actor_lr critic_lr", ""),
-    "log_std_init": ("action_variance", "the variance is exp(2 log_std)"),
-    "lr": ("actor_lr critic_lr", ""),
-    "n_envs": ("workers", "results do not depend on it"),
-    "n_epochs": ("n_passes", ""),
-    "n_eval_episodes": ("episodes", ""),
-    "n_steps": ("steps_per_epoch", ""),
-    "net_arch": ("hidden", ""),
-    "no_taxels": ("run_type", "with off, all taxels read zero"),
-    "no_touch": ("run_type", "with off, all taxels read zero"),
-    "num_envs": ("workers", "results do not depend on it"),
-    "num_timesteps": ("total_timesteps", ""),
-    "policy_kwargs": ("hidden", ""),
-    "progress_bar": ("progress", ""),
-    "robot": ("env", ""),
-    "taxels": ("run_type", "with off, all taxels read zero"),
-    "tau": ("polyak", "polyak is 1 - tau"),
-    "tensorboard_log": ("tensorboard", ""),
-    "timesteps": ("total_timesteps", ""),
-    "verbose": ("", "train shows its progress; in Python, learn(progress=True) does"),
-    "vf_coef": ("critic_lr", "the critic has a network and a step size of its own"),
+    name: (ours, difference)
+    for names, ours, difference in (
+        ("batch_size", "minibatch_size", ""),
+        ("blind no_taxels no_touch taxels", "run_type", "with off, all taxels read zero"),
+        ("clip_range_vf", "", "value updates are not clipped"),
+        ("cuda gpu", "device", "cuda is a GPU"),
+        ("deterministic", "", "evaluate is deterministic unless --stochastic is given"),
+        ("ent_coef", "exploration", "there is no entropy bonus"),
+        ("env_id env_name hand robot", "env", ""),
+        ("eval_episodes n_eval_episodes", "episodes", ""),
+        ("gradient_steps", "n_batches", "per cycle"),
+        ("learning_rate lr", "actor_lr critic_lr", ""),
+        ("log_std_init", "action_variance", "the variance is exp(2 log_std)"),
+        ("n_envs num_envs", "workers", "results do not depend on it"),
+        ("n_epochs", "n_passes", ""),
+        ("n_steps", "steps_per_epoch", ""),
+        ("net_arch policy_kwargs", "hidden", ""),
+        ("num_timesteps timesteps", "total_timesteps", ""),
+        ("progress_bar", "progress", ""),
+        ("tau", "polyak", "polyak is 1 - tau"),
+        ("tensorboard_log", "tensorboard", ""),
+        ("verbose", "", "train shows its progress; in Python, learn(progress=True) does"),
+        ("vf_coef", "critic_lr", "the critic has a network and a step size of its own"),
+    )
+    for name in names.split()
 }
 """What people type, mostly names of Stable-Baselines3 and Gymnasium -> what is nearest to it here, and
 how it differs."""
-SAME = {"batch_size": "minibatch_size", "n_epochs": "n_passes", "n_steps": "steps_per_epoch"}
+SAME = {name: PEERS[name][0] for name in ("batch_size", "n_epochs", "n_steps")}
 """Of these, flags that the command takes under either name."""
 
 

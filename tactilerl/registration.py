@@ -16,20 +16,8 @@ if TYPE_CHECKING:
     from typing import Any
 
 
-def with_gymnasium() -> None:
-    """Register the environments now if Gymnasium is imported, else as soon as it is."""
-    if "gymnasium" in sys.modules:
-        _register()
-    else:
-        sys.meta_path.insert(0, _WhenGymnasiumIsImported())
-
-
-def _register() -> None:
-    from . import envs  # noqa: F401
-
-
 class _WhenGymnasiumIsImported:
-    """A finder that leaves finding to the usual one and has `_register` called afterwards."""
+    """A finder that leaves finding to the usual one and has our environments registered afterwards."""
 
     def find_spec(self, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
         if name != "gymnasium":
@@ -43,7 +31,13 @@ class _WhenGymnasiumIsImported:
             def execute_and_register(module: ModuleType) -> None:
                 execute(module)
                 sys.meta_path.remove(self)
-                _register()
+                from . import envs  # noqa: F401
 
             spec.loader.exec_module = execute_and_register  # type: ignore[method-assign]
         return spec
+
+
+if "gymnasium" in sys.modules:
+    from . import envs  # noqa: F401
+else:
+    sys.meta_path.insert(0, _WhenGymnasiumIsImported())

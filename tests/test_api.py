@@ -467,6 +467,9 @@ assert "torch" not in sys.modules
 """
         )
 
+    def test_gymnasium_knows_our_environments_when_it_is_imported_later(self):
+        run_python("import tactilerl, gymnasium; gymnasium.make('tactilerl/LQR-v0')")
+
     def test_no_module_hides_a_function(self):
         modules = {path.stem for path in (ROOT / "tactilerl").iterdir()}
         assert not modules & set(tactilerl.__all__)

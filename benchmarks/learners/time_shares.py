@@ -34,7 +34,7 @@ def shares(run: Path, verdict: str, rounds: int) -> dict[str, float]:
     )
     learner, workers = make_algorithm(config, Communicator())
     state = checkpoint.read(run_dir, saved)["ranks"][0]
-    checkpoint.load_state(learner, state, run_dir.checkpoint_file)
+    learner.load_state_dict(state)
     watches, steps = Watches(), learner.env_steps
     simulator: Any = workers.env.unwrapped.simulator  # type: ignore[attr-defined]
     watches.watch("physics", simulator, "step")

@@ -36,7 +36,9 @@ def main(args: Sequence[str] | None = None) -> int:
         finally:
             sys.stdout.flush()
     except BrokenPipeError:  # who read our output has gone, such as `head`
-        code = _closed_output()
+        code, nowhere = 1, os.open(os.devnull, os.O_WRONLY)
+        for stream in (sys.stdout, sys.stderr):  # nothing more can be written, not even at the end
+            os.dup2(nowhere, stream.fileno())
     except Exception:
         traceback.print_exc()
         code = 1
@@ -79,8 +81,8 @@ def _run(args: list[str]) -> int:
 
 def _say(what: str, error: BaseException) -> None:
     """One line about the end of a command: the error, and what was noted on its way here."""
-    first = f"{what}: {error}" if str(error) else what
-    line = " ".join("; ".join([first, *getattr(error, "__notes__", ())]).split())
+    said = [f"{what}: {error}" if str(error) else what, *getattr(error, "__notes__", ())]
+    line = " ".join("; ".join(said).split())
     if len(line) > LONGEST:
         line = f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
     print(f"tactilerl: {line}", file=sys.stderr)
@@ -90,11 +92,3 @@ def _usage() -> str:
     lines = ["usage: tactilerl COMMAND [OPTIONS]", "", "commands:"]
     lines += [f"  {name:10}{about}" for name, about in COMMANDS.items()]
     return "\n".join([*lines, "", "tactilerl COMMAND --help lists a command's options."])
-
-
-def _closed_output() -> int:
-    """Let nothing more be written to an output that is closed, not even at the end."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    for stream in (sys.stdout, sys.stderr):
-        os.dup2(nowhere, stream.fileno())
-    return 1

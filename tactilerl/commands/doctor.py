@@ -34,6 +34,7 @@ ABOUT = About(
     "Do the taxels respond? Plays scripted grasps and shows for each layout how many taxels fire while "
     "the object is held: the paper's six, or --layout. The exit code is 1 when a layout is blind.",
     first=("layout", "touch", "simulator", "object", "object_size"),
+    defaults={"layout": "1 to 6, each"},
     examples=(
         "tactilerl doctor --env shadow",
         "tactilerl doctor --env mpl --layout my_layout.toml --out grasp.png",

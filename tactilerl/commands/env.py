@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import re
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ import gymnasium as gym
 
 from .. import envs
 from ..envs import scenes
+from ..envs.grasp import GraspEnv
 from ..envs.layouts import Taxels
 from ..envs.taxel_files import WRITERS
 from ..errors import InputError, input_errors
@@ -65,45 +66,34 @@ def _export(path: Path, taxels: Taxels | None) -> None:
 def main(args: list[str]) -> int:
     """`tactilerl env --describe`"""
     read, scene = read_scene(EnvFlags, args, "tactilerl env", ABOUT)
-    name = read.env
-    with input_errors():
-        made = envs.make(name, **(dataclasses.asdict(scene) if scene else {}))
-    try:
+    with input_errors(), closing(GraspEnv(read.env, scene) if scene else envs.make(read.env)) as made:
         base: Any = made.unwrapped
+        spaces = {"action_space": made.action_space, "observation_space": made.observation_space}
         described: dict[str, Any] = {
-            "env": name,
-            "action_space": str(made.action_space),
-            "observation_space": str(made.observation_space),
+            "env": read.env,
+            **{name: str(space) for name, space in spaces.items()},
         }
         if scene:
             described |= {"observation": base.observation_names(), "action": base.hand.action_names}
-            described["taxels"] = len(base.taxels)
-            described["notes"] = layout_notes(name, scene.layout)
-        if read.export is not None:
-            _export(read.export, getattr(base, "taxels", None))
-    finally:
-        made.close()
+            described |= {"taxels": len(base.taxels), "notes": layout_notes(read.env, scene.layout)}
+    if read.export is not None:
+        _export(read.export, getattr(base, "taxels", None))
     if read.json:
         print(json.dumps(described))
         return 0
-    print(f"env: {name}")
+    lines = [f"env: {read.env}"]
     if scene:
         length = f"up to {base.max_episode_steps} actions of {scene.control_dt:g} s"
-        print(f"task: {scene.task} in {scene.simulator}, {length}")
-    print(f"action_space: {_short(made.action_space)}")
-    print(f"observation_space: {_short(made.observation_space)}")
+        lines.append(f"task: {scene.task} in {scene.simulator}, {length}")
+    lines += [f"{name}: {_short(space)}" for name, space in spaces.items()]
     if scene:
-        print(f"taxels: {described['taxels']}")
-    for note in described.get("notes", ()):
-        print(f"note: {note}")
+        lines += [f"taxels: {described['taxels']}", *(f"note: {it}" for it in described["notes"])]
     if not args:
-        print("named scenes (--scene NAME):")
-        for scene_name in scenes.names():
-            print(f"  {scene_name:18} {scenes.load(scene_name).about}")
-    if read.describe:
-        for key in ("action", "observation"):
-            for index, entry in enumerate(described.get(key, ())):
-                print(f"{key}[{index}] {entry}")
+        lines.append("named scenes (--scene NAME):")
+        lines += [f"  {name:18} {scenes.load(name).about}" for name in scenes.names()]
+    for key in ("action", "observation") if read.describe else ():
+        lines += [f"{key}[{i}] {entry}" for i, entry in enumerate(described.get(key, ()))]
+    print("\n".join(lines))
     return 0
 
 

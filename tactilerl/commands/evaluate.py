@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
-from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ from rich.table import Table
 
 from ..algos import UnfitError
 from ..algos.mpi import Communicator
+from ..envs import typed
 from ..envs.observations import SensorConfig
 from ..errors import InputError, input_errors
 from ..runs import evaluation, policies, sweep
@@ -65,49 +65,47 @@ class EvaluateFlags:
 
 def main(args: list[str]) -> int:
     """`tactilerl evaluate RUN`"""
-    read, sensors = _read_evaluate(args)
-    if read.out is not None and not read.sweep:
-        raise InputError("--out: found without --sweep, allowed only with it")
-    with input_errors():
-        if read.out is not None:
-            sweep.require_drawable(read.out)
+    read, sensors = _read(args, SensorConfig())  # which run, before its sensors are known
+    saved = RunDir(read.run).read_config(read.env, read.trust)[0].scene
+    if saved is None:
+        read = flags.parse(EvaluateFlags, args, "tactilerl evaluate", ABOUT)
+    else:
+        names = typed.names(SensorConfig)
+        read, sensors = _read(args, SensorConfig(**{name: getattr(saved, name) for name in names}))
+    if read.out is not None:
+        if not read.sweep:
+            raise InputError("--out: found without --sweep, allowed only with it")
+        sweep.require_drawable(read.out)
     trained = policies.read_run(read.run, read.env, read.trust)
     run = trained.config
     about: dict[str, Any] = {
         "run": str(read.run), "epoch": trained.epoch, "env_steps": trained.env_steps,
         "stochastic": read.stochastic,
     }  # fmt: skip
-    if run.scene is not None and sensors is not None:
+    if run.scene is not None:
         others = {k: v for k, v in vars(sensors).items() if v != getattr(run.scene, k)}
         run = dataclasses.replace(run, scene=dataclasses.replace(run.scene, **others))
         about |= {"sensors": others} if others else {}
-    if not read.sweep:
-        result = about | evaluation.summarise(_play(run, trained.policy, read))
-        return _tell(result, read.json, _evaluation_table)
-    name, values, runs = sweep.vary(run, read.sweep)
+    name, values, runs = sweep.vary(run, read.sweep) if read.sweep else ("", [""], [run])
     rows = [evaluation.summarise(_play(each, trained.policy, read)) for each in runs]
-    points = [{name: value, **row} for value, row in zip(values, rows, strict=True)]
+    result = about | rows[0]
+    if read.sweep:
+        points = [{name: value, **row} for value, row in zip(values, rows, strict=True)]
+        result = {**about, "sweep": name, "points": points}
     if read.out is not None:
         sweep.draw(name, values, rows, read.out)
-    return _tell({**about, "sweep": name, "points": points}, read.json, _sweep_table)
+    if read.json:
+        print(json.dumps(result))
+    else:
+        console.print(_table(result))
+    return 0
 
 
-def _read_evaluate(args: list[str]) -> tuple[EvaluateFlags, SensorConfig | None]:
-    """The flags, and the sensors: the saved ones but for flags that say otherwise; None where the
-    run has no scene of ours."""
-    sensors = SensorConfig()
-    read, _ = _parse_evaluate(args, sensors)  # which run, before its sensors are known
-    scene = RunDir(read.run).read_config(read.env, read.trust)[0].scene
-    if scene is None:
-        return flags.parse(EvaluateFlags, args, "tactilerl evaluate", about=ABOUT), None
-    names = [field.name for field in dataclasses.fields(SensorConfig)]
-    return _parse_evaluate(args, SensorConfig(**{name: getattr(scene, name) for name in names}))
-
-
-def _parse_evaluate(args: list[str], sensors: SensorConfig) -> tuple[EvaluateFlags, SensorConfig]:
+def _read(args: list[str], sensors: SensorConfig) -> tuple[EvaluateFlags, SensorConfig]:
+    """The flags, and the sensors: these, but for flags that say otherwise."""
     kinds: list[Any] = [("command", EvaluateFlags), ("sensor", SensorConfig, sensors)]
     options: Any = dataclasses.make_dataclass("Options", kinds)
-    read = flags.parse(options, args, "tactilerl evaluate", about=ABOUT)
+    read = flags.parse(options, args, "tactilerl evaluate", ABOUT)
     return read.command, read.sensor
 
 
@@ -126,41 +124,32 @@ def _play(run: RunConfig, policy: Any, read: EvaluateFlags) -> list[dict[str, An
             raise InputError(str(error)) from error
 
 
-def _tell(result: dict[str, Any], as_json: bool, table: Callable[[dict[str, Any]], Table]) -> int:
-    if as_json:
-        print(json.dumps(result))
-    else:
-        console.print(table(result))
-    return 0
-
-
-def _about(result: dict[str, Any]) -> str:
-    """Which policy, and with which sensors where they are not those of the run."""
+def _table(result: dict[str, Any]) -> Table:
+    """Which policy, with which sensors where they are not those of the run, and how good it is."""
     others = (f"{name.replace('_', '-')} {value}" for name, value in result.get("sensors", {}).items())
-    return ", ".join([result["run"], f"epoch {result['epoch']}", *others])
-
-
-def _caption(result: dict[str, Any]) -> str:
-    """A policy that has just begun to learn may succeed with its exploration noise only."""
-    if result["stochastic"]:
-        return "with exploration noise"
-    return "without exploration noise; --stochastic plays with it"
-
-
-def _evaluation_table(result: dict[str, Any]) -> Table:
-    title = f"{_about(result)}, {result['episodes']} episodes"
-    table = Table("", "mean", "95 % interval", title=title, caption=_caption(result))
+    about = ", ".join([result["run"], f"epoch {result['epoch']}", *others])
+    # A policy that has just begun to learn may succeed with its exploration noise only.
+    noise = "without exploration noise; --stochastic plays with it"
+    table = Table(caption="with exploration noise" if result["stochastic"] else noise)
+    if "sweep" in result:
+        name, points = result["sweep"], result["points"]
+        table.title = f"{about}, {points[0]['episodes']} episodes each"
+        for column in (name.replace("_", "-"), "success rate", "95 % interval", "return"):
+            table.add_column(column)
+        for point in points:
+            table.add_row(*_row(point, "success_rate", str(point[name])), f"{point['mean_return']:.2f}")
+        return table
+    table.title = f"{about}, {result['episodes']} episodes"
+    for column in ("", "mean", "95 % interval"):
+        table.add_column(column)
     if "success_rate" in result:
-        low, high = result["success_rate_ci"]
-        table.add_row("success rate", f"{result['success_rate']:.3f}", f"{low:.3f} – {high:.3f}")
+        table.add_row(*_row(result, "success_rate", "success rate"))
         if result["mean_held_steps"] > 1:  # where success does not end the episode
             table.add_row("steps at the goal, at the end", f"{result['mean_held_steps']:.1f}", "")
     for part in result.get("by_object", ()):
-        low, high = part["success_rate_ci"]
         what = f"success rate, {part['object']} ({part['episodes']})"
-        table.add_row(what, f"{part['success_rate']:.3f}", f"{low:.3f} – {high:.3f}")
-    low, high = result["mean_return_ci"]
-    table.add_row("return", f"{result['mean_return']:.2f}", f"{low:.2f} – {high:.2f}")
+        table.add_row(*_row(part, "success_rate", what))
+    table.add_row(*_row(result, "mean_return", "return", ".2f"))
     table.add_row("length", f"{result['mean_length']:.1f}", "")
     for fault, what in (("diverged", "diverged episodes"), ("warnings", "warnings")):
         if result[fault]:
@@ -168,13 +157,7 @@ def _evaluation_table(result: dict[str, Any]) -> Table:
     return table
 
 
-def _sweep_table(result: dict[str, Any]) -> Table:
-    name, points = result["sweep"], result["points"]
-    title = f"{_about(result)}, {points[0]['episodes']} episodes each"
-    columns = (name.replace("_", "-"), "success rate", "95 % interval", "return")
-    table = Table(*columns, title=title, caption=_caption(result))
-    for point in points:
-        low, high = point["success_rate_ci"]
-        rate, interval = f"{point['success_rate']:.3f}", f"{low:.3f} – {high:.3f}"
-        table.add_row(str(point[name]), rate, interval, f"{point['mean_return']:.2f}")
-    return table
+def _row(result: dict[str, Any], measure: str, what: str, form: str = ".3f") -> tuple[str, str, str]:
+    """What it is, its value, and its interval."""
+    low, high = result[f"{measure}_ci"]
+    return what, format(result[measure], form), f"{low:{form}} – {high:{form}}"

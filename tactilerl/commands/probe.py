@@ -43,7 +43,7 @@ def main(args: list[str]) -> int:
     with input_errors():
         scene = flags.peek(args, "--scene", "")
         usual = Options(GraspFlags.of_scene(scene) if scene else GraspFlags())
-    read = flags.parse(Options, args, "tactilerl probe", usual, ABOUT)
+    read = flags.parse(Options, args, "tactilerl probe", ABOUT, usual)
     with input_errors():
         read.validate()
         comm = mpi.world()

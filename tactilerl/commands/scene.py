@@ -8,9 +8,10 @@ from typing import Any, TypeVar
 
 from ..envs import hands, layouts, scenes
 from ..envs.grasp import GraspConfig, setup
+from ..envs.scenes import NamedScene
 from ..errors import InputError, input_errors
 from ..pictures import hand_map
-from ..runs.arguments import NAMED_SCENE, hands_named
+from ..runs.arguments import NAMED_SCENE, read_parts
 from ..terminal import flags
 from ..terminal.help import About
 
@@ -22,23 +23,19 @@ def read_scene(
 ) -> tuple[T, GraspConfig | None]:
     """The command's own flags, and the scene's where its environment has a scene. --help shows the
     first, and of the scene's those that `about` names."""
-    own = [field.name for field in dataclasses.fields(kind)]  # type: ignore[arg-type]
-    about = about._replace(first=("named_scene", "env", *about.first, *own))
-    with input_errors():
-        name = flags.peek(args, "--scene", "")
-        named = scenes.load(name) if name else None
     command: Any = kind()
-    env = flags.peek(args, "--env", named.env if named else command.env)
-    if named and not hands.is_hand(env):
+    about = about._replace(first=("named_scene", "env", *about.first, *vars(command)))
+    with input_errors():
+        name = flags.peek(args, "--scene")
+        named = scenes.load(name) if name else NamedScene(env=command.env)
+    env = flags.peek(args, "--env", named.env)
+    if name and not hands.is_hand(env):
         raise InputError(f"--env: found {env!r} with --scene, allowed: {hands.allowed()}")
     parts: dict[str, Any] = {"command": dataclasses.replace(command, env=env)}
     if hands.is_hand(env):
-        with input_errors(f"scene {name}" if named else ""):
-            parts["scene"] = setup(env, **(named.scene if named else {}))
-    kinds = [(name, type(it)) for name, it in parts.items()]
-    options = dataclasses.make_dataclass("Options", [*kinds, NAMED_SCENE])
-    with hands_named(env):
-        read: Any = flags.parse(options, args, prog, options(**parts), about)
+        with input_errors(f"scene {name}" if name else ""):
+            parts["scene"] = setup(env, **named.scene)
+    read = read_parts(env, parts, args, prog, about, NAMED_SCENE)
     return read.command, getattr(read, "scene", None)
 
 
@@ -53,13 +50,10 @@ def layout_notes(name: str, layout: str) -> list[str]:
     """What to know about a layout on a hand: where it wants taxels and the hand has no surface, and
     which of its taxels lie beyond theirs."""
     wanted, hand = layouts.load(layout), hands.get(name)
-    notes = []
-    if missing := layouts.left_out(wanted, hand):
-        notes.append(f"layout {layout}: no taxels at {', '.join(missing)}, which {name} does not have")
-    if beyond := hand_map.beyond(hand, wanted.place(hand)):
-        notes.append(f"layout {layout}: beyond the end of their segment: {', '.join(beyond)}")
-    if off := hand_map.off_skin(hand, wanted.place(hand)):
-        notes.append(
-            f"layout {layout}: further from the skin of their link than they reach: {', '.join(off)}"
-        )
-    return notes
+    placed = wanted.place(hand)
+    found = {
+        "no taxels at {}, which " + name + " does not have": layouts.left_out(wanted, hand),
+        "beyond the end of their segment: {}": hand_map.beyond(hand, placed),
+        "further from the skin of their link than they reach: {}": hand_map.off_skin(hand, placed),
+    }
+    return [f"layout {layout}: {text.format(', '.join(it))}" for text, it in found.items() if it]

@@ -46,25 +46,20 @@ class Label(NamedTuple):
 def panels(hand: Hand) -> list[Panel]:
     """One for each of the hand's surfaces."""
     spans = [tuple(1e3 * end for end in surface.span) for surface in hand.surfaces]
-    segments: dict[str, list[str]] = {digit: [] for digit in hand.digits}
-    for surface in hand.surfaces:
-        if surface.segment != "palm":
-            segments[surface.digit].append(surface.segment)
     across = max(COLUMN, 2 * max(width for *_, width in spans) + 8.0)
     apart = max(ROW, max(high - low for low, high, _ in spans) + 8.0)
     columns = hand.digits if set(hand.digits) - set(DIGITS) else DIGITS
-    found = []
+    found, segments = [], dict.fromkeys(hand.digits, 0)
     for surface, (low, high, half_width) in zip(hand.surfaces, spans, strict=True):
-        if surface.segment == "palm":
-            x = across * (
-                columns.index(surface.digit) if surface.digit in columns else (len(columns) - 1) / 2
-            )
-            found.append(Panel(x, low - high - 27.0, half_width, low, high))
-            continue
-        if surface.segment == "distal" and surface.bone is not None:  # a fingertip is round
-            high += half_width
-        y = apart * segments[surface.digit].index(surface.segment)
-        found.append(Panel(across * columns.index(surface.digit), y, half_width, low, high))
+        middle = (len(columns) - 1) / 2
+        x = across * (columns.index(surface.digit) if surface.digit in columns else middle)
+        y = low - high - 27.0
+        if surface.segment != "palm":
+            y = apart * segments[surface.digit]
+            segments[surface.digit] += 1
+            if surface.segment == "distal" and surface.bone is not None:  # a fingertip is round
+                high += half_width
+        found.append(Panel(x, y, half_width, low, high))
     return found
 
 
@@ -93,11 +88,10 @@ def beyond(hand: Hand, taxels: Taxels) -> list[str]:
     """Names of the taxels that lie beyond an end of their segment, where nothing carries them."""
     drawn, found = panels(hand), []
     for name, place in zip(taxels.names, places.of(taxels), strict=True):
-        if place.height:  # it was put there as it is
-            continue
         panel, is_tip = drawn[place.surface], hand.surfaces[place.surface].segment == "distal"
         low, high = panel.low - panel.half_width, panel.high + (0.0 if is_tip else panel.half_width)
-        if not low - place.radius <= place.row <= high + place.radius:
+        is_within = low - place.radius <= place.row <= high + place.radius
+        if not (is_within or place.height):  # which was put there as it is
             found.append(name)
     return found
 
@@ -105,12 +99,11 @@ def beyond(hand: Hand, taxels: Taxels) -> list[str]:
 def off_skin(hand: Hand, taxels: Taxels) -> list[str]:
     """Names of taxels, given as points, whose sphere does not reach the skin of their link."""
     found = []
-    for point, index, (_, _, height) in zip(
-        taxels.points(), taxels.surfaces.tolist(), taxels.offsets, strict=True
-    ):
-        surface, position = hand.surfaces[index], np.array(point.position)
-        if height and _from_skin(surface, position, float(height)) > point.radius:
-            found.append(point.name)
+    offsets = zip(taxels.points(), taxels.surfaces.tolist(), taxels.offsets, strict=True)
+    for taxel, index, (_, _, height) in offsets:
+        away = _from_skin(hand.surfaces[index], np.array(taxel.position), float(height))
+        if height and away > taxel.radius:
+            found.append(taxel.name)
     return found
 
 

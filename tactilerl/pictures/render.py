@@ -40,17 +40,32 @@ def picture(
 ) -> int:
     """Write a picture of the start or of a scripted grasp (`grasp`: instead of the hand's own), beside
     it the hand unrolled; how many taxels fire in it."""
-    _require_writable("--out", out, PICTURES)
-    imageio = _imageio("imageio.v2")
-    env = GraspEnv(env_name, config, render_mode="rgb_array")
-    with closing(env):
+    imageio = _writer("--out", out, PICTURES)
+    with closing(GraspEnv(env_name, config, render_mode="rgb_array")) as env:
         env.reset(seed=0)
         if pose == "grasp":
             start = scripted.Start(np.zeros(2), 0.0, np.zeros(len(env.hand.joints)))
             for _ in scripted.hold_steps(env, grasp or scripted.grasp_for(env), start, seconds=0.5):
                 pass
-        imageio.imwrite(out, _with_map(env, camera, _map_of(env, camera)))
+        imageio.imwrite(out, _View(env, camera).picture(camera))
         return int((env.taxel_readings() > 0).sum())
+
+
+class _View:
+    """The scene, beside it what each taxel feels, which is hard to see in the hand's shade, and in the
+    corner a word."""
+
+    def __init__(self, env: GraspEnv, camera: Camera, label: str = "") -> None:
+        self._env, self._label = env, label
+        feels = env.config.run_type == "main"
+        self._map = TaxelMap(env.hand, env.taxels, camera.height) if feels else None
+
+    def picture(self, camera: Camera) -> np.ndarray:
+        """What a camera sees now, RGB (height, width, 3) uint8."""
+        found = self._env.picture(camera)
+        if self._map is not None:
+            found = np.hstack([found, self._map.picture(self._env.taxel_readings() > 0)])
+        return lettered(found, [(self._label, 12, 8)], 22, "la") if self._label else found
 
 
 class _Player:
@@ -66,14 +81,12 @@ class _Player:
             raise InputError(
                 f"{run}: found a run on {config.run.env!r}, allowed runs of grasping scenes"
             )
-        self._threads = config.run.threads
+        self._threads, self._task = config.run.threads, evaluation.task(policy)
         scene = replace(config.scene, hold_seconds=hold_seconds)
         every = max(1, int(1 / FPS / scene.timestep + 1e-6))
         self.fps = 1 / (every * scene.timestep)
         self.env = replace(config, scene=scene).make_env(render_mode="rgb_array")
-        self._task, self._label = evaluation.task(policy), label
-        self._camera, self._follow = camera, follow
-        self._map = _map_of(self.env, camera)
+        self._view, self._camera, self._follow = _View(self.env, camera, label), camera, follow
         self._show: Callable[[], None] = lambda: None
         self.env.simulator = _Filmed(self.env.simulator, every, lambda: self._show())
 
@@ -88,7 +101,7 @@ class _Player:
                 start[:] = start or [palm, (palm + simulator.object_state().position) / 2]
                 moved = palm - start[0] if self._follow == "hand" else np.zeros(3)
                 camera = replace(camera, lookat=tuple((start[1] + moved).tolist()))
-            write(_labelled(_with_map(self.env, camera, self._map), self._label))
+            write(self._view.picture(camera))
 
         self._show = show
         torch.set_num_threads(self._threads)  # as it was trained, to the last digit
@@ -114,8 +127,7 @@ def film(
     `follow`. `tick` is called after every picture. A film that is cut off can be played as far as it
     got. InputError when a run's environment is not a grasping one.
     """
-    _require_writable("--video", out, FILMS)
-    imageio = _imageio("imageio.v2", "imageio_ffmpeg")
+    imageio = _writer("--video", out, FILMS, "imageio_ffmpeg")
     camera = replace(camera, width=480, height=360, shadows=False)
     with ExitStack() as opened:
         players = []
@@ -129,62 +141,32 @@ def film(
         options = dict(fps=first.fps, macro_block_size=2, output_params=PLAYABLE)
         writer = opened.enter_context(imageio.get_writer(out, **options))
         for number in range(episodes):
-            row = _Row(len(others), writer.append_data, tick)
-            shown = [
-                other.play(number, pictures.append)
-                for other, pictures in zip(others, row.beside, strict=True)
-            ]
-            shown.insert(0, first.play(number, row.write))
-            row.finish()
-            yield shown
+            yield _episode(number, players, writer.append_data, tick)
 
 
-class _Row:
-    """Pictures beside those of films that are there already; the shorter film waits at its end."""
+def _episode(
+    number: int,
+    players: Sequence[_Player],
+    append: Callable[[np.ndarray], None],
+    tick: Callable[[], None],
+) -> list[bool]:
+    """The films of all beside each other; whose is shorter waits at its end. The first one's pictures
+    are written as they come."""
+    first, *others = players
+    films: list[list[np.ndarray]] = [[] for _ in others]
+    shown = [other.play(number, film.append) for other, film in zip(others, films, strict=True)]
+    last, written = np.zeros(0), 0
 
-    def __init__(
-        self, n_beside: int, write: Callable[[np.ndarray], None], tick: Callable[[], None]
-    ) -> None:
-        self.beside: list[list[np.ndarray]] = [[] for _ in range(n_beside)]
-        self._write, self._tick, self._written, self._last = write, tick, 0, np.zeros(0)
+    def write(picture: np.ndarray) -> None:
+        nonlocal last, written
+        append(np.hstack([picture, *(film[min(written, len(film) - 1)] for film in films)]))
+        tick()
+        last, written = picture, written + 1
 
-    def write(self, picture: np.ndarray) -> None:
-        """The next moment."""
-        others = (film[min(self._written, len(film) - 1)] for film in self.beside)
-        self._write(np.hstack([picture, *others]))
-        self._tick()
-        self._last, self._written = picture, self._written + 1
-
-    def finish(self) -> None:
-        """What the others show after the end."""
-        while self._written < max(map(len, self.beside), default=0):
-            self.write(self._last)
-
-
-def _labelled(picture: np.ndarray, label: str) -> np.ndarray:
-    """With a word in its corner."""
-    return lettered(picture, [(label, 12, 8)], 22, "la") if label else picture
-
-
-def _map_of(env: GraspEnv, camera: Camera) -> TaxelMap | None:
-    """As high as the camera's pictures; None where nothing is felt."""
-    feels = env.config.run_type == "main"
-    return TaxelMap(env.hand, env.taxels, camera.height) if feels else None
-
-
-def _with_map(env: GraspEnv, camera: Camera, taxel_map: TaxelMap | None) -> np.ndarray:
-    """The scene, and beside it what each taxel feels: in the hand's shade they are hard to see."""
-    picture = env.picture(camera)
-    if taxel_map is None:
-        return picture
-    return np.hstack([picture, taxel_map.picture(env.taxel_readings() > 0)])
-
-
-def _require_writable(flag: str, out: Path, endings: tuple[str, ...]) -> None:
-    if out.suffix.lower() not in endings:
-        raise InputError(f"{flag}: found {out.name!r}, allowed names that end in {', '.join(endings)}")
-    if not out.parent.is_dir():
-        raise InputError(f"{flag}: found no folder {out.parent}, allowed one that exists")
+    shown.insert(0, first.play(number, write))
+    while written < max(map(len, films), default=0):
+        write(last)
+    return shown
 
 
 class _Filmed:
@@ -208,11 +190,15 @@ class _Filmed:
                 self._show()
 
 
-def _imageio(*modules: str) -> Any:
-    """The extra's modules, once all are found: the first."""
+def _writer(flag: str, out: Path, endings: tuple[str, ...], *modules: str) -> Any:
+    """The extra's module, which may need `modules`; InputError where `out` cannot be written."""
+    if out.suffix.lower() not in endings:
+        raise InputError(f"{flag}: found {out.name!r}, allowed names that end in {', '.join(endings)}")
+    if not out.parent.is_dir():
+        raise InputError(f"{flag}: found no folder {out.parent}, allowed one that exists")
     try:
-        first, *_ = [importlib.import_module(module) for module in modules]
-        return first
+        *_, imageio = map(importlib.import_module, (*modules, "imageio.v2"))
+        return imageio
     except ImportError as error:
         raise ImportError(
             "pictures need an extra that is not installed: pip install 'tactilerl[render]'"

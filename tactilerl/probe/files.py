@@ -43,7 +43,7 @@ def write(path: Path, played: Played) -> None:
 def read(path: Path) -> Played:
     """What `write` wrote; InputError when it is not that."""
     try:
-        with damage_named(path, "a whole file of grasps"):
+        with damage_named(path, "not a whole file of grasps"):
             arrays = read_arrays(path)
             about = json.loads(str(arrays.pop(SETTINGS)))
             if about.pop("format") != FORMAT:

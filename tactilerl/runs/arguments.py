@@ -3,32 +3,36 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal
 
 import tyro
 
 from ..algos import recipes
-from ..envs import hands, scenes
+from ..envs import hands, scenes, typed
 from ..envs.choices import nearest
 from ..envs.grasp import GraspConfig
 from ..errors import InputError
 from ..terminal import flags
 from ..terminal.help import About
-from . import config as configuration
 from .config import RunConfig
+from .run_dir import resolve
+
+
+def _extra(field: str, default: Any, about: str, kind: Any = str, **named: Any) -> tuple[str, Any, Any]:
+    """A field of a flag that is in no part of a run's configuration."""
+    return field, Annotated[kind, tyro.conf.arg(help=about, **named)], default
+
 
 ABOUT = f"A named scene ({', '.join(scenes.names())}) or its .toml file; other flags override it."
-NAMED_SCENE = ("named_scene", Annotated[str, tyro.conf.arg(name="scene", help=ABOUT)], "")
-
-
-def defaults(args: list[str]) -> RunConfig:
-    """The configuration before most flags: it depends on these four."""
-    deciding = ("algo", "env", "recipe", "scene")
-    return configuration.defaults(**{name: flags.peek(args, f"--{name}", "") for name in deciding})
-
-
+NAMED_SCENE = _extra("named_scene", "", ABOUT, name="scene")
+OTHER_BITS = "With --resume: allow another number of processes; results then differ in their bits."
+TRUST = "With --resume: allow the import of the module in the environment's id."
+RESUME = (
+    _extra("resume", "", "Continue the run in this folder from its last whole epoch.", metavar="RUN"),
+    _extra("any_ranks", False, OTHER_BITS, bool),
+    _extra("trust", False, TRUST, bool),
+)
 TRAIN = About(
     "Train a policy. --scene, --algo and --env decide which flags there are and their defaults, which "
     "are the paper's without --scene and --recipe.",
@@ -43,40 +47,39 @@ TRAIN = About(
         "tactilerl train --resume runs/X --total-timesteps 1000000",
     ),
 )  # fmt: skip
-TRUST = "allow the import of the module in the environment's id"
 
 
-def read(args: list[str], base: RunConfig) -> tuple[RunConfig, Any]:
+def defaults(args: Sequence[str]) -> RunConfig:
+    """The configuration before most flags: it depends on these."""
+    deciding = ("algo", "env", "recipe", "scene", "resume")
+    given = {name: flags.peek(args, f"--{name}") for name in deciding}
+    return resolve(**given, trust="--trust" in args)
+
+
+def read(args: Sequence[str], base: RunConfig) -> tuple[RunConfig, Any]:
     """All flags of `train`, over the defaults `base`; and those that are not of the configuration."""
-    about = "Continue the run in this folder from its last whole epoch."
-    resume = ("resume", Annotated[str, tyro.conf.arg(help=about, metavar="RUN")], "")
-    about = "With --resume: allow another number of processes; results then differ in their bits."
-    any_ranks = ("any_ranks", Annotated[bool, tyro.conf.arg(help=about)], False)
-    trust = ("trust", Annotated[bool, tyro.conf.arg(help=f"With --resume: {TRUST}.")], False)
+    known: Any = Literal[tuple(recipes.recipes(base.run.algo))]
     about = "Hyperparameters that go together; other flags override them."
-    known = tuple(recipes.recipes(base.run.algo))
-    recipe = ("recipe", Annotated[Literal[known], tyro.conf.arg(help=about)], recipes.PAPER)
-    kinds = [(name, type(part)) for name, part in base.parts.items()]
-    options = dataclasses.make_dataclass(
-        "Options", [*kinds, recipe, NAMED_SCENE, resume, any_ranks, trust]
-    )
-    with hands_named(base.run.env):
-        given: Any = flags.parse(options, args, "tactilerl train", options(**base.parts), TRAIN)
-    parts = {name: getattr(given, name) for name in base.parts}
-    return dataclasses.replace(base, **parts), given
+    recipe = _extra("recipe", recipes.PAPER, about, known)
+    more = (recipe, NAMED_SCENE, *RESUME)
+    given = read_parts(base.run.env, base.parts, args, "tactilerl train", TRAIN, *more)
+    return dataclasses.replace(base, **{name: getattr(given, name) for name in base.parts}), given
 
 
-@contextmanager
-def hands_named(env: str) -> Iterator[None]:
-    """Where a flag of a scene is refused because `env` is no hand, say which hands there are."""
+def read_parts(
+    env: str, parts: Mapping[str, Any], args: Sequence[str], prog: str, about: About, *more: Any
+) -> Any:
+    """The flags over the values of several dataclasses, by the names of `parts`, and `more` of them.
+
+    Where a flag of a scene is refused because `env` is no hand, it is said which hands there are.
+    """
+    kinds = [(name, type(part)) for name, part in parts.items()]
+    options = dataclasses.make_dataclass("Options", [*kinds, *more])
     try:
-        yield
+        return flags.parse(options, args, prog, about, options(**parts))
     except InputError as error:
         refused = str(error).partition("'--")[2].partition("'")[0].partition("=")[0]
-        is_scene = refused.replace("-", "_") in {
-            field.name for field in dataclasses.fields(GraspConfig)
-        }
-        if hands.is_hand(env) or not is_scene:
+        if hands.is_hand(env) or refused.replace("-", "_") not in typed.names(GraspConfig):
             raise
         hint = nearest(env, hands.HANDS)
         raise InputError(f"{error} ({hint}--env {env} is none of {hands.allowed()})") from error

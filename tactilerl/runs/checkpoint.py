@@ -22,6 +22,7 @@ from .files import damage_named
 from .run_dir import FORMAT, RunDir
 
 TYPES = {"format": int, "epoch": int, "config": str, "ranks": list, "experience": list, "spaces": str}
+PART = {"format": int, "epoch": int, "config": str, "rank": int, "experience": dict}
 REWRITE = 2.0  # the parts are written anew as one when they take this many times a full memory
 
 
@@ -31,6 +32,7 @@ class Checkpoint:
     def __init__(self, run_dir: RunDir, config: RunConfig, learner: Algorithm, comm: Communicator):
         self.run_dir, self.config, self.learner, self.comm = run_dir, config, learner, comm
         self._memory = learner if isinstance(learner, OffPolicy) else None
+        self._about = {"format": FORMAT, "config": json.dumps(config.identity())}
         self._parts: list[int] = []  # epochs whose experience is on disk
 
     def save(self, epoch: int) -> None:
@@ -40,22 +42,23 @@ class Checkpoint:
         for rank, part in enumerate(self.comm.receive(experience)):
             if part:
                 self.run_dir.experience_folder.mkdir(exist_ok=True)
-                about = self._about(epoch, rank)
-                sealed.write(self._part(epoch, rank), {**about, "experience": part})
+                content = {**self._about, "epoch": epoch, "rank": rank, "experience": part}
+                sealed.write(self._part(epoch, rank), content)
         states = list(self.comm.receive(_compact(self.learner.state_dict())))
         if experience:
             self._parts = [*([] if is_anew else self._parts), epoch]
         if self.comm.rank == 0:
             content = {
-                "format": FORMAT,
+                **self._about,
                 "epoch": epoch,
-                "config": json.dumps(self.config.identity()),
                 "ranks": states,
                 "experience": self._parts,
                 "spaces": self.learner.spaces.to_json(),
             }
             sealed.write(self.run_dir.checkpoint_file, content)
-            self._drop_others()
+            for path in self._files():  # rewritten, or of epochs that were lost
+                if int(path.stem.partition("-")[0]) not in self._parts:
+                    path.unlink()
 
     def restore(self, any_ranks: bool = False) -> int:
         """Load this rank's state and experience; the epoch it was written after.
@@ -73,31 +76,24 @@ class Checkpoint:
                 f"ranks: found {comm.size}, the run was made with {n_old}; start it with "
                 f"mpirun -n {n_old}, or give --any-ranks to go on anyway"
             )
-        state = data["ranks"][comm.rank % n_old]
-        load_state(self.learner, state, self.run_dir.checkpoint_file)
-        if self._memory is None:
-            return int(data["epoch"])
-        for epoch in data["experience"]:
-            for rank in range(comm.rank, n_old, comm.size):
-                path = self._part(epoch, rank)
-                with damage_named(path):
-                    part = self._experience(path, self._about(epoch, rank))
-                    self._memory.add_experience(part, is_foreign=is_other)
-        # What came from elsewhere counts as new: the next checkpoint writes all of it.
-        self._parts = [] if is_other else list(data["experience"])
+        with damage_named(self.run_dir.checkpoint_file):
+            self.learner.load_state_dict(data["ranks"][comm.rank % n_old])
+        if self._memory is not None:
+            for epoch in data["experience"]:
+                for rank in range(comm.rank, n_old, comm.size):
+                    path = self._part(epoch, rank)
+                    with damage_named(path):
+                        part = self._experience(path, {**self._about, "epoch": epoch, "rank": rank})
+                        self._memory.add_experience(part, is_foreign=is_other)
+            # What came from elsewhere counts as new: the next checkpoint writes all of it.
+            self._parts = [] if is_other else list(data["experience"])
         return int(data["epoch"])
-
-    def _about(self, epoch: int, rank: int) -> dict[str, Any]:
-        """To what a file of experience belongs; says so, for it could be moved."""
-        config = json.dumps(self.config.identity())
-        return {"format": FORMAT, "config": config, "epoch": epoch, "rank": rank}
 
     @staticmethod
     def _experience(path: Path, about: dict[str, Any]) -> Any:
-        """What a file holds; ValueError when it is of another epoch, rank or run."""
-        data = about | _read(path)  # the first files of this format say nothing
-        other = next((name for name in about if data[name] != about[name]), None)
-        if other:
+        """What a file holds, which could have been moved; the first files say nothing of what."""
+        data = sealed.read_fields(path, "checkpoint", FORMAT, PART, about)
+        if other := next((name for name in about if data[name] != about[name]), None):
             raise ValueError(f"it is the experience of another {other}")
         return data["experience"]
 
@@ -112,12 +108,6 @@ class Checkpoint:
             return False
         size = sum(path.stat().st_size for path in self._files())
         return size > REWRITE * self._memory.experience_bytes * self.comm.size
-
-    def _drop_others(self) -> None:
-        """Remove parts that no checkpoint names: rewritten, or of epochs that were lost."""
-        for path in self._files():
-            if int(path.stem.partition("-")[0]) not in self._parts:
-                path.unlink()
 
 
 def _compact(value: Any) -> Any:
@@ -135,33 +125,15 @@ def read(run_dir: RunDir, config: RunConfig) -> dict[str, Any]:
     The states of the ranks are for their learners to judge.
     """
     path = run_dir.checkpoint_file
-    data = _read(path)
+    data = sealed.read_fields(path, "checkpoint", FORMAT, TYPES, {"spaces": ""})
     with damage_named(path):
-        data.setdefault("spaces", "")  # the first checkpoints of this format lack it
-        if {name: type(value) for name, value in data.items()} != TYPES:
-            raise ValueError(f"found {', '.join(map(str, data))}")
         epoch, parts = data["epoch"], data["experience"]
         if not 0 <= epoch < 2**63 or not data["ranks"]:
             raise ValueError(f"epoch {epoch}, {len(data['ranks'])} ranks")
-        if any(type(part) is not int for part in parts):
-            raise ValueError("experience of epochs that are not numbers")
-        if parts != sorted(set(parts)) or (parts and not 1 <= parts[0] <= parts[-1] <= epoch):
+        if any(type(part) is not int or not 1 <= part <= epoch for part in parts):
             raise ValueError("experience of epochs that the run has not had")
-        difference = config.difference(json.loads(data["config"]))
-    if difference:
-        raise InputError(f"{path}: from another configuration than config.json ({difference})")
-    return data
-
-
-def load_state(learner: Algorithm, state: dict[str, Any], path: Path) -> None:
-    """Give a learner its state; InputError naming the file when they do not fit."""
-    with damage_named(path):
-        learner.load_state_dict(state)
-
-
-def _read(path: Path) -> dict[str, Any]:
-    data = sealed.read(path)
-    found = data.get("format") if isinstance(data, dict) else None
-    if type(found) is not int or found != FORMAT:
-        raise InputError(f"{path}: not a checkpoint of format {FORMAT}")
+        if parts != sorted(set(parts)):
+            raise ValueError("experience of epochs that are not in order")
+        if difference := config.difference(json.loads(data["config"])):
+            raise InputError(f"{path}: from another configuration than config.json ({difference})")
     return data

@@ -93,9 +93,11 @@ class RunConfig:
         """A copy with other values of some fields, by name; ValueError naming an unknown field."""
         own = {name: typed.names(part) for name, part in self.parts.items()}
         require_known(choices, set().union(*own.values()), PEERS)
-        chosen = {name: {k: choices[k] for k in choices if k in own[name]} for name in own}
-        parts = {name: typed.replace(part, chosen[name]) for name, part in self.parts.items()}
-        return dataclasses.replace(self, **parts)
+        chosen = {
+            name: typed.replace(part, {k: v for k, v in choices.items() if k in own[name]})
+            for name, part in self.parts.items()
+        }
+        return dataclasses.replace(self, **chosen)
 
     def with_recipe(self, name: str) -> RunConfig:
         """A copy with the hyperparameters of a recipe; InputError where the learner has none such."""
@@ -121,7 +123,13 @@ class RunConfig:
                 f"if you trust it, repeat --env {self.run.env} or give --trust"
             )
         if self.hand:
-            self._require_same_hand()
+            with input_errors(f"{self.folder}: the hand of this run cannot be read"):
+                found = hands.digest(self.run.env)
+            if found != self.hand:
+                raise InputError(
+                    f"{self.folder}: the files of this run's hand ({self.run.env}) have changed since "
+                    "it was made; put the old ones back"
+                )
         if self.scene is None:
             return partial(envs.make, self.run.env)
         choices: dict[str, Any] = {}
@@ -130,17 +138,6 @@ class RunConfig:
         if self.layout_file and self.folder and (self.folder / LAYOUT_COPY).is_file():
             choices["layout"] = str(self.folder / LAYOUT_COPY)
         return partial(GraspEnv, self.run.env, dataclasses.replace(self.scene, **choices))
-
-    def _require_same_hand(self) -> None:
-        try:
-            found = hands.digest(self.run.env)
-        except (OSError, ValueError) as error:
-            raise InputError(f"{self.folder}: the hand of this run cannot be read: {error}") from error
-        if found != self.hand:
-            raise InputError(
-                f"{self.folder}: the files of this run's hand ({self.run.env}) have changed since it "
-                "was made; put the old ones back"
-            )
 
     @property
     def layout_file(self) -> Path | None:
@@ -155,19 +152,15 @@ class RunConfig:
 
     def name(self) -> str:
         """Default name of the run's folder."""
-        env = self.run.env
-        env = hands.file(env).stem if hands.is_hand(env) else env
+        env = hands.file(self.run.env).stem if hands.is_hand(self.run.env) else self.run.env
         parts = [self.run.algo, re.sub("[/:]", "-", env)]
         if self.scene is not None:
-            layout = Path(self.scene.layout).stem
-            parts += [self.scene.task, f"layout{layout}", self.scene.run_type]
+            parts += [self.scene.task, f"layout{Path(self.scene.layout).stem}", self.scene.run_type]
         return "_".join([*parts, f"s{self.run.seed}"])
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for config.json."""
-        scene = None if self.scene is None else dataclasses.asdict(self.scene)
-        learner = dataclasses.asdict(self.learner)
-        return {"run": dataclasses.asdict(self.run), "scene": scene, "learner": learner}
+        return dict.fromkeys(PARTS) | {k: dataclasses.asdict(part) for k, part in self.parts.items()}
 
     def identity(self) -> dict[str, Any]:
         """What makes it this run: plain values without those that may change on resume."""
@@ -200,21 +193,19 @@ def defaults(
     """
     with input_errors():
         named = scenes.load(scene) if scene else NamedScene(env=RunOptions.env)
-    own = named.train.get("algo", RunOptions.algo)
-    algo, env = algo or own, env or named.env
-    is_own = algo == own
-    train = {k: v for k, v in named.train.items() if is_own and k not in ("algo", "recipe")}
+    own, env = named.train.get("algo", RunOptions.algo), env or named.env
+    algo = algo or own
+    train = {k: v for k, v in named.train.items() if k != "algo"} if algo == own else {}
+    usual = train.pop("recipe", recipes.PAPER)
     if algo not in (known := algos.ALGORITHMS):
         hint = nearest(algo, known)
         raise InputError(f"--algo: unknown algorithm {algo!r}; {hint}allowed: {', '.join(known)}")
-    config_type, _ = algos.get(algo)
     with input_errors(f"scene {scene}: train"):
-        require_known(train, {"total_timesteps", *typed.names(config_type)}, PEERS)
+        require_known(train, {"total_timesteps", *typed.names(algos.get(algo)[0])}, PEERS)
     if scene and not hands.is_hand(env):
         raise InputError(f"--env: found {env!r} with --scene, allowed: {hands.allowed()}")
-    paper = algos.ALGORITHMS[algo]
+    paper = known[algo]
     with input_errors(f"scene {scene}" if scene else ""):
-        usual = named.train.get("recipe", recipes.PAPER) if is_own else recipes.PAPER
         return RunConfig(
             RunOptions(algo=algo, env=env, total_timesteps=paper.total_timesteps),
             setup(env, **{"task": paper.task, **named.scene}) if hands.is_hand(env) else None,

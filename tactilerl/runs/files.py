@@ -35,8 +35,8 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)  # not the fault of 
 
 
 @contextmanager
-def damage_named(path: Path, what: str = "") -> Iterator[None]:
-    """Whatever a file's content breaks is an InputError that names the file, and what it should be."""
+def damage_named(path: Path, found: str = "damaged") -> Iterator[None]:
+    """Whatever a file's content breaks is an InputError that names the file, and says what it is."""
     try:
         yield
     except FileNotFoundError:
@@ -45,8 +45,7 @@ def damage_named(path: Path, what: str = "") -> Iterator[None]:
         raise error if str(path) in str(error) else InputError(f"{path}: {error}") from error
     except Exception as error:  # parsers answer garbage with errors of any kind
         reason = getattr(error, "strerror", None) or " ".join(str(error).split())[:200]
-        wanted = f"not {what}" if what else "damaged"
-        raise InputError(f"{path}: {wanted} ({reason or type(error).__name__})") from error
+        raise InputError(f"{path}: {found} ({reason or type(error).__name__})") from error
 
 
 def open_regular(path: Path) -> BinaryIO:
@@ -131,7 +130,10 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
             os.fsync(file.fileno())
         with writable(path):
             os.replace(temporary, path)
-        sync_folder(path.parent)
+        if os.name == "posix":  # so that the name survives a power cut
+            folder = os.open(path.parent, os.O_RDONLY)
+            os.fsync(folder)
+            os.close(folder)
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -150,28 +152,13 @@ def locked(folder: Path) -> Iterator[None]:
                 held.enter_context(filelock.FileLock(path, timeout=PATIENCE))
                 with open(path, "w", encoding="utf-8", opener=no_link) as file:
                     file.write(f"process {os.getpid()} on {platform.node()}")
-            remove_leftovers(folder)
+            for left in folder.rglob(".*.tmp"):
+                if LEFTOVER.fullmatch(left.name):
+                    left.unlink()
             yield
     except filelock.Timeout:
         holder = path.read_text(encoding="utf-8", errors="replace")[:200] or "another process"
         raise InputError(f"{folder}: {holder} {IN_USE}") from None
-
-
-def remove_leftovers(folder: Path) -> None:
-    """Drop what processes left that were killed while they wrote; nobody else may be writing."""
-    for path in folder.glob(".*.tmp"):
-        if LEFTOVER.fullmatch(path.name):
-            path.unlink()
-
-
-def sync_folder(folder: Path) -> None:
-    """Have the names of the files in a folder survive a power cut, where the system can."""
-    if os.name == "posix":
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
 
 
 @contextmanager

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from contextlib import closing
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -16,7 +17,6 @@ from ..algos.policy import Policy, network_sizes
 from ..algos.spaces import Spaces
 from ..algos.state import require_like
 from ..envs import typed
-from ..errors import InputError
 from . import sealed
 from .files import damage_named
 
@@ -70,28 +70,21 @@ def save_policy(path: str | Path, algo: str, learner: algos.Algorithm) -> None:
 
 
 def _read_file(path: Path) -> Policy:
-    data = sealed.read(path, "policy")
-    if not isinstance(data, dict) or "policy_format" not in data:
-        raise InputError(f"{path}: not a saved policy; for a run, give its folder")
+    hint = "; for a run, give its folder"
+    data = sealed.read_fields(path, "policy", FORMAT, TYPES, {}, hint)
     with damage_named(path):
-        if {name: type(value) for name, value in data.items()} != TYPES:
-            raise ValueError(f"found {', '.join(map(str, data))}")
-        if data["policy_format"] != FORMAT:
-            raise InputError(f"{path}: not a policy of format {FORMAT}")
-        config_type, learner = algos.get(data["algo"])
+        config_type, _ = algos.get(data["algo"])
         config: Any = typed.make(config_type, json.loads(data["learner"]), "learner")
         config.validate()
-        return _policy(path, learner, config, Spaces.from_json(data["spaces"]), data["state"])
+        return _policy(path, data["algo"], config, Spaces.from_json(data["spaces"]), data["state"])
 
 
-def _policy(
-    path: Path, learner: type[algos.Algorithm], config: Any, spaces: Spaces, state: dict[str, Any]
-) -> Policy:
+def _policy(path: Path, algo: str, config: Any, spaces: Spaces, state: dict[str, Any]) -> Policy:
     """The policy in a learner's state; ValueError before a network is made that no such file holds."""
     sizes = network_sizes(config.hidden, spaces)
     if FLOAT * sum(a * b for a, b in pairwise(sizes)) > path.stat().st_size:
         raise ValueError(f"hidden: found {config.hidden}, more than the file holds")
-    policy: Policy = learner.saved_policy(config, spaces, state)
+    policy: Policy = algos.get(algo)[1].saved_policy(config, spaces, state)
     return policy
 
 
@@ -106,21 +99,17 @@ def read_run(path: Path, env: str = "", trust: bool = False) -> Trained:
 
     run_dir = RunDir(path)
     saved, _ = run_dir.read_config(env, trust)
-    data = checkpoint.read(run_dir, saved)
-    _, learner = algos.get(saved.run.algo)
-    with damage_named(run_dir.checkpoint_file):
-        known = data["spaces"]
-        spaces = Spaces.from_json(known) if known else _spaces(saved)
-        policy = _policy(run_dir.checkpoint_file, learner, saved.learner, spaces, data["ranks"][0])
-        env_steps = data["ranks"][0]["env_steps"]
-        require_like(env_steps, 0, "env_steps")
+    data, file = checkpoint.read(run_dir, saved), run_dir.checkpoint_file
+    with damage_named(file):
+        if data["spaces"]:
+            spaces = Spaces.from_json(data["spaces"])
+        else:
+            with closing(saved.make_env()) as made:
+                spaces = Spaces(made.observation_space, made.action_space)
+        state = data["ranks"][0]
+        policy = _policy(file, saved.run.algo, saved.learner, spaces, state)
+        require_like(state["env_steps"], 0, "env_steps")
     run = dataclasses.replace(saved.run, workers=1, device="cpu", matmul="float32")
     scene = saved.scene and dataclasses.replace(saved.scene, hold_verdict="full")
     config = dataclasses.replace(saved, run=run, scene=scene)
-    return Trained(config, policy, data["epoch"], env_steps)
-
-
-def _spaces(config: RunConfig) -> Spaces:
-    env: Any = config.make_env()
-    env.close()
-    return Spaces(env.observation_space, env.action_space)
+    return Trained(config, policy, data["epoch"], state["env_steps"])

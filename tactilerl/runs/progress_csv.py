@@ -55,9 +55,9 @@ class ProgressTable:
         if self.path.is_symlink():  # which would have us write somewhere else
             raise InputError(f"{self.path}: found a link, allowed a file")
         lines, epochs = self._read()
-        if epochs and epochs != list(range(epochs[0], epochs[0] + len(epochs))):
-            raise InputError(f"{self.path}: damaged (the epochs do not follow one another)")
         last = epochs[-1] if epochs else 0
+        if epochs != [*range(last - len(epochs) + 1, last + 1)]:
+            raise InputError(f"{self.path}: damaged (the epochs do not follow one another)")
         if last not in (epoch, epoch + 1):
             raise InputError(
                 f"{self.path}: found epochs up to {last}, the checkpoint's is {epoch}; put back the "

@@ -10,23 +10,22 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from ..envs import hands, layouts
 from ..envs.typed import require_type
 from ..errors import InputError
 from . import files, provenance
-from .config import LAYOUT_COPY, RunConfig, from_dict
-from .files import damage_named, read_json, replacing
+from .config import LAYOUT_COPY, PARTS, RunConfig, defaults, from_dict
+from .files import damage_named, read_json, replacing, writable
 from .progress_csv import ProgressTable
 
 FORMAT = 3  # of all files in a run folder; 1 and 2 are those of 0.1
 Values = dict[str, Any]
-PARTS: dict[str, Any] = {"run": Values, "scene": Values | None, "learner": Values, "ranks": int}
-PARTS |= {"provenance": list[provenance.Origin]}
+RECORD: dict[str, Any] = {"run": Values, "scene": Values | None, "learner": Values}
+RECORD |= {"ranks": Annotated[int, "[1, inf)"], "provenance": list[provenance.Origin]}
 
 
 class RunDir:
@@ -54,24 +53,17 @@ class RunDir:
 
     def create(self) -> None:
         """Make the folder where there is none; InputError where that cannot be, or it is no run's."""
-        try:
+        with writable(self.path):
             self.path.mkdir(parents=True, exist_ok=True)
             names = {path.name for path in self.path.iterdir() if path.suffix != ".tmp"}
-        except OSError as error:
-            raise InputError(
-                f"cannot make the run folder {str(self.path)!r}: {error.strerror}"
-            ) from error
         if not (self.config_file.exists() or names <= {LAYOUT_COPY, ".lock"}):
             raise InputError(
                 f"folder {str(self.path)!r} exists; choose another with --out, for it holds no run"
             )
 
-    @contextmanager
-    def lock(self) -> Iterator[None]:
+    def lock(self) -> AbstractContextManager[None]:
         """Keep other processes from writing here; InputError naming the one that does."""
-        with files.locked(self.path):
-            files.remove_leftovers(self.experience_folder)
-            yield
+        return files.locked(self.path)
 
     def is_begun(self) -> bool:
         """Has the run got further than its first checkpoint?"""
@@ -105,10 +97,8 @@ class RunDir:
         (`env`) or trusts the folder: the folder may be somebody else's.
         """
         data = self.record()
-        try:
-            config = from_dict({name: data[name] for name in ("run", "scene", "learner")})
-        except InputError as error:
-            raise InputError(f"{self.config_file}: {error}") from error
+        with damage_named(self.config_file):
+            config = from_dict({name: data[name] for name in PARTS})
         if env not in ("", config.run.env):
             raise InputError(f"env: found {env!r}, the run was made with {config.run.env!r}")
         is_trusted = trust or env == config.run.env
@@ -118,7 +108,7 @@ class RunDir:
 
     def record(self) -> dict[str, Any]:
         """What config.json holds, with values of this version or another; InputError when damaged."""
-        with damage_named(self.config_file, "a run's configuration"):
+        with damage_named(self.config_file, "not a run's configuration"):
             try:
                 data = read_json(self.config_file)
             except FileNotFoundError:
@@ -139,11 +129,27 @@ def require_record(data: Any) -> None:
     require_type(data, dict[str, Any], "record")
     if data.get("format") != FORMAT:
         raise ValueError(f"not of format {FORMAT}; continue runs of version 0.1 with that version")
-    for name, kind in PARTS.items():
+    for name, kind in RECORD.items():
         if name not in data:
             raise ValueError(f"no {name!r} in it")
         require_type(data[name], kind, name)
-    if data["ranks"] < 1:
-        raise ValueError(f"ranks: found {data['ranks']}, allowed 1 or more")
     for name in ("algo", "env"):
         require_type(data["run"].get(name), str, name)
+
+
+def resolve(
+    algo: str | None,
+    env: str,
+    recipe: str | None,
+    scene: str | None,
+    resume: str | Path | None,
+    trust: bool,
+) -> RunConfig:
+    """The configuration before other choices: `config.defaults`, or that of the run in the folder
+    `resume`; InputError where there is none, or a scene is named as well."""
+    if not resume:
+        return defaults(algo, env, recipe, scene)
+    if scene:
+        raise InputError("scene: found it with resume; a resumed run keeps its settings")
+    saved, _ = RunDir(Path(resume)).read_config(env, trust)
+    return saved.with_recipe(recipe) if recipe else saved

@@ -7,16 +7,16 @@ the file as well, only without looking at it.
 from __future__ import annotations
 
 import hashlib
-import os
+import mmap
 import pickletools
 import zipfile
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import torch
 
 from ..errors import InputError
-from .files import open_regular, replacing
+from .files import damage_named, open_regular, replacing
 
 MARK = b"\ntactilerl sha256 "
 SEAL_SIZE = len(MARK) + 2 * hashlib.sha256().digest_size
@@ -31,10 +31,9 @@ def write(path: Path, content: dict[str, Any]) -> None:
     """Write tensors and plain values, and their checksum."""
     with replacing(path) as file:
         torch.save(content, file)
-        size = file.tell()
         file.seek(0)
-        digest = _digest(file, size)
-        file.write(MARK + digest.encode())
+        digest = hashlib.file_digest(file, "sha256")  # type: ignore[arg-type]  # is readable
+        file.write(MARK + digest.hexdigest().encode())
 
 
 def read(path: Path, what: str = "checkpoint") -> Any:
@@ -43,46 +42,45 @@ def read(path: Path, what: str = "checkpoint") -> Any:
     Tensors are mapped from the file, not copied.
     """
     try:
-        _require_seal(path)
-        _require_plain(path)
-        return torch.load(path, weights_only=True, map_location="cpu", mmap=True)
+        with damage_named(path, f"damaged or not a {what}"):
+            _require_seal(path)
+            _require_plain(path)
+            return torch.load(path, weights_only=True, map_location="cpu", mmap=True)
     except FileNotFoundError:
         raise InputError(f"{path}: missing; there is no {what} yet, or it was removed") from None
-    except Exception as error:  # zipfile, pickletools and torch answer garbage with errors of any kind
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"{path}: damaged or not a {what} ({reason})") from error
+
+
+def read_fields(
+    path: Path, what: str, version: int, types: dict[str, type], usual: dict[str, Any], hint: str = ""
+) -> dict[str, Any]:
+    """A dict with fields of these types, the first of them the version of its format; InputError when
+    that or the fields are others. `usual` are values of fields that the first files lack."""
+    data, number = read(path, what), next(iter(types))
+    found = data.get(number) if isinstance(data, dict) else None
+    if type(found) is not int or found != version:
+        raise InputError(f"{path}: not a {what} of format {version}{hint}")
+    data = usual | data
+    if {name: type(value) for name, value in data.items()} != types:
+        raise InputError(f"{path}: damaged (found {', '.join(map(str, data))})")
+    return data
 
 
 def _require_seal(path: Path) -> None:
-    with open_regular(path) as file:
-        size = os.fstat(file.fileno()).st_size - SEAL_SIZE
-        file.seek(max(0, size))
-        seal = file.read()
-        if not seal.startswith(MARK):
+    with open_regular(path) as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        size = max(0, len(data) - SEAL_SIZE)
+        if not data[size:].startswith(MARK):
             raise ValueError("no checksum at its end: cut off, or of a version before 0.2")
-        file.seek(0)
-        digest = _digest(file, size)
-    if seal != MARK + digest.encode():
-        raise ValueError("its checksum does not match: it was changed after it was written")
-
-
-def _digest(file: BinaryIO, size: int) -> str:
-    """SHA-256 of the next `size` bytes."""
-    digest = hashlib.sha256()
-    while size > 0 and (piece := file.read(min(size, 2**20))):
-        digest.update(piece)
-        size -= len(piece)
-    return digest.hexdigest()
+        with memoryview(data)[:size] as sealed:
+            if data[size:] != MARK + hashlib.sha256(sealed).hexdigest().encode():
+                raise ValueError("its checksum does not match: it was changed after it was written")
 
 
 def _require_plain(path: Path) -> None:
     """ValueError when the archive unpacks to more than it is, or its pickle holds what is not known."""
     with zipfile.ZipFile(path) as archive:
         entries = archive.infolist()
-        if any(entry.compress_type != zipfile.ZIP_STORED for entry in entries):
-            raise ValueError("it is compressed")
         if sum(entry.file_size for entry in entries) > path.stat().st_size:
-            raise ValueError("it unpacks to more than its size")
+            raise ValueError("it is compressed, or unpacks to more than its size")
         (pickled,) = (entry for entry in entries if entry.filename.endswith("data.pkl"))
         if pickled.file_size > MAX_PICKLE:
             raise ValueError(f"{pickled.file_size:,} bytes of plain values, allowed {MAX_PICKLE:,}")

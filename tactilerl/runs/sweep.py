@@ -7,17 +7,15 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..envs.observations import SensorConfig
 from ..errors import InputError, input_errors
 from .config import RunConfig
 
 PICTURES = (".png", ".svg", ".pdf")
-# The flags with one value each.
-NAMES = [
-    field.name
-    for field in dataclasses.fields(SensorConfig)
-    if isinstance(field.default, str | float | int)
-]
+USUAL = vars(SensorConfig())
+NAMES = [name for name, value in USUAL.items() if isinstance(value, str | float | int)]
 
 
 def vary(run: RunConfig, sweep: tuple[str, ...]) -> tuple[str, list[Any], list[RunConfig]]:
@@ -33,15 +31,10 @@ def vary(run: RunConfig, sweep: tuple[str, ...]) -> tuple[str, list[Any], list[R
         raise InputError(f"--sweep: found {sweep[0]!r}, allowed: {allowed}")
     if not texts:
         raise InputError(f"--sweep {sweep[0]}: found no values, expected some")
-    kind = type(getattr(SensorConfig, name))
-    try:
-        values = [kind(text) for text in texts]
-    except ValueError as error:
-        raise InputError(f"--sweep {sweep[0]}: {error}") from None
-    runs = [
-        dataclasses.replace(run, scene=dataclasses.replace(run.scene, **{name: value}))
-        for value in values
-    ]
+    with input_errors(f"--sweep {sweep[0]}"):
+        values = [type(USUAL[name])(text) for text in texts]
+    scenes = [dataclasses.replace(run.scene, **{name: value}) for value in values]
+    runs = [dataclasses.replace(run, scene=scene) for scene in scenes]
     with input_errors("--sweep"):
         for each in runs:
             each.validate()
@@ -64,13 +57,11 @@ def draw(name: str, values: list[Any], rows: list[dict[str, Any]], out: Path) ->
     """Write a picture of the success rate, with its intervals, against the values."""
     from matplotlib.figure import Figure  # takes a while
 
-    rates = [row["success_rate"] for row in rows]
-    intervals = [row["success_rate_ci"] for row in rows]
-    below = [rate - low for rate, (low, _) in zip(rates, intervals, strict=True)]
-    above = [high - rate for rate, (_, high) in zip(rates, intervals, strict=True)]
+    rates = np.array([row["success_rate"] for row in rows])
+    low, high = np.array([row["success_rate_ci"] for row in rows]).T
     figure = Figure(figsize=(5, 3.5), layout="constrained")
     axes = figure.add_subplot()
-    axes.errorbar(values, rates, yerr=[below, above], marker="o", capsize=3)
+    axes.errorbar(values, rates, yerr=[rates - low, high - rates], marker="o", capsize=3)
     axes.set(xlabel=name.replace("_", " "), ylabel="success rate", ylim=(-0.02, 1.02))
     axes.grid(alpha=0.3)
     figure.savefig(out, dpi=150)

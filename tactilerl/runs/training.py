@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -44,14 +44,12 @@ def start_learner(
 ) -> tuple[algos.Algorithm, vector.Workers]:
     """The learner and the workers that `start` returns; ValueError when they do not go together."""
     _, algorithm = algos.get(run.algo)
-    device = _device(run.device)
-    _require_products(run)
-    workers = start()
-    try:
-        learner = algorithm(hyperparameters, workers, comm, run.seed, run.total_timesteps, device)
-    except BaseException:
-        workers.close()
-        raise
+    _require_device(run)
+    with ExitStack() as started:
+        workers = started.enter_context(closing(start()))
+        options = comm, run.seed, run.total_timesteps, run.device
+        learner = algorithm(hyperparameters, workers, *options)
+        started.pop_all()
     return learner, workers
 
 
@@ -91,30 +89,24 @@ def train(
             require_tensorboard()
         with input_errors():
             check(learner)
-        checkpoint = Checkpoint(run_dir, config, learner, comm)
         with _writing(run_dir, config, comm):
+            checkpoint = Checkpoint(run_dir, config, learner, comm)
             epoch = _begun(checkpoint, any_ranks)
+            notes = [summary, paragraph("resolved", learner.describe())]
             if epoch:
-                _require_ahead(run_dir, config, learner.env_steps)
-            changed = ""
+                done = f"after epoch {epoch}, {learner.env_steps:,} steps"
+                notes.append(paragraph("resumed", done))
             if comm.rank == 0:
                 run_dir.progress.cut(epoch)
-                changed = run_dir.write_config(config, comm.size, epoch, learner.env_steps)
+                if changed := run_dir.write_config(config, comm.size, epoch, learner.env_steps):
+                    notes.append(paragraph("versions", f"{changed}; from epoch {epoch + 1} on"))
             if epoch == 0:
                 checkpoint.save(0)
+            if learner.env_steps >= learner.total_timesteps:
+                done = f"{learner.env_steps:,} of {learner.total_timesteps:,}"
+                notes.append(f"  nothing to do: {done} steps done; raise --total-timesteps")
             with ProgressBar(learner, comm, run_dir.path if config.run.tensorboard else None) as report:
-                if summary:
-                    report.note(summary)
-                report.note(paragraph("resolved", learner.describe()))
-                if epoch:
-                    report.note(
-                        paragraph("resumed", f"after epoch {epoch}, {learner.env_steps:,} steps")
-                    )
-                if changed:
-                    report.note(paragraph("versions", f"{changed}; from epoch {epoch + 1} on"))
-                if learner.env_steps >= learner.total_timesteps:
-                    done = f"{learner.env_steps:,} of {learner.total_timesteps:,}"
-                    report.note(f"  nothing to do: {done} steps done; raise --total-timesteps")
+                report.note("\n".join(filter(None, notes)))
                 for row in epochs(learner, config.run.matmul, epoch):
                     if comm.rank == 0:
                         run_dir.progress.append(row)
@@ -145,27 +137,24 @@ def _writing(run_dir: RunDir, config: RunConfig, comm: Communicator) -> Iterator
             raise
 
 
-def _require_ahead(run_dir: RunDir, config: RunConfig, env_steps: int) -> None:
-    """InputError where the goal was made smaller, and the run is beyond it already."""
-    saved, goal = run_dir.read_config()[0], config.run.total_timesteps
-    if goal < min(env_steps, saved.run.total_timesteps):
-        raise InputError(
-            f"total_timesteps: found {goal:,} for a run that has made {env_steps:,} steps, allowed "
-            "more: they count from the run's beginning"
-        )
-
-
 def _begun(checkpoint: Checkpoint, any_ranks: bool) -> int:
-    """The epoch after which a run goes on, its state restored; 0 when it has none yet."""
-    run_dir = checkpoint.run_dir
-    if run_dir.checkpoint_file.exists():
-        return checkpoint.restore(any_ranks)
-    if run_dir.is_begun():
+    """The epoch after which a run goes on, its state restored; 0 when it has none yet. InputError where
+    the goal was made smaller, and the run is beyond it already."""
+    run_dir, learner = checkpoint.run_dir, checkpoint.learner
+    if not run_dir.checkpoint_file.exists():
+        if run_dir.is_begun():
+            raise InputError(
+                f"{run_dir.checkpoint_file}: missing, but the run has made progress; put it back, or "
+                "begin another run with another --out"
+            )
+        return 0
+    epoch, goal = checkpoint.restore(any_ranks), learner.total_timesteps
+    if epoch and goal < min(learner.env_steps, run_dir.read_config()[0].run.total_timesteps):
         raise InputError(
-            f"{run_dir.checkpoint_file}: missing, but the run has made progress; put it back, or "
-            "begin another run with another --out"
+            f"total_timesteps: found {goal:,} for a run that has made {learner.env_steps:,} steps, "
+            "allowed more: they count from the run's beginning"
         )
-    return 0
+    return epoch
 
 
 def epochs(learner: algos.Algorithm, matmul: Precision, epoch: int = 0) -> Iterator[dict[str, Any]]:
@@ -178,29 +167,23 @@ def epochs(learner: algos.Algorithm, matmul: Precision, epoch: int = 0) -> Itera
 
 def _epoch(learner: algos.Algorithm, matmul: Precision) -> dict[str, Any]:
     """One epoch: as many cycles as the algorithm's epochs have, then its test."""
-    before, seen, learned = learner.env_steps, [], []
-    collecting = updating = 0.0
+    before, seen, learned, times = learner.env_steps, [], [], [time.perf_counter()]
     for _ in range(learner.cycles_per_epoch):
-        started = time.perf_counter()
         seen.append(learner.collect())
-        collected = time.perf_counter()
+        times.append(time.perf_counter())
         with matrix_products(matmul):
             learned.append(learner.update())
-        updated = time.perf_counter()
-        collecting, updating = collecting + collected - started, updating + updated - collected
-    weights = [row["episodes"] for row in seen]
-    row = {
-        "env_steps": learner.env_steps,
-        **_merged(seen, weights),
-        **_merged(learned),
-        **(learner.test() if isinstance(learner, algos.OffPolicy) else {}),
-    }
-    seconds = collecting + updating + time.perf_counter() - updated
+        times.append(time.perf_counter())
+    test = learner.test() if isinstance(learner, algos.OffPolicy) else {}
+    spent = np.diff(times)
     return {
-        **row,
-        "collect_s": round(collecting, 4),
-        "update_s": round(updating, 4),
-        "steps_per_s": round((learner.env_steps - before) / seconds, 1),
+        "env_steps": learner.env_steps,
+        **_merged(seen, [row["episodes"] for row in seen]),
+        **_merged(learned),
+        **test,
+        "collect_s": round(float(spent[::2].sum()), 4),
+        "update_s": round(float(spent[1::2].sum()), 4),
+        "steps_per_s": round((learner.env_steps - before) / (time.perf_counter() - times[0]), 1),
     }
 
 
@@ -220,17 +203,15 @@ def free_cores(comm: Communicator) -> int:
     return max(1, min(own, cores // comm.local_size))
 
 
-def _device(name: str) -> str:
+def _require_device(run: RunOptions) -> None:
+    """ValueError where PyTorch cannot compute, or bfloat16 would be slower than float32, or coarser."""
     try:
-        torch.zeros(1, device=name).cpu()  # "meta" holds no numbers
+        torch.zeros(1, device=run.device).cpu()  # "meta" holds no numbers
     except Exception as error:  # each device answers with errors of its own
         reason = (str(error) or type(error).__name__).splitlines()[0]
-        raise ValueError(f"device: found {name!r}, which PyTorch cannot use here ({reason})") from None
-    return name
-
-
-def _require_products(run: RunOptions) -> None:
-    """ValueError where bfloat16 products would be slower than those of float32, or other ones."""
+        raise ValueError(
+            f"device: found {run.device!r}, which PyTorch cannot use here ({reason})"
+        ) from None
     if run.matmul == "bfloat16" and (run.device != "cpu" or not has_bfloat16()):
         where = f"device {run.device}" if run.device != "cpu" else "a processor that has no bfloat16"
         raise ValueError(f"matmul: found 'bfloat16' on {where}, allowed float32")

@@ -175,7 +175,7 @@ class StudyFolder:
 def read_study(path: Path, folder: Path) -> Study:
     """The study in a study.json; InputError where there is none."""
     try:
-        with damage_named(path, "a study of this version"):
+        with damage_named(path, "not a study of this version"):
             return from_dict(read_json(path))
     except (FileNotFoundError, NotADirectoryError):
         raise InputError(f"{str(folder)!r} is not a study's folder: no study.json in it") from None

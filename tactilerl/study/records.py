@@ -167,7 +167,7 @@ def collect(*paths: Path, out: Path | None = None) -> Path:
 
 
 def _unpack(path: Path) -> tuple[Study, list[Record]]:
-    with damage_named(path, "a collected study"):
+    with damage_named(path, "not a collected study"):
         text = io.StringIO(unzip(path).decode("utf-8"), newline="")
         first, *rows = csv.DictReader(text, strict=True)
         study = from_dict(json.loads(first["record"]))

@@ -16,6 +16,7 @@ from ..envs import touch, typed
 from ..envs.choices import meant
 from ..errors import PEERS, SAME, InputError, input_errors
 from . import help
+from .help import of_field as of_field
 
 try:
     from tyro._errors import on_parse_error
@@ -30,28 +31,26 @@ VALUES = {
 }
 
 
-def parse(
-    kind: type[T], args: Sequence[str], prog: str, default: Any = None, about: help.About = help.NOTHING
-) -> T:
+def parse(kind: type[T], args: Sequence[str], prog: str, about: help.About, default: Any = None) -> T:
     """Read `args` into a dataclass; InputError over bad flags, SystemExit(0) after --help."""
     if help.SHORT & {*args} or help.ALL in args:
         help.show(kind, default, prog, about, everything=help.ALL in args)
-    args = _own(args, set(_names(kind)))
-    extra = {} if default is None else {"default": default}
-    config = (tyro.conf.OmitArgPrefixes,)
+    known = list(_names(kind))
+    args = _own(args, known)
 
     def refuse(event: Any) -> None:
         reason = None
         with contextlib.suppress(AttributeError, TypeError):  # where tyro's types have changed
-            reason = _reason(event, args, kind)
+            reason = _reason(event, args, known)
         if reason:
             raise InputError(f"{reason}{' See' if reason.endswith('?') else '; see'} {prog} --help")
 
+    extra = {} if default is None else {"default": default}
     try:
         with on_parse_error(refuse), contextlib.redirect_stderr(io.StringIO()):
-            read = tyro.cli(kind, args=args, prog=prog, config=config, **extra)
+            read = tyro.cli(kind, args=args, prog=prog, config=(tyro.conf.OmitArgPrefixes,), **extra)
     except SystemExit as stop:
-        if stop.code in (0, None):
+        if not stop.code:
             raise
         raise InputError(f"found flags that are not allowed; see {prog} --help") from None
     own = getattr(read, "command", read)
@@ -62,7 +61,7 @@ def parse(
     return read
 
 
-def peek(args: Sequence[str], flag: str, default: str) -> str:
+def peek(args: Sequence[str], flag: str, default: str = "") -> str:
     """The value of one flag before all are known: it decides which others there are.
 
     As for every flag, the last one counts.
@@ -73,24 +72,28 @@ def peek(args: Sequence[str], flag: str, default: str) -> str:
     return found[0] if found else default
 
 
-def _reason(event: Any, args: Sequence[str], kind: type) -> str | None:
+def _reason(event: Any, args: Sequence[str], known: list[str]) -> str | None:
     """What tyro's event says is wrong, found and allowed; None for one that is not known here."""
     match type(event).__name__, vars(event):
         case "UnrecognizedArgs", {"tokens": [token, *_]}:
-            return f"found {token!r}, {_hint(token, list(_names(kind)))}"
+            return f"found {token!r}, {_hint(token, known)}"
         case "MissingArgs", {"missing_arguments": [missing, *_]}:
             return f"found no {_name(missing.arg).upper()}"
         case "InvalidChoice", {"argument": argument, "value": value, "choices": choices}:
             return f"{_name(argument)}: found {value!r}, allowed: {', '.join(choices)}"
         case "BadValue" | "InstantiationFailure", {"argument": argument} if argument is not None:
-            values = " ".join(_given(args, _name(argument)))
+            found = " ".join(_given(args, _name(argument)))
+            found = repr(found) if found else "no value"
             metavar = argument.lowered.metavar.replace("{None}|", "")
-            allowed = VALUES.get(metavar, metavar)
-            found = repr(values) if values else "no value"
-            return f"{_name(argument)}: found {found}, allowed {allowed}"
+            return f"{_name(argument)}: found {found}, allowed {VALUES.get(metavar, metavar)}"
         case "InstantiationFailure", {"message": message}:
             return str(message)
     return None
+
+
+def _name(argument: Any) -> str:
+    """The flag, or the name of what has no flag."""
+    return str(argument.display_name()).partition("/")[0].rpartition(".")[2]
 
 
 def _hint(token: str, known: list[str]) -> str:
@@ -117,7 +120,7 @@ def _place(token: str) -> str:
     return next((f for f, known in values.items() if token in known), "--resume" if is_folder else "")
 
 
-def _own(args: Sequence[str], known: set[str]) -> list[str]:
+def _own(args: Sequence[str], known: Sequence[str]) -> list[str]:
     """The arguments with the names that our fields have: --touch off is --run-type control."""
     own = list(args)
     for at, arg in enumerate(args):
@@ -126,12 +129,11 @@ def _own(args: Sequence[str], known: set[str]) -> list[str]:
         found = value if equals else next(iter(args[at + 1 :]), "")
         if name == "touch_rule":
             flag = "--touch"
-        elif name == "touch" and "run_type" in known:
-            if found in help.SWITCH:
-                flag, value = "--run-type", help.SWITCH[found]
-                own[at + 1 : at + 2] = own[at + 1 : at + 2] if equals else [value]
-            elif found not in touch.RULES:
+        elif name == "touch" and "run_type" in known and found not in touch.RULES:
+            if found not in help.SWITCH:
                 raise InputError(f"--touch: found {found!r}, allowed: {', '.join(help.SWITCH)}")
+            flag, value = "--run-type", help.SWITCH[found]
+            own[at + 1 : at + 2] = own[at + 1 : at + 2] if equals else [value]
         elif name not in known and SAME.get(name) in known:
             flag = of_field(SAME[name])
         if name:
@@ -143,16 +145,6 @@ def _names(kind: Any) -> Iterator[str]:
     """The fields of a dataclass and of those in it."""
     for name, hint in get_type_hints(kind).items():
         yield from _names(hint) if is_dataclass(hint) else [name]
-
-
-def of_field(field: str) -> str:
-    """The flag of a field."""
-    return f"--{help.SHOWN.get(field, field).replace('_', '-')}"
-
-
-def _name(argument: Any) -> str:
-    """The flag, or the name of what has no flag."""
-    return str(argument.display_name()).partition("/")[0].rpartition(".")[2]
 
 
 def _given(args: Sequence[str], flag: str) -> list[str]:

@@ -817,8 +817,7 @@ class TestOtherCommands:
         with contextlib.suppress(SystemExit):
             main([*command.split(), flag])
         out = capsys.readouterr().out
-        lines = [line for line in out.splitlines() if not line.startswith("usage: ")]
-        assert max(map(len, lines)) <= 78
+        assert max(map(len, out.splitlines())) <= 78
         for ugly in ("{None}", "default: None", "default: ''", "default: False", "FLOAT|STR"):
             assert ugly not in out, ugly
 
@@ -833,6 +832,17 @@ class TestOtherCommands:
         assert "--touch {on,off,absent}" in out
         assert out.index("examples:") > out.index("--resume")
         assert "--help-all lists all" in out
+
+    def test_help_says_what_happens_without_a_layout(self, capsys):
+        for command, said in (("doctor", "1 to 6, each"), ("render", "2")):
+            with pytest.raises(SystemExit):
+                main([command, "--help"])
+            words = " ".join(re.sub("[│╭╮╰╯─]", " ", capsys.readouterr().out).split())
+            assert f"or a .toml file. (default: {said})" in words
+
+    def test_a_resumed_run_takes_no_scene(self, capsys):
+        main([*TOY, "--total-timesteps", "1", "--out", "run"])
+        fails_with(capsys, ["train", "--resume", "run", "--scene", "handover"], "scene: found it with")
 
     def test_help_lists_every_hyperparameter(self, capsys):
         with pytest.raises(SystemExit) as stop:
