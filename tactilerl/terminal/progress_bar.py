@@ -16,6 +16,7 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.table import Column
 
 from ..algos import Algorithm
 from ..algos.mpi import Communicator
@@ -43,13 +44,14 @@ class ProgressBar:
         self._bar: Progress | None = None
         # mpirun hands its ranks a terminal that is none: plain lines for several processes
         if self.console.is_terminal and not is_quiet and comm.size == 1:
+            whole, wraps = Column(no_wrap=True), Column(no_wrap=False)  # where the terminal is narrow
             self._bar = Progress(
                 BarColumn(),
-                MofNCompleteColumn(),
-                TextColumn("steps  {task.description}"),
-                TimeElapsedColumn(),
+                MofNCompleteColumn(table_column=whole.copy()),
+                TextColumn("steps  {task.description}", table_column=wraps),
+                TimeElapsedColumn(table_column=whole.copy()),
                 TextColumn("ETA"),
-                TimeRemainingColumn(elapsed_when_finished=False),
+                TimeRemainingColumn(elapsed_when_finished=False, table_column=whole.copy()),
                 console=self.console,
             )
             self._task = self._bar.add_task("", total=self.total, completed=learner.env_steps)
