@@ -15,6 +15,7 @@ from contextlib import redirect_stdout
 from functools import partial
 from typing import Any
 
+from benchmarks import environments
 from benchmarks.command import ROOT
 from benchmarks.learners import ablation, cut_short, learning, steady
 from benchmarks.studies import (
@@ -76,6 +77,7 @@ PRINTED: dict[str, Callable[[], None]] = {
         if (DOCS / "data" / "faults.json").exists()
     },
     **{f"gates {name}": _of("gates", partial(gates.show, name)) for name in gates.tables()},
+    **environments.TABLES,
 }
 """What prints each table, perhaps with a title."""
 

@@ -1,0 +1,145 @@
+"""The tables of docs/environments, from the code: facts, spaces, arguments, and what the gate found.
+
+`python -m benchmarks tables` writes them.
+"""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import inspect
+import itertools
+import json
+import re
+from collections.abc import Iterable
+from functools import cache, partial
+from typing import Any
+
+from benchmarks.command import ROOT
+from tactilerl.envs import hands, scenes
+from tactilerl.envs.grasp import GraspConfig, GraspEnv, setup
+from tactilerl.envs.hands import LinearAction
+
+UNITS = {  # of entries whose names begin like that
+    "position of slide|hand |object [xyz]": "m",
+    "position of": "rad",
+    "velocity of slide": "m/s",
+    "velocity of": "rad/s",
+    "taxels of": "0 or 1",
+    "taxels,|all but": "",
+}
+
+
+def _named(name: str) -> scenes.NamedScene:
+    return scenes.NamedScene(env=name) if name in hands.HANDS else scenes.load(name)
+
+
+@cache
+def _made(name: str) -> tuple[GraspConfig, GraspEnv]:
+    """An environment. What its tables say is the same in MuJoCo, which is always there."""
+    named = _named(name)
+    config = setup(named.env, **named.scene)
+    return config, GraspEnv(named.env, dataclasses.replace(config, simulator="mujoco"))
+
+
+def facts(name: str) -> None:
+    """What stands at the head of a page."""
+    config, env = _made(name)
+    ours = hands.registration(name).id if name in hands.HANDS else scenes.gymnasium_id(name)
+    spaces = env.observation_space.spaces.items()
+    rows = {
+        "Make": f'`gymnasium.make("{ours}")`, after `import tactilerl`',
+        "Hand and simulator": f"`{_named(name).env}` in `{config.simulator}`",
+        "Task": f"`{config.task}`",
+        "Action space": f"`Box(-1, 1, {env.action_space.shape}, float32)`",
+        "Observation space": "Dict of " + ", ".join(f"`{key}` {box.shape}" for key, box in spaces),
+        "Episode": f"up to {env.max_episode_steps} actions of {config.control_dt:g} s",
+        "Taxels": f"{len(env.taxels)}, of layout {config.layout}",
+    }
+    _table(("", ""), rows.items())
+
+
+def observation(name: str) -> None:
+    """Every entry; taxels stand together by digit, and so does what was observed before."""
+    entries = enumerate(map(_entry, _made(name)[1].observation_names()))
+    rows = []
+    for entry, group in itertools.groupby(entries, lambda each: each[1]):
+        numbers = [number for number, _ in group]
+        span = "–".join(map(str, dict.fromkeys((numbers[0], numbers[-1]))))
+        rows.append((span, entry, next((UNITS[k] for k in UNITS if re.match(k, entry)), "1")))
+    _table(("number", "observation", "unit"), rows)
+
+
+def _entry(entry: str) -> str:
+    if late := re.search(r" \(t-(\d+)\)$", entry):
+        what = "taxels" if entry.startswith("taxel ") else "all but the taxels"
+        return f"{what}, {late[1]} step{'s' * (late[1] > '1')} before"
+    palm = re.sub(r"taxel .*\.palm\[.*", "taxels of the palm", entry)
+    return re.sub(r"taxel (\w+)\..*", r"taxels of the \1 finger", palm).replace("thumb finger", "thumb")
+
+
+def action(name: str) -> None:
+    """What the two ends of each action mean."""
+    hand = _made(name)[1].hand
+    does, names = hand.action_map, enumerate(hand.action_names)
+    if isinstance(does, LinearAction):
+        ends = [
+            (f"{c - r:.3g}", f"{c + r:.3g}") for c, r in zip(does.centre, does.half_range, strict=True)
+        ]
+        rows = [(i, f"`{each}`", *ends[i], "m" if "slide" in each else "rad") for i, each in names]
+        return _table(("number", "target of", "at −1", "at 1", "unit"), rows)
+    slides = zip(does.slide_step, does.slide_limits, strict=True)
+    moves = [(f"{step:g}", f"{low:g} to {high:g}", "m") for step, (low, high) in slides]
+    moves += [(f"{does.closing_step:g}", "0 (open) to 1 (closed)", "1")] * len(does.groups)
+    head = ("number", "moves the target of", "by up to", "within", "unit")
+    return _table(head, [(i, each.replace("_", " "), *moves[i]) for i, each in names])
+
+
+def arguments(name: str) -> None:
+    """What is otherwise than `GraspConfig`'s defaults."""
+    config, usual = vars(_made(name)[0]), vars(GraspConfig())
+    rows = [
+        (f"`{key}`", _value(config[key]), _value(usual[key]))
+        for key in config
+        if config[key] != usual[key]
+    ]
+    _table(("argument", "here", "default"), rows)
+
+
+def all_arguments() -> None:
+    """Every field of `GraspConfig`, those of a task and an object first."""
+    rows, defaults = [], vars(GraspConfig())
+    for kind in reversed(GraspConfig.__mro__[:-1]):
+        body = ast.parse(inspect.getsource(kind)).body[0].body  # type: ignore[attr-defined]
+        for field, said in itertools.pairwise(body):
+            if isinstance(field, ast.AnnAssign) and isinstance(said, ast.Expr):
+                key, about = ast.unparse(field.target), " ".join(ast.literal_eval(said.value).split())
+                rows.append((f"`{key}`", _value(defaults[key]), about.replace("|", "\\|")))
+    _table(("argument", "default", "meaning"), rows)
+
+
+def gate(name: str) -> None:
+    """Success rates of scripted reflexes: in a scene, or with a hand in the handover."""
+    found = json.loads((ROOT / "docs/data/gates.json").read_text(encoding="utf-8"))
+    row = found["handover"][f"{name}, mujoco"] if name in hands.HANDS else found["scenes"][name]
+    rates = {key: each["rate"] for key, each in row["reflexes"].items()}
+    _table(("reflex", *rates), [("success rate", *(f"{rate:.2f}" for rate in rates.values()))])
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, tuple):
+        return ", ".join(map(_value, value))
+    return f"`{value:.4g}`" if isinstance(value, float) else f"`{value}`"
+
+
+def _table(head: tuple[str, ...], rows: Iterable[tuple[Any, ...]]) -> None:
+    for row in (head, ["---"] * len(head), *rows):
+        print(f"| {' | '.join(map(str, row))} |")
+
+
+TABLES = {"all arguments": all_arguments} | {
+    f"{show.__name__} of {name}": partial(show, name)
+    for name in (*hands.HANDS, *scenes.names())
+    for show in (facts, observation, action, arguments, gate)
+    if (name, show) != ("shadow", arguments)  # whose values are the defaults
+}
