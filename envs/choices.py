@@ -32,10 +32,9 @@ def require_one_of(known: Iterable[str], value: Any, where: str) -> None:
 def meant(name: str, known: Collection[str], aliases: Aliases = NONE) -> tuple[list[str], str]:
     """Those of `known` that somebody may have meant by `name`, and how they differ from it."""
     peers, why = aliases.get(name, ("", ""))
-    if likely := [own for own in peers.split() if own in known]:
+    likely = [own for own in peers.split() if own in known]
+    if likely or (name in aliases and not peers):
         return likely, why
-    if name in aliases and not peers:
-        return [], why
     longer = [own for own in known if own.startswith(name)] if len(name) > 2 else []
     return longer[:1] or difflib.get_close_matches(name.lower(), known, 1, cutoff=0.7), ""
 

@@ -66,7 +66,6 @@ class Taxels:
         )
 
     def take(self, chosen: Sequence[int]) -> Taxels:
-        """Some of them, in that order."""
         index, points = list(chosen), self.points()
         return Taxels.of([points[i] for i in index], self.surfaces[index], self.offsets[index])
 
@@ -182,10 +181,12 @@ def left_out(layout: Layout, hand: Hand) -> list[str]:
     """Where a layout wants taxels and the hand has no surface: thumb.palm; or a link of any shape has a
     gap: thumb.distal[+1,-1]."""
     there = {(surface.digit, surface.segment) for surface in hand.surfaces}
+    usual = DIGITS if hand.name in HANDS else ()  # the paper's, where this is a hand like those
     wanted = (
         place
-        for p in layout.patches
-        for place in product(p.digits or _wanted(p, hand), p.segments or SEGMENTS)
+        for patch in layout.patches
+        for place in product(patch.digits or usual, patch.segments or SEGMENTS)
+        if patch.digits or place != ("thumb", "palm")
     )
     missing = [f"{d}.{s}" for d, s in dict.fromkeys(wanted) if (d, s) not in there]
     spots = layout.on_grids(hand)
@@ -195,12 +196,6 @@ def left_out(layout: Layout, hand: Hand) -> list[str]:
 def _is_gap(surface: Surface, offset: tuple[float, float]) -> bool:
     """Has a link of any shape nothing there? (Beside other links no taxel may be.)"""
     return bool(surface.geoms) and surface.is_beside(*offset)
-
-
-def _wanted(patch: Patch, hand: Hand) -> tuple[str, ...]:
-    """Digits of a patch that is for all: the paper's, where this is a hand like those."""
-    digits = DIGITS if hand.name in HANDS else ()
-    return tuple(d for d in digits if d != "thumb" or patch.segments != ("palm",))
 
 
 CENTRE = ((0.0, 0.0),)

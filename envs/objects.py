@@ -162,7 +162,6 @@ class Items:
         """The largest of the first kind; the only one where they do not vary."""
 
     def draw(self, rng: np.random.Generator) -> Item:
-        """An episode's."""
         if not self.vary:
             return self.first
         kind = self._kinds[rng.integers(len(self._kinds))]

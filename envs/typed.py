@@ -78,9 +78,8 @@ def require_type(value: Any, hint: Any, name: str) -> None:
         check_type(value, hint, collection_check_strategy=CollectionCheckStrategy.ALL_ITEMS)
     except TypeCheckError as error:
         reason = " ".join(str(error).split())
-        if choices := [
-            c for part in _parts(hint) if get_origin(part) is Literal for c in get_args(part)
-        ]:
+        literals = (part for part in _parts(hint) if get_origin(part) is Literal)
+        if choices := [choice for literal in literals for choice in get_args(literal)]:
             raise ValueError(f"{name}: found {value!r}, allowed: {', '.join(choices)}") from None
         if "in the union" in reason:
             reason = f"allowed {str(hint).replace('typing.', '')}"

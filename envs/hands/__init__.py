@@ -310,7 +310,6 @@ class Hand:
 
     @property
     def digits(self) -> tuple[str, ...]:
-        """What its digits are called."""
         return tuple(dict.fromkeys(s.digit for s in self.surfaces if s.segment != "palm"))
 
 
@@ -355,9 +354,8 @@ def registration(name: str) -> Registration:
     with toml_files.blamed(f"hand file {path}"):
         data = toml_files.read(path, "hand file")
         about = toml_files.table(data, "environment", {"id", "closing"})
-        low, high = toml_files.vector(
-            about.get("closing", Registration.closing), 2, "environment.closing"
-        )
+        closing = about.get("closing", Registration.closing)
+        low, high = toml_files.vector(closing, 2, "environment.closing")
         return Registration(str(about.get("id", "")), (low, high), toml_files.table(data, "scene"))
 
 
@@ -366,11 +364,8 @@ def digest(name: str) -> str:
     is no hand. ValueError and OSError where they cannot be read."""
     if name in HANDS or not is_hand(name):
         return ""
-    every = hashlib.sha256()
-    mount = get(name).build
-    for path in (file(name), *mount.files()):
-        every.update(path.read_bytes())
-    return every.hexdigest()[:16]
+    content = b"".join(path.read_bytes() for path in (file(name), *get(name).build.files()))
+    return hashlib.sha256(content).hexdigest()[:16]
 
 
 def get(name: str) -> Hand:

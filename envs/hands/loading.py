@@ -179,7 +179,6 @@ def _above_the_object(parts: Parts, mount: Mount) -> Array:
 
 
 def _grasps(parts: Parts, at: Array) -> tuple[ScriptedGrasp, ...]:
-    """The file's scripted grasps."""
     found, tables = [], parts.data.get("grasp", [])
     if not isinstance(tables, list) or not all(isinstance(one, dict) for one in tables):
         raise ValueError(f"grasp: found {tables!r}, expected [[grasp]] tables")

@@ -70,10 +70,9 @@ class Parts:
                 raise ValueError(f"joint {joint.name!r}: is neither hinge nor slide; allowed are those")
         for actuator in spec.actuators:
             if not mounting.is_servo(actuator):
-                raise ValueError(
-                    f"actuator {actuator.name!r}: is no position servo of a joint; leave all out with "
-                    'drop = ["*NAME*"], and joints get servos'
-                )
+                hint = 'leave all out with drop = ["*NAME*"], and joints get servos'
+                found = "is no position servo of a joint"
+                raise ValueError(f"actuator {actuator.name!r}: {found}; {hint}")
         return spec
 
     @cached_property
@@ -260,7 +259,6 @@ def _model_file(name: Any, folder: Path) -> Path:
     spec = find_spec(package) if package.isidentifier() else None  # not imported: that may be slow
     if spec is None or not spec.submodule_search_locations:
         package = package.replace("_", "-")
-        raise ImportError(
-            f"the hand's model files come with {package}, which is not installed: pip install {package}"
-        )
+        what = f"the hand's model files come with {package}, which is not installed"
+        raise ImportError(f"{what}: pip install {package}")
     return Path(spec.submodule_search_locations[0]) / inside

@@ -101,10 +101,8 @@ def _segment(
     if side is None:
         turning = next((axis for axis in flexion if np.linalg.norm(np.cross(axis, along)) > 0.5), None)
         if turning is None:
-            raise ValueError(
-                f"digits.{digit}: nothing in [closed] bends {link!r}; say which side of it is palmar: "
-                "palmar = [x, y, z]"
-            )
+            hint = "say which side of it is palmar: palmar = [x, y, z]"
+            raise ValueError(f"digits.{digit}: nothing in [closed] bends {link!r}; {hint}")
         along = beside(along, turning) if ends is None else along
         side = unit(np.cross(turning, along), link)
     if ends is None:
@@ -159,7 +157,5 @@ def _require_on_link(parts: Parts, digit: str, link: str, tip: Any) -> None:
     geoms = geoms_of(parts.model, parts.model.body(link).id)
     _, away = Distances(list(geoms)).nearest(list(range(len(geoms))), np.array(tip))
     if away > BEYOND:
-        raise ValueError(
-            f"digits.{digit}.tip: found a point {1e3 * away:.1f} mm off body {link!r}, allowed up to "
-            f"{1e3 * BEYOND:g} mm"
-        )
+        found = f"found a point {1e3 * away:.1f} mm off body {link!r}"
+        raise ValueError(f"digits.{digit}.tip: {found}, allowed up to {1e3 * BEYOND:g} mm")
