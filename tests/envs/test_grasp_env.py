@@ -358,7 +358,7 @@ class TestFaults:
     @pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
     def test_an_episode_that_cannot_begin_is_one_clear_error(self, simulator):
         env = envs.make("mpl", simulator=simulator)
-        env._start_positions[5] = np.nan
+        env.hand.start[env.hand.joints[5]] = np.nan
         with pytest.raises(SimulationError, match=r"an episode cannot begin: .* is not finite"):
             env.reset(seed=0)
         env.close()
