@@ -137,7 +137,7 @@ def hand_map(hand: Hand, places: Sequence[Place], title: str, worth: np.ndarray 
         corner, size = (x - half_width, y + low), (2 * half_width, high - low)
         style = f"round,pad={EDGE},rounding_size={ROUND * half_width + EDGE}"
         axes.add_patch(FancyBboxPatch(corner, *size, style, facecolor="0.95", edgecolor="0.6"))
-    points = np.array([point(place, drawn) for place in places])
+    points = np.array([point(place, drawn) for place in places]).reshape(-1, 2)
     colour = np.arange(1, len(places) + 1) if worth is None else worth
     dots = axes.scatter(*points.T, c=colour, s=14, cmap="viridis_r" if worth is None else "inferno")
     figure.colorbar(dots, label="order of choice" if worth is None else "bits per grasp", shrink=0.7)

@@ -19,7 +19,7 @@ from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.observations import TaxelFaults
 from tactilerl.envs.touch import SkinTouch
 from tactilerl.pictures import places
-from tactilerl.probe import analysis, estimators, files, metrics, selection
+from tactilerl.probe import analysis, estimators, figures, files, metrics, selection
 from tactilerl.probe.grasps import (
     Perturbation,
     PolicyGrasps,
@@ -559,3 +559,8 @@ def test_the_settings_are_those_of_the_environments_own_touch():
     shape, thing = grasps._object(np.array([0]))
     alone = type(thing)(thing.position[0], thing.orientation[0], thing.rotation[0])
     assert np.array_equal(touch.read(*poses, shape, alone), felt[0])
+
+
+def test_a_map_without_taxels(tmp_path):
+    """A selection may choose none."""
+    figures.hand_map(hands.get("shadow"), [], "none").savefig(tmp_path / "map.png")
