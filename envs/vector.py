@@ -15,52 +15,20 @@ import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, closing, suppress
 from multiprocessing.connection import Connection
-from multiprocessing.context import ForkServerContext, SpawnContext
 from queue import SimpleQueue
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import gymnasium as gym
 import numpy as np
 
+T = TypeVar("T")
 Make = Callable[[], gym.Env[Any, Any]]
 IsWanted = Callable[[], bool]
-T = TypeVar("T")
-T_co = TypeVar("T_co", covariant=True)
-
-
-class Job(Protocol[T_co]):
-    """What a worker does; picklable, where workers are processes."""
-
-    def __call__(self, env: gym.Env[Any, Any], number: int, is_wanted: IsWanted) -> T_co:
-        """The result for `number`. When `is_wanted` turns false it may stop and return anything."""
-
-
-class _Ahead(Generic[T]):
-    """Numbers that workers begin in order, running ahead, and the futures of their results."""
-
-    def __init__(self, numbers: Iterable[int]) -> None:
-        self._numbers, self._lock = iter(numbers), threading.Lock()
-        self.futures: SimpleQueue[Future[T] | None] = SimpleQueue()
-        """In that order; None when there are no more."""
-        self.is_over = False
-
-    def work(self, player: Player, job: Job[T]) -> None:
-        """One worker's share."""
-        while (begun := self._begin()) is not None:
-            future, number = begun
-            try:
-                future.set_result(player.play(job, number, lambda: not self.is_over))
-            except Exception as error:
-                future.set_exception(error)
-
-    def _begin(self) -> tuple[Future[T], int] | None:
-        with self._lock:
-            number = None if self.is_over else next(self._numbers, None)
-            future = None if number is None else Future[T]()
-            self.futures.put(future)
-            return None if number is None or future is None else (future, number)
+Job = Callable[[gym.Env[Any, Any], int, IsWanted], T]
+"""What a worker does: (env, number, is_wanted) -> result. When `is_wanted` turns false it may stop and
+return anything. Picklable, where workers are processes."""
 
 
 class Workers:
@@ -71,23 +39,13 @@ class Workers:
     ) -> None:
         """`env` answers what does not depend on an episode; a player may play in it. `opened` is
         what has to be closed in the end."""
-        self.env = env
-        self._players, self._opened = players, opened or ExitStack()
+        self.env, self._players, self._opened = env, players, opened or ExitStack()
+        self.observation_space, self.action_space = env.observation_space, env.action_space
         # One thread each, so that a player ends what it is at before it begins anything else.
-        self._threads = [ThreadPoolExecutor(1) for _ in players]
+        self._threads = [self._opened.enter_context(ThreadPoolExecutor(1)) for _ in players]
 
     def __len__(self) -> int:
         return len(self._players)
-
-    @property
-    def observation_space(self) -> gym.Space[Any]:
-        """Of each environment."""
-        return self.env.observation_space
-
-    @property
-    def action_space(self) -> gym.Space[Any]:
-        """Of each environment."""
-        return self.env.action_space
 
     @property
     def max_episode_steps(self) -> int | None:
@@ -116,27 +74,31 @@ class Workers:
             for number in numbers:
                 yield self._players[0].play(job, number, lambda: True)
             return
-        ahead = _Ahead[T](numbers)
+        left, lock, is_over = iter(numbers), threading.Lock(), threading.Event()
+        futures: SimpleQueue[Future[T] | None] = SimpleQueue()  # in order; None: there are no more
+
+        def work(player: Player) -> None:
+            while not is_over.is_set():
+                with lock:
+                    if (number := next(left, None)) is None:
+                        break
+                    futures.put(future := Future[T]())
+                try:
+                    future.set_result(player.play(job, number, lambda: not is_over.is_set()))
+                except Exception as error:
+                    future.set_exception(error)
+            futures.put(None)
+
         for player, thread in zip(self._players, self._threads, strict=True):
-            thread.submit(ahead.work, player, job)
+            thread.submit(work, player)
         try:
-            while (future := ahead.futures.get()) is not None:
+            while (future := futures.get()) is not None:
                 yield future.result()
         finally:
-            ahead.is_over = True
+            is_over.set()
 
     def close(self) -> None:
-        """End the workers and close every environment."""
-        for thread in self._threads:
-            thread.shutdown()
         self._opened.close()
-
-
-class Player(Protocol):
-    """One worker's hands: an environment here, or a process with one."""
-
-    def play(self, job: Job[T], number: int, is_wanted: IsWanted) -> T:
-        """The job's result."""
 
 
 class LocalPlayer:
@@ -161,115 +123,90 @@ class RemotePlayer:
     What is raised there is raised here; a process that dies is a WorkerDiedError.
     """
 
-    def __init__(self, make: Make, set_up: Callable[[], None]) -> None:
-        context = _processes()
+    def __init__(self, make: Make, set_up: Callable[[], Any]) -> None:
+        # Never forks of this process, which would copy threads' locks and an MPI process's
+        # connections. On Linux they are forks of a server that has imported what takes seconds, which
+        # is Python's own default from 3.14 on.
+        context: Any = multiprocessing.get_context("forkserver" if sys.platform == "linux" else "spawn")
+        context.set_forkserver_preload(["gymnasium", "torch"])  # no matter when one is not installed
         self._connection, there = context.Pipe()
         self._process = context.Process(target=_serve, args=(there, make, set_up), daemon=True)
-        with _ignore_interrupts():  # Ctrl-C reaches the whole group: this process ends the others
+        # It ignores Ctrl-C, which reaches the whole group: this process ends the others. Signals can
+        # be set in the main thread alone.
+        is_main = threading.current_thread() is threading.main_thread()
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN) if is_main else None
+        try:
             self._process.start()
+        finally:
+            if is_main:
+                signal.signal(signal.SIGINT, before)
         there.close()  # so that the end of the process is an end of file here
         self._job: Any = None
 
-    def wait_until_ready(self) -> None:
-        """Return when the environment is made; raises what kept it from being made."""
-        self._answer()
-
     def play(self, job: Job[T], number: int, is_wanted: IsWanted) -> T:
-        with self._death_named():
-            self._connection.send((None if job is self._job else job, number))
-            self._job = job
+        result: T = self.answer((None if job is self._job else job, number), is_wanted)
+        self._job = job
+        return result
+
+    def answer(self, to: Any = None, is_wanted: IsWanted = lambda: True) -> Any:
+        """What comes back from the process; first of all, before anything is sent, None when the
+        environment is made, or what kept it from being made."""
+        try:
+            if to is not None:
+                self._connection.send(to)
             while not self._connection.poll(0.05):
                 if not is_wanted():
                     self._connection.send(None)
                     break
-        result: T = self._answer()
-        return result
-
-    def _answer(self) -> Any:
-        with self._death_named():
             answer = self._connection.recv()
+        except (EOFError, ConnectionError) as error:
+            raise WorkerDiedError("a worker's process has died") from error
         if isinstance(answer, Exception):
             raise answer
         return answer
 
-    @contextmanager
-    def _death_named(self) -> Iterator[None]:
-        try:
-            yield
-        except (EOFError, ConnectionError) as error:
-            raise WorkerDiedError("a worker's process has died") from error
-
     def close(self) -> None:
-        """End the process."""
         self._connection.close()
         self._process.join()
 
 
-def _processes() -> ForkServerContext | SpawnContext:
-    """How processes start. Never as forks of this one, which would copy threads' locks and an MPI
-    process's connections. On Linux they are forks of a server that has imported what takes seconds,
-    which is Python's own default from 3.14 on."""
-    if sys.platform != "linux":
-        return multiprocessing.get_context("spawn")
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["gymnasium", "torch"])  # no matter when one is not installed
-    return context
+Player = LocalPlayer | RemotePlayer
 
 
-@contextmanager
-def _ignore_interrupts() -> Iterator[None]:
-    """A process that is started meanwhile ignores Ctrl-C for all its life."""
-    if threading.current_thread() is not threading.main_thread():  # only there can it be set
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-def _serve(connection: Connection[Any, Any], make: Make, set_up: Callable[[], None]) -> None:
+def _serve(connection: Connection[Any, Any], make: Make, set_up: Callable[[], Any]) -> None:
     """A process's life: do the job it was sent last for the numbers it is sent.
 
     None means that the number in play is not wanted any more; when it comes too late, it means
     nothing.
     """
     with suppress(EOFError, ConnectionError), ExitStack() as opened:
-        job: Any = None
-        try:
+
+        def opened_env() -> gym.Env[Any, Any]:
             set_up()
-            env = make()
-            opened.callback(env.close)
-            answer: Any = None
-        except Exception as error:
-            connection.send(_as_sent(error))
-            return
+            return opened.enter_context(closing(make()))
+
+        job: Any = None
+        env = _tried(opened_env)
+        connection.send(env if isinstance(env, Exception) else None)
         while True:
-            connection.send(answer)
-            while (message := connection.recv()) is None:
-                pass
-            job, number = message[0] or job, message[1]
-            try:
-                answer = job(env, number, lambda: not connection.poll())
-            except Exception as error:
-                answer = _as_sent(error)
+            if (message := connection.recv()) is not None:
+                job, number = message[0] or job, message[1]
+                connection.send(_tried(job, env, number, lambda: not connection.poll()))
 
 
-def _as_sent(error: Exception) -> Exception:
-    """An exception that survives the way to the other process."""
+def _tried(compute: Callable[..., Any], *args: Any) -> Any:
+    """What it returns, or an exception that survives the way to the other process."""
     try:
-        pickle.loads(pickle.dumps(error))
-    except Exception:
-        return RuntimeError(f"{type(error).__name__}: {error}")
-    return error
+        return compute(*args)
+    except Exception as error:
+        try:
+            pickle.loads(pickle.dumps(error))
+        except Exception:
+            return RuntimeError(f"{type(error).__name__}: {error}")
+        return error
 
 
-def _nothing() -> None:
-    """What most processes have to set up."""
-
-
-def start(make: Make, workers: int = 1, set_up: Callable[[], None] = _nothing) -> Workers:
+def start(make: Make, workers: int = 1, set_up: Callable[[], Any] = bool) -> Workers:
     """Up to `workers` workers with an environment each.
 
     An environment's ``side_by_side`` says how it may be played in: "threads", "processes", or
@@ -277,23 +214,16 @@ def start(make: Make, workers: int = 1, set_up: Callable[[], None] = _nothing) -
     processes, for it may share state with its likes.
     """
     with ExitStack() as opened:
-
-        def made() -> gym.Env[Any, Any]:
-            env = make()
-            opened.callback(env.close)
-            return env
-
-        env = made()
-        kind = getattr(env.unwrapped, "side_by_side", "processes")
+        env = opened.enter_context(closing(make()))
+        kind = getattr(env.unwrapped, "side_by_side", "processes") if workers > 1 else "in turn"
         players: list[Player] = [LocalPlayer(env)]
-        if workers > 1 and kind == "threads":
-            players += [LocalPlayer(made()) for _ in range(workers - 1)]
-        elif workers > 1 and kind == "processes":
-            remote = []
-            for _ in range(workers):
-                remote.append(RemotePlayer(make, set_up))
-                opened.callback(remote[-1].close)
+        if kind == "threads":
+            more = (opened.enter_context(closing(make())) for _ in range(workers - 1))
+            players += map(LocalPlayer, more)
+        elif kind == "processes":
+            processes = (RemotePlayer(make, set_up) for _ in range(workers))
+            remote = [opened.enter_context(closing(process)) for process in processes]
             for player in remote:  # they start side by side
-                player.wait_until_ready()
+                player.answer()
             players = [*remote]
         return Workers(players, env, opened.pop_all())
