@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -53,6 +54,13 @@ class Scene:
         root.pos = root.pos + np.array([0.0, 0.0, self.rise])
         return spec
 
+    @cached_property
+    def points(self) -> tuple[tuple[str, ...], Array]:
+        """Palm point and fingertips: bodies, and points (1 + n_digits, 3, 1) in their frames."""
+        palm = self.hand.palm, self.hand.palm_point
+        links, points = zip(palm, *self.hand.fingertips, strict=True)
+        return links, np.array(points)[:, :, None]
+
 
 @dataclass(frozen=True)
 class Contacts:
@@ -85,6 +93,7 @@ class Camera:
 class Simulator(Protocol):
     """One running scene. Everything is in SI units, the world's frame, z up, ground at 0."""
 
+    scene: Scene
     holds_gil: bool
     """Does `step` keep other threads of Python waiting?"""
     creeps: bool
@@ -98,6 +107,7 @@ class Simulator(Protocol):
 
     def change_object(self, shape: Shape, mass: float, friction: float) -> None:
         """Have another object in the scene, of which a reset must follow."""
+        self.scene = self.scene.with_object(shape, mass, friction)
 
     def reset(self, joint_positions: Array, object_position: Array, yaw: float) -> None:
         """Put everything at rest; afterwards the past has no influence. SimulationError when the
@@ -125,6 +135,9 @@ class Simulator(Protocol):
 
     def link_positions(self) -> Array:
         """(1 + n_digits, 3): the palm point, then the hand's fingertips."""
+        links, points = self.scene.points
+        positions, rotations = self.link_poses(links)
+        return positions + np.matmul(rotations, points)[:, :, 0]
 
     def link_poses(self, links: tuple[str, ...]) -> tuple[Array, Array]:
         """Positions (k, 3) and rotations (k, 3, 3) of bodies."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import mujoco
 import numpy as np
@@ -13,16 +15,12 @@ from ..hands import Array
 from ..layouts import Taxels
 from ..objects import ObjectState, Shape
 from ..touch import taxel_points
-from . import Camera, Contacts, Scene, SimulationError, joint_limits
+from . import Camera, Contacts, Scene, SimulationError, Simulator, joint_limits
 
 OBJECT, GIVER = "object", "giver"
 GIVERS_GROUP = 30  # of actuators, the last: a hand's are elsewhere
 LIT_SCALE = 2.0  # a taxel that fires is drawn larger: between hand and object it is hard to see
-GEOMS = {
-    "box": mujoco.mjtGeom.mjGEOM_BOX,
-    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
-    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
-}
+GEOM, NOT_DRAWN = mujoco.mjtGeom, 4  # group of sites
 # What depends on the object in a compiled model, besides what `mj_setConst` derives.
 OBJECT_FIGURES = {
     "body": ("body_pos", "body_ipos", "body_iquat", "body_mass", "body_inertia"),
@@ -48,7 +46,7 @@ def build_spec(scene: Scene) -> mujoco.MjSpec:
     spec.option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE  # faster when pressed hard
     spec.option.impratio = FRICTION_TO_NORMAL_IMPEDANCE
     spec.worldbody.add_geom(
-        name="ground", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 0.1], rgba=[0.8, 0.8, 0.8, 1]
+        name="ground", type=GEOM.mjGEOM_PLANE, size=[1, 1, 0.1], rgba=[0.8, 0.8, 0.8, 1]
     )
     if scene.visual:
         _add_sky(spec)
@@ -65,17 +63,15 @@ def build_spec(scene: Scene) -> mujoco.MjSpec:
 def _add_giver(spec: mujoco.MjSpec, giver: Giver) -> None:
     """A damped spring along each axis of the world, whose rest point, the actuator's activation, goes
     at the speed that is its control and stays within the activation's range."""
-    spec.worldbody.add_site(name=GIVER, group=4)  # not drawn
-    spec.body(OBJECT).add_site(name=OBJECT, group=4)
+    spec.worldbody.add_site(name=GIVER, group=NOT_DRAWN)
+    spec.body(OBJECT).add_site(name=OBJECT, group=NOT_DRAWN)
     for axis in range(3):
-        gear = np.zeros(6)
-        gear[axis] = 1.0
         spec.add_actuator(
             name=f"{GIVER}{axis}",
             trntype=mujoco.mjtTrn.mjTRN_SITE,
             target=OBJECT,
             refsite=GIVER,
-            gear=gear,
+            gear=np.eye(6)[axis],
             dyntype=mujoco.mjtDyn.mjDYN_INTEGRATOR,
             gaintype=mujoco.mjtGain.mjGAIN_FIXED,
             gainprm=[giver.stiffness] + [0] * 9,
@@ -90,24 +86,19 @@ def _add_giver(spec: mujoco.MjSpec, giver: Giver) -> None:
 
 
 def _add_object(spec: mujoco.MjSpec, scene: Scene) -> None:
-    body = spec.worldbody.add_body(name=OBJECT, pos=[0, 0, scene.shape.half_size[2]])
+    x, _, z = scene.shape.half_size
+    body = spec.worldbody.add_body(name=OBJECT, pos=[0, 0, z])
     body.add_freejoint(name=OBJECT)
     body.add_geom(
         name=OBJECT,
-        type=GEOMS[scene.shape.kind],
-        size=_geom_size(scene.shape),
+        type=getattr(GEOM, f"mjGEOM_{scene.shape.kind.upper()}"),
+        size=(x, z, 0.0) if scene.shape.kind == "cylinder" else scene.shape.half_size,
         mass=scene.mass,
         condim=4,
         friction=[scene.friction, 0.005, 0.001],
         priority=1,  # else MuJoCo takes the larger friction of the two in contact
         rgba=[0.9, 0.5, 0.2, 0.45 if scene.visual else 1.0],
     )
-
-
-def _geom_size(shape: Shape) -> tuple[float, ...]:
-    """As MuJoCo wants it: a cylinder's radius and half height come first."""
-    x, _, z = shape.half_size
-    return (x, z, 0.0) if shape.kind == "cylinder" else shape.half_size
 
 
 def _add_sky(spec: mujoco.MjSpec) -> None:
@@ -127,30 +118,16 @@ def _add_sky(spec: mujoco.MjSpec) -> None:
 
 
 def _add_touch_sensors(spec: mujoco.MjSpec, taxels: Taxels) -> None:
-    for i, (link, position) in enumerate(zip(taxels.link_index, taxels.positions, strict=True)):
-        name = f"taxel{i}"
-        spec.body(taxels.links[link]).add_site(
-            name=name,
-            type=mujoco.mjtGeom.mjGEOM_SPHERE,
-            size=[taxels.radii[i]] * 3,
-            pos=position,
-            group=4,
-        )
-        spec.add_sensor(
-            name=name,
-            type=mujoco.mjtSensor.mjSENS_TOUCH,
-            objtype=mujoco.mjtObj.mjOBJ_SITE,
-            objname=name,
-        )
+    every = zip(taxels.link_index, taxels.positions, taxels.radii, strict=True)
+    for i, (link, position, radius) in enumerate(every):
+        name, size, body = f"taxel{i}", [radius] * 3, spec.body(taxels.links[link])
+        body.add_site(name=name, type=GEOM.mjGEOM_SPHERE, size=size, pos=position, group=NOT_DRAWN)
+        site, sensor = mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtSensor.mjSENS_TOUCH
+        spec.add_sensor(name=name, type=sensor, objtype=site, objname=name)
 
 
-def _no_memory(error: mujoco.FatalError) -> SimulationError:
-    """What to raise where MuJoCo has no memory left for a step's constraints."""
-    return SimulationError(f"MuJoCo: {' '.join(str(error).split())}")
-
-
-class MujocoSimulator:
-    """One scene; the interface is `simulators.Simulator`."""
+class MujocoSimulator(Simulator):
+    """One scene."""
 
     holds_gil = False
     creeps = True
@@ -169,16 +146,16 @@ class MujocoSimulator:
         self._qpos = np.array([joint.qposadr[0] for joint in joints])
         self._qvel = np.array([joint.dofadr[0] for joint in joints])
         self._ctrl = np.array([model.actuator(name).id for name in hand.actuators])
-        self._object_qpos = int(model.joint(OBJECT).qposadr[0])
-        self._object_qvel = int(model.joint(OBJECT).dofadr[0])
+        first, self._object_qvel = (
+            int(model.joint(OBJECT).qposadr[0]),
+            int(model.joint(OBJECT).dofadr[0]),
+        )
+        self._object_qpos = slice(first, first + 7)
         self._object_body = model.body(OBJECT).id
         self._object_geom = model.geom(OBJECT).id
         self._giver: Array | None = None
         if scene.giver is not None:
             self._giver = np.array([model.actuator(f"{GIVER}{axis}").id for axis in range(3)])
-        points = [(hand.palm, hand.palm_point), *hand.fingertips]
-        self._point_bodies = np.array([model.body(body).id for body, _ in points])
-        self._points = np.array([point for _, point in points])[:, :, None]
         self._bodies: dict[tuple[str, ...], Array] = {}
 
     @property
@@ -194,13 +171,12 @@ class MujocoSimulator:
         alone = mujoco.MjSpec()
         _add_object(alone, scene)
         compiled = alone.compile()
-        for part in ("body", "geom"):
+        for part, names in OBJECT_FIGURES.items():
             here, there = (getattr(m, part)(OBJECT).id for m in (model, compiled))
-            for name in OBJECT_FIGURES[part]:
+            for name in names:
                 getattr(model, name)[here] = getattr(compiled, name)[there]
-        first = self._object_qpos
         for values in ("qpos0", "qpos_spring"):
-            getattr(model, values)[first : first + 7] = getattr(compiled, values)
+            getattr(model, values)[self._object_qpos] = getattr(compiled, values)
         leaf = model.body_bvhadr[self._object_body]
         model.bvh_aabb[leaf] = compiled.bvh_aabb[compiled.body_bvhadr[compiled.body(OBJECT).id]]
         mujoco.mj_setConst(model, self.data)
@@ -211,48 +187,43 @@ class MujocoSimulator:
         mujoco.mj_resetData(self.model, self.data)
         self.let_go()
         turn = np.array([np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
-        try:
+        with self._checked():
             self.place(joint_positions, object_position, turn)
-        except mujoco.FatalError as error:
-            raise _no_memory(error) from error
-        self._check()
 
     def place(self, joint_positions: Array, object_position: Array, orientation: Array) -> None:
         """Put hand and object (quaternion wxyz) somewhere, velocities and time as they are."""
         self.data.qpos[self._qpos] = joint_positions
-        start = self._object_qpos
-        self.data.qpos[start : start + 3] = object_position
-        self.data.qpos[start + 3 : start + 7] = orientation
+        self.data.qpos[self._object_qpos] = [*object_position, *orientation]
         mujoco.mj_forward(self.model, self.data)
 
     def step(self, joint_targets: Array, n_substeps: int) -> None:
-        try:
-            self._step(joint_targets, n_substeps)
-        except mujoco.FatalError as error:
-            raise _no_memory(error) from error
-        self._check()
+        model, data = self.model, self.data
+        data.ctrl[self._ctrl] = joint_targets
+        with self._checked():
+            if self.scene.contact_taxels is None:
+                mujoco.mj_step(model, data, n_substeps)
+            else:  # only the last substep's readings are looked at
+                off = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+                if n_substeps > 1:
+                    model.opt.disableflags |= off
+                    try:
+                        mujoco.mj_step(model, data, n_substeps - 1)
+                    finally:
+                        model.opt.disableflags &= ~off
+                mujoco.mj_step(model, data, 1)
+            # mj_step leaves body poses one substep behind qpos.
+            mujoco.mj_kinematics(model, data)
 
-    def _check(self) -> None:
+    @contextmanager
+    def _checked(self) -> Iterator[None]:
+        """SimulationError where MuJoCo has no memory left for constraints, or the state is broken."""
+        try:
+            yield
+        except mujoco.FatalError as error:
+            raise SimulationError(f"MuJoCo: {' '.join(str(error).split())}") from error
         q, v, warned = self.data.qpos, self.data.qvel, self.data.warning.number.tolist()
         if not math.isfinite(q @ q + v @ v) or any(warned[kind] for kind in BROKEN):
             raise SimulationError("MuJoCo's state is not finite, or huge")
-
-    def _step(self, joint_targets: Array, n_substeps: int) -> None:
-        model, data = self.model, self.data
-        data.ctrl[self._ctrl] = joint_targets
-        if self.scene.contact_taxels is None:
-            mujoco.mj_step(model, data, n_substeps)
-        else:  # only the last substep's readings are looked at
-            off = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
-            if n_substeps > 1:
-                model.opt.disableflags |= off
-                try:
-                    mujoco.mj_step(model, data, n_substeps - 1)
-                finally:
-                    model.opt.disableflags &= ~off
-            mujoco.mj_step(model, data, 1)
-        # mj_step leaves body poses one substep behind qpos.
-        mujoco.mj_kinematics(model, data)
 
     def carry(self, goal: Array) -> None:
         assert self.scene.giver is not None
@@ -284,17 +255,10 @@ class MujocoSimulator:
             data.xpos[body].copy(), data.xquat[body].copy(), rotation, velocity.copy(), rotation @ spin
         )
 
-    def link_positions(self) -> Array:
-        positions, rotations = self._poses(self._point_bodies)
-        return positions + np.matmul(rotations, self._points)[:, :, 0]
-
     def link_poses(self, links: tuple[str, ...]) -> tuple[Array, Array]:
         if links not in self._bodies:
             self._bodies[links] = np.array([self.model.body(link).id for link in links])
-        return self._poses(self._bodies[links])
-
-    def _poses(self, bodies: Array) -> tuple[Array, Array]:
-        data = self.data
+        data, bodies = self.data, self._bodies[links]
         return data.xpos.take(bodies, axis=0), data.xmat.take(bodies, axis=0).reshape(-1, 3, 3)
 
     def contacts(self) -> Contacts:
@@ -331,8 +295,7 @@ class MujocoSimulator:
         view = mujoco.MjvCamera()
         middle = (self.data.xpos[self._object_body] + self.link_positions()[0]) / 2
         view.lookat[:] = middle if camera.lookat is None else camera.lookat
-        view.distance, view.azimuth = camera.distance, camera.azimuth
-        view.elevation = camera.elevation
+        view.distance, view.azimuth, view.elevation = camera.distance, camera.azimuth, camera.elevation
         self._renderer.update_scene(self.data, view)
         self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = camera.shadows
         if taxels is not None:
@@ -348,7 +311,7 @@ class MujocoSimulator:
                 raise RuntimeError("too many taxels to draw")
             mujoco.mjv_initGeom(
                 scene.geoms[scene.ngeom],
-                mujoco.mjtGeom.mjGEOM_SPHERE,
+                GEOM.mjGEOM_SPHERE,
                 np.full(3, LIT_SCALE * radius if on else radius),
                 point,
                 np.eye(3).ravel(),

@@ -13,7 +13,12 @@ import math
 import os
 import tempfile
 import weakref
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
+from inspect import isbuiltin
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -24,7 +29,7 @@ from ..hands import Array
 from ..layouts import Taxels
 from ..objects import ObjectState, Shape
 from ..touch import taxel_points
-from . import Camera, Contacts, Scene, SimulationError, joint_limits, urdf
+from . import Camera, Contacts, Scene, SimulationError, Simulator, joint_limits, urdf
 from .mujoco import MujocoSimulator
 
 
@@ -50,8 +55,15 @@ SPINNING_FRICTION = 0.005  # m, of the object's contacts
 FRICTION_ANCHOR = 1  # contacts remember where they stick; without, held objects creep
 
 
-class PyBulletSimulator:
-    """One scene with a client of its own; the interface is `simulators.Simulator`."""
+def _bound(client: int) -> Any:
+    """PyBullet for one of its clients."""
+    functions = {name: value for name, value in vars(pybullet).items() if isbuiltin(value)}
+    own = {name: partial(function, physicsClientId=client) for name, function in functions.items()}
+    return SimpleNamespace(**vars(pybullet) | own)
+
+
+class PyBulletSimulator(Simulator):
+    """One scene with a client of its own."""
 
     holds_gil = True
     creeps = False  # friction anchors
@@ -64,16 +76,17 @@ class PyBulletSimulator:
         self.client = pybullet.connect(pybullet.DIRECT)
         if self.client < 0:
             raise OSError("PyBullet gave no client")
-        self._folder = tempfile.TemporaryDirectory()
-        self._urdf = Path(self._folder.name) / "hand.urdf"
-        self._urdf.write_text(urdf.from_model(self.model, Path(self._folder.name)), encoding="utf-8")
-        self._release = weakref.finalize(self, _disconnect, self.client, self._folder)
+        self._bullet = _bound(self.client)
+        held = ExitStack()
+        self._release = weakref.finalize(self, held.close)
+        folder = Path(held.enter_context(tempfile.TemporaryDirectory()))
+        held.enter_context(suppress(pybullet.error))  # it may be disconnected already
+        held.callback(self._bullet.disconnect)
+        self._urdf = folder / "hand.urdf"
+        self._urdf.write_text(urdf.from_model(self.model, folder), encoding="utf-8")
         self._build()
         self._joints = [self._joint_index[name] for name in hand.joints]
         self._motors, self._gains, self._forces = self._motor_figures()
-        points = [(hand.palm, hand.palm_point), *hand.fingertips]
-        self._point_links = tuple(body for body, _ in points)
-        self._points = np.array([point for _, point in points])
         taxels = scene.contact_taxels
         self._taxels = None if taxels is None else taxel_points(taxels)
         self._painter: MujocoSimulator | None = None
@@ -88,52 +101,35 @@ class PyBulletSimulator:
 
     def _build(self) -> None:
         """The scene in an empty world."""
-        scene, client = self.scene, self.client
+        scene, bullet = self.scene, self._bullet
         self._weight = (0.0, 0.0, -GRAVITY * scene.mass)
-        pybullet.resetSimulation(physicsClientId=client)
-        pybullet.setPhysicsEngineParameter(
-            fixedTimeStep=scene.timestep, physicsClientId=client, **ENGINE
-        )
-        self.hand = pybullet.loadURDF(
-            str(self._urdf), useFixedBase=True, flags=LOADING, physicsClientId=client
-        )
-        self._links, self._joint_index = self._names()
+        bullet.resetSimulation()
+        bullet.setPhysicsEngineParameter(fixedTimeStep=scene.timestep, **ENGINE)
+        self.hand = bullet.loadURDF(str(self._urdf), useFixedBase=True, flags=LOADING)
+        # By name; a joint has its child link's index.
+        infos = [bullet.getJointInfo(self.hand, i) for i in range(bullet.getNumJoints(self.hand))]
+        self._joint_index = {info[1].decode(): index for index, info in enumerate(infos)}
+        self._links = {info[12].decode(): index for index, info in enumerate(infos)}
         self._body(mass=0.0, friction=1.0, shapeType=pybullet.GEOM_PLANE)
         self.object = self._body(mass=scene.mass, friction=scene.friction, **_measures(scene.shape))
         self._set_dynamics()
 
-    def _names(self) -> tuple[dict[str, int], dict[str, int]]:
-        """Indices of links and joints by name; in Bullet a joint has its child link's index."""
-        links, joints = {}, {}
-        for index in range(pybullet.getNumJoints(self.hand, physicsClientId=self.client)):
-            info = pybullet.getJointInfo(self.hand, index, physicsClientId=self.client)
-            joints[info[1].decode()], links[info[12].decode()] = index, index
-        return links, joints
-
     def _body(self, mass: float, friction: float, **shape: Any) -> int:
-        made = pybullet.createCollisionShape(physicsClientId=self.client, **shape)
-        body = int(pybullet.createMultiBody(mass, made, physicsClientId=self.client))
-        pybullet.changeDynamics(
-            body, -1, lateralFriction=friction, linearDamping=0.0, angularDamping=0.0,
-            physicsClientId=self.client,
-        )  # fmt: skip
+        bullet = self._bullet
+        body = int(bullet.createMultiBody(mass, bullet.createCollisionShape(**shape)))
+        bullet.changeDynamics(body, -1, lateralFriction=friction, linearDamping=0.0, angularDamping=0.0)
         return body
 
     def _set_dynamics(self) -> None:
         """Bullet multiplies the frictions of two bodies: 1 everywhere but on the object."""
-        client, added = self.client, self.scene.hand.added_inertia
-        pybullet.changeDynamics(
-            self.object, -1, spinningFriction=SPINNING_FRICTION, frictionAnchor=FRICTION_ANCHOR,
-            physicsClientId=client,
-        )  # fmt: skip
+        change, added = self._bullet.changeDynamics, self.scene.hand.added_inertia
+        change(self.object, -1, spinningFriction=SPINNING_FRICTION, frictionAnchor=FRICTION_ANCHOR)
         for name, index in self._links.items():
             body = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, name)
-            inertia = self.model.body_inertia[body] if body >= 0 else np.zeros(3)
-            pybullet.changeDynamics(
+            inertia = self.model.body_inertia[body] + added if body >= 0 else np.zeros(3)
+            change(
                 self.hand, index, lateralFriction=1.0, linearDamping=0.0, angularDamping=0.0,
-                jointDamping=JOINT_DAMPING,
-                localInertiaDiagonal=(inertia + (added if body >= 0 else 0.0)).tolist(),
-                physicsClientId=client,
+                jointDamping=JOINT_DAMPING, localInertiaDiagonal=inertia.tolist(),
             )  # fmt: skip
 
     def _motor_figures(self) -> tuple[list[int], list[float], list[float]]:
@@ -160,56 +156,45 @@ class PyBulletSimulator:
 
     # -- running -----------------------------------------------------------------------------
 
-    def change_object(self, shape: Shape, mass: float, friction: float) -> None:
-        self.scene = self.scene.with_object(shape, mass, friction)
-
     def reset(self, joint_positions: Array, object_position: Array, yaw: float) -> None:
-        if not pybullet.isConnected(self.client):
+        bullet = self._bullet
+        if not bullet.isConnected():
             raise OSError("PyBullet's client is gone: make the environment again")
-        try:
-            self._put(joint_positions, object_position, yaw)
-        except pybullet.error as error:
-            raise SimulationError(f"PyBullet: {error}") from error
-        self._check()
-
-    def _put(self, joint_positions: Array, object_position: Array, yaw: float) -> None:
-        client = self.client
-        self.let_go()
-        self._build()  # a world that has been stepped keeps pairs and contacts of its past
-        for index, position in zip(self._joints, joint_positions, strict=True):
-            pybullet.resetJointState(self.hand, index, position, physicsClientId=client)
-        turn = (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
-        pybullet.resetBasePositionAndOrientation(
-            self.object, object_position, turn, physicsClientId=client
-        )
+        with self._checked():
+            self.let_go()
+            self._build()  # a world that has been stepped keeps pairs and contacts of its past
+            for index, position in zip(self._joints, joint_positions, strict=True):
+                bullet.resetJointState(self.hand, index, position)
+            turn = (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
+            bullet.resetBasePositionAndOrientation(self.object, object_position, turn)
 
     def step(self, joint_targets: Array, n_substeps: int) -> None:
-        try:
+        with self._checked():
             self._step(joint_targets, n_substeps)
+
+    @contextmanager
+    def _checked(self) -> Iterator[None]:
+        """SimulationError where Bullet fails, or the state is broken."""
+        try:
+            yield
         except pybullet.error as error:
             raise SimulationError(f"PyBullet: {error}") from error
-        self._check()
-
-    def _check(self) -> None:
         obj, (positions, velocities) = self.object_state(), self.joint_state()
         if not math.isfinite(obj.position.sum() + positions.sum() + velocities.sum()):
             raise SimulationError("PyBullet's state is not finite")
 
     def _step(self, joint_targets: Array, n_substeps: int) -> None:
-        client = self.client
-        coupled = self._ratios * joint_targets[self._drivers]
-        pybullet.setJointMotorControlArray(
+        bullet, coupled = self._bullet, self._ratios * joint_targets[self._drivers]
+        bullet.setJointMotorControlArray(
             self.hand, self._motors, pybullet.POSITION_CONTROL,
             targetPositions=[*joint_targets.tolist(), *coupled.tolist()],
-            positionGains=self._gains, forces=self._forces, physicsClientId=client,
+            positionGains=self._gains, forces=self._forces,
         )  # fmt: skip
         for _ in range(n_substeps):  # external forces last one step
-            position, _ = pybullet.getBasePositionAndOrientation(self.object, physicsClientId=client)
+            position, _ = bullet.getBasePositionAndOrientation(self.object)
             force = self._weight if self._rest is None else self._pull(np.array(position))
-            pybullet.applyExternalForce(
-                self.object, -1, force, position, pybullet.WORLD_FRAME, physicsClientId=client
-            )
-            pybullet.stepSimulation(physicsClientId=client)
+            bullet.applyExternalForce(self.object, -1, force, position, pybullet.WORLD_FRAME)
+            bullet.stepSimulation()
 
     def _pull(self, position: Array) -> Array:
         """The giver's force (3,) on the object, N, whose weight is carried; the spring's rest point
@@ -220,7 +205,7 @@ class PyBulletSimulator:
         way, step = self._goal - rest, giver.speed * self.scene.timestep
         distance = float(np.linalg.norm(way))
         self._rest = rest = self._goal if distance <= step else rest + way * (step / distance)
-        velocity, _ = pybullet.getBaseVelocity(self.object, physicsClientId=self.client)
+        velocity, _ = self._bullet.getBaseVelocity(self.object)
         return giver.pull(rest, position, np.array(velocity))
 
     def carry(self, goal: Array) -> None:
@@ -229,38 +214,27 @@ class PyBulletSimulator:
     def let_go(self) -> None:
         self._rest = None
 
-    def set_creep(self, factor: float) -> None:
-        """Friction anchors do not creep."""
-
     def joint_state(self) -> tuple[Array, Array]:
-        states = pybullet.getJointStates(self.hand, self._joints, physicsClientId=self.client)
+        states = self._bullet.getJointStates(self.hand, self._joints)
         return np.array([state[0] for state in states]), np.array([state[1] for state in states])
 
     def object_state(self) -> ObjectState:
-        position, xyzw = pybullet.getBasePositionAndOrientation(
-            self.object, physicsClientId=self.client
-        )
-        velocity, spin = pybullet.getBaseVelocity(self.object, physicsClientId=self.client)
+        position, xyzw = self._bullet.getBasePositionAndOrientation(self.object)
+        velocity, spin = self._bullet.getBaseVelocity(self.object)
         rotation = np.array(pybullet.getMatrixFromQuaternion(xyzw)).reshape(3, 3)
         orientation = np.array([xyzw[3], *xyzw[:3]])
         return ObjectState(
             np.array(position), orientation, rotation, np.array(velocity), np.array(spin)
         )
 
-    def link_positions(self) -> Array:
-        positions, rotations = self.link_poses(self._point_links)
-        return positions + np.matmul(rotations, self._points[:, :, None])[:, :, 0]
-
     def link_poses(self, links: tuple[str, ...]) -> tuple[Array, Array]:
-        states = pybullet.getLinkStates(
-            self.hand, [self._links[link] for link in links], computeForwardKinematics=True,
-            physicsClientId=self.client,
-        )  # fmt: skip
+        indices = [self._links[link] for link in links]
+        states = self._bullet.getLinkStates(self.hand, indices, computeForwardKinematics=True)
         positions = np.array([state[4] for state in states])
         return positions, Rotation.from_quat([state[5] for state in states]).as_matrix()
 
     def contacts(self) -> Contacts:
-        found = pybullet.getContactPoints(self.hand, self.object, physicsClientId=self.client)
+        found = self._bullet.getContactPoints(self.hand, self.object)
         pressing = [contact for contact in found if contact[9] > 0.0]
         names = {index: name for name, index in self._links.items()}
         return Contacts(
@@ -300,9 +274,3 @@ def _measures(shape: Shape) -> dict[str, Any]:
     if shape.kind == "cylinder":
         return {"shapeType": pybullet.GEOM_CYLINDER, "radius": x, "height": 2 * z}
     return {"shapeType": pybullet.GEOM_BOX, "halfExtents": list(shape.half_size)}
-
-
-def _disconnect(client: int, folder: tempfile.TemporaryDirectory[str]) -> None:
-    folder.cleanup()
-    if pybullet.isConnected(client):
-        pybullet.disconnect(client)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import warnings
 from pathlib import Path
 from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
 
 import mujoco
 import numpy as np
@@ -29,7 +30,7 @@ BULLETS_SKIN = 1e-3  # m: by so much Bullet makes convex hulls from URDF thicker
 def from_model(model: mujoco.MjModel, folder: Path) -> str:
     """The text, with the convex hulls of meshes as files in `folder`; ValueError when the model has a
     joint or a shape that URDF has not."""
-    robot = ElementTree.Element("robot", name="hand")
+    robot = Element("robot", name="hand")
     _link(robot, WORLD, 0.0, np.zeros(3))
     for body in range(1, model.nbody):
         _add_link(robot, model, body, folder)
@@ -38,24 +39,24 @@ def from_model(model: mujoco.MjModel, folder: Path) -> str:
     return ElementTree.tostring(robot, encoding="unicode")
 
 
-def _add_link(robot: ElementTree.Element, model: mujoco.MjModel, body: int, folder: Path) -> None:
+def _add_link(robot: Element, model: mujoco.MjModel, body: int, folder: Path) -> None:
     link = _link(robot, model.body(body).name, model.body_mass[body], model.body_inertia[body])
     _origin(link[0], model.body_ipos[body], model.body_iquat[body])
     first = model.body_geomadr[body]
     for geom in range(first, first + model.body_geomnum[body]):
         if _collides(model, geom):
-            collision = ElementTree.SubElement(link, "collision")
+            collision = SubElement(link, "collision")
             _origin(collision, model.geom_pos[geom], model.geom_quat[geom])
-            _shape(ElementTree.SubElement(collision, "geometry"), model, geom, folder)
+            _shape(SubElement(collision, "geometry"), model, geom, folder)
 
 
-def _link(robot: ElementTree.Element, name: str, mass: float, inertia: Array) -> ElementTree.Element:
+def _link(robot: Element, name: str, mass: float, inertia: Array) -> Element:
     """A link whose first element is its inertia."""
-    link = ElementTree.SubElement(robot, "link", name=name)
-    inertial = ElementTree.SubElement(link, "inertial")
-    ElementTree.SubElement(inertial, "mass", value=repr(float(mass)))
+    link = SubElement(robot, "link", name=name)
+    inertial = SubElement(link, "inertial")
+    SubElement(inertial, "mass", value=repr(float(mass)))
     xx, yy, zz = (repr(float(value)) for value in inertia)
-    ElementTree.SubElement(inertial, "inertia", ixx=xx, iyy=yy, izz=zz, ixy="0", ixz="0", iyz="0")
+    SubElement(inertial, "inertia", ixx=xx, iyy=yy, izz=zz, ixy="0", ixz="0", iyz="0")
     return link
 
 
@@ -65,26 +66,24 @@ def _collides(model: mujoco.MjModel, geom: int) -> bool:
     return bool(model.geom_contype[geom] or model.geom_conaffinity[geom] or in_pair)
 
 
-def _shape(parent: ElementTree.Element, model: mujoco.MjModel, geom: int, folder: Path) -> None:
-    size = [float(value) for value in model.geom_size[geom]]
-    kind = mujoco.mjtGeom(int(model.geom_type[geom]))
-    if kind == mujoco.mjtGeom.mjGEOM_BOX:
-        ElementTree.SubElement(parent, "box", size=_text(2 * np.array(size)))
-    elif kind in (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER):
-        name = "capsule" if kind == mujoco.mjtGeom.mjGEOM_CAPSULE else "cylinder"
-        ElementTree.SubElement(parent, name, radius=repr(size[0]), length=repr(2 * size[1]))
-    elif kind == mujoco.mjtGeom.mjGEOM_SPHERE:
-        ElementTree.SubElement(parent, "sphere", radius=repr(size[0]))
-    elif kind == mujoco.mjtGeom.mjGEOM_MESH:
+def _shape(parent: Element, model: mujoco.MjModel, geom: int, folder: Path) -> None:
+    size, kind = model.geom_size[geom], mujoco.mjtGeom(int(model.geom_type[geom]))
+    name, radius = kind.name.removeprefix("mjGEOM_").lower(), repr(float(size[0]))
+    if name == "box":
+        SubElement(parent, name, size=_text(2 * size))
+    elif name in ("capsule", "cylinder"):
+        SubElement(parent, name, radius=radius, length=repr(2 * float(size[1])))
+    elif name == "sphere":
+        SubElement(parent, name, radius=radius)
+    elif name == "mesh":
         path = folder / f"mesh{geom}.obj"
         path.write_text(_hull(model, int(model.geom_dataid[geom])), encoding="utf-8")
-        ElementTree.SubElement(parent, "mesh", filename=str(path))
+        SubElement(parent, name, filename=str(path))
     else:
-        body = model.body(model.geom_bodyid[geom]).name
-        name = kind.name.removeprefix("mjGEOM_").lower()
         raise ValueError(
-            f"simulator: found 'pybullet' with a geom of body {body!r} that is an {name}, allowed for "
-            "PyBullet: box, capsule, cylinder, sphere, mesh"
+            f"simulator: found 'pybullet' with a geom of body "
+            f"{model.body(model.geom_bodyid[geom]).name!r} that is an {name}, allowed for PyBullet: "
+            "box, capsule, cylinder, sphere, mesh"
         )
 
 
@@ -107,7 +106,7 @@ def _hull(model: mujoco.MjModel, mesh: int) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _add_joints(robot: ElementTree.Element, model: mujoco.MjModel, body: int) -> None:
+def _add_joints(robot: Element, model: mujoco.MjModel, body: int) -> None:
     """The joints between a body and its parent, with massless links between them."""
     name, parent = model.body(body).name, model.body(model.body_parentid[body]).name
     joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
@@ -129,29 +128,25 @@ def _add_joints(robot: ElementTree.Element, model: mujoco.MjModel, body: int) ->
         )
         if number == 0:
             _origin(joint, model.body_pos[body], model.body_quat[body])
-        ElementTree.SubElement(joint, "axis", xyz=_text(model.jnt_axis[index]))
-        lower, upper = (-_UNLIMITED, _UNLIMITED)
-        if model.jnt_limited[index]:
-            lower, upper = model.jnt_range[index]
-        limits = {"lower": repr(float(lower)), "upper": repr(float(upper))}
-        ElementTree.SubElement(joint, "limit", {"effort": "0", "velocity": "0", **limits})
+        SubElement(joint, "axis", xyz=_text(model.jnt_axis[index]))
+        limits = model.jnt_range[index] if model.jnt_limited[index] else (-_UNLIMITED, _UNLIMITED)
+        lower, upper = (repr(float(limit)) for limit in limits)
+        SubElement(joint, "limit", effort="0", velocity="0", lower=lower, upper=upper)
         parent = child
 
 
-def _joint(
-    robot: ElementTree.Element, name: str, kind: str, parent: str, child: str
-) -> ElementTree.Element:
-    joint = ElementTree.SubElement(robot, "joint", name=name, type=kind)
-    ElementTree.SubElement(joint, "parent", link=parent)
-    ElementTree.SubElement(joint, "child", link=child)
+def _joint(robot: Element, name: str, kind: str, parent: str, child: str) -> Element:
+    joint = SubElement(robot, "joint", name=name, type=kind)
+    SubElement(joint, "parent", link=parent)
+    SubElement(joint, "child", link=child)
     return joint
 
 
-def _origin(parent: ElementTree.Element, position: Array, quaternion: Array) -> None:
+def _origin(parent: Element, position: Array, quaternion: Array) -> None:
     with warnings.catch_warnings():  # where other angles would say the same (gimbal lock)
         warnings.simplefilter("ignore", UserWarning)
         angles = Rotation.from_quat(quaternion, scalar_first=True).as_euler("xyz")
-    ElementTree.SubElement(parent, "origin", xyz=_text(position), rpy=_text(angles))
+    SubElement(parent, "origin", xyz=_text(position), rpy=_text(angles))
 
 
 def _text(values: Array) -> str:
