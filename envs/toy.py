@@ -30,15 +30,12 @@ class LQREnv(gym.Env[Array, Array]):
     def __init__(self) -> None:
         self.observation_space = gym.spaces.Box(-np.inf, np.inf, (2,), np.float32)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (1,), np.float32)
-        self._state = np.zeros(2)
-        self._steps = 0
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
         super().reset(seed=seed)
-        self._state = self.np_random.uniform(-self.start, self.start, 2)
-        self._steps = 0
+        self._state, self._steps = self.np_random.uniform(-self.start, self.start, 2), 0
         return self._state.astype(np.float32), {}
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
@@ -46,13 +43,8 @@ class LQREnv(gym.Env[Array, Array]):
         cost = self._state @ self.Q @ self._state + force @ self.R @ force
         self._state = self.A @ self._state + self.B @ force
         self._steps += 1
-        return (
-            self._state.astype(np.float32),
-            -float(cost),
-            False,
-            self._steps >= self.max_episode_steps,
-            {},
-        )
+        is_over = self._steps >= self.max_episode_steps
+        return self._state.astype(np.float32), -float(cost), False, is_over, {}
 
     @classmethod
     def riccati(cls) -> list[tuple[Array, Array]]:
@@ -73,7 +65,7 @@ class LQREnv(gym.Env[Array, Array]):
 class PointReachEnv(gym.Env[Any, Array]):
     """Move a point in the plane to a goal; a sparse goal environment (0 at the goal, else -1).
 
-    Each step moves up to `speed` along each axis. `optimal_steps` is exact.
+    Each step moves up to `speed` along each axis.
     """
 
     speed = 0.1
@@ -87,9 +79,6 @@ class PointReachEnv(gym.Env[Any, Array]):
             {"observation": box, "achieved_goal": box, "desired_goal": box}
         )
         self.action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
-        self._point = np.zeros(2)
-        self._goal = np.zeros(2)
-        self._steps = 0
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -110,14 +99,6 @@ class PointReachEnv(gym.Env[Any, Array]):
         """Rewards (...) of goals (..., 2)."""
         distance = np.linalg.norm(np.asarray(achieved_goal) - np.asarray(desired_goal), axis=-1)
         return (distance <= self.tolerance) - 1.0
-
-    @classmethod
-    def optimal_steps(cls, point: Array, goal: Array) -> int:
-        """Fewest steps from `point` (2,) to within the tolerance of `goal` (2,)."""
-        steps, gap = 0, np.abs(goal - point)
-        while np.linalg.norm(np.maximum(gap - steps * cls.speed, 0.0)) > cls.tolerance:
-            steps += 1
-        return steps
 
     def _obs(self) -> dict[str, Array]:
         point, goal = self._point.astype(np.float32), self._goal.astype(np.float32)
