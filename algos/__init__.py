@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 IsWanted = Callable[[], bool]
 T = TypeVar("T")
+Job = Callable[[gym.Env[Any, Any], int, IsWanted], T]
 # Of hyperparameters, with their ranges; float32 has room for 1e30.
 Positive = Annotated[float, "(0, 1e30]"]
 NotNegative = Annotated[float, "[0, inf)"]
@@ -60,16 +61,12 @@ class UnfitError(ValueError):
 class Workers(Protocol):
     """Environments of one kind, and who plays in them side by side."""
 
+    observation_space: gym.Space[Any]
+    """Of each environment."""
+    action_space: gym.Space[Any]
+
     def __len__(self) -> int:
         """How many episodes are played at the same time."""
-
-    @property
-    def observation_space(self) -> gym.Space[Any]:
-        """Of each environment."""
-
-    @property
-    def action_space(self) -> gym.Space[Any]:
-        """Of each environment."""
 
     @property
     def max_episode_steps(self) -> int | None:
@@ -78,10 +75,8 @@ class Workers(Protocol):
     def compute_reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """A goal environment's rewards (n,) of goals (n, goal_size)."""
 
-    def play(
-        self, task: Callable[[gym.Env[Any, Any], int, IsWanted], T], numbers: Iterable[int]
-    ) -> Iterator[T]:
-        """`task(env, number, is_wanted)` for `numbers`, in order; who has enough stops iterating."""
+    def play(self, job: Job[T], numbers: Iterable[int]) -> Iterator[T]:
+        """`job(env, number, is_wanted)` for `numbers`, in order; who has enough stops iterating."""
 
 
 class Algorithm(Protocol):
@@ -121,7 +116,8 @@ class Algorithm(Protocol):
         """Everything that the rest of the run depends on, except the experience."""
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Go on exactly where `state_dict` was taken."""
+        """Go on exactly where `state_dict` was taken; ValueError, before anything is changed, when the
+        learner's own state is another kind."""
 
     @staticmethod
     def saved_policy(config: Any, spaces: Spaces, saved: dict[str, Any]) -> Policy:

@@ -37,10 +37,6 @@ class Communicator:
         """Elementwise sum of float64 arrays over ranks."""
         return values
 
-    def min(self, value: int) -> int:
-        """Smallest value of any rank."""
-        return value
-
     def all_gather(self, value: Any) -> list[Any]:
         """The values of all ranks, in their order, on every rank."""
         return [value]
@@ -86,9 +82,6 @@ class MPICommunicator(Communicator):
         total = np.empty_like(values, dtype=np.float64)
         self._comm.Allreduce(np.asarray(values, np.float64), total, op=self._mpi.SUM)
         return total
-
-    def min(self, value: int) -> int:
-        return int(self._comm.allreduce(value, op=self._mpi.MIN))
 
     def all_gather(self, value: Any) -> list[Any]:
         return list(self._comm.allgather(value))

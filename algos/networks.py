@@ -11,6 +11,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -22,6 +23,7 @@ from . import DivergenceError
 from .mpi import Communicator
 
 Precision = Literal["float32", "bfloat16"]
+FUSED_ADAM: Any = getattr(torch, "_fused_adam_", None)
 
 
 @contextmanager
@@ -113,11 +115,11 @@ class MLP(nn.Sequential):
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickles as sizes and numbers: the parameters may be views of much more."""
         values = [parameter.detach().cpu().numpy() for parameter in self.parameters()]
-        return _unpickled, (*self._shape, values)
+        return _restored, (*self._shape, values)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> MLP:
         """A copy on the same device, likewise by sizes and numbers."""
-        return _with_parameters(*self._shape, [p.detach().clone() for p in self.parameters()])
+        return _restored(*self._shape, [parameter.detach() for parameter in self.parameters()])
 
 
 def _spawn(generator: torch.Generator) -> torch.Generator:
@@ -159,30 +161,19 @@ def start_orthogonal(
         gain = last_gain if is_last else math.sqrt(2.0)
         if is_first:
             drawn = _columns(linear.weight, _spawn(generator), inputs, Tensor.normal_)
-            weights = functional.normalize(drawn, dim=0)
             gain *= min(1.0, math.sqrt(linear.out_features / linear.in_features))
+            linear.weight.copy_(functional.normalize(drawn, dim=0) * gain)
         else:
-            weights = _orthogonal(torch.empty_like(linear.weight).normal_(generator=generator))
-        linear.weight.copy_(weights * gain)
+            nn.init.orthogonal_(linear.weight, gain, generator)
         nn.init.zeros_(linear.bias)
 
 
-def _orthogonal(drawn: Tensor) -> Tensor:
-    """Of all orthogonal matrices (or parts of one), each as likely as another."""
-    is_wide = drawn.shape[0] < drawn.shape[1]
-    q, r = torch.linalg.qr(drawn.T if is_wide else drawn)
-    q *= r.diagonal().sign()
-    return q.T if is_wide else q
-
-
-def _unpickled(sizes: Sequence[int], tanh: bool, values: Sequence[Any]) -> MLP:
-    return _with_parameters(sizes, tanh, [torch.from_numpy(value.copy()) for value in values])
-
-
-def _with_parameters(sizes: Sequence[int], tanh: bool, values: Sequence[Tensor]) -> MLP:
-    network = MLP(sizes, torch.Generator(), tanh).to(values[0].device)
-    for parameter, value in zip(network.parameters(), values, strict=True):
-        parameter.data = value
+def _restored(sizes: Sequence[int], tanh: bool, values: Sequence[Any]) -> MLP:
+    """A network with copies of these parameters, arrays or tensors."""
+    tensors = [torch.asarray(value, copy=True) for value in values]
+    network = MLP(sizes, torch.Generator(), tanh).to(tensors[0].device)
+    for parameter, tensor in zip(network.parameters(), tensors, strict=True):
+        parameter.data = tensor
     return network
 
 
@@ -206,13 +197,27 @@ def flatten(*modules: nn.Module) -> nn.Parameter:
     parameters = [parameter for module in modules for parameter in module.parameters()]
     vector = nn.Parameter(torch.cat([p.detach().reshape(-1) for p in parameters]))
     vector.grad = torch.zeros_like(vector)
-    start = 0
-    for parameter in parameters:
-        end = start + parameter.numel()
-        parameter.data = vector.data[start:end].view_as(parameter)
-        parameter.grad = vector.grad[start:end].view_as(parameter)
-        start = end
+    sizes = [parameter.numel() for parameter in parameters]
+    parts = zip(
+        parameters, torch.split(vector.data, sizes), torch.split(vector.grad, sizes), strict=True
+    )
+    for parameter, values, gradient in parts:
+        parameter.data, parameter.grad = values.view_as(parameter), gradient.view_as(parameter)
     return vector
+
+
+def _fused_adam(
+    lr: float, vector: Tensor, gradient: Tensor, mean: Tensor, square: Tensor, steps: Tensor
+) -> None:
+    """The kernel of torch.optim.Adam(fused=True); where PyTorch hides it elsewhere, by its public
+    function, which counts the steps itself and takes longer."""
+    run, counts = FUSED_ADAM, [steps]
+    if run is None:
+        run, counts = partial(torch.optim.adam.adam, fused=True), [steps - 1]
+    run(
+        [vector], [gradient], [mean], [square], [], counts, lr=lr, beta1=0.9, beta2=0.999,
+        weight_decay=0.0, eps=1e-8, amsgrad=False, maximize=False,
+    )  # fmt: skip
 
 
 class FlatAdam:
@@ -221,20 +226,18 @@ class FlatAdam:
     Each module comes with its step size.
     """
 
-    def __init__(self, *modules: tuple[nn.Module, float], eps: float = 1e-8) -> None:
+    def __init__(self, *modules: tuple[nn.Module, float]) -> None:
         self.vector = flatten(*(module for module, _ in modules))
         assert self.vector.grad is not None
         self.gradient = self.vector.grad
         self._moments = {name: torch.zeros_like(self.vector.data) for name in ("exp_avg", "exp_avg_sq")}
         self._steps = torch.zeros(len(modules), device=self.vector.device)
-        self._lrs, self._eps = [lr for _, lr in modules], eps
+        self._lrs = [lr for _, lr in modules]
         self.share = 1.0  # of the step sizes, where they fall over a run
         sizes = [sum(p.numel() for p in module.parameters()) for module, _ in modules]
         whole = (self.vector.data, self.gradient, *self._moments.values())
         parts = (*(torch.split(values, sizes) for values in whole), self._steps.unbind())
-        self._parts: list[tuple[list[Tensor], ...]] = [
-            tuple([part] for part in one) for one in zip(*parts, strict=True)
-        ]
+        self._parts: list[Any] = list(zip(*parts, strict=True))
 
     def reduce(self, comm: Communicator, how: Literal["mean", "sum"] = "sum") -> None:
         """Replace the gradient by its sum or mean over ranks: one message."""
@@ -249,16 +252,12 @@ class FlatAdam:
         self.gradient.mul_(scale.clamp(max=1.0))
 
     def step(self) -> None:
-        """One step along the gradient, by the kernel of torch.optim.Adam(fused=True): through the
-        optimiser a step takes twice as long."""
+        """One step along the gradient."""
         self._steps += 1
         # Moments of units that are never active fade until they are denormal, and slow: zero then.
         with _denormals_flushed():  # whoever steps physics must not notice
-            for (vector, gradient, mean, square, steps), lr in zip(self._parts, self._lrs, strict=True):
-                torch._fused_adam_(
-                    vector, gradient, mean, square, [], steps, lr=self.share * lr, beta1=0.9,
-                    beta2=0.999, weight_decay=0.0, eps=self._eps, amsgrad=False, maximize=False,
-                )  # fmt: skip
+            for parts, lr in zip(self._parts, self._lrs, strict=True):
+                _fused_adam(self.share * lr, *parts)
 
     def state_dict(self) -> dict[str, Any]:
         """Moments (n,) and steps (modules,). The parameters belong to the modules, step sizes and
@@ -266,7 +265,6 @@ class FlatAdam:
         return {"steps": self._steps, **self._moments}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore what `state_dict` returned."""
         for name, values in self.state_dict().items():
             values.copy_(state[name])
 

@@ -48,7 +48,6 @@ class Normalizer:
         self.count = 0.0
         self.mean = np.zeros(size)
         self._squares = np.zeros(size)  # sum of squared deviations from the mean
-        self._scaling: Scaling | None = None  # until the next update
 
     @property
     def std(self) -> Array:
@@ -72,26 +71,19 @@ class Normalizer:
         self.count = all_count
         if self.as_is is not None:
             self.mean[self.as_is], self._squares[self.as_is] = 0.0, all_count
-        self._scaling = None
 
     def scaling(self) -> Scaling:
         """What it does to values now; later updates do not change what was returned."""
-        if self._scaling is None:
-            high = self.mean.astype(np.float32)
-            low = (self.mean - high).astype(np.float32)
-            scale = (1.0 / self.std).astype(np.float32)
-            high_, low_, scale_ = map(torch.from_numpy, (high, low, scale))
-            self._scaling = Scaling(high_, low_, scale_, self.clip)
-        return self._scaling
+        high = self.mean.astype(np.float32)
+        parts = high, (self.mean - high).astype(np.float32), (1.0 / self.std).astype(np.float32)
+        high_, low, scale = map(torch.from_numpy, parts)
+        return Scaling(high_, low, scale, self.clip)
 
     def state_dict(self) -> dict[str, Any]:
-        """The moments."""
         moments = {"mean": self.mean, "squares": self._squares}
-        return {"count": self.count, **{k: torch.from_numpy(v.copy()) for k, v in moments.items()}}
+        return {"count": self.count, **{k: torch.tensor(v) for k, v in moments.items()}}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore what `state_dict` returned."""
         self.count = float(state["count"])
         self.mean = state["mean"].numpy().copy()
         self._squares = state["squares"].numpy().copy()
-        self._scaling = None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, NoReturn, Protocol
+from typing import Any, NamedTuple, NoReturn
 
 import gymnasium as gym
 import numpy as np
@@ -41,26 +41,19 @@ def explore(
     return np.where(is_random, rng.uniform(-1.0, 1.0, actions.shape).astype(np.float32), noisy)
 
 
-class Inputs(Protocol):
-    """What a network is shown of an observation."""
-
-    def read(self, obs: Any) -> Any:
-        """What is kept of one observation to learn from; a copy: environments reuse buffers."""
-
-    def stack(self, views: Sequence[Any]) -> Tensor:
-        """What the network sees (n, size) of n such."""
-
-
 @dataclass(frozen=True)
 class FlatInputs:
-    """The observation, flat; a goal environment's with its desired goal. As it is, or scaled."""
+    """A network is shown the observation, flat; a goal environment's with its desired goal. As it is,
+    or scaled."""
 
     scaling: Scaling | None = None
 
     def read(self, obs: Any) -> Array:
+        """What is kept of one observation to learn from; a copy: environments reuse buffers."""
         return flat_observation(obs)
 
     def stack(self, views: Sequence[Array]) -> Tensor:
+        """What the network sees (n, size) of n such."""
         flat = torch.from_numpy(np.stack(views))
         return flat if self.scaling is None else self.scaling(flat)
 
@@ -91,14 +84,16 @@ class GoalInputs:
         return GoalObs(*(np.array(obs[key], np.float32).ravel() for key in GoalObs._fields))
 
     def stack(self, views: Sequence[GoalObs]) -> Tensor:
-        parts = (torch.from_numpy(np.stack(part)) for part in zip(*views, strict=True))
-        observations, _, goals = parts
-        return self(observations, goals)
+        obs, _, goals = (torch.from_numpy(np.stack(part)) for part in zip(*views, strict=True))
+        return self(obs, goals)
 
     def __call__(self, obs: Tensor, goals: Tensor) -> Tensor:
         """Of observations (n, obs) and goals (n, goal): (n, obs + goal)."""
         parts = (self.obs_scaling, obs), (self.goal_scaling, goals)
         return torch.cat([scale(part.clamp(-self.limit, self.limit)) for scale, part in parts], dim=1)
+
+
+Inputs = FlatInputs | GoalInputs
 
 
 class GoalStats(NamedTuple):
@@ -165,12 +160,11 @@ class Policy:
             if values.dtype.kind not in "bifu" or not (np.abs(values) < LARGEST).all():
                 found = f"not finite, not real or beyond float32 ({values.dtype})"
                 raise ValueError(f"obs: {found}, allowed finite numbers")
-        if n is None:
-            return self.to_env(self.choose(self.inputs.read(obs), noise))
         if n == 0:
             return self.to_env(np.empty((0, self._low.size), np.float32))
-        views = [self.inputs.read(_row(obs, i)) for i in range(n)]
-        return self.to_env(self._actions(views, noise))
+        views = map(self.inputs.read, [obs] if n is None else _rows(obs, n))
+        actions = self._actions([*views], noise)
+        return self.to_env(actions[0] if n is None else actions)
 
     def read(self, obs: Any) -> Any:
         """What is kept of an observation from an environment; UnfitError where it is not of the shape
@@ -242,9 +236,10 @@ def _said(shapes: dict[str, tuple[int, ...]]) -> str:
     return str(shapes.get("", shapes))
 
 
-def _row(obs: Any, i: int) -> Any:
-    """One observation of a batch."""
-    return {key: part[i] for key, part in obs.items()} if isinstance(obs, Mapping) else obs[i]
+def _rows(obs: Any, n: int) -> list[Any]:
+    """Each observation of a batch."""
+    is_dict = isinstance(obs, Mapping)
+    return [{key: part[i] for key, part in obs.items()} if is_dict else obs[i] for i in range(n)]
 
 
 def new_actor(hidden: Sequence[int], spaces: Spaces, weights: torch.Generator) -> MLP:

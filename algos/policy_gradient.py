@@ -78,8 +78,8 @@ def normalise(advantages: Array) -> Array:
     return centred / std if std > 1e-10 * np.abs(advantages).max() else np.zeros_like(centred)
 
 
-class Batch(NamedTuple):
-    """Transitions to learn from, as tensors with a leading axis (n, ...)."""
+class Transitions(NamedTuple):
+    """What is learned from, as tensors with a leading axis (n, ...)."""
 
     seen: Tensor
     """By the critic; it begins with what the actor sees."""
@@ -89,14 +89,14 @@ class Batch(NamedTuple):
     advantages: Tensor
     returns: Tensor
 
-    def minibatches(self, order: Tensor, n: int) -> list[Batch]:
+    def minibatches(self, order: Tensor, n: int) -> list[Transitions]:
         """All of it in another order (n,), cut into `n` parts as equal as can be."""
         parts = (torch.tensor_split(values[order], n) for values in self)
-        return [Batch(*part) for part in zip(*parts, strict=True)]
+        return [Transitions(*part) for part in zip(*parts, strict=True)]
 
-    def share(self, rank: int, ranks: int) -> Batch:
+    def share(self, rank: int, ranks: int) -> Transitions:
         """A rank's rows."""
-        return Batch(*(torch.tensor_split(values, ranks)[rank] for values in self))
+        return Transitions(*(torch.tensor_split(values, ranks)[rank] for values in self))
 
 
 class Surrogate(NamedTuple):

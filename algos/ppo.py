@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -20,7 +20,7 @@ from .mpi import Communicator, same_on_all_ranks
 from .networks import MLP, FlatAdam, require_finite, start_orthogonal
 from .normalizer import Normalizer
 from .policy import FlatInputs, Policy, flat_stats, new_actor, on_cpu
-from .policy_gradient import Batch, Spread, gae, gaussian, normalise, surrogate
+from .policy_gradient import Spread, Transitions, gae, gaussian, normalise, surrogate
 from .rollout import Episode, PlayEpisode, finite, play_steps, require_transitions, summary
 from .side_by_side import SideBySide, at_once, each
 from .spaces import Spaces, action_size, flat_size
@@ -104,35 +104,28 @@ class PPOConfig:
         return min(self.n_minibatches or 6, n)
 
 
-class Parts(NamedTuple):
-    """What a policy is made of."""
+def _parts(
+    config: PPOConfig, spaces: Spaces, weights: torch.Generator
+) -> tuple[MLP, Spread, Normalizer]:
+    """What a policy is made of, before anything was learned; the same on all ranks."""
+    spread = Spread(action_size(spaces.action), config.action_variance)
+    actor = new_actor(config.hidden, spaces, weights)
+    return actor, spread, flat_stats(spaces.observation, OBS_CLIP)
 
-    actor: MLP
-    spread: Spread
-    obs_stats: Normalizer
 
-    @classmethod
-    def new(cls, config: PPOConfig, spaces: Spaces, weights: torch.Generator) -> Parts:
-        """Before anything was learned; the same on all ranks."""
-        spread = Spread(action_size(spaces.action), config.action_variance)
-        return cls(
-            new_actor(config.hidden, spaces, weights), spread, flat_stats(spaces.observation, OBS_CLIP)
-        )
+def _inputs(config: PPOConfig, stats: Normalizer) -> FlatInputs:
+    return FlatInputs(stats.scaling() if config.normalise_obs else None)
 
-    def inputs(self, config: PPOConfig) -> FlatInputs:
-        """What networks see as of now."""
-        return FlatInputs(self.obs_stats.scaling() if config.normalise_obs else None)
 
-    def policy(self, config: PPOConfig, spaces: Spaces) -> Policy:
-        """Acts as these parts do now."""
-        noise = partial(gaussian, std=self.spread.std())
-        return Policy(on_cpu(self.actor), self.inputs(config), noise, spaces)
+def _policy(config: PPOConfig, spaces: Spaces, actor: MLP, spread: Spread, stats: Normalizer) -> Policy:
+    noise = partial(gaussian, std=spread.std())
+    return Policy(on_cpu(actor), _inputs(config, stats), noise, spaces)
 
 
 class PPO(state.Saved):
     """Actor, critic and the batch of the current epoch; the interface is `algos.Algorithm`."""
 
-    policy_parts = Parts._fields
+    policy_parts = ("actor", "spread", "obs_stats")
     saved = (*policy_parts, "truth_stats", "critic", "actor_adam", "critic_adam")
     counters = ("env_steps", "epochs")
     cycles_per_epoch = 1
@@ -152,8 +145,7 @@ class PPO(state.Saved):
         self.seed = seed
         self.spaces = Spaces(workers.observation_space, workers.action_space)
         weights = torch.Generator().manual_seed(seed)
-        self.parts = Parts.new(config, self.spaces, weights)
-        self.actor, self.spread, self.obs_stats = self.parts
+        self.actor, self.spread, self.obs_stats = _parts(config, self.spaces, weights)
         self.truth_stats = flat_stats(self.spaces.truth, OBS_CLIP)
         self._n_obs = flat_size(self.spaces.observation)
         n_seen, seen = self._n_obs + flat_size(self.spaces.truth), self.spaces.inputs("truth")
@@ -184,7 +176,7 @@ class PPO(state.Saved):
     # -- acting and collecting ---------------------------------------------------------------
 
     def policy(self) -> Policy:
-        return self.parts.policy(self.config, self.spaces)
+        return _policy(self.config, self.spaces, self.actor, self.spread, self.obs_stats)
 
     def collect(self) -> dict[str, float]:
         """Whole episodes, until `steps_per_epoch` are there: the same ones on all ranks."""
@@ -193,8 +185,8 @@ class PPO(state.Saved):
         if config.exploration == "annealed":
             start = config.action_variance
             self.spread.set(left * start + (1.0 - left) * (config.final_variance or start / 10))
-        task = PlayEpisode[Array](self.policy(), (self.seed, 0, rollout.TRAIN, self.epochs))
-        episodes = play_steps(self.workers, task, config.steps_per_epoch, self.comm)
+        job = PlayEpisode[Array](self.policy(), (self.seed, 0, rollout.TRAIN, self.epochs))
+        episodes = play_steps(self.workers, job, config.steps_per_epoch, self.comm)
         self._episodes = require_transitions(episodes)
         self.epochs += 1
         seen = summary(episodes)
@@ -229,37 +221,30 @@ class PPO(state.Saved):
         if config.normalise_obs:
             self.obs_stats.update(np.concatenate([np.stack(e.obs) for e in self._episodes]))
             self.truth_stats.update(np.concatenate([np.stack(e.truth) for e in self._episodes]))
-        policy_loss, kl, clip_fraction, value_loss = means.tolist()
-        return {
-            "policy_loss": policy_loss,
-            "value_loss": value_loss,
-            "kl": kl,
-            "clip_fraction": clip_fraction,
-            "action_std": float(self.spread.std().mean()),
-            "updates": n_updates,
-        }
+        policy_loss, kl, clipped, value_loss = means.tolist()
+        learned = {"policy_loss": policy_loss, "value_loss": value_loss, "kl": kl}
+        std = float(self.spread.std().mean())
+        return {**learned, "clip_fraction": clipped, "action_std": std, "updates": n_updates}
 
     def _total(self, stats: Tensor) -> Array:
         """The shares of all ranks together."""
         return self.comm.sum(stats.double().cpu().numpy())
 
     @torch.no_grad()
-    def _batch(self) -> Batch:
+    def _batch(self) -> Transitions:
         """The epoch as tensors."""
         config, episodes = self.config, self._episodes
         views = [obs for episode in episodes for obs in episode.obs]
-        truth = FlatInputs(self.truth_stats.scaling() if config.normalise_obs else None)
-        told = truth.stack([t for episode in episodes for t in episode.truth])
-        all_seen = torch.cat([self.parts.inputs(config).stack(views), told], dim=1).to(self.device)
+        seen = _inputs(config, self.obs_stats).stack(views)
+        told = _inputs(config, self.truth_stats).stack([t for e in episodes for t in e.truth])
+        all_seen = torch.cat([seen, told], dim=1).to(self.device)
         all_values = self.critic(all_seen).squeeze(-1).double().cpu().numpy()
         is_last = np.concatenate([[False] * len(e) + [True] for e in episodes])
-        advantages, start = [], 0
-        for episode in episodes:
-            end = start + len(episode)
-            last_value = all_values[end] if self._goes_on(episode) else 0.0
-            values, rewards = all_values[start:end], np.array(episode.rewards)
-            advantages.append(gae(rewards, values, last_value, config.gamma, config.gae_lambda))
-            start = end + 1
+        by_episode = np.split(all_values, np.flatnonzero(is_last)[:-1] + 1)
+        advantages = []
+        for episode, values in zip(episodes, by_episode, strict=True):
+            last, rewards = values[-1] if self._goes_on(episode) else 0.0, np.array(episode.rewards)
+            advantages.append(gae(rewards, values[:-1], last, config.gamma, config.gae_lambda))
         advantage = np.concatenate(advantages)
         returns = finite(advantage + all_values[~is_last], "a return")
         seen = all_seen[torch.from_numpy(~is_last).to(self.device)]
@@ -269,7 +254,7 @@ class PPO(state.Saved):
             for values in (taken, normalise(advantage), returns)
         )
         away = self.spread.away(actions, self.actor(seen[:, : self._n_obs]))
-        return Batch(seen, actions, self.spread.log_prob(away), normalised, target)
+        return Transitions(seen, actions, self.spread.log_prob(away), normalised, target)
 
     def _goes_on(self, episode: Episode[Array]) -> bool:
         """Would more have followed its last transition? What diverged did not end by itself."""
@@ -277,7 +262,7 @@ class PPO(state.Saved):
         return bool(episode.faults["diverged"]) or is_bootstrapped
 
     @torch.no_grad()
-    def _improve_actor(self, minibatch: Batch) -> Tensor:
+    def _improve_actor(self, minibatch: Transitions) -> Tensor:
         """One step along the gradient of the whole minibatch; this rank's shares of policy loss, KL
         estimate and clipped share."""
         n, own = len(minibatch.seen), minibatch.share(self.comm.rank, self.comm.size)
@@ -290,7 +275,7 @@ class PPO(state.Saved):
         return torch.stack([loss, kl, is_clipped]).sum(dim=1) / n
 
     @torch.no_grad()
-    def _improve_critic(self, minibatch: Batch) -> Tensor:
+    def _improve_critic(self, minibatch: Transitions) -> Tensor:
         """Likewise; this rank's share of the value loss."""
         n, own = len(minibatch.seen), minibatch.share(self.comm.rank, self.comm.size)
         judged = self.critic.run(own.seen)
@@ -316,6 +301,6 @@ class PPO(state.Saved):
 
     @staticmethod
     def saved_policy(config: PPOConfig, spaces: Spaces, saved: dict[str, Any]) -> Policy:
-        parts = Parts.new(config, spaces, torch.Generator())
-        state.restore_parts(parts._asdict(), saved)
-        return parts.policy(config, spaces)
+        parts = _parts(config, spaces, torch.Generator())
+        state.restore_parts(dict(zip(PPO.policy_parts, parts, strict=True)), saved)
+        return _policy(config, spaces, *parts)

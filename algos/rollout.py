@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeVar
 
@@ -71,20 +71,11 @@ class Tally:
     total: int = 0
     """About their sum; the exact one is for the end, it takes time."""
 
-    def note(self, number: int, taken: int) -> None:
-        """Another step."""
-        self.taken[number] = taken
-        self.total += 1
-
     def is_full(self, number: int) -> bool:
         """Do the episodes before this one have what is wanted, ended or not?"""
         if self.total < self.wanted:
             return False
         return sum(self.taken.get(n, 0) for n in range(number)) >= self.wanted
-
-    def numbers(self) -> Iterator[int]:
-        """0, 1, 2, ... until more are certainly not wanted."""
-        return itertools.takewhile(lambda number: not self.is_full(number), itertools.count())
 
 
 @dataclass(frozen=True)
@@ -114,7 +105,8 @@ class PlayEpisode(Generic[Obs]):
             action = policy.choose(episode.obs[-1], noise)
             is_done = _step(env, policy, action, episode)
             if self.tally:
-                self.tally.note(number, len(episode))
+                self.tally.taken[number] = len(episode)
+                self.tally.total += 1
             if not is_done and len(episode) == LONGEST:
                 raise UnfitError(
                     f"env: found an episode that goes on after {LONGEST:,} steps, allowed are episodes "
@@ -150,7 +142,7 @@ def _number(reward: Any) -> float:
 
 
 def play_steps(
-    workers: Workers, task: PlayEpisode[Obs], steps: int, comm: Communicator
+    workers: Workers, job: PlayEpisode[Obs], steps: int, comm: Communicator
 ) -> list[Episode[Obs]]:
     """Episodes 0, 1, 2, ... in order of number until they have `steps` transitions: the same
     list on every rank, and on any number of ranks.
@@ -159,13 +151,14 @@ def play_steps(
     """
     if comm.size == 1:
         tally = Tally(steps)
-        return _first(workers.play(replace(task, tally=tally), tally.numbers()), steps)
+        numbers = itertools.takewhile(lambda number: not tally.is_full(number), itertools.count())
+        return _first(workers.play(replace(job, tally=tally), numbers), steps)
     episodes: list[Episode[Obs]] = []
     while (missing := steps - sum(map(_weight, episodes))) > 0:
         done = len(episodes)
         length = sum(map(_weight, episodes)) / done if done else steps
         last = done + math.ceil(missing / length / comm.size) * comm.size
-        mine = list(workers.play(task, range(done + comm.rank, last, comm.size)))
+        mine = list(workers.play(job, range(done + comm.rank, last, comm.size)))
         by_rank = comm.all_gather(mine)
         episodes += [by_rank[i % comm.size][i // comm.size] for i in range(last - done)]
     return _first(episodes, steps)
@@ -190,20 +183,17 @@ def summary(episodes: list[Episode[Any]], comm: Communicator | None = None) -> d
     """Counts and means over episodes, also those that diverged; with `comm`, over those of all
     ranks. Each has some."""
     own = [
-        sum(len(e) for e in episodes),
-        len(episodes),
-        sum(e.success for e in episodes),
-        sum(sum(e.rewards) for e in episodes),
-        *(sum(e.faults[fault] for e in episodes) for fault in FAULTS),
+        (len(e), 1, e.success, sum(e.rewards), *(e.faults[fault] for fault in FAULTS)) for e in episodes
     ]
-    sums = (comm or Communicator()).sum(np.array(own, np.float64)).tolist()
+    sums = np.array([sum(column) for column in zip(*own, strict=True)], np.float64)
+    steps, n, successes, returns, *faults = (comm or Communicator()).sum(sums).tolist()
     return {
-        "steps": sums[0],
-        "episodes": sums[1],
-        "success_rate": sums[2] / sums[1],
-        "mean_return": sums[3] / sums[1],
-        "mean_length": sums[0] / sums[1],
-        **dict(zip(FAULTS, sums[4:], strict=True)),
+        "steps": steps,
+        "episodes": n,
+        "success_rate": successes / n,
+        "mean_return": returns / n,
+        "mean_length": steps / n,
+        **dict(zip(FAULTS, faults, strict=True)),
     }
 
 

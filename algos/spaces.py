@@ -11,6 +11,7 @@ import numpy as np
 
 Array = np.ndarray
 GOAL_KEYS = ("observation", "achieved_goal", "desired_goal")
+GOAL_DICT = "Dict with observation, achieved_goal and desired_goal"
 TRUTH = "truth"  # of a Dict: what a critic may see besides, and no policy
 LARGEST = 10**7  # entries of an observation or an action: more is a damaged file
 
@@ -45,9 +46,7 @@ class Spaces(NamedTuple):
         A Box says so with its attribute `names`; entries of others go by their numbers. None where
         none does.
         """
-        parts: dict[str, Any] = {"observation": self.observation}
-        if isinstance(self.observation, gym.spaces.Dict):
-            parts = {key: self.observation[key] for key in ("observation", "desired_goal")}
+        parts: dict[str, Any] = flat_parts(self.observation)
         parts |= {key: {TRUTH: self.truth, "action": self.action}[key] for key in more}
         if not any(hasattr(box, "names") for box in parts.values()):
             return None
@@ -114,49 +113,43 @@ def action_size(space: gym.Space[Any]) -> int:
     return int(action_bounds(space)[0].size)
 
 
-def flat_size(space: gym.Space[Any]) -> int:
-    """Length of `flat_observation`; ValueError for spaces no algorithm here can read."""
+def flat_parts(space: gym.Space[Any]) -> dict[str, gym.spaces.Box]:
+    """What `flat_observation` is made of, by name; ValueError for spaces no algorithm here can read."""
+    parts: dict[str, Any] = {"observation": space}
     if isinstance(space, gym.spaces.Dict) and {"observation", "desired_goal"} <= set(space.spaces):
-        return sum(flat_size(space[key]) for key in ("observation", "desired_goal"))
-    if isinstance(space, gym.spaces.Box):
-        return int(np.prod(space.shape))
-    raise ValueError(
-        f"observation space: found {space}, allowed Box, or Dict with observation, "
-        "achieved_goal and desired_goal"
-    )
+        parts = {key: space[key] for key in ("observation", "desired_goal")}
+    for part in parts.values():
+        if not isinstance(part, gym.spaces.Box):
+            raise ValueError(f"observation space: found {part}, allowed Box, or {GOAL_DICT}")
+    return parts
+
+
+def flat_size(space: gym.Space[Any]) -> int:
+    """Length of `flat_observation`; ValueError as of `flat_parts`."""
+    return sum(math.prod(part.shape) for part in flat_parts(space).values())
 
 
 def goal_size(space: gym.Space[Any]) -> int:
     """Length of a goal environment's goals; ValueError when it is not one."""
     if isinstance(space, gym.spaces.Dict) and set(GOAL_KEYS) <= set(space.spaces):
-        sizes = [flat_size(space[key]) for key in GOAL_KEYS]
-        if sizes[1] == sizes[2]:
-            return sizes[2]
-    raise ValueError(
-        f"observation space: found {space}, allowed a goal environment's: Dict with observation, "
-        "achieved_goal and desired_goal"
-    )
+        _, achieved, desired = (flat_size(space[key]) for key in GOAL_KEYS)
+        if achieved == desired:
+            return desired
+    raise ValueError(f"observation space: found {space}, allowed a goal environment's: {GOAL_DICT}")
 
 
-def has_single_goal(space: gym.Space[Any]) -> bool:
-    """Does the space of desired goals hold one goal only?"""
-    desired = space["desired_goal"] if isinstance(space, gym.spaces.Dict) else None
-    return isinstance(desired, gym.spaces.Box) and np.array_equal(desired.low, desired.high)
+def has_single_goal(space: Any) -> bool:
+    """Does a goal environment's space of desired goals hold one goal only?"""
+    return np.array_equal(space["desired_goal"].low, space["desired_goal"].high)
 
 
 def may_be_boolean(space: gym.Space[Any]) -> Array:
     """Which entries (n,) of `flat_observation` lie between 0 and 1, and so may be Boolean?"""
-    if isinstance(space, gym.spaces.Dict):
-        parts = [may_be_boolean(space[key]) for key in ("observation", "desired_goal")]
-        return np.concatenate(parts)
-    assert isinstance(space, gym.spaces.Box)
-    return (np.ravel(space.low) == 0.0) & (np.ravel(space.high) == 1.0)
+    parts = flat_parts(space).values()
+    return np.concatenate([np.ravel((part.low == 0.0) & (part.high == 1.0)) for part in parts])
 
 
-def n_boolean(space: gym.Space[Any]) -> int:
+def n_boolean(space: Any) -> int:
     """How many entries at the end of a goal environment's observation may be Boolean."""
-    box = space["observation"] if isinstance(space, gym.spaces.Dict) else None
-    if not isinstance(box, gym.spaces.Box):
-        return 0
-    within = may_be_boolean(box)
+    within = may_be_boolean(space["observation"])
     return len(within) - 1 - int(np.max(np.flatnonzero(~within), initial=-1))

@@ -24,13 +24,10 @@ class Saved:
     counters: ClassVar[Sequence[str]]
 
     def state_dict(self) -> dict[str, Any]:
-        """States of the parts, and values of the counters."""
         states = {name: getattr(self, name).state_dict() for name in self.saved}
         return states | {name: getattr(self, name) for name in self.counters}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Put back what `state_dict` returned; ValueError, before anything is changed, when the
-        learner's own state is another kind."""
         require_like(saved, self.state_dict())
         for name in self.saved:
             getattr(self, name).load_state_dict(saved[name])
@@ -55,34 +52,32 @@ def require_like(found: Any, own: Any, name: str = "state") -> None:
     count something. Only what `own` has is looked at, so a state that is nested without end costs
     nothing.
     """
-    if isinstance(own, torch.Tensor):
-        _require_tensor(found, own, name)
-    elif isinstance(own, dict):
-        if not isinstance(found, dict) or found.keys() != own.keys():
-            raise ValueError(f"{name}: found {_short(found)}, expected {_short(own)}")
+    if not _is_like(found, own):
+        raise ValueError(f"{name}: found {_short(found)}, expected {_short(own)}")
+    if isinstance(own, dict):
         for key, value in own.items():
             require_like(found[key], value, f"{name}.{key}")
     elif isinstance(own, list | tuple):
-        if type(found) is not type(own) or len(found) != len(own):
-            raise ValueError(f"{name}: found {_short(found)}, expected {_short(own)}")
         for i, value in enumerate(own):
             require_like(found[i], value, f"{name}[{i}]")
-    elif type(found) is not type(own):
-        raise ValueError(f"{name}: found {_short(found)}, expected {_short(own)}")
     elif isinstance(own, int | float) and not 0 <= found < (math.inf, LARGEST)[isinstance(own, int)]:
         raise ValueError(f"{name}: found a number out of range, allowed from 0 to below 2**63")
 
 
-def _require_tensor(found: Any, own: torch.Tensor, name: str) -> None:
-    is_alike = (
-        isinstance(found, torch.Tensor)
-        and (found.dtype, found.shape) == (own.dtype, own.shape)
-        and found.device in (torch.device("cpu"), own.device)
-        and found.layout == torch.strided
-        and found.is_contiguous()
-    )
-    if not is_alike:
-        raise ValueError(f"{name}: found {_short(found)}, expected {_short(own)}")
+def _is_like(found: Any, own: Any) -> bool:
+    """Leaving aside what they hold."""
+    if isinstance(own, torch.Tensor):
+        return (
+            isinstance(found, torch.Tensor)
+            and (found.dtype, found.shape) == (own.dtype, own.shape)
+            and found.device in (torch.device("cpu"), own.device)
+            and found.layout == torch.strided
+            and found.is_contiguous()
+        )
+    if isinstance(own, dict):
+        return isinstance(found, dict) and found.keys() == own.keys()
+    is_sequence = isinstance(own, list | tuple)
+    return type(found) is type(own) and not (is_sequence and len(found) != len(own))
 
 
 def _short(value: Any) -> str:

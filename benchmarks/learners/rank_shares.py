@@ -36,14 +36,14 @@ def main() -> None:
     watches.watch("all-reduce", learner.adam, "reduce")
     watches.watch("optimiser", learner.adam, "step")
     watches.watch("updating", learner, "update")
-    comm.min(0)  # start together
+    comm.all_gather(0)  # start together
     started = time.perf_counter()
     for _ in range(CYCLES):
         sampled = watches.seconds["sampling"]
         learner.collect()
         watches.seconds["sampling"] = sampled  # the normaliser's samples are part of collecting
         learner.update()
-    comm.min(0)  # and end together
+    comm.all_gather(0)  # and end together
     seconds = time.perf_counter() - started
     s = watches.seconds
     rest = s["updating"] - s["sampling"] - s["all-reduce"] - s["optimiser"]

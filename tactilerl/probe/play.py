@@ -74,7 +74,7 @@ def _play(
     if comm.size == 1:
         yield from workers.play(task, range(first, last))
         return
-    step = comm.size * ROUND * comm.min(len(workers))
+    step = comm.size * ROUND * min(comm.all_gather(len(workers)))
     for begin in range(first, last, step):
         end = min(last, begin + step)
         mine = list(workers.play(task, range(begin + comm.rank, end, comm.size)))

@@ -37,7 +37,7 @@ class Checkpoint:
 
     def save(self, epoch: int) -> None:
         """Write the states of all ranks after `epoch`; every rank must call it."""
-        is_anew = self.comm.min(self._has_outgrown() if self.comm.rank == 0 else 1)
+        is_anew = self.comm.all_gather(self.comm.rank == 0 and self._has_outgrown())[0]
         experience = self._memory.new_experience(everything=bool(is_anew)) if self._memory else {}
         for rank, part in enumerate(self.comm.receive(experience)):
             if part:

@@ -57,6 +57,24 @@ def test_adam_is_that_of_torch():
         torch.testing.assert_close(parameter, same)
 
 
+def test_without_the_kernel_steps_are_the_same(monkeypatch):
+    """PyTorch's public function finds it where this library no longer does."""
+    found = []
+    for kernel in (networks.FUSED_ADAM, None):
+        monkeypatch.setattr(networks, "FUSED_ADAM", kernel)
+        adam = FlatAdam((MLP((5, 16, 3), torch.Generator().manual_seed(0)), 1e-2))
+        for seed in range(3):
+            adam.gradient.copy_(random(*adam.gradient.shape, seed=seed))
+            adam.step()
+        found.append((adam.vector, *adam.state_dict().values()))
+    assert all(map(torch.equal, *found))
+
+
+def test_a_pytorch_that_does_not_tell_has_no_bfloat16(monkeypatch):
+    monkeypatch.delattr(torch.cpu, "_is_amx_tile_supported")
+    assert not networks.has_bfloat16()
+
+
 def test_moments_fade_to_zero_and_other_numbers_do_not():
     """Denormal numbers are slow; outside the step they are as they were."""
     adam = FlatAdam((MLP((2, 2), torch.Generator().manual_seed(0)), 1e-3))
