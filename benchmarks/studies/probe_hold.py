@@ -15,10 +15,10 @@ import numpy as np
 from scipy import stats
 
 from benchmarks.command import count, parser, write
-from benchmarks.studies.probe_tables import NAMES
 from tactilerl.envs.grasp import setup
 from tactilerl.probe.grasps import Scenes, ScriptedGrasps
 from tactilerl.probe.options import GraspFlags
+from tactilerl.style import NAMES
 
 SEED = 20_000  # not that of any probe that is reported
 

@@ -47,7 +47,7 @@ def about(one: SetupResult, score: str) -> str:
         return said
     names = [arm(one.setup.label(each)) for each in one.setup.arms[:2]]
     return (
-        f"{said} {names[0]} against {names[1]}, in pairs of runs of the same seed, by {SCORES[score]} "
+        f"{said} Compares {names[0]} with {names[1]}, in pairs of the same seed, by {SCORES[score]} "
         f"of the {MEASURES[one.setup.measure]}."
     )
 
