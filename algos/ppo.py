@@ -48,7 +48,7 @@ class PPOConfig:
     clip_range: Positive = 0.2
     """Clip range of the probability ratio."""
     steps_per_epoch: Count = 1000
-    """Least environment steps per epoch, over all processes; episodes are played to their end. Also
+    """Fewest environment steps per epoch, over all processes; episodes are played to their end. Also
     --n-steps."""
     n_passes: Count = 80
     """Passes over the batch per epoch (paper: updates per epoch). Also --n-epochs."""
@@ -71,8 +71,8 @@ class PPOConfig:
     """Normalise observations with the mean and standard deviation of all earlier epochs, clipped to ±5.
     Entries between 0 and 1, such as Boolean taxels, stay as they are."""
     truncation: Literal["bootstrap", "terminal"] = "bootstrap"
-    """How a time limit is treated. bootstrap: the critic's value of the last observation follows;
-    terminal: nothing does. In the paper's task a time-out is a failure, with -100."""
+    """How a time limit is treated. bootstrap: the return continues with the critic's value of the last
+    observation; terminal: the return ends. In the paper's task a time-out is a failure, with -100."""
     anneal_lr: bool = False
     """Decay both step sizes linearly to zero over the run (in the source, not in the paper)."""
     target_kl: Positive | None = None

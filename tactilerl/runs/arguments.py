@@ -26,7 +26,7 @@ def _extra(field: str, default: Any, about: str, kind: Any = str, **named: Any) 
 
 ABOUT = f"A named scene ({', '.join(scenes.names())}) or its .toml file; other flags override it."
 NAMED_SCENE = _extra("named_scene", "", ABOUT, name="scene")
-OTHER_BITS = "With --resume: allow another number of processes; results then differ in their bits."
+OTHER_BITS = "With --resume: allow a different number of processes; results then differ in their bits."
 TRUST = "With --resume: allow the import of the module in the environment's id."
 RESUME = (
     _extra("resume", "", "Continue the run in this folder from its last whole epoch.", metavar="RUN"),
