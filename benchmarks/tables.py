@@ -52,6 +52,12 @@ def _faults(flag: str) -> None:
     faults.show(data("faults"), [flag])
 
 
+def _comparison() -> None:
+    """The README's, for another page."""
+    _, _, section = (ROOT / "README.md").read_text(encoding="utf-8").partition("## Compared with")
+    print(section.partition("\n## ")[0].replace("](docs/", "]("))
+
+
 PRINTED: dict[str, Callable[[], None]] = {
     "probe gains": _of("probe", probe_tables.gains, 0.05),
     "probe gains, exact joints": _of("probe", probe_tables.gains, 0.0),
@@ -78,6 +84,7 @@ PRINTED: dict[str, Callable[[], None]] = {
     },
     **{f"gates {name}": _of("gates", partial(gates.show, name)) for name in gates.tables()},
     **environments.TABLES,
+    "comparison": _comparison,
 }
 """What prints each table, perhaps with a title."""
 
