@@ -43,7 +43,7 @@ class Estimate(NamedTuple):
 # -- one number per run ----------------------------------------------------------------------
 
 
-def converged_rate(curves: Array, n_bins: int = N_BINS) -> Array:
+def converged_rate(curves: Array) -> Array:
     """The level at which each curve spends most of its points; (runs, points) → (runs,).
 
     The mode of the learning curve's histogram over [0, 1] (Melnik et al. 2021, "Using tactile
@@ -54,18 +54,17 @@ def converged_rate(curves: Array, n_bins: int = N_BINS) -> Array:
     """
     if np.nanmin(curves, initial=0.0) < 0 or np.nanmax(curves, initial=0.0) > 1:
         raise ValueError("curves: found rates outside of [0, 1], allowed from 0 to 1")
-    return np.array([_mode(curve[~np.isnan(curve)], n_bins) for curve in curves])
+    return np.array([_mode(curve[~np.isnan(curve)]) for curve in curves])
 
 
-def _mode(rates: Array, n_bins: int) -> float:
+def _mode(rates: Array) -> float:
     if not len(rates):
         return math.nan
     # Rounded, for 0.58 * 50 is 28.999999999999996.
-    bins = np.minimum(np.floor(np.round(rates * n_bins, 9)), n_bins - 1).astype(int)
-    counts = np.bincount(bins, minlength=n_bins)
-    fullest = np.flatnonzero(counts == counts.max())
-    last_visit = [np.flatnonzero(bins == index)[-1] for index in fullest]
-    return float(rates[bins == fullest[int(np.argmax(last_visit))]].mean())
+    bins = np.minimum(np.floor(np.round(rates * N_BINS, 9)), N_BINS - 1).astype(int)
+    counts = np.bincount(bins)[bins]  # at each point, of its bin
+    last_of_fullest = np.flatnonzero(counts == counts.max())[-1]
+    return float(rates[bins == bins[last_of_fullest]].mean())
 
 
 def final_rate(curves: Array, tail: float = TAIL) -> Array:
@@ -165,9 +164,7 @@ def estimate(scores: Array, metric: Metric, counts: Array, confidence: float = C
     return Estimate(value, *percentile_interval(bootstrap(scores, metric, counts), confidence))
 
 
-def sample_efficiency(
-    curves: Array, metric: Metric, counts: Array, confidence: float = CONFIDENCE
-) -> tuple[Array, Array]:
+def sample_efficiency(curves: Array, metric: Metric, counts: Array) -> tuple[Array, Array]:
     """Aggregate over the runs at every point, with pointwise percentile intervals.
 
     (runs, points), counts (runs, n_resamples) → (points,), (points, 2). One point at a time, so
@@ -175,9 +172,7 @@ def sample_efficiency(
     computed once.
     """
     distinct, place = np.unique(curves, axis=1, return_inverse=True)
-    intervals = np.array(
-        [percentile_interval(bootstrap(scores, metric, counts), confidence) for scores in distinct.T]
-    )
+    intervals = np.array([estimate(scores, metric, counts)[1:] for scores in distinct.T])
     return aggregate(curves, metric), intervals[place.ravel()]
 
 
@@ -312,12 +307,9 @@ def difference(
     """Treatment minus control with its percentile interval; `drawn` are independent resamples of
     both.
     """
-    distributions = [
-        bootstrap(scores, metric, counts)
-        for scores, counts in zip((treatment, control), drawn, strict=True)
-    ]
+    gaps = bootstrap(treatment, metric, drawn[0]) - bootstrap(control, metric, drawn[1])
     value = float(aggregate(treatment, metric) - aggregate(control, metric))
-    return Estimate(value, *percentile_interval(distributions[0] - distributions[1]))
+    return Estimate(value, *percentile_interval(gaps))
 
 
 def probability_of_improvement(
@@ -405,9 +397,9 @@ def runs_needed(
     return found if found <= most else None
 
 
-def sd_interval(sd: float, freedom: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
+def sd_interval(sd: float, freedom: int) -> tuple[float, float]:
     """Interval of the standard deviation of normal samples (chi-squared)."""
-    tail = (1 - confidence) / 2
+    tail = (1 - CONFIDENCE) / 2
     low, high = (sd * math.sqrt(freedom / scipy.stats.chi2.isf(t, freedom)) for t in (tail, 1 - tail))
     return low, high
 

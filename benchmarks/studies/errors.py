@@ -20,7 +20,7 @@ from scipy.special import expit
 from benchmarks.command import run_parts
 from benchmarks.studies.coverage import bca_interval
 from tactilerl import statistics
-from tactilerl.study.primary import Looks
+from tactilerl.study.grid import Looks
 from tactilerl.study.verdicts import take
 
 Rng = np.random.Generator

@@ -19,9 +19,8 @@ from rich.table import Table
 from benchmarks.command import parser, write
 from tactilerl import statistics
 from tactilerl.study import records
-from tactilerl.study.grid import Setup
+from tactilerl.study.grid import SCORES, Setup
 from tactilerl.study.planning import spread
-from tactilerl.study.primary import SCORES
 from tactilerl.study.records import Record
 from tactilerl.study.verdicts import is_finished, scores
 

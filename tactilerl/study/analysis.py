@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,7 @@ import numpy as np
 from .. import statistics
 from ..statistics import Array, Estimate, Metric
 from . import published, verdicts
-from .grid import Setup, Study
-from .primary import SCORES
+from .grid import SCORES, Setup, Study
 from .published import Published
 from .records import Record
 from .verdicts import SEED, Headroom, Pairs, Verdict
@@ -24,7 +24,6 @@ MOST_POINTS = 500  # of a curve
 class Group:
     """The finished runs of one cell and arm."""
 
-    cell: str
     arm: str
     seeds: list[int]
     curves: Array
@@ -50,6 +49,10 @@ class Group:
         return len(self.seeds)
 
 
+Groups = dict[tuple[str, str], Group]
+"""By cell and arm, in order of the grid."""
+
+
 @dataclass(frozen=True)
 class Comparison:
     """Treatment against control in one cell."""
@@ -72,7 +75,7 @@ class SetupResult:
     setup: Setup
     steps: Array
     """(points,) at which the curves are compared."""
-    groups: dict[tuple[str, str], Group]
+    groups: Groups
     comparisons: dict[str, Comparison]
     records: list[Record]
 
@@ -89,7 +92,7 @@ class SetupResult:
     @property
     def cells(self) -> list[str]:
         """Those with finished runs, in order of the grid."""
-        return [cell for cell in self.setup.cells if any(cell == c for c, _ in self.groups)]
+        return list(dict.fromkeys(cell for cell, _ in self.groups))
 
 
 @dataclass(frozen=True)
@@ -100,37 +103,28 @@ class Analysis:
     records: list[Record]
     setups: list[SetupResult]
 
-    @property
-    def fewest(self) -> int:
-        """Runs in the smallest group."""
-        return min((len(group) for one in self.setups for group in one.groups.values()), default=0)
-
 
 def analyse(study: Study, records: list[Record], n_resamples: int = statistics.N_RESAMPLES) -> Analysis:
     """All numbers of a report."""
     setups = []
     for index, setup in enumerate(study.setups):
         own = [record for record in records if record.run.setup == setup.name]
+        finished = [record for record in own if verdicts.is_finished(record, setup.measure)]
+        steps = _common_steps([record.curve(setup.measure)[0] for record in finished])
+        groups = {}
         rng = np.random.default_rng([SEED, index])
-        result = _setup(setup, own, rng, n_resamples)
-        compared = _comparisons(study, result, records, n_resamples)
-        setups.append(replace(result, comparisons=compared))
+        for place in product(setup.cells, setup.arms):
+            runs = [r for r in finished if (r.run.cell, r.run.arm) == place]
+            if runs:
+                counts = statistics.resample(rng, len(runs), n_resamples)
+                groups[place] = _group(place[1], runs, setup.measure, steps, counts)
+        compared = {
+            cell: _comparison(study, setup, verdict, groups, records, n_resamples)
+            for cell, verdict in verdicts.judge(study, setup, records, n_resamples).items()
+            if all((cell, arm) in groups for arm in setup.arms[:2])
+        }
+        setups.append(SetupResult(setup, steps, groups, compared, own))
     return Analysis(study, records, setups)
-
-
-def _setup(
-    setup: Setup, records: list[Record], rng: np.random.Generator, n_resamples: int
-) -> SetupResult:
-    finished = [r for r in records if verdicts.is_finished(r, setup.measure)]
-    steps = _common_steps([r.curve(setup.measure)[0] for r in finished])
-    groups = {}
-    for cell in setup.cells:
-        for arm in setup.arms:
-            own = [r for r in finished if (r.run.cell, r.run.arm) == (cell, arm)]
-            if own:
-                counts = statistics.resample(rng, len(own), n_resamples)
-                groups[cell, arm] = _group(cell, arm, own, setup.measure, steps, counts)
-    return SetupResult(setup, steps, groups, {}, records)
 
 
 def _common_steps(curves: list[Array]) -> Array:
@@ -142,41 +136,38 @@ def _common_steps(curves: list[Array]) -> Array:
     return np.linspace(first, last, points) if last > first else np.array([last])
 
 
-def _group(
-    cell: str, arm: str, records: list[Record], measure: str, steps: Array, counts: Array
-) -> Group:
+def _group(arm: str, records: list[Record], measure: str, steps: Array, counts: Array) -> Group:
     curves = np.array([np.interp(steps, *record.curve(measure)) for record in records])
     reached = [verdicts.scores(record, measure) for record in records]
     scores = {name: np.array([one[name] for one in reached]) for name in reached[0]}
-    seeds = [record.run.seed for record in records]
     aggregated = statistics.sample_efficiency(curves, "iqm", counts)
-    return Group(cell, arm, seeds, curves, *aggregated, scores, counts)
+    return Group(arm, [record.run.seed for record in records], curves, *aggregated, scores, counts)
 
 
-def _comparisons(
-    study: Study, one: SetupResult, records: list[Record], n_resamples: int
-) -> dict[str, Comparison]:
-    found = {}
-    for cell, verdict in verdicts.judge(study, one.setup, records, n_resamples).items():
-        if any((cell, arm) not in one.groups for arm in one.setup.arms[:2]):
-            continue
-        treatment, control = pair(one, cell)
-        secondary = {
-            score: verdicts.in_pairs(treatment.by_seed(score), control.by_seed(score), n_resamples)
-            for score in SCORES
-            if score != study.primary.score
-        }
-        room = verdicts.headroom(study, one.setup, cell, records, n_resamples)
-        a, b = (group.scores["converged"] for group in (treatment, control))
-        bounds = [group.estimate("iqm", "converged")[1:] for group in (treatment, control)]
-        drawn = treatment.counts, control.counts
-        found[cell] = Comparison(
-            verdict, secondary, room,
-            statistics.difference(a, b, "iqm", drawn),
-            statistics.interval_overlap(bounds[0], bounds[1]),
-            statistics.probability_of_improvement(a, b, drawn),
-        )  # fmt: skip
-    return found
+def _comparison(
+    study: Study,
+    setup: Setup,
+    verdict: Verdict,
+    groups: Groups,
+    records: list[Record],
+    n_resamples: int,
+) -> Comparison:
+    both = [groups[verdict.cell, arm] for arm in setup.arms[:2]]
+    secondary = {
+        score: verdicts.in_pairs(*(group.by_seed(score) for group in both), n_resamples)
+        for score in SCORES
+        if score != study.primary.score
+    }
+    a, b = (group.scores["converged"] for group in both)
+    bounds = [group.estimate("iqm", "converged")[1:] for group in both]
+    drawn = both[0].counts, both[1].counts
+    return Comparison(
+        verdict, secondary,
+        verdicts.headroom(study, setup, verdict.cell, records, n_resamples),
+        statistics.difference(a, b, "iqm", drawn),
+        statistics.interval_overlap(*bounds),
+        statistics.probability_of_improvement(a, b, drawn),
+    )  # fmt: skip
 
 
 def pair(one: SetupResult, cell: str) -> tuple[Group, Group]:

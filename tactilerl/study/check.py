@@ -12,13 +12,6 @@ from ..runs.training import check, make_algorithm
 from .folder import StudyFolder
 from .grid import Run
 
-SERIAL = ["--workers", "1"]  # a run of a study has one core to itself
-
-
-def arguments(run: Run) -> list[str]:
-    """Flags of `tactilerl train` for a run."""
-    return [*SERIAL, *run.arguments]
-
 
 def configure(runs: list[Run]) -> dict[str, RunConfig]:
     """The configuration of every run, by name; InputError naming the first invalid run.
@@ -30,7 +23,8 @@ def configure(runs: list[Run]) -> dict[str, RunConfig]:
     for run in runs:
         try:
             if run.combination not in read:
-                read[run.combination] = _read(run)
+                flags = run.arguments
+                read[run.combination] = train_flags.read(flags, train_flags.defaults(flags))[0]
             config = read[run.combination]
             config = dataclasses.replace(config, run=dataclasses.replace(config.run, seed=run.seed))
             with input_errors():
@@ -39,11 +33,6 @@ def configure(runs: list[Run]) -> dict[str, RunConfig]:
             raise InputError(f"run {run.name}: {error}") from error
         configs[run.name] = config
     return configs
-
-
-def _read(run: Run) -> RunConfig:
-    flags = arguments(run)
-    return train_flags.read(flags, train_flags.defaults(flags))[0]
 
 
 def start(runs: list[Run], configs: dict[str, RunConfig], folder: StudyFolder) -> None:

@@ -6,7 +6,7 @@ Groups of runs are compared that have the same other names in both parts.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -87,9 +87,14 @@ def compare(a: Part, b: Part, score: str) -> list[Row]:
     if not pairs:
         found = (", ".join(" ".join(place) for place in part.groups) for part in (a, b))
         raise InputError("compare: found {} in one and {} in the other, nothing in both".format(*found))
-    rows = [_row(a, b, *places, score) for places in pairs]
-    corrected = statistics.holm([row.pairs.p_value for row in rows])
-    return [replace(row, p_holm=float(p)) for row, p in zip(rows, corrected, strict=True)]
+    found = []
+    for at_a, at_b in pairs:
+        end = min(a.ends_at(at_a), b.ends_at(at_b))
+        one, other = a.scores(at_a, score, end), b.scores(at_b, score, end)
+        compared = in_pairs(one, other) if one.keys() & other.keys() else _apart(one, other)
+        found.append((" ".join(at_a) or "all", (len(one), len(other)), end, compared))
+    corrected = statistics.holm([compared.p_value for *_, compared in found])
+    return [Row(*one, float(p)) for one, p in zip(found, corrected, strict=True)]
 
 
 def differing(a: Part, b: Part) -> list[str]:
@@ -103,15 +108,6 @@ def differing(a: Part, b: Part) -> list[str]:
     names = [name for name in flat[0] | flat[1] if name not in UNTOLD]
     values = {name: [one.get(name) for one in flat] for name in names}
     return [f"{name} {x} − {y}" for name, (x, y) in values.items() if x != y]
-
-
-def _row(a: Part, b: Part, at_a: Place, at_b: Place, score: str) -> Row:
-    end = min(a.ends_at(at_a), b.ends_at(at_b))
-    one, other = a.scores(at_a, score, end), b.scores(at_b, score, end)
-    pairs = in_pairs(one, other)
-    if not len(pairs):
-        pairs = _apart(one, other)
-    return Row(" ".join(at_a) or "all", (len(one), len(other)), end, pairs, np.nan)
 
 
 def _apart(a: BySeed, b: BySeed) -> Pairs:

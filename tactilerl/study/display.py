@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
@@ -36,30 +38,20 @@ class Standing:
         state = state or files.state()
         if state in ("left", "damaged"):
             return cls(state, 0.0, 0.0)
-        rows = files.rows()
+        rows, total = files.rows(), math.inf  # of a damaged one as good as nothing is done
+        if state != "done":
+            with suppress(InputError), damage_named(files.run_dir.config_file):
+                total = max(1, int(files.run_dir.record()["run"]["total_timesteps"]))
         steps = int(rows[-1]["env_steps"]) if rows else 0
-        fraction = 1.0 if state == "done" else min(1.0, steps / _total_timesteps(files))
-        return cls(state, fraction, seconds_spent(rows))
+        return cls(state, 1.0 if state == "done" else min(1.0, steps / total), seconds_spent(rows))
 
 
-def _total_timesteps(files: RunFiles) -> int:
-    try:
-        with damage_named(files.run_dir.config_file):
-            return max(1, int(files.run_dir.record()["run"]["total_timesteps"]))
-    except InputError:
-        return 1 << 62  # damaged: as good as nothing of it is done
-
-
-@dataclass
 class Overview:
     """Standings of all runs, by name."""
 
-    folder: StudyFolder
-    runs: list[Run]
-    standings: dict[str, Standing] = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.standings = {run.name: Standing.of(self.folder.files(run)) for run in self.runs}
+    def __init__(self, folder: StudyFolder, runs: list[Run]) -> None:
+        self.folder, self.runs = folder, runs
+        self.standings = {run.name: Standing.of(folder.files(run)) for run in runs}
 
     def counts(self, setup: str | None = None) -> dict[str, int]:
         """Runs in each state, of one set-up or of all."""
@@ -73,14 +65,11 @@ class Overview:
         run yet, as those of the others.
         """
         overall = _seconds_per_run(self.standings.values())
-        by_setup: dict[str, list[Standing]] = {}
-        for run in self.runs:
-            by_setup.setdefault(run.setup, []).append(self.standings[run.name])
-        left = sum(
-            (_seconds_per_run(some) or overall or 0.0)
-            * sum(1 - one.fraction for one in some if one.state not in ("done", "failed"))
-            for some in by_setup.values()
-        )
+        left = 0.0
+        for setup in dict.fromkeys(run.setup for run in self.runs):
+            some = [self.standings[run.name] for run in self.runs if run.setup == setup]
+            open_ = sum(1 - one.fraction for one in some if one.state not in ("done", "failed"))
+            left += (_seconds_per_run(some) or overall or 0.0) * open_
         return left / max(1, parallel) if overall else None
 
     def table(self, title: str) -> Table:

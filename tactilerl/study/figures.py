@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from ..statistics import METRICS, Estimate
 from ..style import ARMS, DPI, FAINT, HEAD, INK, STYLE, arm
 from .analysis import Analysis, SetupResult
-from .primary import SCORES
+from .grid import SCORES
 from .summary import subject
 
 LABELS = {"median": "median of runs", "iqm": "IQM", "mean": "mean"}

@@ -168,14 +168,11 @@ class StudyFolder:
             file.write((json.dumps(study.as_dict(), indent=1) + "\n").encode())
 
     def study(self) -> Study:
-        """The study that was run here last."""
-        return read_study(self.study_file, self.path)
-
-
-def read_study(path: Path, folder: Path) -> Study:
-    """The study in a study.json; InputError where there is none."""
-    try:
-        with damage_named(path, "not a study of this version"):
-            return from_dict(read_json(path))
-    except (FileNotFoundError, NotADirectoryError):
-        raise InputError(f"{str(folder)!r} is not a study's folder: no study.json in it") from None
+        """The study that was run here last; InputError where there is none."""
+        try:
+            with damage_named(self.study_file, "not a study of this version"):
+                return from_dict(read_json(self.study_file))
+        except (FileNotFoundError, NotADirectoryError):
+            raise InputError(
+                f"{str(self.path)!r} is not a study's folder: no study.json in it"
+            ) from None

@@ -33,14 +33,13 @@ import re
 import tomllib
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from ..envs.typed import require
 from ..errors import InputError
 from ..runs.files import MAX_JSON, content, damage_named, require_name
-from .primary import Looks, Primary
 
 MEASURES = ("success_rate", "test_success_rate")  # columns of progress.csv that are shares
 KEYS = ("name", "measure", "compare", "primary", "looks", "grid", "setups")
@@ -50,6 +49,46 @@ SEED = "seed"
 FLAG = re.compile(r"[a-z][a-z0-9_-]*")
 NUMBER = re.compile(r"-\.?\d.*")  # begins as a flag does, but is none
 MOST_RUNS = 10_000  # a slip in a grid multiplies
+
+SCORES = {
+    "area": "area under the curve",
+    "final": "final rate",
+    "converged": "converged rate",
+}
+"""What one run reached: docs/statistics.md."""
+
+
+@dataclass(frozen=True)
+class Primary:
+    """What decides a comparison; written down before the runs."""
+
+    score: Literal["area", "final", "converged"] = "area"
+
+
+@dataclass(frozen=True)
+class Looks:
+    """When a study looks at its primary comparisons, and what ends one."""
+
+    pairs: list[int] = field(default_factory=lambda: [6, 9, 12, 16])
+    """Seeds that have been run by then; the last look is at all of them."""
+    alpha: Annotated[float, "(0, 1)"] = 0.05
+    """Error of all looks together; as much of it may be spent as seeds have been run (`spent`)."""
+    effect: Annotated[float, "(0, 1)"] = 0.1
+    """A comparison ends, too, where a difference of so much is ruled out, either way."""
+
+    def validate(self) -> None:
+        """InputError unless the looks follow one another."""
+        if sorted(set(self.pairs)) != self.pairs or min(self.pairs, default=0) < 2:
+            raise InputError(
+                f"looks.pairs: found {self.pairs}, allowed growing numbers, such as [6, 9, 12, 16]"
+            )
+
+    def spent(self, n_comparisons: int) -> list[float]:
+        """Error of one of so many comparisons (Bonferroni) up to each look: in proportion to the pairs
+        (Kim and DeMets 1987)."""
+        return [self.alpha / n_comparisons * n / self.pairs[-1] for n in self.pairs]
+
+
 Part = TypeVar("Part", Primary, Looks)
 
 
@@ -74,20 +113,9 @@ class Setup:
     measure: str
 
     @property
-    def n_runs(self) -> int:
-        """How many runs it stands for."""
-        return len(self.seeds) * math.prod(map(len, self.grid.values()))
-
-    @property
-    def cell_flags(self) -> list[str]:
-        """The flags that make a cell: those of the grid that are not compared."""
-        return [flag for flag in self.grid if self.compare is None or flag != self.compare.flag]
-
-    @property
     def cells(self) -> list[str]:
-        """The labels of all cells, in order of the grid."""
-        values = itertools.product(*(self.grid[flag] for flag in self.cell_flags))
-        return [cell_label(dict(zip(self.cell_flags, one, strict=True))) for one in values]
+        """The labels of all cells, in order of the grid: `layout 2`."""
+        return list(dict.fromkeys(run.cell for run in self.runs(0)))
 
     @property
     def arms(self) -> list[str]:
@@ -103,6 +131,19 @@ class Setup:
         if self.compare is None or self.compare.flag == "run_type":
             return arm or "all"
         return f"{self.compare.flag.replace('_', ' ')} {arm}"
+
+    def runs(self, seed: int) -> Iterator[Run]:
+        """Those of one seed, in order of the grid."""
+        compared = self.compare.flag if self.compare else ""
+        flags = sorted(self.grid, key=lambda flag: flag == compared)  # the compared one last
+        for values in itertools.product(*(self.grid[flag] for flag in flags)):
+            chosen = dict(zip(flags, values, strict=True))
+            shown = {flag: text(value) for flag, value in chosen.items()}
+            parts = [self.name, *map("-".join, shown.items()), f"s{seed}"]
+            name = re.sub(r"[^\w.+-]+", "-", "_".join(parts))
+            arm = shown.pop(compared, "")
+            cell = ", ".join(f"{flag.replace('_', ' ')} {value}" for flag, value in shown.items())
+            yield Run(name, self.name, cell or "all", arm, seed, {**self.flags, **chosen})
 
     def names(self, run: Run) -> list[str]:
         """Of the set-up, cell and arm of a run, those that somebody chose."""
@@ -130,8 +171,8 @@ class Run:
 
     @property
     def arguments(self) -> list[str]:
-        """The command line of `tactilerl train`, without where it is written."""
-        return [*to_arguments(self.flags), "--seed", str(self.seed)]
+        """The command line of `tactilerl train`, without where it is written; one core to itself."""
+        return ["--workers", "1", *to_arguments(self.flags), "--seed", str(self.seed)]
 
 
 @dataclass(frozen=True)
@@ -140,7 +181,7 @@ class Study:
 
     name: str
     setups: list[Setup]
-    primary: Primary = dataclasses.field(default_factory=Primary)
+    primary: Primary = field(default_factory=Primary)
     looks: Looks | None = None
 
     def runs(self) -> list[Run]:
@@ -150,8 +191,8 @@ class Study:
             run
             for index in range(longest)
             for setup in self.setups
-            if index < len(setup.seeds)
-            for run in _runs(setup, setup.seeds[index])
+            for seed in setup.seeds[index : index + 1]
+            for run in setup.runs(seed)
         ]
         name, times = Counter(run.name for run in runs).most_common(1)[0]
         if times > 1:
@@ -194,11 +235,10 @@ class Study:
                     f"looks.pairs: found {self.looks.pairs}, but {setup.name} has "
                     f"{len(setup.seeds)} seeds; the last look is at all of them"
                 )
-        twice = [name for name, n in Counter(setup.name for setup in self.setups).items() if n > 1]
-        n_runs = sum(setup.n_runs for setup in self.setups)
-        if twice or not 1 <= n_runs <= MOST_RUNS:
-            found = f"{twice[0]} twice" if twice else f"{n_runs:,} runs"
-            raise InputError(f"setups: found {found}, allowed are up to {MOST_RUNS:,} runs in a study")
+        n_runs = sum(len(one.seeds) * math.prod(map(len, one.grid.values())) for one in self.setups)
+        if not 1 <= n_runs <= MOST_RUNS:
+            allowed = f"allowed are up to {MOST_RUNS:,} runs in a study"
+            raise InputError(f"setups: found {n_runs:,} runs, {allowed}")
         for run in self.runs():  # of which no two have the same name
             require_name(run.name, "the name of a run")
 
@@ -259,7 +299,7 @@ def _part(data: dict[str, Any], key: str, kind: type[Part]) -> Part:
     """A table that has a dataclass of its own."""
     table = _table(data, key)
     for name in table:
-        _one_of(name, tuple(field.name for field in dataclasses.fields(kind)), key)
+        _one_of(name, tuple(one.name for one in dataclasses.fields(kind)), key)
     part = kind(**table)
     try:
         require(kind, vars(part))
@@ -287,16 +327,16 @@ def _setup(name: str, setups: dict[str, Any], study: dict[str, Any]) -> Setup:
 
 def _flags(table: dict[str, Any], where: str, taken: Sequence[str] = TAKEN) -> dict[str, Any]:
     """Values by the names of their flags, with underscores, as in config.json."""
+    flags = {}
     for key, value in table.items():
         flag = _flag(key, where)
         if flag in taken:
-            is_seed = flag == SEED
-            reason = (
-                "belongs in the grid" if is_seed else "is decided by `tactilerl study`; leave it out"
-            )
+            decided = "is decided by `tactilerl study`; leave it out"
+            reason = "belongs in the grid" if flag == SEED else decided
             raise InputError(f"{where}.{key}: {reason}")
         _require_values(value, f"{where}.{key}")
-    return {_flag(key, where): value for key, value in table.items()}
+        flags[flag] = value
+    return flags
 
 
 def _grid(table: dict[str, Any], where: str) -> dict[str, list[Any]]:
@@ -391,13 +431,6 @@ def text(value: Any) -> str:
     return " ".join(map(text, value)) if isinstance(value, list) else str(value)
 
 
-def cell_label(values: dict[str, Any]) -> str:
-    """The name of a cell, as in tables: `layout 2`."""
-    return (
-        ", ".join(f"{flag.replace('_', ' ')} {text(value)}" for flag, value in values.items()) or "all"
-    )
-
-
 def to_arguments(flags: dict[str, Any]) -> list[str]:
     """Flags with their values as a command line."""
     arguments: list[str] = []
@@ -408,14 +441,3 @@ def to_arguments(flags: dict[str, Any]) -> list[str]:
         else:
             arguments += [f"--{name}", *map(text, _as_list(value))]
     return arguments
-
-
-def _runs(setup: Setup, seed: int) -> Iterator[Run]:
-    flags = [*setup.cell_flags, *([setup.compare.flag] if setup.compare else [])]
-    for values in itertools.product(*(setup.grid[flag] for flag in flags)):
-        chosen = dict(zip(flags, values, strict=True))
-        cell = {flag: chosen[flag] for flag in setup.cell_flags}
-        arm = text(chosen[setup.compare.flag]) if setup.compare else ""
-        parts = [setup.name, *(f"{flag}-{text(value)}" for flag, value in chosen.items()), f"s{seed}"]
-        name = re.sub(r"[^\w.+-]+", "-", "_".join(parts))
-        yield Run(name, setup.name, cell_label(cell), arm, seed, {**setup.flags, **chosen})

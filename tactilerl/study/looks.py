@@ -9,12 +9,14 @@ from pathlib import Path
 
 from . import records, summary, verdicts
 from .folder import StudyFolder
-from .grid import Run, Setup, Study
+from .grid import Run, Study
 from .runner import Ending, Job
 from .verdicts import Verdict
 
 PATIENCE = 5.0  # s between questions after runs that another process trains
 Endings = dict[Path, Ending]
+Found = Mapping[str, Mapping[str, Verdict]]
+"""Comparisons by set-up and cell."""
 RunAll = Callable[[list[Job]], Endings]
 """`runner.run_all`, given its pool and who watches."""
 
@@ -50,13 +52,9 @@ def run(
 
 
 def judge(
-    study: Study,
-    folder: StudyFolder,
-    waiting: Collection[str] = (),
-    collected: Sequence[Path] = (),
-) -> dict[str, dict[str, Verdict]]:
-    """All primary comparisons, by set-up and cell; runs that are `waiting` are not done, whatever was
-    recorded of them."""
+    study: Study, folder: StudyFolder, waiting: Collection[str] = (), collected: Sequence[Path] = ()
+) -> Found:
+    """All primary comparisons; runs that are `waiting` are not done, whatever was recorded of them."""
     found = [
         replace(record, state="left") if record.run.name in waiting else record
         for record in records.load(folder.path, *collected)[1]
@@ -64,29 +62,20 @@ def judge(
     return {setup.name: verdicts.judge(study, setup, found) for setup in study.setups}
 
 
-def answers(study: Study, found: Mapping[str, Mapping[str, Verdict]]) -> list[str]:
+def answers(study: Study, found: Found) -> list[str]:
     """A sentence for each comparison."""
-    return [
-        summary.answer(setup, verdict)
-        for setup in study.setups
-        for verdict in found[setup.name].values()
-    ]
+    return [summary.answer(one, v) for one in study.setups for v in found[one.name].values()]
 
 
-def have_ended(found: Mapping[str, Mapping[str, Verdict]]) -> bool:
+def have_ended(found: Found) -> bool:
     """Has a look ended every comparison?"""
     stages = [verdict.stage for cells in found.values() for verdict in cells.values()]
     return bool(stages) and all(stage is not None and stage.ending for stage in stages)
 
 
-def _is_due(
-    study: Study, run: Run, n: int, is_last: bool, found: Mapping[str, Mapping[str, Verdict]]
-) -> bool:
+def _is_due(study: Study, run: Run, n: int, is_last: bool, found: Found) -> bool:
     """Is a run needed for the look at `n` pairs? What is in no comparison goes on while any does."""
-    setup: Setup = next(one for one in study.setups if one.name == run.setup)
-    compared = [verdict for cells in found.values() for verdict in cells.values()]
-    if run.cell in found[setup.name]:
-        compared = [found[setup.name][run.cell]]
-    is_open = any(not (verdict.stage and verdict.stage.ending) for verdict in compared)
-    is_early = setup.seeds.index(run.seed) < n or (is_last and setup.compare is None)
-    return is_open and is_early
+    setup = next(one for one in study.setups if one.name == run.setup)
+    own = found[setup.name].get(run.cell)
+    is_open = not have_ended({setup.name: {run.cell: own}} if own else found)
+    return is_open and (setup.seeds.index(run.seed) < n or (is_last and setup.compare is None))

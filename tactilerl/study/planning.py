@@ -9,8 +9,7 @@ import numpy as np
 
 from .. import statistics
 from ..statistics import Array
-from .grid import Setup, Study
-from .primary import SCORES
+from .grid import SCORES, Setup, Study
 from .records import Record
 from .verdicts import SEED, Pairs, both_arms, in_pairs
 
@@ -94,11 +93,11 @@ def _need(
 
 def best(needs: Sequence[Need]) -> dict[str, Need]:
     """By set-up, the score that needs the fewest pairs."""
-    found: dict[str, Need] = {}
-    for need in needs:
-        if need.needed and (need.setup not in found or need.needed < (found[need.setup].needed or 0)):
-            found[need.setup] = need
-    return found
+    known = [need for need in needs if need.needed]
+    return {
+        setup: min((n for n in known if n.setup == setup), key=lambda need: need.needed or 0)
+        for setup in dict.fromkeys(need.setup for need in known)
+    }
 
 
 def looks(n_pairs: int) -> list[int]:

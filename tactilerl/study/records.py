@@ -51,7 +51,7 @@ class Record:
 
     def column(self, name: str) -> Array:
         """A column of the progress table as numbers; NaN where there is none."""
-        return np.array([_number(row.get(name)) for row in self.rows])
+        return np.array([float(row.get(name) or math.nan) for row in self.rows])
 
     def curve(self, measure: str) -> tuple[Array, Array]:
         """(steps, rates) of the epochs that have a rate."""
@@ -78,13 +78,6 @@ class Record:
     def seconds(self) -> float:
         """Spent in epochs."""
         return seconds_spent(self.rows)
-
-
-def _number(text: str | None) -> float:
-    try:
-        return float(text) if text else math.nan
-    except ValueError:
-        return math.nan
 
 
 def load(*paths: Path) -> tuple[Study, list[Record]]:

@@ -65,8 +65,8 @@ def _sections(analysis: Analysis, parts: list[Picture | Table]) -> list[dict[str
         for one in analysis.setups
     }
     names["runs", "Runs, cost and versions"] = LAST
-    sections = [
-        {"key": key, "title": title, "parts": [p for name in own for p in parts if p.name == name]}
+    return [
+        {"key": key, "title": title, "parts": found}
         for (key, title), own in names.items()
+        if (found := [part for name in own for part in parts if part.name == name])
     ]
-    return [section for section in sections if section["parts"]]

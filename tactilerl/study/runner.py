@@ -171,17 +171,12 @@ def run_all(jobs: list[Job], pool: concurrent.futures.Executor, watch: Watch) ->
     endings so far. Jobs that somebody else was training are asked for once more at the end.
     """
     endings: dict[Path, Ending] = {}
-    _run_batch(jobs, pool, watch, endings)
-    _run_batch([job for job in jobs if endings[job.base] == "busy"], pool, watch, endings)
+    for is_first in (True, False):
+        batch = [job for job in jobs if is_first or endings[job.base] == "busy"]
+        waiting = {pool.submit(run_job, job): job for job in batch}
+        while waiting:
+            ended, _ = concurrent.futures.wait(waiting, LOOK, concurrent.futures.FIRST_COMPLETED)
+            for future in ended:
+                endings[waiting.pop(future).base] = future.result()
+            watch([job for future, job in waiting.items() if future.running()], endings)
     return endings
-
-
-def _run_batch(
-    jobs: list[Job], pool: concurrent.futures.Executor, watch: Watch, endings: dict[Path, Ending]
-) -> None:
-    waiting = {pool.submit(run_job, job): job for job in jobs}
-    while waiting:
-        ended, _ = concurrent.futures.wait(waiting, LOOK, concurrent.futures.FIRST_COMPLETED)
-        for future in ended:
-            endings[waiting.pop(future).base] = future.result()
-        watch([job for future, job in waiting.items() if future.running()], endings)

@@ -11,8 +11,7 @@ import numpy as np
 from ..statistics import FEW_RUNS, FEWEST_PAIRS, Estimate
 from ..style import NAMES, arm
 from .analysis import Analysis, Group, SetupResult
-from .grid import Setup
-from .primary import SCORES
+from .grid import SCORES, Setup
 from .records import Record
 from .verdicts import LEAST_ROOM, Headroom, Verdict
 
@@ -183,12 +182,12 @@ def warnings(analysis: Analysis, few: int = FEW_RUNS) -> list[str]:
     unfinished = [f"{n} {state}" for state, n in sorted(states.items()) if state != "done"]
     if unfinished:
         found.append(f"Of {len(analysis.records)} runs {', '.join(unfinished)}: they are in no figure.")
-    if 0 < analysis.fewest < few:
+    groups = [group for one in analysis.setups for group in one.groups.values()]
+    if (fewest := min(map(len, groups), default=few)) < few:
         found.append(
-            f"The smallest group has {plural(analysis.fewest, 'run')}. Intervals of an arm with fewer "
+            f"The smallest group has {plural(fewest, 'run')}. Intervals of an arm with fewer "
             f"than {few} runs are too narrow: they contain the truth less often than they say."
         )
-    groups = [group for one in analysis.setups for group in one.groups.values()]
     if rising := sum(map(_still_rises, groups)):
         found.append(
             f"In {rising} of {len(groups)} groups the runs end well above the level where they spent "

@@ -17,7 +17,7 @@ from ..runs import config as configuration
 from ..statistics import Estimate
 from . import published
 from .analysis import Analysis, SetupResult, pair
-from .primary import SCORES
+from .grid import SCORES
 from .summary import ENDINGS, made_with, subject
 from .verdicts import THRESHOLDS
 
@@ -97,11 +97,8 @@ def comparisons(one: SetupResult, score: str) -> Table:
     for cell, found in one.comparisons.items():
         verdict, room = found.verdict, found.headroom
         row = {"Config.": cell, "Pairs": f"{len(verdict.pairs)} of {verdict.n_seeds}"}
-        row |= {
-            HEADINGS[score]: shown(verdict.pairs.difference, 3),
-            "p": p_value(verdict.pairs.p_value),
-        }
-        row["p, Holm"] = p_value(verdict.p_holm)
+        row[HEADINGS[score]] = shown(verdict.pairs.difference, 3)
+        row |= {"p": p_value(verdict.pairs.p_value), "p, Holm": p_value(verdict.p_holm)}
         if stage := verdict.stage:
             row["Look"] = f"{stage.look} of {stage.of}: {ENDINGS[stage.ending]}"
         for name, pairs in found.secondary.items():
@@ -141,10 +138,9 @@ def measures(one: SetupResult, score: str) -> Table:
             row[HEADINGS[name]] = shown(statistics.mean(group.scores[name], group.counts))
         for threshold in THRESHOLDS:
             steps = group.scores[f"steps to {threshold:g}"]
-            median, reached = float(np.median(steps)), np.isfinite(steps).sum()
-            middle = f"{median:,.0f}" if math.isfinite(median) else "never"
-            heading = f"Steps to {threshold:g} (median; reached by)"
-            row[heading] = f"{middle}; {reached} of {len(group)}"
+            median = f"{np.median(steps):,.0f}".replace("inf", "never")
+            reached = f"{np.isfinite(steps).sum()} of {len(group)}"
+            row[f"Steps to {threshold:g} (median; reached by)"] = f"{median}; {reached}"
         rows.append(row)
     note = (
         "Mean of the runs with 95 % interval. Area: mean success over the run; final: over its last "
@@ -225,13 +221,8 @@ def deviations(analysis: Analysis) -> Table:
     """Where a set-up's flags differ from the defaults, which are the paper's."""
     rows = []
     for one in analysis.setups:
-        varied = {
-            *one.setup.cell_flags,
-            *([one.setup.compare.flag] if one.setup.compare else []),
-            *UNTOLD,
-        }
         for flag, mine, default in _differences(one.config):
-            if flag not in varied:
+            if flag not in (*one.setup.grid, *UNTOLD):
                 rows.append({"Set-up": one.setup.name, "Flag": flag, "Default": default, "Here": mine})
     note = (
         "Flags that are not the defaults of tactilerl train; the defaults are the paper's values, and "

@@ -13,8 +13,7 @@ import numpy as np
 
 from .. import statistics
 from ..statistics import Array, Estimate
-from .grid import Setup, Study
-from .primary import Looks
+from .grid import Looks, Setup, Study
 from .records import Record
 
 SEED = 20_210_830  # of all resampling: the same records give the same report
@@ -136,20 +135,15 @@ def judge(
     study: Study, setup: Setup, records: Sequence[Record], n_resamples: int = statistics.N_RESAMPLES
 ) -> dict[str, Verdict]:
     """The primary comparison of every cell that has runs of both arms."""
-    if setup.compare is None:
-        return {}
-    found = {}
-    for cell in setup.cells:
+    found = []
+    for cell in setup.cells if setup.compare else ():
         arms = both_arms(records, setup, cell, study.primary.score)
         if study.looks is not None:
-            found[cell] = _at_looks(study.looks, setup, cell, records, arms)
+            found.append(_at_looks(study.looks, setup, cell, records, arms))
         else:
-            found[cell] = Verdict(cell, in_pairs(*arms, n_resamples), len(setup.seeds))
-    corrected = statistics.holm([one.valid_p for one in found.values()])
-    return {
-        cell: replace(one, p_holm=float(p))
-        for (cell, one), p in zip(found.items(), corrected, strict=True)
-    }
+            found.append(Verdict(cell, in_pairs(*arms, n_resamples), len(setup.seeds)))
+    corrected = statistics.holm([one.valid_p for one in found])
+    return {one.cell: replace(one, p_holm=float(p)) for one, p in zip(found, corrected, strict=True)}
 
 
 def by_seed(records: Iterable[Record], setup: Setup, cell: str, arm: str, score: str) -> BySeed:
@@ -182,12 +176,9 @@ def _at_looks(
     whole = in_pairs(*arms)
     at_hand = [sum(s in whole.seeds for s in setup.seeds[:n]) for n in looks.pairs if n <= n_ended]
     taken = take(looks, whole.treatment - whole.control, at_hand, len(setup.cells))
-    if not taken:
-        none, untested = Stage(0, len(looks.pairs), ""), replace(whole, p_value=math.nan)
-        return Verdict(cell, untested, len(setup.seeds), none, alpha=looks.alpha)
-    last = taken[-1]
-    n, stage = last.n, Stage(len(taken), len(looks.pairs), last.ending)
-    seen = Pairs(whole.seeds[:n], whole.treatment[:n], whole.control[:n], last.difference, last.p_value)
+    n, gap, p_value, ending = taken[-1] if taken else Taken(len(whole), whole.difference, math.nan, "")
+    seen = Pairs(whole.seeds[:n], whole.treatment[:n], whole.control[:n], gap, p_value)
+    stage = Stage(len(taken), len(looks.pairs), ending)
     return Verdict(cell, seen, len(setup.seeds), stage, alpha=looks.alpha)
 
 
@@ -236,13 +227,13 @@ def headroom(
     blind = next((r.config for r in own if r.config), None)
     if blind is None or _sight(blind) == "exact":
         return None
-    sighted = [
-        r
+    score, measure, alike = study.primary.score, setup.measure, _but_sight(blind)
+    seen = {
+        r.run.seed: scores(r, measure)[score]
         for r in records
-        if r.config and _sight(r.config) == "exact" and _but_sight(r.config) == _but_sight(blind)
-    ]
-    score, measure = study.primary.score, setup.measure
-    seen = {r.run.seed: scores(r, measure)[score] for r in sighted if is_finished(r, measure)}
+        if r.config and _sight(r.config) == "exact" and _but_sight(r.config) == alike
+        if is_finished(r, measure)
+    }
     touch, control = both_arms(records, setup, cell, score)
     seeds = [seed for seed in touch if seed in control and seed in seen]
     if not seeds:

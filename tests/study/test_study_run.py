@@ -17,7 +17,7 @@ import pytest
 from tiny_study import TINY, learned, write
 
 from tactilerl.commands.cli import main
-from tactilerl.study import analysis, check, display, records, report, runner
+from tactilerl.study import analysis, display, records, report, runner
 from tactilerl.study.folder import Outcome, StudyFolder
 
 LAUNCH = [sys.executable, "-m", "tactilerl", "study", "run"]
@@ -203,7 +203,7 @@ class TestFailures:
         files.outcome_file.unlink()
         threading.Thread(target=kill_first_child, daemon=True).start()
         run = folder.study().runs()[0]
-        assert runner.run_job(runner.Job(files.base, check.arguments(run), 200)) == "done"
+        assert runner.run_job(runner.Job(files.base, run.arguments, 200)) == "done"
         assert files.outcome() == Outcome("done", 200)
 
 

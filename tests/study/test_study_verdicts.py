@@ -9,8 +9,7 @@ from study_records import PAPER_LIKE, make_study
 from tactilerl.commands.cli import main
 from tactilerl.study import looks, records, summary, verdicts
 from tactilerl.study.folder import Outcome, RunFiles
-from tactilerl.study.grid import Compare, Setup
-from tactilerl.study.primary import Looks
+from tactilerl.study.grid import Compare, Looks, Setup
 
 LOOKS = PAPER_LIKE[: PAPER_LIKE.index("[setups.mujoco]")].replace(
     'name = "made-up"', 'name = "made-up"\nlooks.pairs = [6, 9, 12]\nlooks.effect = 0.03'
