@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 from rich import box
@@ -278,9 +277,8 @@ class Report:
         console.print(f"{path} (tables and figures beside it)")
 
 
-PARTS: dict[str, type[Callable[[], int | None]]] = {
-    kind.__name__.lower(): kind for kind in (Run, Status, Plan, Compare, Collect, Report)
-}
+KINDS: tuple[Any, ...] = (Run, Status, Plan, Compare, Collect, Report)
+PARTS = {kind.__name__.lower(): kind for kind in KINDS}
 
 
 def main(args: list[str]) -> int:
@@ -294,4 +292,5 @@ def main(args: list[str]) -> int:
     if name not in PARTS:
         raise InputError(f"study: found {name!r}, allowed: {', '.join(PARTS)}")
     part = flags.parse(PARTS[name], rest, f"tactilerl study {name}", about=About(about[name]))
-    return part() or 0
+    code: int = part() or 0
+    return code
