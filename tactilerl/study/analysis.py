@@ -152,9 +152,9 @@ def _comparison(
     records: list[Record],
     n_resamples: int,
 ) -> Comparison:
-    both = [groups[verdict.cell, arm] for arm in setup.arms[:2]]
+    treatment, control = both = [groups[verdict.cell, arm] for arm in setup.arms[:2]]
     secondary = {
-        score: verdicts.in_pairs(*(group.by_seed(score) for group in both), n_resamples)
+        score: verdicts.in_pairs(treatment.by_seed(score), control.by_seed(score), n_resamples)
         for score in SCORES
         if score != study.primary.score
     }

@@ -6,7 +6,7 @@ Groups of runs are compared that have the same other names in both parts.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -85,16 +85,16 @@ def compare(a: Part, b: Part, score: str) -> list[Row]:
     else:
         pairs = [(place, place) for place in a.groups if place in b.groups]
     if not pairs:
-        found = (", ".join(" ".join(place) for place in part.groups) for part in (a, b))
-        raise InputError("compare: found {} in one and {} in the other, nothing in both".format(*found))
-    found = []
+        names = (", ".join(" ".join(place) for place in part.groups) for part in (a, b))
+        raise InputError("compare: found {} in one and {} in the other, nothing in both".format(*names))
+    rows = []
     for at_a, at_b in pairs:
         end = min(a.ends_at(at_a), b.ends_at(at_b))
         one, other = a.scores(at_a, score, end), b.scores(at_b, score, end)
         compared = in_pairs(one, other) if one.keys() & other.keys() else _apart(one, other)
-        found.append((" ".join(at_a) or "all", (len(one), len(other)), end, compared))
-    corrected = statistics.holm([compared.p_value for *_, compared in found])
-    return [Row(*one, float(p)) for one, p in zip(found, corrected, strict=True)]
+        rows.append(Row(" ".join(at_a) or "all", (len(one), len(other)), end, compared, np.nan))
+    corrected = statistics.holm([row.pairs.p_value for row in rows])
+    return [replace(row, p_holm=float(p)) for row, p in zip(rows, corrected, strict=True)]
 
 
 def differing(a: Part, b: Part) -> list[str]:
