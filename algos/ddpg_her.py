@@ -55,6 +55,10 @@ class DDPGHERConfig:
     """Transitions in the replay buffer of each process."""
     anneal_lr: bool = False
     """Decay both step sizes linearly to zero over the run."""
+    anneal_noise: bool = False
+    """Decay --noise-eps and --random-eps linearly to zero over the run."""
+    anneal_action_l2: bool = False
+    """Decay --action-l2 linearly to zero over the run."""
     polyak: Share = 0.95
     """Share of a target network that is kept when it is updated, once per cycle; 1 - tau elsewhere."""
     gamma: Annotated[float, "[0, 1)"] | None = None
@@ -94,7 +98,7 @@ class DDPGHERConfig:
     @property
     def anneals(self) -> bool:
         """Does the course of a run depend on how long it will be?"""
-        return self.anneal_lr
+        return self.anneal_lr or self.anneal_noise or self.anneal_action_l2
 
     def validate(self) -> None:
         """Raise ValueError naming what does not go together; ranges are in the types."""
@@ -117,8 +121,11 @@ def targets(
     return values.clamp(*(reward / (1.0 - gamma) for reward in span)) if span else values
 
 
-def _policy(config: DDPGHERConfig, spaces: Spaces, actor: MLP, stats: GoalStats) -> Policy:
-    noise = partial(explore, noise_eps=config.noise_eps, random_eps=config.random_eps)
+def _policy(
+    config: DDPGHERConfig, spaces: Spaces, actor: MLP, stats: GoalStats, share: float = 1.0
+) -> Policy:
+    """`share` of the noise is left."""
+    noise = partial(explore, noise_eps=share * config.noise_eps, random_eps=share * config.random_eps)
     return Policy(on_cpu(actor), stats.inputs(config.clip_obs), noise, spaces)
 
 
@@ -185,10 +192,15 @@ class DDPGHER(state.Saved):
             f"{config.buffer_size:,} transitions: {replay.nbytes / 1e9:.2f} GB in each when full"
         )
 
+    def _share(self, anneals: bool) -> float:
+        """Of what falls to zero over the run, how much is left? All of what does not."""
+        return max(0.0, 1.0 - self.env_steps / self.total_timesteps) if anneals else 1.0
+
     # -- acting and collecting ---------------------------------------------------------------
 
     def policy(self) -> Policy:
-        return _policy(self.config, self.spaces, self.actor, self.stats)
+        share = self._share(self.config.anneal_noise)
+        return _policy(self.config, self.spaces, self.actor, self.stats, share)
 
     def _play(self, n: int, purpose: int) -> list[Episode[GoalObs]]:
         """`n` episodes of this rank's own."""
@@ -200,8 +212,7 @@ class DDPGHER(state.Saved):
         """One cycle's episodes: into the replay, and relabelled into the normaliser."""
         config, key = self.config, [self.seed, self.comm.rank, rollout.LEARN, self.cycles]
         self.replay.rng = np.random.default_rng(key)  # whatever came before
-        if config.anneal_lr:
-            self.adam.share = max(0.0, 1.0 - self.env_steps / self.total_timesteps)
+        self.adam.share = self._share(config.anneal_lr)
         episodes = self._play(config.n_rollouts, rollout.TRAIN)
         self.cycles += 1
         seen = summary(episodes, self.comm)
@@ -290,7 +301,8 @@ class DDPGHER(state.Saved):
         judged = self.critic.run(torch.cat([inputs, own], dim=1))
         by_layer = self.critic.deltas(judged, torch.full_like(judged[-1], -1 / n))
         by_own = by_layer[0] @ self.critic.linears[0].weight[:, n_seen:]
-        penalty, value = self.config.action_l2, judged[-1].mean()
+        penalty = self.config.action_l2 * self._share(self.config.anneal_action_l2)
+        value = judged[-1].mean()
         self.actor.backward(seen, by_own + 2 * penalty / own.numel() * own)
         return torch.stack([penalty * own.square().mean() - value, value])
 

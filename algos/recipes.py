@@ -11,7 +11,11 @@ from .ppo import PPOConfig
 PAPER = "paper"  # every learner's own defaults
 # For runs that learn faster, or keep what they learned: docs/concepts/learners.md.
 BEYOND: dict[str, dict[str, Any]] = {
-    "ddpg_her": {"steady": DDPGHERConfig(n_batches=16, polyak=0.9, anneal_lr=True)},
+    "ddpg_her": {
+        "steady": DDPGHERConfig(
+            n_batches=16, polyak=0.9, anneal_lr=True, anneal_noise=True, anneal_action_l2=True
+        ),
+    },
     "ppo": {
         "steady": PPOConfig(
             exploration="learned",

@@ -135,6 +135,7 @@ class TestRecipes:
         config = dataclasses.asdict(recipes.recipe("ddpg_her", "steady")) | SMALL
         learner = trained(2, make(**config))
         assert learner.adam.share < 1.0
+        assert learner.policy().noise.keywords["random_eps"] < DDPGHERConfig().random_eps
         assert learner.config.polyak < DDPGHERConfig().polyak
 
 
@@ -152,6 +153,31 @@ class TestStepSizes:
     def test_are_the_same_throughout_in_the_paper(self):
         assert not make().config.anneals
         assert trained(3).adam.share == 1.0
+
+
+class TestFallsOverTheRun:
+    """100 steps are half over after five cycles of two episodes of 5 steps."""
+
+    @pytest.mark.parametrize("anneals", [False, True])
+    def test_noise(self, anneals):
+        learner = make(anneal_noise=anneals, noise_eps=0.2, random_eps=0.3)
+        assert learner.config.anneals == anneals
+        for cycles, share in ((0, 1.0), (5, 0.5), (5, 0.0), (1, 0.0)):
+            noise = trained(cycles, learner).policy().noise.keywords
+            share = share if anneals else 1.0
+            assert noise == pytest.approx(dict(noise_eps=share * 0.2, random_eps=share * 0.3))
+
+    @pytest.mark.parametrize("anneals", [False, True])
+    def test_action_penalty(self, anneals):
+        learner = make(anneal_action_l2=anneals, action_l2=0.3)
+        assert learner.config.anneals == anneals
+        for cycles, share in ((1, 0.9), (4, 0.5), (5, 0.0), (1, 0.0)):
+            inputs = torch.ones(8, trained(cycles, learner).actor.linears[0].in_features)
+            loss, value = learner._actor_gradient(inputs)
+            with torch.no_grad():
+                penalty = learner.actor(inputs).square().mean()
+            share = share if anneals else 1.0
+            torch.testing.assert_close(loss + value, share * 0.3 * penalty)
 
 
 class TestExploration:
