@@ -44,8 +44,8 @@ def examine(
     `compare`, also whether the other simulator agrees. `grasp`: instead of the hand's own. Blind is a
     layout that felt nothing of any."""
     felt = []
-    others = [name for name in SIMULATORS if compare and name != config.simulator]
-    for simulator in (config.simulator, *others):
+    others = [name for name in SIMULATORS if name != config.simulator]
+    for simulator in (config.simulator, *others[:compare]):
         with closing(GraspEnv(hand, replace(config, simulator=simulator))) as env:
             chosen, names = grasp or scripted.grasp_for(env), np.array(env.taxels.names)
             starts = scripted.perturbed_starts(env, SEED, n)
