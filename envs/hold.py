@@ -84,7 +84,7 @@ class Hold:
         """Targets (n_actuators,) of the next steps, and whether the object stays in the hand: None as
         long as that is open. `now` is what the last steps led to."""
         self._n_looks += 1
-        if not np.linalg.norm(now.object.position - now.hand) <= OUT_OF_REACH:
+        if not np.linalg.norm(_in_hand(now)) <= OUT_OF_REACH:
             return self.targets, False
         is_over = self.is_at_top and not self._left
         if is_over or (self.test.verdict == "settled" and self._settles(now)):
@@ -116,7 +116,11 @@ class Hold:
         return bool(is_at_rest and now.clearance > CLEAR) or (self.is_at_top and left == 0)
 
 
+def _in_hand(now: Snapshot) -> Array:
+    """The object's position relative to the palm (3,), m."""
+    return now.object.position - now.hand
+
+
 def _corners(now: Snapshot) -> Array:
     """Of the object's bounding box relative to the palm (8, 3), m: they show turns."""
-    from_palm = now.object.position - now.hand
-    return from_palm + CORNERS * now.shape.half_size @ now.object.rotation.T
+    return _in_hand(now) + CORNERS * now.shape.half_size @ now.object.rotation.T

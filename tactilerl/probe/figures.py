@@ -69,7 +69,9 @@ def _gains(result: dict[str, Any]) -> Any:
 def _title(result: dict[str, Any]) -> str:
     """Hand, simulator and number of grasps."""
     hand = NAMES.get(result["env"], Path(result["env"]).name)
-    return f"{hand} in {NAMES[result['simulator']]}, {result['grasps']:,} grasps"
+    return (
+        f"{hand} in {NAMES.get(result['simulator'], result['simulator'])}, {result['grasps']:,} grasps"
+    )
 
 
 def _learning(result: dict[str, Any]) -> Any:

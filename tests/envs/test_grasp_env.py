@@ -587,7 +587,7 @@ class TestHoldTest:
         """A long test, whose compressed part lasts 6 s, of a cube that slides all the time."""
         env = make()
         looks = itertools.count()
-        monkeypatch.setattr(hold, "_corners", lambda now: np.full((8, 3), [3e-3 * next(looks), 0, 0]))
+        monkeypatch.setattr(hold, "_in_hand", lambda now: np.array([3e-3 * next(looks), 0, 0]))
         assert not self.verdict(env, close=True, verdict="settled", seconds=120.0)
 
     def test_what_was_thrown_up_is_not_held_while_it_flies(self):
