@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
+from torch.optim.adam import adam
 
 from . import DivergenceError
 from .mpi import Communicator
@@ -213,7 +214,7 @@ def _fused_adam(
     function, which counts the steps itself and takes longer."""
     run, counts = FUSED_ADAM, [steps]
     if run is None:
-        run, counts = partial(torch.optim.adam.adam, fused=True), [steps - 1]
+        run, counts = partial(adam, fused=True), [steps - 1]
     run(
         [vector], [gradient], [mean], [square], [], counts, lr=lr, beta1=0.9, beta2=0.999,
         weight_decay=0.0, eps=1e-8, amsgrad=False, maximize=False,
