@@ -44,8 +44,9 @@ def examine(
     `compare`, also whether the other simulator agrees. `grasp`: instead of the hand's own. Blind is a
     layout that felt nothing of any."""
     felt = []
-    others = [name for name in SIMULATORS if name != config.simulator]
-    for simulator in (config.simulator, *others[:compare]):
+    simulators = [config.simulator]
+    simulators += [next(name for name in SIMULATORS if name != config.simulator)] if compare else []
+    for simulator in simulators:
         with closing(GraspEnv(hand, replace(config, simulator=simulator))) as env:
             chosen, names = grasp or scripted.grasp_for(env), np.array(env.taxels.names)
             starts = scripted.perturbed_starts(env, SEED, n)
@@ -55,10 +56,15 @@ def examine(
     mean_bits, share_any = float(bits.sum(axis=1).mean()), float(bits.any(axis=1).mean())
     # The densest layout must feel more than the others.
     needed_share, needed_bits = (0.9, 3.0) if config.layout == "1" else (0.5, 0.0)
-    is_blind = share_any < needed_share or mean_bits < needed_bits
-    counts, never_fired = (len(names), n, len(held)), tuple(names[~bits.any(axis=0)].tolist())
     return LayoutFigures(
-        *(config.layout, *counts, mean_bits, share_any, never_fired, is_blind),
+        layout=config.layout,
+        taxels=len(names),
+        grasps=n,
+        held=len(held),
+        mean_bits=mean_bits,
+        share_any=share_any,
+        never_fired=tuple(names[~bits.any(axis=0)].tolist()),
+        is_blind=share_any < needed_share or mean_bits < needed_bits,
         agreement=agreement(*felt) if compare else None,
     )
 
