@@ -292,15 +292,6 @@ def sequential_sign_flips(
 # -- treatment against control, not in pairs --------------------------------------------------
 
 
-def interval_overlap(treatment: tuple[float, float], control: tuple[float, float]) -> float:
-    """Share of the control's interval that the treatment's covers, as the paper has it; NaN without
-    width.
-    """
-    width = control[1] - control[0]
-    shared = min(treatment[1], control[1]) - max(treatment[0], control[0])
-    return max(0.0, shared) / width if width > 0 else math.nan
-
-
 def difference(
     treatment: Array, control: Array, metric: Metric, drawn: tuple[Array, Array]
 ) -> Estimate:
@@ -310,21 +301,6 @@ def difference(
     gaps = bootstrap(treatment, metric, drawn[0]) - bootstrap(control, metric, drawn[1])
     value = float(aggregate(treatment, metric) - aggregate(control, metric))
     return Estimate(value, *percentile_interval(gaps))
-
-
-def probability_of_improvement(
-    treatment: Array, control: Array, drawn: tuple[Array, Array]
-) -> Estimate:
-    """How likely a run of the treatment beats one of the control, ties counting one half (Agarwal
-    et al. 2021).
-
-    The Mann-Whitney statistic over the number of pairs, with a percentile interval.
-    """
-    wins = (np.sign(treatment[:, None] - control[None]) + 1) / 2
-    shares = np.einsum(
-        "ib,ij,jb->b", drawn[0].astype(float), wins, drawn[1].astype(float), optimize=True
-    )
-    return Estimate(float(wins.mean()), *percentile_interval(shares / wins.size))
 
 
 def permutation_p(

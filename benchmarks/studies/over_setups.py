@@ -24,7 +24,7 @@ from benchmarks.command import parser, write
 from tactilerl import statistics
 from tactilerl.statistics import Array, Estimate
 from tactilerl.study import records
-from tactilerl.study.analysis import SetupResult, analyse, pair
+from tactilerl.study.analysis import Group, SetupResult, analyse
 
 Orders = dict[str, Estimate]
 """Rank correlation by what the cells are ordered by."""
@@ -115,8 +115,14 @@ def agreements(setups: Sequence[SetupResult], score: str) -> Orders:
     return found
 
 
+def _pair(one: SetupResult, cell: str) -> tuple[Group, Group]:
+    """Treatment and control of a cell that has both."""
+    treatment, control = one.setup.arms[:2]
+    return one.groups[cell, treatment], one.groups[cell, control]
+
+
 def _of_treatment(one: SetupResult, cell: str, score: str) -> Array:
-    return pair(one, cell)[0].scores[score]
+    return _pair(one, cell)[0].scores[score]
 
 
 def _of_difference(one: SetupResult, cell: str, score: str) -> Array:
@@ -138,7 +144,7 @@ def mixed(setups: Sequence[SetupResult], score: str) -> list[Term]:
         (reached, group.arm == one.setup.arms[0], *kinds[one.setup.name], one.setup.name + cell)
         for one in compared
         for cell in one.comparisons
-        for group in pair(one, cell)
+        for group in _pair(one, cell)
         for reached in group.scores[score]
     ]
     scores, treated, hands, simulators, algorithms, cells = zip(*rows, strict=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import product
 from typing import Any
 
@@ -11,9 +10,8 @@ import numpy as np
 
 from .. import statistics
 from ..statistics import Array, Estimate, Metric
-from . import published, verdicts
+from . import verdicts
 from .grid import SCORES, Setup, Study
-from .published import Published
 from .records import Record
 from .verdicts import SEED, Headroom, Pairs, Verdict
 
@@ -62,10 +60,6 @@ class Comparison:
     secondary: dict[str, Pairs]
     """By every other score."""
     headroom: Headroom | None
-    iqm_difference: Estimate
-    """Of converged rates, as the paper compares them; not in pairs."""
-    overlap: float
-    improvement: Estimate
 
 
 @dataclass(frozen=True)
@@ -83,11 +77,6 @@ class SetupResult:
     def config(self) -> dict[str, Any]:
         """The first config.json among the runs; empty where there is none."""
         return next((record.config for record in self.records if record.config), {})
-
-    @cached_property
-    def published(self) -> Published | None:
-        """The paper's own results, where it has this set-up."""
-        return published.find(self.config) if self.config else None
 
     @property
     def cells(self) -> list[str]:
@@ -152,25 +141,11 @@ def _comparison(
     records: list[Record],
     n_resamples: int,
 ) -> Comparison:
-    treatment, control = both = [groups[verdict.cell, arm] for arm in setup.arms[:2]]
+    treatment, control = (groups[verdict.cell, arm] for arm in setup.arms[:2])
     secondary = {
         score: verdicts.in_pairs(treatment.by_seed(score), control.by_seed(score), n_resamples)
         for score in SCORES
         if score != study.primary.score
     }
-    a, b = (group.scores["converged"] for group in both)
-    bounds = [group.estimate("iqm", "converged")[1:] for group in both]
-    drawn = both[0].counts, both[1].counts
-    return Comparison(
-        verdict, secondary,
-        verdicts.headroom(study, setup, verdict.cell, records, n_resamples),
-        statistics.difference(a, b, "iqm", drawn),
-        statistics.interval_overlap(*bounds),
-        statistics.probability_of_improvement(a, b, drawn),
-    )  # fmt: skip
-
-
-def pair(one: SetupResult, cell: str) -> tuple[Group, Group]:
-    """Treatment and control of a cell that has both."""
-    treatment, control = one.setup.arms[:2]
-    return one.groups[cell, treatment], one.groups[cell, control]
+    room = verdicts.headroom(study, setup, verdict.cell, records, n_resamples)
+    return Comparison(verdict, secondary, room)

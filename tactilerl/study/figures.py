@@ -169,9 +169,6 @@ def _converged_of(one: SetupResult, name: str, axes: Axes) -> None:
             estimate = group.estimate(metric, "converged")
             label = LABELS[metric] * is_first
             _bar(axes, row - 0.15 + 0.15 * at, estimate, colour, "Dos"[at], label)
-        theirs = one.published and one.published.estimates.get((cell, name))
-        if theirs:
-            _bar(axes, row + 0.33, theirs["iqm"], INK, "x", "IQM in the paper" * is_first)
     axes.set(ylim=(len(cells) - 0.4, -0.6), xlim=(-0.02, 1.02), xlabel="converged success rate")
     axes.set_yticks(range(len(cells)), map(_label, cells))
     axes.grid(axis="y", visible=False)

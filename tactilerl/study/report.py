@@ -17,7 +17,7 @@ from .analysis import Analysis
 from .figures import Picture
 from .tables import Table
 
-PARTS = ("comparisons", "differences", "curves", "measures", "converged", "paper")
+PARTS = ("comparisons", "differences", "curves", "measures", "converged")
 LAST = ["cost", "deviations", "versions", "runs"]
 
 

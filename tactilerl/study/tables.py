@@ -15,8 +15,7 @@ from .. import statistics
 from ..errors import InputError
 from ..runs import config as configuration
 from ..statistics import Estimate
-from . import published
-from .analysis import Analysis, SetupResult, pair
+from .analysis import Analysis, SetupResult
 from .grid import SCORES
 from .summary import ENDINGS, made_with, subject
 from .verdicts import THRESHOLDS
@@ -72,16 +71,11 @@ def p_value(value: float) -> str:
     return "< 0.001" if value < 0.001 else number(value, 3)
 
 
-def percent(value: float) -> str:
-    """As a percentage."""
-    return "–" if math.isnan(value) else f"{100 * value:.0f} %"
-
-
 def all_tables(analysis: Analysis) -> list[Table]:
     """Every table of a report that has rows, in its order."""
     score, tables = analysis.study.primary.score, []
     for one in analysis.setups:
-        tables += [comparisons(one, score), measures(one, score), converged(one), as_the_paper(one)]
+        tables += [comparisons(one, score), measures(one, score), converged(one)]
     tables += [cost(analysis), deviations(analysis), versions(analysis), runs(analysis)]
     return [table for table in tables if table.rows]
 
@@ -150,54 +144,18 @@ def measures(one: SetupResult, score: str) -> Table:
 
 
 def converged(one: SetupResult) -> Table:
-    """The paper's Tables 1 and 2: converged success rates of every group."""
-    rows, paper = [], one.published
+    """The paper's measure: converged success rates of every group."""
+    rows = []
     for row, place in _groups(one):
         for heading, metric in (("Mean", "mean"), ("IQM", "iqm"), ("Median of runs", "median")):
             row[heading] = shown(one.groups[place].estimate(metric, "converged"))  # type: ignore[arg-type]
-        if paper:
-            theirs = paper.estimates.get(place)
-            row["Paper: mean"] = shown(theirs["mean"]) if theirs else "–"
-            row["Paper: IQM"] = shown(theirs["iqm"]) if theirs else "–"
         rows.append(row)
     title = f"Converged success rates, the paper's measure: {subject(one)}"
     note = (
         "The level at which a run spends most of its epochs, with 95 % percentile bootstrap intervals. "
         "The paper's median is the mean: its library's median is over tasks, of which there is one."
     )
-    if paper and rows:
-        title += f" (Table {paper.table} of the paper)"
-        note += f" Runs have {one.steps[-1]:,.0f} steps here and {paper.steps:,} in the paper."
     return Table(f"{one.setup.name}_converged", title, rows, note)
-
-
-def as_the_paper(one: SetupResult) -> Table:
-    """Treatment against control as the paper compares them: converged rates, not in pairs."""
-    rows, (treatment, control) = [], _arms(one)
-    for cell, found in one.comparisons.items():
-        row = {"Config.": cell, "Runs": " / ".join(str(len(group)) for group in pair(one, cell))}
-        row["Difference of IQMs"] = shown(found.iqm_difference, 3)
-        row["Overlap of CIs"] = percent(found.overlap)
-        row["P(improvement)"] = shown(found.improvement)
-        if paper := one.published:
-            theirs = [paper.estimates.get((cell, arm)) for arm in one.setup.arms[:2]]
-            values = ["–"] * 3
-            if theirs[0] and theirs[1]:
-                (a, b), means = (t["iqm"].value for t in theirs if t), [t["mean"] for t in theirs if t]
-                values = [
-                    number(a - b),
-                    percent(paper.overlaps[cell]),
-                    number(published.power(means[0], means[1])),
-                ]
-            row |= zip(("Paper: difference", "Paper: overlap", "Paper: power"), values, strict=True)
-        rows.append(row)
-    note = (
-        "Of converged rates. Overlap: share of the control's interval, as in the paper. "
-        f"P(improvement): a run of {treatment} beats one of {control}. Paper's power: how likely "
-        "another study of its size finds its difference of means at 0.05."
-    )
-    title = f"{treatment} against {control} as the paper compares them: {subject(one)}"
-    return Table(f"{one.setup.name}_paper", title, rows, note)
 
 
 def cost(analysis: Analysis) -> Table:

@@ -16,7 +16,7 @@ from study_records import make_study
 from tactilerl import statistics
 from tactilerl import study as package
 from tactilerl.commands.cli import main
-from tactilerl.study import analysis, figures, planning, published, records, report, summary, tables
+from tactilerl.study import analysis, figures, planning, records, report, summary, tables
 from tactilerl.study.folder import Outcome, StudyFolder
 from tactilerl.terminal.console import console
 
@@ -111,45 +111,6 @@ class TestNumbers:
             assert steps[0] <= one.steps[0]
             assert one.steps[-1] <= steps[-1]
         assert all(group.curves.shape == (4, 25) for group in one.groups.values())
-
-    def test_the_papers_comparison(self, result):
-        one = result.setups[0].comparisons["layout 2"]
-        assert one.iqm_difference.value > 0.1
-        assert one.improvement.value == 1
-
-    def test_the_papers_numbers_stand_beside_ours(self, result):
-        assert [one.published.table for one in result.setups] == [1, 2]
-        row = next(r for r in rows(result, "pybullet_converged") if r[:2] == ["layout 2", "main"])
-        assert row[-1] == "0.66 [0.63, 0.69]"
-        made = table(result, "pybullet_converged")
-        assert "Table 1 of the paper" in made.title
-        assert "30,0" in made.note
-        assert "500,000 in the paper" in made.note
-        row = rows(result, "pybullet_paper")[1]
-        assert row[-3:] == ["0.04", "39 %", "0.50"]
-
-    def test_the_papers_best_comparison_had_one_chance_in_two(self):
-        for main_, control, power in (
-            ((0.66, 0.62, 0.68), (0.61, 0.57, 0.65), 0.50),
-            ((0.88, 0.82, 0.94), (0.81, 0.75, 0.86), 0.39),
-        ):
-            both = statistics.Estimate(*main_), statistics.Estimate(*control)
-            assert published.power(*both) == pytest.approx(power, abs=0.005)
-
-    def test_published_overlaps_follow_from_the_published_intervals(self):
-        """To the digits that the tables are rounded to."""
-        for algo, env, simulator in (("ppo", "mpl", "pybullet"), ("ddpg_her", "shadow", "mujoco")):
-            config = {"run": {"algo": algo, "env": env}, "scene": {"simulator": simulator}}
-            paper = published.find(config)
-            for cell, said in paper.overlaps.items():
-                main_, control = (paper.estimates[cell, arm]["iqm"] for arm in ("main", "control"))
-                overlap = statistics.interval_overlap(main_[1:], control[1:])
-                assert overlap == pytest.approx(said, abs=0.16)
-
-    def test_other_set_ups_are_not_the_papers(self):
-        config = {"run": {"algo": "ppo", "env": "mpl"}, "scene": {"simulator": "mujoco"}}
-        assert published.find(config) is None
-        assert published.find({"run": {"algo": "ppo", "env": "lqr"}, "scene": None}) is None
 
 
 class TestFiles:
