@@ -1,6 +1,6 @@
 """A study of two short runs, for tests of who runs it."""
 
-from tactilerl.study import analysis, records, tables
+from tactilerl.study import analysis, records, report, tables
 
 TINY = """
 name = "tiny"
@@ -35,7 +35,8 @@ def learned(folder):
     result = analysis.analyse(*records.load(folder), 200)
     return {
         (table.name, ending): text
-        for table in tables.all_tables(result)
-        if table.name not in ("cost", "versions")
+        for section in report.sections(result)
+        for table in section.parts
+        if isinstance(table, tables.Table) and table.name not in ("cost", "versions")
         for ending, text in table.formats().items()
     }

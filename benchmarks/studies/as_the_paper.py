@@ -1,6 +1,6 @@
 """A study as the paper compares it: converged rates not in pairs, beside the paper's own results.
 
-    python -m benchmarks as_the_paper docs/data/pilot.csv.gz
+    python -m benchmarks as_the_paper docs/data/pilot.csv.gz --figures out
 
 The paper's numbers stand beside those of its two set-ups, as far as its text gives them
 (published.toml).
@@ -8,22 +8,29 @@ The paper's numbers stand beside those of its two set-ups, as far as its text gi
 
 from __future__ import annotations
 
+import argparse
 import math
 import tomllib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import scipy.stats
+from matplotlib.axes import Axes
 
-from benchmarks.command import parser
 from tactilerl import statistics
-from tactilerl.statistics import CONFIDENCE, Array, Estimate, Metric
-from tactilerl.study import records, tables
+from tactilerl.statistics import CONFIDENCE, METRICS, Array, Estimate, Metric
+from tactilerl.study import figures, records, tables
 from tactilerl.study.analysis import SetupResult, analyse
+from tactilerl.study.figures import Picture
 from tactilerl.study.summary import subject
 from tactilerl.study.tables import Table, number, shown
+from tactilerl.style import FAINT, INK
+
+HEADINGS: dict[str, Metric] = {"Mean": "mean", "IQM": "iqm", "Median of runs": "median"}
+LABELS = {"median": "median of runs", "iqm": "IQM", "mean": "mean"}
 
 
 @dataclass(frozen=True)
@@ -88,16 +95,60 @@ def probability_of_improvement(
     return Estimate(float(wins.mean()), *statistics.percentile_interval(shares / wins.size))
 
 
-def converged(one: SetupResult, paper: Published) -> Table:
+def converged(one: SetupResult, paper: Published | None) -> Table:
     """The paper's Tables 1 and 2: converged success rates of every group, beside the paper's."""
-    ours, rows = tables.converged(one), []
-    for row, place in zip(ours.rows, one.groups, strict=True):
-        theirs = paper.estimates.get(place)
-        beside = [shown(theirs[metric]) if theirs else "–" for metric in ("mean", "iqm")]
-        rows.append(row | dict(zip(("Paper: mean", "Paper: IQM"), beside, strict=True)))
-    title = f"{ours.title} (Table {paper.table} of the paper)"
-    steps = f"Runs have {one.steps[-1]:,.0f} steps here and {paper.steps:,} in the paper."
-    return replace(ours, title=title, rows=rows, note=f"{ours.note} {steps}")
+    rows = []
+    for (row, group), place in zip(tables.groups(one), one.groups, strict=True):
+        for heading, metric in HEADINGS.items():
+            row[heading] = shown(group.estimate(metric, "converged"))
+        if paper:
+            theirs = paper.estimates.get(place)
+            row["Paper: mean"] = shown(theirs["mean"]) if theirs else "–"
+            row["Paper: IQM"] = shown(theirs["iqm"]) if theirs else "–"
+        rows.append(row)
+    title = f"Converged success rates, the paper's measure: {subject(one)}"
+    note = (
+        "The level at which a run spends most of its epochs, with 95 % percentile bootstrap intervals. "
+        "The paper's median is the mean: its library's median is over tasks, of which there is one."
+    )
+    if paper:
+        title += f" (Table {paper.table} of the paper)"
+        note += f" Runs have {one.steps[-1]:,.0f} steps here and {paper.steps:,} in the paper."
+    return Table(f"{one.setup.name}_converged", title, rows, note)
+
+
+def picture(one: SetupResult, paper: Published | None) -> Picture:
+    """The paper's Figures 4 and 6: median, IQM and mean of converged rates, a panel per arm."""
+    arms = [name for name in one.setup.arms if any(name == each for _, each in one.groups)]
+    panels = [
+        (figures.label_of(one.setup.label(name)), partial(_converged_of, one, paper, name))
+        for name in arms
+    ]
+    title = "Converged success rates, the paper's measure, with 95 % intervals"
+    size = 5.2, 1.3 + 0.62 * len(one.cells)
+    return Picture(f"{one.setup.name}_converged", title, figures.setting(one), panels, size)
+
+
+def _converged_of(one: SetupResult, paper: Published | None, name: str, axes: Axes) -> None:
+    colour, cells = figures.arm_colours(one)[name], one.cells
+    for row, cell in enumerate(cells):
+        group = one.groups.get((cell, name))
+        if group is None:
+            continue
+        is_first = not axes.get_legend_handles_labels()[1]
+        place = np.full(len(group), row - 0.36)
+        label = "a run" * is_first
+        axes.plot(group.scores["converged"], place, ".", color=FAINT, ms=4, label=label)
+        for at, metric in enumerate(reversed(METRICS)):
+            estimate = group.estimate(metric, "converged")
+            label = LABELS[metric] * is_first
+            figures.bar(axes, row - 0.15 + 0.15 * at, estimate, colour, "Dos"[at], label)
+        theirs = paper and paper.estimates.get((cell, name))
+        if theirs:
+            figures.bar(axes, row + 0.33, theirs["iqm"], INK, "x", "IQM in the paper" * is_first)
+    axes.set(ylim=(len(cells) - 0.4, -0.6), xlim=(-0.02, 1.02), xlabel="converged success rate")
+    axes.set_yticks(range(len(cells)), map(figures.label_of, cells))
+    axes.grid(axis="y", visible=False)
 
 
 def comparisons(one: SetupResult, paper: Published | None) -> Table:
@@ -137,20 +188,28 @@ def _percent(value: float) -> str:
     return "–" if math.isnan(value) else f"{100 * value:.0f} %"
 
 
-def all_tables(setups: list[SetupResult]) -> list[Table]:
-    """Of each set-up with comparisons; the converged rates too where the paper has them."""
-    found = []
+def parts(setups: list[SetupResult]) -> list[Table | Picture]:
+    """Tables and figures of every set-up that has runs."""
+    found: list[Table | Picture] = []
     for one in setups:
+        paper = published(one.config)
+        if one.groups:
+            found += [converged(one, paper), picture(one, paper)]
         if one.comparisons:
-            paper = published(one.config)
-            found += [converged(one, paper)] if paper else []
             found.append(comparisons(one, paper))
     return found
 
 
 def main() -> None:
-    """The tables in Markdown."""
-    flags = parser(__doc__)
+    """The tables in Markdown; the figures where asked for."""
+    flags = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     flags.add_argument("study", type=Path, help="a study's folder or its collected file")
-    for table in all_tables(analyse(*records.load(flags.parse_args().study)).setups):
-        print(table.formats()["md"].decode())
+    flags.add_argument("--figures", type=Path, help="write the figures into this folder")
+    options = flags.parse_args()
+    for part in parts(analyse(*records.load(options.study)).setups):
+        if isinstance(part, Table):
+            print(part.formats()["md"].decode())
+        elif options.figures:
+            options.figures.mkdir(parents=True, exist_ok=True)
+            for ending, content in part.formats().items():
+                (options.figures / f"{part.name}.{ending}").write_bytes(content)

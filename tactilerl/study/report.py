@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from base64 import b64encode
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import jinja2
 
@@ -17,19 +17,25 @@ from .analysis import Analysis
 from .figures import Picture
 from .tables import Table
 
-PARTS = ("comparisons", "differences", "curves", "measures", "converged")
-LAST = ["cost", "deviations", "versions", "runs"]
+
+class Section(NamedTuple):
+    """A heading with the figures and tables below it."""
+
+    key: str
+    title: str
+    parts: list[Picture | Table]
 
 
 def write(analysis: Analysis, folder: Path) -> Path:
     """Write everything into `folder`, over what an earlier report left there; returns report.html."""
-    parts: list[Picture | Table] = [*figures.all_pictures(analysis), *tables.all_tables(analysis)]
+    made, images = sections(analysis), {}
     files: dict[Path, bytes] = {}
-    for part in parts:
+    for part in (part for section in made for part in section.parts):
         place = folder / ("tables" if isinstance(part, Table) else "figures") / part.name
-        files |= {place.with_name(f"{part.name}.{end}"): text for end, text in part.formats().items()}
-    images = {path.stem: b64encode(files[path]).decode() for path in files if path.suffix == ".svg"}
-    files[folder / "report.html"] = _page(analysis, parts, images).encode()
+        formats = part.formats()
+        files |= {place.with_name(f"{part.name}.{ending}"): it for ending, it in formats.items()}
+        images[part.name] = b64encode(formats.get("svg", b"")).decode()
+    files[folder / "report.html"] = _page(analysis, made, images).encode()
     for path, content in files.items():
         path.parent.mkdir(parents=True, exist_ok=True)
         with replacing(path) as file:
@@ -37,7 +43,7 @@ def write(analysis: Analysis, folder: Path) -> Path:
     return folder / "report.html"
 
 
-def _page(analysis: Analysis, parts: list[Picture | Table], images: dict[str, str]) -> str:
+def _page(analysis: Analysis, made: list[Section], images: dict[str, str]) -> str:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("tactilerl.study", "."),
         autoescape=True,
@@ -51,22 +57,22 @@ def _page(analysis: Analysis, parts: list[Picture | Table], images: dict[str, st
         provenance=summary.provenance(analysis.records),
         answers=summary.answers(analysis),
         warnings=summary.warnings(analysis),
-        sections=_sections(analysis, parts),
+        sections=made,
         images=images,
     )
 
 
-def _sections(analysis: Analysis, parts: list[Picture | Table]) -> list[dict[str, Any]]:
-    """Headings with the figures and tables below them, in order."""
-    names = {
-        (f"setup-{one.setup.name}", f"{one.setup.name}: {summary.subject(one)}"): [
-            f"{one.setup.name}_{kind}" for kind in PARTS
-        ]
-        for one in analysis.setups
-    }
-    names["runs", "Runs, cost and versions"] = LAST
-    return [
-        {"key": key, "title": title, "parts": found}
-        for (key, title), own in names.items()
-        if (found := [part for name in own for part in parts if part.name == name])
-    ]
+def sections(analysis: Analysis) -> list[Section]:
+    """All of a report, in its order."""
+    score, found = analysis.study.primary.score, []
+    for one in analysis.setups:
+        parts: list[Picture | Table] = []
+        if one.comparisons:
+            parts += [tables.comparisons(one, score), figures.differences(one, score)]
+        if one.groups:
+            parts += [figures.curves(one), tables.measures(one, score)]
+        title = f"{one.setup.name}: {summary.subject(one)}"
+        found.append(Section(f"setup-{one.setup.name}", title, parts))
+    about = (tables.cost, tables.deviations, tables.versions, tables.runs)
+    last: list[Picture | Table] = [made for table in about if (made := table(analysis)).rows]
+    return [one for one in (*found, Section("runs", "Runs, cost and versions", last)) if one.parts]

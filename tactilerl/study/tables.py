@@ -15,7 +15,7 @@ from .. import statistics
 from ..errors import InputError
 from ..runs import config as configuration
 from ..statistics import Estimate
-from .analysis import Analysis, SetupResult
+from .analysis import Analysis, Group, SetupResult
 from .grid import SCORES
 from .summary import ENDINGS, made_with, subject
 from .verdicts import THRESHOLDS
@@ -71,18 +71,9 @@ def p_value(value: float) -> str:
     return "< 0.001" if value < 0.001 else number(value, 3)
 
 
-def all_tables(analysis: Analysis) -> list[Table]:
-    """Every table of a report that has rows, in its order."""
-    score, tables = analysis.study.primary.score, []
-    for one in analysis.setups:
-        tables += [comparisons(one, score), measures(one, score), converged(one)]
-    tables += [cost(analysis), deviations(analysis), versions(analysis), runs(analysis)]
-    return [table for table in tables if table.rows]
-
-
 def comparisons(one: SetupResult, score: str) -> Table:
     """Treatment against control in every cell, in pairs of runs of the same seed."""
-    treatment, control = _arms(one)
+    treatment, control = map(one.setup.label, one.setup.arms[:2])
     rows, note = [], (
         f"Mean of {treatment} minus {control} in runs of the same seed, with a 95 % bootstrap interval "
         "over pairs. p: sign-flip test; Holm over the rows. The first score is the one that the study "
@@ -101,7 +92,7 @@ def comparisons(one: SetupResult, score: str) -> Table:
             row["Sight gives"] = shown(room.room)
             row["Touch, share of it"] = shown(room.share) if room.is_enough else "cannot tell"
         rows.append(row)
-    if rows and "Look" in rows[0]:
+    if "Look" in rows[0]:
         note += (
             " p and interval are those of the look that ended the comparison, corrected for all "
             "looks; the other scores are of all runs."
@@ -110,25 +101,17 @@ def comparisons(one: SetupResult, score: str) -> Table:
     return Table(f"{one.setup.name}_comparisons", title, rows, note)
 
 
-def _arms(one: SetupResult) -> tuple[str, str]:
-    """What treatment and control are called."""
-    treatment, control, *_ = [*map(one.setup.label, one.setup.arms), ""]
-    return treatment, control
-
-
-def _groups(one: SetupResult) -> Iterator[tuple[Row, tuple[str, str]]]:
-    """How a row of each group begins, and where the group is."""
+def groups(one: SetupResult) -> Iterator[tuple[Row, Group]]:
+    """How a row of each group begins, and the group."""
     for (cell, arm), group in one.groups.items():
-        yield {"Config.": cell, "Type": one.setup.label(arm), "Runs": str(len(group))}, (cell, arm)
+        yield {"Config.": cell, "Type": one.setup.label(arm), "Runs": str(len(group))}, group
 
 
 def measures(one: SetupResult, score: str) -> Table:
     """What else a learning curve says: means with intervals, and steps to two thresholds."""
-    names = [name for name in dict.fromkeys([score, *SCORES]) if name != "converged" or score == name]
     rows = []
-    for row, place in _groups(one):
-        group = one.groups[place]
-        for name in names:
+    for row, group in groups(one):
+        for name in dict.fromkeys([score, *SCORES]):
             row[HEADINGS[name]] = shown(statistics.mean(group.scores[name], group.counts))
         for threshold in THRESHOLDS:
             steps = group.scores[f"steps to {threshold:g}"]
@@ -138,24 +121,10 @@ def measures(one: SetupResult, score: str) -> Table:
         rows.append(row)
     note = (
         "Mean of the runs with 95 % interval. Area: mean success over the run; final: over its last "
-        "tenth. Steps are those of the first epoch at or above the threshold."
+        "tenth; converged: the level where a run spends most of its epochs. Steps are those of the "
+        "first epoch at or above the threshold."
     )
     return Table(f"{one.setup.name}_measures", f"Each arm: {subject(one)}", rows, note)
-
-
-def converged(one: SetupResult) -> Table:
-    """The paper's measure: converged success rates of every group."""
-    rows = []
-    for row, place in _groups(one):
-        for heading, metric in (("Mean", "mean"), ("IQM", "iqm"), ("Median of runs", "median")):
-            row[heading] = shown(one.groups[place].estimate(metric, "converged"))  # type: ignore[arg-type]
-        rows.append(row)
-    title = f"Converged success rates, the paper's measure: {subject(one)}"
-    note = (
-        "The level at which a run spends most of its epochs, with 95 % percentile bootstrap intervals. "
-        "The paper's median is the mean: its library's median is over tasks, of which there is one."
-    )
-    return Table(f"{one.setup.name}_converged", title, rows, note)
 
 
 def cost(analysis: Analysis) -> Table:

@@ -11,6 +11,7 @@ from study_records import make_study
 from benchmarks.studies import as_the_paper
 from tactilerl import statistics
 from tactilerl.study import analysis, records
+from tactilerl.study.tables import Table
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +26,8 @@ def result(folder):
 
 @pytest.fixture(scope="module")
 def tables(result):
-    return {table.name: table for table in as_the_paper.all_tables(result.setups)}
+    parts = as_the_paper.parts(result.setups)
+    return {part.name: part for part in parts if isinstance(part, Table)}
 
 
 def test_the_papers_comparison(result, tables):
@@ -49,9 +51,23 @@ def test_the_papers_numbers_stand_beside_ours(result, tables):
     assert row[-3:] == ["0.04", "39 %", "0.50"]
 
 
-def test_they_are_printed(folder, monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["as_the_paper", str(folder.path)])
+def test_a_group_is_its_runs(result, tables):
+    expected = result.setups[1].groups["layout 2", "main"].scores["converged"]
+    row = next(
+        r for r in tables["mujoco_converged"].frame.to_numpy().tolist() if r[:2] == ["layout 2", "main"]
+    )
+    assert row[2] == "4"
+    assert row[3].startswith(f"{np.mean(expected):.2f} [")
+    assert row[5].startswith(f"{np.median(expected):.2f} [")
+
+
+def test_they_are_printed_and_drawn(folder, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(
+        sys, "argv", ["as_the_paper", str(folder.path), "--figures", str(tmp_path / "f")]
+    )
     as_the_paper.main()
+    drawn = {path.name for path in (tmp_path / "f").iterdir()}
+    assert {"pybullet_converged.svg", "mujoco_converged.png"} <= drawn
     assert "main against control as the paper compares them" in capsys.readouterr().out
 
 
