@@ -229,21 +229,15 @@ def sign_flips(n: int, rng: np.random.Generator, n_resamples: int = N_RESAMPLES)
     return signs
 
 
-def _gaps(signs: Array, differences: Array) -> Array:
-    """Absolute mean difference (ways,), rounded: ties that differ in the last bit are ties."""
-    return np.round(np.abs(signs @ differences) / max(1, len(differences)), 12)
-
-
 def sign_flip_p(differences: Array, rng: np.random.Generator, n_resamples: int = N_RESAMPLES) -> float:
     """Two-sided p-value of a mean difference (pairs,) when the labels are exchanged within pairs
     (Fisher 1935).
 
     Exact where `sign_flips` is; with three it cannot fall below 0.25. NaN with fewer than two.
     """
-    if len(differences) < 2:
+    if (n := len(differences)) < 2:
         return math.nan
-    gaps = _gaps(sign_flips(len(differences), rng, n_resamples), differences)
-    return float(np.mean(gaps >= gaps[0]))
+    return sequential_sign_flips(differences, [(n, 0.0)], n, rng, n_resamples)[0].p_value
 
 
 class Look(NamedTuple):
@@ -275,7 +269,8 @@ def sequential_sign_flips(
     signs = sign_flips(len(differences) if is_exact else n_planned, rng, n_resamples)
     has_stopped, found = np.zeros(len(signs), bool), []
     for n, error in looks:
-        gaps = _gaps(signs[:, :n], differences[:n])
+        # Rounded: ties that differ in the last bit are ties.
+        gaps = np.round(np.abs(signs[:, :n] @ differences[:n]) / max(1, n), 12)
         going = np.sort(gaps[~has_stopped])
         as_large = len(going) - np.searchsorted(going, gaps)
         p_values = (has_stopped.sum() + as_large) / len(signs)

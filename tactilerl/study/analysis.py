@@ -39,10 +39,6 @@ class Group:
         """An aggregate with its percentile interval."""
         return statistics.estimate(self.scores[score], metric, self.counts)
 
-    def by_seed(self, score: str) -> dict[int, float]:
-        """A score of each run."""
-        return dict(zip(self.seeds, map(float, self.scores[score]), strict=True))
-
     def __len__(self) -> int:
         return len(self.seeds)
 
@@ -108,7 +104,7 @@ def analyse(study: Study, records: list[Record], n_resamples: int = statistics.N
                 counts = statistics.resample(rng, len(runs), n_resamples)
                 groups[place] = _group(place[1], runs, setup.measure, steps, counts)
         compared = {
-            cell: _comparison(study, setup, verdict, groups, records, n_resamples)
+            cell: _comparison(study, setup, verdict, records, n_resamples)
             for cell, verdict in verdicts.judge(study, setup, records, n_resamples).items()
             if all((cell, arm) in groups for arm in setup.arms[:2])
         }
@@ -134,18 +130,10 @@ def _group(arm: str, records: list[Record], measure: str, steps: Array, counts: 
 
 
 def _comparison(
-    study: Study,
-    setup: Setup,
-    verdict: Verdict,
-    groups: Groups,
-    records: list[Record],
-    n_resamples: int,
+    study: Study, setup: Setup, verdict: Verdict, records: list[Record], n_resamples: int
 ) -> Comparison:
-    treatment, control = (groups[verdict.cell, arm] for arm in setup.arms[:2])
-    secondary = {
-        score: verdicts.in_pairs(treatment.by_seed(score), control.by_seed(score), n_resamples)
-        for score in SCORES
-        if score != study.primary.score
-    }
+    others = [score for score in SCORES if score != study.primary.score]
+    both = {score: verdicts.both_arms(records, setup, verdict.cell, score) for score in others}
+    secondary = {score: verdicts.in_pairs(*arms, n_resamples) for score, arms in both.items()}
     room = verdicts.headroom(study, setup, verdict.cell, records, n_resamples)
     return Comparison(verdict, secondary, room)

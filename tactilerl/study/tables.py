@@ -15,6 +15,7 @@ from .. import statistics
 from ..errors import InputError
 from ..runs import config as configuration
 from ..statistics import Estimate
+from . import verdicts
 from .analysis import Analysis, Group, SetupResult
 from .grid import SCORES
 from .summary import ENDINGS, made_with, subject
@@ -185,14 +186,13 @@ def runs(analysis: Analysis) -> Table:
     rows = []
     for record in analysis.records:
         run, one, steps = record.run, setups[record.run.setup], record.column("env_steps")
-        group = one.groups.get((run.cell, run.arm))
+        is_finished = verdicts.is_finished(record, one.setup.measure)
+        reached = verdicts.scores(record, one.setup.measure) if is_finished else {}
         diverged = sum(np.nansum(record.column(name)) for name in ("diverged", "test_diverged"))
         row = {"Set-up": run.setup, "Config.": run.cell, "Type": one.setup.label(run.arm)}
         row |= {"Seed": str(run.seed), "State": record.state, "Epochs": str(len(record.rows))}
         row["Steps"] = f"{steps[-1]:.0f}" if len(steps) else "0"
-        for name in SCORES:
-            reached = group.by_seed(name).get(run.seed, math.nan) if group else math.nan
-            row[name.capitalize()] = number(reached)
+        row |= {name.capitalize(): number(reached.get(name, math.nan)) for name in SCORES}
         rows.append(row | {"Diverged episodes": f"{diverged:.0f}", "Why it failed": record.reason})
     said = [f"{name}: {one.setup.measure}" for name, one in setups.items()]
     return Table("runs", "Runs", rows, f"Rates: {'; '.join(said)}.")
