@@ -60,7 +60,7 @@ class DDPGHERConfig:
     anneal_action_l2: bool = False
     """Decay --action-l2 linearly to zero over the run."""
     polyak: Share = 0.95
-    """Share of a target network that is kept when it is updated, once per cycle; 1 - tau elsewhere."""
+    """Weight of the old target network in its updates, one per cycle; tau elsewhere is 1 - polyak."""
     gamma: Annotated[float, "[0, 1)"] | None = None
     """Discount factor; default: 1 - 1/T, where T is the length of an episode (source)."""
     action_l2: NotNegative = 1.0
@@ -68,17 +68,17 @@ class DDPGHERConfig:
     clip_obs: Positive = 200.0
     """Bound on observations and goals before they are normalised."""
     norm_clip: Positive = 5.0
-    """Bound on them after they are normalised."""
+    """Bound on observations and goals after they are normalised."""
     batch_size: Count = 256
-    """Transitions per update and process."""
+    """Transitions per update, in each process."""
     n_rollouts: Count = 2
-    """Episodes per cycle and process."""
+    """Episodes per cycle, in each process."""
     n_cycles: Count = 50
     """Cycles per epoch."""
     n_batches: Count = 40
     """Updates per cycle."""
     n_test_rollouts: Annotated[int, "[0, inf)"] = 10
-    """Test episodes per epoch and process, in units of --n-rollouts."""
+    """Test episodes per epoch, in each process, as a multiple of --n-rollouts."""
     random_eps: Share = 0.3
     """Probability of a uniformly random action."""
     noise_eps: NotNegative = 0.2
@@ -89,11 +89,11 @@ class DDPGHERConfig:
     reduction: Literal["sum", "mean"] = "sum"
     """How the gradients of several processes are combined (source: sum)."""
     clip_target: bool = True
-    """Clip value targets to the returns that are possible: from -1/(1 - gamma) to 0 (source), or wider
-    where rewards below -1 or above 0 were seen."""
+    """Clip value targets to the range of possible returns: from -1/(1 - gamma) to 0 (source),
+    wider once rewards below -1 or above 0 are seen."""
     termination: Literal["bootstrap", "terminal"] = "bootstrap"
-    """How a terminated episode is treated. bootstrap: the target network's value follows (the source
-    has no done mask); terminal: nothing does."""
+    """How the end of an episode by termination is treated. bootstrap: the target network's value
+    is added, since the source has no done mask; terminal: it is not."""
 
     @property
     def anneals(self) -> bool:

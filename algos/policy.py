@@ -211,7 +211,7 @@ class Policy:
     def _batch_size(self, obs: Any) -> int | None:
         """Observations in a batch; None for one observation by itself."""
         if isinstance(obs, tuple):
-            raise ValueError("obs: found a tuple; env.reset() returns the observation and more")
+            raise ValueError("obs: found a tuple; env.reset() returns (observation, info)")
         keys = set(obs) if isinstance(obs, Mapping) else {""}
         if not keys >= set(self.shapes):
             got = sorted(keys) if isinstance(obs, Mapping) else type(obs).__name__
@@ -251,7 +251,7 @@ def network_sizes(hidden: Sequence[int], spaces: Spaces) -> tuple[int, ...]:
     """Values that each layer of a policy's network gives, the inputs first."""
     sizes = flat_size(spaces.observation), *hidden, action_size(spaces.action)
     if 0 in sizes:
-        raise ValueError("observation and action space: found one of no entries, allowed some in both")
+        raise ValueError("observation and action space: found an empty one, allowed entries in both")
     return sizes
 
 

@@ -48,13 +48,13 @@ class PPOConfig:
     clip_range: Positive = 0.2
     """Clip range of the probability ratio."""
     steps_per_epoch: Count = 1000
-    """Fewest environment steps per epoch, over all processes; episodes are played to their end. Also
-    --n-steps."""
+    """Least number of environment steps per epoch, over all processes; episodes are played to
+    their end. Also --n-steps."""
     n_passes: Count = 80
     """Passes over the batch per epoch (paper: updates per epoch). Also --n-epochs."""
     n_minibatches: Count | None = None
-    """Minibatches per pass; default: 6, unless --minibatch-size is given. The paper says "minibatch
-    size: 6", which its source takes as the number."""
+    """Minibatches per pass; default: 6, unless --minibatch-size is given. The paper says
+    "minibatch size: 6"; its source uses 6 as their number."""
     minibatch_size: Count | None = None
     """Transitions per minibatch, instead of --n-minibatches. Also --batch-size."""
     max_grad_norm: Positive = 0.5
@@ -85,11 +85,11 @@ class PPOConfig:
         if self.n_minibatches is not None and self.minibatch_size is not None:
             raise ValueError(
                 "n_minibatches and minibatch_size: found both, allowed one of them; "
-                "None takes back that of a recipe"
+                "None unsets that of a recipe"
             )
         if self.final_variance is not None and self.exploration != "annealed":
             raise ValueError(
-                f"final_variance: found with exploration {self.exploration}, allowed annealed"
+                f"final_variance: found with exploration {self.exploration}, allowed only with annealed"
             )
 
     @property

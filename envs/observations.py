@@ -58,7 +58,7 @@ class SensorConfig(TaxelFaults):
     """Standard deviation of a constant offset on each observed joint angle, rad, drawn once per
     episode."""
     slide_noise: NotNegative = 0.0
-    """Like --joint-noise, for the slides, which carry the hand, m."""
+    """Like --joint-noise, for the slides that carry the hand, m."""
     slide_noise_held: NotNegative = 0.0
     """Like --joint-noise-held, for the slides, m."""
     taxel_delay: Annotated[int, "[0, 100]"] = 0
@@ -74,8 +74,8 @@ class ObservationConfig(SensorConfig):
     history: Annotated[int, "[1, 100]"] = 1
     """Number of latest observations that the policy sees, stacked."""
     observe_targets: bool = False
-    """Include the current joint targets in the observation, or how far groups of fingers are to close.
-    The paper leaves them out."""
+    """Include the current joint targets in the observation; with --actions fingers or grip, how
+    far the fingers are to close. The paper leaves them out."""
     critic_sees: Literal["observation", "truth"] = "observation"
     """truth: the critic, but not the policy, also sees the object's pose, exact joint angles and
     contacts."""

@@ -30,8 +30,8 @@ class TaskConfig:
     """lift-and-hold (the paper's task for PPO), reach-goal (its task for DDPG+HER), or handover (close
     the hand while somebody holds the object against it)."""
     reward: Literal["staged", "sparse", "dense", "outcome"] | None = None
-    """staged (lift-and-hold), sparse: 0 or -1, dense: -10 x distance (both reach-goal), outcome
-    (handover); default: the task's first."""
+    """lift-and-hold: staged; reach-goal: sparse (0 or -1) or dense (-10 x distance); handover:
+    outcome. Default: the task's first."""
     lift_clearance: Positive = 0.03
     """lift-and-hold: height of the object's lowest point at which it counts as lifted, m."""
     hold_seconds: Positive = 20.0

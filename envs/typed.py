@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Mapping
+from types import NoneType
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -16,6 +17,7 @@ T = TypeVar("T")
 Positive = Annotated[float, "(0, inf)"]
 NotNegative = Annotated[float, "[0, inf)"]
 Share = Annotated[float, "[0, 1]"]
+WORDS = {int: "a whole number", float: "a number", str: "a string", bool: "True or False"}
 LARGEST = 2**63  # whole numbers stay below, so that they have a place in an array
 
 
@@ -76,14 +78,11 @@ def require_type(value: Any, hint: Any, name: str) -> None:
     10**400."""
     try:
         check_type(value, hint, collection_check_strategy=CollectionCheckStrategy.ALL_ITEMS)
-    except TypeCheckError as error:
-        reason = " ".join(str(error).split())
+    except TypeCheckError:
         literals = (part for part in _parts(hint) if get_origin(part) is Literal)
         if choices := [choice for literal in literals for choice in get_args(literal)]:
             raise ValueError(f"{name}: found {value!r}, allowed: {', '.join(choices)}") from None
-        if "in the union" in reason:
-            reason = f"allowed {str(hint).replace('typing.', '')}"
-        raise ValueError(f"{name}: found {_short(value)}: {reason[:200]}") from None
+        raise ValueError(f"{name}: found {_short(value)}, allowed {_words(hint)}") from None
     for item in value if isinstance(value, tuple) else (value,):
         if isinstance(item, bool) and bool not in _parts(hint):
             raise ValueError(f"{name}: found {item}, expected a number")
@@ -114,6 +113,16 @@ def _parts(hint: Any) -> Iterator[Any]:
     yield hint
     for part in get_args(hint):
         yield from _parts(part)
+
+
+def _words(hint: Any) -> str:
+    """What a type allows."""
+    if get_origin(hint) is Annotated:
+        return _words(get_args(hint)[0])
+    parts = ["..." if part is ... else _words(part) for part in get_args(hint)]
+    if get_origin(hint) is tuple:
+        return f"a list ({', '.join(parts)})"
+    return " or ".join(parts) or WORDS.get(hint, "None" if hint is NoneType else hint.__name__)
 
 
 def _short(value: Any) -> str:

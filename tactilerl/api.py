@@ -229,7 +229,7 @@ def train(
     is kept.
     """
     if resume is not None and out is not None:
-        raise ValueError("out: found it with resume; a resumed run stays in its folder")
+        raise ValueError("out: found with resume; a resumed run stays in its folder")
     base = resolve(algo, env or "", recipe, scene, resume, trust)
     said = {"algo": algo, "out": out and str(out)}
     chosen = base.choose({**flags, **{name: value for name, value in said.items() if value}})

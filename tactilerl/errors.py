@@ -24,7 +24,7 @@ PEERS: dict[str, tuple[str, str]] = {
         ("n_epochs", "n_passes", ""),
         ("n_steps", "steps_per_epoch", ""),
         ("net_arch policy_kwargs", "hidden", ""),
-        ("num_timesteps timesteps", "total_timesteps", ""),
+        ("n_timesteps num_timesteps timesteps", "total_timesteps", ""),
         ("progress_bar", "progress", ""),
         ("tau", "polyak", "polyak is 1 - tau"),
         ("tensorboard_log", "tensorboard", ""),

@@ -67,7 +67,7 @@ class Parts:
             if not joint.name:
                 raise ValueError(f"a joint of body {joint.parent.name!r}: has no name; give it one")
             if joint.type not in (mounting.HINGE, mounting.LINEAR):
-                raise ValueError(f"joint {joint.name!r}: is neither hinge nor slide; allowed are those")
+                raise ValueError(f"joint {joint.name!r}: is neither a hinge nor a slide")
         for actuator in spec.actuators:
             if not mounting.is_servo(actuator):
                 hint = 'leave all out with drop = ["*NAME*"], and joints get servos'

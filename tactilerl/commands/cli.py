@@ -8,6 +8,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from importlib import import_module
+from pathlib import Path
 
 from ..errors import InputError, let_rank_0_speak
 from ..version import __version__
@@ -77,6 +78,15 @@ def _run(args: list[str]) -> int:
     except KeyboardInterrupt as error:
         _say("interrupted", error)
         return 130
+    except Exception as error:
+        where = {
+            Path(frame.filename).parent.name for frame in traceback.extract_tb(error.__traceback__)
+        }
+        if "mujoco" in sys.modules or "mujoco" not in where:  # its import succeeded, or is not to blame
+            raise
+        found = f"MUJOCO_GL: found {os.environ.get('MUJOCO_GL')!r}, which does not work here ({error})"
+        _say("error", InputError(f"{found}; leave it unset, or choose egl, osmesa or glfw"))
+        return 2
 
 
 def _say(what: str, error: BaseException) -> None:

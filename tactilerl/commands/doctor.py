@@ -31,10 +31,10 @@ LEAST = 0.5  # of the time that an object must be up for a found grasp to be of 
 
 
 ABOUT = About(
-    "Do the taxels respond? Plays scripted grasps and shows for each layout how many taxels fire while "
-    "the object is held: the paper's six, or --layout. The exit code is 1 when a layout is blind.",
+    "Check which taxels fire. Plays scripted grasps and shows, for each layout, how many taxels fire "
+    "while the object is held. The exit code is 1 if the taxels of a layout hardly ever fire.",
     first=("layout", "touch", "simulator", "object", "object_size"),
-    defaults={"layout": "1 to 6, each"},
+    defaults={"layout": "each of 1 to 6"},
     examples=(
         "tactilerl doctor --env shadow",
         "tactilerl doctor --env mpl --layout my_layout.toml --out grasp.png",
@@ -49,13 +49,13 @@ class DoctorFlags:
     env: str = "shadow"
     """A hand: shadow, mpl, allegro, or the path of a hand's .toml file."""
     grasps: Annotated[int, "[1, inf)"] = 20
-    """Grasps per layout, each slightly different."""
+    """Number of grasps per layout, each slightly different."""
     seconds: Annotated[float, "[0.05, 60]"] = 3.0
     """Length of each hold, s."""
     out: Path | None = None
-    """Picture of the grasp with its taxels to write (extra: render)."""
+    """Also write a picture of the grasp and its taxels to this file (extra: render)."""
     compare: bool = False
-    """Also play the grasps in the other simulator, and show how often the taxels agree."""
+    """Also play the grasps in a second simulator and show how often the taxels agree."""
     verbose: bool = False
     """List all taxels that never fired."""
     json: bool = False
@@ -70,16 +70,16 @@ def _require_used(scene: GraspConfig, env: str) -> None:
     """InputError for flags of the scene on which scripted grasps of one object do not depend."""
     if scene.task == "handover":
         raise InputError(
-            "--task: found handover, allowed tasks whose object lies on the ground, where the grasps "
-            "here are played; for a handover use tactilerl gate"
+            "--task: found handover, allowed tasks whose object lies on the ground; for a handover use "
+            "tactilerl gate"
         )
     for name, usual in vars(setup(env)).items():
         if name not in USED and (found := getattr(scene, name)) != usual:
             flag = flags.of_field(name)
-            raise InputError(f"{flag}: found {found}, which changes nothing here; leave it out")
+            raise InputError(f"{flag}: found {found}, which has no effect here; leave it out")
     with input_errors():
         if Items(scene).vary:
-            raise ValueError("object: found several, or a range; the grasps here are of one object")
+            raise ValueError("object: found several, or a range, allowed a single object")
 
 
 def _find_grasp(name: str, scene: GraspConfig) -> hands.ScriptedGrasp:
@@ -94,10 +94,10 @@ def _find_grasp(name: str, scene: GraspConfig) -> hands.ScriptedGrasp:
     if share < LEAST:
         raise ValueError(
             f"hand {name}: found no grasp that holds a {1e3 * grasp.object_size:g} mm object: the best "
-            f"of {sum(grasp_search.ROUNDS)} keeps it up in {100 * share:.0f} % of the time; look at "
+            f"of {sum(grasp_search.ROUNDS)} keeps it up {100 * share:.0f} % of the time; look at "
             "[opened] and [closed], or at the force of the servos"
         )
-    screen.print(f"found, with the object up in {100 * share:.0f} % of its holds; add to the file:\n")
+    screen.print(f"found one: the object is up {100 * share:.0f} % of the time; add it to the file:\n")
     print(grasp_search.toml(hands.get(name), grasp), file=sys.stderr)
     return grasp
 

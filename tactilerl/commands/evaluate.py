@@ -29,8 +29,8 @@ from ..terminal.console import console
 from ..terminal.help import About
 
 ABOUT = About(
-    "Success rate and return of a trained run, with confidence intervals. Sensor flags play it with "
-    "other sensors than it was trained with.",
+    "Success rate and return of a trained run, with confidence intervals. Sensor flags replace the "
+    "sensors that it was trained with.",
     first=("run", "episodes", "stochastic", "taxel_dead", "sweep", "out", "workers", "json"),
     examples=(
         "tactilerl evaluate runs/X",
@@ -46,19 +46,19 @@ class EvaluateFlags:
     run: tyro.conf.Positional[Path]
     """Run folder."""
     episodes: Annotated[int, "[1, inf)"] = 100
-    """Episodes to play; their starts are not those of training."""
+    """Number of episodes; none of them starts as in training."""
     stochastic: bool = False
     """Keep the exploration noise."""
     workers: Workers = None
     """Episodes played side by side; default: one per free core."""
     env: str = ""
-    """The id of the run's environment once more, to allow the import of the module it names."""
+    """The run's environment id, repeated to allow importing the module that it names."""
     trust: bool = False
-    """Allow that import without naming the environment."""
+    """Allow that import without repeating the id."""
     sweep: tuple[str, ...] = ()
     """A sensor flag and the values to try: --sweep taxel-dead 0 0.1 0.2 0.5."""
     out: Path | None = None
-    """With --sweep: picture to write, .png, .svg or .pdf (extra: plots)."""
+    """With --sweep: write a plot of the success rate to this .png, .svg or .pdf file (extra: plots)."""
     json: bool = False
     """Print JSON instead of a table."""
 

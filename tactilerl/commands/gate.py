@@ -37,13 +37,13 @@ class GateFlags:
     env: str = "mpl"
     """The hand."""
     starts: Annotated[int, "[1, inf)"] = 200
-    """Starts from which the chosen reflexes are compared."""
+    """Number of initial states from which the chosen reflexes are compared."""
     search: Annotated[int, "[1, inf)"] = 20
-    """Starts per candidate during the search; each sense has 15 candidates."""
+    """Initial states per candidate during the search; each sense has 15 candidates."""
     seed: Annotated[int, "[0, 999999]"] = 0
-    """Random seed of the starts."""
+    """Random seed of the initial states."""
     workers: Workers = None
-    """Episodes played side by side; default: the free cores."""
+    """Episodes played side by side; default: one per free core."""
     json: bool = False
     """Print JSON instead of a table."""
 
@@ -54,7 +54,7 @@ def main(args: list[str]) -> int:
     scene = require_scene(found, read.env)
     with input_errors():
         if scene.run_type != "main":
-            raise InputError("--touch: leave it out; the gate plays with touch and without")
+            raise InputError("--touch: leave it out; the gate always compares touch with no touch")
         typed.validate(scene)
     with Progress(console=console, transient=True) as progress, input_errors():
         task = progress.add_task("trying reflexes", total=None)

@@ -37,17 +37,17 @@ class RenderFlags:
     """Flags of `tactilerl render`, besides the scene's."""
 
     run: tyro.conf.Positional[tuple[Path, ...]] = ()
-    """Run folder whose policy is filmed in its own scene. Several are shown side by side, from the
-    same starts. Without one, a scripted grasp is drawn."""
+    """Run folder whose policy is filmed in the run's own scene. Several are filmed side by side,
+    from the same initial states. Without one, a scripted grasp is drawn."""
     video: Path = Path("episodes.mp4")
-    """Film to write."""
+    """File of the film."""
     episodes: Annotated[int, "[1, inf)"] = 1
-    """Episodes in the film, the first that `evaluate` plays. Hold tests last 2 s unless --hold-seconds
-    is given."""
+    """Number of episodes in the film: the first ones that `evaluate` plays. Hold tests last 2 s
+    unless --hold-seconds is given."""
     env: str = "shadow"
-    """Hand in the picture."""
+    """The hand in the picture."""
     out: Path = Path("grasp.png")
-    """Picture to write."""
+    """File of the picture."""
     pose: Literal["start", "grasp"] = "grasp"
     """What the picture shows: the start of an episode, or a scripted grasp."""
     azimuth: float = Camera.azimuth
@@ -57,8 +57,8 @@ class RenderFlags:
     distance: Annotated[float, "[0.05, 10]"] = Camera.distance
     """Distance of the camera, m."""
     follow: render.Follow = "grasp"
-    """What the camera of a film follows. grasp: the midpoint between hand and object; hand: the hand;
-    nothing: the camera stands still."""
+    """What the camera of a film follows. grasp: the midpoint between hand and object; hand: the
+    hand; nothing: the camera does not move."""
 
     @property
     def camera(self) -> Camera:
@@ -72,8 +72,8 @@ def main(args: list[str]) -> int:
     name = read.env
     for flag in ("env", "out", "pose") if read.run else ("video", "episodes", "follow"):
         if getattr(read, flag) != getattr(RenderFlags, flag):
-            needed = "without" if read.run else "with"
-            raise InputError(f"--{flag}: found it, allowed only {needed} RUN; see --help")
+            found, needed = ("with", "without") if read.run else ("without", "with")
+            raise InputError(f"--{flag}: found {found} a run folder, allowed only {needed} one")
     if read.run:
         return _film(args, read, scene)
     scene = require_scene(scene, name)

@@ -35,15 +35,15 @@ class Run:
     out: Path | None = None
     """Folder of the study; default: studies/NAME. Runs already in it are continued."""
     jobs: Annotated[int, "[1, inf)"] | None = None
-    """Runs trained at a time; default: one per core, or under mpirun one per rank but the first."""
+    """Runs trained at a time; default: one per core, or, under mpirun, one per rank but the first."""
     ranks_per_run: Annotated[int, "[1, inf)"] = 1
-    """Processes of each run (DDPG+HER with several workers)."""
+    """Processes per run (for DDPG+HER with several workers)."""
     retry_failed: bool = False
     """Try failed runs again."""
     only: str = ""
-    """Train only the runs of these set-ups, cells and arms: NAME,NAME as in `compare`."""
+    """Train only runs with all these names of set-ups, cells or arms: NAME,NAME as in `compare`."""
     collected: tuple[Path, ...] = ()
-    """Leave out runs that are done in these folders or collected files of the study."""
+    """Skip runs that are done in these folders or collected files of the study."""
 
     def __call__(self) -> int:
         """`tactilerl study run FILE`"""
@@ -147,16 +147,16 @@ class Status:
 
 @dataclass(frozen=True)
 class Plan:
-    """Say how many pairs of runs an effect needs, from a pilot."""
+    """Estimate from a pilot how many pairs of runs are needed."""
 
     study: tyro.conf.Positional[Path]
     """Folder of a pilot study, or the file that `collect` wrote."""
     effect: float = 0.1
-    """Difference of success rates to detect."""
+    """Difference in success rate to detect."""
     power: float = 0.8
     """Probability of detecting it."""
     alpha: float = 0.05
-    """Level of the test."""
+    """Significance level of the test."""
     json: bool = False
     """Print JSON instead of a table."""
 
@@ -194,15 +194,15 @@ class Plan:
 
 @dataclass(frozen=True)
 class Compare:
-    """Compare two parts of studies, in pairs where seeds agree."""
+    """Compare two studies, or parts of them, pairing runs by seed."""
 
     a: tyro.conf.Positional[str]
     """Folder of a study or a collected file; with :NAME,NAME only the runs of these set-ups, cells
     and arms, as in `pilot:layout 2,main`."""
     b: tyro.conf.Positional[str]
-    """Compared with it, in pairs of runs of the same seed where there are any."""
+    """What to compare it with. Runs with the same seed form pairs."""
     score: Literal["area", "final", "converged"] = "area"
-    """Of each run: mean success over the run, over its last tenth, or the converged rate."""
+    """area: mean success over the run; final: over its last tenth; converged: the converged rate."""
     json: bool = False
     """Print JSON instead of a table."""
 
@@ -234,14 +234,16 @@ class Collect:
     folder: tyro.conf.Positional[Path]
     """Folder of the study, or a collected file."""
     more: tyro.conf.Positional[tuple[Path, ...]] = ()
-    """More of the same study to merge, its file too; of each run the furthest record counts."""
+    """More folders or collected files of the same study to merge, or its study file. Of each run,
+    the record that got furthest is kept."""
     out: Path | None = None
-    """The file; default, of one folder: collected.csv.gz in it."""
+    """File to write; default: collected.csv.gz in FOLDER."""
 
     def __call__(self) -> None:
         """`tactilerl study collect FOLDER`"""
-        if self.more and self.out is None:
-            raise InputError("study collect: found several folders and files, expected --out FILE")
+        if self.out is None and (self.more or self.folder.is_file()):
+            found = "several folders and files" if self.more else f"the file {str(self.folder)!r}"
+            raise InputError(f"study collect: found {found}, expected a study's folder, or --out FILE")
         path = records.collect(self.folder, *self.more, out=self.out)
         console.print(f"{path}: {path.stat().st_size / 1e6:.2f} MB")
 
@@ -286,6 +288,7 @@ def main(args: list[str]) -> int:
     about = {name: str(kind.__doc__) for name, kind in PARTS.items()}
     if not args or args[0] in ("-h", "--help", "--help-all"):
         lines = [f"  {name:9}{text[0].lower()}{text[1:-1]}" for name, text in about.items()]
+        lines += ["", "tactilerl study PART --help lists a part's options."]
         print("\n".join(["usage: tactilerl study PART [OPTIONS]", "", "parts:", *lines]))
         return 0 if args else 2
     name, *rest = args

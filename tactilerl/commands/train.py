@@ -20,7 +20,7 @@ def main(args: list[str]) -> int:
     config, options = arguments.read(args, arguments.defaults(args))
     for name in ("any_ranks", "trust"):
         if getattr(options, name) and not options.resume:
-            raise InputError(f"{flags.of_field(name)}: found without --resume, allowed with it")
+            raise InputError(f"{flags.of_field(name)}: found without --resume, allowed only with it")
     if options.resume and flags.peek(args, "--out"):
         raise InputError("--out: a resumed run stays in its folder; leave it out")
     notes = []

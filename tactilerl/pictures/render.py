@@ -137,7 +137,7 @@ def film(
             opened.callback(players[-1].env.close)
         first, *others = players
         if any(other.fps != first.fps for other in others):
-            raise InputError("render: found runs of several timesteps, allowed runs of the same one")
+            raise InputError("render: found runs with different timesteps, allowed runs with the same")
         options = dict(fps=first.fps, macro_block_size=2, output_params=PLAYABLE)
         writer = opened.enter_context(imageio.get_writer(out, **options))
         for number in range(episodes):

@@ -57,18 +57,18 @@ def folds(held: Array, n: int, groups: Array | None, seed: int) -> list[Fold]:
         count = int((held == label).sum())
         if count == 0:
             raise ValueError(
-                f"grasps: found {len(held)} with the same outcome ({count} {what}), allowed both: "
-                "there is nothing to tell apart"
+                f"grasps: found {len(held)} with the same outcome ({count} {what}), allowed grasps "
+                "of both outcomes"
             )
         if count < n:
-            raise ValueError(f"folds: found {n}, allowed up to {count}: so many grasps {what}")
+            raise ValueError(f"folds: found {n}, allowed up to {count}, the grasps that {what}")
     unasked = np.zeros((len(held), 1))
     if groups is None:
         splitter: Any = StratifiedKFold(n, shuffle=True, random_state=seed)
         return list(splitter.split(unasked, held))
     n_groups = len(np.unique(groups))
     if n_groups < 2:
-        raise ValueError(f"hold_out: found {n_groups} object, allowed two or more to hold some back")
+        raise ValueError(f"hold_out: found {n_groups} object, allowed two or more, to hold some out")
     return list(GroupKFold(min(n, n_groups)).split(unasked, held, groups))
 
 

@@ -30,19 +30,20 @@ def _validate(flags: Any, *lists: str) -> None:
 
 @dataclass(frozen=True)
 class GraspFlags:
-    """The grasps to play."""
+    """Which grasps are simulated."""
 
     scene: str = ""
     """Take hand, simulator and objects from a named scene or its .toml file; other flags override
     it."""
     env: str = "shadow"
-    """Which hand: shadow, mpl, allegro, or the path of a hand's .toml file."""
+    """A hand: shadow, mpl, allegro, or the path of a hand's .toml file."""
     simulator: str | None = None
-    """The physics engine: mujoco or pybullet; default: the hand's."""
+    """Physics engine: mujoco or pybullet; default: the hand's."""
     policy: Path | None = None
-    """Grasps of a trained policy with its noise, in its run's own scene, instead of scripted ones."""
+    """Run folder: probe the grasps of its policy, with exploration noise and in the run's own
+    scene, instead of scripted grasps."""
     grasps: Annotated[int, "[1, inf)"] = 2_000
-    """Number of grasps."""
+    """Number of grasps to simulate."""
     seed: Annotated[int, "[0, 4294967295]"] = 0
     """Random seed of grasps, folds, noise and bootstrap samples."""
     touch: Literal["skin", "contact"] = "skin"
@@ -51,21 +52,21 @@ class GraspFlags:
     object: tuple[objects.Kind, ...] = ("box",)
     """Kinds of object: box, sphere, cylinder."""
     object_size: tuple[float, ...] = (0.04, 0.045, 0.05)
-    """Edges of cubes, diameters (and heights) of others, m."""
+    """Edges of cubes, diameters (and heights) of spheres and cylinders, m."""
     friction: tuple[float, ...] = (0.5, 1.0)
-    """Sliding frictions of the object."""
+    """Coefficients of sliding friction of the object."""
     start_offset: Annotated[float, "[0, 0.05]"] = 0.025
-    """Largest distance of the object from its place along x and y, m."""
+    """Largest random offset of the object along x and y, m."""
     start_yaw: Annotated[float, "[0, 3.2]"] = 0.6
-    """Largest turn of the object, rad."""
+    """Largest random turn of the object, rad."""
     closing: tuple[float, float] | None = None
-    """How far the fingers close, from and to: 1 is all the way of the scripted grasp; default: what
-    lets 30 to 70 % of the grasps hold (mpl 0.8 1.1, others 0.5 0.9)."""
+    """How far the fingers close, from and to; 1: fully, as in the scripted grasp. Default: a range
+    in which 30 to 70 % of the grasps hold (mpl 0.8 1.1, others 0.5 0.9)."""
     joint_jitter: typed.Share = 0.1
-    """Largest offset of a finger joint at the start, rad."""
+    """Largest random offset of a finger joint at the start, rad."""
     hold_verdict: Verdict = "settled"
-    """full: is the object up 2 s after the lift?; settled: the same, called early in PyBullet when the
-    object has come to rest in the hand."""
+    """full: is the object up 2 s after the lift?; settled: the same, but PyBullet stops early when
+    the object has come to rest in the hand."""
 
     @classmethod
     def of_scene(cls, scene: str) -> GraspFlags:
@@ -77,7 +78,7 @@ class GraspFlags:
             raise ValueError(f"scene: found {scene!r}, whose task is {config.task}, allowed scenes "
                              "whose object lies on the ground; or probe a run: --policy")  # fmt: skip
         if len(config.object_size) > 1 or LOST & named.scene.keys():
-            raise ValueError(f"scene: found {scene!r}, which has several measures of an object or says "
+            raise ValueError(f"scene: found {scene!r}, which has several measures of an object or sets "
                              f"{', '.join(sorted(LOST))}, allowed scenes that do not")  # fmt: skip
         copied = ("start_offset", "start_yaw", "hold_verdict")
         said: dict[str, Any] = {name: named.scene[name] for name in copied if name in named.scene}
@@ -109,24 +110,25 @@ class GraspFlags:
 
 @dataclass(frozen=True)
 class AnalysisFlags:
-    """The questions to ask."""
+    """How the grasps are analysed."""
 
     layout: tuple[str, ...] = tuple("123456")
-    """Layouts: 1-6, named designs, or paths of .toml files."""
+    """Layouts to compare: 1 to 6, named designs, or .toml files."""
     estimator: Literal["linear", "boosting"] = "linear"
-    """linear: regularised linear models; boosting: boosted trees, which take many times as long."""
+    """linear: regularised linear models; boosting: boosted trees, which take much longer."""
     joint_noise: tuple[Annotated[float, "[0, 10]"], ...] = (0.0, 0.05)
     """Standard deviations of noise on the joint angles, rad; each is reported."""
     folds: Annotated[int, "[2, inf)"] = 5
     """Folds of the cross-validation."""
     hold_out: Literal["grasps", "objects"] = "grasps"
-    """What a fold holds back: some grasps, or all grasps of some objects, so that these are new."""
+    """What a fold holds out: some grasps, or all grasps of some objects, to test on unseen objects."""
     resamples: Annotated[int, "[100, inf)"] = 2_000
-    """Bootstrap samples behind an interval."""
+    """Number of bootstrap samples per interval."""
     shuffles: Annotated[int, "[2, inf)"] = 10
-    """How often outcomes are shuffled, to check that nothing is gained then."""
+    """How often the outcomes are shuffled, to check that touch then gains nothing."""
     select: tuple[Annotated[int, "[1, inf)"], ...] = ()
-    """Choose this many taxels from a dense skin; several numbers give a layout file each."""
+    """Choose this many taxels from a dense skin and write them as a layout file; several numbers
+    give one file each."""
     skin: str = "1"
     """The skin to choose from: a layout, or the spacing of a grid over all phalanges, such as 2mm."""
 
@@ -140,12 +142,12 @@ class OutputFlags:
     """Where results go and how they are shown."""
 
     out: Path | None = None
-    """Folder of grasps.npz, probe.json and figures; default: probes/ENV_SIMULATOR. The same command
-    continues what is there."""
+    """Folder for grasps.npz, probe.json and figures; default: probes/ENV_SIMULATOR. Repeating the
+    command continues what is there."""
     grasps_file: Annotated[Path | None, tyro.conf.arg(name="from", metavar="FILE")] = None
-    """Read the grasps from this file instead of playing any."""
+    """Read the grasps from this file instead of simulating them."""
     workers: Workers = None
-    """Grasps played side by side; default: one per free core. Results do not depend on it."""
+    """Grasps simulated side by side; default: one per free core. Results do not depend on it."""
     json: bool = False
     """Print JSON instead of a table."""
 

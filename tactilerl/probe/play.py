@@ -62,7 +62,7 @@ def _kept(path: Path, settings: dict[str, Any]) -> list[Measured]:
     for name in {**ours, **theirs}:
         mine, other = ours.get(name), theirs.get(name)
         if mine != other:
-            raise InputError(f"{path}: {name}: found {mine!r}, they were played with {other!r}; "
+            raise InputError(f"{path}: {name}: found {mine!r}, but its grasps have {other!r}; "
                              "choose another folder with --out")  # fmt: skip
     return [{name: values[k] for name, values in arrays.items()} for k in range(len(arrays["held"]))]
 

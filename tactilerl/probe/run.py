@@ -86,7 +86,7 @@ def _require_usual(playing: GraspFlags, beside: str, *allowed: str) -> None:
     usual = asdict(type(playing)())
     for name, value in asdict(playing).items():
         if value != usual[name] and name not in allowed:
-            raise InputError(f"--{name.replace('_', '-')}: found it together with {beside}")
+            raise InputError(f"--{name.replace('_', '-')}: found together with {beside}")
 
 
 @input_errors()

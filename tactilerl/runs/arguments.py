@@ -26,16 +26,16 @@ def _extra(field: str, default: Any, about: str, kind: Any = str, **named: Any) 
 
 ABOUT = f"A named scene ({', '.join(scenes.names())}) or its .toml file; other flags override it."
 NAMED_SCENE = _extra("named_scene", "", ABOUT, name="scene")
-OTHER_BITS = "With --resume: allow a different number of processes; results then differ in their bits."
-TRUST = "With --resume: allow the import of the module in the environment's id."
+OTHER_BITS = "With --resume: allow another number of processes; results are then not bit-identical."
+TRUST = "With --resume: allow importing the module named in the environment's id."
 RESUME = (
     _extra("resume", "", "Continue the run in this folder from its last whole epoch.", metavar="RUN"),
     _extra("any_ranks", False, OTHER_BITS, bool),
     _extra("trust", False, TRUST, bool),
 )
 TRAIN = About(
-    "Train a policy. --scene, --algo and --env decide which flags there are and their defaults, which "
-    "are the paper's without --scene and --recipe.",
+    "Train a policy. Which flags there are, and their defaults, depends on --scene, --algo and --env. "
+    "Without --scene and --recipe, the defaults are the paper's.",
     first=(
         "named_scene", "algo", "env", "layout", "run_type", "task", "recipe", "total_timesteps", "seed",
         "workers", "out", "resume",

@@ -74,7 +74,7 @@ class Checkpoint:
         if is_other and not any_ranks:
             raise InputError(
                 f"ranks: found {comm.size}, the run was made with {n_old}; start it with "
-                f"mpirun -n {n_old}, or give --any-ranks to go on anyway"
+                f"mpirun -n {n_old}, or give --any-ranks to continue anyway"
             )
         with damage_named(self.run_dir.checkpoint_file):
             self.learner.load_state_dict(data["ranks"][comm.rank % n_old])

@@ -187,7 +187,7 @@ def require_name(name: Any, where: str) -> str:
     if len(name.encode()) > LONGEST_NAME:
         raise InputError(
             f"{where}: found a name of {len(name.encode())} bytes ({name[:40]}...), allowed up to "
-            f"{LONGEST_NAME}, for files are called so"
+            f"{LONGEST_NAME}, because files get this name"
         )
     return name
 

@@ -61,7 +61,7 @@ class ProgressTable:
         if last not in (epoch, epoch + 1):
             raise InputError(
                 f"{self.path}: found epochs up to {last}, the checkpoint's is {epoch}; put back the "
-                "table that belongs to it, or move this one away to go on with a new one"
+                "table that belongs to it, or move this one away to continue with a new one"
             )
         whole = lines[: len(lines) - (last - epoch)]
         if len(whole) < 2:  # so that a header that was cut off does not stay

@@ -46,7 +46,7 @@ class RunDir:
         saved, _ = self.read_config(config.run.env)
         if difference := saved.difference(config.identity()):
             raise InputError(
-                f"{self.path}: {difference}; a run that goes on keeps its settings (another --out "
+                f"{self.path}: {difference}; a continued run keeps its settings (another --out "
                 "makes another run)"
             )
         return dataclasses.replace(config, hand=saved.hand)
@@ -58,7 +58,7 @@ class RunDir:
             names = {path.name for path in self.path.iterdir() if path.suffix != ".tmp"}
         if not (self.config_file.exists() or names <= {LAYOUT_COPY, ".lock"}):
             raise InputError(
-                f"folder {str(self.path)!r} exists; choose another with --out, for it holds no run"
+                f"folder {str(self.path)!r} exists but is not a run folder; choose another with --out"
             )
 
     def lock(self) -> AbstractContextManager[None]:
@@ -108,19 +108,17 @@ class RunDir:
 
     def record(self) -> dict[str, Any]:
         """What config.json holds, with values of this version or another; InputError when damaged."""
-        with damage_named(self.config_file, "not a run's configuration"):
-            try:
+        if self.path.is_file():
+            raise InputError(
+                f"{str(self.path)!r} is a file, allowed the folder of a run; a saved policy is for "
+                "Python (tactilerl.load_policy)"
+            )
+        try:
+            with damage_named(self.config_file, "not a run's configuration"):
                 data = read_json(self.config_file)
-            except FileNotFoundError:
-                raise InputError(
-                    f"{str(self.path)!r} is not a run folder: no config.json in it"
-                ) from None
-            except NotADirectoryError:
-                raise InputError(
-                    f"{str(self.path)!r} is a file, allowed the folder of a run; a saved policy is for "
-                    "Python (tactilerl.load_policy)"
-                ) from None
-            require_record(data)
+                require_record(data)
+        except FileNotFoundError:
+            raise InputError(f"{str(self.path)!r} is not a run folder: no config.json in it") from None
         return data
 
 
@@ -150,6 +148,6 @@ def resolve(
     if not resume:
         return defaults(algo, env, recipe, scene)
     if scene:
-        raise InputError("scene: found it with resume; a resumed run keeps its settings")
+        raise InputError("scene: found with resume; a resumed run keeps its settings")
     saved, _ = RunDir(Path(resume)).read_config(env, trust)
     return saved.with_recipe(recipe) if recipe else saved

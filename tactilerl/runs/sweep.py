@@ -30,7 +30,7 @@ def vary(run: RunConfig, sweep: tuple[str, ...]) -> tuple[str, list[Any], list[R
         allowed = ", ".join(name.replace("_", "-") for name in NAMES)
         raise InputError(f"--sweep: found {sweep[0]!r}, allowed: {allowed}")
     if not texts:
-        raise InputError(f"--sweep {sweep[0]}: found no values, expected some")
+        raise InputError(f"--sweep {sweep[0]}: found no values, expected one or more")
     with input_errors(f"--sweep {sweep[0]}"):
         values = [type(USUAL[name])(text) for text in texts]
     scenes = [dataclasses.replace(run.scene, **{name: value}) for value in values]

@@ -80,7 +80,7 @@ class Looks:
         """InputError unless the looks follow one another."""
         if sorted(set(self.pairs)) != self.pairs or min(self.pairs, default=0) < 2:
             raise InputError(
-                f"looks.pairs: found {self.pairs}, allowed growing numbers, such as [6, 9, 12, 16]"
+                f"looks.pairs: found {self.pairs}, allowed increasing numbers, such as [6, 9, 12, 16]"
             )
 
     def spent(self, n_comparisons: int) -> list[float]:
@@ -378,8 +378,8 @@ def _compare(table: dict[str, Any], grid: dict[str, list[Any]]) -> Compare | Non
     (key, pair), *others = table.items()
     if others or not isinstance(pair, list) or len(pair) != 2:
         raise InputError(
-            "compare: found other than one flag with [treatment, control], "
-            'expected for instance run_type = ["main", "control"]'
+            f"compare: found {table!r}, expected one flag with [treatment, control], "
+            'such as run_type = ["main", "control"]'
         )
     flag = _flag(key, "compare")
     allowed = [text(value) for value in grid.get(flag, [])]
@@ -421,7 +421,7 @@ def _require_values(value: Any, where: str) -> None:
             f"{where}: found a {type(value).__name__}, expected a value, or a list of them"
         )
     elif isinstance(value, str) and value.startswith("-") and not NUMBER.fullmatch(value):
-        raise InputError(f"{where}: found {value[:60]!r}, expected a value and no flag")
+        raise InputError(f"{where}: found {value[:60]!r}, expected a value, not a flag")
 
 
 def text(value: Any) -> str:

@@ -99,7 +99,7 @@ def load(*paths: Path) -> tuple[Study, list[Record]]:
             known = found.setdefault(record.run.name, record)
             if known.state == record.state == "done" and known.results != record.results:
                 raise InputError(
-                    f"{path}: run {record.run.name}: found it done, with other results than elsewhere"
+                    f"{path}: run {record.run.name}: found it done, with other results elsewhere"
                 )
             found[record.run.name] = max(known, record, key=lambda one: one.progress)
     return study, [found[run.name] for run in study.runs()]

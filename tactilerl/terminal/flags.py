@@ -28,6 +28,10 @@ VALUES = {
     "INT": "a whole number in digits, such as 50000",
     "FLOAT": "a number",
     "{FLOAT FLOAT}": "two numbers",
+    "[INT [INT ...]]": "whole numbers",
+    "[FLOAT [FLOAT ...]]": "numbers",
+    "STR": "a name",
+    "PATH": "a path",
 }
 
 
@@ -98,26 +102,37 @@ def _name(argument: Any) -> str:
 
 def _hint(token: str, known: list[str]) -> str:
     """What may have been meant by what is no flag."""
+    from ..algos import ALGORITHMS, get
+
     known = [*known, "scene"]
     if not token.startswith("-"):
-        flag = _place(token)
-        return f"did you mean {flag} {token}?" if flag[2:] in known else "which is no flag"
+        placed = _placed(token, known)
+        return f"did you mean {placed}?" if placed else "which no flag takes"
     name = token.partition("=")[0].lstrip("-").replace("-", "_")
     no = "no_" if name.startswith("no_") and name not in PEERS else ""
-    likely, why = meant(name.removeprefix(no), known, PEERS)
-    flags = " or ".join(of_field(no + field) for field in likely)
-    hint = f"did you mean {flags}? {why}" if flags else why
-    return hint.strip() or "which is no flag"
+    learners = [*ALGORITHMS] if "algo" in known else []
+    fields = {"": known, **{f" with --algo {a}": [*typed.names(get(a)[0])] for a in learners}}
+    for where, names in sorted(fields.items(), key=lambda each: name not in each[1]):
+        likely, why = meant(name.removeprefix(no), names, PEERS)
+        own = " or ".join(of_field(no + field) for field in likely)
+        hint = f"did you mean {own}{where}?" if own else "which is not a flag"
+        if own or why:
+            break
+    return f"{hint} ({why})" if why else hint
 
 
-def _place(token: str) -> str:
-    """The flag that takes a value which stands alone; "" for none."""
+def _placed(token: str, known: list[str]) -> str:
+    """A value that stands alone, after the flag that takes it; "" for none."""
     from ..algos import ALGORITHMS
     from ..envs import hands, scenes
 
-    values = {"--scene": scenes.names(), "--env": hands.HANDS, "--algo": ALGORITHMS}
-    is_folder = os.sep in token or Path(token).is_dir()
-    return next((f for f, known in values.items() if token in known), "--resume" if is_folder else "")
+    is_path = os.sep in token
+    values = {"scene": scenes.names(), "env": hands.HANDS, "algo": ALGORITHMS}
+    for flag, names in values.items():
+        if flag in known and not is_path and (likely := meant(token, [*names])[0]):
+            return f"--{flag} {likely[0]}"
+    is_run = "resume" in known and (is_path or Path(token).is_dir())
+    return f"--resume {token}" if is_run else ""
 
 
 def _own(args: Sequence[str], known: Sequence[str]) -> list[str]:
@@ -131,7 +146,10 @@ def _own(args: Sequence[str], known: Sequence[str]) -> list[str]:
             flag = "--touch"
         elif name == "touch" and "run_type" in known and found not in touch.RULES:
             if found not in help.SWITCH:
-                raise InputError(f"--touch: found {found!r}, allowed: {', '.join(help.SWITCH)}")
+                allowed = ", ".join(help.SWITCH)
+                raise InputError(
+                    f"--touch: found {repr(found) if found else 'no value'}, allowed: {allowed}"
+                )
             flag, value = "--run-type", help.SWITCH[found]
             own[at + 1 : at + 2] = own[at + 1 : at + 2] if equals else [value]
         elif name not in known and SAME.get(name) in known:

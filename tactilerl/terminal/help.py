@@ -56,8 +56,8 @@ def show(kind: Any, default: Any, prog: str, about: About, everything: bool) -> 
             title = "positional arguments"
             places.append(flag)
         elif owner is not None and name not in first:
-            title = re.sub("(Config|Options|Flags)$", "", owner.__name__)
-            title = re.sub("(?<=[a-z])(?=[A-Z])", " ", title).lower() + " options"
+            title = re.sub("(Config|Options|Flags|s)$", "", owner.__name__)
+            title = re.sub("(?<=[a-z])(?=[A-Z])|(?=HER)", " ", title).lower() + " options"
             intro = textwrap.fill((owner.__doc__ or "").partition("\n")[0], width - 4)
             groups.setdefault(title, [intro, "─" * (width - 4)])
         groups[title].append(_row(flag, words, width))
@@ -111,16 +111,17 @@ def _described(name: str, hint: Any, value: Any, doc: str, usual: str) -> tuple[
     words = " ".join((own.help or doc).split())
     if tyro.conf.Positional in notes:
         is_needed = value is dataclasses.MISSING
-        flag = name.upper() if is_needed else f"[{name.upper()}]"
+        many = " ..." if get_origin(base) is tuple else ""
+        flag = name.upper() if is_needed else f"[{name.upper()}{many}]"
         return flag, words + " (required)" * is_needed
     if name == "run_type":
         base, value = Literal[tuple(SWITCH)], {run: word for word, run in SWITCH.items()}[value]
     flag = of_field(own.name or name)
     if isinstance(value, bool):
-        flag += f", --no-{flag[2:]}" * value
+        flag, usual = f"{flag}, --no-{flag[2:]}" if value else flag, "on" * value
     else:
         flag += f" {own.metavar or ('PATH' if name == 'out' else _metavar(base))}"
-    if not usual and value is not False:
+    if not usual and not isinstance(value, bool):
         each = value if isinstance(value, tuple) else (value,)
         usual = " ".join(f"{v:g}" if isinstance(v, float) else str(v) for v in each if v is not None)
     return flag, f"{words} (default: {usual})" if usual else words

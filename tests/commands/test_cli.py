@@ -339,7 +339,7 @@ class TestResume:
         fails_with(capsys, [*TOY, "--recipe", "stedy"], "recipe: found 'stedy'", "paper, steady")
         fails_with(capsys, [*REACH, "--recipe", "calm"], "for ddpg_her: paper, steady")
         both = [*TOY, "--recipe", "steady", "--n-minibatches", "6"]
-        fails_with(capsys, both, "found both", "None takes back")
+        fails_with(capsys, both, "found both", "None unsets")
         assert main([*both, "--minibatch-size", "None", "--total-timesteps", "1", "--out", "six"]) == 0
 
     def test_the_runs_own_copy_of_a_layout_file_counts(self):
@@ -449,10 +449,10 @@ class TestBadInput:
             (["train", "--no-orthogonal-int"], ["did you mean --no-orthogonal-init?"]),
             (
                 ["train", "--algo", "ddpg_her", "--tau", "0.9"],
-                ["did you mean --polyak? polyak is 1 - tau; see"],
+                ["did you mean --polyak? (polyak is 1 - tau); see"],
             ),
-            (["train", "--tau", "0.9"], ["found '--tau', which is no flag; see tactilerl train"]),
-            (["train", "more"], ["found 'more'", "is no flag", "tactilerl train --help"]),
+            (["train", "--foo", "0.9"], ["found '--foo', which is not a flag; see tactilerl train"]),
+            (["train", "more"], ["found 'more', which no flag takes; see tactilerl train --help"]),
             (["train", "--gamma", "much"], ["--gamma: found 'much', allowed a number"]),
             (
                 ["train", "--steps_per_epoch=1.5"],
@@ -483,8 +483,8 @@ class TestBadInput:
             (["render", "--out", "x.foo"], ["--out: found 'x.foo'", ".png"]),
             (["render", "none"], ["none"]),
             (["render", "none", "--layout", "1"], ["found scene flags"]),
-            (["render", "none", "--pose", "start"], ["--pose", "without RUN"]),
-            (["render", "--video", "x.mp4"], ["--video", "with RUN"]),
+            (["render", "none", "--pose", "start"], ["--pose: found with a run folder"]),
+            (["render", "--video", "x.mp4"], ["--video: found without a run folder"]),
             (["doctor", "--env", "lqr"], ["--env: found 'lqr'", "shadow"]),
             (["env", "--env", "nope"], ["unknown environment 'nope'"]),
         ],
@@ -496,19 +496,24 @@ class TestBadInput:
     @pytest.mark.parametrize(
         ("typed", "hint"),
         [
-            ("train --no-touch", "did you mean --touch? with off, all taxels read zero; see"),
-            ("train --taxels off", "did you mean --touch? with off"),
+            ("train --no-touch", "did you mean --touch? (with off, all taxels read zero); see"),
+            ("train --taxels off", "did you mean --touch? (with off"),
             ("train --timesteps 5", "did you mean --total-timesteps?"),
             ("train --num-timesteps 5", "did you mean --total-timesteps?"),
             ("train --env-id x", "did you mean --env?"),
             ("train --hand mpl", "did you mean --env?"),
-            ("train --gpu", "did you mean --device? cuda is a GPU"),
+            ("train --gpu", "did you mean --device? (cuda is a GPU)"),
             ("train --sim mujoco", "did you mean --simulator?"),
             ("train --scen handover", "did you mean --scene?"),
             ("train --scene handovr", "did you mean handover?"),
-            ("train --ent-coef 0", "did you mean --exploration? there is no entropy bonus"),
+            ("train --ent-coef 0", "did you mean --exploration? (there is no entropy bonus)"),
             ("train --deterministic", "evaluate is deterministic unless --stochastic is given"),
-            ("train --tau 0.1", "which is no flag"),  # PPO has no target network
+            ("train --n-timesteps 5", "did you mean --total-timesteps?"),
+            ("train --tau 0.1", "did you mean --polyak with --algo ddpg_her? (polyak is 1 - tau)"),
+            ("train --clip-range 1 --algo ddpg_her", "did you mean --clip-range with --algo ppo?"),
+            ("train --hidden x", "--hidden: found 'x', allowed whole numbers"),
+            ("train shadwo", "did you mean --env shadow?"),
+            ("train Shadow", "did you mean --env shadow?"),
             ("train runs/first", "did you mean --resume runs/first?"),
             ("train handover", "did you mean --scene handover?"),
             ("env shadow", "did you mean --env shadow?"),
@@ -519,13 +524,21 @@ class TestBadInput:
             ("train --total-timesteps 1e6", "allowed a whole number in digits, such as 50000"),
             ("train --total-timesteps 50k", "allowed a whole number in digits, such as 50000"),
             ("train --touch of", "--touch: found 'of', allowed: on, off, absent"),
-            ("train --touch", "--touch: found '', allowed: on, off, absent"),
+            ("train --touch", "--touch: found no value, allowed: on, off, absent"),
             ("gate --scene handover --touch off", "--touch: leave it out"),
             ("trian", "did you mean train?"),
         ],
     )
     def test_what_was_meant(self, typed, hint, capsys):
         fails_with(capsys, typed.split(), hint)
+
+    def test_a_way_to_draw_that_mujoco_does_not_know(self):
+        env = {**os.environ, "MUJOCO_GL": "foo"}
+        command = [sys.executable, "-m", "tactilerl", "env"]
+        done = subprocess.run(command, env=env, capture_output=True, text=True)
+        assert done.returncode == 2
+        assert done.stderr.startswith("tactilerl: error: MUJOCO_GL: found 'foo'"), done.stderr
+        assert len(done.stderr.splitlines()) == 1
 
     def test_an_environment_that_breaks_when_it_is_made(self, capsys, monkeypatch):
         Path("broken.py").write_text(
@@ -679,7 +692,7 @@ class TestOtherCommands:
     @pytest.mark.parametrize(
         ("flags", "words"),
         [
-            (["--taxel-dead", "0.9"], "--taxel-dead: found 0.9, which changes nothing here"),
+            (["--taxel-dead", "0.9"], "--taxel-dead: found 0.9, which has no effect here"),
             (["--run-type", "control"], "--touch: "),
             (["--object-size", "0.04..0.05"], "object: found several, or a range"),
         ],
@@ -842,7 +855,9 @@ class TestOtherCommands:
 
     def test_a_resumed_run_takes_no_scene(self, capsys):
         main([*TOY, "--total-timesteps", "1", "--out", "run"])
-        fails_with(capsys, ["train", "--resume", "run", "--scene", "handover"], "scene: found it with")
+        fails_with(
+            capsys, ["train", "--resume", "run", "--scene", "handover"], "scene: found with resume"
+        )
 
     def test_help_lists_every_hyperparameter(self, capsys):
         with pytest.raises(SystemExit) as stop:

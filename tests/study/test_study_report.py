@@ -122,6 +122,11 @@ class TestFiles:
         report.write(again, tmp_path / "again")
         assert contents(tmp_path / "again") == contents(written.parent)
 
+    def test_a_file_alone_is_not_collected_without_a_place_for_it(self, tmp_path, capsys):
+        (tmp_path / "study.toml").write_text("")
+        assert main(["study", "collect", str(tmp_path / "study.toml")]) == 2
+        assert "expected a study's folder, or --out FILE" in capsys.readouterr().err
+
     def test_the_collected_file_is_as_good_as_the_folders(self, folder, written, tmp_path, capsys):
         path = tmp_path / "one.csv.gz"
         assert main(["study", "collect", str(folder.path), "--out", str(path)]) == 0
