@@ -69,7 +69,7 @@ def with_nan():
 @pytest.mark.parametrize(
     ("call", "named"),
     [
-        (lambda: short(obs=(0,)), "space: found one of no entries"),
+        (lambda: short(obs=(0,)), "space: found an empty one"),
         (lambda: tactilerl.PPO(lambda: None, **SHORT), "env: found a function that returns None"),
         (
             lambda: tactilerl.make("shadow", friction=(0.5, 1)),

@@ -149,7 +149,7 @@ class TestBadFiles:
             ('name = "toy"', 'name = "toy"\nprimary.score = ["area"]', ["primary", "score"]),
             ('name = "toy"', 'name = "toy"\nprimary = "area"', ["primary", "table"]),
             ('name = "toy"', 'name = "toy"\nlooks.at = [3]', ["looks", "'at'", "pairs"]),
-            ('name = "toy"', 'name = "toy"\nlooks.pairs = [3, 2]', ["[3, 2]", "growing"]),
+            ('name = "toy"', 'name = "toy"\nlooks.pairs = [3, 2]', ["[3, 2]", "increasing"]),
             ('name = "toy"', 'name = "toy"\nlooks.pairs = [2, 9]', ["looks.pairs", "3 seeds", "last"]),
             ('name = "toy"', 'name = "toy"\nlooks = {pairs = [2, 3], alpha = 1}', ["looks.alpha", "1"]),
             ('name = "toy"', 'name = "toy"\nlooks.pairs = [2.5, 3]', ["looks", "pairs"]),
