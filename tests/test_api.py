@@ -73,7 +73,7 @@ def with_nan():
         (lambda: tactilerl.PPO(lambda: None, **SHORT), "env: found a function that returns None"),
         (
             lambda: tactilerl.make("shadow", friction=(0.5, 1)),
-            "friction: found tuple: allowed float \\| str",
+            "friction: found tuple, allowed a number or a string",
         ),
         (lambda: tactilerl.make("lqr", layout=3), "'lqr' cannot be made here .*'layout'"),
         (
