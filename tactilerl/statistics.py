@@ -1,8 +1,8 @@
 """What episodes, grasps and runs say, and how sure one can be: pure functions over arrays.
 
 The first axis is always the samples: episodes, grasps or runs (independent seeds). Scores of runs are
-shares of success in [0, 1] where nothing else is said. The aggregates and the stratified bootstrap
-are those of Agarwal et al. 2021, "Deep reinforcement learning at the edge of the statistical
+shares of success in [0, 1] where nothing else is said. The aggregates and their bootstrap are those
+of Agarwal et al. 2021, "Deep reinforcement learning at the edge of the statistical
 precipice" (https://arxiv.org/abs/2108.13264).
 
 All three aggregates (median, IQM, mean) are trimmed means. So a resample need not be sorted again:
@@ -74,21 +74,17 @@ def final_rate(curves: Array, tail: float = TAIL) -> Array:
 
 
 def area_under_curve(steps: Array, curves: Array) -> Array:
-    """Mean height of each curve over its steps, by the trapezoidal rule; (points,), (runs, points)
-    → (runs,).
-    """
+    """Mean height of each curve by the trapezoidal rule; (points,), (runs, points) → (runs,)."""
     if len(steps) == 1:
         return curves[:, 0].copy()
     return np.asarray(np.trapezoid(curves, steps, axis=1) / (steps[-1] - steps[0]))
 
 
 def steps_to_threshold(steps: Array, curves: Array, threshold: float) -> Array:
-    """Steps at each curve's first point at or above `threshold`; infinite where it never gets
-    there.
+    """Steps at each curve's first point at or above `threshold`; infinite where it never gets there.
 
-    (points,), (runs, points) → (runs,). All runs of a study are equally long, so an infinite value
-    is a run censored at the same place as the others, and quantiles over runs are right as they
-    are.
+    (points,), (runs, points) → (runs,). All runs of a study are equally long, so quantiles over runs
+    are right as they are.
     """
     reached = curves >= threshold
     return np.where(reached.any(axis=1), steps[reached.argmax(axis=1)], np.inf)
@@ -111,21 +107,11 @@ def aggregate(scores: Array, metric: Metric) -> Array:
     return np.asarray(np.sort(scores, axis=0)[dropped : len(scores) - dropped].mean(axis=0))
 
 
-def resample(
-    rng: np.random.Generator, strata: int | Sequence[int], n_resamples: int = N_RESAMPLES
-) -> Array:
-    """How often each run is drawn in each stratified bootstrap resample; (runs, n_resamples).
-
-    `strata` are the numbers of runs of each stratum, one after another; a resample of a stratum has
-    as many runs as the stratum.
-    """
-    sizes = [strata] if isinstance(strata, int) else list(strata)
-    drawn = np.empty((n_resamples, sum(sizes)), np.uint8)  # nobody is drawn 256 times
-    start = 0
-    for n in sizes:
-        for row in drawn[:, start : start + n]:
-            row[:] = np.bincount(rng.integers(n, size=n), minlength=n)
-        start += n
+def resample(rng: np.random.Generator, n: int, n_resamples: int = N_RESAMPLES) -> Array:
+    """How often each of `n` runs is drawn in each bootstrap resample; (n, n_resamples)."""
+    drawn = np.empty((n_resamples, n), np.uint8)  # nobody is drawn 256 times
+    for row in drawn:
+        row[:] = np.bincount(rng.integers(n, size=n), minlength=n)
     return np.ascontiguousarray(drawn.T)
 
 
@@ -290,9 +276,7 @@ def sequential_sign_flips(
 def difference(
     treatment: Array, control: Array, metric: Metric, drawn: tuple[Array, Array]
 ) -> Estimate:
-    """Treatment minus control with its percentile interval; `drawn` are independent resamples of
-    both.
-    """
+    """Treatment minus control with its percentile interval; `drawn` are resamples of each."""
     gaps = bootstrap(treatment, metric, drawn[0]) - bootstrap(control, metric, drawn[1])
     value = float(aggregate(treatment, metric) - aggregate(control, metric))
     return Estimate(value, *percentile_interval(gaps))

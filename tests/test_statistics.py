@@ -103,7 +103,7 @@ class TestIntervals:
         assert_allclose(metrics.aggregate_median(scores), s.aggregate(scores[:, 0], "mean"))
 
     def test_strata_are_resampled_apart_as_in_rliable(self, rng):
-        counts = s.resample(rng, [3, 5], 100)
+        counts = np.concatenate([s.resample(rng, n, 100) for n in (3, 5)])
         assert counts.shape == (8, 100)
         assert set(counts[:3].sum(axis=0)) == {3}
         assert set(counts[3:].sum(axis=0)) == {5}
@@ -111,7 +111,7 @@ class TestIntervals:
         _, interval = library.get_interval_estimates(
             {"x": scores}, lambda x: np.array([metrics.aggregate_iqm(x)]), reps=5000
         )
-        counts = s.resample(rng, [10] * 3, 20_000)
+        counts = np.concatenate([s.resample(rng, n, 20_000) for n in [10] * 3])
         ours = s.estimate(scores.T.ravel(), "iqm", counts)
         assert_allclose(ours[1:], interval["x"][:, 0], atol=0.015)  # Monte-Carlo error
 

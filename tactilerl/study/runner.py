@@ -141,9 +141,7 @@ def executor(jobs: int) -> Iterator[concurrent.futures.Executor | None]:
 
 @contextmanager
 def _stopped_by_signals() -> Iterator[None]:
-    """Ctrl-C ends the runs in order, and so does SIGTERM, which batch systems send before they
-    kill.
-    """
+    """Ctrl-C ends the runs in order, and so does SIGTERM, which batch systems send before they kill."""
 
     def interrupt(*_: Any) -> None:
         raise KeyboardInterrupt
