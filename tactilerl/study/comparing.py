@@ -14,8 +14,7 @@ import numpy as np
 
 from .. import statistics
 from ..errors import InputError
-from . import records as recorded
-from .records import Record
+from .records import Record, load
 from .verdicts import SEED, BySeed, Pairs, in_pairs, is_finished, scores
 
 UNTOLD = ("seed", "workers", "threads", "tensorboard")
@@ -42,24 +41,8 @@ class Row:
         return {"place": self.place, **counts, **self.pairs.difference._asdict(), **p_values}
 
 
-@dataclass(frozen=True)
-class Part:
-    """Some runs of a study."""
-
-    groups: dict[Place, list[Record]]
-    """Finished ones, by what tells them apart."""
-    measures: dict[str, str]
-    """Of each set-up."""
-
-    def ends_at(self, place: Place) -> float:
-        """Steps that all runs of a group have."""
-        return min(r.curve(self.measures[r.run.setup])[0][-1] for r in self.groups[place])
-
-    def scores(self, place: Place, score: str, until: float) -> BySeed:
-        """What the runs of a group had reached after so many steps."""
-        return {
-            r.run.seed: scores(r, self.measures[r.run.setup], until)[score] for r in self.groups[place]
-        }
+Part = dict[Place, list[tuple[Record, str]]]
+"""Finished runs, each with the measure of its set-up, by what tells their group from others."""
 
 
 def read(text: str) -> Part:
@@ -67,30 +50,32 @@ def read(text: str) -> Part:
     whole, path, chosen = Path(text), text, ""
     if not whole.exists():
         path, _, chosen = text.rpartition(":") if ":" in text else (text, "", "")
-    study, records = recorded.load(Path(path))
+    study, records = load(Path(path))
     places, measures = study.choose(chosen, path), {one.name: one.measure for one in study.setups}
-    groups: dict[Place, list[Record]] = {}
+    part: Part = {}
     for record in records:
-        if record.run.name in places and is_finished(record, measures[record.run.setup]):
-            groups.setdefault(places[record.run.name], []).append(record)
-    if not groups:
+        measure = measures[record.run.setup]
+        if record.run.name in places and is_finished(record, measure):
+            part.setdefault(places[record.run.name], []).append((record, measure))
+    if not part:
         raise InputError(f"{text}: no finished run in it")
-    return Part(groups, measures)
+    return part
 
 
 def compare(a: Part, b: Part, score: str) -> list[Row]:
     """`a` minus `b`, in every group that both have."""
-    if len(a.groups) == len(b.groups) == 1:
-        pairs = [(next(iter(a.groups)), next(iter(b.groups)))]
+    if len(a) == len(b) == 1:
+        pairs = [(next(iter(a)), next(iter(b)))]
     else:
-        pairs = [(place, place) for place in a.groups if place in b.groups]
+        pairs = [(place, place) for place in a if place in b]
     if not pairs:
-        names = (", ".join(" ".join(place) for place in part.groups) for part in (a, b))
+        names = (", ".join(" ".join(place) for place in part) for part in (a, b))
         raise InputError("compare: found {} in one and {} in the other, nothing in both".format(*names))
     rows = []
     for at_a, at_b in pairs:
-        end = min(a.ends_at(at_a), b.ends_at(at_b))
-        one, other = a.scores(at_a, score, end), b.scores(at_b, score, end)
+        both = a[at_a], b[at_b]
+        end = min(record.curve(measure)[0][-1] for group in both for record, measure in group)
+        one, other = ({r.run.seed: scores(r, m, end)[score] for r, m in group} for group in both)
         compared = in_pairs(one, other) if one.keys() & other.keys() else _apart(one, other)
         rows.append(Row(" ".join(at_a) or "all", (len(one), len(other)), end, compared, np.nan))
     corrected = statistics.holm([row.pairs.p_value for row in rows])
@@ -99,7 +84,7 @@ def compare(a: Part, b: Part, score: str) -> list[Row]:
 
 def differing(a: Part, b: Part) -> list[str]:
     """What the first runs of both parts were told differently, besides the seed; and their commits."""
-    configs = [next(iter(part.groups.values()))[0].config or {} for part in (a, b)]
+    configs = [next(iter(part.values()))[0][0].config or {} for part in (a, b)]
     flat = [
         {k: v for name in ("run", "scene", "learner") for k, v in (c.get(name) or {}).items()}
         | {"commit": str((c.get("provenance") or [{}])[-1].get("commit"))[:12]}
