@@ -19,7 +19,7 @@ from adjustText import adjust_text
 from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 
 from benchmarks.command import ROOT
-from benchmarks.studies import answer, probe_tables
+from benchmarks.studies import answer, faults, probe_tables
 from tactilerl.envs import hands, layouts
 from tactilerl.pictures.hand_map import TaxelMap
 from tactilerl.pictures.places import Place
@@ -176,6 +176,23 @@ def chosen_taxels(name: str, result: dict[str, Any]) -> None:
     save(hand_map(hands.get(result["env"]), places, title), name)
 
 
+def fault_curves() -> None:
+    """Success of trained hands by kind and size of a fault."""
+    results = data("faults")
+    figure, grid = plt.subplots(
+        1, len(faults.SWEEPS), figsize=(7.4, 2.5), sharey=True, layout="constrained"
+    )
+    for axes, (flag, sizes) in zip(grid, faults.SWEEPS.items(), strict=True):
+        rates = np.array([found[flag] for found in results.values()])
+        axes.plot(rates.mean(axis=0), color=ARMS[0], linewidth=2)
+        axes.plot(rates.T, ".", color=INK, markersize=3, alpha=0.6)
+        axes.set_xticks(range(len(sizes)), sizes, fontsize="small")
+        axes.set_xlabel(faults.IN_WORDS[flag].replace(", ", ",\n", 1))
+    grid[0].set(ylabel="success rate of 50 episodes", ylim=(-0.02, 1.02))
+    figure.suptitle("MPL hand in MuJoCo, PPO, handover, 30,000 steps: touch that fails", **HEAD)
+    save(figure, "study_faults")
+
+
 def layouts_unrolled() -> None:
     """The paper's six, on the Shadow Hand."""
     hand, height = hands.get("shadow"), 900
@@ -207,6 +224,7 @@ def main() -> None:
     with matplotlib.rc_context(STYLE):
         speed_against_error()
         layouts_unrolled()
+        fault_curves()
         answer.draw(DOCS / "images")
         for name, (title, what, files) in RUNS.items():
             learning_curves(name, title, what, files)

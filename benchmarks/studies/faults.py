@@ -28,7 +28,7 @@ SWEEPS = {
     "taxel-delay": ("0", "1", "2", "3", "5", "8"),
 }
 IN_WORDS = {
-    "taxel-dead": "dead taxels",
+    "taxel-dead": "share of dead taxels",
     "taxel-false-on": "false touches, per taxel and step",
     "taxel-false-off": "missed touches, per taxel and step",
     "taxel-delay": "delay, steps of 0.1 s",
