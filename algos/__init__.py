@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, Protocol, TypeVar, runtime_checkable
 
 import gymnasium as gym
@@ -24,7 +23,6 @@ Positive = Annotated[float, "(0, 1e30]"]
 NotNegative = Annotated[float, "[0, inf)"]
 Share = Annotated[float, "[0, 1]"]
 Count = Annotated[int, "[1, inf)"]
-MOST_UNITS, MOST_WEIGHTS = 100_000, 10**8  # of hidden layers: more is a slip, and takes all memory
 
 
 @dataclass(frozen=True)
@@ -158,11 +156,3 @@ def get(name: str) -> tuple[Any, Any]:
     registered = ALGORITHMS[name]
     module = importlib.import_module(registered.module or f".{name}", __name__)
     return getattr(module, registered.config), getattr(module, registered.algorithm)
-
-
-def require_hidden(hidden: Sequence[int]) -> None:
-    """ValueError for hidden layers that are none, or too large."""
-    if not hidden or not 1 <= min(hidden) <= max(hidden) <= MOST_UNITS:
-        raise ValueError(f"hidden: found {hidden}, allowed one or more sizes from 1 to {MOST_UNITS}")
-    if sum(a * b for a, b in pairwise(hidden)) > MOST_WEIGHTS:
-        raise ValueError(f"hidden: found {hidden}, allowed up to {MOST_WEIGHTS} weights between them")

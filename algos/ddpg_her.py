@@ -18,19 +18,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from . import (
-    Count,
-    DivergenceError,
-    NotNegative,
-    Positive,
-    Share,
-    Workers,
-    require_hidden,
-    rollout,
-    state,
-)
+from . import Count, DivergenceError, NotNegative, Positive, Share, Workers, rollout, state
 from .mpi import Communicator, same_on_all_ranks
-from .networks import MLP, FlatAdam, flatten, require_finite
+from .networks import MLP, FlatAdam, flatten, require_finite, require_hidden
 from .policy import GoalObs, GoalStats, Policy, explore, flat_stats, new_actor, on_cpu
 from .replay import Batch, Replay
 from .rollout import Episode, PlayEpisode, require_transitions, summary

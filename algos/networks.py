@@ -24,6 +24,7 @@ from . import DivergenceError
 from .mpi import Communicator
 
 Precision = Literal["float32", "bfloat16"]
+MOST_UNITS, MOST_WEIGHTS = 100_000, 10**8  # of hidden layers: more is a slip, and takes all memory
 FUSED_ADAM: Any = getattr(torch, "_fused_adam_", None)
 
 
@@ -43,6 +44,14 @@ def has_bfloat16() -> bool:
     """Does this processor multiply bfloat16 itself? With AVX512-BF16 alone PyTorch would go on with
     float32."""
     return bool(getattr(torch.cpu, "_is_amx_tile_supported", bool)())  # there is no public question
+
+
+def require_hidden(hidden: Sequence[int]) -> None:
+    """ValueError for hidden layers that are none, or too large."""
+    if not hidden or not 1 <= min(hidden) <= max(hidden) <= MOST_UNITS:
+        raise ValueError(f"hidden: found {hidden}, allowed one or more sizes from 1 to {MOST_UNITS}")
+    if sum(a * b for a, b in itertools.pairwise(hidden)) > MOST_WEIGHTS:
+        raise ValueError(f"hidden: found {hidden}, allowed up to {MOST_WEIGHTS} weights between them")
 
 
 class MLP(nn.Sequential):

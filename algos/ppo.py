@@ -15,9 +15,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from . import Array, Count, DivergenceError, Positive, Share, Workers, require_hidden, rollout, state
+from . import Array, Count, DivergenceError, Positive, Share, Workers, rollout, state
 from .mpi import Communicator, same_on_all_ranks
-from .networks import MLP, FlatAdam, require_finite, start_orthogonal
+from .networks import MLP, FlatAdam, require_finite, require_hidden, start_orthogonal
 from .normalizer import Normalizer
 from .policy import FlatInputs, Policy, flat_stats, new_actor, on_cpu
 from .policy_gradient import Spread, Transitions, gae, gaussian, normalise, surrogate

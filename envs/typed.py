@@ -79,16 +79,15 @@ def require_type(value: Any, hint: Any, name: str) -> None:
     try:
         check_type(value, hint, collection_check_strategy=CollectionCheckStrategy.ALL_ITEMS)
     except TypeCheckError:
-        literals = (part for part in _parts(hint) if get_origin(part) is Literal)
-        if choices := [choice for literal in literals for choice in get_args(literal)]:
-            raise ValueError(f"{name}: found {value!r}, allowed: {', '.join(choices)}") from None
-        raise ValueError(f"{name}: found {_short(value)}, allowed {_words(hint)}") from None
+        if allowed := choices(hint):
+            raise ValueError(f"{name}: found {value!r}, allowed: {', '.join(allowed)}") from None
+        raise ValueError(f"{name}: found {_short(value)}, allowed {words(hint)}") from None
     for item in value if isinstance(value, tuple) else (value,):
-        if isinstance(item, bool) and bool not in _parts(hint):
+        if isinstance(item, bool) and bool not in parts(hint):
             raise ValueError(f"{name}: found {item}, expected a number")
         if isinstance(item, int) and abs(item) >= LARGEST:
             raise ValueError(f"{name}: found a number of {item.bit_length()} bits, allowed up to 63")
-        for part in _parts(hint) if isinstance(item, int | float) else ():
+        for part in parts(hint) if isinstance(item, int | float) else ():
             for interval in getattr(part, "__metadata__", ()):
                 if isinstance(interval, str):
                     _require_within(item, interval, name)
@@ -108,18 +107,24 @@ def _require_within(value: float, interval: str, name: str) -> None:
     raise ValueError(f"{name}: found {value}, allowed {allowed}")
 
 
-def _parts(hint: Any) -> Iterator[Any]:
+def choices(hint: Any) -> list[str]:
+    """The words that a type allows, where it does not allow any."""
+    literals = (part for part in parts(hint) if get_origin(part) is Literal)
+    return [choice for literal in literals for choice in get_args(literal)]
+
+
+def parts(hint: Any) -> Iterator[Any]:
     """A type, and the types that it is made of."""
     yield hint
     for part in get_args(hint):
-        yield from _parts(part)
+        yield from parts(part)
 
 
-def _words(hint: Any) -> str:
+def words(hint: Any) -> str:
     """What a type allows."""
     if get_origin(hint) is Annotated:
-        return _words(get_args(hint)[0])
-    parts = ["..." if part is ... else _words(part) for part in get_args(hint)]
+        return words(get_args(hint)[0])
+    parts = ["..." if part is ... else words(part) for part in get_args(hint)]
     if get_origin(hint) is tuple:
         return f"a list ({', '.join(parts)})"
     return " or ".join(parts) or WORDS.get(hint, "None" if hint is NoneType else hint.__name__)

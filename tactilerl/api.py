@@ -192,7 +192,7 @@ def evaluate(
     """
     if not isinstance(episodes, Integral) or episodes < 1:
         raise ValueError(f"episodes: found {episodes}, allowed a whole number, 1 or more")
-    typed.require_type(workers, config.Workers, "workers")
+    typed.require_type(workers, config.WorkerCount, "workers")
     if isinstance(policy, Learner):
         policy = policy.policy()
     if not isinstance(policy, Policy):

@@ -44,7 +44,7 @@ def make_study(path, text=PAPER_LIKE, n_seeds=4, epochs=25, total=30_000):
     runs = study.runs()
     configs = check.configure(runs)
     folder.create(study)
-    made_with = [provenance.record()]
+    made_with = [provenance.origin()]
     for index, run in enumerate(runs):
         files = folder.files(run)
         files.base.mkdir()

@@ -21,7 +21,7 @@ from ..envs import typed
 from ..envs.observations import SensorConfig
 from ..errors import InputError, input_errors
 from ..runs import evaluation, policies, sweep
-from ..runs.config import RunConfig, Workers
+from ..runs.config import RunConfig, WorkerCount
 from ..runs.run_dir import RunDir
 from ..runs.training import start_workers
 from ..terminal import flags
@@ -49,7 +49,7 @@ class EvaluateFlags:
     """Number of episodes; none of them starts as in training."""
     stochastic: bool = False
     """Keep the exploration noise."""
-    workers: Workers = None
+    workers: WorkerCount = None
     """Episodes played side by side; default: one per free core."""
     env: str = ""
     """The run's environment id, repeated to allow importing the module that it names."""

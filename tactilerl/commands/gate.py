@@ -13,7 +13,7 @@ from ..algos.mpi import Communicator
 from ..envs import typed
 from ..errors import InputError, input_errors
 from ..probe import gate
-from ..runs.config import Workers
+from ..runs.config import WorkerCount
 from ..runs.training import free_cores
 from ..terminal.console import console
 from ..terminal.help import About
@@ -42,7 +42,7 @@ class GateFlags:
     """Initial states per candidate during the search; each sense has 15 candidates."""
     seed: Annotated[int, "[0, 999999]"] = 0
     """Random seed of the initial states."""
-    workers: Workers = None
+    workers: WorkerCount = None
     """Episodes played side by side; default: one per free core."""
     json: bool = False
     """Print JSON instead of a table."""

@@ -12,7 +12,7 @@ from ..envs import hands, objects, scenes, tasks, typed
 from ..envs.grasp import setup
 from ..envs.hold import Verdict
 from ..envs.observations import TaxelFaults, validate_faults
-from ..runs.config import Workers
+from ..runs.config import WorkerCount
 from .grasps import Perturbation
 
 LOST = {"object_density", "finger_gain", "timestep"}  # of a scene: probed grasps keep the hand's
@@ -146,7 +146,7 @@ class OutputFlags:
     command continues what is there."""
     grasps_file: Annotated[Path | None, tyro.conf.arg(name="from", metavar="FILE")] = None
     """Read the grasps from this file instead of simulating them."""
-    workers: Workers = None
+    workers: WorkerCount = None
     """Grasps simulated side by side; default: one per free core. Results do not depend on it."""
     json: bool = False
     """Print JSON instead of a table."""

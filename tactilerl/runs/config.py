@@ -23,7 +23,7 @@ from ..envs.grasp import GraspConfig, GraspEnv, setup
 from ..envs.scenes import NamedScene
 from ..errors import PEERS, InputError, input_errors
 
-Workers = Annotated[int, "[1, 256]"] | None
+WorkerCount = Annotated[int, "[1, 256]"] | None
 """More than any machine has cores would be a slip, and a process each."""
 
 
@@ -38,7 +38,7 @@ class RunOptions:
     Gymnasium environment with Box or goal-Dict observations and Box actions."""
     total_timesteps: Annotated[int, "[1, 1e15]"] = 500_000
     """Environment steps of the whole run, over all processes."""
-    workers: Workers = None
+    workers: WorkerCount = None
     """Episodes played side by side in each process; default: one per free core. Results do not depend
     on it."""
     seed: Annotated[int, "[0, 4294967295]"] = 0

@@ -27,7 +27,7 @@ class Origin(TypedDict):
     """Of the repository that our source belongs to; None when it is installed from a wheel."""
 
 
-def record(epoch: int = 0, env_steps: int = 0) -> Origin:
+def origin(epoch: int = 0, env_steps: int = 0) -> Origin:
     """What is here now."""
     return {"epoch": epoch, "env_steps": env_steps, "versions": versions(), "commit": commit(HERE)}
 

@@ -76,7 +76,7 @@ class RunDir:
         returns in words what changed.
         """
         records = self.record()["provenance"] if self.config_file.exists() else []
-        now = provenance.record(epoch, env_steps)
+        now = provenance.origin(epoch, env_steps)
         changed = provenance.difference(records[-1], now) if records else ""
         if changed or not records:
             records.append(now)

@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import re
 from collections.abc import Iterator, Sequence
-from dataclasses import is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
@@ -18,20 +20,15 @@ from ..errors import PEERS, SAME, InputError, input_errors
 from . import help
 from .help import of_field as of_field
 
-try:
-    from tyro._errors import on_parse_error
-except ImportError:  # tyro does not promise to keep it; without it, errors only say less
-    on_parse_error = contextlib.nullcontext  # type: ignore[assignment,misc]
-
 T = TypeVar("T")
-VALUES = {
-    "INT": "a whole number in digits, such as 50000",
-    "FLOAT": "a number",
-    "{FLOAT FLOAT}": "two numbers",
-    "[INT [INT ...]]": "whole numbers",
-    "[FLOAT [FLOAT ...]]": "numbers",
-    "STR": "a name",
-    "PATH": "a path",
+VALUES: dict[Any, str] = {
+    tuple[float, float]: "two numbers",
+    tuple[float, ...]: "numbers",
+    tuple[int, ...]: "whole numbers",
+    float: "a number",
+    int: "a whole number in digits, such as 50000",
+    Path: "a path",
+    str: "a name",
 }
 
 
@@ -39,24 +36,20 @@ def parse(kind: type[T], args: Sequence[str], prog: str, about: help.About, defa
     """Read `args` into a dataclass; InputError over bad flags, SystemExit(0) after --help."""
     if help.SHORT & {*args} or help.ALL in args:
         help.show(kind, default, prog, about, everything=help.ALL in args)
-    known = list(_names(kind))
+    known = [name for name, _ in _fields(kind)]
     args = _own(args, known)
-
-    def refuse(event: Any) -> None:
-        reason = None
-        with contextlib.suppress(AttributeError, TypeError):  # where tyro's types have changed
-            reason = _reason(event, args, known)
-        if reason:
-            raise InputError(f"{reason}{' See' if reason.endswith('?') else '; see'} {prog} --help")
-
     extra = {} if default is None else {"default": default}
+    options: dict[str, Any] = {"config": (tyro.conf.OmitArgPrefixes,), "return_unknown_args": True}
     try:
-        with on_parse_error(refuse), contextlib.redirect_stderr(io.StringIO()):
-            read = tyro.cli(kind, args=args, prog=prog, config=(tyro.conf.OmitArgPrefixes,), **extra)
+        with contextlib.redirect_stderr(io.StringIO()) as said:
+            read, unknown = tyro.cli(kind, args=args, prog=prog, **options, **extra)
     except SystemExit as stop:
         if not stop.code:
             raise
-        raise InputError(f"found flags that are not allowed; see {prog} --help") from None
+        raise InputError(f"{_reason(said.getvalue(), args, kind)}; see {prog} --help") from None
+    if unknown:
+        reason = f"found {unknown[0]!r}, {_hint(unknown[0], known)}"
+        raise InputError(f"{reason}{' See' if reason.endswith('?') else '; see'} {prog} --help")
     own = getattr(read, "command", read)
     if not hasattr(own, "validate"):  # what has, is validated with what it belongs to
         with input_errors():
@@ -76,31 +69,29 @@ def peek(args: Sequence[str], flag: str, default: str = "") -> str:
     return found[0] if found else default
 
 
-def _reason(event: Any, args: Sequence[str], known: list[str]) -> str | None:
-    """What tyro's event says is wrong, found and allowed; None for one that is not known here."""
-    match type(event).__name__, vars(event):
-        case "UnrecognizedArgs", {"tokens": [token, *_]}:
-            return f"found {token!r}, {_hint(token, known)}"
-        case "MissingArgs", {"missing_arguments": [missing, *_]}:
-            return f"found no {_name(missing.arg).upper()}"
-        case "InvalidChoice", {"argument": argument, "value": value, "choices": choices}:
-            return f"{_name(argument)}: found {value!r}, allowed: {', '.join(choices)}"
-        case "BadValue" | "InstantiationFailure", {"argument": argument} if argument is not None:
-            found = " ".join(_given(args, _name(argument)))
-            found = repr(found) if found else "no value"
-            metavar = argument.lowered.metavar.replace("{None}|", "")
-            return f"{_name(argument)}: found {found}, allowed {VALUES.get(metavar, metavar)}"
-        case "InstantiationFailure", {"message": message}:
-            return str(message)
-    return None
+def _reason(said: str, args: Sequence[str], kind: Any) -> str:
+    """What is wrong with a flag that tyro names, found and allowed; else what tyro says of it."""
+    if n_missing := said.count("(required)"):
+        required = [f.name for f in fields(kind) if f.default is f.default_factory is MISSING]
+        return f"found no {required[-n_missing].upper()}"
+    known, lines = dict(_fields(kind)), (line.strip(" │╭╮╰╯─") for line in said.splitlines())
+    reason = " ".join(takewhile(bool, lines))  # the flag's help follows
+    for flag in re.findall(r"--[\w-]+", reason):
+        if (name := flag[2:].replace("-", "_")) in known:
+            found = " ".join(_given(args, flag))
+            return f"{flag}: found {repr(found) if found else 'no value'}, {_allowed(known[name])}"
+    return reason or "found flags that are not allowed"
 
 
-def _name(argument: Any) -> str:
-    """The flag, or the name of what has no flag."""
-    return str(argument.display_name()).partition("/")[0].rpartition(".")[2]
+def _allowed(hint: Any) -> str:
+    """What a flag of this type takes."""
+    if choices := typed.choices(hint):
+        return f"allowed: {', '.join(choices)}"
+    parts = list(typed.parts(hint))
+    return f"allowed {next((text for kind, text in VALUES.items() if kind in parts), typed.words(hint))}"
 
 
-def _hint(token: str, known: list[str]) -> str:
+def _hint(token: str, known: Sequence[str]) -> str:
     """What may have been meant by what is no flag."""
     from ..algos import ALGORITHMS, get
 
@@ -159,10 +150,10 @@ def _own(args: Sequence[str], known: Sequence[str]) -> list[str]:
     return own
 
 
-def _names(kind: Any) -> Iterator[str]:
-    """The fields of a dataclass and of those in it."""
+def _fields(kind: Any) -> Iterator[tuple[str, Any]]:
+    """The fields of a dataclass and of those in it, with their types."""
     for name, hint in get_type_hints(kind).items():
-        yield from _names(hint) if is_dataclass(hint) else [name]
+        yield from _fields(hint) if is_dataclass(hint) else [(name, hint)]
 
 
 def _given(args: Sequence[str], flag: str) -> list[str]:
