@@ -7,7 +7,7 @@ import io
 import os
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import MISSING, fields, is_dataclass
+from dataclasses import MISSING, Field, fields, is_dataclass
 from itertools import takewhile
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
@@ -36,7 +36,7 @@ def parse(kind: type[T], args: Sequence[str], prog: str, about: help.About, defa
     """Read `args` into a dataclass; InputError over bad flags, SystemExit(0) after --help."""
     if help.SHORT & {*args} or help.ALL in args:
         help.show(kind, default, prog, about, everything=help.ALL in args)
-    known = [name for name, _ in _fields(kind)]
+    known = [field.name for field, _ in _fields(kind)]
     args = _own(args, known)
     extra = {} if default is None else {"default": default}
     options: dict[str, Any] = {"config": (tyro.conf.OmitArgPrefixes,), "return_unknown_args": True}
@@ -71,10 +71,12 @@ def peek(args: Sequence[str], flag: str, default: str = "") -> str:
 
 def _reason(said: str, args: Sequence[str], kind: Any) -> str:
     """What is wrong with a flag that tyro names, found and allowed; else what tyro says of it."""
+    own = [*_fields(kind)]
     if n_missing := said.count("(required)"):
-        required = [f.name for f in fields(kind) if f.default is f.default_factory is MISSING]
+        required = [f.name for f, _ in own if f.default is f.default_factory is MISSING]
         return f"found no {required[-n_missing].upper()}"
-    known, lines = dict(_fields(kind)), (line.strip(" │╭╮╰╯─") for line in said.splitlines())
+    known = {field.name: hint for field, hint in own}
+    lines = (line.strip(" │╭╮╰╯─") for line in said.splitlines())
     reason = " ".join(takewhile(bool, lines))  # the flag's help follows
     for flag in re.findall(r"--[\w-]+", reason):
         if (name := flag[2:].replace("-", "_")) in known:
@@ -150,10 +152,12 @@ def _own(args: Sequence[str], known: Sequence[str]) -> list[str]:
     return own
 
 
-def _fields(kind: Any) -> Iterator[tuple[str, Any]]:
+def _fields(kind: Any) -> Iterator[tuple[Field[Any], Any]]:
     """The fields of a dataclass and of those in it, with their types."""
-    for name, hint in get_type_hints(kind).items():
-        yield from _fields(hint) if is_dataclass(hint) else [(name, hint)]
+    hints = get_type_hints(kind)
+    for field in fields(kind):
+        hint = hints[field.name]
+        yield from _fields(hint) if is_dataclass(hint) else [(field, hint)]
 
 
 def _given(args: Sequence[str], flag: str) -> list[str]:
