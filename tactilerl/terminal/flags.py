@@ -90,7 +90,8 @@ def _allowed(hint: Any) -> str:
     if choices := typed.choices(hint):
         return f"allowed: {', '.join(choices)}"
     parts = list(typed.parts(hint))
-    return f"allowed {next((text for kind, text in VALUES.items() if kind in parts), typed.words(hint))}"
+    known = (text for kind, text in VALUES.items() if kind in parts)
+    return f"allowed {next(known, typed.words(hint))}"
 
 
 def _hint(token: str, known: Sequence[str]) -> str:
