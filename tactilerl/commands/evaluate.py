@@ -46,7 +46,7 @@ class EvaluateFlags:
     run: tyro.conf.Positional[Path]
     """Run folder."""
     episodes: Annotated[int, "[1, inf)"] = 100
-    """Number of episodes; none of them starts as in training."""
+    """Number of episodes, whose starts do not occur in training."""
     stochastic: bool = False
     """Keep the exploration noise."""
     workers: WorkerCount = None
@@ -56,7 +56,7 @@ class EvaluateFlags:
     trust: bool = False
     """Allow that import without repeating the id."""
     sweep: tuple[str, ...] = ()
-    """A sensor flag and the values to try: --sweep taxel-dead 0 0.1 0.2 0.5."""
+    """A sensor flag and the values to try, such as --sweep taxel-dead 0 0.1 0.2 0.5."""
     out: Path | None = None
     """With --sweep: write a plot of the success rate to this .png, .svg or .pdf file (extra: plots)."""
     json: bool = False

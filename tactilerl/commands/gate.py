@@ -39,7 +39,7 @@ class GateFlags:
     starts: Annotated[int, "[1, inf)"] = 200
     """Number of initial states from which the chosen reflexes are compared."""
     search: Annotated[int, "[1, inf)"] = 20
-    """Initial states per candidate during the search; each sense has 15 candidates."""
+    """Initial states per candidate reflex during the search; there are 15 candidates per sense."""
     seed: Annotated[int, "[0, 999999]"] = 0
     """Random seed of the initial states."""
     workers: WorkerCount = None

@@ -35,13 +35,13 @@ class Run:
     out: Path | None = None
     """Folder of the study; default: studies/NAME. Runs already in it are continued."""
     jobs: Annotated[int, "[1, inf)"] | None = None
-    """Runs trained at a time; default: one per core, or, under mpirun, one per rank but the first."""
+    """Runs trained side by side; default: one per core, or one per rank but the first under mpirun."""
     ranks_per_run: Annotated[int, "[1, inf)"] = 1
     """Processes per run (for DDPG+HER with several workers)."""
     retry_failed: bool = False
     """Try failed runs again."""
     only: str = ""
-    """Train only runs with all these names of set-ups, cells or arms: NAME,NAME as in `compare`."""
+    """Train only runs with all these names of set-ups, cells or arms, as NAME,NAME."""
     collected: tuple[Path, ...] = ()
     """Skip runs that are done in these folders or collected files of the study."""
 
@@ -154,7 +154,7 @@ class Plan:
     effect: float = 0.1
     """Difference in success rate to detect."""
     power: float = 0.8
-    """Probability of detecting it."""
+    """Probability of detecting this difference, that is, the power."""
     alpha: float = 0.05
     """Significance level of the test."""
     json: bool = False
@@ -200,7 +200,7 @@ class Compare:
     """Folder of a study or a collected file; with :NAME,NAME only the runs of these set-ups, cells
     and arms, as in `pilot:layout 2,main`."""
     b: tyro.conf.Positional[str]
-    """What to compare it with. Runs with the same seed form pairs."""
+    """What to compare A with. Runs with the same seed form pairs."""
     score: Literal["area", "final", "converged"] = "area"
     """area: mean success over the run; final: over its last tenth; converged: the converged rate."""
     json: bool = False

@@ -33,7 +33,7 @@ class GraspFlags:
     """Which grasps are simulated."""
 
     scene: str = ""
-    """Take hand, simulator and objects from a named scene or its .toml file; other flags override
+    """Take hand, simulator and objects from a named scene or a scene's .toml file; other flags override
     it."""
     env: str = "shadow"
     """A hand: shadow, mpl, allegro, or the path of a hand's .toml file."""

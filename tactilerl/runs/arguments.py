@@ -24,17 +24,17 @@ def _extra(field: str, default: Any, about: str, kind: Any = str, **named: Any) 
     return field, Annotated[kind, tyro.conf.arg(help=about, **named)], default
 
 
-ABOUT = f"A named scene ({', '.join(scenes.names())}) or its .toml file; other flags override it."
+ABOUT = f"A named scene ({', '.join(scenes.names())}) or a scene's .toml file; other flags override it."
 NAMED_SCENE = _extra("named_scene", "", ABOUT, name="scene")
 OTHER_BITS = "With --resume: allow another number of processes; results are then not bit-identical."
 TRUST = "With --resume: allow importing the module named in the environment's id."
 RESUME = (
-    _extra("resume", "", "Continue the run in this folder from its last whole epoch.", metavar="RUN"),
+    _extra("resume", "", "Continue the run in this folder from its last complete epoch.", metavar="RUN"),
     _extra("any_ranks", False, OTHER_BITS, bool),
     _extra("trust", False, TRUST, bool),
 )
 TRAIN = About(
-    "Train a policy. Which flags there are, and their defaults, depends on --scene, --algo and --env. "
+    "Train a policy. The flags and their defaults depend on --scene, --algo and --env. "
     "Without --scene and --recipe, the defaults are the paper's.",
     first=(
         "named_scene", "algo", "env", "layout", "run_type", "task", "recipe", "total_timesteps", "seed",
@@ -59,7 +59,7 @@ def defaults(args: Sequence[str]) -> RunConfig:
 def read(args: Sequence[str], base: RunConfig) -> tuple[RunConfig, Any]:
     """All flags of `train`, over the defaults `base`; and those that are not of the configuration."""
     known: Any = Literal[tuple(recipes.recipes(base.run.algo))]
-    about = "Hyperparameters that go together; other flags override them."
+    about = "A set of hyperparameters; other flags override them."
     recipe = _extra("recipe", recipes.PAPER, about, known)
     more = (recipe, NAMED_SCENE, *RESUME)
     given = read_parts(base.run.env, base.parts, args, "tactilerl train", TRAIN, *more)
