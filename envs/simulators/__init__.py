@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class SimulationError(FloatingPointError):
-    """The physics left the finite numbers, or has no memory for them; the scene must be reset."""
+    """The physics produced NaN or infinity, or ran out of memory; the scene must be reset."""
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ from ..terminal.help import About
 
 ABOUT = About(
     "Success rate and return of a trained run, with confidence intervals. Sensor flags replace the "
-    "sensors that it was trained with.",
+    "sensor settings of the training.",
     first=("run", "episodes", "stochastic", "taxel_dead", "sweep", "out", "workers", "json"),
     examples=(
         "tactilerl evaluate runs/X",

@@ -20,8 +20,8 @@ from ..terminal.help import About
 from .scene import read_scene, require_scene
 
 ABOUT = About(
-    "Can touch make a difference in a scene? Compares scripted reflexes that feel, see, or do neither, "
-    "before any training.",
+    "Can touch make a difference in a scene? Compares reflexes (scripted hands) that feel, see, or do "
+    "neither, before any training.",
     first=("layout", "simulator", "task"),
     examples=(
         "tactilerl gate --scene handover",

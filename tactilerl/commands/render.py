@@ -37,8 +37,8 @@ class RenderFlags:
     """Flags of `tactilerl render`, besides the scene's."""
 
     run: tyro.conf.Positional[tuple[Path, ...]] = ()
-    """Run folder whose policy is filmed in the run's own scene. Several are filmed side by side,
-    from the same initial states. Without one, a scripted grasp is drawn."""
+    """Run folder whose policy is filmed in the run's own scene. Several runs are filmed side by side,
+    from the same initial states. Without a run, a scripted grasp is drawn."""
     video: Path = Path("episodes.mp4")
     """File of the film."""
     episodes: Annotated[int, "[1, inf)"] = 1

@@ -33,7 +33,7 @@ LIFTED = 0.03  # m under the object's lowest point: from here on a policy has li
 
 @dataclass(frozen=True)
 class Perturbation:
-    """How scripted grasps differ from each other; drawn evenly, for each grasp anew."""
+    """How scripted grasps differ from each other; drawn evenly for every grasp."""
 
     kinds: tuple[objects.Kind, ...]
     sizes: tuple[float, ...]

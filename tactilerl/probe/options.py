@@ -127,7 +127,7 @@ class AnalysisFlags:
     shuffles: Annotated[int, "[2, inf)"] = 10
     """How often the outcomes are shuffled, to check that touch then gains nothing."""
     select: tuple[Annotated[int, "[1, inf)"], ...] = ()
-    """Choose this many taxels from a dense skin and write them as a layout file; several numbers
+    """Choose this many taxels from a dense skin and write them as a layout file; several sizes
     give one file each."""
     skin: str = "1"
     """The skin to choose from: a layout, or the spacing of a grid over all phalanges, such as 2mm."""
@@ -143,7 +143,7 @@ class OutputFlags:
 
     out: Path | None = None
     """Folder for grasps.npz, probe.json and figures; default: probes/ENV_SIMULATOR. Repeating the
-    command continues what is there."""
+    command continues an unfinished probe."""
     grasps_file: Annotated[Path | None, tyro.conf.arg(name="from", metavar="FILE")] = None
     """Read the grasps from this file instead of simulating them."""
     workers: WorkerCount = None

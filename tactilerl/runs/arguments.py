@@ -29,7 +29,7 @@ NAMED_SCENE = _extra("named_scene", "", ABOUT, name="scene")
 OTHER_BITS = "With --resume: allow another number of processes; results are then not bit-identical."
 TRUST = "With --resume: allow importing the module named in the environment's id."
 RESUME = (
-    _extra("resume", "", "Continue the run in this folder from its last complete epoch.", metavar="RUN"),
+    _extra("resume", "", "Continue the run in this folder from its last full epoch.", metavar="RUN"),
     _extra("any_ranks", False, OTHER_BITS, bool),
     _extra("trust", False, TRUST, bool),
 )

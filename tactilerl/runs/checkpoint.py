@@ -64,9 +64,9 @@ class Checkpoint:
         """Load this rank's state and experience; the epoch it was written after.
 
         InputError when a file is damaged, of another configuration, or of another number of
-        ranks. With `any_ranks` another number goes: ranks that are new start from the state of
-        an old one with random numbers of their own, and the experience of ranks that are gone
-        is dealt out to the others.
+        ranks. With `any_ranks`, another number is allowed. New ranks start from the state of
+        an old one with random numbers of their own. The experience of removed ranks is
+        redistributed to the others.
         """
         data, comm = read(self.run_dir, self.config), self.comm
         n_old = len(data["ranks"])

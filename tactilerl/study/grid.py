@@ -185,7 +185,7 @@ class Study:
     looks: Looks | None = None
 
     def runs(self) -> list[Run]:
-        """All runs, seeds outermost: whatever is finished is a balanced study."""
+        """All runs, seed by seed, so that a partial study stays balanced."""
         longest = max(len(setup.seeds) for setup in self.setups)
         runs = [
             run
