@@ -108,7 +108,7 @@ class RunDir:
 
     def record(self) -> dict[str, Any]:
         """What config.json holds, with values of this version or another; InputError when damaged."""
-        if self.path.is_file():
+        if os.path.isfile(self.path):  # False where the name is too long
             raise InputError(
                 f"{str(self.path)!r} is a file, allowed the folder of a run; a saved policy is for "
                 "Python (tactilerl.load_policy)"

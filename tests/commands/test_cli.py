@@ -567,7 +567,7 @@ class TestBadInput:
     def test_existing_run_folder_is_kept(self, capsys):
         Path("mine").mkdir()
         Path("mine/thesis.txt").write_text("years of work")
-        fails_with(capsys, [*TOY, "--out", "mine"], "'mine' exists; choose another with --out")
+        fails_with(capsys, [*TOY, "--out", "mine"], "'mine' exists but is not a run folder")
         assert Path("mine/thesis.txt").read_text() == "years of work"
         assert len(list(Path("mine").iterdir())) == 1
 
@@ -848,7 +848,7 @@ class TestOtherCommands:
         assert "--help-all lists all" in out
 
     def test_help_says_what_happens_without_a_layout(self, capsys):
-        for command, said in (("doctor", "1 to 6, each"), ("render", "2")):
+        for command, said in (("doctor", "each of 1 to 6"), ("render", "2")):
             with pytest.raises(SystemExit):
                 main([command, "--help"])
             words = " ".join(re.sub("[│╭╮╰╯─]", " ", capsys.readouterr().out).split())

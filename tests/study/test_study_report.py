@@ -378,7 +378,7 @@ class TestSplitStudies:
 
     def test_where_to_write_it(self, parts, capsys):
         assert main(["study", "collect", *map(str, parts)]) == 2
-        assert "expected --out" in capsys.readouterr().err
+        assert "or --out FILE" in capsys.readouterr().err
 
 
 class TestPlan:

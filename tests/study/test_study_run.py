@@ -152,7 +152,7 @@ class TestFailures:
         assert main(args) == 1
         out = capsys.readouterr().out
         assert "config.json: not a run's configuration" in out
-        assert "exists; choose another" in out
+        assert "exists but is not a run folder; choose another" in out
         assert "2 runs, 1 to do" in out
         assert first.run_dir.checkpoint_file.exists()
         assert second.run_dir.progress.path.exists()
