@@ -33,14 +33,14 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
     simulator: str = "mujoco"
     """Physics engine: mujoco or pybullet (extra: pybullet)."""
     layout: str = "2"
-    """Where the taxels are: 1 to 6 (paper, Fig. 2), a named design, or a .toml file."""
+    """Where the taxels (touch sensors) are: 1 to 6 (paper, Fig. 2), a named design, or a .toml file."""
     run_type: Literal["main", "control", "absent"] = "main"
     """on: taxels read contact; off: all read zero, the paper's control; absent: the observation has no
-    taxels. Files and Python say run_type main, control or absent."""
+    taxels. In files and Python: run_type main, control or absent."""
     touch: str = "skin"
     """When a taxel fires. skin: its sphere overlaps the object, which touches the skin there; contact:
-    a contact point of the simulator lies in its sphere (paper); force: it reads the normal force, N.
-    Files and Python say touch. See docs/concepts/touch.md."""
+    a contact point of the simulator lies in its sphere (paper); force: the taxel reads the normal
+    force, N. In files and Python: touch. See docs/concepts/touch.md."""
     actions: Literal["all", "fingers", "grip"] = "all"
     """all: every joint and slide of the hand (paper); fingers: the slides stand still, and groups of
     fingers close and open; grip: one action closes and opens the whole hand."""
