@@ -24,7 +24,8 @@ $(TRAINING): setup.cfg pyproject.toml constraints.txt tools/install_torch.py
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python tools/install_torch.py --constraint constraints.txt --index $(TORCH_INDEX) $(CUDA:%=--cuda)
 	$(INSTALL) --editable .
-	touch $@
+	@touch $@
+	@echo "ready: . $(BIN)/activate"
 
 # PyBullet only where it has a wheel: without it, the tests that need it are skipped and say so.
 DEVELOPMENT := $(VENV)/.installed-dev

@@ -179,7 +179,7 @@ SIMULATORS = {
     "pybullet": Registration(
         "PyBulletSimulator",
         "simulator pybullet: found no PyBullet; install the extra: pip install "
-        "'tactilerl[pybullet]' (wheels for Python up to 3.11)",
+        "'tactilerl[pybullet]' (wheels for Python up to 3.11), or choose --simulator mujoco",
     ),
 }
 

@@ -85,7 +85,8 @@ def _run(args: list[str]) -> int:
         if "mujoco" in sys.modules or "mujoco" not in where:  # its import succeeded, or is not to blame
             raise
         found = f"MUJOCO_GL: found {os.environ.get('MUJOCO_GL')!r}, which does not work here ({error})"
-        _say("error", InputError(f"{found}; leave it unset, or choose egl, osmesa or glfw"))
+        cure = "install its library (Debian: libosmesa6, libegl1), or unset it where nothing is drawn"
+        _say("error", InputError(f"{found}; {cure}"))
         return 2
 
 
