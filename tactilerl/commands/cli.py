@@ -82,9 +82,10 @@ def _run(args: list[str]) -> int:
         where = {
             Path(frame.filename).parent.name for frame in traceback.extract_tb(error.__traceback__)
         }
-        if "mujoco" in sys.modules or "mujoco" not in where:  # its import succeeded, or is not to blame
+        chosen = os.environ.get("MUJOCO_GL")
+        if not chosen or "mujoco" in sys.modules or "mujoco" not in where:  # something else is to blame
             raise
-        found = f"MUJOCO_GL: found {os.environ.get('MUJOCO_GL')!r}, which does not work here ({error})"
+        found = f"MUJOCO_GL: found {chosen!r}, which does not work here ({error})"
         cure = "install its library (Debian: libosmesa6, libegl1), or unset it where nothing is drawn"
         _say("error", InputError(f"{found}; {cure}"))
         return 2

@@ -78,6 +78,13 @@ def _reason(said: str, args: Sequence[str], kind: Any) -> str:
     known = {field.name: hint for field, hint in own}
     lines = (line.strip(" │╭╮╰╯─") for line in said.splitlines())
     reason = " ".join(takewhile(bool, lines))  # the flag's help follows
+    reason = " ".join(re.split(r"\s*-{5,}\s*", reason)[:2])  # a terminal without boxes has dashes
+    if missing := re.search(r"Missing value for argument '(?:--|\w+\.)([\w-]+)'", reason):
+        name = missing[1].replace("-", "_")
+        if name not in known:
+            return f"--{missing[1]}: found no value, allowed a value"
+        if f"--{missing[1]}" not in missing[0]:
+            return f"found no {name.upper()}"
     for flag in re.findall(r"--[\w-]+", reason):
         if (name := flag[2:].replace("-", "_")) in known:
             found = " ".join(_given(args, flag))

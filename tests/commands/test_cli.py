@@ -523,6 +523,8 @@ class TestBadInput:
             ("train --total-timesteps 50k", "allowed a whole number in digits, such as 50000"),
             ("train --touch of", "--touch: found 'of', allowed: on, off, absent"),
             ("train --touch", "--touch: found no value, allowed: on, off, absent"),
+            ("evaluate --foo", "error: found no RUN; see tactilerl evaluate --help"),
+            ("probe --from", "--from: found no value, allowed a value; see tactilerl probe --help"),
             ("gate --scene handover --touch off", "--touch: leave it out"),
             ("trian", "did you mean train?"),
         ],
