@@ -116,6 +116,9 @@ def test_probability_of_improvement_is_rliables():
     assert value == pytest.approx(expected)
     scores = {"x": [a[:, None], b[:, None]]}
     interval = library.get_interval_estimates(
-        scores, lambda x, y: np.array([metrics.probability_of_improvement(x, y)]), reps=2000
+        scores,
+        lambda x, y: np.array([metrics.probability_of_improvement(x, y)]),
+        reps=2000,
+        random_state=np.random.RandomState(0),  # it drew anew each time, now and then 0.031 off
     )[1]["x"][:, 0]
     assert_allclose([low, high], interval, atol=0.03)
