@@ -111,14 +111,16 @@ def test_probability_of_improvement_is_rliables():
     rng = np.random.default_rng(1)
     a, b = np.round(rng.random(8), 1), np.round(rng.random(6), 1)
     expected = metrics.probability_of_improvement(a[:, None], b[:, None])
-    drawn = statistics.resample(rng, 8, 3000), statistics.resample(rng, 6, 3000)
+    drawn = statistics.resample(rng, 8, 20_000), statistics.resample(rng, 6, 20_000)
     value, low, high = as_the_paper.probability_of_improvement(a, b, drawn)
     assert value == pytest.approx(expected)
     scores = {"x": [a[:, None], b[:, None]]}
     interval = library.get_interval_estimates(
         scores,
         lambda x, y: np.array([metrics.probability_of_improvement(x, y)]),
-        reps=2000,
-        random_state=np.random.RandomState(0),  # it drew anew each time, now and then 0.031 off
+        reps=20_000,
+        random_state=np.random.RandomState(
+            1
+        ),  # it drew anew each time, and few draws are now and then 0.03 off
     )[1]["x"][:, 0]
     assert_allclose([low, high], interval, atol=0.03)
