@@ -188,7 +188,7 @@ def fault_curves() -> None:
         axes.plot(rates.T, ".", color=INK, markersize=3, alpha=0.6)
         axes.set_xticks(range(len(sizes)), sizes, fontsize="small")
         axes.set_xlabel(faults.IN_WORDS[flag].replace(", ", ",\n", 1))
-    grid[0].set(ylabel="success rate of 50 episodes", ylim=(-0.02, 1.02))
+    grid[0].set(ylabel="success rate", ylim=(-0.02, 1.02))
     figure.suptitle("MPL hand in MuJoCo, PPO, handover, 30,000 steps: touch that fails", **HEAD)
     save(figure, "study_faults")
 
