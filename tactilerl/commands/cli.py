@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
-from ..errors import InputError, let_rank_0_speak
+from ..errors import SAME, InputError, let_rank_0_speak
 from ..version import __version__
 
 COMMANDS = {  # each a module here with `main(args)`, imported when it runs; what it does
@@ -68,7 +68,7 @@ def _run(args: list[str]) -> int:
         return code
     except InputError as error:
         let_rank_0_speak()
-        _say("error", error)
+        _say("error", error, rest)
         return 2
     except BrokenPipeError:
         raise
@@ -91,13 +91,24 @@ def _run(args: list[str]) -> int:
         return 2
 
 
-def _say(what: str, error: BaseException) -> None:
+def _say(what: str, error: BaseException, args: Sequence[str] = ()) -> None:
     """One line about the end of a command: the error, and what was noted on its way here."""
-    said = [f"{what}: {error}" if str(error) else what, *getattr(error, "__notes__", ())]
-    line = " ".join("; ".join(said).split())
+    said = [_as_typed(str(error), args), *getattr(error, "__notes__", ())]
+    line = " ".join(f"{what}: {'; '.join(said)}".removesuffix(": ").split())
     if len(line) > LONGEST:
         line = f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
     print(f"tactilerl: {line}", file=sys.stderr)
+
+
+def _as_typed(line: str, args: Sequence[str]) -> str:
+    """What is wrong with a field, named as the flag that set it: of train's n_passes, --n-epochs."""
+    field, colon, rest = line.partition(":")
+    for arg in args:
+        flag = arg.partition("=")[0]
+        name = flag.removeprefix("--").replace("-", "_")
+        if flag != name and field.removeprefix("--").replace("-", "_") in (name, SAME.get(name)):
+            return f"{flag}{colon}{rest}"
+    return line
 
 
 def _usage() -> str:

@@ -17,7 +17,8 @@ SETTLED_NOTE = "hold_verdict=settled decides holds early; how often it is wrong:
 
 def main(args: list[str]) -> int:
     """`tactilerl train`"""
-    config, options = arguments.read(args, arguments.defaults(args))
+    usual = arguments.defaults(args)
+    config, options = arguments.read(args, usual)
     for name in ("any_ranks", "trust"):
         if getattr(options, name) and not options.resume:
             raise InputError(f"{flags.of_field(name)}: found without --resume, allowed only with it")
@@ -28,23 +29,30 @@ def main(args: list[str]) -> int:
         comm = mpi.world()
         if config.scene and not options.resume:  # which has its layout's own copy: the file may be gone
             notes = layout_notes(config.run.env, config.scene.layout)
-    path = train(config, comm, options.any_ranks, _summary(config, comm.size, notes))
+    summary = _summary(config, usual, comm.size, notes)
+    path = train(config, comm, options.any_ranks, summary)
     if comm.rank == 0:
         console.print(
-            f"\nThe run is in {path}: progress.csv (learning curve), checkpoint.pt, config.json.\n"
+            f"\nThe run is in {path}: progress.csv (learning curve), checkpoint.pt, "
+            "config.json (all settings).\n"
             f"  tactilerl evaluate {pasted(path)}{config.again}"
         )
     return 0
 
 
-def _summary(config: RunConfig, ranks: int, notes: list[str]) -> str:
-    """What the run resolved to, a paragraph per part."""
+def _summary(config: RunConfig, usual: RunConfig, ranks: int, notes: list[str]) -> str:
+    """What matters first and what is not as usual, a paragraph per part; config.json has the rest."""
     several = f"{ranks} processes" if ranks > 1 else "1 process (mpirun -n 2 tactilerl ... for two)"
     lines = [f"tactilerl train: {several}"]
+    before = usual.as_dict()
     for part, values in config.as_dict().items():
-        if values:
-            pairs = "  ".join(f"{name}={value}" for name, value in values.items())
-            lines.append(paragraph(part, pairs.replace(", ", ",")))  # tuples stay on one line
+        pairs = "  ".join(
+            f"{name}={value}".replace(", ", ",")  # tuples stay on one line
+            for name, value in (values or {}).items()
+            if name in arguments.TRAIN.first or value != before[part][name]
+        )
+        if pairs:
+            lines.append(paragraph(part, pairs))
     if config.scene is not None and config.scene.hold_verdict == "settled":
         notes = [SETTLED_NOTE, *notes]
     lines += [paragraph("note", note) for note in notes]

@@ -16,12 +16,14 @@ import tyro
 
 from ..envs import touch, typed
 from ..envs.choices import meant
+from ..envs.objects import Number
 from ..errors import PEERS, SAME, InputError, input_errors
 from . import help
 from .help import of_field as of_field
 
 T = TypeVar("T")
 VALUES: dict[Any, str] = {
+    Number: "a number, or a range such as 0.5..1",
     tuple[float, float]: "two numbers",
     tuple[float, ...]: "numbers",
     tuple[int, ...]: "whole numbers",
