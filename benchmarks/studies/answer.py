@@ -21,7 +21,7 @@ from benchmarks.studies import gates
 from tactilerl import statistics, style
 from tactilerl.statistics import Array, Estimate
 from tactilerl.study import records, verdicts
-from tactilerl.study.grid import Study
+from tactilerl.study.grid import Setup, Study
 from tactilerl.study.records import Record
 
 DATA = ROOT / "docs" / "data"
@@ -38,6 +38,11 @@ BETWEEN = {
     ("1", "6"): "120 more taxels, but smaller ones",
 }
 """Layouts that the paper compares, or that differ in one thing."""
+SETUPS = {
+    "mujoco": "Shadow Hand, MuJoCo, DDPG+HER",
+    "pybullet": "MPL hand, PyBullet, PPO",
+}
+"""The paper's, as the tables call them."""
 FAULTS = {"dead": "a fifth of the taxels dead", "late": "readings one step (0.1 s) late"}
 BySeed = verdicts.BySeed
 
@@ -48,9 +53,19 @@ def load(name: str) -> tuple[Study, list[Record]]:
     return records.load(DATA / f"{name}.csv.gz")
 
 
-def is_there(name: str) -> bool:
-    """Has the study been collected?"""
-    return (DATA / f"{name}.csv.gz").exists()
+def load_setup(name: str, setup_name: str = "") -> tuple[Setup, list[Record]]:
+    """One set-up of a collected study, by default its only one, with the study's runs."""
+    study, found = load(name)
+    (setup,) = (one for one in study.setups if setup_name in ("", one.name))
+    return setup, found
+
+
+def is_there(name: str, setup_name: str = "", *_: str) -> bool:
+    """Has the study been collected, with runs of the set-up?"""
+    if not (DATA / f"{name}.csv.gz").exists():
+        return False
+    own = (r for r in load(name)[1] if setup_name in ("", r.run.setup))
+    return any(r.state == "done" for r in own)
 
 
 def label(cell: str) -> str:
@@ -96,30 +111,46 @@ def worth(name: str = "handover") -> None:
         line("what touch gives of what sight gives", share.n, estimate(share.share, ".2f"), "", "")
 
 
-def layouts(name: str) -> None:
-    """Each layout against its control, beside what a scripted reflex does with it."""
-    study, found = load(name)
-    (setup,) = study.setups
+def layouts(name: str, setup_name: str = "") -> None:
+    """Each layout against its control, beside what a scripted reflex does with it where that is known."""
+    setup, found = load_setup(name, setup_name)
     scripted = reflexes(name)
+    also = ["scripted reflex"] if scripted else []
     line(
         "layout", "pairs", "touch", "no touch", "difference", "p, corrected", "last tenth, touch",
-        "scripted reflex", head=True,
+        *also, head=True,
     )  # fmt: skip
-    for cell, verdict in verdicts.judge(study, setup, found).items():
+    for cell, verdict in verdicts.judge(load(name)[0], setup, found).items():
         pairs, where = verdict.pairs, label(cell)
         finals = verdicts.by_seed(found, setup, cell, "main", "final")
         line(
             where.removeprefix("layout "), len(pairs),
             *(f"{np.mean(v):.2f}" if len(v) else "" for v in (pairs.treatment, pairs.control)),
             estimate(pairs.difference, "+.2f"), p_value(verdict), mean(finals.values()),
-            f"{scripted[where]:.2f}" if where in scripted else "",
+            *(f"{scripted[where]:.2f}" if where in scripted else "" for _ in also),
         )  # fmt: skip
 
 
-def between(name: str) -> None:
-    """Layouts with touch against each other, in pairs: what the paper says of them."""
+def over_layouts(name: str) -> None:
+    """What touch adds in each set-up: the mean over its layouts within each seed."""
     study, found = load(name)
-    (setup,) = study.setups
+    line("set-up", "seeds", "touch", "no touch", "difference", "p", head=True)
+    for setup in study.setups:
+        arms = []
+        for arm in setup.arms[:2]:
+            areas = [verdicts.by_seed(found, setup, cell, arm, "area") for cell in setup.cells]
+            whole = [seed for seed in areas[0] if all(seed in each for each in areas)]
+            arms.append({seed: float(np.mean([each[seed] for each in areas])) for seed in whole})
+        pairs = verdicts.in_pairs(*arms)
+        if len(pairs):
+            means = (f"{np.mean(each):.2f}" for each in (pairs.treatment, pairs.control))
+            difference = estimate(pairs.difference, "+.2f")
+            line(SETUPS[setup.name], len(pairs), *means, difference, f"{pairs.p_value:.3f}")
+
+
+def between(name: str, setup_name: str = "") -> None:
+    """Layouts with touch against each other, in pairs: what the paper says of them."""
+    setup, found = load_setup(name, setup_name)
     area = {cell: verdicts.by_seed(found, setup, cell, "main", "area") for cell in setup.cells}
     pairs = [verdicts.in_pairs(*(area[f"layout {each}"] for each in both)) for both in BETWEEN]
     line("layouts", "they differ in", "pairs", "difference", "p, Holm", head=True)
@@ -166,20 +197,21 @@ def senses(name: str = "senses") -> None:
         line(setup.name.replace("_", " "), *row)
 
 
-def orders(name: str = "handover_fingers") -> None:
+def orders(name: str, setup_name: str = "", pair: str = PAIR) -> None:
     """Do scripted reflexes and the probe foretell the order of layouts in learning?"""
-    study, found = load(name)
-    (setup,) = study.setups
+    setup, found = load_setup(name, setup_name)
     areas = {label(cell): verdicts.by_seed(found, setup, cell, "main", "area") for cell in setup.cells}
     areas = {cell: by_seed for cell, by_seed in areas.items() if by_seed}
     seeds = sorted(set.intersection(*(set(by_seed) for by_seed in areas.values())))
     learned = np.array([[by_seed[seed] for seed in seeds] for by_seed in areas.values()])
     line("predictor", "layouts", "seeds", "rank correlation with the learned area", head=True)
-    predictors = {"touch reflex, same scene": reflexes(name), "probe, gain over joints": probed()}
+    predictors = {"touch reflex, same scene": reflexes(name), "probe, gain over joints": probed(pair)}
     for title, predictor in predictors.items():
         known = [i for i, cell in enumerate(areas) if cell in predictor]
-        values = np.array([predictor[cell] for cell in np.array(list(areas))[known]])
-        line(title, len(known), len(seeds), estimate(rank_correlation(values, learned[known]), ".2f"))
+        if known:
+            values = np.array([predictor[cell] for cell in np.array(list(areas))[known]])
+            found_order = rank_correlation(values, learned[known])
+            line(title, len(known), len(seeds), estimate(found_order, ".2f"))
 
 
 def rank_correlation(predictor: Array, learned: Array) -> Estimate:
@@ -201,9 +233,9 @@ def reflexes(scene: str) -> dict[str, float]:
     }
 
 
-def probed() -> dict[str, float]:
+def probed(pair: str) -> dict[str, float]:
     """Gain in AUC over noisy joint angles, by layout."""
-    result = earlier(DATA / "probe.json")[PAIR]
+    result = earlier(DATA / "probe.json")[pair]
     gains = {
         f"layout {row['layout']}": row["gain"]
         for row in result["table"]
@@ -287,27 +319,34 @@ def _layouts(axes: Axes, study: Study, found: list[Record]) -> None:
     axes.grid(axis="x", visible=False)
 
 
-TABLES: Mapping[str, tuple[str, Callable[[str], None]]] = {
-    name: one
-    for name, one in {
-        "study arms": ("handover", decides),
-        "study worth": ("handover", worth),
-        "study fingers": ("handover_fingers", layouts),
-        "study palm": ("handover_layouts", layouts),
-        "study orders": ("handover_fingers", orders),
-        "study senses": ("senses", senses),
-        "study between": ("handover_fingers", between),
-        "study trained with faults": ("faults", trained_with),
-    }.items()
-    if is_there(one[0])
+TABLES: Mapping[str, tuple[Callable[..., None], tuple[str, ...]]] = {
+    name: (printing, of)
+    for name, printing, *of in (
+        ("study arms", decides, "handover"),
+        ("study worth", worth, "handover"),
+        ("study fingers", layouts, "handover_fingers"),
+        ("study palm", layouts, "handover_layouts"),
+        ("study orders", orders, "handover_fingers"),
+        ("study senses", senses, "senses"),
+        ("study between", between, "handover_fingers"),
+        ("study trained with faults", trained_with, "faults"),
+        ("study paper", over_layouts, "paper"),
+        ("study paper, ddpg_her", layouts, "paper", "mujoco"),
+        ("study paper, ddpg_her, between", between, "paper", "mujoco"),
+        ("study paper, ddpg_her, orders", orders, "paper", "mujoco", "Shadow, MuJoCo"),
+        ("study paper, ppo", layouts, "paper", "pybullet"),
+        ("study paper, ppo, between", between, "paper", "pybullet"),
+        ("study paper, ppo, orders", orders, "paper", "pybullet", "MPL, PyBullet"),
+    )
+    if is_there(*of)
 }
-"""By what the docs call them: of which study, and what prints it; of studies that were collected."""
+"""By what the docs call them: what prints it, and of which study and set-up; of those that were run."""
 
 
 def show(table: str) -> None:
     """One of TABLES."""
-    name, printing = TABLES[table]
-    printing(name)
+    printing, of = TABLES[table]
+    printing(*of)
 
 
 def main() -> None:
