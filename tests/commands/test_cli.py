@@ -119,9 +119,9 @@ class TestTrain:
         [
             ("shadow", "ppo"),
             pytest.param("shadow", "ddpg_her", marks=pytest.mark.slow),
-            pytest.param("mpl", "ppo", marks=[pytest.mark.pybullet, pytest.mark.slow]),
-            pytest.param("mpl", "ddpg_her", marks=pytest.mark.pybullet),
-            ("Pendulum-v1", "ppo"),  # has no goals for the other
+            pytest.param("mpl", "ppo", marks=pytest.mark.pybullet),
+            pytest.param("mpl", "ddpg_her", marks=[pytest.mark.pybullet, pytest.mark.slow]),
+            pytest.param("Pendulum-v1", "ppo", marks=pytest.mark.slow),  # has no goals for the other
         ],
     )
     def test_same_run_with_any_number_of_workers(self, algo, hand, capsys):

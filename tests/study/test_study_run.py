@@ -158,7 +158,9 @@ class TestFailures:
         assert second.run_dir.progress.path.exists()
         assert folder.files(folder.study().runs()[0]).state() == "failed"
 
-    @pytest.mark.parametrize("harm", ["gone", "emptied", "outcome"])
+    @pytest.mark.parametrize(
+        "harm", ["emptied", *(pytest.param(one, marks=pytest.mark.slow) for one in ("gone", "outcome"))]
+    )
     def test_a_finished_run_that_is_no_longer_there_is_trained_again(
         self, undisturbed, tmp_path, capsys, harm
     ):

@@ -196,7 +196,8 @@ class TestCompare:
         assert len(rows) == 12
         assert {row["pairs"] for row in rows} == {0}
         assert all(0 < row["p"] <= 1 for row in rows)
-        assert main(["study", "compare", str(folder.path), str(other.path)]) == 0
+        one = [f"{part.path}:pybullet,layout 2" for part in (folder, other)]
+        assert main(["study", "compare", *one]) == 0
         assert "not in pairs" in capsys.readouterr().out
 
     def test_longer_runs_count_as_far_as_the_others_go(self, folder, tmp_path, capsys):
