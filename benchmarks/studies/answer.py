@@ -112,7 +112,7 @@ def worth(name: str = "handover") -> None:
 
 
 def layouts(name: str, setup_name: str = "") -> None:
-    """Each layout against its control, beside what a scripted reflex does with it where that is known."""
+    """Each layout against its control, and what a scripted reflex does with it where that is known."""
     setup, found = load_setup(name, setup_name)
     scripted = reflexes(name)
     also = ["scripted reflex"] if scripted else []
