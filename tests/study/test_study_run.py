@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from tiny_study import TINY, learned, write
 
+from benchmarks.studies import again
 from tactilerl.commands.cli import main
 from tactilerl.study import analysis, display, records, report, runner
 from tactilerl.study.folder import Outcome, StudyFolder
@@ -314,6 +315,24 @@ def test_ranks_of_a_run_end_with_the_study(tmp_path, one_launch, number):
     while any(Path(f"/proc/{pid}/cmdline").exists() for pid in below):
         assert time.monotonic() < until
         time.sleep(0.1)
+
+
+def test_a_doubtful_reader_trains_a_run_again(undisturbed, tmp_path, monkeypatch, capsys):
+    """`python -m benchmarks again`: the same bits, and a number that is not."""
+    collected = records.collect(undisturbed, out=tmp_path / "c.csv.gz")
+    name = records.load(collected)[1][0].run.name
+    monkeypatch.setattr(sys, "argv", ["again", str(collected), name])
+    assert again.main() == 0
+    assert "4 epochs: the same, bit for bit" in capsys.readouterr().out
+    monkeypatch.setattr(runner, "run_job", lambda job: shutil.copytree(made, job.base) and "done")
+    made = tmp_path / "run"
+    shutil.copytree(undisturbed / "runs" / name, made)
+    table = made / "progress.csv"
+    text = table.read_text()
+    assert "\n4,200," in text
+    table.write_text(text.replace("\n4,200,", "\n4,201,"))
+    assert again.main() == 1
+    assert "epoch 4, env_steps: 200 -> 201" in capsys.readouterr().out
 
 
 def test_a_report_of_a_real_study(undisturbed, tmp_path):

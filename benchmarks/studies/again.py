@@ -1,0 +1,60 @@
+"""Does a run of a collected study come out again, bit for bit? Trains it and compares every epoch.
+
+    python -m benchmarks again docs/data/handover.csv.gz handover_run_type-main_s0
+
+The same bits need the same machine and versions, so both versions are printed. Exit code 1 where an
+epoch differs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from pathlib import Path
+
+from tactilerl.envs.choices import nearest
+from tactilerl.study import records, runner
+from tactilerl.study.folder import RunFiles
+
+TIMES = ("collect_s", "update_s", "steps_per_s")
+
+
+def differences(before: list[dict[str, str]], after: list[dict[str, str]]) -> list[str]:
+    """Epoch and column of every number that is not the same; times are none of them."""
+    found = []
+    for old, new in zip(before, after, strict=False):
+        known = {name: value for name, value in old.items() if value and name not in TIMES}
+        found += [
+            f"epoch {old['epoch']}, {name}: {value} -> {new.get(name)}"
+            for name, value in known.items()
+            if value != new.get(name)
+        ]
+    if len(before) != len(after):
+        found.append(f"{len(before)} epochs -> {len(after)}")
+    return found
+
+
+def main() -> int:
+    """Train the run anew, in a folder that goes again."""
+    flags = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    flags.add_argument("study", type=Path, help="a collected file, or a study's folder")
+    flags.add_argument("run", help="name of a run in it, such as handover_run_type-main_s0")
+    options = flags.parse_args()
+    found = {one.run.name: one for one in records.load(options.study)[1]}
+    if options.run not in found or found[options.run].state != "done":
+        flags.error(f"run: found {options.run!r}; {nearest(options.run, found)}allowed: a finished run")
+    before = found[options.run]
+    config = before.config or {}
+    with tempfile.TemporaryDirectory() as folder:
+        made = RunFiles(Path(folder) / before.run.name)
+        job = runner.Job(made.base, before.run.arguments, 0, config.get("ranks", 1))
+        if (ending := runner.run_job(job)) != "done":
+            flags.exit(1, f"{ending}\n{made.log_file.read_text(encoding='utf-8')}")
+        after, now = made.rows(), made.run_dir.record()
+    for when, record in (("before", config), ("now", now)):
+        last = record["provenance"][-1]
+        versions = ", ".join(f"{name} {number}" for name, number in sorted(last["versions"].items()))
+        print(f"{when:7} commit {last['commit']}, {versions}")
+    differing = differences(before.rows, after)
+    print("\n".join(differing[:5]) or f"{len(after)} epochs: the same, bit for bit")
+    return 1 if differing else 0
