@@ -244,3 +244,17 @@ def test_readme_has_the_rates_of_the_study():
     ]
     sentence = "hands with touch end at a mean success rate of {}, and hands without touch at {}."
     assert sentence.format(*rates) in " ".join((ROOT / "README.md").read_text().split())
+
+
+def test_numbers_in_the_text_of_the_study_are_those_of_its_tables():
+    page = (ROOT / "docs" / "study.md").read_text()
+    tables, text = (
+        "\n".join(re.findall(rows, page, re.MULTILINE)) for rows in (r"^\|.*", r"^[^|\n].*")
+    )
+    least_p = {f"{2 / 2**pairs:.3f}" for pairs in (6, 8)}  # of so many pairs, all with the same sign
+    known = {*re.findall(r"\d+\.\d+", tables), *least_p, "0.95"}  # 95 % intervals
+    found = set(re.findall(r"\d\.\d+", re.sub(r"\(http\S+", "", text)))
+    percent = re.findall(r"\d+", " ".join(re.findall(r"[\d to]+ %", text)))
+    found |= {f"{int(share) / 100:.2f}" for share in percent}
+    assert len(found) > 20
+    assert found <= known
