@@ -56,10 +56,16 @@ def pytest_terminal_summary(terminalreporter):
         terminalreporter.write_line(f"{NO_PYBULLET}: {len(skipped)} tests that need it were skipped")
 
 
+@pytest.fixture(scope="session")
+def launches():
+    """Held while MPI is launched: ranks that wait for cores starve, and a launch can fail."""
+    return FileLock(Path(tempfile.gettempdir(), "tactilerl-tests-mpi.lock"))
+
+
 @pytest.fixture
-def one_launch():
-    """No other test launches MPI meanwhile: ranks that wait for cores starve, and a launch can fail."""
-    with FileLock(Path(tempfile.gettempdir(), "tactilerl-tests-mpi.lock")):
+def one_launch(launches):
+    """No other test launches MPI meanwhile."""
+    with launches:
         yield
 
 

@@ -24,10 +24,10 @@ pytestmark = [
     pytest.mark.skipif(not MPIRUN.exists(), reason="no mpirun beside this Python (extra: mpi)"),
     pytest.mark.usefixtures("one_launch"),
 ]
-PARTS = ("whole", "parts")
 REACH = ["train", "--algo", "ddpg_her", "--env", "point-reach", "--hidden", "16", "--n-cycles", "2"]
 REACH += ["--n-batches", "5", "--n-test-rollouts", "1"]
 TOY = ["train", "--env", "lqr", "--hidden", "16", "--steps-per-epoch", "240", "--n-passes", "2"]
+TOYS = {"ppo": TOY, "ddpg_her": REACH}
 
 
 def mpirun(args, ranks=2, timeout=400):
@@ -44,44 +44,119 @@ def _in_tmp(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-@pytest.mark.parametrize(
-    "toy", [pytest.param(TOY, marks=pytest.mark.slow), REACH], ids=["ppo", "ddpg_her"]
-)
-def test_two_ranks_train_one_writes_and_resume_is_exact(toy):
-    whole = tactilerl(*toy, "--total-timesteps", "600", "--out", "whole")
-    assert whole.returncode == 0, whole.stderr
-    assert whole.stdout.count("The run is in whole") == 1
-    assert json.loads(Path("whole/config.json").read_text())["ranks"] == 2
-    tactilerl(*toy, "--total-timesteps", "200", "--out", "parts")
-    resumed = tactilerl("train", "--resume", "parts", "--total-timesteps", "600")
-    assert resumed.returncode == 0, resumed.stderr
-    whole, parts = (torch.load(Path(run, "checkpoint.pt"), weights_only=True) for run in PARTS)
+# What three ranks do in one launch: reductions, minibatches, and commands, of which rank 0 refuses the
+# last.
+LAUNCHED = """
+import json, sys
+import numpy as np, torch
+from tactilerl import envs
+from tactilerl.algos import mpi
+from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
+from tactilerl.commands.cli import main
+from tactilerl.envs import vector
+comm, alone = mpi.world(), mpi.Communicator()
+assert comm.size == comm.local_size == 3
+x = torch.arange(4.0) + comm.rank
+comm.sum_(x)
+assert x.tolist() == [3.0, 6.0, 9.0, 12.0]
+y = torch.full((2,), float(comm.rank))
+comm.broadcast_(y)
+assert y.tolist() == [0.0, 0.0]
+assert comm.sum(np.array([comm.rank, 1.0])).tolist() == [3.0, 3.0]
+assert min(comm.all_gather(5 - comm.rank)) == 3
+assert comm.all_gather(comm.rank) == [0, 1, 2]
+assert list(comm.receive(comm.rank)) == ([0, 1, 2] if comm.rank == 0 else [])
+assert mpi.same_on_all_ranks(comm, torch.ones(3))
+assert not mpi.same_on_all_ranks(comm, torch.full((3,), float(comm.rank)))
+print("reductions agree with numpy")
+
+pool = vector.start(lambda: envs.make("point-reach"))
+config = DDPGHERConfig(hidden=(32, 32), reduction="mean")
+parts, whole = (DDPGHER(config, pool, world, 0, 1) for world in (comm, alone))
+rng = np.random.default_rng(0)
+for _ in range(50):
+    batch = [torch.from_numpy(rng.standard_normal(shape).astype(np.float32))
+             for shape in ((96, 4), (96, 2), (96,))]
+    mine = slice(32 * comm.rank, 32 * comm.rank + 32)
+    parts._minibatch(*(part[mine].contiguous() for part in batch))
+    whole._minibatch(*batch)
+assert mpi.same_on_all_ranks(comm, parts.adam.vector)
+start = DDPGHER(config, pool, alone, 0, 1).adam.vector
+moved = (whole.adam.vector - start).norm()
+assert (whole.adam.vector - parts.adam.vector).norm() < 1e-3 * moved
+# and the normaliser has seen one stream
+for rows in 1e6 + rng.standard_normal((5, 3, 10, 2)):
+    parts.goal_stats.update(rows[comm.rank])
+    whole.goal_stats.update(rows.reshape(-1, 2))
+np.testing.assert_allclose(parts.goal_stats.std, whole.goal_stats.std, rtol=1e-9)
+print("three ranks equal one with all batches")
+for command in json.loads(sys.argv[1]):
+    main(command)
+"""
+
+
+@pytest.fixture(scope="module")
+def launched(tmp_path_factory, launches):
+    """The folder where LAUNCHED ran, and how it ended."""
+    folder = tmp_path_factory.mktemp("launched")
+    (folder / "taken").mkdir()
+    (folder / "taken/notes.txt").touch()  # it holds no run
+    (folder / "check.py").write_text(LAUNCHED)
+    commands = []
+    for name, toy in TOYS.items():
+        commands += [[*toy, "--total-timesteps", "600", "--out", f"{name}_whole"]]
+        commands += [[*toy, "--total-timesteps", "200", "--out", f"{name}_parts"]]
+        commands += [["train", "--resume", f"{name}_parts", "--total-timesteps", "600"]]
+    commands += [[*TOY, "--out", "taken"]]
+    with pytest.MonkeyPatch.context() as patch, launches:
+        patch.chdir(folder)
+        return folder, mpirun(["-m", "mpi4py", "check.py", json.dumps(commands)], ranks=3)
+
+
+def test_reductions_agree_with_numpy(launched):
+    assert launched[1].stdout.count("reductions agree with numpy") == 3, launched[1].stderr
+
+
+def test_three_ranks_equal_one_with_all_batches(launched):
+    """Gradients averaged over three ranks with batch B take the steps of one with batch 3 B."""
+    assert launched[1].stdout.count("three ranks equal one with all batches") == 3, launched[1].stderr
+
+
+@pytest.mark.parametrize("toy", TOYS)
+def test_ranks_train_one_writes_and_resume_is_exact(launched, toy):
+    folder, result = launched
+    assert result.stdout.count(f"The run is in {toy}_whole") == 1, result.stderr
+    assert json.loads((folder / f"{toy}_whole/config.json").read_text())["ranks"] == 3
+    whole, parts = (
+        torch.load(folder / f"{toy}_{run}/checkpoint.pt", weights_only=True)["ranks"]
+        for run in ("whole", "parts")
+    )
     # Whole epochs: of PPO 240 steps.
-    assert [rank["env_steps"] for rank in whole["ranks"]] == 2 * [720 if toy is TOY else 600]
-    for a, b in zip(whole["ranks"], parts["ranks"], strict=True):
+    assert [rank["env_steps"] for rank in whole] == 3 * [720 if toy == "ppo" else 600]
+    for a, b in zip(whole, parts, strict=True):
         assert flat(a) == flat(b)
-    first, second = whole["ranks"]
-    assert flat(first) == flat(second)  # bit-equal parameters
+    assert len(set(map(flat, whole))) == 1  # bit-equal parameters
 
 
-@pytest.mark.parametrize("ranks", [2, pytest.param(3, marks=pytest.mark.slow)])
-def test_ppo_learns_the_same_on_any_number_of_ranks(ranks):
+def test_ppo_learns_the_same_on_any_number_of_ranks(launched):
     """The same episodes, and the same steps up to rounding; an epoch is not longer for it."""
-    args = ["train", "--env", "lqr", "--hidden", "16", "--steps-per-epoch", "300", "--n-passes", "3"]
-    args += ["--total-timesteps", "600"]
-    assert main([*args, "--out", "1"]) == 0
-    mpirun(["-m", "tactilerl", *args, "--out", "more"], ranks=ranks)
+    assert main([*TOY, "--total-timesteps", "600", "--out", "one"]) == 0
     tables = []
-    for run in ("1", "more"):
-        with open(f"{run}/progress.csv", newline="") as file:
+    for run in (Path("one"), launched[0] / "ppo_whole"):
+        with open(run / "progress.csv", newline="") as file:
             tables.append([{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)])
     one, more = tables
-    assert [row["env_steps"] for row in one] == [300, 600]
+    assert [row["env_steps"] for row in one] == [240, 480, 720]
     for key in ("env_steps", "episodes", "mean_return", "policy_loss", "value_loss", "kl"):
         np.testing.assert_allclose(
             [row[key] for row in more], [row[key] for row in one], rtol=1e-3, atol=1e-4
         )
     assert more[0]["mean_return"] == one[0]["mean_return"]  # before anything was learned
+
+
+def test_bad_input_on_one_rank_ends_all(launched):
+    assert launched[1].returncode == 2, launched[1].stderr
+    assert "'taken' exists" in launched[1].stderr
 
 
 @pytest.mark.slow
@@ -96,9 +171,8 @@ def test_ddpg_reaches_points_from_sparse_rewards_on_two_ranks():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("toy", ["ppo", "ddpg_her"])
+@pytest.mark.parametrize("toy", TOYS.values(), ids=TOYS)
 def test_another_number_of_ranks_is_refused_unless_asked_for(toy, capsys):
-    toy = TOY if toy == "ppo" else REACH
     tactilerl(*toy, "--total-timesteps", "1", "--out", "run")
     resume = ["train", "--resume", "run"]
     assert main([*resume, "--total-timesteps", "800"]) == 2
@@ -112,16 +186,6 @@ def test_another_number_of_ranks_is_refused_unless_asked_for(toy, capsys):
     three = mpirun(["-m", "tactilerl", *more], ranks=3)
     assert three.returncode == 0, three.stderr
     assert json.loads(Path("run/config.json").read_text())["ranks"] == 3
-
-
-def test_bad_input_on_one_rank_ends_all():
-    Path("taken").mkdir()
-    Path("taken/notes.txt").touch()  # it holds no run
-    started = time.monotonic()
-    result = tactilerl(*TOY, "--out", "taken")
-    assert result.returncode == 2
-    assert "'taken' exists" in result.stderr
-    assert time.monotonic() - started < 60
 
 
 # A goal environment with a fault: after 40 steps rank 1 sees what is not a number, or raises.
@@ -197,66 +261,6 @@ def test_an_end_from_outside_ends_all_and_loses_nothing(how):
     assert tactilerl(*args, "--out", "whole").returncode == 0
     whole, run = (torch.load(Path(p, "checkpoint.pt"), weights_only=True) for p in ("whole", "run"))
     assert [flat(a) for a in whole["ranks"]] == [flat(b) for b in run["ranks"]]
-
-
-def test_two_ranks_equal_one_with_both_batches():
-    """Gradients averaged over two ranks with batch B take the steps of one with batch 2 B."""
-    code = """
-import numpy as np, torch
-from tactilerl.algos import mpi
-from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
-from tactilerl import envs
-from tactilerl.envs import vector
-world, alone = mpi.world(), mpi.Communicator()
-pool = vector.start(lambda: envs.make("point-reach"))
-config = DDPGHERConfig(hidden=(32, 32), reduction="mean")
-halves, both = (DDPGHER(config, pool, comm, 0, 1) for comm in (world, alone))
-rng = np.random.default_rng(0)
-for _ in range(50):
-    parts = [torch.from_numpy(rng.standard_normal(shape).astype(np.float32))
-             for shape in ((64, 4), (64, 2), (64,))]
-    mine = slice(32 * world.rank, 32 * world.rank + 32)
-    halves._minibatch(*(part[mine].contiguous() for part in parts))
-    both._minibatch(*parts)
-assert mpi.same_on_all_ranks(world, halves.adam.vector)
-start = DDPGHER(config, pool, alone, 0, 1).adam.vector
-moved = (both.adam.vector - start).norm()
-assert (both.adam.vector - halves.adam.vector).norm() < 1e-3 * moved
-# and the normaliser has seen one stream
-rows = 1e6 + rng.standard_normal((5, 2, 10, 2))
-for both_rows in rows:
-    halves.goal_stats.update(both_rows[world.rank])
-    both.goal_stats.update(both_rows.reshape(-1, 2))
-np.testing.assert_allclose(halves.goal_stats.std, both.goal_stats.std, rtol=1e-9)
-"""
-    Path("check.py").write_text(code)
-    result = mpirun(["check.py"])
-    assert result.returncode == 0, result.stderr
-
-
-def test_reductions_agree_with_numpy():
-    code = """
-import numpy as np, torch
-from tactilerl.algos import mpi
-comm = mpi.world()
-assert comm.size == 3
-x = torch.arange(4.0) + comm.rank
-comm.sum_(x)
-assert x.tolist() == [3.0, 6.0, 9.0, 12.0]
-y = torch.full((2,), float(comm.rank))
-comm.broadcast_(y)
-assert y.tolist() == [0.0, 0.0]
-assert comm.sum(np.array([comm.rank, 1.0])).tolist() == [3.0, 3.0]
-assert min(comm.all_gather(5 - comm.rank)) == 3
-assert comm.all_gather(comm.rank) == [0, 1, 2]
-assert list(comm.receive(comm.rank)) == ([0, 1, 2] if comm.rank == 0 else [])
-assert comm.local_size == 3
-assert mpi.same_on_all_ranks(comm, torch.ones(3))
-assert not mpi.same_on_all_ranks(comm, torch.full((3,), float(comm.rank)))
-"""
-    Path("check.py").write_text(code)
-    result = mpirun(["check.py"], ranks=3)
-    assert result.returncode == 0, result.stderr
 
 
 @pytest.mark.slow
