@@ -5,17 +5,16 @@
 
 from __future__ import annotations
 
-import ast
 import dataclasses
-import inspect
 import itertools
-import json
 import re
 from collections.abc import Iterable
 from functools import cache, partial
 from typing import Any
 
-from benchmarks.command import ROOT
+from docstring_parser import parse_from_object
+
+from benchmarks.command import data
 from tactilerl.envs import hands, scenes
 from tactilerl.envs.grasp import GraspConfig, GraspEnv, setup
 from tactilerl.envs.hands import LinearAction
@@ -108,19 +107,18 @@ def arguments(name: str) -> None:
 
 def all_arguments() -> None:
     """Every field of `GraspConfig`, those of a task and an object first."""
-    rows, defaults = [], vars(GraspConfig())
-    for kind in reversed(GraspConfig.__mro__[:-1]):
-        body = ast.parse(inspect.getsource(kind)).body[0].body  # type: ignore[attr-defined]
-        for field, said in itertools.pairwise(body):
-            if isinstance(field, ast.AnnAssign) and isinstance(said, ast.Expr):
-                key, about = ast.unparse(field.target), " ".join(ast.literal_eval(said.value).split())
-                rows.append((f"`{key}`", _value(defaults[key]), about.replace("|", "\\|")))
+    defaults, rows = vars(GraspConfig()), []
+    for field in itertools.chain(
+        *(parse_from_object(kind).params for kind in GraspConfig.__mro__[-2::-1])
+    ):
+        about = " ".join((field.description or "").split()).replace("|", "\\|")
+        rows.append((f"`{field.arg_name}`", _value(defaults[field.arg_name]), about))
     _table(("argument", "default", "meaning"), rows)
 
 
 def gate(name: str) -> None:
     """Success rates of scripted reflexes: in a scene, or with a hand in the handover."""
-    found = json.loads((ROOT / "docs/data/gates.json").read_text(encoding="utf-8"))
+    found = data("gates")
     row = found["handover"][f"{name}, mujoco"] if name in hands.HANDS else found["scenes"][name]
     rates = {key: each["rate"] for key, each in row["reflexes"].items()}
     _table(("reflex", *rates), [("success rate", *(f"{rate:.2f}" for rate in rates.values()))])

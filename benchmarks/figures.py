@@ -5,8 +5,6 @@ python -m benchmarks figures
 
 from __future__ import annotations
 
-import csv
-import json
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +13,11 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+import pandas as pd
 from adjustText import adjust_text
 from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 
-from benchmarks.command import ROOT
+from benchmarks.command import DATA, DOCS, data
 from benchmarks.studies import answer, faults, probe_tables
 from tactilerl.envs import hands, layouts
 from tactilerl.pictures.hand_map import TaxelMap
@@ -29,7 +28,7 @@ from tactilerl.study.analysis import analyse
 from tactilerl.study.records import load
 from tactilerl.style import ARMS, DPI, HEAD, INK, NAMES, OTHERS, STYLE, arm
 
-DOCS = ROOT / "docs"
+IMAGES = DOCS / "images"
 WINDOW = 100  # episodes of the running success rate
 SEEDS = range(3)
 SETTING, SHIPPED = OTHERS[:2]
@@ -68,15 +67,13 @@ CHOSEN = {
 def curve(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """(steps, success rate) of a progress table: of the test episodes where there are some,
     else over at least the last WINDOW episodes."""
-    with path.open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    steps = np.array([float(row["env_steps"]) for row in rows])
-    if "test_success_rate" in rows[0]:
-        return steps, np.array([float(row["test_success_rate"]) for row in rows])
-    episodes = np.array([float(row["episodes"]) for row in rows])
-    successes = episodes * np.array([float(row["success_rate"]) for row in rows])
-    rates = []
-    for end in range(1, len(rows) + 1):
+    table = pd.read_csv(path, dtype=float)
+    steps = table.env_steps.to_numpy()
+    if "test_success_rate" in table:
+        return steps, table.test_success_rate.to_numpy()
+    episodes = table.episodes.to_numpy()
+    successes, rates = episodes * table.success_rate.to_numpy(), []
+    for end in range(1, len(table) + 1):
         start = end - 1
         while start > 0 and episodes[start:end].sum() < WINDOW:
             start -= 1
@@ -85,28 +82,11 @@ def curve(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def speed_against_error() -> None:
-    """Every setting of every hand in every simulator; those on the front filled and named. Settings
-    with the shipped one's errors to the last digit are the same physics, and left out."""
+    """Every setting of every hand in every simulator; those on the front filled and named."""
     figure, grid = plt.subplots(2, 2, figsize=(9, 8), layout="constrained")
-    named = []
+    labels = []
     for axes, (name, table) in zip(grid.flat, data("speed_vs_error").items(), strict=True):
-        shipped = table["settings"]["as shipped"]
-        held = {
-            setting: row
-            for setting, row in table["settings"].items()
-            if row is shipped
-            or row.get("error_median_mm", shipped["error_median_mm"]) != shipped["error_median_mm"]
-        }
-        front = pareto([(row["speed"], row["error_median_mm"]) for row in held.values()])
-        labels = []
-        for (setting, row), is_best in zip(held.items(), front, strict=True):
-            is_shipped = setting == "as shipped"
-            at = row["speed"], row["error_median_mm"]
-            colour = SHIPPED if is_shipped else SETTING
-            style = "full" if is_best or is_shipped else "none"
-            axes.plot(*at, "s" if is_shipped else "o", color=colour, fillstyle=style)
-            if is_best or is_shipped:
-                labels.append(axes.text(*at, setting, fontsize=8, color=colour))
+        labels.append(settings(axes, table["settings"]))
         hand, _, simulator = name.split()
         axes.set_title(f"{NAMES[hand]} in {NAMES[simulator]}")
         axes.set(yscale="log", xlabel="speed, as shipped = 1", ylabel="median error, mm")
@@ -114,20 +94,35 @@ def speed_against_error() -> None:
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_formatter(NullFormatter())
         axes.margins(0.14)
-        points = np.array([(row["speed"], row["error_median_mm"]) for row in held.values()]).T
-        named.append((axes, labels, points))
     figure.suptitle("Physics settings: scripted grasps against a reference with small steps", **HEAD)
     figure.canvas.draw()  # so that the labels know where they are
     figure.set_layout_engine("none")
-    for axes, labels, points in named:
+    for axes, (texts, points) in zip(grid.flat, labels, strict=True):
         arrow = {"arrowstyle": "-", "color": "#888888", "lw": 0.6}
-        adjust_text(labels, *points, ax=axes, expand=(1.3, 1.8), arrowprops=arrow)
+        adjust_text(texts, *points, ax=axes, expand=(1.3, 1.8), arrowprops=arrow)
     save(figure, "speed_vs_error")
 
 
-def pareto(points: list[tuple[float, float]]) -> list[bool]:
-    """Of (speed, error): which are such that none is at once faster and nearer?"""
-    return [not any(s > speed and e < error for s, e in points) for speed, error in points]
+def settings(axes: Any, rows: dict[str, dict[str, Any]]) -> tuple[list[Any], np.ndarray]:
+    """A point each; the names beside them, and the points (2, n). Settings with the shipped errors
+    to the last digit are the same physics, and left out; so are those that held nothing."""
+    error = "error_median_mm"
+    shipped = rows["as shipped"]
+    held = {
+        name: (row["speed"], row[error])
+        for name, row in rows.items()
+        if row is shipped or row.get(error, shipped[error]) != shipped[error]
+    }
+    texts = []
+    for name, at in held.items():
+        is_shipped = name == "as shipped"
+        is_best = not any(speed > at[0] and least < at[1] for speed, least in held.values())
+        colour = SHIPPED if is_shipped else SETTING
+        style = "full" if is_best or is_shipped else "none"
+        axes.plot(*at, "s" if is_shipped else "o", color=colour, fillstyle=style)
+        if is_best or is_shipped:
+            texts.append(axes.text(*at, name, fontsize=8, color=colour))
+    return texts, np.array(list(held.values())).T
 
 
 def learning_curves(name: str, title: str, what: str, files: dict[str, str]) -> None:
@@ -139,7 +134,7 @@ def learning_curves(name: str, title: str, what: str, files: dict[str, str]) -> 
         rows, columns, figsize=size, sharex=True, sharey=True, squeeze=False, layout="constrained"
     )
     for axes, (panel, file) in zip(grid.flat, files.items(), strict=True):
-        curves = [curve(DOCS / "data" / f"{file}_main_s{seed}.csv") for seed in SEEDS]
+        curves = [curve(DATA / f"{file}_main_s{seed}.csv") for seed in SEEDS]
         steps = np.unique(np.concatenate([steps for steps, _ in curves]))
         steps = steps[steps <= min(steps[-1] for steps, _ in curves)]
         mean = np.mean([np.interp(steps, *each) for each in curves], axis=0)
@@ -162,10 +157,10 @@ def learning_curves(name: str, title: str, what: str, files: dict[str, str]) -> 
 
 def study_curves(name: str, study: str, setup: str) -> None:
     """The learning curves of a set-up, as the report of its study draws them."""
-    analysis = analyse(*load(DOCS / "data" / f"{study}.csv.gz"))
+    analysis = analyse(*load(DATA / f"{study}.csv.gz"))
     (found,) = (one for one in analysis.setups if one.setup.name == setup)
     picture = study_figures.curves(found).formats()["png"]
-    (DOCS / "images" / f"{name}.png").write_bytes(picture)
+    (IMAGES / f"{name}.png").write_bytes(picture)
 
 
 def chosen_taxels(name: str, result: dict[str, Any]) -> None:
@@ -207,14 +202,9 @@ def layouts_unrolled() -> None:
     save(figure, "layouts")
 
 
-def data(name: str) -> Any:
-    """A file of docs/data."""
-    return json.loads((DOCS / "data" / f"{name}.json").read_text(encoding="utf-8"))
-
-
 def save(figure: plt.Figure, name: str) -> None:
     """As PNG on white, which dark pages show as a card."""
-    figure.savefig(DOCS / "images" / f"{name}.png", dpi=DPI, metadata={"Software": None})
+    figure.savefig(IMAGES / f"{name}.png", dpi=DPI, metadata={"Software": None})
     plt.close(figure)
 
 
@@ -225,11 +215,11 @@ def main() -> None:
         speed_against_error()
         layouts_unrolled()
         fault_curves()
-        answer.draw(DOCS / "images")
+        answer.draw(IMAGES)
         for name, (title, what, files) in RUNS.items():
             learning_curves(name, title, what, files)
         for name, pair in CHOSEN.items():
             chosen_taxels(name, probes[pair])
-    probe_tables.figure(probes, DOCS / "images" / "probe_selection.png")
+    probe_tables.figure(probes, IMAGES / "probe_selection.png")
     for name, (study, setup) in STUDIES.items():
         study_curves(name, study, setup)

@@ -8,7 +8,6 @@ A table stands between two comments, `<!-- table NAME -->` and `<!-- end -->`. T
 from __future__ import annotations
 
 import io
-import json
 import re
 from collections.abc import Callable
 from contextlib import redirect_stdout
@@ -16,7 +15,7 @@ from functools import partial
 from typing import Any
 
 from benchmarks import environments
-from benchmarks.command import ROOT
+from benchmarks.command import DATA, DOCS, ROOT, data
 from benchmarks.learners import ablation, cut_short, learning, steady
 from benchmarks.studies import (
     answer,
@@ -31,7 +30,6 @@ from benchmarks.studies import (
     shared,
 )
 
-DOCS = ROOT / "docs"
 RUNS = (
     *("handover", "handover_critic", "handover_zhang"),
     *("dark_mpl_critic_observation", "dark_mpl_critic_truth"),
@@ -39,17 +37,8 @@ RUNS = (
 MARKED = re.compile(r"(<!-- table (.+?) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
 
-def data(name: str) -> Any:
-    """A file of docs/data."""
-    return json.loads((DOCS / "data" / f"{name}.json").read_text(encoding="utf-8"))
-
-
 def _of(name: str, show: Callable[..., None], *more: Any) -> Callable[[], None]:
     return lambda: show(data(name), *more)
-
-
-def _faults(flag: str) -> None:
-    faults.show(data("faults"), [flag])
 
 
 def _comparison() -> None:
@@ -78,9 +67,9 @@ PRINTED: dict[str, Callable[[], None]] = {
     **{name: _of(name, learning.markdown) for name in RUNS},
     **{name: partial(answer.show, name) for name in answer.TABLES},
     **{
-        f"study faults, {flag}": partial(_faults, flag)
+        f"study faults, {flag}": _of("faults", faults.show, [flag])
         for flag in faults.SWEEPS
-        if (DOCS / "data" / "faults.json").exists()
+        if (DATA / "faults.json").exists()
     },
     **{f"gates {name}": _of("gates", partial(gates.show, name)) for name in gates.tables()},
     **environments.TABLES,
@@ -108,7 +97,3 @@ def main() -> None:
         if (new := filled(text)) != text:
             page.write_text(new, encoding="utf-8")
             print(page.relative_to(ROOT))
-
-
-if __name__ == "__main__":
-    main()

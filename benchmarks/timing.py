@@ -5,10 +5,10 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
+from .printing import show
 
 ROUNDS = 7
 Contender = Callable[[], int]
@@ -26,47 +26,35 @@ def per_second(run: Contender, clock: Clock = time.perf_counter) -> float:
 
 def rounds(contenders: dict[str, Contender], clock: Clock = time.perf_counter) -> dict[str, float]:
     """Median rate of each contender; they take turns, after one round to warm up."""
-    rates: dict[str, list[float]] = {name: [] for name in contenders}
-    for round_ in range(ROUNDS + 1):
-        for name, run in contenders.items():
-            rate = per_second(run, clock)
-            if round_:
-                rates[name].append(rate)
-    return {name: statistics.median(values) for name, values in rates.items()}
+    turns = [[per_second(run, clock) for run in contenders.values()] for _ in range(ROUNDS + 1)]
+    return dict(zip(contenders, map(statistics.median, zip(*turns[1:], strict=True)), strict=True))
 
 
-def quotients(rates: dict[str, float], *pairs: tuple[str, str]) -> dict[str, float]:
-    """The first's rate over the second's, for pairs of names."""
-    return {f"{a} / {b}": rates[a] / rates[b] for a, b in pairs}
+def contest(rates: dict[str, float], *pairs: tuple[str, str]) -> dict[str, Any]:
+    """Rates, and for pairs of names the first's over the second's."""
+    return {"per_s": rates, "ratios": {f"{a} / {b}": rates[a] / rates[b] for a, b in pairs}}
 
 
-def show(title: str, rates: dict[str, float], ratios: dict[str, float]) -> None:
-    """One table."""
-    table = Table("", "per second", title=title)
-    for name, rate in rates.items():
-        table.add_row(name, f"{rate:,.0f}")
-    table.add_section()
-    for name, ratio in ratios.items():
-        table.add_row(name, f"{ratio:.2f} ×")
-    Console().print(table)
+def show_contest(title: str, found: dict[str, Any], rates: str = "per_s") -> None:
+    """Rates, and then ratios."""
+    rows = [(name, f"{rate:,.0f}") for name, rate in found[rates].items()]
+    ratios = [(name, f"{ratio:.2f} ×") for name, ratio in found["ratios"].items()]
+    show(title, ("", "per second"), [*rows, (), *ratios])
 
 
 class Watches:
-    """Seconds spent in some methods; what one of them spends in another counts for both."""
+    """Seconds spent in some methods since they are watched; what one of them spends in another counts
+    for both."""
 
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
+    def __init__(self, **methods: tuple[Any, str]) -> None:
+        """By name: a thing and its method."""
+        self.seconds = dict.fromkeys(methods, 0.0)
+        for name, (thing, method) in methods.items():
+            setattr(thing, method, partial(self._timed, name, getattr(thing, method)))
 
-    def watch(self, name: str, thing: Any, method: str) -> None:
-        """Count the time of `thing.method` as `name`."""
-        run = getattr(thing, method)
-        self.seconds.setdefault(name, 0.0)
-
-        def timed(*args: Any, **kwargs: Any) -> Any:
-            started = time.perf_counter()
-            try:
-                return run(*args, **kwargs)
-            finally:
-                self.seconds[name] += time.perf_counter() - started
-
-        setattr(thing, method, timed)
+    def _timed(self, name: str, run: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
+        started = time.perf_counter()
+        try:
+            return run(*args, **kwargs)
+        finally:
+            self.seconds[name] += time.perf_counter() - started

@@ -7,15 +7,15 @@ each learner, the version, and a link to the repository that the checkout was cl
 
 from __future__ import annotations
 
-import ast
 import contextlib
-import inspect
 import io
 import os
 import re
 import subprocess
 import textwrap
 from typing import Any
+
+from docstring_parser import parse_from_object
 
 import tactilerl
 from tactilerl.algos.ddpg_her import DDPGHERConfig
@@ -77,25 +77,16 @@ def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
 
 
 def entry(name: str) -> str:
-    """What a name is, and of a learner all its hyperparameters."""
+    """What a name is, and of a learner all its hyperparameters: name, default, docstring."""
     shown = f"::: {name}\n\n"
     if name not in LEARNERS:
         return shown
-    rows = "".join(hyperparameters(LEARNERS[name]))
-    head = "Hyperparameters, with the paper's values:\n\n| keyword | default | |\n|---|---|---|\n"
-    return f"{shown}{head}{rows}\n"
-
-
-def hyperparameters(config: type) -> list[str]:
-    """A row for each field: name, default, docstring."""
-    (found,) = ast.parse(textwrap.dedent(inspect.getsource(config))).body
-    defaults, rows = config(), []
-    for field, said in zip(found.body, found.body[1:], strict=False):
-        if isinstance(field, ast.AnnAssign) and isinstance(said, ast.Expr):
-            text = re.sub(r"\s+", " ", ast.literal_eval(said.value)).replace("|", "\\|")
-            name = ast.unparse(field.target)
-            rows.append(f"| `{name}` | `{getattr(defaults, name)!r}` | {text} |\n")
-    return rows
+    shown += "Hyperparameters, with the paper's values:\n\n| keyword | default | |\n|---|---|---|\n"
+    config, defaults = LEARNERS[name], LEARNERS[name]()
+    for field in parse_from_object(config).params:
+        text = " ".join((field.description or "").split()).replace("|", "\\|")
+        shown += f"| `{field.arg_name}` | `{getattr(defaults, field.arg_name)!r}` | {text} |\n"
+    return f"{shown}\n"
 
 
 def flags(command: str) -> str:
@@ -103,11 +94,8 @@ def flags(command: str) -> str:
     output = io.StringIO()
     with contextlib.redirect_stdout(output), contextlib.suppress(SystemExit):
         cli.main([*command.split(), "--help-all"])
-    lines = (
-        textwrap.wrap(line, WIDTH, drop_whitespace=False) or [""]
-        for line in output.getvalue().splitlines()
-    )
-    text = "\n".join(line for wrapped in lines for line in wrapped)
+    lines = output.getvalue().splitlines()
+    text = "\n".join(textwrap.fill(line, WIDTH, drop_whitespace=False) for line in lines)
     return f"\n## tactilerl {command}\n\n```text\n{text}\n```\n"
 
 

@@ -10,28 +10,23 @@ call goes on from there:
 from __future__ import annotations
 
 import time
-import warnings
-from contextlib import closing
+from collections.abc import Callable
 from dataclasses import asdict, replace
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import stable_baselines3 as sb3
-import torch
-from rich.console import Console
-from rich.table import Table
 
-from benchmarks.command import count, parser, run_missing, write
-from benchmarks.peers.solve import Act, play
+from benchmarks import printing
+from benchmarks.command import run_contenders, write
+from benchmarks.peers.contenders import Act, learn, play
 from tactilerl import envs, statistics
 from tactilerl.algos import recipes
-from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
-from tactilerl.envs import vector
 
 STEPS = 30_000
-SEEDS = 5
 EPISODES = 20  # of the evaluation
 TASKS = (
     "Pendulum-v1",
@@ -65,11 +60,7 @@ VARIANTS = {
 
 def ours(config: PPOConfig, task: str, seed: int) -> Act:
     """What acts after STEPS."""
-    with closing(vector.start(lambda: gym.make(task))) as workers:
-        learner = PPO(config, workers, Communicator(), seed, STEPS)
-        while learner.env_steps < STEPS:
-            learner.collect()
-            learner.update()
+    *_, learner = learn(PPO, config, partial(gym.make, task), seed, STEPS)
     return learner.policy().act
 
 
@@ -96,8 +87,6 @@ def theirs(settings: dict[str, Any], task: str, seed: int) -> Act:
 
 def run(name: str, task: str, seed: int) -> dict[str, float]:
     """One run."""
-    torch.set_num_threads(1)
-    warnings.filterwarnings("ignore")
     started = time.perf_counter()
     if name in PEERS:
         act = theirs(as_theirs(STEADY) if name == PEERS[0] else {}, task, seed)
@@ -118,37 +107,36 @@ def summary(runs: dict[str, dict[str, float]], seeds: range) -> dict[str, Any]:
                 continue
             returns = np.array([row["return"] for row in found])
             counts = statistics.resample(rng, len(found))
-            estimate = statistics.estimate(returns, "iqm", counts)
             table.setdefault(name, {})[task] = {
                 "runs": len(found),
-                "return": list(estimate),
+                "return": list(statistics.estimate(returns, "iqm", counts)),
                 "seconds": float(np.median([row["seconds"] for row in found])),
             }
     return table
 
 
+def cells(row: dict[str, Any], tasks: list[str], form: Callable[[float], str]) -> list[str]:
+    """Of a contender: its return on each of the tasks, and the median of their seconds."""
+    shown = ["{} ({} to {})".format(*map(form, row[t]["return"])) if t in row else "" for t in tasks]
+    return [*shown, f"{np.median([row[task]['seconds'] for task in tasks if task in row]):.0f}"]
+
+
 def show(table: dict[str, Any]) -> None:
     """Contenders in rows, tasks in columns."""
-    shown = Table("", *TASKS, "s", title="return after 30,000 steps: IQM and 95 % interval")
-    for name, row in table.items():
-        cells = [
-            "{:,.1f} ({:,.1f} to {:,.1f})".format(*row[t]["return"]) if t in row else "" for t in TASKS
-        ]
-        seconds = np.median([cell["seconds"] for cell in row.values()])
-        shown.add_row(name, *cells, f"{seconds:.0f}")
-    Console(width=200).print(shown)
+    rows = [(name, *cells(row, [*TASKS], "{:,.1f}".format)) for name, row in table.items()]
+    printing.show("return after 30,000 steps: IQM and 95 % interval", ("", *TASKS, "s"), rows)
 
 
 def markdown(content: dict[str, Any]) -> None:
     """The tasks that all contenders have done, for the docs."""
     table = content["table"]
     tasks = [task for task in TASKS if all(task in row for row in table.values())]
-    print("| |", *(f"{task.rpartition('-')[0]} |" for task in tasks), "s |")
-    print("|---" * (len(tasks) + 2) + "|")
-    for name, row in table.items():
-        cells = ("{} ({} to {})".format(*map(_short, row[task]["return"])) for task in tasks)
-        seconds = np.median([row[task]["seconds"] for task in tasks])
-        print(f"| {name.replace('stable-b', 'Stable-B')} | {' | '.join(cells)} | {seconds:.0f} |")
+    head = "".join(f" {task.rpartition('-')[0]} |" for task in tasks)
+    rows = [
+        (name.replace("stable-b", "Stable-B"), *cells(row, tasks, _short))
+        for name, row in table.items()
+    ]
+    printing.markdown(f"| |{head} s |", rows)
 
 
 def _short(value: float) -> str:
@@ -156,20 +144,10 @@ def _short(value: float) -> str:
 
 
 def main() -> None:
-    """What is missing of all contenders, tasks and seeds; seeds outermost."""
-    flags = parser(__doc__)
-    flags.add_argument("--jobs", type=count, default=2)
-    flags.add_argument("--seeds", type=count, default=SEEDS)
-    flags.add_argument("--first-seed", type=int, default=0, help="10000 and more for pilots")
-    contenders = [*VARIANTS, *PEERS]
-    flags.add_argument("--only", nargs="+", choices=contenders, default=contenders, metavar="NAME")
-    flags.add_argument("--tasks", nargs="+", choices=TASKS, default=TASKS, metavar="TASK")
-    options = flags.parse_args()
+    """What is missing of all contenders, tasks and seeds."""
     configs = {name: asdict(config) for name, config in VARIANTS.items()}
-    about = {"steps": STEPS, "configs": configs}
-    seeds = range(options.first_seed, options.first_seed + options.seeds)
-    places = [(name, task, s) for s in seeds for task in options.tasks for name in options.only]
-    runs = run_missing(options.out, about, places, run, options.jobs)
+    about, names = {"steps": STEPS, "configs": configs}, [*VARIANTS, *PEERS]
+    runs, seeds, out = run_contenders(__doc__, about, run, names, TASKS, first_seed=0, jobs=2)
     table = summary(runs, seeds)
     show(table)
-    write(options.out, {**about, "table": table, "runs": runs})
+    write(out, {**about, "table": table, "runs": runs})

@@ -17,13 +17,16 @@ from __future__ import annotations
 
 import heapq
 from bisect import bisect_left
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
-from benchmarks.command import ROOT, count, earlier, parser, write
+from benchmarks.command import DATA, count, data, parser, write
+from benchmarks.printing import markdown
 from tactilerl import envs
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
@@ -32,7 +35,6 @@ from tactilerl.envs import vector
 from tactilerl.runs.policies import read_run
 from tactilerl.study import records
 
-DATA = ROOT / "docs" / "data"
 SEED = 60_000
 WORKERS = (2, 4, 8, 16)
 Costs = list[int]
@@ -53,27 +55,24 @@ def played(env: Any, task: PlayEpisode[Any], steps: int) -> list[Costs]:
 
 def episode(env: Any, task: PlayEpisode[Any], number: int) -> Costs:
     """One."""
-    simulator, at_ends, taken = env.simulator, [], [0]
-    step, follow = simulator.step, env.follow
+    step, at_begins, taken = env.simulator.step, [], 0
 
     def counted(targets: Any, n_substeps: int) -> None:
-        taken[0] += n_substeps
+        nonlocal taken
+        taken += n_substeps
         step(targets, n_substeps)
 
-    def noted(targets: Any) -> Any:
-        result = follow(targets)
-        at_ends.append(taken[0])
-        return result
+    def is_wanted() -> bool:
+        """Asked before each step."""
+        at_begins.append(taken)
+        return True
 
-    simulator.step, env.follow = counted, noted
-    try:
-        task(env, number, lambda: True)
-    finally:
-        del simulator.step, env.follow
-    return at_ends
+    with patch.object(env.simulator, "step", counted):
+        task(env, number, is_wanted)
+    return [*at_begins[1:], taken]
 
 
-def reckon(episodes: list[Costs], steps: int, workers: int) -> dict[str, float]:
+def reckon(episodes: list[Costs], steps: int, workers: int) -> tuple[int, int, int, int]:
     """Timesteps that are wanted, that are discarded with processes and with threads, and of all workers
     until the epoch has its steps."""
     free, starts = [0] * workers, []
@@ -82,17 +81,13 @@ def reckon(episodes: list[Costs], steps: int, workers: int) -> dict[str, float]:
         heapq.heappush(free, starts[-1] + costs[-1])
     n = int(np.searchsorted(np.cumsum([len(costs) for costs in episodes]), steps)) + 1
     end = max(start + costs[-1] for start, costs in zip(starts[:n], episodes, strict=False))
-    found = {
-        "wanted": sum(costs[-1] for costs in episodes[:n]),
-        "in_vain_processes": 0,
-        "in_vain_threads": 0,
-    }
+    processes = threads = 0
     for number, (start, costs) in enumerate(zip(starts, episodes, strict=True)):
         if number >= n:
-            found["in_vain_processes"] += until(costs, end - start)
             certain = _certain(starts[:number], episodes, steps)
-            found["in_vain_threads"] += until(costs, min(end, certain) - start)
-    return found | {"capacity": workers * end}
+            processes += until(costs, end - start)
+            threads += until(costs, min(end, certain) - start)
+    return sum(costs[-1] for costs in episodes[:n]), processes, threads, workers * end
 
 
 def until(costs: Costs, time: int) -> int:
@@ -109,10 +104,9 @@ def _certain(starts: list[int], episodes: list[Costs], steps: int) -> int:
 
 def measure(make: Any, policy: Any, steps: int, epochs: int) -> dict[str, Any]:
     """Shares by number of workers, over some epochs of one policy."""
-    env = make()
     tasks = [PlayEpisode[Any](policy, (SEED, 0, TRAIN, epoch)) for epoch in range(epochs)]
-    every = [played(env, task, steps) for task in tasks]
-    env.close()
+    with closing(make()) as env:
+        every = [played(env, task, steps) for task in tasks]
     lengths = [len(costs) for episodes in every for costs in episodes]
     result: dict[str, Any] = {
         "steps_per_epoch": steps,
@@ -121,13 +115,12 @@ def measure(make: Any, policy: Any, steps: int, epochs: int) -> dict[str, Any]:
         "timesteps_per_step": sum(e[-1] for episodes in every for e in episodes) / sum(lengths),
     }
     for workers in WORKERS:
-        found = [reckon(episodes, steps, workers) for episodes in every]
-        sums = {name: sum(one[name] for one in found) for name in found[0]}
+        of_epochs = [reckon(episodes, steps, workers) for episodes in every]
+        wanted, processes, threads, capacity = map(sum, zip(*of_epochs, strict=True))
         result[str(workers)] = {
-            "in_vain_processes": sums["in_vain_processes"]
-            / (sums["wanted"] + sums["in_vain_processes"]),
-            "in_vain_threads": sums["in_vain_threads"] / (sums["wanted"] + sums["in_vain_threads"]),
-            "waiting": 1 - sums["wanted"] / sums["capacity"],
+            "in_vain_processes": processes / (wanted + processes),
+            "in_vain_threads": threads / (wanted + threads),
+            "waiting": 1 - wanted / capacity,
         }
     return result
 
@@ -135,9 +128,8 @@ def measure(make: Any, policy: Any, steps: int, epochs: int) -> dict[str, Any]:
 def untrained(hold_verdict: str) -> tuple[Any, Any, int]:
     """(environment's maker, policy, steps of an epoch) before anything was learned."""
     make = partial(envs.make, "shadow", layout="4", hold_verdict=hold_verdict)
-    workers = vector.start(make)
-    learner = PPO(PPOConfig(), workers, Communicator(), SEED, 1)
-    workers.close()
+    with closing(vector.start(make)) as workers:
+        learner = PPO(PPOConfig(), workers, Communicator(), SEED, 1)
     return make, learner.policy(), learner.config.steps_per_epoch
 
 
@@ -148,13 +140,14 @@ def trained(run: Path) -> tuple[Any, Any, int]:
 
 
 def show(results: dict[str, dict[str, Any]]) -> None:
-    """One table."""
-    print("| episodes of | mean steps | workers | discarded, processes | discarded, threads | idle |")
-    print("|---|---|---|---|---|---|")
-    for name, row in results.items():
-        for workers in map(str, WORKERS):
-            shares = " | ".join(f"{100 * share:.1f} %" for share in row[workers].values())
-            print(f"| {name} | {row['mean_length']:.0f} | {workers} | {shares} |")
+    """As Markdown."""
+    rows = [
+        (name, f"{row['mean_length']:.0f}", n, *(f"{100 * x:.1f} %" for x in row[str(n)].values()))
+        for name, row in results.items()
+        for n in WORKERS
+    ]
+    head = "| episodes of | mean steps | workers | discarded, processes | discarded, threads | idle |"
+    markdown(head, rows)
 
 
 def many_cores(results: dict[str, dict[str, Any]]) -> None:
@@ -162,21 +155,22 @@ def many_cores(results: dict[str, dict[str, Any]]) -> None:
     the least disturbed of studies/handover.toml with touch; actor and critic learn on two cores."""
     name = "handover_layout-2_run_type-main_s0"
     idle = {1: 0.0} | {n: results[f"run {name}"][str(n)]["waiting"] for n in WORKERS}
-    at_once = earlier(DATA / "scaling.json")["updates"]["ratios"]["PPO: 2 cores / 1"]
+    at_once = data("scaling")["updates"]["ratios"]["PPO: 2 cores / 1"]
     runs = [r for r in records.load(DATA / "handover.csv.gz")[1] if r.run.name[:-1] == name[:-1]]
     parts = [
         [np.nansum(r.column(part)) for part in ("collect_s", "update_s")] / r.column("env_steps")[-1]
         for r in runs
     ]
     collect, update = 1000 * min(parts, key=sum)
-    print(
-        "| cores | one run: seconds per 1,000 steps | as fast | a study: runs of 30,000 steps an hour |"
-    )
-    print("|---|---|---|---|")
+    rows = []
     for n, share in idle.items():
         seconds = collect / (n * (1 - share)) + update / (at_once if n > 1 else 1)
         ratio, hourly = (collect + update) / seconds, n * 3600 / (30 * (collect + update))
-        print(f"| {n} | {seconds:.2f} | {ratio:.1f} | {hourly:.0f} |")
+        rows.append((n, f"{seconds:.2f}", f"{ratio:.1f}", f"{hourly:.0f}"))
+    head = (
+        "| cores | one run: seconds per 1,000 steps | as fast | a study: runs of 30,000 steps an hour |"
+    )
+    markdown(head, rows)
 
 
 def main() -> None:

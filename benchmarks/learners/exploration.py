@@ -8,17 +8,14 @@ table of shares with 95 % intervals and writes JSON:
 
 from __future__ import annotations
 
+from contextlib import closing
 from typing import Any
 
 import numpy as np
-import torch
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
-from scipy import stats
 
-from benchmarks.command import count, parser, write
-from tactilerl import envs
+from benchmarks.command import count, on_one_thread, parser, write
+from benchmarks.printing import interval, progress, show
+from tactilerl import envs, statistics
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.replay import GoalObs
@@ -41,19 +38,18 @@ VARIANTS: dict[str, dict[str, Any]] = {
 }
 
 
-def explore(choices: dict[str, Any], episodes: int) -> dict[str, float]:
+def explore(choices: dict[str, Any], episodes: int) -> dict[str, int]:
     """Counts of episodes in which the cube is lifted, passes the goal, ends there."""
-    workers = vector.start(lambda: envs.make("shadow", task="reach-goal", **choices))
-    learner = DDPGHER(DDPGHERConfig(), workers, Communicator(), seed=0, total_timesteps=1)
-    counts = {"lifted": 0.0, "passes the goal": 0.0, "ends at the goal": 0.0}
-    task = PlayEpisode[GoalObs](learner.policy(), (0, 0, TRAIN, 0))
-    for episode in workers.play(task, range(episodes)):
-        heights = np.array([obs.achieved_goal[2] for obs in episode.obs])
-        counts["lifted"] += heights.max() > heights[0] + LIFT
-        counts["passes the goal"] += max(episode.rewards) == 0
-        counts["ends at the goal"] += episode.success
-    workers.close()
-    return counts
+    with closing(vector.start(lambda: envs.make("shadow", task="reach-goal", **choices))) as workers:
+        learner = DDPGHER(DDPGHERConfig(), workers, Communicator(), seed=0, total_timesteps=1)
+        task = PlayEpisode[GoalObs](learner.policy(), (0, 0, TRAIN, 0))
+        played = list(workers.play(task, range(episodes)))
+    heights = [np.array([obs.achieved_goal[2] for obs in episode.obs]) for episode in played]
+    return {
+        "lifted": sum(bool(height.max() > height[0] + LIFT) for height in heights),
+        "passes the goal": sum(max(episode.rewards) == 0 for episode in played),
+        "ends at the goal": sum(bool(episode.success) for episode in played),
+    }
 
 
 def main() -> None:
@@ -61,19 +57,17 @@ def main() -> None:
     flags = parser(__doc__)
     flags.add_argument("--episodes", type=count, default=300)
     options = flags.parse_args()
-    torch.set_num_threads(1)
-    result: dict[str, Any] = {"episodes": options.episodes, "variants": {}}
-    table = Table("scene", title=f"untrained exploration, {options.episodes} episodes each")
-    for name, choices in track(VARIANTS.items(), console=Console(stderr=True)):
-        counts = explore(choices, options.episodes)
-        row = {}
-        for what, number in counts.items():
-            test = stats.binomtest(int(number), options.episodes).proportion_ci(method="wilson")
-            row[what] = [number / options.episodes, float(test.low), float(test.high)]
-        result["variants"][name] = row
-        if not table.row_count:
-            for what in counts:
-                table.add_column(what)
-        table.add_row(name, *(f"{m:.3f} ({a:.3f}-{b:.3f})" for m, a, b in row.values()))
-    Console().print(table)
-    write(options.out, result)
+    on_one_thread()
+    n, variants = options.episodes, dict[str, dict[str, list[float]]]()
+    for name, choices in progress(VARIANTS.items(), "variants"):
+        variants[name] = {
+            what: [number / n, *statistics.wilson_interval(number, n)]
+            for what, number in explore(choices, n).items()
+        }
+    rows = [
+        (name, *(interval(*rate, ".3f", "-") for rate in row.values()))
+        for name, row in variants.items()
+    ]
+    title = f"untrained exploration, {n} episodes each"
+    show(title, ("scene", *next(iter(variants.values()))), rows)
+    write(options.out, {"episodes": n, "variants": variants})

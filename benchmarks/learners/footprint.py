@@ -9,15 +9,11 @@ Everything in fresh processes. Prints tables and writes JSON:
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from functools import partial
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
-
-from benchmarks.command import ROOT, Part, run_parts
+from benchmarks.command import Part, python, run_parts
+from benchmarks.printing import show
 from benchmarks.timing import rounds
 
 STARTS = {
@@ -27,13 +23,6 @@ STARTS = {
     "import tactilerl.envs": ("-c", "import tactilerl.envs"),
     "import torch": ("-c", "import torch"),
 }
-
-
-def python(*arguments: str) -> str:
-    """What a fresh process prints."""
-    command = [sys.executable, *arguments]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
-    return done.stdout
 
 
 def start(arguments: tuple[str, ...]) -> int:
@@ -50,10 +39,7 @@ def starting() -> dict[str, float]:
 
 def show_starting(seconds: dict[str, float]) -> None:
     """One table."""
-    table = Table("fresh process", "ms")
-    for name, value in seconds.items():
-        table.add_row(name, f"{1e3 * value:.0f}")
-    Console().print(table)
+    show(None, ("fresh process", "ms"), [(name, f"{1e3 * s:.0f}") for name, s in seconds.items()])
 
 
 def memory() -> dict[str, Any]:
@@ -63,15 +49,11 @@ def memory() -> dict[str, Any]:
 
 def show_memory(found: dict[str, Any]) -> None:
     """One table."""
-    table = Table("peak memory of the process", "GB")
-    for stage, value in found["peaks"].items():
-        table.add_row(stage, f"{value / 1e9:.2f}")
-    table.add_section()
-    table.add_row(f"a replay of {found['transitions']:,} transitions", f"{found['replay'] / 1e9:.2f}")
-    Console().print(table)
+    replay = {f"a replay of {found['transitions']:,} transitions": found["replay"]}
+    rows = [(what, f"{size / 1e9:.2f}") for what, size in (found["peaks"] | replay).items()]
+    show(None, ("peak memory of the process", "GB"), rows)
 
 
-# Part: what measures it, what shows it.
 PARTS: dict[str, Part] = {"start": (starting, show_starting), "memory": (memory, show_memory)}
 
 

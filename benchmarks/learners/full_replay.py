@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import re
 import tempfile
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -49,19 +50,18 @@ def synthetic(replay: Replay, rng: np.random.Generator) -> Episode[GoalObs]:
 def main() -> None:
     """Peaks after each stage of a worker's life."""
     torch.set_num_threads(1)
-    workers = vector.start(lambda: envs.make("shadow", task="reach-goal", layout="1"))
-    learner = DDPGHER(DDPGHERConfig(), workers, Communicator(), 0, 1)
-    replay, rng, peaks = learner.replay, np.random.default_rng(0), {}
-    learner.collect()
-    learner.update()
-    peaks["before"] = peak()
-    while replay.n_episodes < replay.n_slots:
-        replay.store([synthetic(replay, rng)])
-    peaks["full"] = peak()
-    learner.update()
-    peaks["after an update"] = peak()
-    with tempfile.TemporaryFile() as file:
-        torch.save(replay.new_experience(everything=True), file)
-    peaks["after saving all of it"] = peak()
+    with closing(vector.start(lambda: envs.make("shadow", task="reach-goal", layout="1"))) as workers:
+        learner = DDPGHER(DDPGHERConfig(), workers, Communicator(), 0, 1)
+        replay, rng, peaks = learner.replay, np.random.default_rng(0), {}
+        learner.collect()
+        learner.update()
+        peaks["before"] = peak()
+        while replay.n_episodes < replay.n_slots:
+            replay.store([synthetic(replay, rng)])
+        peaks["full"] = peak()
+        learner.update()
+        peaks["after an update"] = peak()
+        with tempfile.TemporaryFile() as file:
+            torch.save(replay.new_experience(everything=True), file)
+        peaks["after saving all of it"] = peak()
     print(json.dumps({"transitions": len(replay), "replay": replay.nbytes, "peaks": peaks}))
-    workers.close()

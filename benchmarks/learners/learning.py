@@ -10,18 +10,17 @@ updating and testing. The progress tables and the figures go to docs/data, under
 from __future__ import annotations
 
 import argparse
-import csv
 import shutil
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
+import pandas as pd
 
-from benchmarks.command import count, write
-from benchmarks.figures import DOCS, curve
+from benchmarks import printing
+from benchmarks.command import DATA, count, write
+from benchmarks.figures import curve
 from tactilerl.algos.mpi import Communicator
 from tactilerl.runs import evaluation
 from tactilerl.runs.policies import read_run
@@ -38,54 +37,48 @@ def examined(run: Path, episodes: int) -> dict[str, Any]:
         rows = [evaluation.row(episode) for episode in played]
     result = evaluation.summarise(rows)
     steps, rates = curve(run / "progress.csv")
-    with (run / "progress.csv").open(newline="") as file:
-        speeds = np.array([float(row["steps_per_s"]) for row in csv.DictReader(file)])
-    seconds = (np.diff(steps, prepend=0.0) / speeds).tolist()
+    speeds = pd.read_csv(run / "progress.csv").steps_per_s.to_numpy()
+    seconds = np.diff(steps, prepend=0.0) / speeds
     reached = next((i for i, rate in enumerate(rates) if rate >= ENOUGH), None)
     return {
         "seed": config.run.seed,
         "run_type": config.scene.run_type if config.scene else "",
         "epochs": epoch,
         "env_steps": env_steps,
-        "minutes": sum(seconds) / 60,
+        "minutes": float(seconds.sum()) / 60,
         "first": float(rates[0]),
         "last": float(rates[-1]),
         "steps_to_enough": None if reached is None else int(steps[reached]),
-        "minutes_to_enough": None if reached is None else sum(seconds[: reached + 1]) / 60,
+        "minutes_to_enough": None if reached is None else float(seconds[: reached + 1].sum()) / 60,
         "success_rate": result["success_rate"],
         "success_rate_ci": result["success_rate_ci"],
     }
 
 
+def cells(run: dict[str, Any], *more: str, to: str) -> tuple[str, ...]:
+    """Of a run: what it is, its steps and minutes, then `more`, then its evaluation."""
+    evaluated = printing.interval(run["success_rate"], *run["success_rate_ci"], to=to)
+    name = f"{run['run_type']}, seed {run['seed']}"
+    return name, f"{run['env_steps']:,}", f"{run['minutes']:.1f}", *more, evaluated
+
+
 def show(name: str, runs: list[dict[str, Any]], episodes: int) -> None:
     """One row a run."""
-    table = Table(title=f"{name}: evaluation of {episodes} episodes, full hold")
-    for column in ("run", "steps", "minutes", "first, last rate", "0.9 after", "evaluation (95 %)"):
-        table.add_column(column)
+    rows = []
     for run in runs:
-        low, high = run["success_rate_ci"]
         enough = "–"
         if run["steps_to_enough"] is not None:
             enough = f"{run['steps_to_enough']:,} steps, {run['minutes_to_enough']:.1f} min"
-        table.add_row(
-            f"{run['run_type']}, seed {run['seed']}", f"{run['env_steps']:,}", f"{run['minutes']:.1f}",
-            f"{run['first']:.2f}, {run['last']:.2f}", enough,
-            f"{run['success_rate']:.2f} ({low:.2f}–{high:.2f})",
-        )  # fmt: skip
-    Console().print(table)
+        rows.append(cells(run, f"{run['first']:.2f}, {run['last']:.2f}", enough, to="–"))
+    columns = ("run", "steps", "minutes", "first, last rate", "0.9 after", "evaluation (95 %)")
+    printing.show(f"{name}: evaluation of {episodes} episodes, full hold", columns, rows)
 
 
 def markdown(content: dict[str, Any]) -> None:
     """What `main` wrote, for the docs."""
-    print(f"| run | steps | minutes | last rate | {content['episodes']} evaluation episodes (95 %) |")
-    print("|---|---|---|---|---|")
-    for run in content["runs"]:
-        low, high = run["success_rate_ci"]
-        cells = (
-            f"{run['run_type']}, seed {run['seed']}", f"{run['env_steps']:,}", f"{run['minutes']:.1f}",
-            f"{run['last']:.2f}", f"{run['success_rate']:.2f} ({low:.2f} – {high:.2f})",
-        )  # fmt: skip
-        print(f"| {' | '.join(cells)} |")
+    head = f"| run | steps | minutes | last rate | {content['episodes']} evaluation episodes (95 %) |"
+    rows = [cells(run, f"{run['last']:.2f}", to=" – ") for run in content["runs"]]
+    printing.markdown(head, rows)
 
 
 def main() -> None:
@@ -98,7 +91,7 @@ def main() -> None:
     found = [examined(run, options.episodes) for run in options.runs]
     show(options.name, found, options.episodes)
     for run, figures in zip(options.runs, found, strict=True):
-        kept = DOCS / "data" / f"{options.name}_{figures['run_type']}_s{figures['seed']}.csv"
+        kept = DATA / f"{options.name}_{figures['run_type']}_s{figures['seed']}.csv"
         shutil.copyfile(run / "progress.csv", kept)
     content = {"episodes": options.episodes, "runs": found}
-    write(DOCS / "data" / f"{options.name}.json", content)
+    write(DATA / f"{options.name}.json", content)

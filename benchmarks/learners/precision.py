@@ -19,16 +19,13 @@ from typing import Any
 
 import numpy as np
 import torch
-from rich.console import Console
-from rich.table import Table
 
 from benchmarks.command import Part, run_parts
-from benchmarks.learners.random_goals import RandomGoals
+from benchmarks.learners.random_goals import fed
+from benchmarks.printing import show
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
-from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.networks import FlatAdam, Precision, has_bfloat16, matrix_products
 from tactilerl.algos.ppo import PPO, PPOConfig
-from tactilerl.envs import vector
 from tactilerl.runs.evaluation import mean_interval
 
 UPDATES = 100
@@ -37,35 +34,25 @@ RESAMPLES = (100, 1_000, 9_999, 50_000)
 LEARNERS, BOOTSTRAPS = range(5), range(10)  # seeds
 
 
-Updates = tuple[Any, list[tuple[torch.Tensor, ...]], Callable[[Any], list[FlatAdam]]]
-"""(learner, minibatches, its optimisers remade)"""
+Updates = tuple[Any, list[tuple[torch.Tensor, ...]]]
+"""(learner, minibatches)"""
 
 
 def ppo(seed: int) -> Updates:
     """At the sizes of the MPL hand, layout 2."""
-    workers = vector.start(lambda: RandomGoals(n_obs=94, n_actions=7))
-    learner: Any = PPO(PPOConfig(), workers, Communicator(), seed, 10**6)
-    learner.collect()
+    learner = fed(PPO, PPOConfig(), 94, 7, seed)
     batch, rng = learner._batch(), np.random.default_rng(seed)
-    n = len(batch[0])
-    minibatches = []
+    minibatches: list[tuple[torch.Tensor, ...]] = []
     while len(minibatches) < UPDATES:
-        order = torch.from_numpy(rng.permutation(n))
+        order = torch.from_numpy(rng.permutation(len(batch[0])))
         minibatches += zip(*(torch.tensor_split(part[order], 6) for part in batch), strict=True)
-
-    def optimisers(twin: Any) -> list[FlatAdam]:
-        twin.actor_adam = FlatAdam((twin.actor, twin.config.actor_lr))
-        twin.critic_adam = FlatAdam((twin.critic, twin.config.critic_lr))
-        return [twin.actor_adam, twin.critic_adam]
-
-    return learner, minibatches[:UPDATES], optimisers
+    return learner, minibatches[:UPDATES]
 
 
 def ddpg(seed: int) -> Updates:
     """At the sizes of the Shadow Hand, layout 2."""
-    workers = vector.start(lambda: RandomGoals(n_obs=140, n_actions=23))
-    learner: Any = DDPGHER(DDPGHERConfig(buffer_size=4000), workers, Communicator(), seed, 10**6)
-    for _ in range(20):
+    learner = fed(DDPGHER, DDPGHERConfig(buffer_size=4000), 140, 23, seed)
+    for _ in range(19):
         learner.collect()
     minibatches = []
     for _ in range(UPDATES):
@@ -73,13 +60,19 @@ def ddpg(seed: int) -> Updates:
         tensors = type(sample)(*map(torch.from_numpy, sample))
         with torch.no_grad():
             minibatches.append(learner._prepared(tensors))
+    return learner, minibatches
 
-    def optimisers(twin: Any) -> list[FlatAdam]:
-        config = twin.config
-        twin.adam = FlatAdam((twin.actor, config.actor_lr), (twin.critic, config.critic_lr))
-        return [twin.adam]
 
-    return learner, minibatches, optimisers
+def twin_of(learner: Any, dtype: torch.dtype) -> tuple[Any, list[FlatAdam]]:
+    """A learner of the same weights in another type, and its optimisers."""
+    twin, config = copy.copy(learner), learner.config
+    twin.actor, twin.critic = (copy.deepcopy(net).to(dtype) for net in (learner.actor, learner.critic))
+    actor, critic = (twin.actor, config.actor_lr), (twin.critic, config.critic_lr)
+    if isinstance(learner, PPO):
+        twin.actor_adam, twin.critic_adam = FlatAdam(actor), FlatAdam(critic)
+        return twin, [twin.actor_adam, twin.critic_adam]
+    twin.adam = FlatAdam(actor, critic)
+    return twin, [twin.adam]
 
 
 PRODUCTS: dict[str, tuple[torch.dtype, Precision]] = {
@@ -90,16 +83,12 @@ PRODUCTS: dict[str, tuple[torch.dtype, Precision]] = {
 """What multiplies: type of everything else, products of float32."""
 
 
-def drift(learner: Any, minibatches: list[tuple[torch.Tensor, ...]], optimisers: Any) -> dict[str, Any]:
+def drift(learner: Any, minibatches: list[tuple[torch.Tensor, ...]]) -> dict[str, tuple[float, float]]:
     """How far parameters end from float64's, relative to the way these went; and how fast."""
     ends, seconds = {}, {}
     for name in PRODUCTS if has_bfloat16() else ("float64", "float32"):
         dtype, products = PRODUCTS[name]
-        twin = copy.copy(learner)
-        twin.actor, twin.critic = (
-            copy.deepcopy(net).to(dtype) for net in (learner.actor, learner.critic)
-        )
-        adams = optimisers(twin)
+        twin, adams = twin_of(learner, dtype)
         start = torch.cat([adam.vector.detach().double().clone() for adam in adams])
         data = [tuple(part.to(dtype) for part in minibatch) for minibatch in minibatches]
         started = time.process_time()
@@ -108,26 +97,22 @@ def drift(learner: Any, minibatches: list[tuple[torch.Tensor, ...]], optimisers:
                 twin._minibatch(*minibatch)
         seconds[name] = time.process_time() - started
         ends[name] = torch.cat([adam.vector.detach().double() for adam in adams])
-    way = (ends["float64"] - start).norm()
+    exact = ends.pop("float64")
+    way = (exact - start).norm()
     return {
-        name: {
-            "parameter_error": float((end - ends["float64"]).norm() / way),
-            "speed": seconds["float64"] / seconds[name],
-        }
+        name: (float((end - exact).norm() / way), seconds["float64"] / seconds[name])
         for name, end in ends.items()
-        if name != "float64"
     }
 
 
 def learners() -> dict[str, Any]:
     """Both, from several first weights."""
-    result: dict[str, Any] = {}
-    for learner, make in (("ppo", ppo), ("ddpg_her", ddpg)):
+    result: dict[str, Any] = {"ppo": {}, "ddpg_her": {}}
+    for rows, make in zip(result.values(), (ppo, ddpg), strict=True):
         found = [drift(*make(seed)) for seed in LEARNERS]
-        result[learner] = {}
         for name in found[0]:
-            errors, speeds = ([row[name][key] for row in found] for key in ("parameter_error", "speed"))
-            result[learner][name] = {
+            errors, speeds = zip(*(one[name] for one in found), strict=True)
+            rows[name] = {
                 "parameter_error_median": float(np.median(errors)),
                 "parameter_error_worst": max(errors),
                 "speed": float(np.median(speeds)),
@@ -137,17 +122,14 @@ def learners() -> dict[str, Any]:
 
 def show_learners(found: dict[str, Any]) -> None:
     """One table."""
-    table = Table(f"{UPDATES} updates", "products", "error of the parameters", "worst", "speed")
-    for learner, rows in found.items():
-        for name, row in rows.items():
-            errors = (f"{row[f'parameter_error_{which}']:.2g}" for which in ("median", "worst"))
-            table.add_row(learner, name, *errors, f"{row['speed']:.2f}")
-    Console().print(table)
-
-
-def our_interval(resamples: int, seed: int) -> Any:
-    """What `evaluate` uses."""
-    return mean_interval(SCORES, resamples, seed)
+    rows = [
+        (learner, name, *(f"{row[f'parameter_error_{which}']:.2g}" for which in ("median", "worst")),
+         f"{row['speed']:.2f}")
+        for learner, of in found.items()
+        for name, row in of.items()
+    ]  # fmt: skip
+    columns = (f"{UPDATES} updates", "products", "error of the parameters", "worst", "speed")
+    show(None, columns, rows)
 
 
 def rliable_interval(resamples: int, seed: int) -> Any:
@@ -167,7 +149,10 @@ def bootstrap() -> dict[str, Any]:
     means = np.array([np.mean(draw) for draw in itertools.product(SCORES, repeat=len(SCORES))])
     exact = np.percentile(means, [2.5, 97.5])
     rliable_interval(2, 0)  # imports it
-    contenders = {"evaluate": our_interval, "rliable": rliable_interval}
+    contenders: dict[str, Callable[[int, int], Any]] = {
+        "evaluate": lambda resamples, seed: mean_interval(SCORES, resamples, seed),
+        "rliable": rliable_interval,
+    }
     result: dict[str, Any] = {name: {} for name in contenders}
     for resamples, (name, interval) in itertools.product(RESAMPLES, contenders.items()):
         started = time.process_time()
@@ -179,16 +164,13 @@ def bootstrap() -> dict[str, Any]:
 
 def show_bootstrap(found: dict[str, Any]) -> None:
     """One table."""
-    table = Table("resamples", title="bootstrap intervals: error of an end, ms")
-    for name in found:
-        table.add_column(name)
-    for resamples in RESAMPLES:
-        cells = [rows[resamples] for rows in found.values()]
-        table.add_row(f"{resamples:,}", *(f"{c['error']:.5f}, {c['ms']:.1f}" for c in cells))
-    Console().print(table)
+    rows = [
+        (f"{n:,}", *(f"{of[n]['error']:.5f}, {of[n]['ms']:.1f}" for of in found.values()))
+        for n in RESAMPLES
+    ]
+    show("bootstrap intervals: error of an end, ms", ("resamples", *found), rows)
 
 
-# Part: what measures it, what shows it.
 PARTS: dict[str, Part] = {
     "learners": (learners, show_learners),
     "bootstrap": (bootstrap, show_bootstrap),

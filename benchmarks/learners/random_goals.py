@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
+
+from tactilerl.algos.mpi import Communicator
+from tactilerl.envs import vector
 
 GOAL, STEPS = 3, 100
 
@@ -41,3 +45,11 @@ class RandomGoals(gym.Env[Any, Any]):
     def compute_reward(self, achieved: Any, desired: Any, info: Any) -> Any:
         """Sparse."""
         return (np.linalg.norm(achieved - desired, axis=-1) < 1.0) - 1.0
+
+
+def fed(kind: Any, config: Any, n_obs: int, n_actions: int, seed: int = 0) -> Any:
+    """A learner of this kind that has collected there once."""
+    workers = vector.start(partial(RandomGoals, n_obs, n_actions))
+    learner = kind(config, workers, Communicator(), seed, 10**6)
+    learner.collect()
+    return learner

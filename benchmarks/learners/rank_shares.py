@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import time
+from typing import Any
 
 import torch
 
@@ -25,17 +26,15 @@ def main() -> None:
     """Some cycles on the Shadow Hand on each rank; rank 0 prints where its time went."""
     torch.set_num_threads(1)
     comm = mpi.world()
-    workers = vector.start(lambda: envs.make("shadow", task="reach-goal"))
+    workers: Any = vector.start(lambda: envs.make("shadow", task="reach-goal"))
     learner = DDPGHER(DDPGHERConfig(), workers, comm, 0, 1)
     learner.collect()
     learner.update()
-    watches = Watches()
-    watches.watch("physics", workers.env.simulator, "step")  # type: ignore[attr-defined]
-    watches.watch("collecting", learner, "collect")
-    watches.watch("sampling", learner.replay, "sample")
-    watches.watch("all-reduce", learner.adam, "reduce")
-    watches.watch("optimiser", learner.adam, "step")
-    watches.watch("updating", learner, "update")
+    watches = Watches(
+        physics=(workers.env.simulator, "step"), collecting=(learner, "collect"),
+        updating=(learner, "update"), sampling=(learner.replay, "sample"),
+        reducing=(learner.adam, "reduce"), optimiser=(learner.adam, "step"),
+    )  # fmt: skip
     comm.all_gather(0)  # start together
     started = time.perf_counter()
     for _ in range(CYCLES):
@@ -45,24 +44,23 @@ def main() -> None:
         learner.update()
     comm.all_gather(0)  # and end together
     seconds = time.perf_counter() - started
-    s = watches.seconds
-    rest = s["updating"] - s["sampling"] - s["all-reduce"] - s["optimiser"]
+    physics, collecting, updating, sampling, reducing, optimiser = watches.seconds.values()
     shares = {
-        "physics": s["physics"],
-        "rest of the environment and acting": s["collecting"] - s["physics"],
-        "sampling": s["sampling"],
-        "normaliser, forward and backward": rest,
-        "all-reduce, with waiting": s["all-reduce"],
-        "optimiser": s["optimiser"],
+        "physics": physics,
+        "rest of the environment and acting": collecting - physics,
+        "sampling": sampling,
+        "normaliser, forward and backward": updating - sampling - reducing - optimiser,
+        "all-reduce, with waiting": reducing,
+        "optimiser": optimiser,
     }
     config = learner.config
-    updates = CYCLES * config.n_batches
+    transitions = comm.size * CYCLES * config.n_batches * config.batch_size
     steps = comm.size * CYCLES * config.n_rollouts * learner.replay.max_steps
+    result = {
+        "transitions_per_s": transitions / updating,
+        "env_steps_per_s": steps / seconds,
+        "shares": {name: part / seconds for name, part in shares.items()},
+    }
     if comm.rank == 0:
-        result = {
-            "transitions_per_s": comm.size * updates * config.batch_size / s["updating"],
-            "env_steps_per_s": steps / seconds,
-            "shares": {name: part / seconds for name, part in shares.items()},
-        }
         print(json.dumps(result))
     workers.close()

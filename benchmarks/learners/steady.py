@@ -17,8 +17,8 @@ soon as it ends, and a second call goes on from there.
 
 from __future__ import annotations
 
+import itertools
 import time
-import warnings
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
@@ -26,14 +26,13 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import torch
 
-from benchmarks.command import count, parser, run_missing
-from benchmarks.peers.solve import Act, Looks, play, sb3_ddpg
+from benchmarks import printing
+from benchmarks.command import run_contenders
+from benchmarks.peers.contenders import Act, Looks, learn, play, sb3_ddpg
 from tactilerl import envs, statistics
 from tactilerl.algos import recipes
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
-from tactilerl.algos.mpi import Communicator
 from tactilerl.envs import vector
 
 EPISODES = 20  # of a look
@@ -99,12 +98,8 @@ class Curve:
 def ours(config: DDPGHERConfig, task: Task, seed: int) -> Curve:
     """Our learner, to the end."""
     curve = Curve(task)
-    with closing(vector.start(task.make)) as workers:
-        learner = DDPGHER(replace(config, **task.sizes), workers, Communicator(), seed, task.steps)
-        while learner.env_steps < task.steps:
-            learner.collect()
-            learner.update()
-            curve.look(learner.env_steps, learner.policy().act)
+    for learner in learn(DDPGHER, replace(config, **task.sizes), task.make, seed, task.steps):
+        curve.look(learner.env_steps, learner.policy().act)
     return curve
 
 
@@ -120,8 +115,6 @@ def theirs(config: DDPGHERConfig, task: Task, seed: int) -> Curve:
 
 def run(name: str, task: str, seed: int) -> dict[str, Any]:
     """One run."""
-    torch.set_num_threads(1)
-    warnings.filterwarnings("ignore")
     started = time.process_time()
     learn = partial(theirs, STEADY) if name == PEER else partial(ours, VARIANTS[name])
     curve = learn(TASKS[task], seed)
@@ -133,41 +126,33 @@ def run(name: str, task: str, seed: int) -> dict[str, Any]:
     }
 
 
+def row(task: str, name: str, runs: list[dict[str, Any]]) -> tuple[Any, ...]:
+    """Of a contender's runs of a task."""
+    rates = np.array([run["rates"] for run in runs])
+    finals = np.sort(statistics.final_rate(rates))
+    areas = statistics.area_under_curve(np.array(runs[0]["steps"], float), rates)
+    total = f"{np.mean([run['return'] for run in runs]):.1f}".replace("-", "−")
+    shown = ", ".join(f"{x:.2f}" for x in finals)
+    return task, name, len(runs), shown, (finals < ENOUGH).sum(), f"{areas.mean():.2f}", total
+
+
 def markdown(content: dict[str, Any]) -> None:
     """What `main` wrote, for the docs: a row for each task and contender."""
-    print("| task | contender | runs | final rates, sorted | below 0.9 | area | return at the end |")
-    print("|---|---|---|---|---|---|---|")
-    for task in TASKS:
-        for name in (*VARIANTS, PEER):
-            runs = [
-                r for key, r in content["runs"].items() if key.rpartition(" ")[0] == f"{name} {task}"
-            ]
-            if not runs:
-                continue
-            rates = np.array([r["rates"] for r in runs])
-            finals = np.sort(statistics.final_rate(rates))
-            areas = statistics.area_under_curve(np.array(runs[0]["steps"], float), rates)
-            print(
-                f"| {task} | {name} | {len(runs)} | {', '.join(f'{x:.2f}' for x in finals)} "
-                f"| {(finals < ENOUGH).sum()} | {areas.mean():.2f} "
-                f"| {np.mean([r['return'] for r in runs]):.1f} |".replace("| -", "| −")
-            )
+    rows = []
+    for task, name in itertools.product(TASKS, (*VARIANTS, PEER)):
+        own = f"{name} {task} "
+        if runs := [run for key, run in content["runs"].items() if key.startswith(own)]:
+            rows.append(row(task, name, runs))
+    head = "| task | contender | runs | final rates, sorted | below 0.9 | area | return at the end |"
+    printing.markdown(head, rows)
 
 
 def main() -> None:
-    """What is missing of all contenders, tasks and seeds; seeds outermost."""
-    flags = parser(__doc__)
-    contenders = [*VARIANTS, PEER]
-    flags.add_argument("--jobs", type=count, default=1)
-    flags.add_argument("--seeds", type=count, default=5)
-    flags.add_argument("--first-seed", type=int, default=20, help="10000 and more for pilots")
-    flags.add_argument("--only", nargs="+", choices=contenders, default=contenders, metavar="NAME")
-    flags.add_argument("--tasks", nargs="+", choices=TASKS, default=[*TASKS], metavar="TASK")
-    options = flags.parse_args()
+    """What is missing of all contenders, tasks and seeds."""
     about = {
         "steps": {name: task.steps for name, task in TASKS.items()},
         "configs": {name: asdict(config) for name, config in VARIANTS.items()},
     }
-    seeds = range(options.first_seed, options.first_seed + options.seeds)
-    places = [(name, task, s) for s in seeds for task in options.tasks for name in options.only]
-    markdown({"runs": run_missing(options.out, about, places, run, options.jobs)})
+    names = [*VARIANTS, PEER]
+    runs, *_ = run_contenders(__doc__, about, run, names, [*TASKS], first_seed=20, jobs=1)
+    markdown({"runs": runs})

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
-
 from benchmarks.command import count, parser, write
+from benchmarks.printing import show
 from benchmarks.timing import Watches
 from tactilerl.algos.mpi import Communicator
 from tactilerl.runs import checkpoint
@@ -33,29 +32,25 @@ def shares(run: Path, verdict: str, rounds: int) -> dict[str, float]:
         scene=saved.scene and dataclasses.replace(saved.scene, hold_verdict=verdict),
     )
     learner, workers = make_algorithm(config, Communicator())
-    state = checkpoint.read(run_dir, saved)["ranks"][0]
-    learner.load_state_dict(state)
-    watches, steps = Watches(), learner.env_steps
-    simulator: Any = workers.env.unwrapped.simulator  # type: ignore[attr-defined]
-    watches.watch("physics", simulator, "step")
-    watches.watch("resets", simulator, "reset")
-    watches.watch("hold tests", workers.env.unwrapped, "_hold")
-    watches.watch("collecting", learner, "collect")
-    watches.watch("updates", learner, "update")
-    started = time.perf_counter()
-    for _ in range(rounds):
-        learner.collect()
-        learner.update()
+    learner.load_state_dict(checkpoint.read(run_dir, saved)["ranks"][0])
+    env: Any = workers.env.unwrapped
+    watches = Watches(
+        physics=(env.simulator, "step"), resets=(env.simulator, "reset"), holds=(env, "_hold"),
+        collecting=(learner, "collect"), updates=(learner, "update"),
+    )  # fmt: skip
+    steps, started = learner.env_steps, time.perf_counter()
+    with closing(workers):
+        for _ in range(rounds):
+            learner.collect()
+            learner.update()
     seconds = time.perf_counter() - started
-    workers.close()
-    s = watches.seconds
-    physics = s["physics"] - s["hold tests"]  # a hold test is nearly all physics
+    physics, resets, holds, collecting, updates = watches.seconds.values()
     parts = {
-        "hold tests": s["hold tests"],
-        "physics of the actions": physics,
-        "resets": s["resets"],
-        "rest of the environment and acting": s["collecting"] - s["hold tests"] - physics - s["resets"],
-        "updates": s["updates"],
+        "hold tests": holds,
+        "physics of the actions": physics - holds,  # a hold test is nearly all physics
+        "resets": resets,
+        "rest of the environment and acting": collecting - physics - resets,
+        "updates": updates,
     }
     result = {name: part / seconds for name, part in parts.items()}
     return result | {"steps_per_s": (learner.env_steps - steps) / seconds}
@@ -69,8 +64,6 @@ def main() -> None:
     flags.add_argument("--rounds", type=count, default=1)
     options = flags.parse_args()
     result = shares(options.run, options.hold_verdict, options.rounds)
-    table = Table("", "share of the time", title=f"{options.run}, hold verdict {options.hold_verdict}")
-    for name, share in result.items():
-        table.add_row(name.replace("_per_s", " per second"), f"{share:.3g}")
-    Console().print(table)
+    rows = [(name.replace("_per_s", " per second"), f"{share:.3g}") for name, share in result.items()]
+    show(f"{options.run}, hold verdict {options.hold_verdict}", ("", "share of the time"), rows)
     write(options.out, result)

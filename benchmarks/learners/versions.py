@@ -9,20 +9,17 @@ and the run itself take turns to go on, an epoch each, with the same number of e
 
 from __future__ import annotations
 
-import csv
-import os
 import shutil
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
+from statistics import median
 from typing import Any
 
+import pandas as pd
 import torch
-from rich.console import Console
-from rich.table import Table
 
-from benchmarks.command import ROOT, count, parser, write
+from benchmarks.command import ROOT, count, parser, python, write
+from benchmarks.printing import show
 from tactilerl.runs import checkpoint
 from tactilerl.runs.config import RunConfig
 from tactilerl.runs.run_dir import RunDir
@@ -31,28 +28,25 @@ ROUNDS = 3  # of one epoch
 NETWORKS = ("actor", "critic")
 
 
-def tactilerl(checkout: Path, *args: str) -> None:
-    """A command of the version in a checkout."""
-    environment = {**os.environ, "PYTHONPATH": str(checkout.resolve())}
-    command = [sys.executable, "-m", "tactilerl", *args]
-    subprocess.run(command, check=True, env=environment, cwd=checkout, stdout=subprocess.DEVNULL)
+def train(checkout: Path, *flags: str) -> None:
+    """By the version in a checkout."""
+    python("-m", "tactilerl", "train", *flags, checkout=checkout)
 
 
 def begin(checkout: Path, config: RunConfig, networks: dict[str, Any], cores: int, out: Path) -> None:
     """A run of the earlier version after its first epoch, with networks of a later one."""
-    scene = config.scene
-    assert scene is not None
+    assert config.scene is not None
     flags = {
         "algo": "ppo",
         "env": config.run.env,
-        "simulator": scene.simulator,
-        "layout": scene.layout,
+        "simulator": config.scene.simulator,
+        "layout": config.scene.layout,
         "hold-verdict": "settled",
         "num-envs": cores,
         "total-timesteps": 1,
         "out": out,
     }
-    tactilerl(checkout, "train", *(f"--{name}={value}" for name, value in flags.items()))
+    train(checkout, *(f"--{name}={value}" for name, value in flags.items()))
     file = out / "checkpoint.pt"
     saved = torch.load(file, weights_only=True)
     saved["ranks"][0] |= networks
@@ -61,18 +55,16 @@ def begin(checkout: Path, config: RunConfig, networks: dict[str, Any], cores: in
 
 def rate(checkout: Path, run: Path, *flags: str) -> tuple[float, float]:
     """Environment steps per second of the next epoch, and its success rate."""
-    before = last_row(run)
-    goal = f"--total-timesteps={int(before['env_steps']) + 1}"
-    tactilerl(checkout, "train", "--resume", str(run), goal, *flags)
+    before = last_row(run).env_steps
+    train(checkout, "--resume", str(run), f"--total-timesteps={int(before) + 1}", *flags)
     after = last_row(run)
-    steps = int(after["env_steps"]) - int(before["env_steps"])
-    return steps / (float(after["collect_s"]) + float(after["update_s"])), float(after["success_rate"])
+    seconds = after.collect_s + after.update_s
+    return float((after.env_steps - before) / seconds), float(after.success_rate)
 
 
-def last_row(run: Path) -> dict[str, str]:
+def last_row(run: Path) -> Any:
     """Of the progress table."""
-    with (run / "progress.csv").open(newline="") as file:
-        return list(csv.DictReader(file))[-1]
+    return pd.read_csv(run / "progress.csv").iloc[-1]
 
 
 def compare(checkout: Path, run: Path, cores: int, folder: Path) -> dict[str, Any]:
@@ -86,13 +78,9 @@ def compare(checkout: Path, run: Path, cores: int, folder: Path) -> dict[str, An
     for _ in range(ROUNDS):
         found["first"].append(rate(checkout, first))
         found["now"].append(rate(ROOT, now, f"--workers={cores}"))
-    medians = {name: sorted(rates)[ROUNDS // 2] for name, rates in found.items()}
-    return {
-        "cores": cores,
-        "rounds": found,
-        "steps_per_s": {name: median[0] for name, median in medians.items()},
-        "ratio": medians["now"][0] / medians["first"][0],
-    }
+    speeds = {name: median(speed for speed, _ in rates) for name, rates in found.items()}
+    ratio = speeds["now"] / speeds["first"]
+    return {"cores": cores, "rounds": found, "steps_per_s": speeds, "ratio": ratio}
 
 
 def main() -> None:
@@ -102,16 +90,13 @@ def main() -> None:
     flags.add_argument("--run", type=Path, nargs="+", required=True, help="trained runs of PPO")
     flags.add_argument("--cores", type=count, default=2)
     options = flags.parse_args()
-    table = Table("run", "earlier, steps/s", "now, steps/s", "ratio")
     result = {}
     with tempfile.TemporaryDirectory() as name:
         for run in options.run:
-            found = compare(options.checkout, run.resolve(), options.cores, Path(name))
-            result[run.name] = found
-            table.add_row(
-                run.name,
-                *(f"{x:.1f}" for x in found["steps_per_s"].values()),
-                f"{found['ratio']:.2f} ×",
-            )
+            result[run.name] = compare(options.checkout, run.resolve(), options.cores, Path(name))
             write(options.out, result)
-    Console().print(table)
+    rows = [
+        (name, *(f"{x:.1f}" for x in found["steps_per_s"].values()), f"{found['ratio']:.2f} ×")
+        for name, found in result.items()
+    ]
+    show(None, ("run", "earlier, steps/s", "now, steps/s", "ratio"), rows)

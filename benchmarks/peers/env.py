@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,7 +13,7 @@ import gymnasium as gym
 import mujoco
 import numpy as np
 
-from benchmarks.timing import Contender, quotients, rounds
+from benchmarks.timing import Contender, contest, rounds
 from tactilerl import envs
 
 CONTROL_DT = 0.04  # s: gymnasium-robotics' own, 20 steps of 2 ms
@@ -40,29 +41,26 @@ class Steps:
         self.actions = policy_actions(self.env.action_space.shape[0])
         if raised:
             self.actions[:, 2] = 1.0
-        thing = self.env.hand
-        targets = itertools.accumulate(
-            self.actions, lambda last, a: thing.action_map(a, last), initial=thing.start_targets()
-        )
-        self.targets = list(targets)[1:]
 
     def ours(self) -> int:
         """`env.step`."""
-        self.env.reset(seed=0)
-        for action in self.actions:
-            self.env.step(action)
-        return STEPS
+        return episode(self.env, self.env.step, self.actions)
 
     def raw(self, step: Callable[[np.ndarray], None]) -> Contender:
         """`step` alone, with the motors' targets."""
+        hand = self.env.hand
+        targets = itertools.accumulate(
+            self.actions, lambda last, a: hand.action_map(a, last), initial=hand.start_targets()
+        )
+        return partial(episode, self.env, step, list(targets)[1:])
 
-        def run() -> int:
-            self.env.reset(seed=0)
-            for target in self.targets:
-                step(target)
-            return STEPS
 
-        return run
+def episode(env: Any, step: Callable[[np.ndarray], Any], given: Iterable[np.ndarray]) -> int:
+    """A reset, and `step` with each that is given."""
+    env.reset(seed=0)
+    for each in given:
+        step(each)
+    return STEPS
 
 
 def mj_step(steps: Steps) -> Contender:
@@ -107,16 +105,8 @@ def gymnasium_robotics() -> Contender:
     gym.register_envs(gymnasium_robotics)
     name = "HandManipulateBlock_BooleanTouchSensors-v1"
     env: Any = gym.make(name, max_episode_steps=STEPS).unwrapped
-    actions = policy_actions(20)
-
-    def run() -> int:
-        env.reset(seed=0)
-        for action in actions:
-            env.step(action)
-        return STEPS
-
     assert abs(env.dt - CONTROL_DT) < 1e-9
-    return run
+    return partial(episode, env, env.step, policy_actions(20))
 
 
 def environments() -> dict[str, Any]:
@@ -144,4 +134,4 @@ def _compared(ours: dict[str, Steps], others: dict[str, Contender]) -> dict[str,
     contenders = {name: steps.ours for name, steps in ours.items()} | others
     rates = rounds(contenders, time.process_time)
     pairs = (*itertools.product(ours, others), *((b, a) for a, b in itertools.pairwise(ours)))
-    return {"per_s": rates, "ratios": quotients(rates, *pairs)}
+    return contest(rates, *pairs)

@@ -12,23 +12,22 @@ from __future__ import annotations
 
 from typing import Any
 
-from benchmarks.command import run_parts
+from benchmarks.command import Part, run_parts
 from benchmarks.peers.env import environments
 from benchmarks.peers.solve import show_solve, solve
 from benchmarks.peers.updates import updates
-from benchmarks.timing import show
+from benchmarks.timing import show_contest
 
 
-def show_rates(part: dict[str, Any]) -> None:
-    """A table for each contest."""
-    for title, contest in part.items():
-        show(title, contest["per_s"], contest["ratios"])
+def show_contests(part: dict[str, Any]) -> None:
+    """A table for each."""
+    for title, found in part.items():
+        show_contest(title, found)
 
 
-# Part: what measures it, what shows it.
-PARTS = {
-    "env": (environments, show_rates),
-    "updates": (updates, show_rates),
+PARTS: dict[str, Part] = {
+    "env": (environments, show_contests),
+    "updates": (updates, show_contests),
     "solve": (solve, show_solve),
 }
 

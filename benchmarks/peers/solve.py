@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cache, partial
 from typing import Any
@@ -22,32 +22,25 @@ from typing import Any
 import numpy as np
 import stable_baselines3 as sb3
 import torch
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
 from scipy import stats
-from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.noise import NormalActionNoise
 
+from benchmarks.peers.contenders import FIRST_START, Act, Looks, learn, play, sb3_ddpg
+from benchmarks.printing import interval, progress, show
 from tactilerl import envs
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
-from tactilerl.algos.mpi import Communicator
-from tactilerl.algos.networks import Precision, has_bfloat16, matrix_products
+from tactilerl.algos.networks import Precision, has_bfloat16
 from tactilerl.algos.ppo import PPO, PPOConfig
-from tactilerl.envs import vector
 from tactilerl.envs.toy import LQREnv, PointReachEnv
 
 SEEDS = range(6)
-FIRST_START = 10_000_000  # not a start of training
 LIBRARIES = ("tactilerl", "stable-baselines3", "tactilerl, bfloat16")[: 3 if has_bfloat16() else 2]
-Act = Callable[[Any], np.ndarray]
-"""Observation -> action without exploration."""
 PPO_CONFIG = PPOConfig(
     hidden=(64, 64), actor_lr=1e-3, n_passes=20, n_minibatches=12, gae_lambda=0.9,
     action_variance=0.02, orthogonal_init=True, anneal_lr=True,
     steps_per_epoch=17 * LQREnv.max_episode_steps, truncation="bootstrap",
 )  # fmt: skip
 DDPG_CONFIG = DDPGHERConfig(hidden=(64, 64), action_l2=0.1, polyak=0.9, batch_size=128)
+their_ddpg = partial(sb3_ddpg, config=DDPG_CONFIG, max_steps=PointReachEnv.max_episode_steps)
 
 
 @dataclass
@@ -69,45 +62,18 @@ class Run:
         return self.is_solved
 
 
-class Looks(BaseCallback):
-    """`look` wherever Stable-Baselines3 is about to collect, and at the end."""
-
-    def __init__(self, start: Callable[[], Any]) -> None:
-        """`start` makes what looks, such as a `Run`, when training begins."""
-        super().__init__()
-        self.start = start
-
-    def act(self, obs: Any) -> np.ndarray:
-        """Action for one observation."""
-        return self.model.predict(obs, deterministic=True)[0]
-
-    def _on_training_start(self) -> None:
-        self.run = self.start()
-
-    def _on_rollout_start(self) -> None:
-        self.run.look(self.num_timesteps, self.act)
-
-    def _on_training_end(self) -> None:
-        self.run.look(self.num_timesteps, self.act)
-
-    def _on_step(self) -> bool:
-        return not self.run.is_solved
-
-
-def ours(algorithm: Any, config: Any, toy: Toy, seed: int, precision: Precision = "float32") -> Run:
+def ours(kind: Any, config: Any, toy: Toy, seed: int, precision: Precision = "float32") -> Run:
     """Our learner until it has solved the toy."""
-    workers = vector.start(lambda: envs.make(toy.name))
-    learner = algorithm(config, workers, Communicator(), seed, toy.cap)
+    learners = learn(kind, config, partial(envs.make, toy.name), seed, toy.cap, precision)
+    next(learners)
     run = Run(toy)
-    while learner.env_steps < toy.cap and not run.look(learner.env_steps, learner.policy().act):
-        learner.collect()
-        with matrix_products(precision):
-            learner.update()
-    run.look(learner.env_steps, learner.policy().act)
+    for learner in learners:
+        if run.look(learner.env_steps, learner.policy().act):
+            break
     return run
 
 
-def sb3_ppo(env: Any, seed: int) -> Any:
+def their_ppo(env: Any, seed: int) -> Any:
     """Stable-Baselines3's PPO as PPO_CONFIG."""
     config = PPO_CONFIG
     model = sb3.PPO(
@@ -125,41 +91,11 @@ def sb3_ppo(env: Any, seed: int) -> Any:
     return model
 
 
-def sb3_ddpg(
-    env: Any,
-    seed: int,
-    config: DDPGHERConfig = DDPG_CONFIG,
-    max_steps: int = PointReachEnv.max_episode_steps,
-) -> Any:
-    """Stable-Baselines3's DDPG with its HER buffer as `config`."""
-    none = np.zeros(env.action_space.shape)
-    noise = NormalActionNoise(none, none + config.noise_eps)
-    return sb3.DDPG(
-        "MultiInputPolicy", env, learning_rate=config.actor_lr, buffer_size=config.buffer_size,
-        batch_size=config.batch_size, tau=1.0 - config.polyak ** (1.0 / config.n_batches),
-        gamma=1.0 - 1.0 / max_steps, train_freq=(config.n_rollouts, "episode"),
-        gradient_steps=config.n_batches, action_noise=noise,
-        replay_buffer_class=sb3.HerReplayBuffer, replay_buffer_kwargs={"n_sampled_goal": 4},
-        policy_kwargs={"net_arch": list(config.hidden)}, seed=seed, device="cpu",
-    )  # fmt: skip
-
-
 def theirs(make: Callable[[Any, int], Any], toy: Toy, seed: int) -> Run:
     """Stable-Baselines3's learner until it has solved the toy."""
     looks = Looks(partial(Run, toy))
     make(envs.make(toy.name), seed).learn(toy.cap, callback=looks)
     return looks.run
-
-
-def play(env: Any, act: Act, episodes: int) -> Iterator[tuple[float, float]]:
-    """Return and success of each episode without exploration."""
-    for index in range(episodes):
-        obs, _ = env.reset(seed=FIRST_START + index)
-        total, is_done = 0.0, False
-        while not is_done:
-            obs, reward, terminated, truncated, info = env.step(act(obs))
-            total, is_done = total + float(reward), terminated or truncated
-        yield total, float(info.get("is_success", np.nan))
 
 
 def is_near_optimal(act: Act, episodes: int = 20) -> bool:
@@ -206,14 +142,14 @@ TOYS = {
     "LQR, PPO": Toy(
         "lqr", is_near_optimal, every=1000, cap=40_000,
         contenders=(
-            partial(ours, PPO, PPO_CONFIG), partial(theirs, sb3_ppo),
+            partial(ours, PPO, PPO_CONFIG), partial(theirs, their_ppo),
             partial(ours, PPO, PPO_CONFIG, precision="bfloat16"),
         ),
     ),
     "point-reach, DDPG+HER": Toy(
         "point-reach", reaches, every=250, cap=10_000,
         contenders=(
-            partial(ours, DDPGHER, DDPG_CONFIG), partial(theirs, sb3_ddpg),
+            partial(ours, DDPGHER, DDPG_CONFIG), partial(theirs, their_ddpg),
             partial(ours, DDPGHER, DDPG_CONFIG, precision="bfloat16"),
         ),
     ),
@@ -225,7 +161,7 @@ def solve() -> dict[str, Any]:
     result = {}
     for title, toy in TOYS.items():
         runs: dict[str, list[Run]] = {name: [] for name in LIBRARIES}
-        for seed in track(SEEDS, title, console=Console(stderr=True)):
+        for seed in progress(SEEDS, title):
             for name, contender in zip(LIBRARIES, toy.contenders, strict=False):
                 runs[name].append(contender(toy, seed))
         result[title] = _summary(runs)
@@ -238,15 +174,17 @@ def _summary(runs: dict[str, list[Run]]) -> dict[str, Any]:
     for name, of_one in runs.items():
         result[name] = {
             "not_solved": sum(not run.is_solved for run in of_one),
-            "seconds": _interval(np.mean, [run.seconds for run in of_one]),
-            "env_steps": _interval(np.mean, [float(run.steps) for run in of_one]),
+            "seconds": _with_interval(np.mean, [run.seconds for run in of_one]),
+            "env_steps": _with_interval(np.mean, [float(run.steps) for run in of_one]),
         }
     peer, own = ([run.seconds for run in runs[name]] for name in LIBRARIES[1::-1])
-    result["ratio"] = _interval(lambda a, b, axis: a.mean(axis=axis) / b.mean(axis=axis), peer, own)
+    result["ratio"] = _with_interval(
+        lambda a, b, axis: a.mean(axis=axis) / b.mean(axis=axis), peer, own
+    )
     return result
 
 
-def _interval(statistic: Callable[..., Any], *samples: list[float]) -> list[float]:
+def _with_interval(statistic: Callable[..., Any], *samples: list[float]) -> list[float]:
     """[value, low, high] of a bootstrap over seeds, 95 %."""
     data = tuple(np.array(sample) for sample in samples)
     found = stats.bootstrap(data, statistic, method="percentile", vectorized=True, rng=0)
@@ -256,16 +194,13 @@ def _interval(statistic: Callable[..., Any], *samples: list[float]) -> list[floa
 
 def show_solve(solved: dict[str, Any]) -> None:
     """One table."""
-    table = Table("", "seconds", "environment steps", "not solved", title="until the toy is solved")
+    rows: list[tuple[str, ...]] = []
     for title, row in solved.items():
         for name in LIBRARIES:
-            seconds, steps = (
-                "{:,.{n}f} ({:,.{n}f}-{:,.{n}f})".format(*row[name][key], n=n)
-                for key, n in (("seconds", 2), ("env_steps", 0))
-            )
-            table.add_row(
-                f"{title}: {name}", seconds, steps, f"{row[name]['not_solved']} of {row['seeds']}"
-            )
-        table.add_row("ratio", "{:.2f} × ({:.2f}-{:.2f})".format(*row["ratio"]))
-        table.add_section()
-    Console().print(table)
+            of = row[name]
+            seconds = interval(*of["seconds"], ",.2f", "-")
+            steps = interval(*of["env_steps"], ",.0f", "-")
+            rows.append((f"{title}: {name}", seconds, steps, f"{of['not_solved']} of {row['seeds']}"))
+        low, high = row["ratio"][1:]
+        rows += [("ratio", f"{row['ratio'][0]:.2f} × ({low:.2f}-{high:.2f})"), ()]
+    show("until the toy is solved", ("", "seconds", "environment steps", "not solved"), rows)

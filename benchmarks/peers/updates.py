@@ -12,13 +12,11 @@ import stable_baselines3 as sb3
 import torch
 from stable_baselines3.common.logger import Logger
 
-from benchmarks.learners.random_goals import GOAL, STEPS, RandomGoals
-from benchmarks.timing import Contender, quotients, rounds
+from benchmarks.learners.random_goals import GOAL, STEPS, RandomGoals, fed
+from benchmarks.timing import Contender, contest, rounds
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
-from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.networks import has_bfloat16, matrix_products
 from tactilerl.algos.ppo import PPO, PPOConfig
-from tactilerl.envs import vector
 
 OURS, THEIRS, BOUND = "tactilerl", "stable-baselines3", "matrix products"
 WIDTHS = [256] * 3
@@ -29,22 +27,12 @@ PASSES = 8
 # DDPG+HER on the Shadow Hand, layout 1; sizes of observations count the goal.
 DDPG_BATCH, DDPG_OBS, DDPG_ACTIONS = 256, 200, 23
 EPISODES = 50  # in the replay
-
-ppo_env = partial(RandomGoals, PPO_OBS - GOAL, PPO_ACTIONS)
-ddpg_env = partial(RandomGoals, DDPG_OBS - GOAL, DDPG_ACTIONS)
-
-
-def our_ppo() -> Contender:
-    """PPO.update on one batch."""
-    config = PPOConfig(n_passes=PASSES, steps_per_epoch=PPO_BATCH)
-    learner = PPO(config, vector.start(ppo_env), Communicator(), seed=0, total_timesteps=PPO_BATCH)
-    learner.collect()
-    return lambda: int(learner.update()["updates"])
+PPO_SIZES, DDPG_SIZES = (PPO_OBS - GOAL, PPO_ACTIONS), (DDPG_OBS - GOAL, DDPG_ACTIONS)
 
 
 def sb3_ppo() -> Contender:
     """Stable-Baselines3's PPO.train on a batch of the same shapes and networks."""
-    env = gym.wrappers.FilterObservation(ppo_env(), ["observation", "desired_goal"])
+    env = gym.wrappers.FilterObservation(RandomGoals(*PPO_SIZES), ["observation", "desired_goal"])
     model = sb3.PPO(
         "MlpPolicy", gym.wrappers.FlattenObservation(env), n_steps=PPO_BATCH, n_epochs=PASSES,
         batch_size=-(-PPO_BATCH // PPO_MINIBATCHES), device="cpu",
@@ -61,18 +49,10 @@ def sb3_ppo() -> Contender:
     return run
 
 
-def our_ddpg() -> DDPGHER:
-    """A learner with a replay of random episodes."""
-    config = DDPGHERConfig(n_rollouts=EPISODES, n_batches=UPDATES, batch_size=DDPG_BATCH)
-    learner = DDPGHER(config, vector.start(ddpg_env), Communicator(), seed=0, total_timesteps=1)
-    learner.collect()
-    return learner
-
-
 def sb3_ddpg() -> Any:
     """Stable-Baselines3's with the same networks, batch and replay contents."""
     model = sb3.DDPG(
-        "MultiInputPolicy", ddpg_env(), replay_buffer_class=sb3.HerReplayBuffer,
+        "MultiInputPolicy", RandomGoals(*DDPG_SIZES), replay_buffer_class=sb3.HerReplayBuffer,
         replay_buffer_kwargs={"n_sampled_goal": 4}, batch_size=DDPG_BATCH, buffer_size=100_000,
         learning_starts=EPISODES * STEPS, policy_kwargs={"net_arch": WIDTHS}, device="cpu",
     )  # fmt: skip
@@ -136,7 +116,10 @@ def in_both(contenders: dict[str, Contender]) -> dict[str, Contender]:
 
 def updates() -> dict[str, Any]:
     """PPO's and DDPG+HER's updates of actor and critic, and relabelled transitions, per second."""
-    learner, model = our_ddpg(), sb3_ddpg()
+    config = PPOConfig(n_passes=PASSES, steps_per_epoch=PPO_BATCH)
+    ppo = fed(PPO, config, *PPO_SIZES)
+    replay = DDPGHERConfig(n_rollouts=EPISODES, n_batches=UPDATES, batch_size=DDPG_BATCH)
+    ddpg, model = fed(DDPGHER, replay, *DDPG_SIZES), sb3_ddpg()
     drawn = UPDATES * DDPG_BATCH
 
     def sb3_update() -> int:
@@ -148,25 +131,25 @@ def updates() -> dict[str, Any]:
             model.replay_buffer.sample(DDPG_BATCH)
         return drawn
 
+    def our_samples() -> int:
+        return len(ddpg.replay.sample(drawn, ddpg.config.replay_p).reward)
+
+    def our_updates(learner: Any) -> int:
+        return int(learner.update()["updates"])
+
     contests: dict[str, dict[str, Contender]] = {
-        f"PPO minibatch updates, {PPO_BATCH // PPO_MINIBATCHES} × {PPO_OBS} → {PPO_ACTIONS}": (
-            in_both({OURS: our_ppo(), THEIRS: sb3_ppo(), BOUND: ppo_products()})
+        f"PPO minibatch updates, {PPO_BATCH // PPO_MINIBATCHES} × {PPO_OBS} → {PPO_ACTIONS}": in_both(
+            {OURS: partial(our_updates, ppo), THEIRS: sb3_ppo(), BOUND: ppo_products()}
         ),
         f"DDPG+HER updates, {DDPG_BATCH} × {DDPG_OBS} → {DDPG_ACTIONS}": in_both(
-            {
-                OURS: lambda: int(learner.update()["updates"]),
-                THEIRS: sb3_update,
-                BOUND: ddpg_products(),
-            }
+            {OURS: partial(our_updates, ddpg), THEIRS: sb3_update, BOUND: ddpg_products()}
         ),
-        "relabelled transitions": {
-            OURS: lambda: len(learner.replay.sample(drawn, learner.config.replay_p).reward),
-            THEIRS: sb3_samples,
-        },
+        "relabelled transitions": {OURS: our_samples, THEIRS: sb3_samples},
     }
-    result = {}
-    for title, contenders in contests.items():
-        rates = rounds(contenders, time.process_time)
-        pairs = [(name, THEIRS) for name in contenders if name != THEIRS]
-        result[title] = {"per_s": rates, "ratios": quotients(rates, *pairs)}
-    return result
+    return {
+        title: contest(
+            rounds(contenders, time.process_time),
+            *((name, THEIRS) for name in contenders if name != THEIRS),
+        )
+        for title, contenders in contests.items()
+    }

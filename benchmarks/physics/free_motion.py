@@ -5,7 +5,6 @@ Used by speed_vs_error.py, a column for each.
 
 from __future__ import annotations
 
-import importlib
 from typing import Any
 
 import mujoco
@@ -19,7 +18,6 @@ DROP = np.array([0.5, 0.5, 1.0])  # m: away from the hand
 SPIN = np.array([3.0, 2.0, 1.0])  # rad/s, about no principal axis
 SPEED = 1.0  # rad/s
 GRAVITY = 9.81
-BULLET = "tactilerl.envs.simulators.pybullet"
 
 
 def fall(env: GraspEnv) -> dict[str, float]:
@@ -51,27 +49,29 @@ def swing(env: GraspEnv) -> dict[str, float]:
 
 
 def _spin(env: GraspEnv) -> None:
-    simulator: Any = env.simulator
+    sim: Any = env.simulator
     if env.config.simulator == "pybullet":
-        bullet = importlib.import_module(BULLET).pybullet
-        bullet.resetBaseVelocity(
-            simulator.object, angularVelocity=SPIN.tolist(), physicsClientId=simulator.client
+        from tactilerl.envs.simulators.pybullet import pybullet
+
+        pybullet.resetBaseVelocity(
+            sim.object, angularVelocity=SPIN.tolist(), physicsClientId=sim.client
         )
     else:
-        simulator.data.joint("object").qvel[3:] = SPIN  # the object is not turned yet
+        sim.data.joint("object").qvel[3:] = SPIN  # the object is not turned yet
 
 
 def _rotational_energy(env: GraspEnv) -> float:
     """Of the object, J."""
-    simulator: Any = env.simulator
+    sim: Any = env.simulator
     edges = 2 * np.array(env.shape.half_size)
-    inertia = simulator.scene.mass / 12 * (np.square(edges).sum() - np.square(edges))
+    inertia = sim.scene.mass / 12 * (np.square(edges).sum() - np.square(edges))
     if env.config.simulator == "pybullet":
-        bullet = importlib.import_module(BULLET).pybullet
-        _, velocity = bullet.getBaseVelocity(simulator.object, physicsClientId=simulator.client)
-        local = simulator.object_state().rotation.T @ np.array(velocity)
+        from tactilerl.envs.simulators.pybullet import pybullet
+
+        _, velocity = pybullet.getBaseVelocity(sim.object, physicsClientId=sim.client)
+        local = sim.object_state().rotation.T @ np.array(velocity)
     else:
-        local = simulator.data.joint("object").qvel[3:]
+        local = sim.data.joint("object").qvel[3:]
     return float(0.5 * (inertia * np.square(local)).sum())
 
 
@@ -93,33 +93,30 @@ def _swing_in_mujoco(env: GraspEnv, n: int) -> tuple[float, float]:
 
 def _swing_in_bullet(env: GraspEnv, n: int) -> tuple[float, float]:
     """Kinetic energy before and after, J."""
+    from tactilerl.envs.simulators.pybullet import pybullet as bullet
+
     simulator: Any = env.simulator
-    bullet, client, hand = importlib.import_module(BULLET).pybullet, simulator.client, simulator.hand
-    links = range(bullet.getNumJoints(hand, physicsClientId=client))
+    hand, world = simulator.hand, {"physicsClientId": simulator.client}
+    links = range(bullet.getNumJoints(hand, **world))
     for link in links:
-        bullet.changeDynamics(hand, link, jointDamping=0.0, physicsClientId=client)
-        bullet.setCollisionFilterGroupMask(hand, link, 0, 0, physicsClientId=client)
-        bullet.setJointMotorControl2(
-            hand, link, bullet.VELOCITY_CONTROL, force=0.0, physicsClientId=client
-        )
+        bullet.changeDynamics(hand, link, jointDamping=0.0, **world)
+        bullet.setCollisionFilterGroupMask(hand, link, 0, 0, **world)
+        bullet.setJointMotorControl2(hand, link, bullet.VELOCITY_CONTROL, force=0.0, **world)
     for joint in env.hand.joints[3:]:
         index = simulator._joint_index[joint]
-        (position, *_) = bullet.getJointState(hand, index, physicsClientId=client)
-        bullet.resetJointState(hand, index, position, SPEED, physicsClientId=client)
+        position = bullet.getJointState(hand, index, **world)[0]
+        bullet.resetJointState(hand, index, position, SPEED, **world)
 
-    def energy() -> float:
-        total = 0.0
-        for link in links:
-            state = bullet.getLinkState(
-                hand, link, computeLinkVelocity=1, computeForwardKinematics=1, physicsClientId=client
-            )
-            mass, _, inertia, *_ = bullet.getDynamicsInfo(hand, link, physicsClientId=client)
-            frame = np.array(bullet.getMatrixFromQuaternion(state[1])).reshape(3, 3)
-            velocity, local = np.array(state[6]), frame.T @ np.array(state[7])
-            total += 0.5 * (mass * velocity @ velocity + (np.array(inertia) * local) @ local)
-        return float(total)
+    def energy(link: int) -> float:
+        state = bullet.getLinkState(
+            hand, link, computeLinkVelocity=1, computeForwardKinematics=1, **world
+        )
+        mass, _, inertia, *_ = bullet.getDynamicsInfo(hand, link, **world)
+        frame = np.array(bullet.getMatrixFromQuaternion(state[1])).reshape(3, 3)
+        velocity, local = np.array(state[6]), frame.T @ np.array(state[7])
+        return float(0.5 * (mass * velocity @ velocity + (np.array(inertia) * local) @ local))
 
-    before = energy()
+    before = sum(map(energy, links))
     for _ in range(n):
-        bullet.stepSimulation(physicsClientId=client)
-    return before, energy()
+        bullet.stepSimulation(**world)
+    return before, sum(map(energy, links))

@@ -20,11 +20,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
+from benchmarks import printing
 from benchmarks.command import count, earlier, parser, write
-from benchmarks.physics.speed_vs_error import deepest
+from benchmarks.physics.contacts import deepest
 from tactilerl.envs.grasp import EJECTED, GraspConfig, GraspEnv, setup
 
 SEED = 50_000
@@ -223,23 +222,13 @@ def main() -> int:
     return 0 if is_ok else 1
 
 
-COLUMNS = {  # of the tables: title, unit of the figures, format
-    "diverged": ("diverged", 1, ".0f"),
-    "warnings": ("warnings", 1, ".0f"),
-    "refused": ("refused", 1, ".0f"),
-    "let_through": ("let through", 1, ".0f"),
-    "overlap": ("overlap, mm", 1e-3, ".1f"),
-    "speed": ("object, m/s", 1, ".2f"),
-    "joint": ("beyond range, rad", 1, ".3f"),
-}
-
-
 def show(title: str, rows: dict[str, dict[str, Any]]) -> None:
     """One table."""
-    table = Table("case", title=title)
-    for column in ("steps", *(column for column, _, _ in COLUMNS.values()), ""):
-        table.add_column(column, justify="right")
-    for name, row in rows.items():
-        cells = [format(row[key] / unit, style) for key, (_, unit, style) in COLUMNS.items()]
-        table.add_row(name, f"{row['steps']:,}", *cells, "ok" if row["ok"] else "LEFT ITS LIMITS")
-    Console(width=140).print(table)
+    columns = ("diverged", "warnings", "refused", "let through", "overlap, mm", "object, m/s")
+    shown = [
+        (name, f"{row['steps']:,}", *(f"{row[key]:.0f}" for key in COUNTS),
+         f"{1e3 * row['overlap']:.1f}", f"{row['speed']:.2f}", f"{row['joint']:.3f}",
+         "ok" if row["ok"] else "LEFT ITS LIMITS")
+        for name, row in rows.items()
+    ]  # fmt: skip
+    printing.show(title, ("case", "steps", *columns, "beyond range, rad", ""), shown)

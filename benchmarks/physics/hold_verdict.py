@@ -20,14 +20,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
-from scipy import stats
 
+from benchmarks import printing
 from benchmarks.command import count, earlier, parser, write
-from tactilerl import envs
+from tactilerl import envs, statistics
 from tactilerl.envs import scripted
-from tactilerl.envs.hands import Array, ClosingAction
+from tactilerl.envs.hands import Array, LinearAction
 from tactilerl.envs.hold import HoldTest
 from tactilerl.runs.policies import read_run
 
@@ -38,6 +36,10 @@ MISS = 0.1  # of a whole grasp, in units of the action
 GENTLE = 0.2  # up and down a full disturbance would knock the cube over
 PAIRS = [(hand, simulator) for hand in ("shadow", "mpl") for simulator in ("mujoco", "pybullet")]
 Act = Callable[[Any], Array]
+Policy = Callable[[Any, np.random.Generator], Act]
+"""(environment, random numbers) -> what acts for an episode."""
+Source = tuple[str, dict[str, Any], Policy]
+"""(hand, its scene's choices, policy)."""
 
 
 @dataclass
@@ -88,72 +90,72 @@ class ScriptedPolicy:
         return np.clip(self._exact(target) + self.gentle * (self.miss + noise), -1.0, 1.0)
 
     def _exact(self, target: Array) -> Array:
-        mapping, now = self.env.hand.action_map, self.env._targets
-        if not isinstance(mapping, ClosingAction):
-            return (target - mapping.centre) / mapping.half_range
-        first = [group[0] for group in mapping.groups]
-        way = (mapping.closed - mapping.open)[first]
-        closing = (target - now)[first] / way / mapping.closing_step
-        return np.concatenate([(target - now)[:3] / mapping.slide_step, closing])
+        """The action that asks for the target."""
+        does = self.env.hand.action_map
+        if isinstance(does, LinearAction):
+            return (target - does.centre) / does.half_range
+        step = [*does.slide_step, *[does.closing_step] * len(does.groups)]
+        return (does.asked(target) - does.asked(self.env._targets)) / step
 
 
-def trained(run: Path) -> tuple[str, dict[str, Any], Callable[[Any, int], Act]]:
-    """(hand, its scene's choices, policy of an episode) of a run folder."""
+def trained(run: Path) -> Source:
+    """The policy of a run folder."""
     found = read_run(run)
 
-    def policy(env: Any, episode: int) -> Act:
-        return partial(
-            found.policy.act, deterministic=False, rng=np.random.default_rng([SEED, episode])
-        )
+    def policy(env: Any, rng: np.random.Generator) -> Act:
+        return partial(found.policy.act, deterministic=False, rng=rng)
 
     return found.config.run.env, asdict(found.config.scene), policy
 
 
-def disturbed(hand: str, simulator: str) -> tuple[str, dict[str, Any], Callable[[Any, int], Act]]:
-    """The same of the hand's scripted grasp."""
-    return (
-        hand,
-        {"simulator": simulator, "max_episode_steps": 25},
-        lambda env, episode: ScriptedPolicy(env, np.random.default_rng([SEED, episode])),
-    )
+def disturbed(hand: str, simulator: str) -> Source:
+    """A hand's scripted grasp."""
+    return hand, {"simulator": simulator, "max_episode_steps": 25}, ScriptedPolicy
 
 
 def measure(
     hand: str,
     choices: dict[str, Any],
-    policy: Callable[[Any, int], Act],
+    policy: Policy,
     holds: int,
     tests: dict[str, tuple[dict[str, Any], float]],
 ) -> dict[str, Any]:
     """Verdicts and times of `holds` lifts by `tests`: each has fields of HoldTest and a push."""
     world = [Watched(envs.make(hand, **choices), *test) for test in tests.values()]
     rows: list[dict[str, Any]] = []
-    playing, episode = 0.0, 0
+    playing, seed = 0.0, SEED
     while len(rows) < holds:
-        first, *others = world
-        obs, _ = first.env.reset(seed=SEED + episode)
-        for other in others:
-            other.env.reset(seed=SEED + episode)
-        act, done = policy(first.env, episode), False
-        for one in world:
-            one.held = None
-        episode += 1
-        while not done:
-            started = time.process_time()
-            action = act(obs)
-            obs, _, terminated, truncated, _ = first.env.step(action)
-            playing += time.process_time() - started
-            for other in others:
-                other.env.step(action)
-            done = terminated or truncated
-        if first.held is not None:
-            if any(one.held is None for one in others):
-                raise RuntimeError(f"episode {episode - 1}: not all environments held the object")
-            playing -= first.seconds
+        playing += lift(world, policy, seed)
+        held = [one.held is not None for one in world]
+        if held[0]:
+            if not all(held):
+                raise RuntimeError(f"episode {seed - SEED}: not all environments held the object")
+            playing -= world[0].seconds
             rows.append(dict(zip(tests, ((one.held, one.seconds) for one in world), strict=True)))
+        seed += 1
     for one in world:
         one.env.close()
     return summary(rows, playing)
+
+
+def lift(world: list[Watched], policy: Policy, seed: int) -> float:
+    """One episode in all environments, by what the policy does in the first; seconds spent there."""
+    first, *others = world
+    obs, _ = first.env.reset(seed=seed)
+    for other in others:
+        other.env.reset(seed=seed)
+    act, done, seconds = policy(first.env, np.random.default_rng([SEED, seed - SEED])), False, 0.0
+    for one in world:
+        one.held = None
+    while not done:
+        started = time.process_time()
+        action = act(obs)
+        obs, _, terminated, truncated, _ = first.env.step(action)
+        seconds += time.process_time() - started
+        for other in others:
+            other.env.step(action)
+        done = terminated or truncated
+    return seconds
 
 
 def summary(rows: list[dict[str, Any]], playing: float) -> dict[str, Any]:
@@ -161,12 +163,11 @@ def summary(rows: list[dict[str, Any]], playing: float) -> dict[str, Any]:
     held = {name: np.array([row[name][0] for row in rows]) for name in rows[0]}
     seconds = {name: sum(row[name][1] for row in rows) for name in rows[0]}
     changed = int((held["early"] != held["full"]).sum())
-    interval = stats.binomtest(changed, len(rows)).proportion_ci(method="wilson")
     return {
         "holds": len(rows),
         "held": int(held["full"].sum()),
         "changed": changed,
-        "changed_ci": [interval.low, interval.high],
+        "changed_ci": list(statistics.wilson_interval(changed, len(rows))),
         "called_held": int((held["early"] & ~held["full"]).sum()),
         "changed_by_push": int((held["pushed"] != held["full"]).sum()) if "pushed" in held else None,
         "hold_ratio": seconds["early"] / seconds["full"],
@@ -176,23 +177,19 @@ def summary(rows: list[dict[str, Any]], playing: float) -> dict[str, Any]:
 
 
 def show(results: dict[str, dict[str, Any]]) -> None:
-    """Print a table."""
-    table = Table(title='The verdict "settled" against the full hold')
-    columns = ("lifts", "holds", "held", "changed (95 %)", "called held", "changed by 1 µm")
-    for column in (*columns, "time of a hold", "share of holds: full", "settled"):
-        table.add_column(column)
+    """One table."""
+    rows = []
     for name, row in results.items():
         low, high = (100 * bound for bound in row["changed_ci"])
-        table.add_row(
-            *(name, str(row["holds"]), str(row["held"])),
-            *(f"{row['changed']} ({low:.1f}–{high:.1f} %)", str(row["called_held"])),
-            *(
-                str(row["changed_by_push"] if row["changed_by_push"] is not None else "–"),
-                f"{100 * row['hold_ratio']:.1f} %",
-            ),
-            *(f"{row['share_full']:.2f}", f"{row['share_early']:.2f}"),
-        )
-    Console(width=160).print(table)
+        pushed = "–" if row["changed_by_push"] is None else row["changed_by_push"]
+        rows.append(
+            (name, row["holds"], row["held"], f"{row['changed']} ({low:.1f}–{high:.1f} %)",
+             row["called_held"], pushed, f"{100 * row['hold_ratio']:.1f} %",
+             f"{row['share_full']:.2f}", f"{row['share_early']:.2f}")
+        )  # fmt: skip
+    columns = ("lifts", "holds", "held", "changed (95 %)", "called held", "changed by 1 µm")
+    columns += ("time of a hold", "share of holds: full", "settled")
+    printing.show('The verdict "settled" against the full hold', columns, rows)
 
 
 def main() -> None:
@@ -212,12 +209,11 @@ def main() -> None:
     }
     if options.push:
         tests["pushed"] = ({"verdict": "full"}, PUSH)
-    sources = {f"run {run.name}": lambda run=run: trained(run) for run in options.run}
+    sources = {f"run {run.name}": partial(trained, run) for run in options.run}
     for pair in options.scripted:
-        sources[f"scripted {pair}"] = lambda pair=pair: disturbed(*pair.split("/"))
+        sources[f"scripted {pair}"] = partial(disturbed, *pair.split("/"))
     for name, source in sources.items():
         result = measure(*source(), options.holds, tests)
-        results = earlier(options.out)
-        results[name] = result
+        results = earlier(options.out) | {name: result}
         show(results)
         write(options.out, results)

@@ -10,7 +10,6 @@ against the shipped scene. Prints tables and writes JSON:
 from __future__ import annotations
 
 import ctypes
-import importlib
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
@@ -21,11 +20,11 @@ from unittest.mock import patch
 import mujoco
 import numpy as np
 import psutil
-from rich.console import Console
-from rich.table import Table
 
 from benchmarks.command import parser, write
-from benchmarks.physics.speed_vs_error import BULLET, SHIPPED, self_contact
+from benchmarks.physics.contacts import self_contact
+from benchmarks.physics.speed_vs_error import SHIPPED
+from benchmarks.printing import show
 from tactilerl.envs import scripted
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.simulators import Scene
@@ -122,8 +121,8 @@ def changed(variant: Variant) -> Iterator[None]:
     with ExitStack() as stack:
         stack.enter_context(patch.object(Scene, "build_hand", edited))
         if variant.self_contact:
-            module = importlib.import_module(BULLET)
-            stack.enter_context(patch.object(module, "LOADING", self_contact()))
+            loading = "tactilerl.envs.simulators.pybullet.LOADING"
+            stack.enter_context(patch(loading, self_contact()))
         yield
 
 
@@ -141,7 +140,8 @@ def load(make: Callable[[], GraspEnv]) -> dict[str, float]:
     """Milliseconds and resident megabytes of one environment, ready to step; of the median and of
     the mean of COPIES."""
     make().close()  # files are read once
-    _give_back_free_memory()
+    if trim := getattr(ctypes.CDLL(None), "malloc_trim", None):  # glibc only
+        trim(0)  # so that what is loaded next shows in the process's size
     before, seconds, made = psutil.Process().memory_info().rss, [], []
     for _ in range(COPIES):
         started = time.process_time()
@@ -152,13 +152,6 @@ def load(make: Callable[[], GraspEnv]) -> dict[str, float]:
     for env in made:
         env.close()
     return {"load_ms": 1e3 * float(np.median(seconds)), "rss_mb": taken / COPIES / 1e6}
-
-
-def _give_back_free_memory() -> None:
-    """So that what is loaded next shows in the process's size; glibc only."""
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-    if trim is not None:
-        trim(0)
 
 
 def perform(env: GraspEnv) -> dict[str, Any]:
@@ -179,29 +172,29 @@ def perform(env: GraspEnv) -> dict[str, Any]:
     return {"us_per_step": 1e6 * float(np.median(seconds)), "held": int(sum(held)), "ends": ends}
 
 
+COLUMNS = {  # of the tables: title and format
+    "us_per_step": ("µs/step", ".0f"),
+    "load_ms": ("load, ms", ".1f"),
+    "rss_mb": ("memory, MB", ".2f"),
+    "held": (f"held of {GRASPS}", "d"),
+    "moved_mm": ("object moved, mm", ".2f"),
+}
+
+
 def main() -> None:
     """Both hands in both simulators."""
-    flags = parser(__doc__)
-    options = flags.parse_args()
+    options = parser(__doc__).parse_args()
     result: dict[str, Any] = {"grasps": GRASPS, "seconds": SECONDS}
     for (hand, simulator), variants in VARIANTS.items():
         rows = {name: measure(hand, simulator, variant) for name, variant in variants.items()}
         ends = {name: np.array(row.pop("ends")) for name, row in rows.items()}
         for name, row in rows.items():
             row["moved_mm"] = 1e3 * float(np.linalg.norm(ends[name] - ends[SHIPPED], axis=1).max())
-        result[f"{hand} in {simulator}"] = rows
-        show(f"{hand} in {simulator}", rows)
+        title = f"{hand} in {simulator}"
+        result[title] = rows
+        shown = [
+            (name, *(f"{row[key]:{form}}" for key, (_, form) in COLUMNS.items()))
+            for name, row in rows.items()
+        ]
+        show(title, ("variant", *(column for column, _ in COLUMNS.values())), shown)
     write(options.out, result)
-
-
-def show(title: str, rows: dict[str, dict[str, Any]]) -> None:
-    """One table."""
-    table = Table("variant", title=title)
-    for column in ("µs/step", "load, ms", "memory, MB", f"held of {GRASPS}", "object moved, mm"):
-        table.add_column(column, justify="right")
-    for name, row in rows.items():
-        table.add_row(
-            *(name, f"{row['us_per_step']:.0f}", f"{row['load_ms']:.1f}"),
-            *(f"{row['rss_mb']:.2f}", str(row["held"]), f"{row['moved_mm']:.2f}"),
-        )
-    Console(width=130).print(table)

@@ -11,25 +11,22 @@ Prints tables and writes JSON:
 
 from __future__ import annotations
 
-import importlib
-import multiprocessing
 import time
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 from unittest.mock import patch
 
 import mujoco
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from benchmarks.command import count, earlier, parser, write
-from benchmarks.physics.free_motion import BRICK, BULLET, fall, swing
+from benchmarks import printing
+from benchmarks.command import count, earlier, parser, processes, write
+from benchmarks.physics.contacts import deepest, self_contact
+from benchmarks.physics.free_motion import BRICK, fall, swing
 from tactilerl.envs import hands, scripted
 from tactilerl.envs.grasp import GraspEnv, setup
 
@@ -117,9 +114,8 @@ SETTINGS: dict[str, dict[str, Setting]] = {
 }
 
 
-@dataclass(frozen=True)
-class Trace:
-    """What several grasps of one cube did during their holds, in the palm's frame."""
+class Trace(NamedTuple):
+    """What grasps did during their holds, in the palm's frame, one cube after the other."""
 
     positions: np.ndarray
     """(grasps, steps, 3) of the object, m."""
@@ -129,12 +125,14 @@ class Trace:
     """(grasps, steps, taxels)"""
     held: np.ndarray
     """bool (grasps,)"""
-    overlap: float
-    """Deepest contact of the hand with the object, m."""
-    warnings: int
-    """Of MuJoCo."""
-    seconds: float
-    """Processor time of the physics."""
+    sizes: np.ndarray
+    """(grasps,) of the cubes, m."""
+    overlaps: np.ndarray
+    """(grasps,) of the deepest contact of the hand with the object, m."""
+    seconds: np.ndarray
+    """(grasps,) of processor time of the physics."""
+    warnings: np.ndarray
+    """(grasps,) of MuJoCo."""
 
 
 @contextmanager
@@ -160,126 +158,70 @@ def _change_mujoco(stack: ExitStack, hand: str, config: Any, setting: Setting) -
 
 
 def _change_bullet(stack: ExitStack, hand: str, config: Any, setting: Setting) -> GraspEnv:
-    module, shipped = importlib.import_module(BULLET), hands.get(hand)
+    from tactilerl.envs.simulators import pybullet
+
     if setting.added_inertia is not None:
-        changed = replace(shipped, added_inertia=setting.added_inertia)
+        changed = replace(hands.get(hand), added_inertia=setting.added_inertia)
         stack.enter_context(patch.object(hands, "get", lambda name: changed))
-    stack.enter_context(patch.dict(module.ENGINE, setting.options))
     constants = setting.constants | ({"LOADING": self_contact()} if setting.self_contact else {})
+    stack.enter_context(patch.dict(pybullet.ENGINE, setting.options))
     for name, value in constants.items():
-        stack.enter_context(patch.object(module, name, value))
+        stack.enter_context(patch.object(pybullet, name, value))
     return stack.enter_context(closing(GraspEnv(hand, config)))
 
 
-def self_contact() -> int:
-    """Flags under which Bullet loads a hand whose links touch each other, but not their parents."""
-    module = importlib.import_module(BULLET)
-    bullet = module.pybullet
-    return int(
-        module.LOADING
-        | bullet.URDF_USE_SELF_COLLISION
-        | bullet.URDF_USE_SELF_COLLISION_EXCLUDE_ALL_PARENTS
-    )
-
-
-Traces = dict[float, Trace]
-"""By the size of the cube, m."""
-
-
-def record(hand: str, simulator: str, setting: Setting, grasps: int) -> Traces:
+def record(hand: str, simulator: str, setting: Setting, grasps: int) -> Trace:
     """Perform so many grasps of each cube under one setting; a dropped one counts as it falls."""
-    traces = {}
+    rows, dt = [], scripted.period(setup(hand).timestep)
     for size in SIZES[hand]:
         with environment(hand, simulator, size, setting) as env:
-            traces[size] = perform(env, grasps, scripted.period(setup(hand).timestep))
-    return traces
+            for start in scripted.perturbed_starts(env, SEED, grasps):
+                hold = scripted.hold_steps(env, scripted.grasp_for(env), start, SECONDS, dt)
+                before = env.simulator.warnings
+                *seen, held, overlaps, seconds = zip(*_watched(env, hold), strict=True)
+                of_physics = max(overlaps), sum(seconds), env.simulator.warnings - before
+                rows.append((*map(np.array, seen), held[-1], size, *of_physics))
+    return Trace(*map(np.array, zip(*rows, strict=True)))
 
 
-def perform(env: GraspEnv, grasps: int, dt: float) -> Trace:
-    """The grasps in one environment, with targets every `dt` s."""
-    n = round(SECONDS / dt)
-    positions, rotations = np.empty((grasps, n, 3)), np.empty((grasps, n, 3, 3))
-    bits, held = np.empty((grasps, n, len(env.taxels)), bool), np.empty(grasps, bool)
-    overlap = seconds = 0.0
-    for index, start in enumerate(scripted.perturbed_starts(env, SEED, grasps)):
-        hold = scripted.hold_steps(env, scripted.grasp_for(env), start, SECONDS, dt)
-        for step in range(n):
-            started = time.process_time()
-            is_up = next(hold)
-            seconds += time.process_time() - started  # looking does not count
-            thing = env.simulator.object_state()
-            (palm,), (frame,) = env.simulator.link_poses((env.hand.palm,))
-            positions[index, step] = frame.T @ (thing.position - palm)
-            rotations[index, step] = frame.T @ thing.rotation
-            bits[index, step] = env.taxel_readings()
-            overlap = max(overlap, deepest(env))
-            held[index] = is_up
-    return Trace(positions, rotations, bits, held, overlap, env.simulator.warnings, seconds)
+def _watched(env: GraspEnv, hold: Iterator[bool]) -> Iterator[tuple[Any, ...]]:
+    """Of each step: position, rotation and bits, whether the object is up, overlap, processor time."""
+    started = time.process_time()
+    for is_up in hold:
+        seconds = time.process_time() - started  # looking does not count
+        thing = env.simulator.object_state()
+        (palm,), (frame,) = env.simulator.link_poses((env.hand.palm,))
+        pose = frame.T @ (thing.position - palm), frame.T @ thing.rotation
+        yield *pose, env.taxel_readings(), is_up, deepest(env), seconds
+        started = time.process_time()
 
 
-def deepest(env: GraspEnv) -> float:
-    """How far hand and object overlap now, m."""
-    simulator: Any = env.simulator
-    if env.config.simulator == "pybullet":
-        bullet = importlib.import_module(BULLET).pybullet
-        points = bullet.getContactPoints(
-            simulator.hand, simulator.object, physicsClientId=simulator.client
-        )
-        return -min([point[8] for point in points], default=0.0)
-    thing, ground = simulator.model.geom("object").id, simulator.model.geom("ground").id
-    depths = [
-        contact.dist
-        for contact in simulator.data.contact
-        if thing in contact.geom and ground not in contact.geom
-    ]
-    return -min(depths, default=0.0)
-
-
-def compare(traces: Traces, references: Traces, shipped: Traces) -> dict[str, Any]:
+def compare(trace: Trace, reference: Trace, shipped: Trace) -> dict[str, Any]:
     """Errors of one setting over the grasps of all cubes that hold in it and in the reference."""
-    grasps = {size: _errors(trace, references[size]) for size, trace in traces.items()}
     row: dict[str, Any] = {
-        "speed": _total("seconds", shipped) / _total("seconds", traces),
-        "outcomes_changed": sum(
-            int((trace.held != references[size].held).sum()) for size, trace in traces.items()
-        ),
-        "overlap_mm": 1e3 * max(trace.overlap for trace in traces.values()),
-        "warnings": _total("warnings", traces),
+        "speed": float(shipped.seconds.sum() / trace.seconds.sum()),
+        "outcomes_changed": int((trace.held != reference.held).sum()),
+        "overlap_mm": 1e3 * float(trace.overlaps.max()),
+        "warnings": int(trace.warnings.sum()),
     }
-    of_all = {key: np.concatenate([g[key] for g in grasps.values()]) for key in ERRORS}
-    if not of_all["mm"].size:
+    both = trace.held & reference.held
+    if not both.any():
         return row
+    (at, turned, bits), sizes = (part[both] for part in trace[:3]), trace.sizes[both]
+    right_at, right_turned, right_bits = (part[both] for part in reference[:3])
+    errors = 1e3 * np.linalg.norm(at - right_at, axis=-1).max(axis=1)  # mm, the largest of each grasp
+    apart = np.swapaxes(turned, -1, -2) @ right_turned
+    angles = [Rotation.from_matrix(grasp).magnitude().max() for grasp in apart]
     return row | {
-        "error_median_mm": float(np.median(of_all["mm"])),
-        "error_worst_mm": float(of_all["mm"].max()),
-        "angle_median_rad": float(np.median(of_all["rad"])),
-        "slip_5s_mm": float(np.median(of_all["slip"])),
-        "bits_wrong": float(of_all["bits"].mean()),
+        "error_median_mm": float(np.median(errors)),
+        "error_worst_mm": float(errors.max()),
+        "angle_median_rad": float(np.median(angles)),
+        "slip_5s_mm": 1e3 * float(np.median(np.linalg.norm(at[:, -1] - at[:, 0], axis=-1))),
+        "bits_wrong": float((bits != right_bits).sum(axis=-1).mean()),
         "error_median_mm_of_cube": {
-            f"{1e3 * size:g} mm": float(np.median(g["mm"]))
-            for size, g in grasps.items()
-            if g["mm"].size
+            f"{1e3 * size:g} mm": float(np.median(errors[sizes == size])) for size in np.unique(sizes)
         },
     }
-
-
-ERRORS = ("mm", "rad", "slip", "bits")
-
-
-def _errors(trace: Trace, reference: Trace) -> dict[str, np.ndarray]:
-    """Of each grasp that holds in both: largest distance and angle, drift, mean of wrong bits."""
-    both = trace.held & reference.held
-    offset = trace.positions[both] - reference.positions[both]
-    turned = np.swapaxes(trace.rotations[both], -1, -2) @ reference.rotations[both]
-    angle = [Rotation.from_matrix(grasp).magnitude().max() for grasp in turned]
-    drift = np.linalg.norm(trace.positions[both, -1] - trace.positions[both, 0], axis=-1)
-    wrong = (trace.bits[both] != reference.bits[both]).sum(axis=-1).mean(axis=-1)
-    largest = np.linalg.norm(offset, axis=-1).max(axis=1)
-    return dict(zip(ERRORS, (1e3 * largest, np.array(angle), 1e3 * drift, wrong), strict=True))
-
-
-def _total(name: str, traces: Traces) -> float:
-    return sum(getattr(trace, name) for trace in traces.values())
 
 
 def free_motion(hand: str, simulator: str, setting: Setting) -> dict[str, float]:
@@ -335,13 +277,12 @@ COLUMNS = {
 
 def show(title: str, rows: dict[str, dict[str, Any]]) -> None:
     """One table; settings on the front have a star."""
-    table = Table("setting", title=title)
-    for column in COLUMNS.values():
-        table.add_column(column, justify="right")
-    for name, row in rows.items():
-        cells = (f"{row[key]:.3g}" if key in row else "" for key in COLUMNS)
-        table.add_row(f"{name} *" if row.get("on_front") else name, *cells)
-    Console(width=170).print(table)
+    shown = [
+        (name + " *" * row.get("on_front", False),
+         *(f"{row[key]:.3g}" if key in row else "" for key in COLUMNS))
+        for name, row in rows.items()
+    ]  # fmt: skip
+    printing.show(title, ("setting", *COLUMNS.values()), shown)
 
 
 def main() -> None:
@@ -358,7 +299,7 @@ def main() -> None:
         for simulator in options.simulator or sorted(SETTINGS, reverse=True)  # the slower first
         for hand in options.hand or sorted(SIZES)
     ]
-    with ProcessPoolExecutor(options.jobs, multiprocessing.get_context("spawn")) as pool:
+    with processes(options.jobs) as pool:
         found = pool.map(partial(measure, grasps=options.grasps), *zip(*pairs, strict=True))
         for (hand, simulator), rows in zip(pairs, found, strict=True):
             title = f"{hand} in {simulator}"

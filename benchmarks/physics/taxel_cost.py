@@ -9,6 +9,7 @@ many taxels takes to be asked of the same grasps, on one core. Prints tables and
 
 from __future__ import annotations
 
+import itertools
 import statistics
 import tempfile
 import time
@@ -20,10 +21,9 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from benchmarks.command import ROOT, run_parts
+from benchmarks.printing import show
 from tactilerl.algos.mpi import Communicator
 from tactilerl.envs import hands, layouts, scripted, vector
 from tactilerl.envs.grasp import GraspEnv, setup
@@ -51,15 +51,12 @@ def layout_of(hand: hands.Hand, n: int, folder: Path) -> str:
 
 def steps() -> dict[str, Any]:
     """Milliseconds of a control step's physics, and of reading the taxels after it."""
-    result: dict[str, Any] = {}
+    result: dict[str, Any] = {name: {} for name in HANDS}
     with tempfile.TemporaryDirectory() as folder:
-        for name, hand in HANDS.items():
-            rows = {}
-            for n in NUMBERS:
-                layout = layout_of(hands.get(hand), n, Path(folder))
-                with closing(GraspEnv(hand, setup(hand, layout=layout))) as env:
-                    rows[str(n)] = measure(env)
-            result[name] = rows
+        for (name, hand), n in itertools.product(HANDS.items(), NUMBERS):
+            layout = layout_of(hands.get(hand), n, Path(folder))
+            with closing(GraspEnv(hand, setup(hand, layout=layout))) as env:
+                result[name][str(n)] = measure(env)
     return result
 
 
@@ -108,22 +105,20 @@ def probe() -> dict[str, Any]:
 
 def show_steps(result: dict[str, Any]) -> None:
     """Share of touch in a control step."""
-    table = Table("hand", "taxels", "on", "physics, ms", "touch, ms", "share")
-    for hand, rows in result.items():
-        for n, row in rows.items():
-            share = row["touch_ms"] / (row["touch_ms"] + row["physics_ms"])
-            figures = f"{row['physics_ms']:.2f}", f"{row['touch_ms']:.3f}", f"{100 * share:.1f} %"
-            table.add_row(hand, n, str(row["on"]), *figures)
-    Console(width=110).print(table)
+    rows = []
+    for hand, by_number in result.items():
+        for n, row in by_number.items():
+            physics, touch = row["physics_ms"], row["touch_ms"]
+            share = f"{100 * touch / (touch + physics):.1f} %"
+            rows.append((hand, n, row["on"], f"{physics:.2f}", f"{touch:.3f}", share))
+    show(None, ("hand", "taxels", "on", "physics, ms", "touch, ms", "share"), rows)
 
 
 def show_probe(result: dict[str, Any]) -> None:
     """Minutes of one core."""
-    table = Table("taxels", "minutes", title=f"{result['grasps']} grasps, one layout, one core")
-    table.add_row("playing them", f"{result['play_s'] / 60:.1f}")
-    for n in NUMBERS:
-        table.add_row(str(n), f"{result[str(n)] / 60:.1f}")
-    Console(width=110).print(table)
+    seconds = {"playing them": result["play_s"]} | {str(n): result[str(n)] for n in NUMBERS}
+    rows = [(name, f"{value / 60:.1f}") for name, value in seconds.items()]
+    show(f"{result['grasps']} grasps, one layout, one core", ("taxels", "minutes"), rows)
 
 
 def main() -> None:

@@ -8,17 +8,17 @@ false when it is on and the simulator's own distance between its link and the ob
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections import defaultdict
 from contextlib import closing
 from typing import Any
 
-import mujoco
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from benchmarks.command import count, parser, write
+from benchmarks.physics.contacts import distances
+from benchmarks.printing import show
 from tactilerl import envs
 from tactilerl.envs import hands, layouts, scripted, simulators, touch
 from tactilerl.envs.grasp import GraspEnv
@@ -26,6 +26,7 @@ from tactilerl.envs.grasp import GraspEnv
 SEED = 60_000
 HOLD = 1.0  # s
 PHASES = ("approach", "closing", "lift", "hold")
+RULES = ("overlap", "skin")
 REPEATS = 20  # readings in a row when they are timed
 
 
@@ -39,26 +40,6 @@ class Overlap:
         """bool (n,), as `SkinTouch.read`."""
         points = self.points.local(positions, rotations, thing)
         return shape.squared_distance(points) <= self.squared_radii
-
-
-def distances(env: GraspEnv, links: tuple[str, ...]) -> np.ndarray:
-    """The simulator's own distance (k,) of each link from the object, m, at most 1 cm."""
-    sim: Any = env.simulator
-    if env.config.simulator == "mujoco":
-        thing = sim.model.geom("object").id
-        bodies = [sim.model.body(link).id for link in links]
-        geoms = [np.flatnonzero(sim.model.geom_bodyid == body) for body in bodies]
-        ask = mujoco.mj_geomDistance
-        return np.array(
-            [min(ask(sim.model, sim.data, g, thing, 0.01, None) for g in of) for of in geoms]
-        )
-    from tactilerl.envs.simulators.pybullet import pybullet
-
-    found = pybullet.getClosestPoints(sim.hand, sim.object, 0.01, physicsClientId=sim.client)
-    nearest = defaultdict(lambda: 0.01)
-    for point in found:
-        nearest[point[3]] = min(nearest[point[3]], point[8])
-    return np.array([nearest[sim._links[link]] for link in links])
 
 
 def phases(env: GraspEnv, start: scripted.Start) -> Any:
@@ -111,7 +92,7 @@ def examine(hand: str, simulator: str, grasps: int) -> dict[str, Any]:
                     on = reader.read(*poses, env.shape, thing)
                     false = on & far[taxels[name].link_index]
                     counts[name, rule][phase] += (on.sum(), false.sum(), 1)
-        share = cost(env, {rule: rules["1", rule] for rule in ("overlap", "skin")})
+        share = cost(env, {rule: rules["1", rule] for rule in RULES})
     rows = [
         {"layout": name, "rule": rule, "phase": phase}
         | dict(zip(("bits", "false", "steps"), numbers.tolist(), strict=True))
@@ -121,10 +102,8 @@ def examine(hand: str, simulator: str, grasps: int) -> dict[str, Any]:
     return {"grasps": grasps, "cost_of_control_step": share, "rows": rows}
 
 
-def cell(rows: list[dict[str, Any]], layout: str, rule: str, phase: str) -> str:
+def cell(row: dict[str, Any]) -> str:
     """Mean bits and the share of false ones, in %."""
-    found = (r for r in rows if (r["layout"], r["rule"], r["phase"]) == (layout, rule, phase))
-    row = next(found)
     false = f"{100 * row['false'] / row['bits']:.1f}" if row["bits"] else "–"
     return f"{row['bits'] / row['steps']:.2f}, {false}"
 
@@ -134,20 +113,13 @@ def main() -> None:
     flags = parser(__doc__)
     flags.add_argument("--grasps", type=count, default=20)
     options = flags.parse_args()
-    results, console = {}, Console(width=150)
-    for hand in hands.HANDS:
-        for simulator in simulators.SIMULATORS:
-            result = results[f"{hand} in {simulator}"] = examine(hand, simulator, options.grasps)
-            shares = {k: f"{100 * v:.2f} %" for k, v in result["cost_of_control_step"].items()}
-            table = Table(
-                title=f"{hand} in {simulator}: mean bits, % of them false; a reading {shares}"
-            )
-            for column in ("layout", *(f"{p}: {r}" for p in PHASES for r in ("overlap", "skin"))):
-                table.add_column(column, justify="right")
-            for layout in layouts.PAPER:
-                cells = [
-                    cell(result["rows"], layout, r, p) for p in PHASES for r in ("overlap", "skin")
-                ]
-                table.add_row(layout, *cells)
-            console.print(table)
+    results, columns = {}, list(itertools.product(PHASES, RULES))
+    for pair in itertools.product(hands.HANDS, simulators.SIMULATORS):
+        title = " in ".join(pair)
+        result = results[title] = examine(*pair, options.grasps)
+        cells = {(row["layout"], row["phase"], row["rule"]): cell(row) for row in result["rows"]}
+        rows = [(name, *(cells[name, *column] for column in columns)) for name in layouts.PAPER]
+        shares = {k: f"{100 * v:.2f} %" for k, v in result["cost_of_control_step"].items()}
+        title += f": mean bits, % of them false; a reading {shares}"
+        show(title, ("layout", *map(": ".join, columns)), rows)
     write(options.out, results)

@@ -7,6 +7,7 @@ And how long a learning curve's intervals take, against rliable (--only speed, 1
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 import warnings
@@ -16,11 +17,10 @@ from typing import Any
 
 import numpy as np
 import scipy.stats
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
 
-from benchmarks.command import run_parts
+from benchmarks import printing
+from benchmarks.command import Part, run_parts
+from benchmarks.printing import progress
 from tactilerl import statistics
 from tactilerl.statistics import Array
 
@@ -106,20 +106,11 @@ def measure(draw: Draw, n_runs: int, rng: np.random.Generator) -> dict[str, Any]
 def coverage() -> dict[str, Any]:
     """All populations and numbers of runs."""
     rng = np.random.default_rng(2026)
-    cases = [(name, n) for name in POPULATIONS for n in N_RUNS]
+    cases = list(itertools.product(POPULATIONS, N_RUNS))
     result: dict[str, Any] = {name: {} for name in POPULATIONS}
-    for name, n in track(cases, "simulating", console=Console(stderr=True)):
+    for name, n in progress(cases, "simulating"):
         result[name][str(n)] = measure(POPULATIONS[name], n, rng)
     return {"studies": N_STUDIES, "resamples": N_RESAMPLES, "populations": result}
-
-
-def show_coverage(result: dict[str, Any]) -> None:
-    """A table per population."""
-    for name, by_n in result["populations"].items():
-        table = Table("interval", *(f"n = {n}" for n in by_n), title=name)
-        for kind in next(iter(by_n.values())):
-            table.add_row(kind, *(f"{100 * r[kind]['coverage']:.1f} %" for r in by_n.values()))
-        Console().print(table)
 
 
 KINDS = {
@@ -131,14 +122,28 @@ KINDS = {
 }
 
 
+def show_coverage(result: dict[str, Any]) -> None:
+    """A table per population."""
+    for name, by_n in result["populations"].items():
+        rows = [
+            (kind, *(f"{100 * r[kind]['coverage']:.1f} %" for r in by_n.values())) for kind in KINDS
+        ]
+        printing.show(name, ("interval", *(f"n = {n}" for n in by_n)), rows)
+
+
 def markdown(content: dict[str, Any]) -> None:
     """What `coverage` found, for the docs."""
-    print("| runs like | interval |", *(f"n = {n} |" for n in N_RUNS))
-    print("|---" * (len(N_RUNS) + 2) + "|")
-    for name, by_n in content["coverage"]["populations"].items():
-        for kind, title in KINDS.items():
-            cells = (f"{100 * by_n[str(n)][kind]['coverage']:.0f} %" for n in N_RUNS)
-            print(f"| {name if kind == 'median' else ''} | {title} | {' | '.join(cells)} |")
+    rows = [
+        (
+            name * (kind == "median"),
+            title,
+            *(f"{100 * r[kind]['coverage']:.0f} %" for r in by_n.values()),
+        )
+        for name, by_n in content["coverage"]["populations"].items()
+        for kind, title in KINDS.items()
+    ]
+    head = "".join(f" n = {n} |" for n in N_RUNS)
+    printing.markdown(f"| runs like | interval |{head}", rows)
 
 
 def speed(n_points: int = 500, n_runs: int = 10, n_few: int = 20) -> dict[str, float]:
@@ -161,10 +166,10 @@ def speed(n_points: int = 500, n_runs: int = 10, n_few: int = 20) -> dict[str, f
 
 def show_speed(result: dict[str, float]) -> None:
     """One line."""
-    Console().print(f"500 points: {result['ours_s']:.1f} s, rliable about {result['rliable_s']:,.0f} s")
+    print(f"500 points: {result['ours_s']:.1f} s, rliable about {result['rliable_s']:,.0f} s")
 
 
-PARTS = {"coverage": (coverage, show_coverage), "speed": (speed, show_speed)}
+PARTS: dict[str, Part] = {"coverage": (coverage, show_coverage), "speed": (speed, show_speed)}
 
 
 def main() -> None:

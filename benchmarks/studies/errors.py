@@ -8,16 +8,15 @@ both are drawn alike; under a difference of 0.1 the treatment's are so much larg
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
 from scipy.special import expit
 
-from benchmarks.command import run_parts
+from benchmarks.command import Part, run_parts
+from benchmarks.printing import markdown, progress, show
 from benchmarks.studies.coverage import bca_interval
 from tactilerl import statistics
 from tactilerl.study.grid import Looks
@@ -56,22 +55,24 @@ def p_values() -> dict[str, Any]:
     """Share of studies with p <= 0.05, by test, population and pairs; intervals' coverage."""
     rng = np.random.default_rng(2026)
     found: dict[str, Any] = {}
-    for name, draw in track(POPULATIONS.items(), "p-values", console=Console(stderr=True)):
+    for name, draw in progress(POPULATIONS.items(), "p-values"):
         found[name] = {str(n): _of_pairs(rng, draw(rng, n)) for n in N_PAIRS}
     return {"studies": N_STUDIES, "effect": EFFECT, "populations": found, "others": _others(rng)}
 
 
+def _share(p: Iterable[float]) -> float:
+    """Of the studies that find a difference."""
+    return float(np.mean(np.fromiter(p, float) <= ALPHA))
+
+
 def _of_pairs(rng: Rng, pairs: np.ndarray) -> dict[str, float]:
     gaps = pairs[..., 0] - pairs[..., 1]
-    n = gaps.shape[1]
-    counts = statistics.resample(rng, n, N_RESAMPLES)
+    counts = statistics.resample(rng, gaps.shape[1], N_RESAMPLES)
     found = {"correlation": float(np.corrcoef(pairs.reshape(-1, 2).T)[0, 1]), "sd": float(gaps.std())}
     for what, effect in (("no difference", 0.0), ("difference", EFFECT)):
-        p = np.array([statistics.sign_flip_p(row + effect, rng) for row in gaps])
-        found[f"sign flips, {what}"] = float(np.mean(p <= ALPHA))
-    torn = pairs + np.array([EFFECT, 0.0])
-    p = np.array([statistics.permutation_p(*x.T, rng, 999) for x in torn[:1000]])
-    found["not in pairs, difference"] = float(np.mean(p <= ALPHA))
+        found[f"sign flips, {what}"] = _share(statistics.sign_flip_p(row + effect, rng) for row in gaps)
+    torn = pairs[:1000] + np.array([EFFECT, 0.0])
+    found["not in pairs, difference"] = _share(statistics.permutation_p(*x.T, rng, 999) for x in torn)
     intervals = {
         "percentile": [statistics.estimate(row, "mean", counts)[1:] for row in gaps],
         "BCa": [bca_interval(row, "mean", counts) for row in gaps[:1000]],
@@ -89,19 +90,17 @@ def _others(rng: Rng) -> dict[str, float]:
     draw = next(iter(POPULATIONS.values()))
     found = {}
     for n in N_PAIRS:
-        alone = draw(rng, n)[..., 0], draw(rng, n)[..., 0]
-        p = [statistics.permutation_p(a, b, rng, 999) for a, b in zip(*alone, strict=True)]
-        found[f"permutations, {n} runs each"] = float(np.mean(np.array(p) <= ALPHA))
+        alone = zip(draw(rng, n)[..., 0], draw(rng, n)[..., 0], strict=True)
+        p = (statistics.permutation_p(a, b, rng, 999) for a, b in alone)
+        found[f"permutations, {n} runs each"] = _share(p)
     cells = [draw(rng, 10) for _ in range(6)]
-    cell_p = np.array(
-        [[statistics.sign_flip_p(x[:, 0] - x[:, 1], rng) for x in cell] for cell in cells]
-    )
-    least = np.array([statistics.holm(p).min() for p in cell_p.T])
-    found["any of six cells, Holm, 10 pairs"] = float(np.mean(least <= ALPHA))
+    by_cell = [[statistics.sign_flip_p(x[:, 0] - x[:, 1], rng) for x in cell] for cell in cells]
+    least = (statistics.holm(p).min() for p in np.array(by_cell).T)
+    found["any of six cells, Holm, 10 pairs"] = _share(least)
     counts = statistics.resample(rng, 200, 2000)
     grasps = rng.standard_normal((N_STUDIES, 200))
-    p = [statistics.bootstrap_p(statistics.bootstrap(x, "mean", counts)) for x in grasps]
-    found["bootstrap of 200 grasps, as the probe's"] = float(np.mean(np.array(p) <= ALPHA))
+    p = (statistics.bootstrap_p(statistics.bootstrap(x, "mean", counts)) for x in grasps)
+    found["bootstrap of 200 grasps, as the probe's"] = _share(p)
     return found
 
 
@@ -109,8 +108,7 @@ def looks() -> dict[str, Any]:
     """What a study with looks finds, how many pairs it takes, and whether its intervals hold."""
     rng = np.random.default_rng(2027)
     found: dict[str, Any] = {}
-    cases = [(name, plan) for name in POPULATIONS for plan in PLANS]
-    for name, plan in track(cases, "looks", console=Console(stderr=True)):
+    for name, plan in progress(list(itertools.product(POPULATIONS, PLANS)), "looks"):
         pairs = POPULATIONS[name](rng, plan[-1])
         gaps = (pairs[..., 0] - pairs[..., 1])[: N_STUDIES // 2]
         for effect in (0.0, EFFECT):
@@ -134,23 +132,20 @@ def _with_looks(rng: Rng, plan: Looks, gaps: np.ndarray, effect: float) -> dict[
 
 def show_p_values(result: dict[str, Any]) -> None:
     """A table of shares."""
-    table = Table("", *(f"n = {n}" for n in N_PAIRS))
+    rows: list[tuple[str, ...]] = []
     for name, by_n in result["populations"].items():
-        table.add_row(name, *[""] * len(by_n), style="bold")
-        for kind in next(iter(by_n.values())):
-            table.add_row(kind, *(f"{one[kind]:.3f}" for one in by_n.values()))
-    Console().print(table)
+        kinds = next(iter(by_n.values()))
+        rows += [(), (name,), *((k, *(f"{one[k]:.3f}" for one in by_n.values())) for k in kinds)]
+    show(None, ("", *(f"n = {n}" for n in N_PAIRS)), rows)
     for name, value in result["others"].items():
-        Console().print(f"{name}: {value:.3f}")
+        print(f"{name}: {value:.3f}")
 
 
 def show_looks(result: dict[str, Any]) -> None:
     """A line per case."""
-    first = next(iter(result["cases"].values()))
-    table = Table("", *first)
-    for name, one in result["cases"].items():
-        table.add_row(name, *(f"{value:.3f}" for value in one.values()))
-    Console(width=150).print(table)
+    cases = result["cases"]
+    rows = [(name, *(f"{value:.3f}" for value in one.values())) for name, one in cases.items()]
+    show(None, ("", *next(iter(cases.values()))), rows)
 
 
 def p_values_markdown(content: dict[str, Any]) -> None:
@@ -163,14 +158,14 @@ def p_values_markdown(content: dict[str, Any]) -> None:
         "covered, BCa": "by BCa, %",
         "covered, expanded percentile": "by expanded percentiles, %",
     }
-    print("| areas |", *(f"{title} |" for title in columns.values()))
-    print("|---" * (len(columns) + 1) + "|")
+    rows = []
     for name, by_n in content["p_values"]["populations"].items():
-        cells = []
+        cells = [_population(name, content)]
         for kind, title in columns.items():
             values = (one[kind] for one in by_n.values())
             cells.append(" / ".join(f"{100 * x:.0f}" if "%" in title else f"{x:.3f}" for x in values))
-        print(f"| {_population(name, content)} | {' | '.join(cells)} |")
+        rows.append(cells)
+    markdown(f"| areas | {' | '.join(columns.values())} |", rows)
 
 
 def _population(name: str, content: dict[str, Any]) -> str:
@@ -181,27 +176,23 @@ def _population(name: str, content: dict[str, Any]) -> str:
 
 def looks_markdown(content: dict[str, Any]) -> None:
     """A line per population and plan."""
-    print(
+    cases, rows = content["looks"]["cases"], []
+    for name, plan in itertools.product(POPULATIONS, PLANS):
+        null, one = (cases[f"{name}, looks at {plan}, difference {x:g}"] for x in (0.0, EFFECT))
+        covered = min(null["covered"], one["covered"])
+        shares = (null["ruled out"], one["found"], one["found with all pairs, no looks"], covered)
+        ruled_out, found, at_once, inside = (f"{100 * share:.0f} %" for share in shares)
+        taken, until_found = f"{null['pairs']:.1f}", f"{one['pairs']:.1f}"
+        where = _population(name, content), str(plan).strip("[]"), f"{null['found']:.3f}"
+        rows.append((*where, taken, ruled_out, found, until_found, at_once, inside))
+    markdown(
         "| areas | looks at pairs | stopped for a difference where there is none | pairs taken "
-        "| 0.1 ruled out | found, 0.1 | pairs taken | found without looks | covered |"
+        "| 0.1 ruled out | found, 0.1 | pairs taken | found without looks | covered |",
+        rows,
     )
-    print("|---" * 9 + "|")
-    cases = content["looks"]["cases"]
-    for key, null in cases.items():
-        where, _, effect = key.rpartition(", difference ")
-        if effect != "0":
-            continue
-        one, (name, _, plan) = cases[f"{where}, difference {EFFECT:g}"], where.rpartition(", looks at ")
-        shares = one["found with all pairs, no looks"], min(null["covered"], one["covered"])
-        print(
-            f"| {_population(name, content)} | {plan.strip('[]')} "
-            f"| {null['found']:.3f} | {null['pairs']:.1f} | {null['ruled out']:.0%} "
-            f"| {one['found']:.0%} | {one['pairs']:.1f} "
-            f"| {' | '.join(f'{share:.0%}' for share in shares)} |".replace("%", " %")
-        )
 
 
-PARTS = {"p_values": (p_values, show_p_values), "looks": (looks, show_looks)}
+PARTS: dict[str, Part] = {"p_values": (p_values, show_p_values), "looks": (looks, show_looks)}
 
 
 def main() -> None:

@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.command import count, earlier, parser, write
-from benchmarks.studies.answer import line, mean
+from benchmarks.printing import markdown
+from benchmarks.studies.answer import mean
 from tactilerl.commands import cli
 
 SWEEPS = {
@@ -51,10 +52,9 @@ def sweep(run: Path, flag: str, episodes: int) -> list[float]:
 def show(results: dict[str, Any], flags: Iterable[str] = SWEEPS) -> None:
     """Success by kind and size of the fault, as Markdown."""
     for flag in flags:
-        runs = [found[flag] for found in results.values() if flag in found]
-        line(IN_WORDS[flag], *SWEEPS[flag], head=True)
-        rates = np.array(runs).T
-        line("success", *(mean(each) for each in rates))
+        rates = np.array([found[flag] for found in results.values() if flag in found]).T
+        head = " | ".join((IN_WORDS[flag], *SWEEPS[flag]))
+        markdown(f"| {head} |", [("success", *map(mean, rates))])
         print()
 
 
@@ -72,7 +72,3 @@ def main() -> None:
                 found[flag] = sweep(run, flag, options.episodes)
                 write(options.out, known)
     show(known)
-
-
-if __name__ == "__main__":
-    main()

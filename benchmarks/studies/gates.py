@@ -12,6 +12,7 @@ import itertools
 from typing import Any
 
 from benchmarks.command import count, earlier, parser, write
+from benchmarks.printing import interval, markdown
 from tactilerl.algos.mpi import Communicator
 from tactilerl.envs import scenes, tasks
 from tactilerl.envs.grasp import setup
@@ -45,17 +46,15 @@ def examine(name: str, starts: int, search: int, senses: tuple[str, ...], **choi
 
 def tables() -> dict[str, list[tuple[str, str, dict[str, Any]]]]:
     """What is asked, by table: (row's key, scene, choices)."""
-    pairs = itertools.product(HANDS, SIMULATORS)
     return {
         "scenes": [(name, name, {}) for name in scenes.names()],
         "handover": [
             (f"{hand}, {simulator}", "handover", {"env": hand, "simulator": simulator})
-            for hand, simulator in pairs
+            for hand, simulator in itertools.product(HANDS, SIMULATORS)
         ],
         "layouts": [
             (f"{name}, layout {label}", name, {"layout": layout})
-            for name in LAYOUT_SCENES
-            for label, layout in LAYOUTS.items()
+            for name, (label, layout) in itertools.product(LAYOUT_SCENES, LAYOUTS.items())
         ],
     }
 
@@ -63,19 +62,15 @@ def tables() -> dict[str, list[tuple[str, str, dict[str, Any]]]]:
 def show(table: str, known: dict[str, dict[str, Row]]) -> None:
     """As Markdown."""
     found = known.get(table, {})
-    rows = {key: found[key] for key, *_ in tables()[table] if key in found}
-    names = [name for name in gate.SENSES if any(name in row["reflexes"] for row in rows.values())]
-    print(f"\n### {table}\n\n| | {' | '.join(names)} |\n|---|{'---|' * len(names)}")
-    for key, row in rows.items():
-        cells = [_cell(row["reflexes"].get(name)) for name in names]
-        print(f"| {key} | {' | '.join(cells)} |")
+    rows = {key: found[key]["reflexes"] for key, *_ in tables()[table] if key in found}
+    names = [name for name in gate.SENSES if any(name in row for row in rows.values())]
+    print(f"\n### {table}\n")
+    markdown(f"| | {' | '.join(names)} |", ((key, *_cells(row, names)) for key, row in rows.items()))
 
 
-def _cell(found: dict[str, Any] | None) -> str:
-    if found is None:
-        return ""
-    low, high = found["interval"]
-    return f"{found['rate']:.2f} ({low:.2f} – {high:.2f})"
+def _cells(row: Row, names: list[str]) -> list[str]:
+    found = [row.get(name) for name in names]
+    return [interval(one["rate"], *one["interval"]) if one else "" for one in found]
 
 
 def main() -> None:
@@ -93,7 +88,3 @@ def main() -> None:
                 rows[key] = examine(name, options.starts, options.search, senses, **choices)
                 write(options.out, known)
         show(table, known)
-
-
-if __name__ == "__main__":
-    main()

@@ -17,10 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.stats
-from rich.console import Console
-from rich.table import Table
 
 from benchmarks.command import parser, write
+from benchmarks.printing import show
 from tactilerl import statistics
 from tactilerl.statistics import Array, Estimate
 from tactilerl.study import records
@@ -54,12 +53,11 @@ def rank_agreement(values: Array, resampled: Array | None = None) -> Estimate:
 def _mean_spearman(values: Array) -> Array:
     """(setups, cells, n) → (n,)"""
     ranks = scipy.stats.rankdata(values, axis=1)
-    centred = ranks - ranks.mean(axis=1, keepdims=True)
-    norms = np.sqrt((centred**2).sum(axis=1))
     first, second = np.triu_indices(len(values), k=1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        pairs = (centred[first] * centred[second]).sum(axis=1) / (norms[first] * norms[second])
-    return np.asarray(pairs.mean(axis=0))
+    with warnings.catch_warnings(action="ignore", category=scipy.stats.ConstantInputWarning):
+        return np.asarray(
+            scipy.stats.pearsonr(ranks[first], ranks[second], axis=1).statistic.mean(axis=0)
+        )
 
 
 def mixed_model(
@@ -163,21 +161,24 @@ def main() -> None:
     """Both tables, or why there is none."""
     flags = parser(__doc__)
     flags.add_argument("study", type=Path, help="a study's folder or its collected file")
-    options, console = flags.parse_args(), Console()
+    options = flags.parse_args()
     study, found = records.load(options.study)
     setups = analyse(study, found).setups
     orders = agreements(setups, study.primary.score)
-    table = Table("order by", "rank correlation", "95 %", title="Do the set-ups agree on the order?")
-    for by, (value, low, high) in orders.items():
-        table.add_row(by, f"{value:.2f}", f"{low:.2f} to {high:.2f}")
-    console.print(table if orders else "no order: it takes two set-ups with the same three cells")
-    terms = Table("term", "effect", "95 %", "p", title=f"mixed model of the {study.primary.score}")
+    rows = [(by, f"{x:.2f}", f"{low:.2f} to {high:.2f}") for by, (x, low, high) in orders.items()]
+    if rows:
+        show("Do the set-ups agree on the order?", ("order by", "rank correlation", "95 %"), rows)
+    else:
+        print("no order: it takes two set-ups with the same three cells")
     fitted: list[Term] = []
     try:
         fitted = mixed(setups, study.primary.score)
-        for name, (value, low, high), p in fitted:
-            terms.add_row(name, f"{value:.3f}", f"{low:.3f} to {high:.3f}", f"{p:.3f}")
-        console.print(terms)
     except ValueError as error:
-        console.print(str(error))
+        print(error)
+    else:
+        rows = [
+            (name, f"{x:.3f}", f"{low:.3f} to {high:.3f}", f"{p:.3f}")
+            for name, (x, low, high), p in fitted
+        ]
+        show(f"mixed model of the {study.primary.score}", ("term", "effect", "95 %", "p"), rows)
     write(options.out, {"agreement": orders, "mixed_model": fitted})

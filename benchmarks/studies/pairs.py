@@ -9,13 +9,13 @@ about one mean, or each about the mean of its cell, as in `tactilerl study plan`
 
 from __future__ import annotations
 
+from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
+from benchmarks import printing
 from benchmarks.command import parser, write
 from tactilerl import statistics
 from tactilerl.study import records
@@ -26,6 +26,7 @@ from tactilerl.study.verdicts import is_finished, scores
 
 EFFECT, POWER, ALPHA = 0.1, 0.8, 0.05
 LONG_TAIL = 0.3
+PARTS = ("together", "within cells")
 Cell = tuple[np.ndarray, np.ndarray]
 """Treatment and control, both (pairs,)."""
 
@@ -38,25 +39,16 @@ def reached(record: Record, measure: str) -> dict[str, float]:
 
 def cells(setup: Setup, of_setup: list[Record], score: str) -> list[Cell]:
     """The pairs of each cell."""
-    found = {
-        (r.run.cell, r.run.arm, r.run.seed): reached(r, setup.measure)[score]
-        for r in of_setup
-        if is_finished(r, setup.measure)
-    }
-    first, second = setup.arms[:2]
-    return [
-        tuple(
-            np.array(
-                [
-                    found[cell, arm, seed]
-                    for seed in setup.seeds
-                    if {(cell, first, seed), (cell, second, seed)} <= found.keys()
-                ]
-            )
-            for arm in (first, second)
-        )  # type: ignore[misc]
-        for cell in setup.cells
-    ]
+    found: dict[tuple[str, str], dict[int, float]] = defaultdict(dict)
+    for r in of_setup:
+        if is_finished(r, setup.measure):
+            found[r.run.cell, r.run.arm][r.run.seed] = reached(r, setup.measure)[score]
+    paired = []
+    for cell in setup.cells:
+        a, b = (found[cell, arm] for arm in setup.arms[:2])
+        seeds = sorted(a.keys() & b.keys())
+        paired.append((np.array([a[seed] for seed in seeds]), np.array([b[seed] for seed in seeds])))
+    return paired
 
 
 def row(study: str, setup: str, score: str, of_cells: list[Cell]) -> dict[str, Any]:
@@ -65,7 +57,7 @@ def row(study: str, setup: str, score: str, of_cells: list[Cell]) -> dict[str, A
     found: dict[str, Any] = {"study": study, "setup": setup, "score": score}
     found["pairs"] = len(together[0][0])
     found["difference"] = float(np.mean(together[0][0] - together[0][1]))
-    for name, some in (("together", together), ("within cells", of_cells)):
+    for name, some in zip(PARTS, (together, of_cells), strict=True):
         correlation, sd, sd_arm = spread(some)
         found[name] = {
             "correlation": None if np.isnan(correlation) else correlation,
@@ -75,40 +67,38 @@ def row(study: str, setup: str, score: str, of_cells: list[Cell]) -> dict[str, A
     return found
 
 
+def _r(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2f}"
+
+
+def _runs(part: dict[str, Any]) -> str:
+    return f"{part['runs_unpaired']} → {part['pairs']}"
+
+
 def show(rows: list[dict[str, Any]]) -> None:
     """A line per study and score."""
-    names = ("together", "within cells")
-    columns = (
-        "study",
-        "set-up",
-        "score",
-        "n",
-        *(f"{x}, {name}" for name in names for x in ("r", "runs")),
-    )
-    table = Table(*columns)
-    for one in rows:
-        shown = [one["study"], one["setup"], one["score"], str(one["pairs"])]
-        for name in names:
-            r = one[name]["correlation"]
-            shown.append("–" if r is None else f"{r:.2f}")
-            shown.append(f"{one[name]['runs_unpaired']} → {one[name]['pairs']}")
-        table.add_row(*shown)
-    Console(width=120).print(table)
+    columns = [f"{x}, {name}" for name in PARTS for x in ("r", "runs")]
+    shown = [
+        (one["study"], one["setup"], one["score"], one["pairs"],
+         *(x for name in PARTS for x in (_r(one[name]["correlation"]), _runs(one[name]))))
+        for one in rows
+    ]  # fmt: skip
+    printing.show(None, ("study", "set-up", "score", "n", *columns), shown)
 
 
 def markdown(content: dict[str, Any]) -> None:
     """What `main` wrote, for the docs."""
-    print(
-        "| study | score | pairs | correlation within seeds "
-        "| runs of each arm, unpaired → pairs | within cells |"
-    )
-    print("|---|---|---|---|---|---|")
+    rows = []
     for one in content["rows"]:
         name = f"`{one['study']}`, {one['setup']}" if one["score"] == "area" else ""
-        r, *needed = one["together"]["correlation"], one["together"], one["within cells"]
-        runs = " | ".join(f"{part['runs_unpaired']} → {part['pairs']}" for part in needed)
-        shown = "–" if r is None else f"{r:.2f}".replace("-", "−")
-        print(f"| {name} | {one['score']} | {one['pairs']} | {shown} | {runs} |")
+        correlation = _r(one["together"]["correlation"]).replace("-", "−")
+        needed = (_runs(one[part]) for part in PARTS)
+        rows.append((name, one["score"], one["pairs"], correlation, *needed))
+    printing.markdown(
+        "| study | score | pairs | correlation within seeds "
+        "| runs of each arm, unpaired → pairs | within cells |",
+        rows,
+    )
 
 
 def main() -> None:

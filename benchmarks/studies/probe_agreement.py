@@ -18,6 +18,7 @@ import numpy as np
 from scipy import stats
 
 from benchmarks.command import parser, write
+from benchmarks.printing import interval, markdown
 from benchmarks.studies.probe_tables import in_words
 
 
@@ -37,22 +38,23 @@ def agreement(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> dict[str, A
     one, other = (np.array([x[name] for name in layouts]) for x in (a, b))
     n = min(one.shape[1], other.shape[1])
     values = [stats.spearmanr(one[:, k], other[:, k]).statistic for k in range(n)]
-    interval = np.quantile(values[1:], [0.025, 0.975]).tolist()
-    return {"layouts": layouts, "spearman": float(values[0]), "interval": interval}
+    ends = np.quantile(values[1:], [0.025, 0.975]).tolist()
+    return {"layouts": layouts, "spearman": float(values[0]), "interval": ends}
 
 
 def show(rows: list[dict[str, Any]]) -> None:
     """As Markdown."""
     noises = sorted({row["joint_noise"] for row in rows})
-    print(f"| | | {' | '.join(f'{noise:g} rad of noise' for noise in noises)} |")
-    print(f"|---|---|{'---|' * len(noises)}")
-    for a, b in dict.fromkeys((row["a"], row["b"]) for row in rows):
-        found = {row["joint_noise"]: row for row in rows if (row["a"], row["b"]) == (a, b)}
-        cells = [
-            f"{found[noise]['spearman']:.2f} ({{:.2f}} – {{:.2f}})".format(*found[noise]["interval"])
-            for noise in noises
-        ]
-        print(f"| {in_words(a)} | {in_words(b)} | {' | '.join(cells)} |")
+    cells = {
+        (row["a"], row["b"], row["joint_noise"]): interval(row["spearman"], *row["interval"])
+        for row in rows
+    }
+    head = " | ".join(f"{noise:g} rad of noise" for noise in noises)
+    pairs = dict.fromkeys((a, b) for a, b, _ in cells)
+    markdown(
+        f"| | | {head} |",
+        ((in_words(a), in_words(b), *(cells[a, b, noise] for noise in noises)) for a, b in pairs),
+    )
 
 
 def main() -> None:

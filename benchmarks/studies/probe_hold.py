@@ -11,10 +11,9 @@ from __future__ import annotations
 import time
 from contextlib import closing
 
-import numpy as np
-from scipy import stats
-
 from benchmarks.command import count, parser, write
+from benchmarks.printing import markdown
+from tactilerl import statistics
 from tactilerl.envs.grasp import setup
 from tactilerl.probe.grasps import Scenes, ScriptedGrasps
 from tactilerl.probe.options import GraspFlags
@@ -35,14 +34,14 @@ def compare(hand: str, n: int) -> dict[str, float]:
                 record = ScriptedGrasps(drawn, SEED, verdict)(scenes, number, lambda: True)  # type: ignore[arg-type]
                 seconds[verdict] += time.process_time() - started
                 held[verdict].append(bool(record["held"]))
-    changed = int(np.sum(np.array(held["full"]) != held["settled"]))
-    interval = stats.binomtest(changed, n).proportion_ci(method="wilson")
+    changed = sum(a != b for a, b in zip(*held.values(), strict=True))
+    low, high = statistics.wilson_interval(changed, n)
     return {
         "grasps": n,
         "held": sum(held["full"]),
         "changed": changed,
-        "changed_low": interval.low,
-        "changed_high": interval.high,
+        "changed_low": low,
+        "changed_high": high,
         "time": seconds["settled"] / seconds["full"],
         "seconds_a_grasp": seconds["settled"] / n,
     }
@@ -50,11 +49,11 @@ def compare(hand: str, n: int) -> dict[str, float]:
 
 def show(results: dict[str, dict[str, float]]) -> None:
     """As Markdown."""
-    print("| hand | grasps | held | verdicts changed (95 %) | time, of the full one's |")
-    print("|---|---|---|---|---|")
+    rows = []
     for hand, row in results.items():
         share = f"{row['changed']} ({row['changed_low']:.1%} – {row['changed_high']:.1%})"
-        print(f"| {NAMES[hand]} | {row['grasps']} | {row['held']} | {share} | {row['time']:.2f} |")
+        rows.append((NAMES[hand], row["grasps"], row["held"], share, f"{row['time']:.2f}"))
+    markdown("| hand | grasps | held | verdicts changed (95 %) | time, of the full one's |", rows)
 
 
 def main() -> None:

@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from benchmarks.command import parser, write
+from benchmarks.printing import interval, markdown
 from tactilerl.probe.figures import CHOSEN, LAYOUT, draw_selection
 from tactilerl.style import DPI, HEAD, NAMES, STYLE
 
@@ -36,64 +37,61 @@ def in_words(pair: str) -> str:
 def gains(results: Results, noise: float) -> None:
     """Gain in AUC over the joint angles."""
     print(f"\n### Will it hold? Gain in AUC, joint angles with {noise:g} rad of noise\n")
-    _head("added to the joints", results)
-    rows = {name: _rows(result, "hold", "auc", noise) for name, result in results.items()}
-    _line("(joints alone: AUC)", [f"{found['joints', None]['value']:.3f}" for found in rows.values()])
-    for told, layout in next(iter(rows.values())):
-        if told not in ("joints+sight", "joints+taxels"):
-            continue
-        cells = [found[told, layout] for found in rows.values()]
-        what = "sight" if layout is None else f"layout {layout}"
-        _line(what, [_interval(row["gain"], row["gain_interval"]) for row in cells])
+    found = [_rows(result, "hold", "auc", noise) for result in results.values()]
+    alone = [f"{of['joints', None]['value']:.3f}" for of in found]
+    rows: list[tuple[str, ...]] = [("(joints alone: AUC)", *alone)]
+    for told, layout in found[0]:
+        if told in ("joints+sight", "joints+taxels"):
+            what = "sight" if layout is None else f"layout {layout}"
+            rows.append((what, *(_interval(of[told, layout], "gain") for of in found)))
+    markdown(_head("added to the joints", results), rows)
 
 
 def places(results: Results, noise: float) -> None:
     """Where is the object?"""
     print(f"\n### Where is it, and how is it turned? mm and degrees, {noise:g} rad of noise\n")
-    _head("features", results)
     where = [_rows(result, "position", "error_mm", noise) for result in results.values()]
     turned = [_rows(result, "yaw", "error_deg", noise) for result in results.values()]
+    rows = []
     for told, layout in where[0]:
-        pairs = [
-            (w[told, layout]["value"], t[told, layout]["value"])
-            for w, t in zip(where, turned, strict=True)
-        ]
         if told != "taxels":
+            errors = [
+                [of[told, layout]["value"] for of in both] for both in zip(where, turned, strict=True)
+            ]
             what = "joints" if layout is None else f"joints + layout {layout}"
-            _line(what, [f"{mm:.1f}, {degrees:.1f}°" for mm, degrees in pairs])
+            rows.append((what, *(f"{mm:.1f}, {degrees:.1f}°" for mm, degrees in errors)))
+    markdown(_head("features", results), rows)
 
 
 def chosen(results: Results) -> None:
     """The best found of some numbers, and the layouts beside the best of the same number."""
-    first = next(iter(results.values()))["selection"]
-    noise = f"{first['joint_noise']:g} rad of noise"
-    print(f"\n### Chosen from a skin of {first['skin']}: gain in AUC, {noise}\n")
-    _head("taxels", results)
-    curves = [{row["taxels"]: row for row in r["selection"]["curve"]} for r in results.values()]
-    for n in curves[0]:
-        _line(f"best {n}", [_interval(c[n]["gain"], c[n]["gain_interval"]) for c in curves])
-    layouts = [{row["layout"]: row for row in r["selection"]["layouts"]} for r in results.values()]
-    for name, row in layouts[0].items():
-        if "lead" in row:
-            what = f"best {row['taxels']} over layout {name}"
-            _line(what, [_interval(x[name]["lead"], x[name]["lead_interval"]) for x in layouts])
+    selections = [result["selection"] for result in results.values()]
+    noise = f"{selections[0]['joint_noise']:g} rad of noise"
+    print(f"\n### Chosen from a skin of {selections[0]['skin']}: gain in AUC, {noise}\n")
+    curves = [{row["taxels"]: row for row in one["curve"]} for one in selections]
+    layouts = [{row["layout"]: row for row in one["layouts"]} for one in selections]
+    rows = [(f"best {n}", *(_interval(curve[n], "gain") for curve in curves)) for n in curves[0]]
+    rows += [
+        (f"best {row['taxels']} over layout {name}", *(_interval(of[name], "lead") for of in layouts))
+        for name, row in layouts[0].items()
+        if "lead" in row
+    ]
+    markdown(_head("taxels", results), rows)
 
 
 def differences(results: Results, noise: float) -> None:
     """Layouts against each other: differences in AUC, p-values by Holm."""
     print(f"\n### Layouts against each other: AUC, {noise:g} rad of noise (p by Holm)\n")
-    _head("", results)
+    asked = ("hold", "auc", noise)
     found = [
-        {
-            (row["a"], row["b"]): row
-            for row in result["differences"]
-            if row["question"] == "hold" and row["metric"] == "auc" and row["joint_noise"] == noise
-        }
+        {(row["a"], row["b"]): row for row in result["differences"] if _question(row) == asked}
         for result in results.values()
     ]
+    rows = []
     for a, b in found[0]:
-        cells = [pairs[a, b] for pairs in found]
-        _line(f"{a} − {b}", [f"{row['difference']:+.3f} (p {row['p_holm']:.2g})" for row in cells])
+        cells = [f"{of[a, b]['difference']:+.3f} (p {of[a, b]['p_holm']:.2g})" for of in found]
+        rows.append((f"{a} − {b}", *cells))
+    markdown(_head("", results), rows)
 
 
 def figure(results: Results, path: Path) -> None:
@@ -116,26 +114,21 @@ def figure(results: Results, path: Path) -> None:
         picture.savefig(path, dpi=DPI, metadata={"Software": None})
 
 
-def _rows(result: dict[str, Any], question: str, metric: str, noise: float) -> dict[Any, Any]:
+def _question(row: dict[str, Any]) -> tuple[str, str, float]:
+    return row["question"], row["metric"], row["joint_noise"]
+
+
+def _rows(result: dict[str, Any], *asked: Any) -> dict[Any, Any]:
     """Rows of the table by who is told what."""
-    return {
-        (row["told"], row["layout"]): row
-        for row in result["table"]
-        if (row["question"], row["metric"], row["joint_noise"]) == (question, metric, noise)
-    }
+    return {(r["told"], r["layout"]): r for r in result["table"] if _question(r) == asked}
 
 
-def _head(first: str, results: Results) -> None:
-    _line(first, list(results))
-    print("|---" * (1 + len(results)) + "|")
+def _head(first: str, results: Results) -> str:
+    return f"| {' | '.join((first, *results))} |"
 
 
-def _line(first: str, cells: list[str]) -> None:
-    print(f"| {' | '.join([first, *cells])} |")
-
-
-def _interval(value: float, interval: list[float]) -> str:
-    return f"{value:+.3f} ({interval[0]:+.3f} – {interval[1]:+.3f})"
+def _interval(row: dict[str, Any], key: str) -> str:
+    return interval(row[key], *row[f"{key}_interval"], "+.3f")
 
 
 def show(results: Results) -> None:

@@ -9,6 +9,7 @@ that mean nothing, at the end and each by its name, as it is with layouts of oth
 
 from __future__ import annotations
 
+import itertools
 import time
 from contextlib import closing
 from dataclasses import replace
@@ -17,11 +18,9 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-import torch
-from rich.console import Console
-from rich.progress import track
 
-from benchmarks.command import earlier, parser, write
+from benchmarks import printing
+from benchmarks.command import earlier, on_one_thread, parser, write
 from tactilerl import statistics
 from tactilerl.algos import recipes
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
@@ -29,6 +28,7 @@ from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO
 from tactilerl.envs import vector
 from tactilerl.envs.toy import LQREnv, PointReachEnv
+from tactilerl.runs import training
 
 N_SEEDS = 40
 FIRST_SEED = 10_000
@@ -47,8 +47,8 @@ LEARNERS = {
 class NamedBox(gym.spaces.Box):
     """A Box that says what its entries are."""
 
-    def __init__(self, n: int, names: list[str]) -> None:
-        super().__init__(-np.inf, np.inf, (n,), np.float32)
+    def __init__(self, names: list[str]) -> None:
+        super().__init__(-np.inf, np.inf, (len(names),), np.float32)
         self.names = names
 
 
@@ -62,47 +62,41 @@ class Distracted(gym.ObservationWrapper):
         self.n, self.max_episode_steps = n, toy.max_episode_steps
         space = self.env.observation_space
         self.is_dict = isinstance(space, gym.spaces.Dict)
-        size = (space["observation"] if self.is_dict else space).shape[0]
-        names = [*(f"toy {i}" for i in range(size)), *(f"noise {i}" for i in range(n))]
-        box = NamedBox(size + n, names)
-        if self.is_dict:
-            box = gym.spaces.Dict({**space.spaces, "observation": box})
-            self.compute_reward = self.env.compute_reward
+        (size,) = (space["observation"] if self.is_dict else space).shape
+        box = NamedBox([*(f"toy {i}" for i in range(size)), *(f"noise {i}" for i in range(n))])
         self.observation_space = box
+        if self.is_dict:
+            self.observation_space = gym.spaces.Dict({**space.spaces, "observation": box})
+            self.compute_reward = self.env.compute_reward
 
     def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
         self.noise = np.random.default_rng([seed or 0, 1])
         return super().reset(seed=seed, options=options)
 
     def observation(self, observation: Any) -> Any:
-        more, seen = self.noise.standard_normal(self.n), observation
-        seen = seen["observation"] if self.is_dict else seen
-        seen = np.concatenate([seen, more]).astype(np.float32)
-        return {**observation, "observation": seen} if self.is_dict else seen
+        if self.is_dict:
+            return {**observation, "observation": self._longer(observation["observation"])}
+        return self._longer(observation)
+
+    def _longer(self, seen: Any) -> Any:
+        return np.append(seen, self.noise.standard_normal(self.n)).astype(np.float32)
 
 
 def area(name: str, n: int, seed: int) -> float:
     """Mean success or return over a run's steps."""
     kind, toy, config, total, measure = LEARNERS[name]
-    steps, rates = [], []
     with closing(vector.start(partial(Distracted, toy, n))) as workers:
         learner = kind(config, workers, Communicator(), seed, total)
-        while learner.env_steps < total:
-            seen: dict[str, float] = {}
-            for _ in range(learner.cycles_per_epoch):
-                seen = learner.collect()
-                learner.update()
-            seen |= learner.test() if hasattr(learner, "test") else {}
-            steps.append(learner.env_steps)
-            rates.append(seen[measure])
-    return float(statistics.area_under_curve(np.array(steps), np.array([rates]))[0])
+        rows = list(training.epochs(learner, "float32"))
+    steps, rates = (np.array([row[key] for row in rows], float) for key in ("env_steps", measure))
+    return float(statistics.area_under_curve(steps, rates[None])[0])
 
 
 def measure(name: str) -> dict[str, Any]:
     """Areas of both arms by seed, their correlation with its interval, the spread of differences."""
     started, seeds = time.perf_counter(), range(FIRST_SEED, FIRST_SEED + N_SEEDS)
-    places = [(n, seed) for seed in seeds for n in ARMS]
-    found = [area(name, *place) for place in track(places, name, console=Console(stderr=True))]
+    places = list(itertools.product(seeds, ARMS))
+    found = [area(name, n, seed) for seed, n in printing.progress(places, name)]
     a, b = np.array(found).reshape(-1, len(ARMS)).T
     picks = np.random.default_rng(0).integers(N_SEEDS, size=(10_000, N_SEEDS))
     drawn = np.array([np.corrcoef(a[pick], b[pick])[0, 1] for pick in picks])
@@ -125,18 +119,14 @@ ABOUT = {
 
 def markdown(content: dict[str, Any]) -> None:
     """What `main` wrote of the code before and after, for the docs."""
-    codes = list(content["ppo"])
-    print(
-        "| learner and toy |", *(f"correlation, {code} |" for code in codes), "spread of differences |"
-    )
-    print("|---|---|---|---|")
+    rows = []
     for name, about in ABOUT.items():
-        found = [content[name][code] for code in codes]
-        cells = (
-            "{:.2f} ({:.2f} to {:.2f})".format(one["correlation"], *one["interval"]) for one in found
-        )
+        found = content[name].values()
+        cells = [printing.interval(one["correlation"], *one["interval"], to=" to ") for one in found]
         spreads = " → ".join(f"{one['sd of differences']:.3g}" for one in found)
-        print(f"| {about} | {' | '.join(cells)} | {spreads} |".replace("-0.", "−0."))
+        rows.append((about, *(cell.replace("-", "−") for cell in cells), spreads))
+    codes = " | ".join(f"correlation, {code}" for code in content["ppo"])
+    printing.markdown(f"| learner and toy | {codes} | spread of differences |", rows)
 
 
 def main() -> None:
@@ -145,7 +135,7 @@ def main() -> None:
     flags.add_argument("--as", dest="code", default="now", help="what to call this code")
     flags.add_argument("--only", choices=LEARNERS, help="one learner instead of both")
     options = flags.parse_args()
-    torch.set_num_threads(1)
+    on_one_thread()
     result = earlier(options.out)
     for name in [options.only] if options.only else LEARNERS:
         found = measure(name)

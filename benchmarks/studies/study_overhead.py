@@ -16,11 +16,10 @@ from typing import Any
 
 import psutil
 
-from benchmarks.command import count, parser, write
+from benchmarks.command import count, parser, python, write
 
 FLAGS = {"env": "lqr", "hidden": 8, "steps_per_epoch": 60, "n_passes": 1, "total_timesteps": 60}
 ALONE = 5  # plain runs to compare with
-TACTILERL = [sys.executable, "-m", "tactilerl"]
 
 
 def study_file(folder: Path, runs: int) -> Path:
@@ -33,12 +32,11 @@ def study_file(folder: Path, runs: int) -> Path:
 
 def alone(folder: Path) -> float:
     """Seconds of a plain `tactilerl train`, the process's start included."""
+    flags = [f"--{name.replace('_', '-')}={value}" for name, value in FLAGS.items()]
     seconds = []
     for index in range(ALONE):
-        flags = [f"--{name.replace('_', '-')}={value}" for name, value in FLAGS.items()]
-        command = [*TACTILERL, "train", *flags, "--workers=1", f"--out={folder / str(index)}"]
         started = time.perf_counter()
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        python("-m", "tactilerl", "train", *flags, "--workers=1", f"--out={folder / str(index)}")
         seconds.append(time.perf_counter() - started)
     return median(seconds)
 
@@ -48,11 +46,10 @@ def measure(runs: int, jobs: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         plain = alone(folder)
-        command = [*TACTILERL, "study", "run", str(study_file(folder, runs)), "--jobs", str(jobs)]
+        command = [sys.executable, "-m", "tactilerl", "study", "run", str(study_file(folder, runs))]
+        command += ["--jobs", str(jobs), "--out", str(folder / "study")]
         started, memory = time.perf_counter(), []
-        study = subprocess.Popen(
-            [*command, "--out", str(folder / "study")], stdout=subprocess.PIPE, text=True
-        )
+        study = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         assert study.stdout is not None
         for line in study.stdout:
             if line.startswith("["):

@@ -9,12 +9,12 @@ import pytest
 from benchmarks.command import run_missing
 from benchmarks.learners import steady
 from benchmarks.physics import hold_verdict
-from benchmarks.physics.speed_vs_error import BULLET, Setting, environment
+from benchmarks.physics.speed_vs_error import Setting, environment
 
 
 @pytest.mark.pybullet
 def test_bullet_with_other_settings():
-    engine = importlib.import_module(BULLET).ENGINE
+    engine = importlib.import_module("tactilerl.envs.simulators.pybullet").ENGINE
     setting = Setting(options={"contactERP": 0.4}, added_inertia=0.5)
     with environment("mpl", "pybullet", 0.05, setting) as env:
         assert env.hand.added_inertia == 0.5
