@@ -41,6 +41,10 @@ def _of(name: str, show: Callable[..., None], *more: Any) -> Callable[[], None]:
     return lambda: show(data(name), *more)
 
 
+def _parts(name: str, show: Callable[..., None], *parts: str) -> Callable[[], None]:
+    return lambda: show(*(data(name)[part] for part in parts))
+
+
 def _comparison() -> None:
     """The README's, for another page."""
     _, _, section = (ROOT / "README.md").read_text(encoding="utf-8").partition("## Compared with")
@@ -57,13 +61,13 @@ PRINTED: dict[str, Callable[[], None]] = {
     "probe hold": _of("probe_hold", probe_hold.show),
     "cut short": _of("cut_short", cut_short.show),
     "many cores": _of("cut_short", cut_short.many_cores),
-    "ablation": _of("ablation", ablation.markdown),
+    "ablation": _of("ablation", ablation.show),
     "steady": _of("steady", steady.markdown),
-    "pairs": _of("pairs", pairs.markdown),
+    "pairs": _of("pairs", pairs.show),
     "shared": _of("shared", shared.markdown),
-    "errors": _of("errors", errors.p_values_markdown),
-    "looks": _of("errors", errors.looks_markdown),
-    "coverage": _of("coverage", coverage.markdown),
+    "errors": _parts("errors", errors.show_p_values, "p_values"),
+    "looks": _parts("errors", errors.show_looks, "looks", "p_values"),
+    "coverage": _parts("coverage", coverage.show, "coverage"),
     **{name: _of(name, learning.markdown) for name in RUNS},
     **{name: partial(answer.show, name) for name in answer.TABLES},
     **{

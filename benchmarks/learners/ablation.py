@@ -10,7 +10,6 @@ call goes on from there:
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import asdict, replace
 from functools import partial
 from typing import Any
@@ -19,9 +18,9 @@ import gymnasium as gym
 import numpy as np
 import stable_baselines3 as sb3
 
-from benchmarks import printing
 from benchmarks.command import run_contenders, write
 from benchmarks.peers.contenders import Act, learn, play
+from benchmarks.printing import markdown
 from tactilerl import envs, statistics
 from tactilerl.algos import recipes
 from tactilerl.algos.ppo import PPO, PPOConfig
@@ -115,28 +114,19 @@ def summary(runs: dict[str, dict[str, float]], seeds: range) -> dict[str, Any]:
     return table
 
 
-def cells(row: dict[str, Any], tasks: list[str], form: Callable[[float], str]) -> list[str]:
-    """Of a contender: its return on each of the tasks, and the median of their seconds."""
-    shown = ["{} ({} to {})".format(*map(form, row[t]["return"])) if t in row else "" for t in tasks]
-    return [*shown, f"{np.median([row[task]['seconds'] for task in tasks if task in row]):.0f}"]
-
-
-def show(table: dict[str, Any]) -> None:
-    """Contenders in rows, tasks in columns."""
-    rows = [(name, *cells(row, [*TASKS], "{:,.1f}".format)) for name, row in table.items()]
-    printing.show("return after 30,000 steps: IQM and 95 % interval", ("", *TASKS, "s"), rows)
-
-
-def markdown(content: dict[str, Any]) -> None:
-    """The tasks that all contenders have done, for the docs."""
+def show(content: dict[str, Any]) -> None:
+    """As Markdown: contenders in rows, tasks in columns, and the median of their seconds."""
     table = content["table"]
-    tasks = [task for task in TASKS if all(task in row for row in table.values())]
-    head = "".join(f" {task.rpartition('-')[0]} |" for task in tasks)
-    rows = [
-        (name.replace("stable-b", "Stable-B"), *cells(row, tasks, _short))
-        for name, row in table.items()
-    ]
-    printing.markdown(f"| |{head} s |", rows)
+    tasks = [task for task in TASKS if any(task in row for row in table.values())]
+    rows = []
+    for name, row in table.items():
+        cells = [
+            "{} ({} to {})".format(*map(_short, row[t]["return"])) if t in row else "" for t in tasks
+        ]
+        seconds = np.median([of_task["seconds"] for of_task in row.values()])
+        rows.append((name.replace("stable-b", "Stable-B"), *cells, f"{seconds:.0f}"))
+    head = " | ".join(task.rpartition("-")[0] for task in tasks)
+    markdown(f"| | {head} | s |", rows)
 
 
 def _short(value: float) -> str:
@@ -148,6 +138,6 @@ def main() -> None:
     configs = {name: asdict(config) for name, config in VARIANTS.items()}
     about, names = {"steps": STEPS, "configs": configs}, [*VARIANTS, *PEERS]
     runs, seeds, out = run_contenders(__doc__, about, run, names, TASKS, first_seed=0, jobs=2)
-    table = summary(runs, seeds)
-    show(table)
-    write(out, {**about, "table": table, "runs": runs})
+    content = {**about, "table": summary(runs, seeds), "runs": runs}
+    show(content)
+    write(out, content)

@@ -18,9 +18,8 @@ from typing import Any
 import numpy as np
 import scipy.stats
 
-from benchmarks import printing
 from benchmarks.command import Part, run_parts
-from benchmarks.printing import progress
+from benchmarks.printing import markdown, progress
 from tactilerl import statistics
 from tactilerl.statistics import Array
 
@@ -122,28 +121,18 @@ KINDS = {
 }
 
 
-def show_coverage(result: dict[str, Any]) -> None:
-    """A table per population."""
-    for name, by_n in result["populations"].items():
-        rows = [
-            (kind, *(f"{100 * r[kind]['coverage']:.1f} %" for r in by_n.values())) for kind in KINDS
-        ]
-        printing.show(name, ("interval", *(f"n = {n}" for n in by_n)), rows)
-
-
-def markdown(content: dict[str, Any]) -> None:
-    """What `coverage` found, for the docs."""
+def show(result: dict[str, Any]) -> None:
+    """As Markdown."""
     rows = [
         (
             name * (kind == "median"),
             title,
             *(f"{100 * r[kind]['coverage']:.0f} %" for r in by_n.values()),
         )
-        for name, by_n in content["coverage"]["populations"].items()
+        for name, by_n in result["populations"].items()
         for kind, title in KINDS.items()
     ]
-    head = "".join(f" n = {n} |" for n in N_RUNS)
-    printing.markdown(f"| runs like | interval |{head}", rows)
+    markdown(f"| runs like | interval | {' | '.join(f'n = {n}' for n in N_RUNS)} |", rows)
 
 
 def speed(n_points: int = 500, n_runs: int = 10, n_few: int = 20) -> dict[str, float]:
@@ -169,7 +158,7 @@ def show_speed(result: dict[str, float]) -> None:
     print(f"500 points: {result['ours_s']:.1f} s, rliable about {result['rliable_s']:,.0f} s")
 
 
-PARTS: dict[str, Part] = {"coverage": (coverage, show_coverage), "speed": (speed, show_speed)}
+PARTS: dict[str, Part] = {"coverage": (coverage, show), "speed": (speed, show_speed)}
 
 
 def main() -> None:

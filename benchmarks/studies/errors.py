@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import expit
 
 from benchmarks.command import Part, run_parts
-from benchmarks.printing import markdown, progress, show
+from benchmarks.printing import markdown, progress
 from benchmarks.studies.coverage import bca_interval
 from tactilerl import statistics
 from tactilerl.study.grid import Looks
@@ -130,60 +130,50 @@ def _with_looks(rng: Rng, plan: Looks, gaps: np.ndarray, effect: float) -> dict[
     }
 
 
+SHOWN = {
+    "sign flips, no difference": "p ≤ 0.05 without a difference",
+    "sign flips, difference": "found, 0.1, %",
+    "not in pairs, difference": "found without pairs, %",
+    "covered, percentile": "covered by percentile intervals, %",
+    "covered, BCa": "by BCa, %",
+    "covered, expanded percentile": "by expanded percentiles, %",
+}
+
+
 def show_p_values(result: dict[str, Any]) -> None:
-    """A table of shares."""
-    rows: list[tuple[str, ...]] = []
+    """A line per population, numbers for N_PAIRS, as Markdown; then the others."""
+    rows = []
     for name, by_n in result["populations"].items():
-        kinds = next(iter(by_n.values()))
-        rows += [(), (name,), *((k, *(f"{one[k]:.3f}" for one in by_n.values())) for k in kinds)]
-    show(None, ("", *(f"n = {n}" for n in N_PAIRS)), rows)
+        cells = [_areas(name, result)]
+        for kind, title in SHOWN.items():
+            values = (one[kind] for one in by_n.values())
+            cells.append(" / ".join(f"{100 * x:.0f}" if "%" in title else f"{x:.3f}" for x in values))
+        rows.append(cells)
+    markdown(f"| areas | {' | '.join(SHOWN.values())} |", rows)
     for name, value in result["others"].items():
         print(f"{name}: {value:.3f}")
 
 
-def show_looks(result: dict[str, Any]) -> None:
-    """A line per case."""
-    cases = result["cases"]
-    rows = [(name, *(f"{value:.3f}" for value in one.values())) for name, one in cases.items()]
-    show(None, ("", *next(iter(cases.values()))), rows)
+def _areas(name: str, measured: dict[str, Any] | None) -> str:
+    """A population with the correlation that was measured of it, where `p_values` were."""
+    r = (
+        f", r = {measured['populations'][name][str(N_PAIRS[-1])]['correlation']:.2f}"
+        if measured
+        else ""
+    )
+    return name.partition(" (")[0] + r
 
 
-def p_values_markdown(content: dict[str, Any]) -> None:
-    """A line per population, numbers for N_PAIRS."""
-    columns = {
-        "sign flips, no difference": "p ≤ 0.05 without a difference",
-        "sign flips, difference": "found, 0.1, %",
-        "not in pairs, difference": "found without pairs, %",
-        "covered, percentile": "covered by percentile intervals, %",
-        "covered, BCa": "by BCa, %",
-        "covered, expanded percentile": "by expanded percentiles, %",
-    }
-    rows = []
-    for name, by_n in content["p_values"]["populations"].items():
-        cells = [_population(name, content)]
-        for kind, title in columns.items():
-            values = (one[kind] for one in by_n.values())
-            cells.append(" / ".join(f"{100 * x:.0f}" if "%" in title else f"{x:.3f}" for x in values))
-        rows.append(cells)
-    markdown(f"| areas | {' | '.join(columns.values())} |", rows)
-
-
-def _population(name: str, content: dict[str, Any]) -> str:
-    """With the correlation that was measured."""
-    r = content["p_values"]["populations"][name][str(N_PAIRS[-1])]["correlation"]
-    return f"{name.partition(' (')[0]}, r = {r:.2f}"
-
-
-def looks_markdown(content: dict[str, Any]) -> None:
-    """A line per population and plan."""
-    cases, rows = content["looks"]["cases"], []
+def show_looks(result: dict[str, Any], measured: dict[str, Any] | None = None) -> None:
+    """A line per population and plan, as Markdown."""
+    cases, rows = result["cases"], []
     for name, plan in itertools.product(POPULATIONS, PLANS):
         null, one = (cases[f"{name}, looks at {plan}, difference {x:g}"] for x in (0.0, EFFECT))
         covered = min(null["covered"], one["covered"])
         shares = (null["ruled out"], one["found"], one["found with all pairs, no looks"], covered)
         ruled_out, found, at_once, inside = (f"{100 * share:.0f} %" for share in shares)
         taken, until_found = f"{null['pairs']:.1f}", f"{one['pairs']:.1f}"
-        where = _population(name, content), str(plan).strip("[]"), f"{null['found']:.3f}"
+        where = _areas(name, measured), str(plan).strip("[]"), f"{null['found']:.3f}"
         rows.append((*where, taken, ruled_out, found, until_found, at_once, inside))
     markdown(
         "| areas | looks at pairs | stopped for a difference where there is none | pairs taken "

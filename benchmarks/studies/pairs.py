@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import printing
 from benchmarks.command import parser, write
+from benchmarks.printing import markdown
 from tactilerl import statistics
 from tactilerl.study import records
 from tactilerl.study.grid import SCORES, Setup
@@ -67,34 +67,16 @@ def row(study: str, setup: str, score: str, of_cells: list[Cell]) -> dict[str, A
     return found
 
 
-def _r(value: float | None) -> str:
-    return "–" if value is None else f"{value:.2f}"
-
-
-def _runs(part: dict[str, Any]) -> str:
-    return f"{part['runs_unpaired']} → {part['pairs']}"
-
-
-def show(rows: list[dict[str, Any]]) -> None:
-    """A line per study and score."""
-    columns = [f"{x}, {name}" for name in PARTS for x in ("r", "runs")]
-    shown = [
-        (one["study"], one["setup"], one["score"], one["pairs"],
-         *(x for name in PARTS for x in (_r(one[name]["correlation"]), _runs(one[name]))))
-        for one in rows
-    ]  # fmt: skip
-    printing.show(None, ("study", "set-up", "score", "n", *columns), shown)
-
-
-def markdown(content: dict[str, Any]) -> None:
-    """What `main` wrote, for the docs."""
+def show(content: dict[str, Any]) -> None:
+    """A line per study and score, as Markdown."""
     rows = []
     for one in content["rows"]:
         name = f"`{one['study']}`, {one['setup']}" if one["score"] == "area" else ""
-        correlation = _r(one["together"]["correlation"]).replace("-", "−")
-        needed = (_runs(one[part]) for part in PARTS)
+        r = one["together"]["correlation"]
+        correlation = "–" if r is None else f"{r:.2f}".replace("-", "−")
+        needed = (f"{one[part]['runs_unpaired']} → {one[part]['pairs']}" for part in PARTS)
         rows.append((name, one["score"], one["pairs"], correlation, *needed))
-    printing.markdown(
+    markdown(
         "| study | score | pairs | correlation within seeds "
         "| runs of each arm, unpaired → pairs | within cells |",
         rows,
@@ -113,5 +95,6 @@ def main() -> None:
             own = [record for record in found if record.run.setup == setup.name]
             for score in (*SCORES, "last 30 %"):
                 rows.append(row(study.name, setup.name, score, cells(setup, own, score)))
-    show(rows)
-    write(options.out, {"effect": EFFECT, "power": POWER, "alpha": ALPHA, "rows": rows})
+    content = {"effect": EFFECT, "power": POWER, "alpha": ALPHA, "rows": rows}
+    show(content)
+    write(options.out, content)
