@@ -118,12 +118,12 @@ def on_one_thread() -> None:
 
 def python(*arguments: str, launcher: Sequence[str] = (), checkout: Path = ROOT) -> str:
     """What a fresh Python process with the code of a checkout prints, started by a `launcher` such as
-    mpirun."""
+    mpirun; where it fails, so does this."""
     environment = os.environ | {"PYTHONPATH": str(checkout.resolve())}
     command = [*launcher, sys.executable, *arguments]
-    done = subprocess.run(
-        command, cwd=checkout, env=environment, stdout=subprocess.PIPE, text=True, check=True
-    )
+    done = subprocess.run(command, cwd=checkout, env=environment, stdout=subprocess.PIPE, text=True)
+    if done.returncode:  # it has said why
+        raise SystemExit(done.returncode)
     return done.stdout
 
 

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 from unittest.mock import patch
 
@@ -34,14 +35,10 @@ STEPS = 20  # of control, timed after each grasp
 COPIES = 8  # of a scene, loaded at once to weigh one
 
 
-def nothing(spec: mujoco.MjSpec) -> None:
-    """The shipped hand."""
-
-
-def without_pairs(spec: mujoco.MjSpec) -> None:
-    """No contact of the hand with itself."""
-    for pair in list(spec.pairs):
-        spec.delete(pair)
+def without(kind: str, spec: mujoco.MjSpec) -> None:
+    """No contact of the hand with itself ("pairs"), or no couplings ("tendons")."""
+    for each in list(getattr(spec, kind)):
+        spec.delete(each)
 
 
 def without_palm(spec: mujoco.MjSpec) -> None:
@@ -55,17 +52,11 @@ def without_palm(spec: mujoco.MjSpec) -> None:
             spec.delete(pair)
 
 
-def without_couplings(spec: mujoco.MjSpec) -> None:
-    """No tendons."""
-    for tendon in list(spec.tendons):
-        spec.delete(tendon)
-
-
 @dataclass(frozen=True)
 class Variant:
     """What is different from the shipped scene."""
 
-    edit: Callable[[mujoco.MjSpec], None] = nothing
+    edit: Callable[[mujoco.MjSpec], None] = lambda spec: None
     """Of the hand's model."""
     keeps: tuple[str, ...] = ()
     """What is kept of the names that are left out of the Shadow Hand's files as shipped."""
@@ -91,9 +82,9 @@ VARIANTS: dict[tuple[str, str], dict[str, Variant]] = {
         "with the forearm's collision mesh": Variant(keeps=("robot0:C_forearm",)),
         "with the thumb's 1 mm boxes": Variant(keeps=("robot0:V_thbase", "robot0:V_thhub")),
         "with 139 touch sensors": WITH_SENSORS,
-        "without hand-hand pairs": Variant(without_pairs),
+        "without hand-hand pairs": Variant(partial(without, "pairs")),
         "without palm boxes": Variant(without_palm),
-        "without coupling tendons": Variant(without_couplings),
+        "without coupling tendons": Variant(partial(without, "tendons")),
     },
     ("mpl", "mujoco"): {
         SHIPPED: Variant(),

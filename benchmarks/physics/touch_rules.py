@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections import defaultdict
 from contextlib import closing
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ import numpy as np
 from benchmarks.command import count, parser, write
 from benchmarks.physics.contacts import distances
 from benchmarks.printing import show
+from benchmarks.timing import rounds
 from tactilerl import envs
 from tactilerl.envs import hands, layouts, scripted, simulators, touch
 from tactilerl.envs.grasp import GraspEnv
@@ -27,7 +28,7 @@ SEED = 60_000
 HOLD = 1.0  # s
 PHASES = ("approach", "closing", "lift", "hold")
 RULES = ("overlap", "skin")
-REPEATS = 20  # readings in a row when they are timed
+REPEATS = 100  # readings in a row when they are timed
 
 
 class Overlap:
@@ -55,22 +56,21 @@ def phases(env: GraspEnv, start: scripted.Start) -> Any:
 
 
 def cost(env: GraspEnv, rules: dict[str, Any]) -> dict[str, float]:
-    """CPU time of one reading in layout 1, as a share of a control step's; lower quartiles."""
+    """Processor time of one reading in layout 1, as a share of a control step's."""
     poses, thing = env.simulator.link_poses(rules["skin"].links), env.simulator.object_state()
-    n, targets = env.config.n_substeps, env.hand.start_targets()
-    work = {name: lambda rule=rule: rule.read(*poses, env.shape, thing) for name, rule in rules.items()}
-    spent: dict[str, list[float]] = defaultdict(list)
-    for _ in range(REPEATS):
-        for name, do in work.items():
-            begin = time.process_time()
-            for _ in range(REPEATS):
-                do()
-            spent[name].append((time.process_time() - begin) / REPEATS)
-        begin = time.process_time()
-        env.simulator.step(targets, n)
-        spent["step"].append(time.process_time() - begin)
-    quartile = {name: float(np.percentile(values, 25)) for name, values in spent.items()}
-    return {name: quartile[name] / quartile["step"] for name in rules}
+
+    def read(rule: Any) -> int:
+        for _ in range(REPEATS):
+            rule.read(*poses, env.shape, thing)
+        return REPEATS
+
+    def step() -> int:
+        env.simulator.step(env.hand.start_targets(), env.config.n_substeps)
+        return 1
+
+    contenders = {name: partial(read, rule) for name, rule in rules.items()}
+    rates = rounds({**contenders, "step": step}, time.process_time)
+    return {name: rates["step"] / rates[name] for name in rules}
 
 
 def examine(hand: str, simulator: str, grasps: int) -> dict[str, Any]:

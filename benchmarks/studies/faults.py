@@ -8,8 +8,6 @@ Each point is the mean over runs, each of 100 episodes from starts that training
 
 from __future__ import annotations
 
-import contextlib
-import io
 import json
 from collections.abc import Iterable
 from pathlib import Path
@@ -17,10 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.command import count, earlier, parser, write
+from benchmarks.command import count, earlier, parser, python, write
 from benchmarks.printing import markdown
 from benchmarks.studies.answer import mean
-from tactilerl.commands import cli
 
 SWEEPS = {
     "taxel-dead": ("0", "0.1", "0.2", "0.3", "0.5", "0.7", "0.9", "1"),
@@ -38,15 +35,9 @@ IN_WORDS = {
 
 def sweep(run: Path, flag: str, episodes: int) -> list[float]:
     """Success of one run, by size of the fault."""
-    with contextlib.redirect_stdout(io.StringIO()) as printed:
-        code = cli.main(
-            ["evaluate", str(run), "--workers", "1", "--episodes", str(episodes), "--json",
-             "--sweep", flag, *SWEEPS[flag]]
-        )  # fmt: skip
-    if code:  # it has said why
-        raise SystemExit(code)
-    points = json.loads(printed.getvalue())["points"]
-    return [point["success_rate"] for point in points]
+    command = ("-m", "tactilerl", "evaluate", str(run.resolve()), "--workers", "1", "--json")
+    printed = python(*command, "--episodes", str(episodes), "--sweep", flag, *SWEEPS[flag])
+    return [point["success_rate"] for point in json.loads(printed)["points"]]
 
 
 def show(results: dict[str, Any], flags: Iterable[str] = SWEEPS) -> None:

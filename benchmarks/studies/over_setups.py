@@ -99,10 +99,11 @@ def agreements(setups: Sequence[SetupResult], score: str) -> Orders:
     compared = [one for one in compared if list(one.comparisons) == cells]
     if len(compared) < 2 or len(cells) < 3:
         return {}
-    by = {"treatment": _of_treatment, "difference to the control": _of_difference}
+    alone = [[_pair(one, cell)[0].scores[score] for cell in cells] for one in compared]
+    pairs = [[one.comparisons[cell].verdict.pairs for cell in cells] for one in compared]
+    gaps = [[each.treatment - each.control for each in row] for row in pairs]
     rng, found = np.random.default_rng(0), {}
-    for name, scores in by.items():
-        runs = [[scores(one, cell, score) for cell in cells] for one in compared]
+    for name, runs in {"treatment": alone, "difference to the control": gaps}.items():
         if all(len(each) for row in runs for each in row):
             drawn = [
                 [statistics.bootstrap(x, "mean", statistics.resample(rng, len(x))) for x in row]
@@ -117,15 +118,6 @@ def _pair(one: SetupResult, cell: str) -> tuple[Group, Group]:
     """Treatment and control of a cell that has both."""
     treatment, control = one.setup.arms[:2]
     return one.groups[cell, treatment], one.groups[cell, control]
-
-
-def _of_treatment(one: SetupResult, cell: str, score: str) -> Array:
-    return _pair(one, cell)[0].scores[score]
-
-
-def _of_difference(one: SetupResult, cell: str, score: str) -> Array:
-    pairs = one.comparisons[cell].verdict.pairs
-    return pairs.treatment - pairs.control
 
 
 def mixed(setups: Sequence[SetupResult], score: str) -> list[Term]:

@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 from benchmarks.command import parser, write
 from benchmarks.printing import interval, markdown
+from benchmarks.studies.over_setups import rank_agreement
 from benchmarks.studies.probe_tables import in_words
 
 
@@ -35,11 +35,10 @@ def gains(folder: Path) -> dict[str, dict[str, np.ndarray]]:
 def agreement(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> dict[str, Any]:
     """Spearman's rank correlation of the layouts that both have, with a percentile interval."""
     layouts = [name for name in a if name in b]
-    one, other = (np.array([x[name] for name in layouts]) for x in (a, b))
-    n = min(one.shape[1], other.shape[1])
-    values = [stats.spearmanr(one[:, k], other[:, k]).statistic for k in range(n)]
-    ends = np.quantile(values[1:], [0.025, 0.975]).tolist()
-    return {"layouts": layouts, "spearman": float(values[0]), "interval": ends}
+    n = min(len(found[layouts[0]]) for found in (a, b))
+    both = np.array([[found[name][:n] for name in layouts] for found in (a, b)])
+    value, *ends = rank_agreement(both[..., 0], both[..., 1:])
+    return {"layouts": layouts, "spearman": value, "interval": ends}
 
 
 def show(rows: list[dict[str, Any]]) -> None:
