@@ -42,7 +42,7 @@ def _of(name: str, show: Callable[..., None], *more: Any) -> Callable[[], None]:
 
 
 def _parts(name: str, show: Callable[..., None], *parts: str) -> Callable[[], None]:
-    return lambda: show(*(data(name)[part] for part in parts))
+    return lambda: show(*map(data(name).get, parts))
 
 
 def _comparison() -> None:

@@ -25,7 +25,7 @@ from benchmarks.learners.random_goals import fed
 from benchmarks.printing import show
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.networks import FlatAdam, Precision, has_bfloat16, matrix_products
-from tactilerl.algos.ppo import PPO, PPOConfig
+from tactilerl.algos.ppo import PPO, PPOConfig, Transitions
 from tactilerl.runs.evaluation import mean_interval
 
 UPDATES = 100
@@ -44,8 +44,7 @@ def ppo(seed: int) -> Updates:
     batch, rng = learner._batch(), np.random.default_rng(seed)
     minibatches: list[tuple[torch.Tensor, ...]] = []
     while len(minibatches) < UPDATES:
-        order = torch.from_numpy(rng.permutation(len(batch[0])))
-        minibatches += zip(*(torch.tensor_split(part[order], 6) for part in batch), strict=True)
+        minibatches += batch.minibatches(torch.from_numpy(rng.permutation(len(batch.seen))), 6)
     return learner, minibatches[:UPDATES]
 
 
@@ -75,6 +74,15 @@ def twin_of(learner: Any, dtype: torch.dtype) -> tuple[Any, list[FlatAdam]]:
     return twin, [twin.adam]
 
 
+def step(learner: Any, minibatch: tuple[torch.Tensor, ...]) -> None:
+    """Of actor and critic."""
+    if isinstance(learner, PPO):
+        learner._improve_critic(Transitions(*minibatch))
+        learner._improve_actor(Transitions(*minibatch))
+    else:
+        learner._minibatch(*minibatch)
+
+
 PRODUCTS: dict[str, tuple[torch.dtype, Precision]] = {
     "float64": (torch.float64, "float32"),
     "float32": (torch.float32, "float32"),
@@ -94,7 +102,7 @@ def drift(learner: Any, minibatches: list[tuple[torch.Tensor, ...]]) -> dict[str
         started = time.process_time()
         with matrix_products(products):
             for minibatch in data:
-                twin._minibatch(*minibatch)
+                step(twin, minibatch)
         seconds[name] = time.process_time() - started
         ends[name] = torch.cat([adam.vector.detach().double() for adam in adams])
     exact = ends.pop("float64")

@@ -22,23 +22,18 @@ class RandomGoals(gym.Env[Any, Any]):
     def __init__(self, n_obs: int, n_actions: int) -> None:
         sizes = {"observation": n_obs, "achieved_goal": GOAL, "desired_goal": GOAL}
         boxes = {k: gym.spaces.Box(-np.inf, np.inf, (n,), np.float32) for k, n in sizes.items()}
-        self.observation_space = gym.spaces.Dict(boxes)
+        self.observation_space = gym.spaces.Dict(boxes, seed=0)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (n_actions,), np.float32)
-        self.rng, self.steps = np.random.default_rng(0), 0
-
-    def _obs(self) -> dict[str, Any]:
-        shapes = {key: box.shape for key, box in self.observation_space.items()}
-        return {k: self.rng.standard_normal(shape, dtype=np.float32) for k, shape in shapes.items()}
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
         """A random observation."""
         self.steps = 0
-        return self._obs(), {}
+        return self.observation_space.sample(), {}
 
     def step(self, action: Any) -> Any:
         """Another, with its reward."""
         self.steps += 1
-        obs = self._obs()
+        obs = self.observation_space.sample()
         reward = float(self.compute_reward(obs["achieved_goal"], obs["desired_goal"], {}))
         return obs, reward, False, self.steps >= STEPS, {}
 

@@ -33,7 +33,6 @@ from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.envs.toy import LQREnv, PointReachEnv
 
 SEEDS = range(6)
-LIBRARIES = ("tactilerl", "stable-baselines3", "tactilerl, bfloat16")[: 3 if has_bfloat16() else 2]
 PPO_CONFIG = PPOConfig(
     hidden=(64, 64), actor_lr=1e-3, n_passes=20, n_minibatches=12, gae_lambda=0.9,
     action_variance=0.02, orthogonal_init=True, anneal_lr=True,
@@ -62,15 +61,28 @@ class Run:
         return self.is_solved
 
 
-def ours(kind: Any, config: Any, toy: Toy, seed: int, precision: Precision = "float32") -> Run:
+def ours(toy: Toy, seed: int, precision: Precision = "float32") -> Run:
     """Our learner until it has solved the toy."""
-    learners = learn(kind, config, partial(envs.make, toy.name), seed, toy.cap, precision)
+    make = partial(envs.make, toy.name)
+    learners = learn(toy.kind, toy.config, make, seed, toy.cap, precision)
     next(learners)
     run = Run(toy)
     for learner in learners:
         if run.look(learner.env_steps, learner.policy().act):
             break
     return run
+
+
+def theirs(toy: Toy, seed: int) -> Run:
+    """Stable-Baselines3's learner until it has solved the toy."""
+    looks = Looks(partial(Run, toy))
+    toy.theirs(envs.make(toy.name), seed).learn(toy.cap, callback=looks)
+    return looks.run
+
+
+LIBRARIES: dict[str, Callable[[Toy, int], Run]] = {"tactilerl": ours, "stable-baselines3": theirs}
+if has_bfloat16():
+    LIBRARIES["tactilerl, bfloat16"] = partial(ours, precision="bfloat16")
 
 
 def their_ppo(env: Any, seed: int) -> Any:
@@ -89,13 +101,6 @@ def their_ppo(env: Any, seed: int) -> Any:
     )  # fmt: skip
     model.policy.log_std.requires_grad_(False)
     return model
-
-
-def theirs(make: Callable[[Any, int], Any], toy: Toy, seed: int) -> Run:
-    """Stable-Baselines3's learner until it has solved the toy."""
-    looks = Looks(partial(Run, toy))
-    make(envs.make(toy.name), seed).learn(toy.cap, callback=looks)
-    return looks.run
 
 
 def is_near_optimal(act: Act, episodes: int = 20) -> bool:
@@ -126,7 +131,7 @@ def _within(budget: float, losses: Iterable[float]) -> bool:
 
 @dataclass(frozen=True)
 class Toy:
-    """A toy, when it is solved, and who tries."""
+    """A toy, when it is solved, and how both libraries learn it."""
 
     name: str
     is_solved: Callable[[Act], bool]
@@ -134,26 +139,16 @@ class Toy:
     """Environment steps between two looks at the policy, at least."""
     cap: int
     """Environment steps after which a seed counts as not solved."""
-    contenders: tuple[Callable[[Toy, int], Run], ...]
-    """In the order of LIBRARIES, the last where the processor can: (toy, seed) -> its run."""
+    kind: Any
+    config: Any
+    theirs: Callable[[Any, int], Any]
+    """(environment, seed) -> Stable-Baselines3's learner."""
 
 
 TOYS = {
-    "LQR, PPO": Toy(
-        "lqr", is_near_optimal, every=1000, cap=40_000,
-        contenders=(
-            partial(ours, PPO, PPO_CONFIG), partial(theirs, their_ppo),
-            partial(ours, PPO, PPO_CONFIG, precision="bfloat16"),
-        ),
-    ),
-    "point-reach, DDPG+HER": Toy(
-        "point-reach", reaches, every=250, cap=10_000,
-        contenders=(
-            partial(ours, DDPGHER, DDPG_CONFIG), partial(theirs, their_ddpg),
-            partial(ours, DDPGHER, DDPG_CONFIG, precision="bfloat16"),
-        ),
-    ),
-}  # fmt: skip
+    "LQR, PPO": Toy("lqr", is_near_optimal, 1000, 40_000, PPO, PPO_CONFIG, their_ppo),
+    "point-reach, DDPG+HER": Toy("point-reach", reaches, 250, 10_000, DDPGHER, DDPG_CONFIG, their_ddpg),
+}
 
 
 def solve() -> dict[str, Any]:
@@ -162,7 +157,7 @@ def solve() -> dict[str, Any]:
     for title, toy in TOYS.items():
         runs: dict[str, list[Run]] = {name: [] for name in LIBRARIES}
         for seed in progress(SEEDS, title):
-            for name, contender in zip(LIBRARIES, toy.contenders, strict=False):
+            for name, contender in LIBRARIES.items():
                 runs[name].append(contender(toy, seed))
         result[title] = _summary(runs)
     return result
@@ -177,7 +172,7 @@ def _summary(runs: dict[str, list[Run]]) -> dict[str, Any]:
             "seconds": _with_interval(np.mean, [run.seconds for run in of_one]),
             "env_steps": _with_interval(np.mean, [float(run.steps) for run in of_one]),
         }
-    peer, own = ([run.seconds for run in runs[name]] for name in LIBRARIES[1::-1])
+    own, peer = ([run.seconds for run in runs[name]] for name in ("tactilerl", "stable-baselines3"))
     result["ratio"] = _with_interval(
         lambda a, b, axis: a.mean(axis=axis) / b.mean(axis=axis), peer, own
     )

@@ -29,39 +29,39 @@ from tactilerl.envs.grasp import EJECTED, GraspConfig, GraspEnv, setup
 SEED = 50_000
 EPISODE = 50  # steps
 SAVE_EVERY = 1000  # steps
-Policy = Callable[[np.random.Generator, int, int], np.ndarray]
-"""(random numbers, step of the episode, number of actions) -> action."""
+Policy = Callable[[np.random.Generator, int], np.ndarray]
+"""(random numbers, number of actions) -> action."""
 
 
-def noise(rng: np.random.Generator, step: int, n: int) -> np.ndarray:
+def noise(rng: np.random.Generator, n: int) -> np.ndarray:
     """Uniform."""
     return rng.uniform(-1, 1, n)
 
 
-def bang_bang(rng: np.random.Generator, step: int, n: int) -> np.ndarray:
+def bang_bang(rng: np.random.Generator, n: int) -> np.ndarray:
     """From one end of the range to the other."""
     return rng.choice([-1.0, 1.0], n)
 
 
-def huge(rng: np.random.Generator, step: int, n: int) -> np.ndarray:
+def huge(rng: np.random.Generator, n: int) -> np.ndarray:
     """Far beyond the range."""
-    return 1e30 * bang_bang(rng, step, n)
+    return 1e30 * bang_bang(rng, n)
 
 
-def not_finite(rng: np.random.Generator, step: int, n: int) -> np.ndarray:
+def not_finite(rng: np.random.Generator, n: int) -> np.ndarray:
     """Every second time with one entry that is no number."""
-    action = noise(rng, step, n)
+    action = noise(rng, n)
     if rng.random() < 0.5:
         action[rng.integers(n)] = rng.choice([np.nan, np.inf, -np.inf])
     return action
 
 
-def squeeze(rng: np.random.Generator, step: int, n: int) -> np.ndarray:
+def squeeze(rng: np.random.Generator, n: int) -> np.ndarray:
     """Close everything as hard as it goes, where the hand is."""
     return np.concatenate([np.zeros(3), np.ones(n - 3)])
 
 
-def press(rng: np.random.Generator, step: int, n: int) -> np.ndarray:
+def press(rng: np.random.Generator, n: int) -> np.ndarray:
     """Down, on the object and into the ground."""
     return np.concatenate([[0.0, 0.0, -1.0], np.zeros(n - 3)])
 
@@ -137,10 +137,7 @@ def run(hand: str, simulator: str, case: Case, steps: int) -> Iterator[dict[str,
         for number in range(1, steps + 1):
             if done:
                 begin(env, int(rng.integers(2**31)), case.start)
-                step = 0
-            action = case.policy(rng, step, env.action_space.shape[0])
-            done, seen = look(env, action)
-            step += 1
+            done, seen = look(env, case.policy(rng, env.action_space.shape[0]))
             for key, value in seen.items():
                 worst[key] = worst[key] + value if key in COUNTS else max(worst[key], value)
             if number % SAVE_EVERY == 0 or number == steps:

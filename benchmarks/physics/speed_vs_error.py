@@ -141,33 +141,34 @@ def environment(hand: str, simulator: str, size: Any, setting: Setting) -> Itera
     timestep = setting.timestep * setup(hand).timestep
     choices = {"timestep": timestep, "control_dt": timestep, **setting.config}
     config = setup(hand, simulator=simulator, layout="1", object_size=size, **choices)
-    change = _change_bullet if simulator == "pybullet" else _change_mujoco
     with ExitStack() as stack:
-        yield change(stack, hand, config, setting)
+        if simulator == "pybullet":
+            _change_bullet(stack, hand, setting)
+        env = stack.enter_context(closing(GraspEnv(hand, config)))
+        if simulator == "mujoco":
+            _change_mujoco(env.simulator, setting)
+        yield env
 
 
-def _change_mujoco(stack: ExitStack, hand: str, config: Any, setting: Setting) -> GraspEnv:
-    env = stack.enter_context(closing(GraspEnv(hand, config)))
-    simulator: Any = env.simulator
+def _change_mujoco(simulator: Any, setting: Setting) -> None:
     for name, value in setting.options.items():
         setattr(simulator.model.opt, name, value)
     simulator.model.geom("object").solref[0] *= setting.contact_time
     if setting.all_sensors:  # the simulator takes care of them only when the scene has some
         simulator.scene = replace(simulator.scene, contact_taxels=None)
-    return env
 
 
-def _change_bullet(stack: ExitStack, hand: str, config: Any, setting: Setting) -> GraspEnv:
+def _change_bullet(stack: ExitStack, hand: str, setting: Setting) -> None:
+    """Of what is loaded until the stack ends."""
     from tactilerl.envs.simulators import pybullet
 
     if setting.added_inertia is not None:
         changed = replace(hands.get(hand), added_inertia=setting.added_inertia)
         stack.enter_context(patch.object(hands, "get", lambda name: changed))
-    constants = setting.constants | ({"LOADING": self_contact()} if setting.self_contact else {})
     stack.enter_context(patch.dict(pybullet.ENGINE, setting.options))
+    constants = setting.constants | ({"LOADING": self_contact()} if setting.self_contact else {})
     for name, value in constants.items():
         stack.enter_context(patch.object(pybullet, name, value))
-    return stack.enter_context(closing(GraspEnv(hand, config)))
 
 
 def record(hand: str, simulator: str, setting: Setting, grasps: int) -> Trace:
