@@ -1,9 +1,10 @@
 """Shared by all tests: what is skipped without PyBullet, one thread of PyTorch, MPI allowed for root,
-a MuJoCo that warns."""
+studies without processes, a MuJoCo that warns."""
 
 import os
 import signal
 import tempfile
+from contextlib import redirect_stderr, redirect_stdout
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -11,7 +12,9 @@ import pytest
 import torch
 from filelock import FileLock
 
+from tactilerl.commands.cli import main
 from tactilerl.envs.simulators import mujoco
+from tactilerl.study import runner
 
 os.environ.setdefault("OMPI_ALLOW_RUN_AS_ROOT", "1")
 os.environ.setdefault("OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "1")
@@ -67,6 +70,18 @@ def one_launch(launches):
     """No other test launches MPI meanwhile."""
     with launches:
         yield
+
+
+@pytest.fixture
+def trained_here(monkeypatch):
+    """Runs of a study are trained by the command that they are always trained by, but without a
+    process each, which takes seconds to start; with `--jobs 1`, because they share one output."""
+
+    def process(files, job):
+        with open(files.log_file, "a") as log, redirect_stdout(log), redirect_stderr(log):
+            return main(["train", *job.arguments, "--out", str(job.base)])
+
+    monkeypatch.setattr(runner, "_process", process)
 
 
 @pytest.fixture(autouse=True)

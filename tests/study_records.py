@@ -2,6 +2,10 @@
 
 import csv
 import json
+import shutil
+import tempfile
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 
@@ -38,9 +42,20 @@ LEVEL = {"layout 1": 0.7, "layout 2": 0.85, "layout 5": 0.5, "sighted": 0.95}
 
 def make_study(path, text=PAPER_LIKE, n_seeds=4, epochs=25, total=30_000):
     """A study's folder with all runs done; main runs rise higher the better their layout."""
-    file = path.with_suffix(".toml")
-    file.write_text(text.replace("{last}", str(n_seeds - 1)))
-    study, folder = grid.read(file), StudyFolder(path)
+    text = text.replace("{last}", str(n_seeds - 1))
+    path.with_suffix(".toml").write_text(text)
+    shutil.copytree(_made(text, epochs, total).name, path, dirs_exist_ok=True)
+    return StudyFolder(path)
+
+
+@cache
+def _made(text, epochs, total):
+    """A temporary folder with it: configuring the runs takes most of the time."""
+    made = tempfile.TemporaryDirectory(prefix="tactilerl-tests-")
+    file = Path(made.name, "study.toml")
+    file.write_text(text)
+    study, folder = grid.read(file), StudyFolder(Path(made.name))
+    file.unlink()
     runs = study.runs()
     configs = check.configure(runs)
     folder.create(study)
@@ -52,7 +67,7 @@ def make_study(path, text=PAPER_LIKE, n_seeds=4, epochs=25, total=30_000):
         files.run_dir.config_file.write_text(json.dumps(content))
         write_progress(files, run, np.random.default_rng(index), epochs, total)
         files.write_outcome(Outcome("done", total))
-    return folder
+    return made
 
 
 def write_progress(files, run, rng, epochs, total):

@@ -64,14 +64,14 @@ def test_flags_change_what_a_scene_says(capsys):
     assert main(["train", "--resume", "run", "--total-timesteps", "61"]) == 0
 
 
-def test_a_study_of_a_scene():
+def test_a_study_of_a_scene(trained_here):
     Path("s.toml").write_text(
         'name = "s"\n[compare]\nrun_type = ["main", "control"]\n'
         '[grid]\nrun_type = ["main", "control"]\nseed = 10000\n'
         '[setups.a]\nscene = "handover"\nlayout = 6\n'
         "steps_per_epoch = 60\nn_passes = 1\ntotal_timesteps = 1\n"
     )
-    assert main(["study", "run", "s.toml", "--out", "s"]) == 0
+    assert main(["study", "run", "s.toml", "--out", "s", "--jobs", "1"]) == 0
     configs = [json.loads(path.read_text()) for path in Path("s/runs").glob("*/config.json")]
     assert {config["scene"]["run_type"] for config in configs} == {"main", "control"}
     for config in configs:

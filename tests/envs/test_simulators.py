@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tactilerl import envs
+from tactilerl.commands.cli import main
 from tactilerl.envs import hands, objects, scripted, simulators
 from tactilerl.envs.grasp import GraspEnv, setup
 
@@ -211,27 +212,30 @@ class TestPhysics:
 
 
 class TestPyBullet:
-    @pytest.mark.parametrize("hand", HANDS)
-    def test_same_seed_and_actions_same_trajectory_also_in_another_process(self, hand):
-        code = (
-            "import sys, numpy as np\n"
-            "from tactilerl import envs\n"
-            f"env = envs.make({hand!r}, simulator='pybullet', task='reach-goal')\n"
-            "def run(seed):\n"
-            "    rng = np.random.default_rng(seed)\n"
-            "    seen = [env.reset(seed=seed)[0]['observation']]\n"
-            "    for _ in range(12):\n"
-            "        action = rng.uniform(-1, 1, env.action_space.shape)\n"
-            "        seen.append(env.step(action)[0]['observation'])\n"
-            "    return np.array(seen).tobytes().hex()\n"
-            "first, other, again = run(1), run(2), run(1)\n"
-            "assert first == again != other\n"
-            "print(first)\n"
-        )
-        command = [sys.executable, "-c", code]
-        runs = [subprocess.run(command, capture_output=True, text=True, check=True) for _ in "ab"]
-        assert runs[0].stdout == runs[1].stdout
-        assert "pybullet build time" not in runs[0].stderr + runs[0].stdout
+    def test_same_seed_and_actions_same_trajectory_also_in_another_process(self, capfd):
+        code = """
+import numpy as np
+from tactilerl import envs
+for hand in ("shadow", "mpl", "allegro"):
+    env = envs.make(hand, simulator="pybullet", task="reach-goal")
+    def run(seed):
+        rng = np.random.default_rng(seed)
+        seen = [env.reset(seed=seed)[0]["observation"]]
+        for _ in range(12):
+            seen.append(env.step(rng.uniform(-1, 1, env.action_space.shape))[0]["observation"])
+        return np.array(seen).tobytes().hex()
+    first, other, again = run(1), run(2), run(1)
+    assert first == again != other
+    env.close()
+    print(first)
+"""
+        exec(code, {})
+        here = capfd.readouterr().out
+        subprocess.run([sys.executable, "-c", code], check=True)
+        there = capfd.readouterr()
+        assert here == there.out
+        assert here.count("\n") == 3
+        assert "pybullet build time" not in there.out + there.err
 
     def test_the_first_episode_equals_the_later_ones(self):
         """Nothing of a past episode, such as a cached contact, reaches the next."""
@@ -319,17 +323,13 @@ class TestPyBullet:
         assert "diverged" not in env.step(np.zeros(7))[-1]
         env.close()
 
-    def test_without_the_package_the_message_names_the_extra(self):
-        code = (
-            "import sys\n"
-            "sys.modules['pybullet'] = None\n"  # what Python does when a package is not there
-            "from tactilerl.commands.cli import main\n"
-            "sys.exit(main(['train', '--env', 'mpl', '--out', 'never']))\n"
-        )
-        result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-        assert result.returncode == 2
-        assert result.stderr.count("\n") == 1
-        assert "pip install 'tactilerl[pybullet]'" in result.stderr
+    def test_without_the_package_the_message_names_the_extra(self, tmp_path, monkeypatch, capsys):
+        monkeypatch.setitem(sys.modules, "pybullet", None)  # as where a package is not there
+        monkeypatch.delitem(sys.modules, "tactilerl.envs.simulators.pybullet", raising=False)
+        assert main(["train", "--env", "mpl", "--out", str(tmp_path / "never")]) == 2
+        err = capsys.readouterr().err
+        assert err.count("\n") == 1
+        assert "pip install 'tactilerl[pybullet]'" in err
 
 
 class TestMPL:

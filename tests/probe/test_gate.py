@@ -94,7 +94,7 @@ def test_a_gate_of_faulty_taxels(capsys):
 
 
 def test_a_table_and_a_sentence(capsys):
-    few = ["--starts", "2", "--search", "1", "--workers", "1"]
+    few = ["--starts", "1", "--search", "1", "--workers", "1"]
     assert main(["gate", "--scene", "dark_mpl", *few]) == 0
     text = capsys.readouterr().out
     assert "a fixed time has passed" in text

@@ -1,8 +1,8 @@
 """The trained policies of examples/policies do what they are said to."""
 
+import importlib
 import json
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
@@ -28,21 +28,41 @@ def test_shipped_policies_succeed_as_they_did(name, capsys):
     assert low <= json.loads(capsys.readouterr().out)["success_rate"] <= high
 
 
-def ship(run, folder):
-    command = [sys.executable, str(ROOT / "tools" / "ship_policy.py"), str(run), str(folder)]
-    return subprocess.run(command, capture_output=True, text=True)
+@pytest.fixture
+def ship(monkeypatch):
+    """tools/ship_policy.py RUN FOLDER: its exit code."""
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+
+    def call(run, folder):
+        monkeypatch.setattr(sys, "argv", ["ship_policy.py", str(run), str(folder)])
+        return importlib.import_module("ship_policy").main()
+
+    return call
+
+
+@pytest.fixture
+def run(trained, tmp_path):
+    shutil.copytree(trained, tmp_path / "run")
+    return tmp_path / "run"
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    run = tmp_path_factory.mktemp("trained") / "run"
+    cli.main(["train", *TOY, "--total-timesteps", "50", "--workers", "1", "--out", str(run)])
+    (run / ".lock").unlink(missing_ok=True)
+    return run
 
 
 def contents(folder):
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def test_a_run_ships_without_what_only_training_needs(tmp_path, capsys):
-    run, shipped = tmp_path / "run", tmp_path / "shipped"
-    cli.main(["train", *TOY, "--total-timesteps", "50", "--workers", "1", "--out", str(run)])
+def test_a_run_ships_without_what_only_training_needs(run, ship, tmp_path, capsys):
+    shipped = tmp_path / "shipped"
     before = contents(run)
     for _ in range(2):  # the second time it is there already
-        assert ship(run, shipped).returncode == 0
+        assert ship(run, shipped) == 0
     assert {path.name for path in shipped.iterdir()} == {"config.json", "progress.csv", "checkpoint.pt"}
     rates = []
     for folder in (run, shipped):
@@ -54,17 +74,14 @@ def test_a_run_ships_without_what_only_training_needs(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("case", ["itself", "a whole run", "other files", "no run"])
-def test_shipping_loses_nothing(tmp_path, case):
-    run, folder = tmp_path / "run", tmp_path / "folder"
-    cli.main(["train", *TOY, "--total-timesteps", "50", "--workers", "1", "--out", str(run)])
-    (run / ".lock").unlink(missing_ok=True)
+def test_shipping_loses_nothing(run, ship, tmp_path, case, capsys):
+    folder = tmp_path / "folder"
     shutil.rmtree(run / "experience")
     shutil.copytree(run, folder)
     if case == "other files":
         (folder / "notes.txt").write_text("mine")
     before = contents(tmp_path)
     source = tmp_path / "nowhere" if case == "no run" else run
-    result = ship(source, run if case == "itself" else folder)
-    assert result.returncode == 2
-    assert result.stderr.count("\n") == 1
+    assert ship(source, run if case == "itself" else folder) == 2
+    assert capsys.readouterr().err.count("\n") == 1
     assert contents(tmp_path) == before
