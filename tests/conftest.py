@@ -90,8 +90,15 @@ def _one_thread():
 
 
 @pytest.fixture
-def little_memory(monkeypatch, tmp_path):
-    """Scenes in MuJoCo that have too little memory for the constraints of a pressed object."""
+def in_tmp(monkeypatch, tmp_path):
+    """A working directory of its own, where what is written is nobody's."""
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def little_memory(monkeypatch, in_tmp):
+    """Scenes in MuJoCo that have too little memory for the constraints of a pressed object; MuJoCo
+    writes a log where it runs."""
     build = mujoco.build_spec
 
     def small(scene):
@@ -100,4 +107,3 @@ def little_memory(monkeypatch, tmp_path):
         return spec
 
     monkeypatch.setattr(mujoco, "build_spec", small)
-    monkeypatch.chdir(tmp_path)  # where MuJoCo writes its log

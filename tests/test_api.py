@@ -21,6 +21,7 @@ from tactilerl.commands.cli import main
 from tactilerl.envs.toy import PointReachEnv
 from tactilerl.runs import sealed
 
+pytestmark = pytest.mark.usefixtures("in_tmp")
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 PPO = dict(hidden=[16], steps_per_epoch=120, n_passes=2)
@@ -66,37 +67,6 @@ def with_nan():
     return policy
 
 
-@pytest.mark.parametrize(
-    ("call", "named"),
-    [
-        (lambda: short(obs=(0,)), "space: found an empty one"),
-        (lambda: tactilerl.PPO(lambda: None, **SHORT), "env: found a function that returns None"),
-        (
-            lambda: tactilerl.make("shadow", friction=(0.5, 1)),
-            "friction: found tuple, allowed a number or a string",
-        ),
-        (lambda: tactilerl.make("lqr", layout=3), "'lqr' cannot be made here .*'layout'"),
-        (
-            lambda: tactilerl.evaluate(short(), Short(), episodes=1.5),
-            "episodes: found 1.5, allowed a whole",
-        ),
-        (
-            lambda: tactilerl.evaluate(short(), Short(high=2.0)),
-            "actions from -2 to 2, the policy's are",
-        ),
-        (lambda: short(info=None).learn(20), "found NoneType for a step's info, allowed a dict"),
-        (lambda: short().act(np.zeros(2), False, rng=0), "rng: found 0, needed"),
-        (lambda: short().act(np.full(2, 1e300)), "obs: not finite, not real or beyond float32"),
-        (lambda: short().act(np.ones(2) * 1j), r"not real or beyond float32 \(complex128\)"),
-        (lambda: with_nan().act(np.zeros(2)), "policy: its action is not finite"),
-        (lambda: short().learn(20, progress_bar=True), "progress_bar: unknown; did you mean progress"),
-    ],
-)
-def test_one_line_for_each_mistake_in_python(call, named):
-    with pytest.raises(ValueError, match=named):
-        call()
-
-
 def test_numpys_numbers_are_numbers_and_an_action_may_be_a_scalar():
     env = Short(action=())
     learner = tactilerl.PPO(env, seed=np.int64(3), gamma=np.float32(0.5), **SHORT)
@@ -111,11 +81,6 @@ def test_pytorchs_own_generator_is_left_alone():
     learner.save("policy.pt")
     tactilerl.evaluate(tactilerl.load_policy("policy.pt"), Short(), episodes=2)
     assert torch.equal(torch.random.get_rng_state(), before)
-
-
-@pytest.fixture(autouse=True)
-def _in_tmp(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
 
 
 def learner(name, env, choices, **more):
@@ -339,6 +304,30 @@ class TestMistakes:
             ),
             (lambda: tactilerl.PPO("nowhere:Env-v0"), "env: No module named 'nowhere'"),
             (lambda: tactilerl.PPO("lqr").act(tactilerl.make("lqr").reset()), "obs: found a tuple"),
+            (lambda: short(obs=(0,)), "space: found an empty one"),
+            (lambda: tactilerl.PPO(lambda: None, **SHORT), "env: found a function that returns None"),
+            (
+                lambda: tactilerl.make("shadow", friction=(0.5, 1)),
+                "friction: found tuple, allowed a number or a string",
+            ),
+            (lambda: tactilerl.make("lqr", layout=3), "'lqr' cannot be made here .*'layout'"),
+            (
+                lambda: tactilerl.evaluate(short(), Short(), episodes=1.5),
+                "episodes: found 1.5, allowed a whole",
+            ),
+            (
+                lambda: tactilerl.evaluate(short(), Short(high=2.0)),
+                "actions from -2 to 2, the policy's are",
+            ),
+            (lambda: short(info=None).learn(20), "found NoneType for a step's info, allowed a dict"),
+            (lambda: short().act(np.zeros(2), False, rng=0), "rng: found 0, needed"),
+            (lambda: short().act(np.full(2, 1e300)), "obs: not finite, not real or beyond float32"),
+            (lambda: short().act(np.ones(2) * 1j), r"not real or beyond float32 \(complex128\)"),
+            (lambda: with_nan().act(np.zeros(2)), "policy: its action is not finite"),
+            (
+                lambda: short().learn(20, progress_bar=True),
+                "progress_bar: unknown; did you mean progress",
+            ),
         ],
     )
     def test_are_value_errors_of_one_line(self, make, words):

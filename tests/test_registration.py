@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from one_line import fails_with
 
 import tactilerl
 from tactilerl import algos
@@ -17,8 +18,7 @@ HAND = Path(__file__).parent / "hands"
 
 
 @pytest.fixture(autouse=True)
-def _registered(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def _registered(monkeypatch, in_tmp):
     saturn = simulators.Registration("Saturn", module="tests.outside")
     brave = algos.Registration("BraveConfig", "Brave", 500, "reach-goal", module="tests.outside")
     monkeypatch.setitem(simulators.SIMULATORS, "saturn", saturn)
@@ -62,5 +62,5 @@ def test_a_hand_in_another_simulator(capsys):
 
 
 def test_what_is_not_registered_is_refused(capsys):
-    assert main(["probe", "--simulator", "mars"]) == 2
-    assert "simulator: found 'mars', allowed: mujoco, pybullet, saturn" in capsys.readouterr().err
+    words = "simulator: found 'mars', allowed: mujoco, pybullet, saturn"
+    fails_with(capsys, ["probe", "--simulator", "mars"], words)

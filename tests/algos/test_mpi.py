@@ -22,7 +22,7 @@ pytest.importorskip("mpi4py")
 MPIRUN = Path(sys.executable).with_name("mpirun")
 pytestmark = [
     pytest.mark.skipif(not MPIRUN.exists(), reason="no mpirun beside this Python (extra: mpi)"),
-    pytest.mark.usefixtures("one_launch"),
+    pytest.mark.usefixtures("in_tmp", "one_launch"),
 ]
 REACH = ["train", "--algo", "ddpg_her", "--env", "point-reach", "--hidden", "16", "--n-cycles", "2"]
 REACH += ["--n-batches", "5", "--n-test-rollouts", "1"]
@@ -37,11 +37,6 @@ def mpirun(args, ranks=2, timeout=400):
 
 def tactilerl(*args):
     return mpirun(["-m", "tactilerl", *args])
-
-
-@pytest.fixture(autouse=True)
-def _in_tmp(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
 
 
 # What three ranks do in one launch: reductions, minibatches, and commands, of which rank 0 refuses the

@@ -4,32 +4,21 @@ import json
 from pathlib import Path
 
 import pytest
+from one_line import fails_with
 
 from tactilerl.commands.cli import main
 
+pytestmark = pytest.mark.usefixtures("in_tmp")
 PPO = ["--algo", "ppo", "--hidden", "8", "--steps-per-epoch", "16", "--n-passes", "1"]
 HER = ["--algo", "ddpg_her", "--hidden", "8", "--n-cycles", "1", "--n-batches", "1"]
 HER += ["--n-test-rollouts", "1", "--batch-size", "8", "--n-rollouts", "1"]
 COMMON = ["--task", "reach-goal", "--max-episode-steps", "6", "--workers", "1", "--seed", "5"]
 HARD = ["--object-seen", "noisy", "--sight-noise", "0.02", "0.2", "--sight-noise-kind", "held"]
-HARD += [
-    "--history",
-    "2",
-    "--joint-noise",
-    "0.05",
-    "--taxel-false-on",
-    "0.1",
-    "--taxel-false-off",
-    "0.1",
-]
+HARD += ["--history", "2", "--joint-noise", "0.05", "--taxel-false-on", "0.1"]
+HARD += ["--taxel-false-off", "0.1"]
 HARD += ["--taxel-dead", "0.1", "--taxel-stuck", "0.1", "--taxel-delay", "1", "--goal-range", "0.02"]
 HARD += ["--object", "box,sphere", "--object-size", "0.04..0.05", "--friction", "0.5..1"]
 HARD += ["--object-density", "400..800", "--start-offset", "0.02", "--start-yaw", "0.5"]
-
-
-@pytest.fixture(autouse=True)
-def _in_tmp(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
 
 
 @pytest.mark.parametrize("learner", [PPO, HER], ids=["ppo", "ddpg_her"])
@@ -56,17 +45,8 @@ def test_every_flag_trains_resumes_and_is_evaluated(learner, env, simulator, cap
 @pytest.mark.parametrize("learner", [PPO, HER], ids=["ppo", "ddpg_her"])
 @pytest.mark.parametrize(("env", "simulator"), [("shadow", "pybullet"), ("mpl", "mujoco")])
 def test_forces_are_learned_from(learner, env, simulator):
-    scene = [
-        "--env",
-        env,
-        "--simulator",
-        simulator,
-        *COMMON,
-        "--touch",
-        "force",
-        "--object-seen",
-        "hidden",
-    ]
+    scene = ["--env", env, "--simulator", simulator, *COMMON, "--touch", "force"]
+    scene += ["--object-seen", "hidden"]
     assert main(["train", *learner, *scene, "--total-timesteps", "12", "--out", "run"]) == 0
 
 
@@ -74,10 +54,7 @@ def test_forces_are_learned_from(learner, env, simulator):
     ("flags", "named"),
     [
         (["--run-type", "control", "--taxel-dead", "0.1"], "taxel_dead: found 0.1, allowed only with"),
-        (
-            ["--sight-noise", "0.1", "0.1"],
-            "sight_noise: found (0.1, 0.1), allowed only with",
-        ),
+        (["--sight-noise", "0.1", "0.1"], "sight_noise: found (0.1, 0.1), allowed only with"),
         (["--object-size", "0.05..0.04"], "object_size: found '0.05..0.04'"),
         (["--friction", "rough"], "friction: found 'rough'"),
         (["--touch", "force", "--taxel-stuck", "0.1"], "taxel_stuck: found 0.1"),
@@ -87,11 +64,7 @@ def test_forces_are_learned_from(learner, env, simulator):
     ],
 )
 def test_bad_values_are_one_line(flags, named, capsys):
-    assert main(["train", *flags, "--out", "run"]) == 2
-    err = capsys.readouterr().err
-    assert err.startswith("tactilerl: error: ")
-    assert err.count("\n") == 1
-    assert named in err
+    fails_with(capsys, ["train", *flags, "--out", "run"], named)
     assert not Path("run").exists()
 
 
@@ -147,19 +120,13 @@ class TestEvaluateWithOtherSensors:
         ],
     )
     def test_bad_values_are_one_line(self, given, named, trained, capsys):
-        assert main(["evaluate", "run", "--episodes", "1", *given]) == 2
-        err = capsys.readouterr().err
-        assert err.startswith("tactilerl: error: ")
-        assert err.count("\n") == 1
-        assert named in err
+        fails_with(capsys, ["evaluate", "run", "--episodes", "1", *given], named)
         assert not list(Path().glob("*.png"))
 
     def test_a_run_without_a_hand_has_no_sensors(self, capsys):
         learner = ["--algo", "ppo", "--hidden", "8", "--steps-per-epoch", "16", "--n-passes", "1"]
         main(["train", *learner, "--env", "lqr", "--total-timesteps", "16", "--out", "run"])
-        capsys.readouterr()
-        assert main(["evaluate", "run", "--taxel-dead", "0.1"]) == 2
-        assert "--taxel-dead" in capsys.readouterr().err
-        assert main(["evaluate", "run", "--sweep", "taxel-dead", "0.1"]) == 2
-        assert "found a run on 'lqr'" in capsys.readouterr().err
+        fails_with(capsys, ["evaluate", "run", "--taxel-dead", "0.1"], "--taxel-dead")
+        sweep = ["evaluate", "run", "--sweep", "taxel-dead", "0.1"]
+        fails_with(capsys, sweep, "found a run on 'lqr'")
         assert main(["evaluate", "run", "--episodes", "1", "--json"]) == 0

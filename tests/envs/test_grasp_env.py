@@ -295,11 +295,8 @@ class TestFaults:
 
     @pytest.mark.parametrize("poison", ["qpos", "qvel", "qfrc_applied"])
     @pytest.mark.parametrize("resets_itself", [False, True])
-    def test_a_huge_state_that_no_observation_shows_is_divergence(
-        self, poison, resets_itself, tmp_path, monkeypatch
-    ):
+    def test_a_huge_state_that_no_observation_shows_is_divergence(self, poison, resets_itself, in_tmp):
         """Also where MuJoCo puts everything back to the start of the episode and goes on."""
-        monkeypatch.chdir(tmp_path)  # where MuJoCo writes its log
         env = envs.make("mpl", simulator="mujoco", task="reach-goal")
         env.reset(seed=0)
         env.step(np.zeros(7))

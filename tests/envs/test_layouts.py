@@ -153,8 +153,7 @@ def test_a_taxel_on_the_very_edge_is_allowed(tmp_path):
     layouts.load(str(path)).place(HAND)
 
 
-def test_unknown_names(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_unknown_names(in_tmp):
     Path("mine.toml").touch()
     with pytest.raises(ValueError, match=r"unknown layout 'mine'; did you mean mine\.toml\?"):
         layouts.load("mine")

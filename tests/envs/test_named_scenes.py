@@ -6,6 +6,7 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
+from one_line import fails_with
 
 import tactilerl
 from tactilerl.commands.cli import main
@@ -13,12 +14,8 @@ from tactilerl.envs import scenes
 from tactilerl.envs.hands import HANDS
 from tactilerl.runs.config import defaults
 
+pytestmark = pytest.mark.usefixtures("in_tmp")
 SHORT = ["--total-timesteps", "1", "--steps-per-epoch", "60", "--n-passes", "1", "--workers", "1"]
-
-
-@pytest.fixture(autouse=True)
-def _in_tmp(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
 
 
 @pytest.mark.parametrize("name", scenes.names())
@@ -128,14 +125,10 @@ class TestOwnFile:
     )
     def test_what_is_wrong_is_one_line(self, text, named, capsys):
         Path("mine.toml").write_text(text)
-        assert main(["train", "--scene", "mine.toml", *SHORT, "--out", "run"]) == 2
-        said = capsys.readouterr().err
-        assert named in said
-        assert len(said.splitlines()) == 1
+        fails_with(capsys, ["train", "--scene", "mine.toml", *SHORT, "--out", "run"], named)
         assert not Path("run").exists()
 
     def test_a_file_that_is_not_there(self, capsys):
-        assert main(["train", "--scene", "gone.toml"]) == 2
-        assert "gone.toml" in capsys.readouterr().err
-        assert main(["train", "--scene", "gone"]) == 2
-        assert "scene: found 'gone', allowed: dark_mpl, handover" in capsys.readouterr().err
+        fails_with(capsys, ["train", "--scene", "gone.toml"], "gone.toml")
+        words = "scene: found 'gone', allowed: dark_mpl, handover"
+        fails_with(capsys, ["train", "--scene", "gone"], words)

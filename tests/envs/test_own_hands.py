@@ -7,6 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from one_line import fails_with
 from scipy.spatial.transform import Rotation
 
 import tactilerl
@@ -172,11 +173,7 @@ class TestHand:
         if not complaint:  # a mesh that nothing uses may be missing
             hands.get(path)
             return
-        assert main(["env", "--env", path]) == 2
-        said = capsys.readouterr().err
-        assert complaint in said
-        assert said.count("\n") == 1
-        assert said.startswith("tactilerl: error:")
+        fails_with(capsys, ["env", "--env", path], complaint)
 
     def test_a_mesh_that_cannot_be_found_is_named(self, own):
         path = own('<mesh name="tip" vertex', '<mesh name="tip" file="no.stl"/><mesh name="x" vertex',
@@ -371,8 +368,8 @@ class TestTaxelFiles:
         np.testing.assert_allclose(axes @ axes.swapaxes(1, 2), np.tile(np.eye(3), (5, 1, 1)),
                                    atol=1e-12)  # fmt: skip
         np.testing.assert_allclose(poses[:, :, 2], np.tile([-1.0, 0, 0], (5, 1)), atol=0.3)
-        assert main(["env", "--env", "shadow", "--export", str(tmp_path / "a.stl")]) == 2
-        assert "allowed names that end in" in capsys.readouterr().err
+        stl = ["env", "--env", "shadow", "--export", tmp_path / "a.stl"]
+        fails_with(capsys, stl, "allowed names that end in")
 
 
 class TestCommands:
@@ -388,13 +385,11 @@ class TestCommands:
         points.unlink()  # the run has its own copy
         assert main(["evaluate", run, "--episodes", "1"]) == 0
         assert main(["train", "--resume", run, "--total-timesteps", "60"]) == 0
-        capsys.readouterr()
         own("-0.7 1.2", "-0.7 1.1", "gripper.xml")
-        assert main(["evaluate", run, "--episodes", "1"]) == 2
-        assert "have changed since it was made" in capsys.readouterr().err
+        evaluate = ["evaluate", run, "--episodes", "1"]
+        fails_with(capsys, evaluate, "have changed since it was made")
         Path(path).unlink()
-        assert main(["evaluate", run, "--episodes", "1"]) == 2
-        assert "hand of this run cannot be read: hand file" in capsys.readouterr().err
+        fails_with(capsys, evaluate, "hand of this run cannot be read: hand file")
         assert RunDir(Path(run)).read_config()[0].run.env == path  # it can still be read
 
     def test_doctor_finds_a_grasp(self, own, capsys, monkeypatch):
@@ -402,8 +397,8 @@ class TestCommands:
         monkeypatch.setattr(grasp_search, "STARTS", 2)
         text = Path(own()).read_text()
         path = own(text[text.index("[[grasp]]") :], "")
-        assert main(["probe", "--env", path, "--grasps", "5"]) == 2
-        assert "has no [[grasp]] in its file; tactilerl doctor --env FILE" in capsys.readouterr().err
+        words = "has no [[grasp]] in its file; tactilerl doctor --env FILE"
+        fails_with(capsys, ["probe", "--env", path, "--grasps", "5"], words)
         assert main(["doctor", "--env", path, "--grasps", "3", "--layout", "1"]) in (0, 1)
         said = capsys.readouterr()
         found = said.err[said.err.rindex("[[grasp]]") :]
@@ -435,18 +430,8 @@ class TestCommands:
         hand = hands.get(GRIPPER)
         points.write_bytes(taxel_files.WRITERS[".json"](layouts.load("1").place(hand).points()))
         asked = ["--joint-noise", "0.05", "--resamples", "100", "--shuffles", "2", "--folds", "2"]
-        flags = [
-            "--env",
-            GRIPPER,
-            "--grasps",
-            "60",
-            "--layout",
-            "5",
-            str(points),
-            "--skin",
-            str(points),
-        ]
-        flags += ["--start-offset", "0.005"]
+        flags = ["--env", GRIPPER, "--grasps", "60", "--layout", "5", str(points)]
+        flags += ["--skin", str(points), "--start-offset", "0.005"]
         assert main(["probe", *flags, *asked, "--select", "3", "--out", str(tmp_path), "--json"]) == 0
         found = json.loads(capsys.readouterr().out)
         assert 0.1 < found["held"] < 0.95

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from one_line import fails_with
 
 from tactilerl import envs
 from tactilerl.commands.cli import main
@@ -113,7 +114,4 @@ def test_a_table_and_a_sentence(capsys):
     ],
 )
 def test_bad_input(args, named, capsys):
-    assert main(["gate", *args]) == 2
-    said = capsys.readouterr().err
-    assert named in said
-    assert len(said.splitlines()) == 1
+    fails_with(capsys, ["gate", *args], named)

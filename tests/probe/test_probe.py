@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from grasp_records import ASKED, TOUCHED, synthetic
+from one_line import fails_with
 from sklearn.metrics import balanced_accuracy_score, r2_score, roc_auc_score
 from threadpoolctl import threadpool_info, threadpool_limits
 
@@ -302,10 +303,9 @@ def write(path, records):
 
 
 @pytest.fixture
-def one_taxel(tmp_path, monkeypatch):
+def one_taxel(tmp_path, in_tmp):
     """A file of 100 grasps, of which those that touch hold in 9 of 10 cases, and no others do in 9
     of 10; in a working directory of its own."""
-    monkeypatch.chdir(tmp_path)
     touches = np.arange(100) % 2 == 0
     records = synthetic(hands.get("shadow"), touches)
     records["held"] = touches ^ (np.arange(100) // 2 % 10 == 0)
@@ -424,8 +424,7 @@ class TestAnalysis:
 
 
 class TestPlayed:
-    def test_from_playing_to_the_answer_and_on(self, tmp_path, monkeypatch, capfd):
-        monkeypatch.chdir(tmp_path)
+    def test_from_playing_to_the_answer_and_on(self, tmp_path, monkeypatch, capfd, in_tmp):
         args = ["--env", "shadow", "--simulator", "mujoco", "--layout", "5"]
         args += ["--object-size", "0.04", "0.06", "--closing", "0.6", "1.4"]
         first = result(capfd, *args, "--grasps", "8")
@@ -442,10 +441,7 @@ class TestPlayed:
 
 
 def error(capsys, *args):
-    assert main(["probe", *args]) == 2
-    captured = capsys.readouterr()
-    assert len(captured.err.strip().splitlines()) == 1, captured.err
-    return captured.err
+    return fails_with(capsys, ["probe", *args])
 
 
 class TestFolder:
@@ -458,8 +454,7 @@ class TestFolder:
             assert "is writing to this folder" in said
             assert "is writing" in error(capsys, "--from", str(one_taxel))
 
-    def test_a_policy_of_a_scene_with_ranges_is_asked(self, tmp_path, monkeypatch, capfd):
-        monkeypatch.chdir(tmp_path)
+    def test_a_policy_of_a_scene_with_ranges_is_asked(self, tmp_path, capfd, in_tmp):
         scene = ["--env", "shadow", "--friction", "0.5..1.0", "--object-size", "0.04..0.05"]
         short = ["--total-timesteps", "1", "--hold-seconds", "0.2", "--steps-per-epoch", "20"]
         assert main(["train", "--algo", "ppo", *scene, *short, "--out", "run"]) == 0
@@ -477,15 +472,13 @@ class TestScene:
         assert found.start_offset == 0.015
         assert found.friction == GraspFlags().friction
 
-    def test_flags_change_what_it_says(self, tmp_path, monkeypatch, capfd):
-        monkeypatch.chdir(tmp_path)
+    def test_flags_change_what_it_says(self, capfd, in_tmp):
         args = ["--scene", "dark_mpl", "--simulator", "mujoco", "--object-size", "0.045"]
         found = result(capfd, *args, "--grasps", "8", "--layout", "5")
         assert found["env"] == "mpl"
         assert found["playing"]["perturbation"]["sizes"] == [0.045]
 
-    def test_a_scene_that_is_handed_over_is_refused(self, capsys, tmp_path, monkeypatch):
-        monkeypatch.chdir(tmp_path)
+    def test_a_scene_that_is_handed_over_is_refused(self, capsys, in_tmp):
         assert "whose task is handover" in error(capsys, "--scene", "handover")
         Path("box.toml").write_text("[scene]\nobject_size = [0.03, 0.04, 0.05]\n")
         assert "several measures of an object" in error(capsys, "--scene", "box.toml")
@@ -506,8 +499,7 @@ class TestBadInput:
         assert "link_positions is missing" in error(capsys, "--from", str(one_taxel))
         assert "does not exist" in error(capsys, "--from", "nowhere.npz")
 
-    def test_unknown_layout(self, tmp_path, monkeypatch, capsys):
-        monkeypatch.chdir(tmp_path)
+    def test_unknown_layout(self, tmp_path, capsys, in_tmp):
         assert "unknown layout '7'" in error(capsys, "--layout", "2", "7")
         assert not list(tmp_path.iterdir())
         assert "skin: found 'xmm'" in error(capsys, "--select", "3", "--skin", "xmm")
@@ -540,8 +532,7 @@ class TestBadInput:
             (["--policy", "nowhere"], "not a run folder"),
         ],
     )
-    def test_flags(self, args, message, capsys, tmp_path, monkeypatch):
-        monkeypatch.chdir(tmp_path)
+    def test_flags(self, args, message, capsys, tmp_path, in_tmp):
         assert message in error(capsys, *args)
         assert not list(tmp_path.iterdir())
 

@@ -20,6 +20,7 @@ import filelock
 import numpy as np
 import pytest
 import torch
+from one_line import fails_with
 
 from tactilerl.algos import memory
 from tactilerl.commands.cli import main
@@ -33,6 +34,7 @@ HER = ["train", "--algo", "ddpg_her", "--env", "point-reach", "--hidden", "8", "
 HER += ["--n-batches", "1", "--n-test-rollouts", "0", "--batch-size", "8"]
 RESUME = ["train", "--resume", "run"]
 PART = Path("run/experience/00000001-0000.pt")
+pytestmark = pytest.mark.usefixtures("in_tmp")
 CHECKPOINT, TABLE, CONFIG = Path("run/checkpoint.pt"), Path("run/progress.csv"), Path("run/config.json")
 
 
@@ -45,11 +47,6 @@ def made(tmp_path_factory):
     return folder
 
 
-@pytest.fixture(autouse=True)
-def _in_tmp(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-
-
 @pytest.fixture
 def ppo(made):
     shutil.copytree(made / "ppo", "run")
@@ -58,18 +55,6 @@ def ppo(made):
 @pytest.fixture
 def her(made):
     shutil.copytree(made / "her", "run")
-
-
-def fails_with(capsys, args, *words):
-    capsys.readouterr()
-    assert main(args) == 2
-    out, err = capsys.readouterr()
-    assert err.startswith("tactilerl: error: ")
-    assert err.count("\n") == 1
-    assert len(err) < 800
-    assert "Traceback" not in out + err
-    for word in words:
-        assert word in err, err
 
 
 def edit(path, change):
@@ -562,30 +547,6 @@ class TestProvenance:
         git("add", "venv")
         git("commit", "-m", "ours")
         assert provenance.commit(package) == git("rev-parse", "HEAD")
-
-
-class TestFlags:
-    @pytest.mark.parametrize(
-        ("args", "words"),
-        [
-            (["train", "--env", "../x:Id"], "env: found '../x:Id'"),
-            (["train", "--env", "no_such_module:Id"], "no_such_module"),
-            ([*PPO, "--device", "meta"], "device: found 'meta'"),
-            ([*PPO, "--workers", "2000000"], "workers: found 2000000"),
-            ([*PPO, "--total-timesteps", "9" * 400], "total_timesteps: found"),
-            ([*PPO, "--seed", "9" * 400], "seed: found"),
-            ([*PPO, "--seed", "9" * 5000], "seed"),
-            ([*PPO, "--out", "x" * 5000], "name too long"),
-            (["train", "--resume", "x" * 5000], "name too long"),
-            (["evaluate", "x" * 5000], "name too long"),
-            (["train", "--layout", "x" * 5000], "layout"),
-            (["train", "--layout", "x" * 5000 + ".toml"], "layout"),
-            ([*PPO, "--trust"], "--trust: found without --resume"),
-        ],
-    )
-    def test_one_clear_line(self, capsys, args, words):
-        fails_with(capsys, args, words)
-        assert not list(Path().iterdir())
 
 
 class TestTerminal:

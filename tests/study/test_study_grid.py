@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+from one_line import fails_with
 
 from tactilerl.commands.cli import main
 from tactilerl.errors import InputError
@@ -110,10 +111,7 @@ class TestGrid:
         data = json.loads(json.dumps(read(tmp_path, GOOD).as_dict()))
         change(data)
         (tmp_path / "study.json").write_text(json.dumps(data))
-        assert main(["study", "status", str(tmp_path)]) == 2
-        err = capsys.readouterr().err
-        assert err.startswith(f"tactilerl: error: {tmp_path}/study.json: ")
-        assert err.count("\n") == 1
+        fails_with(capsys, ["study", "status", tmp_path], f"tactilerl: error: {tmp_path}/study.json: ")
 
     def test_dictionary_and_back(self, tmp_path):
         study = read(tmp_path, GOOD)
@@ -190,24 +188,14 @@ class TestBadFiles:
     def test_one_line_and_nothing_begun(self, tmp_path, capsys, old, new, words):
         assert old in GOOD
         file = write(tmp_path, GOOD.replace(old, new))
-        assert main(["study", "run", str(file), "--out", str(tmp_path / "out")]) == 2
-        out, err = capsys.readouterr()
-        assert err.startswith("tactilerl: error: ")
-        assert err.count("\n") == 1
-        assert "Traceback" not in out + err
+        fails_with(capsys, ["study", "run", file, "--out", tmp_path / "out"], *words)
         assert not (tmp_path / "out").exists()
-        for word in words:
-            assert word in err
 
     @pytest.mark.parametrize("where", ["file/out", "/dev/null/out"])
-    def test_a_folder_that_cannot_be_made(self, tmp_path, capsys, monkeypatch, where):
-        monkeypatch.chdir(tmp_path)
+    def test_a_folder_that_cannot_be_made(self, tmp_path, capsys, where, in_tmp):
         Path("file").touch()
         text = 'name = "x"\n[setups.x]\nenv = "lqr"\nhidden = [8]\n'
-        assert main(["study", "run", str(write(tmp_path, text)), "--out", where]) == 2
-        err = capsys.readouterr().err
-        assert "cannot write" in err
-        assert err.count("\n") == 1
+        fails_with(capsys, ["study", "run", write(tmp_path, text), "--out", where], "cannot write")
 
     def test_no_file_no_setups_colliding_names(self, tmp_path):
         with pytest.raises(InputError, match="no such study file"):
@@ -219,16 +207,12 @@ class TestBadFiles:
 
     def test_an_environment_that_cannot_be_made(self, tmp_path, capsys):
         file = write(tmp_path, 'name = "x"\n[setups.x]\nenv = "No-Such-Env-v0"\n')
-        assert main(["study", "run", str(file), "--out", str(tmp_path / "out")]) == 2
-        err = capsys.readouterr().err
-        assert err.count("\n") == 1
-        assert "No-Such-Env" in err
+        fails_with(capsys, ["study", "run", file, "--out", tmp_path / "out"], "No-Such-Env")
         assert not (tmp_path / "out").exists()
 
     @pytest.mark.parametrize("flag", ["--jobs", "--ranks-per-run"])
     def test_bad_flags(self, tmp_path, capsys, flag):
-        assert main(["study", "run", str(write(tmp_path, GOOD)), flag, "0"]) == 2
-        assert f"{flag}: found 0" in capsys.readouterr().err
+        fails_with(capsys, ["study", "run", write(tmp_path, GOOD), flag, 0], f"{flag}: found 0")
 
     def test_unknown_part_and_help(self, capsys):
         assert main(["study", "fly"]) == 2

@@ -11,6 +11,7 @@ import sys
 
 import numpy as np
 import pytest
+from one_line import fails_with
 from study_records import make_study
 
 from tactilerl import statistics
@@ -124,8 +125,8 @@ class TestFiles:
 
     def test_a_file_alone_is_not_collected_without_a_place_for_it(self, tmp_path, capsys):
         (tmp_path / "study.toml").write_text("")
-        assert main(["study", "collect", str(tmp_path / "study.toml")]) == 2
-        assert "expected a study's folder, or --out FILE" in capsys.readouterr().err
+        args = ["study", "collect", tmp_path / "study.toml"]
+        fails_with(capsys, args, "expected a study's folder, or --out FILE")
 
     def test_the_collected_file_is_as_good_as_the_folders(self, folder, written, tmp_path, capsys):
         path = tmp_path / "one.csv.gz"
@@ -133,15 +134,8 @@ class TestFiles:
         first = path.read_bytes()
         records.collect(folder.path, out=path)
         assert path.read_bytes() == first
-        args = [
-            "report",
-            str(path),
-            "--out",
-            str(tmp_path / "from_file"),
-            "--resamples",
-            str(RESAMPLES),
-        ]
-        assert main(["study", *args]) == 0
+        args = ["--out", str(tmp_path / "from_file"), "--resamples", str(RESAMPLES)]
+        assert main(["study", "report", str(path), *args]) == 0
         assert contents(tmp_path / "from_file") == contents(written.parent)
         assert "smallest group has 4 runs" in capsys.readouterr().out
 
@@ -170,8 +164,7 @@ class TestFiles:
         text = gzip.decompress(path.read_bytes()).decode()
         for name in ("../../../pwn", '""""><img src=x onerror=alert(1)>'):
             path.write_bytes(gzip.compress(text.replace("mujoco", name).encode()))
-            assert main(["study", "report", str(path), "--out", str(tmp_path / "x/y/z")]) == 2
-            assert capsys.readouterr().err.count("\n") == 1
+            fails_with(capsys, ["study", "report", path, "--out", tmp_path / "x/y/z"])
         assert [p.name for p in tmp_path.iterdir()] == ["c.csv.gz"]
 
     def test_nobody_learns_from_a_collected_study_where_it_was_made(self, folder, tmp_path):
@@ -246,10 +239,7 @@ class TestWarnings:
 
     @pytest.mark.parametrize("part", ["status", "report", "collect", "plan"])
     def test_no_study_there(self, tmp_path, capsys, part):
-        assert main(["study", part, str(tmp_path)]) == 2
-        err = capsys.readouterr().err
-        assert "no study.json" in err
-        assert err.count("\n") == 1
+        fails_with(capsys, ["study", part, tmp_path], "no study.json")
 
     def test_rows_that_no_run_writes(self, tmp_path, capsys):
         """In a folder the run is not done; in a collected file, nothing else is to be believed."""
@@ -265,8 +255,8 @@ class TestWarnings:
             whole = [f"{one}{',' * (5 - one.count(','))}" for one in row.split("\n")]
             new = "\n".join(f"{first.rsplit(',', 6)[0]},{one}" for one in whole)
             path.write_bytes(gzip.compress(text.replace(first, new).encode()))
-            assert main(["study", "report", str(path)]) == 2
-            assert "not a collected study (run pybullet_layout-1" in capsys.readouterr().err
+            words = "not a collected study (run pybullet_layout-1"
+            fails_with(capsys, ["study", "report", path], words)
 
     def test_a_damaged_configuration_costs_a_run_and_no_more(self, tmp_path, capsys):
         folder = make_study(tmp_path / "s", n_seeds=1)
@@ -285,17 +275,13 @@ class TestWarnings:
         (tmp_path / "study.json").write_bytes(content)
         (tmp_path / "c.csv.gz").write_bytes(content)
         for path in (tmp_path, tmp_path / "c.csv.gz"):
-            assert main(["study", "report", str(path)]) == 2
-            err = capsys.readouterr().err
-            assert err.count("\n") == 1
-            assert str(path) in err
+            fails_with(capsys, ["study", "report", path], str(path))
 
     def test_a_missing_extra_is_named(self, tmp_path, monkeypatch, capsys):
         monkeypatch.setitem(sys.modules, "jinja2", None)
         monkeypatch.delitem(sys.modules, "tactilerl.study.report")
         monkeypatch.delattr(package, "report")
-        assert main(["study", "report", str(tmp_path)]) == 2
-        assert "pip install 'tactilerl[study]'" in capsys.readouterr().err
+        fails_with(capsys, ["study", "report", tmp_path], "pip install 'tactilerl[study]'")
 
 
 class TestSplitStudies:
@@ -349,10 +335,8 @@ class TestSplitStudies:
         run = folder.study().runs()[0]
         file = StudyFolder(parts[1]).files(run).run_dir.progress.path
         file.write_text(file.read_text().replace(",100.0", ",90.0"))
-        assert self.collect(tmp_path / "c", folder.path, parts[1]) == 2
-        err = capsys.readouterr().err
-        assert f"run {run.name}: found it done, with other results" in err
-        assert err.count("\n") == 1
+        args = ["study", "collect", folder.path, parts[1], "--out", tmp_path / "c"]
+        fails_with(capsys, args, f"run {run.name}: found it done, with other results")
 
     @pytest.mark.parametrize(
         ("old", "new", "words"),
@@ -370,15 +354,11 @@ class TestSplitStudies:
         text = parts[0].read_text()
         assert old in text
         (tmp_path / "other.toml").write_text(text.replace(old, new))
-        assert self.collect(tmp_path / "c", *parts[:2], tmp_path / "other.toml") == 2
-        err = capsys.readouterr().err
-        assert err.count("\n") == 1
-        for word in words:
-            assert word in err
+        args = ["study", "collect", *parts[:2], tmp_path / "other.toml", "--out", tmp_path / "c"]
+        fails_with(capsys, args, *words)
 
     def test_where_to_write_it(self, parts, capsys):
-        assert main(["study", "collect", *map(str, parts)]) == 2
-        assert "or --out FILE" in capsys.readouterr().err
+        fails_with(capsys, ["study", "collect", *parts], "or --out FILE")
 
 
 class TestPlan:
@@ -414,8 +394,7 @@ class TestPlan:
         assert "…" not in (shown := capsys.readouterr().out)
         assert max(map(len, shown.splitlines())) <= 80
         assert "converged" in shown
-        assert main(["study", "plan", str(folder.path), "--power", "1"]) == 2
-        assert "--power" in capsys.readouterr().err
+        fails_with(capsys, ["study", "plan", folder.path, "--power", "1"], "--power")
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")

@@ -14,6 +14,7 @@ from pathlib import Path
 import filelock
 import numpy as np
 import pytest
+from one_line import fails_with
 from tiny_study import TINY, learned, write
 
 from benchmarks.studies import again
@@ -82,16 +83,15 @@ class TestRun:
 
     def test_another_run_in_its_folder_is_refused(self, undisturbed, tmp_path, capsys):
         text = TINY.replace("n_batches = 2", "n_batches = 3")
-        assert main(["study", "run", str(write(tmp_path, text)), "--out", str(undisturbed)]) == 2
-        err = capsys.readouterr().err
-        assert "n_batches: found 3" in err
-        assert err.count("\n") == 1
+        args = ["study", "run", write(tmp_path, text), "--out", undisturbed]
+        fails_with(capsys, args, "n_batches: found 3")
 
     def test_a_folder_that_holds_something_else_is_refused(self, tmp_path, capsys):
         (tmp_path / "out").mkdir()
         (tmp_path / "out" / "thesis.tex").write_text("")
-        assert main(["study", "run", str(write(tmp_path)), "--out", str(tmp_path / "out")]) == 2
-        assert "holds no study" in capsys.readouterr().err
+        fails_with(
+            capsys, ["study", "run", write(tmp_path), "--out", tmp_path / "out"], "holds no study"
+        )
 
     def test_only_some_runs_and_the_rest_another_day(self, undisturbed, trained_here, tmp_path, capsys):
         file, out, packed = write(tmp_path), tmp_path / "out", tmp_path / "c.csv.gz"
@@ -110,12 +110,8 @@ class TestRun:
         [("polyak 0.8", ["'polyak 0.8'", "reach, polyak 0.9"]), ("polyak 0.9,polyak 0.95", ["no run"])],
     )
     def test_only_what_there_is(self, tmp_path, capsys, only, words):
-        args = ["study", "run", str(write(tmp_path)), "--out", str(tmp_path / "out"), "--only", only]
-        assert main(args) == 2
-        err = capsys.readouterr().err
-        assert err.count("\n") == 1
-        for word in words:
-            assert word in err
+        args = ["study", "run", write(tmp_path), "--out", tmp_path / "out", "--only", only]
+        fails_with(capsys, args, *words)
         assert not (tmp_path / "out").exists()
 
 

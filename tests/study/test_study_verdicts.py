@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from one_line import fails_with
 from study_records import PAPER_LIKE, make_study
 
 from tactilerl.commands.cli import main
@@ -210,15 +211,11 @@ class TestCompare:
         [("layout 7", ["'layout 7'", "layout 2"]), ("pybullet,mujoco", ["no finished"])],
     )
     def test_no_such_part(self, folder, capsys, chosen, words):
-        assert main(["study", "compare", f"{folder.path}:{chosen}", str(folder.path)]) == 2
-        err = capsys.readouterr().err
-        assert err.count("\n") == 1
-        for word in words:
-            assert word in err
+        fails_with(capsys, ["study", "compare", f"{folder.path}:{chosen}", folder.path], *words)
 
     def test_parts_with_nothing_in_common(self, folder, capsys):
-        assert main(["study", "compare", f"{folder.path}:pybullet", f"{folder.path}:layout 2"]) == 2
-        assert "nothing in both" in capsys.readouterr().err
+        args = ["study", "compare", f"{folder.path}:pybullet", f"{folder.path}:layout 2"]
+        fails_with(capsys, args, "nothing in both")
 
 
 class TestErrorsOfLooks:
