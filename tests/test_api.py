@@ -260,76 +260,64 @@ class TestTrain:
                 tactilerl.train(resume="run", **choices)
 
 
+MISTAKES = [
+    (lambda: tactilerl.PPO("lqr", layers=3), "layers: unknown; allowed: .*hidden.*seed"),
+    (lambda: tactilerl.PPO("lqr", clip_rang=1), "clip_rang: unknown; did you mean clip_range?"),
+    (lambda: tactilerl.PPO("lqr", learning_rate=1), "did you mean actor_lr or critic_lr?"),
+    (lambda: tactilerl.make("shadow", laout=4), "laout: unknown; did you mean layout?"),
+    (lambda: tactilerl.DDPGHER("point-reach", recipe="calm"), "recipe: found 'calm'"),
+    (lambda: tactilerl.PPO("lqr", gamma="x"), "gamma: found 'x'"),
+    (lambda: tactilerl.PPO("lqr", seed=-1), "seed: found -1"),
+    (lambda: tactilerl.PPO("lqr", threads=0), "threads: found 0"),
+    (lambda: tactilerl.PPO("lqr", device="toaster"), "device: found 'toaster'"),
+    (lambda: tactilerl.PPO("nope"), "unknown environment 'nope'"),
+    (lambda: tactilerl.PPO(3), "env: found int, allowed an environment, an id or a function"),
+    (lambda: tactilerl.PPO(tactilerl.make("lqr"), workers=2), "workers: found 2 with one"),
+    (lambda: tactilerl.PPO("CartPole-v1"), "action space: found Discrete"),
+    (lambda: tactilerl.DDPGHER("lqr"), "observation space: found Box"),
+    (lambda: tactilerl.PPO("lqr").learn(0), "total_timesteps: found 0"),
+    (lambda: tactilerl.PPO("lqr").learn("1"), "total_timesteps: found '1'"),
+    (lambda: tactilerl.PPO("lqr").save("no/folder.pt"), "path: found 'no/folder.pt'"),
+    (lambda: tactilerl.PPO("lqr").save("."), "path: found '.'"),
+    (lambda: tactilerl.PPO("lqr").act([1, 2, 3]), r"shape \(3,\), expected \(2,\), or a batch"),
+    (lambda: tactilerl.PPO("lqr").act([1, np.nan]), "obs: not finite"),
+    (lambda: tactilerl.PPO("lqr").act([[1, 2], [np.inf, 0]]), "obs: not finite"),
+    (lambda: tactilerl.PPO("lqr").act({"observation": [1, 2]}), "expected an array"),
+    (lambda: tactilerl.PPO("lqr").act([1, 2], deterministic=False), "rng: found none"),
+    (lambda: tactilerl.DDPGHER("point-reach").act([1, 2]), "found list, expected a Dict with"),
+    (lambda: tactilerl.load_policy("nothing.pt"), "nothing.pt: missing"),
+    (lambda: tactilerl.load_policy("."), "not a run folder"),
+    (
+        lambda: tactilerl.evaluate(tactilerl.PPO("lqr").policy(), "point-reach"),
+        r"env: found observations of shape .*, the policy has \(2,\)",
+    ),
+    (lambda: tactilerl.evaluate(tactilerl.PPO("lqr").policy(), "lqr", episodes=0), "episodes: "),
+    (lambda: tactilerl.evaluate("policy.pt", "lqr"), "policy: found str, allowed what load_policy"),
+    (lambda: tactilerl.PPO("nowhere:Env-v0"), "env: No module named 'nowhere'"),
+    (lambda: tactilerl.PPO("lqr").act(tactilerl.make("lqr").reset()), "obs: found a tuple"),
+    (lambda: short(obs=(0,)), "space: found an empty one"),
+    (lambda: tactilerl.PPO(lambda: None, **SHORT), "env: found a function that returns None"),
+    (
+        lambda: tactilerl.make("shadow", friction=(0.5, 1)),
+        "friction: found tuple, allowed a number or a string",
+    ),
+    (lambda: tactilerl.make("lqr", layout=3), "'lqr' cannot be made here .*'layout'"),
+    (
+        lambda: tactilerl.evaluate(short(), Short(), episodes=1.5),
+        "episodes: found 1.5, allowed a whole",
+    ),
+    (lambda: tactilerl.evaluate(short(), Short(high=2.0)), "actions from -2 to 2, the policy's are"),
+    (lambda: short(info=None).learn(20), "found NoneType for a step's info, allowed a dict"),
+    (lambda: short().act(np.zeros(2), False, rng=0), "rng: found 0, needed"),
+    (lambda: short().act(np.full(2, 1e300)), "obs: not finite, not real or beyond float32"),
+    (lambda: short().act(np.ones(2) * 1j), r"not real or beyond float32 \(complex128\)"),
+    (lambda: with_nan().act(np.zeros(2)), "policy: its action is not finite"),
+    (lambda: short().learn(20, progress_bar=True), "progress_bar: unknown; did you mean progress"),
+]
+
+
 class TestMistakes:
-    @pytest.mark.parametrize(
-        ("make", "words"),
-        [
-            (lambda: tactilerl.PPO("lqr", layers=3), "layers: unknown; allowed: .*hidden.*seed"),
-            (lambda: tactilerl.PPO("lqr", clip_rang=1), "clip_rang: unknown; did you mean clip_range?"),
-            (lambda: tactilerl.PPO("lqr", learning_rate=1), "did you mean actor_lr or critic_lr?"),
-            (lambda: tactilerl.make("shadow", laout=4), "laout: unknown; did you mean layout?"),
-            (lambda: tactilerl.DDPGHER("point-reach", recipe="calm"), "recipe: found 'calm'"),
-            (lambda: tactilerl.PPO("lqr", gamma="x"), "gamma: found 'x'"),
-            (lambda: tactilerl.PPO("lqr", seed=-1), "seed: found -1"),
-            (lambda: tactilerl.PPO("lqr", threads=0), "threads: found 0"),
-            (lambda: tactilerl.PPO("lqr", device="toaster"), "device: found 'toaster'"),
-            (lambda: tactilerl.PPO("nope"), "unknown environment 'nope'"),
-            (lambda: tactilerl.PPO(3), "env: found int, allowed an environment, an id or a function"),
-            (lambda: tactilerl.PPO(tactilerl.make("lqr"), workers=2), "workers: found 2 with one"),
-            (lambda: tactilerl.PPO("CartPole-v1"), "action space: found Discrete"),
-            (lambda: tactilerl.DDPGHER("lqr"), "observation space: found Box"),
-            (lambda: tactilerl.PPO("lqr").learn(0), "total_timesteps: found 0"),
-            (lambda: tactilerl.PPO("lqr").learn("1"), "total_timesteps: found '1'"),
-            (lambda: tactilerl.PPO("lqr").save("no/folder.pt"), "path: found 'no/folder.pt'"),
-            (lambda: tactilerl.PPO("lqr").save("."), "path: found '.'"),
-            (lambda: tactilerl.PPO("lqr").act([1, 2, 3]), r"shape \(3,\), expected \(2,\), or a batch"),
-            (lambda: tactilerl.PPO("lqr").act([1, np.nan]), "obs: not finite"),
-            (lambda: tactilerl.PPO("lqr").act([[1, 2], [np.inf, 0]]), "obs: not finite"),
-            (lambda: tactilerl.PPO("lqr").act({"observation": [1, 2]}), "expected an array"),
-            (lambda: tactilerl.PPO("lqr").act([1, 2], deterministic=False), "rng: found none"),
-            (lambda: tactilerl.DDPGHER("point-reach").act([1, 2]), "found list, expected a Dict with"),
-            (lambda: tactilerl.load_policy("nothing.pt"), "nothing.pt: missing"),
-            (lambda: tactilerl.load_policy("."), "not a run folder"),
-            (
-                lambda: tactilerl.evaluate(tactilerl.PPO("lqr").policy(), "point-reach"),
-                r"env: found observations of shape .*, the policy has \(2,\)",
-            ),
-            (
-                lambda: tactilerl.evaluate(tactilerl.PPO("lqr").policy(), "lqr", episodes=0),
-                "episodes: ",
-            ),
-            (
-                lambda: tactilerl.evaluate("policy.pt", "lqr"),
-                "policy: found str, allowed what load_policy",
-            ),
-            (lambda: tactilerl.PPO("nowhere:Env-v0"), "env: No module named 'nowhere'"),
-            (lambda: tactilerl.PPO("lqr").act(tactilerl.make("lqr").reset()), "obs: found a tuple"),
-            (lambda: short(obs=(0,)), "space: found an empty one"),
-            (lambda: tactilerl.PPO(lambda: None, **SHORT), "env: found a function that returns None"),
-            (
-                lambda: tactilerl.make("shadow", friction=(0.5, 1)),
-                "friction: found tuple, allowed a number or a string",
-            ),
-            (lambda: tactilerl.make("lqr", layout=3), "'lqr' cannot be made here .*'layout'"),
-            (
-                lambda: tactilerl.evaluate(short(), Short(), episodes=1.5),
-                "episodes: found 1.5, allowed a whole",
-            ),
-            (
-                lambda: tactilerl.evaluate(short(), Short(high=2.0)),
-                "actions from -2 to 2, the policy's are",
-            ),
-            (lambda: short(info=None).learn(20), "found NoneType for a step's info, allowed a dict"),
-            (lambda: short().act(np.zeros(2), False, rng=0), "rng: found 0, needed"),
-            (lambda: short().act(np.full(2, 1e300)), "obs: not finite, not real or beyond float32"),
-            (lambda: short().act(np.ones(2) * 1j), r"not real or beyond float32 \(complex128\)"),
-            (lambda: with_nan().act(np.zeros(2)), "policy: its action is not finite"),
-            (
-                lambda: short().learn(20, progress_bar=True),
-                "progress_bar: unknown; did you mean progress",
-            ),
-        ],
-    )
+    @pytest.mark.parametrize(("make", "words"), MISTAKES)
     def test_are_value_errors_of_one_line(self, make, words):
         with pytest.raises(ValueError, match=words) as raised:
             make()
@@ -455,9 +443,6 @@ tactilerl.make("lqr")
 assert "torch" not in sys.modules
 """
         )
-
-    def test_gymnasium_knows_our_environments_when_it_is_imported_later(self):
-        run_python("import tactilerl, gymnasium; gymnasium.make('tactilerl/LQR-v0')")
 
     def test_no_module_hides_a_function(self):
         modules = {path.stem for path in (ROOT / "tactilerl").iterdir()}

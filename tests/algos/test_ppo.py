@@ -419,30 +419,20 @@ def improve(ppo, minibatch):
     return torch.cat([ppo._improve_actor(minibatch), ppo._improve_critic(minibatch)])
 
 
+HARD = {
+    "+1e6": dict(reward=lambda rng: 1e6),
+    "-1e6": dict(reward=lambda rng: -1e6),
+    "±1e6": dict(reward=lambda rng: float(rng.choice([-1e6, 1e6]))),
+    "1e-6": dict(reward=lambda rng: 1e-6 * float(rng.standard_normal())),
+    "constant obs": dict(obs=lambda rng: np.ones(3, np.float32)),
+    "offset obs": dict(obs=lambda rng: (1e8 + rng.standard_normal(3)).astype(np.float32)),
+    "one step": dict(length=1),
+    "truncated at once": dict(length=1, terminated=False),
+}
+
+
 class TestHardCases:
-    @pytest.mark.parametrize(
-        "choices",
-        [
-            dict(reward=lambda rng: 1e6),
-            dict(reward=lambda rng: -1e6),
-            dict(reward=lambda rng: float(rng.choice([-1e6, 1e6]))),
-            dict(reward=lambda rng: 1e-6 * float(rng.standard_normal())),
-            dict(obs=lambda rng: np.ones(3, np.float32)),
-            dict(obs=lambda rng: (1e8 + rng.standard_normal(3)).astype(np.float32)),
-            dict(length=1),
-            dict(length=1, terminated=False),
-        ],
-        ids=[
-            "+1e6",
-            "-1e6",
-            "±1e6",
-            "1e-6",
-            "constant obs",
-            "offset obs",
-            "one step",
-            "truncated at once",
-        ],
-    )
+    @pytest.mark.parametrize("choices", HARD.values(), ids=HARD)
     def test_stays_finite(self, choices):
         ppo = make_ppo(scripted(**choices))
         for _ in range(3):

@@ -40,6 +40,24 @@ def own(tmp_path):
     return change
 
 
+WRONG = [
+    ("toml", 'palm = "palm"', 'palm = "hand"', "palm: found no body 'hand' in the model, allowed:"),
+    ("toml", '"left_1", "left_2"', '"left_9"', "digits.left: found no body 'left_9'"),
+    ("xml", ' range="-0.7 1.2"', "", "joint 'left_knuckle': has no range"),
+    ("toml", "tip = [0, 0, -0.033]", "tip = [0, 0, -0.08]", "mm off body 'left_2', allowed"),
+    ("toml", 'model = "gripper.xml"', 'model = "no.xml"', "no.xml' does not exist"),
+    ("xml", '<mesh name="tip" vertex=', '<mesh name="tip" file="no.stl" foo=', "model"),
+    ("xml", '<mesh name="tip"', '<mesh name="other" file="no.stl"/><mesh name="tip"', ""),
+    ("toml", "[closed]", "[shut]", "unknown key 'shut'"),
+    ("toml", '"*_tip" = 0.4', '"*_toe" = 0.4', "closed: found no joint '*_toe' in the model"),
+    ("toml", "fingers = [0, -1, 0]", "fingers = [0, 0, 1]", "fingers: found the direction of palmar"),
+    ("toml", "palmar = [0, 0, -1]", "palmar = [0, 0]", "palmar: found [0, 0], expected 3 numbers"),
+    ("toml", "[digits]", "[pitch]\nrows = 3\n[digits]", "rows: found 3, expected a table"),
+    ("toml", "object_size = 0.05", 'object_size = "5 cm"', "grasp 1: object_size: found '5 cm'"),
+    ("toml", "[opened]", "[actions]\nkind = 'fly'\n[opened]", "actions.kind: found 'fly', allowed"),
+]
+
+
 class TestHand:
     def test_has_the_digits_and_segments_of_its_file(self):
         hand = hands.get(GRIPPER)
@@ -119,55 +137,7 @@ class TestHand:
         assert hand.couplings == (("left_tip", "left_knuckle", 0.5),)
         assert "left_tip" not in hand.actuated
 
-    @pytest.mark.parametrize(
-        ("file", "old", "new", "complaint"),
-        [
-            (
-                "toml",
-                'palm = "palm"',
-                'palm = "hand"',
-                "palm: found no body 'hand' in the model, allowed:",
-            ),
-            ("toml", '"left_1", "left_2"', '"left_9"', "digits.left: found no body 'left_9'"),
-            ("xml", ' range="-0.7 1.2"', "", "joint 'left_knuckle': has no range"),
-            (
-                "toml",
-                "tip = [0, 0, -0.033]",
-                "tip = [0, 0, -0.08]",
-                "mm off body 'left_2', allowed",
-            ),
-            ("toml", 'model = "gripper.xml"', 'model = "no.xml"', "no.xml' does not exist"),
-            ("xml", '<mesh name="tip" vertex=', '<mesh name="tip" file="no.stl" foo=', "model"),
-            ("xml", '<mesh name="tip"', '<mesh name="other" file="no.stl"/><mesh name="tip"', ""),
-            ("toml", "[closed]", "[shut]", "unknown key 'shut'"),
-            ("toml", '"*_tip" = 0.4', '"*_toe" = 0.4', "closed: found no joint '*_toe' in the model"),
-            (
-                "toml",
-                "fingers = [0, -1, 0]",
-                "fingers = [0, 0, 1]",
-                "fingers: found the direction of palmar",
-            ),
-            (
-                "toml",
-                "palmar = [0, 0, -1]",
-                "palmar = [0, 0]",
-                "palmar: found [0, 0], expected 3 numbers",
-            ),
-            ("toml", "[digits]", "[pitch]\nrows = 3\n[digits]", "rows: found 3, expected a table"),
-            (
-                "toml",
-                "object_size = 0.05",
-                'object_size = "5 cm"',
-                "grasp 1: object_size: found '5 cm'",
-            ),
-            (
-                "toml",
-                "[opened]",
-                "[actions]\nkind = 'fly'\n[opened]",
-                "actions.kind: found 'fly', allowed",
-            ),
-        ],
-    )
+    @pytest.mark.parametrize(("file", "old", "new", "complaint"), WRONG)
     def test_what_is_wrong_is_one_line(self, own, file, old, new, complaint, capsys):
         path = own(old, new, f"gripper.{file}")
         if not complaint:  # a mesh that nothing uses may be missing
@@ -243,6 +213,24 @@ class TestTouch:
         assert model.ngeom == 7
 
 
+MALFORMED = [
+    ("a.json", b"{", "taxel file"),
+    ("a.json", b'[{"link_name": "x"}]', "not of this format (KeyError: 'probes')"),
+    ("a.json", b"3", "not of this format"),
+    ("a.json", b"[]", "found 0 taxels"),
+    ("a.csv", b"x,y\n1,2\n", "found the columns x, y, expected link, x"),
+    ("a.csv", b"link,x,y,z,nx,ny,nz,radius\na,1,2\n", "line 2: found"),
+    ("a.csv", b"link,x,y,z,nx,ny,nz,radius\na,0,0,0,0,0,0,.002\n", "normal: found [0.0, 0.0, 0.0]"),
+    ("a.csv", b"link,x,y,z,nx,ny,nz,radius\na,0,0,0,0,0,1,9\n", "taxel 1: radius: found 9"),
+    ("a.csv", b"link,x,y,z,nx,ny,nz,radius\na,nan,0,0,0,0,1,.002\n", "position: found"),
+    ("a.csv", b"link,x,y,z,nx,ny,nz,radius\n" + 2 * b"a,0,0,0,0,0,1,.002\n", "found the same place"),
+    ("a.npz", b"PK", "not of this format (BadZipFile"),
+    ("a.toml", b"[[taxel]]\nlink = 3\n", "taxel 1: link: found 3"),
+    ("a.toml", b"[[taxel]]\nlink = 'x'\nfoo = 1\n", "taxel 1: unknown key 'foo'"),
+    ("a.toml", b"[[sensor]]\nfile = 'x.stl'\n", "sensor 1: file: found 'x.stl'"),
+]
+
+
 class TestTaxelFiles:
     taxels = layouts.load("1").place(hands.get(GRIPPER))
 
@@ -302,33 +290,7 @@ class TestTaxelFiles:
         with pytest.raises(ValueError, match="names no link"):
             layouts.load(str(tmp_path / "pad.npz"))
 
-    @pytest.mark.parametrize(
-        ("name", "content", "complaint"),
-        [
-            ("a.json", b"{", "taxel file"),
-            ("a.json", b'[{"link_name": "x"}]', "not of this format (KeyError: 'probes')"),
-            ("a.json", b"3", "not of this format"),
-            ("a.json", b"[]", "found 0 taxels"),
-            ("a.csv", b"x,y\n1,2\n", "found the columns x, y, expected link, x"),
-            ("a.csv", b"link,x,y,z,nx,ny,nz,radius\na,1,2\n", "line 2: found"),
-            (
-                "a.csv",
-                b"link,x,y,z,nx,ny,nz,radius\na,0,0,0,0,0,0,.002\n",
-                "normal: found [0.0, 0.0, 0.0]",
-            ),
-            ("a.csv", b"link,x,y,z,nx,ny,nz,radius\na,0,0,0,0,0,1,9\n", "taxel 1: radius: found 9"),
-            ("a.csv", b"link,x,y,z,nx,ny,nz,radius\na,nan,0,0,0,0,1,.002\n", "position: found"),
-            (
-                "a.csv",
-                b"link,x,y,z,nx,ny,nz,radius\n" + 2 * b"a,0,0,0,0,0,1,.002\n",
-                "found the same place",
-            ),
-            ("a.npz", b"PK", "not of this format (BadZipFile"),
-            ("a.toml", b"[[taxel]]\nlink = 3\n", "taxel 1: link: found 3"),
-            ("a.toml", b"[[taxel]]\nlink = 'x'\nfoo = 1\n", "taxel 1: unknown key 'foo'"),
-            ("a.toml", b"[[sensor]]\nfile = 'x.stl'\n", "sensor 1: file: found 'x.stl'"),
-        ],
-    )
+    @pytest.mark.parametrize(("name", "content", "complaint"), MALFORMED)
     def test_malformed_files_are_one_line(self, tmp_path, name, content, complaint):
         path = tmp_path / name
         path.write_bytes(content)
