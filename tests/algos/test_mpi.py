@@ -285,6 +285,7 @@ def test_a_study_over_the_ranks_of_a_launch(tmp_path):
     assert learned(Path("together")) == learned(Path("alone"))
 
 
+@pytest.mark.slow  # test_study_run.py has one that is stopped
 def test_several_ranks_for_each_run_of_a_study(tmp_path):
     text = TINY.replace("polyak = [0.9, 0.95]\n", "").replace("polyak = [0.95, 0.9]\n", "")
     args = ["study", "run", str(write(tmp_path, text)), "--out", "out"]

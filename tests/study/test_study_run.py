@@ -309,6 +309,8 @@ def test_ranks_of_a_run_end_with_the_study(tmp_path, one_launch, number):
         assert time.monotonic() < until
         assert process.poll() is None
         time.sleep(0.1)
+    (config,) = tmp_path.glob("out/runs/*/config.json")
+    assert json.loads(config.read_text())["ranks"] == 2
     below = descendants(process.pid)
     assert len(below) >= 3  # mpirun, two ranks
     process.send_signal(number)
