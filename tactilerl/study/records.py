@@ -123,7 +123,8 @@ def _record(run: Run, files: RunFiles) -> Record:
     config, reason = None, files.damage() or (outcome.reason if outcome else "")
     if files.exists:
         try:
-            files.run_dir.read_config()
+            if state != "done":  # goes on, which takes a configuration of this version
+                files.run_dir.read_config()
             config = _anywhere(files.run_dir.record())
         except InputError as error:
             state, reason = "failed" if state != "damaged" else state, str(error)

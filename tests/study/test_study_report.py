@@ -270,6 +270,16 @@ class TestWarnings:
         assert main(["study", "report", str(folder.path), "--resamples", "100"]) == 0
         assert "Of 12 runs 1 failed" in capsys.readouterr().out
 
+    def test_a_finished_run_of_another_version_counts(self, tmp_path):
+        folder = make_study(tmp_path / "s", n_seeds=1)
+        path = folder.files(folder.study().runs()[0]).run_dir.config_file
+        config = json.loads(path.read_text())
+        del config["learner"]["gamma"]  # which that version did not have yet
+        path.write_text(json.dumps(config))
+        _, found = records.load(records.collect(folder.path))
+        assert {one.state for one in found} == {"done"}
+        assert found[0].config["learner"] == config["learner"]
+
     @pytest.mark.parametrize("content", [b"", b"{", b'{"name": 1}', b"\xff\xfe", b"[" * 100_000])
     def test_damaged_study_or_collected_file(self, tmp_path, capsys, content):
         (tmp_path / "study.json").write_bytes(content)
