@@ -93,8 +93,9 @@ def _run(args: list[str]) -> int:
 
 def _say(what: str, error: BaseException, args: Sequence[str] = ()) -> None:
     """One line about the end of a command: the error, and what was noted on its way here."""
-    said = [_as_typed(str(error), args), *getattr(error, "__notes__", ())]
-    line = " ".join(f"{what}: {'; '.join(said)}".removesuffix(": ").split())
+    reason = _as_typed(str(error), args)
+    said = [f"{what}: {reason}" if reason else what, *getattr(error, "__notes__", ())]
+    line = " ".join("; ".join(said).split())
     if len(line) > LONGEST:
         line = f"{line[: LONGEST // 2]} ... {line[-LONGEST // 2 :]}"
     print(f"tactilerl: {line}", file=sys.stderr)

@@ -111,7 +111,7 @@ class TestEvaluateWithOtherSensors:
             (["--sweep", "layout", "1", "2"], "--sweep: found 'layout', allowed: taxel-false-on"),
             (["--sweep", "taxel-dead"], "--sweep taxel-dead: found no values"),
             (["--sweep", "taxel-dead", "some"], "--sweep taxel-dead: could not convert"),
-            (["--sweep", "taxel-dead", "0", "2"], "taxel-dead: found 2.0, allowed from 0 to 1"),
+            (["--sweep", "taxel-dead", "0", "2"], "--sweep: taxel_dead: found 2.0, allowed from 0"),
             (["--sweep", "taxel-dead", "0", "--out", "a.bmp"], "--out: found 'a.bmp'"),
             (["--sweep", "taxel-dead", "0", "--out", "no/a.png"], "--out: the folder 'no'"),
             (["--out", "a.png"], "--out: found without --sweep, allowed only with it"),
