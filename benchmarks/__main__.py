@@ -7,6 +7,8 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
+from tactilerl.errors import InputError
+
 HERE = Path(__file__).parent
 
 
@@ -42,7 +44,11 @@ def main() -> int | None:
     name = sys.argv.pop(1)
     sys.argv[0] = f"python -m benchmarks {name}"
     module = ".".join(files[name].relative_to(HERE).with_suffix("").parts)
-    code: int | None = import_module(f"benchmarks.{module}").main()
+    try:
+        code: int | None = import_module(f"benchmarks.{module}").main()
+    except InputError as error:
+        print(f"{sys.argv[0]}: error: {error}", file=sys.stderr)
+        code = 2
     return code
 
 

@@ -20,6 +20,7 @@ from tactilerl.algos import DivergenceError
 from tactilerl.commands.cli import main
 from tactilerl.envs.toy import PointReachEnv
 from tactilerl.runs import sealed
+from tactilerl.runs.progress_csv import TIMES
 
 pytestmark = pytest.mark.usefixtures("in_tmp")
 ROOT = Path(__file__).resolve().parents[1]
@@ -31,7 +32,6 @@ LEARNERS = [
     ("PPO", "lqr", PPO | {"recipe": "steady"}, 200),
     ("DDPGHER", "point-reach", HER, 150),
 ]
-TIMES = {"collect_s", "update_s", "steps_per_s"}
 
 
 class Short(gym.Env):

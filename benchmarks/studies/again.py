@@ -1,6 +1,6 @@
 """Does a run of a collected study come out again, bit for bit? Trains it and compares every epoch.
 
-    python -m benchmarks again docs/data/handover.csv.gz handover_run_type-main_s0
+    python -m benchmarks again docs/data/handover.csv.gz handover_layout-2_run_type-main_s0
 
 The same bits need the same machine and versions, so both versions are printed. Exit code 1 where an
 epoch differs.
@@ -13,10 +13,10 @@ import tempfile
 from pathlib import Path
 
 from tactilerl.envs.choices import nearest
+from tactilerl.errors import InputError
+from tactilerl.runs.progress_csv import TIMES
 from tactilerl.study import records, runner
 from tactilerl.study.folder import RunFiles
-
-TIMES = ("collect_s", "update_s", "steps_per_s")
 
 
 def differences(before: list[dict[str, str]], after: list[dict[str, str]]) -> list[str]:
@@ -38,11 +38,12 @@ def main() -> int:
     """Train the run anew, in a folder that goes again."""
     flags = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     flags.add_argument("study", type=Path, help="a collected file, or a study's folder")
-    flags.add_argument("run", help="name of a run in it, such as handover_run_type-main_s0")
+    flags.add_argument("run", help="name of a run in it, such as handover_layout-2_run_type-main_s0")
     options = flags.parse_args()
-    found = {one.run.name: one for one in records.load(options.study)[1]}
-    if options.run not in found or found[options.run].state != "done":
-        flags.error(f"run: found {options.run!r}; {nearest(options.run, found)}allowed: a finished run")
+    found = {one.run.name: one for one in records.load(options.study)[1] if one.state == "done"}
+    if options.run not in found:
+        hint = nearest(options.run, found)
+        raise InputError(f"run: found {options.run!r}; {hint}allowed: a finished run of the study")
     before = found[options.run]
     config = before.config or {}
     with tempfile.TemporaryDirectory() as folder:

@@ -17,6 +17,7 @@ from matplotlib.ticker import EngFormatter
 from scipy.stats import spearmanr
 
 from benchmarks.command import ROOT, earlier
+from benchmarks.printing import interval
 from benchmarks.studies import gates
 from tactilerl import statistics, style
 from tactilerl.statistics import Array, Estimate
@@ -254,7 +255,7 @@ def mean(values: Iterable[float]) -> str:
 
 def estimate(found: Estimate, form: str) -> str:
     """A number with its interval."""
-    return f"{found.value:{form}} ({found.low:{form}} to {found.high:{form}})".replace("-", "−")
+    return interval(*found, form, " to ").replace("-", "−")
 
 
 def line(*cells: object, head: bool = False) -> None:

@@ -12,6 +12,7 @@ from ..errors import InputError
 from .files import content, no_link, replacing
 
 FIRST = ["epoch", "env_steps"]  # the columns that every table begins with
+TIMES = ("collect_s", "update_s", "steps_per_s")  # columns that no seed decides
 SHARE = "success_rate"  # ends the names of columns that are shares
 LONGEST = 100  # characters of a field
 Row = dict[str, str]

@@ -27,6 +27,7 @@ from tactilerl.envs import scripted
 from tactilerl.envs.vector import Workers
 from tactilerl.pictures.render import _Filmed
 from tactilerl.runs import arguments, sealed
+from tactilerl.runs.progress_csv import TIMES
 
 FAST = ["--hidden", "16", "--steps-per-epoch", "120", "--n-passes", "2"]
 TOY = ["train", "--env", "lqr", *FAST]
@@ -34,7 +35,6 @@ HER = ["train", "--algo", "ddpg_her", "--hidden", "16", "--n-cycles", "2", "--n-
 HER += ["--n-test-rollouts", "1", "--batch-size", "32"]
 REACH = [*HER, "--env", "point-reach"]
 pytestmark = pytest.mark.usefixtures("in_tmp")
-TIMES = ("collect_s", "update_s", "steps_per_s")
 
 
 def render(*flags):

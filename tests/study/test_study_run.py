@@ -19,9 +19,11 @@ from tiny_study import TINY, learned, write
 
 from benchmarks.studies import again
 from tactilerl.commands.cli import main
+from tactilerl.errors import InputError
 from tactilerl.study import analysis, display, records, report, runner
 from tactilerl.study.folder import Outcome, StudyFolder
 
+ROOT = Path(__file__).parents[2]
 LAUNCH = [sys.executable, "-m", "tactilerl", "study", "run"]
 BROKEN = """
 import gymnasium as gym
@@ -336,6 +338,27 @@ def test_a_doubtful_reader_trains_a_run_again(undisturbed, tmp_path, monkeypatch
     table.write_text(text.replace("\n4,200,", "\n4,201,"))
     assert again.main() == 1
     assert "epoch 4, env_steps: 200 -> 201" in capsys.readouterr().out
+    monkeypatch.setattr(sys, "argv", ["again", str(collected), f"../{name}"])
+    with pytest.raises(InputError, match=f"run: found '../{name}'; did you mean {name}"):
+        again.main()
+
+
+@pytest.mark.parametrize("same", ["24", "56"])
+def test_controls_of_layouts_with_as_many_taxels_are_the_same_run(same):
+    """docs/study.md says so of the paper's study."""
+    found = {one.run.name: one for one in records.load(ROOT / "docs/data/paper.csv.gz")[1]}
+    for seed in range(5):
+        a, b = (found[f"mujoco_layout-{n}_run_type-control_s{seed}"].rows for n in same)
+        other = found[f"mujoco_layout-1_run_type-control_s{seed}"].rows
+        assert not again.differences(a, b)
+        assert again.differences(a, other)
+
+
+def test_a_benchmark_ends_with_one_line_over_bad_input(tmp_path):
+    command = [sys.executable, "-m", "benchmarks", "again", str(tmp_path / "gone.csv.gz"), "x"]
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert (result.returncode, result.stderr.count("\n")) == (2, 1)
+    assert "gone.csv.gz' is not a study's folder" in result.stderr
 
 
 def test_a_report_of_a_real_study(undisturbed, tmp_path):
