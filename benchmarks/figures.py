@@ -5,7 +5,6 @@ python -m benchmarks figures
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import matplotlib
@@ -13,9 +12,8 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-import pandas as pd
 from adjustText import adjust_text
-from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from benchmarks.command import DATA, DOCS, data
 from benchmarks.studies import answer, faults, probe_tables
@@ -26,59 +24,21 @@ from tactilerl.probe.figures import hand_map
 from tactilerl.study import figures as study_figures
 from tactilerl.study.analysis import analyse
 from tactilerl.study.records import load
-from tactilerl.style import ARMS, DPI, HEAD, INK, NAMES, OTHERS, STYLE, arm
+from tactilerl.style import ARMS, DPI, HEAD, INK, NAMES, OTHERS, STYLE
 
 IMAGES = DOCS / "images"
-WINDOW = 100  # episodes of the running success rate
-SEEDS = range(3)
 SETTING, SHIPPED = OTHERS[:2]
-# Picture: title, what is drawn, and for each panel its title and what its runs' files begin with.
-RUNS = {
-    "learning_shadow_ppo": (
-        "Shadow Hand in MuJoCo, PPO, lift-and-hold, layout 4, 50,000 steps",
-        f"success rate, last {WINDOW} episodes",
-        {"": "ppo_shadow_layout4"},
-    ),
-    "learning_shadow_ddpg_her": (
-        "Shadow Hand in MuJoCo, DDPG+HER, reach-goal, layout 2, 36,000 steps",
-        "success rate of 20 test episodes",
-        {
-            "40 updates per cycle (the paper's)": "ddpg_her_shadow_layout2",
-            "16 updates per cycle": "ddpg_her_shadow_layout2_n_batches16",
-            "8 updates per cycle": "ddpg_her_shadow_layout2_n_batches8",
-            "16 updates per cycle, bfloat16": "ddpg_her_shadow_layout2_n_batches16_bfloat16",
-        },
-    ),
-}
 # Picture: the collected study, and its set-up whose curves are drawn.
 STUDIES = {
-    "pilot_pybullet": ("pilot", "pybullet"),
-    "pilot_mujoco": ("pilot", "mujoco"),
-    "dark_mpl": ("dark_mpl", "mpl"),
-    "poor_sight_shadow": ("poor_sight_shadow", "shadow"),
+    "learning_shadow_ppo": ("learners", "ppo"),
+    "paper_mujoco": ("paper", "mujoco"),
+    "paper_pybullet": ("paper", "pybullet"),
 }
 # Picture: the probe of which the first taxels chosen are shown.
 CHOSEN = {
     "probe_chosen_shadow_mujoco": "Shadow, MuJoCo",
     "probe_chosen_mpl_pybullet": "MPL, PyBullet",
 }
-
-
-def curve(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """(steps, success rate) of a progress table: of the test episodes where there are some,
-    else over at least the last WINDOW episodes."""
-    table = pd.read_csv(path, dtype=float)
-    steps = table.env_steps.to_numpy()
-    if "test_success_rate" in table:
-        return steps, table.test_success_rate.to_numpy()
-    episodes = table.episodes.to_numpy()
-    successes, rates = episodes * table.success_rate.to_numpy(), []
-    for end in range(1, len(table) + 1):
-        start = end - 1
-        while start > 0 and episodes[start:end].sum() < WINDOW:
-            start -= 1
-        rates.append(successes[start:end].sum() / episodes[start:end].sum())
-    return steps, np.array(rates)
 
 
 def speed_against_error() -> None:
@@ -123,36 +83,6 @@ def settings(axes: Any, rows: dict[str, dict[str, Any]]) -> tuple[list[Any], np.
         if is_best or is_shipped:
             texts.append(axes.text(*at, name, fontsize=8, color=colour))
     return texts, np.array(list(held.values())).T
-
-
-def learning_curves(name: str, title: str, what: str, files: dict[str, str]) -> None:
-    """A panel for each group of runs: seeds thin, their mean thick."""
-    columns = min(2, len(files))
-    rows = -(-len(files) // columns)
-    size = (3.5 * columns, 2.6 * rows + 0.4) if columns > 1 else (7, 3.5)
-    figure, grid = plt.subplots(
-        rows, columns, figsize=size, sharex=True, sharey=True, squeeze=False, layout="constrained"
-    )
-    for axes, (panel, file) in zip(grid.flat, files.items(), strict=True):
-        curves = [curve(DATA / f"{file}_main_s{seed}.csv") for seed in SEEDS]
-        steps = np.unique(np.concatenate([steps for steps, _ in curves]))
-        steps = steps[steps <= min(steps[-1] for steps, _ in curves)]
-        mean = np.mean([np.interp(steps, *each) for each in curves], axis=0)
-        label = f"{arm('main')}, mean of {len(curves)} runs"
-        axes.plot(steps, mean, color=ARMS[0], lw=2.5, label=label)
-        for at, rate in curves:
-            axes.plot(at, rate, color=ARMS[0], lw=0.8, alpha=0.7)
-        axes.plot([], [], color=INK, lw=0.8, alpha=0.7, label="a run")
-        axes.set_title(panel)
-        axes.set(ylim=(-0.02, 1.02))
-        axes.xaxis.set_major_formatter(EngFormatter(sep=""))
-    for axes in grid[-1]:
-        axes.set_xlabel("environment steps")
-    figure.supylabel(what, fontsize="medium")
-    figure.suptitle(title, **HEAD)
-    handles, labels = grid.flat[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=2)
-    save(figure, name)
 
 
 def study_curves(name: str, study: str, setup: str) -> None:
@@ -216,10 +146,9 @@ def main() -> None:
         layouts_unrolled()
         fault_curves()
         answer.draw(IMAGES)
-        for name, (title, what, files) in RUNS.items():
-            learning_curves(name, title, what, files)
         for name, pair in CHOSEN.items():
             chosen_taxels(name, probes[pair])
     probe_tables.figure(probes, IMAGES / "probe_selection.png")
-    for name, (study, setup) in STUDIES.items():
-        study_curves(name, study, setup)
+    for name, of in STUDIES.items():
+        if answer.is_there(*of):
+            study_curves(name, *of)

@@ -16,7 +16,7 @@ from typing import Any
 
 from benchmarks import environments
 from benchmarks.command import DATA, DOCS, ROOT, data
-from benchmarks.learners import ablation, cut_short, learning, steady
+from benchmarks.learners import ablation, cut_short, steady
 from benchmarks.studies import (
     answer,
     coverage,
@@ -27,13 +27,10 @@ from benchmarks.studies import (
     probe_agreement,
     probe_hold,
     probe_tables,
+    results,
     shared,
 )
 
-RUNS = (
-    *("handover", "handover_critic", "handover_zhang"),
-    *("dark_mpl_critic_observation", "dark_mpl_critic_truth"),
-)
 MARKED = re.compile(r"(<!-- table (.+?) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
 
@@ -68,8 +65,8 @@ PRINTED: dict[str, Callable[[], None]] = {
     "errors": _parts("errors", errors.show_p_values, "p_values"),
     "looks": _parts("errors", errors.show_looks, "looks", "p_values"),
     "coverage": _parts("coverage", coverage.show, "coverage"),
-    **{name: _of(name, learning.markdown) for name in RUNS},
-    **{name: partial(answer.show, name) for name in answer.TABLES},
+    **answer.TABLES,
+    **results.TABLES,
     **{
         f"study faults, {flag}": _of("faults", faults.show, [flag])
         for flag in faults.SWEEPS

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -320,41 +321,41 @@ def _layouts(axes: Axes, study: Study, found: list[Record]) -> None:
     axes.grid(axis="x", visible=False)
 
 
-TABLES: Mapping[str, tuple[Callable[..., None], tuple[str, ...]]] = {
-    name: (printing, of)
-    for name, printing, *of in (
-        ("study arms", decides, "handover"),
-        ("study worth", worth, "handover"),
-        ("study fingers", layouts, "handover_fingers"),
-        ("study palm", layouts, "handover_layouts"),
-        ("study orders", orders, "handover_fingers"),
-        ("study senses", senses, "senses"),
-        ("study between", between, "handover_fingers"),
-        ("study trained with faults", trained_with, "faults"),
-        ("study paper", over_layouts, "paper"),
-        ("study paper, ddpg_her", layouts, "paper", "mujoco"),
-        ("study paper, ddpg_her, between", between, "paper", "mujoco"),
-        ("study paper, ddpg_her, orders", orders, "paper", "mujoco", "Shadow, MuJoCo"),
-        ("study paper, ppo", layouts, "paper", "pybullet"),
-        ("study paper, ppo, between", between, "paper", "pybullet"),
-        ("study paper, ppo, orders", orders, "paper", "pybullet", "MPL, PyBullet"),
-    )
-    if is_there(*of)
-}
-"""By what the docs call them: what prints it, and of which study and set-up; of those that were run."""
+def tables(*rows: tuple[Any, ...]) -> dict[str, Callable[[], None]]:
+    """By what the docs call them: what prints each table, of those whose runs were made. A row has the
+    name, a function, and its arguments, of which the first are a study and perhaps a set-up."""
+    return {name: partial(printing, *of) for name, printing, *of in rows if is_there(*of)}
 
 
-def show(table: str) -> None:
-    """One of TABLES."""
-    printing, of = TABLES[table]
-    printing(*of)
+TABLES = tables(
+    ("study arms", decides, "handover"),
+    ("study worth", worth, "handover"),
+    ("study fingers", layouts, "handover_fingers"),
+    ("study palm", layouts, "handover_layouts"),
+    ("study orders", orders, "handover_fingers"),
+    ("study senses", senses, "senses"),
+    ("study between", between, "handover_fingers"),
+    ("study trained with faults", trained_with, "faults"),
+    ("study paper", over_layouts, "paper"),
+    ("study paper, ddpg_her", layouts, "paper", "mujoco"),
+    ("study paper, ddpg_her, between", between, "paper", "mujoco"),
+    ("study paper, ddpg_her, orders", orders, "paper", "mujoco", "Shadow, MuJoCo"),
+    ("study paper, ppo", layouts, "paper", "pybullet"),
+    ("study paper, ppo, between", between, "paper", "pybullet"),
+    ("study paper, ppo, orders", orders, "paper", "pybullet", "MPL, PyBullet"),
+)
+
+
+def show(printed: Mapping[str, Callable[[], None]]) -> None:
+    """One after the other."""
+    for name, printing in printed.items():
+        print(f"\n### {name}\n")
+        printing()
 
 
 def main() -> None:
     """All tables."""
-    for table in TABLES:
-        print(f"\n### {table}\n")
-        show(table)
+    show(TABLES)
 
 
 if __name__ == "__main__":

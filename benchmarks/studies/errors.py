@@ -44,8 +44,8 @@ def areas(shared: float, own: float, fails: float = 0.0) -> Draw:
 
 
 POPULATIONS = {
-    "like PPO in the pilot (r = 0.87)": areas(0.7, 0.27),
-    "like DDPG+HER in the pilot (r = 0.68)": areas(0.6, 0.41),
+    "runs of a seed much alike (r = 0.87)": areas(0.7, 0.27),
+    "runs of a seed alike (r = 0.68)": areas(0.6, 0.41),
     "runs of a seed differ (r = 0.37)": areas(0.4, 0.52),
     "one run in five fails (r = 0.16)": areas(0.5, 0.3, 0.2),
 }

@@ -1,7 +1,6 @@
 """What pairs of runs gain in the collected studies: correlation, and runs that an effect needs.
 
-    python -m benchmarks pairs docs/data/{pilot,dark_mpl,poor_sight_shadow}.csv.gz \\
-        --out docs/data/pairs.json
+    python -m benchmarks pairs docs/data/{handover,paper}.csv.gz --out docs/data/pairs.json
 
 A t test of a difference of 0.1 with a power of 0.8. Pairs of all cells of a set-up stand together,
 about one mean, or each about the mean of its cell, as in `tactilerl study plan`.
@@ -93,6 +92,8 @@ def main() -> None:
         study, found = records.load(path)
         for setup in study.setups:
             own = [record for record in found if record.run.setup == setup.name]
+            if setup.compare is None or all(record.state == "left" for record in own):
+                continue
             for score in (*SCORES, "last 30 %"):
                 rows.append(row(study.name, setup.name, score, cells(setup, own, score)))
     content = {"effect": EFFECT, "power": POWER, "alpha": ALPHA, "rows": rows}
