@@ -71,7 +71,7 @@ policies: $(TRAINING)
 	$(call POLICY,shadow_lift,$(SHADOW_LIFT))
 
 # About half an hour on two cores; `make bench-peers` and so on for a part. `make bench OUT=docs/data`
-# is what the docs show of these. `make bench-exploration` is not among them: it is about the task.
+# is what the docs show of these.
 OUT ?= bench
 GRASPS ?= 5
 BENCHMARKS := peers scaling footprint precision scene_parts speed_vs_error hard_cases
