@@ -29,8 +29,8 @@ RUNS = {
 def learned(_: str, setup_name: str) -> None:
     """How far and how fast the runs learned; with two rows, the difference in pairs."""
     line(
-        "runs", "seeds", "mean success over the run", "over its last tenth", "0.9 reached after, median",
-        "minutes, median", head=True,
+        "runs", "seeds", "mean success over the run", "over its last tenth",
+        "0.9 reached after, median", "minutes, median", head=True,
     )  # fmt: skip
     areas: list[answer.BySeed] = []
     for title, place in RUNS[setup_name].items():
