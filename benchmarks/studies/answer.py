@@ -18,7 +18,7 @@ from matplotlib.ticker import EngFormatter
 from scipy.stats import spearmanr
 
 from benchmarks.command import ROOT, earlier
-from benchmarks.printing import interval
+from benchmarks.printing import interval, markdown
 from benchmarks.studies import gates
 from tactilerl import statistics, style
 from tactilerl.statistics import Array, Estimate
@@ -46,7 +46,6 @@ SETUPS = {
 }
 """The paper's, as the tables call them."""
 FAULTS = {"dead": "a fifth of the taxels dead", "late": "readings one step (0.1 s) late"}
-BySeed = verdicts.BySeed
 
 
 @cache
@@ -83,17 +82,18 @@ def decides(name: str = "handover") -> None:
     (cell,) = main.cells
     arms = {style.ROLES[each]: (main, cell, each) for each in main.arms}
     arms[SIGHTED] = sighted, sighted.cells[0], ""
-    line("arm", "runs", "mean success over the run", "over its last tenth", head=True)
+    rows = []
     for title, place in arms.items():
         areas, finals = (verdicts.by_seed(found, *place, score) for score in ("area", "final"))
-        line(title, len(areas), mean(areas.values()), mean(finals.values()))
+        rows.append((title, len(areas), mean(areas.values()), mean(finals.values())))
+    markdown("| arm | runs | mean success over the run | over its last tenth |", rows)
 
 
 def worth(name: str = "handover") -> None:
     """Differences within pairs, and the share of the headroom."""
     study, found = load(name)
     (setup, _), (cell,) = study.setups, study.setups[0].cells
-    line("difference within pairs", "pairs", "mean success over the run", "p", "last tenth", head=True)
+    rows: list[tuple[object, ...]] = []
     for other in setup.arms[1:]:
         pairs = {
             score: verdicts.in_pairs(
@@ -101,42 +101,39 @@ def worth(name: str = "handover") -> None:
             )
             for score in ("area", "final")
         }
-        area = pairs["area"]
-        line(
-            f"{style.ROLES['main']} − {style.ROLES[other]}", len(area),
-            estimate(area.difference, "+.2f"), f"{area.p_value:.3f}",
-            estimate(pairs["final"].difference, "+.2f"),
-        )  # fmt: skip
+        title, area = f"{style.ROLES['main']} − {style.ROLES[other]}", pairs["area"]
+        both = (estimate(pairs[score].difference, "+.2f") for score in ("area", "final"))
+        rows.append((title, len(area), next(both), f"{area.p_value:.3f}", next(both)))
     share = verdicts.headroom(study, setup, cell, found, statistics.N_RESAMPLES)
     if share is not None:
-        line("sight − no touch", share.n, estimate(share.room, "+.2f"), "", "")
-        line("what touch gives of what sight gives", share.n, estimate(share.share, ".2f"), "", "")
+        rows.append(("sight − no touch", share.n, estimate(share.room, "+.2f"), "", ""))
+        rows.append(
+            ("what touch gives of what sight gives", share.n, estimate(share.share, ".2f"), "", "")
+        )
+    markdown("| difference within pairs | pairs | mean success over the run | p | last tenth |", rows)
 
 
 def layouts(name: str, setup_name: str = "") -> None:
     """Each layout against its control, and what a scripted reflex does with it where that is known."""
     setup, found = load_setup(name, setup_name)
     scripted = reflexes(name)
-    also = ["scripted reflex"] if scripted else []
-    line(
-        "layout", "pairs", "touch", "no touch", "difference", "p, corrected", "last tenth, touch",
-        *also, head=True,
-    )  # fmt: skip
+    rows = []
     for cell, verdict in verdicts.judge(load(name)[0], setup, found).items():
         pairs, where = verdict.pairs, label(cell)
         finals = verdicts.by_seed(found, setup, cell, "main", "final")
-        line(
-            where.removeprefix("layout "), len(pairs),
-            *(f"{np.mean(v):.2f}" if len(v) else "" for v in (pairs.treatment, pairs.control)),
-            estimate(pairs.difference, "+.2f"), p_value(verdict), mean(finals.values()),
-            *(f"{scripted[where]:.2f}" if where in scripted else "" for _ in also),
-        )  # fmt: skip
+        means = (f"{np.mean(v):.2f}" if len(v) else "" for v in (pairs.treatment, pairs.control))
+        row = [where.removeprefix("layout "), len(pairs), *means]
+        row += [estimate(pairs.difference, "+.2f"), p_value(verdict), mean(finals.values())]
+        reflex = f"{scripted[where]:.2f}" if where in scripted else ""
+        rows.append([*row, reflex] if scripted else row)
+    head = "| layout | pairs | touch | no touch | difference | p, corrected | last tenth, touch |"
+    markdown(head + " scripted reflex |" * bool(scripted), rows)
 
 
 def over_layouts(name: str) -> None:
     """What touch adds in each set-up: the mean over its layouts within each seed."""
     study, found = load(name)
-    line("set-up", "seeds", "touch", "no touch", "difference", "p", head=True)
+    rows = []
     for setup in study.setups:
         arms = []
         for arm in setup.arms[:2]:
@@ -147,7 +144,9 @@ def over_layouts(name: str) -> None:
         if len(pairs):
             means = (f"{np.mean(each):.2f}" for each in (pairs.treatment, pairs.control))
             difference = estimate(pairs.difference, "+.2f")
-            line(SETUPS[setup.name], len(pairs), *means, difference, f"{pairs.p_value:.3f}")
+            row = SETUPS[setup.name], len(pairs), *means, difference, f"{pairs.p_value:.3f}"
+            rows.append(row)
+    markdown("| set-up | seeds | touch | no touch | difference | p |", rows)
 
 
 def between(name: str, setup_name: str = "") -> None:
@@ -155,10 +154,12 @@ def between(name: str, setup_name: str = "") -> None:
     setup, found = load_setup(name, setup_name)
     area = {cell: verdicts.by_seed(found, setup, cell, "main", "area") for cell in setup.cells}
     pairs = [verdicts.in_pairs(*(area[f"layout {each}"] for each in both)) for both in BETWEEN]
-    line("layouts", "they differ in", "pairs", "difference", "p, Holm", head=True)
     corrected = statistics.holm([each.p_value for each in pairs])
-    for ((a, b), what), each, p in zip(BETWEEN.items(), pairs, corrected, strict=True):
-        line(f"{a} − {b}", what, len(each), estimate(each.difference, "+.2f"), f"{p:.3f}")
+    rows = [
+        (f"{a} − {b}", what, len(each), estimate(each.difference, "+.2f"), f"{p:.3f}")
+        for ((a, b), what), each, p in zip(BETWEEN.items(), pairs, corrected, strict=True)
+    ]
+    markdown("| layouts | they differ in | pairs | difference | p, Holm |", rows)
 
 
 def trained_with(name: str = "faults", without: str = "handover") -> None:
@@ -166,7 +167,7 @@ def trained_with(name: str = "faults", without: str = "handover") -> None:
     study, found = load(name)
     others, sound = load(without)
     place = others.setups[0], others.setups[0].cells[0]
-    line("trained with", "pairs", "mean success", "− touch without faults", "− no touch", head=True)
+    rows = []
     for setup in study.setups:
         own = verdicts.by_seed(found, setup, setup.cells[0], "", "area")
         pairs = [
@@ -174,7 +175,9 @@ def trained_with(name: str = "faults", without: str = "handover") -> None:
             for arm in ("main", "control")
         ]
         differences = (estimate(each.difference, "+.2f") for each in pairs)
-        line(FAULTS[setup.name], len(pairs[0]), mean(own.values()), *differences)
+        rows.append((FAULTS[setup.name], len(pairs[0]), mean(own.values()), *differences))
+    head = "| trained with | pairs | mean success | − touch without faults | − no touch |"
+    markdown(head, rows)
 
 
 def p_value(verdict: verdicts.Verdict) -> str:
@@ -188,15 +191,17 @@ def senses(name: str = "senses") -> None:
     """What touch adds, by sight and error of the joints."""
     study, found = load(name)
     cells = study.setups[0].cells
-    line("sight", *(f"{cell.removeprefix('joint noise held ')} rad" for cell in cells), head=True)
+    rows = []
     for setup in study.setups:
-        row = []
+        row = [setup.name.replace("_", " ")]
         for cell in cells:
             pairs = verdicts.in_pairs(
                 *(verdicts.by_seed(found, setup, cell, each, "area") for each in setup.arms[:2])
             )
             row.append(f"{estimate(pairs.difference, '+.2f')}, of {len(pairs)}" if len(pairs) else "")
-        line(setup.name.replace("_", " "), *row)
+        rows.append(row)
+    noises = (f"{cell.removeprefix('joint noise held ')} rad" for cell in cells)
+    markdown(f"| sight | {' | '.join(noises)} |", rows)
 
 
 def orders(name: str, setup_name: str = "", pair: str = PAIR) -> None:
@@ -206,14 +211,15 @@ def orders(name: str, setup_name: str = "", pair: str = PAIR) -> None:
     areas = {cell: by_seed for cell, by_seed in areas.items() if by_seed}
     seeds = sorted(set.intersection(*(set(by_seed) for by_seed in areas.values())))
     learned = np.array([[by_seed[seed] for seed in seeds] for by_seed in areas.values()])
-    line("predictor", "layouts", "seeds", "rank correlation with the learned area", head=True)
     predictors = {"touch reflex, same scene": reflexes(name), "probe, gain over joints": probed(pair)}
+    rows = []
     for title, predictor in predictors.items():
         known = [i for i, cell in enumerate(areas) if cell in predictor]
         if known:
             values = np.array([predictor[cell] for cell in np.array(list(areas))[known]])
             found_order = rank_correlation(values, learned[known])
-            line(title, len(known), len(seeds), estimate(found_order, ".2f"))
+            rows.append((title, len(known), len(seeds), estimate(found_order, ".2f")))
+    markdown("| predictor | layouts | seeds | rank correlation with the learned area |", rows)
 
 
 def rank_correlation(predictor: Array, learned: Array) -> Estimate:
@@ -257,13 +263,6 @@ def mean(values: Iterable[float]) -> str:
 def estimate(found: Estimate, form: str) -> str:
     """A number with its interval."""
     return interval(*found, form, " to ").replace("-", "−")
-
-
-def line(*cells: object, head: bool = False) -> None:
-    """A row of Markdown."""
-    print(f"| {' | '.join(map(str, cells))} |")
-    if head:
-        print(f"|{'---|' * len(cells)}")
 
 
 def draw(folder: Path) -> None:

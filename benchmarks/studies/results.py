@@ -9,8 +9,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from benchmarks.printing import markdown
 from benchmarks.studies import answer
-from benchmarks.studies.answer import estimate, line, mean
+from benchmarks.studies.answer import estimate, mean
 from tactilerl import style
 from tactilerl.study import verdicts
 from tactilerl.study.records import Record
@@ -28,11 +29,8 @@ RUNS = {
 
 def learned(_: str, setup_name: str) -> None:
     """How far and how fast the runs learned; with two rows, the difference in pairs."""
-    line(
-        "runs", "seeds", "mean success over the run", "over its last tenth",
-        "0.9 reached after, median", "minutes, median", head=True,
-    )  # fmt: skip
-    areas: list[answer.BySeed] = []
+    rows: list[tuple[object, ...]] = []
+    areas: list[verdicts.BySeed] = []
     for title, place in RUNS[setup_name].items():
         own, measure = runs(*place)
         reached = [verdicts.scores(record, measure) for record in own]
@@ -40,10 +38,13 @@ def learned(_: str, setup_name: str) -> None:
         areas.append({record.run.seed: value for record, value in zip(own, area, strict=True)})
         minutes = np.median([record.seconds for record in own]) / 60
         enough = steps([each[ENOUGH] for each in reached])
-        line(title, len(own), mean(area), mean(final), enough, f"{minutes:.1f}")
+        rows.append((title, len(own), mean(area), mean(final), enough, f"{minutes:.1f}"))
     if len(areas) == 2:
         pairs = verdicts.in_pairs(*areas)
-        line("their difference, in pairs", len(pairs), estimate(pairs.difference, "+.2f"), "", "", "")
+        difference = estimate(pairs.difference, "+.2f")
+        rows.append(("their difference, in pairs", len(pairs), difference, "", "", ""))
+    head = "| runs | seeds | mean success over the run | over its last tenth "
+    markdown(head + "| 0.9 reached after, median | minutes, median |", rows)
 
 
 def runs(name: str, setup_name: str, arm: str, layout: str = "layout 2") -> tuple[list[Record], str]:
@@ -66,7 +67,7 @@ def critic(name: str, setup_name: str, usual: str = "handover") -> None:
         answer.load_setup(name, setup_name),
         answer.load_setup(usual, usual),
     )
-    line("hand", "pairs", "critic sees the truth", "what the policy sees", "difference", "p", head=True)
+    rows = []
     for arm in setup.arms:
         pairs = verdicts.in_pairs(
             verdicts.by_seed(found, setup, setup.cells[0], arm, "area"),
@@ -74,7 +75,9 @@ def critic(name: str, setup_name: str, usual: str = "handover") -> None:
         )
         means = (f"{np.mean(each):.2f}" for each in (pairs.treatment, pairs.control))
         difference = estimate(pairs.difference, "+.2f")
-        line(style.ROLES[arm], len(pairs), *means, difference, f"{pairs.p_value:.3f}")
+        rows.append((style.ROLES[arm], len(pairs), *means, difference, f"{pairs.p_value:.3f}"))
+    head = "| hand | pairs | critic sees the truth | what the policy sees | difference | p |"
+    markdown(head, rows)
 
 
 TABLES = answer.tables(
