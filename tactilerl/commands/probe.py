@@ -67,7 +67,8 @@ def main(args: list[str]) -> int:
             return 0
         if not read.output.json:
             console.print(f"analysing {len(played.records['held'])} grasps")
-        result = run.analyse(read, played, out)
+        with Console(stderr=True, quiet=read.output.json).status("evaluating classifiers"):
+            result = run.analyse(read, played, out)
     if read.output.json:
         print(json.dumps(result))
     else:

@@ -172,8 +172,12 @@ class Plan:
             print(json.dumps([dataclasses.asdict(need) for need in needs]))
             return
         title = f"Pairs of runs for a difference of {self.effect:g} with power {self.power:g}"
-        caption = "r: within seeds; sd: of differences; alone: runs per arm; at: power"
-        table = Table(title=title, caption=caption, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+        caption = (
+            "n: pairs so far; r: correlation within seeds; sd: of their differences\n"
+            "alone: unpaired runs per arm; 95 %: interval of pairs; at N: power of N pairs\n"
+            "Holm: pairs, corrected for all cells"
+        )
+        table = Table(title=title, caption=caption, box=box.SIMPLE_HEAD, padding=0, show_edge=False)
         columns = ("set-up", "score", "n", "r", "sd", "alone", "pairs", "95 %", "Holm")
         for column in (*columns, *(f"at {n}" for n in needs[0].power)):
             table.add_column(column, no_wrap=True)
