@@ -17,6 +17,7 @@ from typing import Any
 from benchmarks import environments
 from benchmarks.command import DATA, DOCS, ROOT, data
 from benchmarks.learners import ablation, cut_short, steady
+from benchmarks.physics import hold_verdict
 from benchmarks.studies import (
     answer,
     coverage,
@@ -56,6 +57,7 @@ PRINTED: dict[str, Callable[[], None]] = {
     "probe differences": _of("probe", probe_tables.differences, 0.05),
     "probe agreement": _of("probe_agreement", probe_agreement.show),
     "probe hold": _of("probe_hold", probe_hold.show),
+    "hold verdict": _of("hold_verdict", hold_verdict.show),
     "cut short": _of("cut_short", cut_short.show),
     "many cores": _of("cut_short", cut_short.many_cores),
     "ablation": _of("ablation", ablation.show),

@@ -21,8 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import printing
 from benchmarks.command import count, earlier, parser, write
+from benchmarks.printing import markdown
 from tactilerl import envs, statistics
 from tactilerl.envs import scripted
 from tactilerl.envs.hands import Array, LinearAction
@@ -177,19 +177,21 @@ def summary(rows: list[dict[str, Any]], playing: float) -> dict[str, Any]:
 
 
 def show(results: dict[str, dict[str, Any]]) -> None:
-    """One table."""
+    """One table, as Markdown."""
     rows = []
     for name, row in results.items():
-        low, high = (100 * bound for bound in row["changed_ci"])
-        pushed = "–" if row["changed_by_push"] is None else row["changed_by_push"]
-        rows.append(
-            (name, row["holds"], row["held"], f"{row['changed']} ({low:.1f}–{high:.1f} %)",
-             row["called_held"], pushed, f"{100 * row['hold_ratio']:.1f} %",
-             f"{row['share_full']:.2f}", f"{row['share_early']:.2f}")
-        )  # fmt: skip
-    columns = ("lifts", "holds", "held", "changed (95 %)", "called held", "changed by 1 µm")
-    columns += ("time of a hold", "share of holds: full", "settled")
-    printing.show('The verdict "settled" against the full hold', columns, rows)
+        low, high = row["changed_ci"]
+        changed = f"{row['changed']} ({low:.1%} to {high:.1%})"
+        pushed = "" if row["changed_by_push"] is None else row["changed_by_push"]
+        shares = (f"{row[share]:.2f}" for share in ("share_full", "share_early"))
+        counts = row["holds"], row["held"], changed, row["called_held"], pushed
+        rows.append((name, *counts, f"{row['hold_ratio']:.1%}", *shares))
+    markdown(
+        "| lifts | holds | held in full | verdicts changed (95 %) | of these called held "
+        "| changed by 1 µm | time of a hold, relative to full | holds' share of collecting, full "
+        "| settled |",
+        rows,
+    )
 
 
 def main() -> None:
