@@ -32,6 +32,11 @@ def parser(description: str | None) -> argparse.ArgumentParser:
     return flags
 
 
+def no_flags(description: str | None) -> None:
+    """The command line of a benchmark that writes to the docs alone: --help, and nothing else."""
+    argparse.ArgumentParser(description=(description or "").splitlines()[0]).parse_args()
+
+
 def count(text: str) -> int:
     """A flag's number of things, 1 to a million."""
     if not text.isdecimal() or not 1 <= int(text) <= 1_000_000:

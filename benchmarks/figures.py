@@ -15,7 +15,7 @@ import numpy as np
 from adjustText import adjust_text
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from benchmarks.command import DATA, DOCS, data
+from benchmarks.command import DOCS, data, no_flags
 from benchmarks.studies import answer, faults, probe_tables
 from tactilerl.envs import hands, layouts
 from tactilerl.pictures.hand_map import TaxelMap
@@ -23,16 +23,14 @@ from tactilerl.pictures.places import Place
 from tactilerl.probe.figures import hand_map
 from tactilerl.study import figures as study_figures
 from tactilerl.study.analysis import analyse
-from tactilerl.study.records import load
 from tactilerl.style import ARMS, DPI, HEAD, INK, NAMES, OTHERS, STYLE
 
 IMAGES = DOCS / "images"
 SETTING, SHIPPED = OTHERS[:2]
-# Picture: the collected study, and its set-up whose curves are drawn.
+# Collected study: its set-ups whose curves are drawn, and the pictures.
 STUDIES = {
-    "learning_shadow_ppo": ("learners", "ppo"),
-    "paper_mujoco": ("paper", "mujoco"),
-    "paper_pybullet": ("paper", "pybullet"),
+    "learners": {"ppo": "learning_shadow_ppo"},
+    "paper": {"mujoco": "paper_mujoco", "pybullet": "paper_pybullet"},
 }
 # Picture: the probe of which the first taxels chosen are shown.
 CHOSEN = {
@@ -85,12 +83,12 @@ def settings(axes: Any, rows: dict[str, dict[str, Any]]) -> tuple[list[Any], np.
     return texts, np.array(list(held.values())).T
 
 
-def study_curves(name: str, study: str, setup: str) -> None:
-    """The learning curves of a set-up, as the report of its study draws them."""
-    analysis = analyse(*load(DATA / f"{study}.csv.gz"))
-    (found,) = (one for one in analysis.setups if one.setup.name == setup)
-    picture = study_figures.curves(found).formats()["png"]
-    (IMAGES / f"{name}.png").write_bytes(picture)
+def study_curves(study: str, pictures: dict[str, str]) -> None:
+    """The learning curves of some set-ups, as the report of their study draws them."""
+    for one in analyse(*answer.load(study)).setups:
+        if one.setup.name in pictures:
+            picture = study_figures.curves(one).formats()["png"]
+            (IMAGES / f"{pictures[one.setup.name]}.png").write_bytes(picture)
 
 
 def chosen_taxels(name: str, result: dict[str, Any]) -> None:
@@ -140,6 +138,7 @@ def save(figure: plt.Figure, name: str) -> None:
 
 def main() -> None:
     """Every figure that is drawn from docs/data, in the style of the studies' reports."""
+    no_flags(__doc__)
     probes = data("probe")
     with matplotlib.rc_context(STYLE):
         speed_against_error()
@@ -149,6 +148,5 @@ def main() -> None:
         for name, pair in CHOSEN.items():
             chosen_taxels(name, probes[pair])
     probe_tables.figure(probes, IMAGES / "probe_selection.png")
-    for name, of in STUDIES.items():
-        if answer.is_there(*of):
-            study_curves(name, *of)
+    for study, pictures in STUDIES.items():
+        study_curves(study, pictures)

@@ -15,7 +15,7 @@ from functools import partial
 from typing import Any
 
 from benchmarks import environments
-from benchmarks.command import DATA, DOCS, ROOT, data
+from benchmarks.command import DATA, DOCS, ROOT, data, no_flags
 from benchmarks.learners import ablation, cut_short, steady
 from benchmarks.physics import hold_verdict
 from benchmarks.studies import (
@@ -95,6 +95,7 @@ def filled(text: str) -> str:
 
 def main() -> None:
     """Every page that has one."""
+    no_flags(__doc__)
     for page in sorted(DOCS.rglob("*.md")):
         text = page.read_text(encoding="utf-8")
         if (new := filled(text)) != text:

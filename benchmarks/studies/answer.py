@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 from scipy.stats import spearmanr
 
-from benchmarks.command import ROOT, earlier
+from benchmarks.command import ROOT, earlier, no_flags
 from benchmarks.printing import interval, markdown
 from benchmarks.studies import gates
 from tactilerl import statistics, style
@@ -142,10 +142,7 @@ def over_layouts(name: str) -> None:
             arms.append({seed: float(np.mean([each[seed] for each in areas])) for seed in whole})
         pairs = verdicts.in_pairs(*arms)
         if len(pairs):
-            means = (f"{np.mean(each):.2f}" for each in (pairs.treatment, pairs.control))
-            difference = estimate(pairs.difference, "+.2f")
-            row = SETUPS[setup.name], len(pairs), *means, difference, f"{pairs.p_value:.3f}"
-            rows.append(row)
+            rows.append((SETUPS[setup.name], *compared(pairs)))
     markdown("| set-up | seeds | touch | no touch | difference | p |", rows)
 
 
@@ -260,6 +257,12 @@ def mean(values: Iterable[float]) -> str:
     return estimate(statistics.mean(found, verdicts.resamples(len(found))), ".2f") if len(found) else ""
 
 
+def compared(pairs: verdicts.Pairs) -> tuple[object, ...]:
+    """Their number, both means, the difference and p."""
+    means = (f"{np.mean(each):.2f}" for each in (pairs.treatment, pairs.control))
+    return len(pairs), *means, estimate(pairs.difference, "+.2f"), f"{pairs.p_value:.3f}"
+
+
 def estimate(found: Estimate, form: str) -> str:
     """A number with its interval."""
     return interval(*found, form, " to ").replace("-", "−")
@@ -354,6 +357,7 @@ def show(printed: Mapping[str, Callable[[], None]]) -> None:
 
 def main() -> None:
     """All tables."""
+    no_flags(__doc__)
     show(TABLES)
 
 

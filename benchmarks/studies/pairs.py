@@ -37,11 +37,10 @@ def reached(record: Record, measure: str) -> dict[str, float]:
 
 
 def cells(setup: Setup, of_setup: list[Record], score: str) -> list[Cell]:
-    """The pairs of each cell."""
+    """The pairs of each cell, from finished runs."""
     found: dict[tuple[str, str], dict[int, float]] = defaultdict(dict)
     for r in of_setup:
-        if is_finished(r, setup.measure):
-            found[r.run.cell, r.run.arm][r.run.seed] = reached(r, setup.measure)[score]
+        found[r.run.cell, r.run.arm][r.run.seed] = reached(r, setup.measure)[score]
     paired = []
     for cell in setup.cells:
         a, b = (found[cell, arm] for arm in setup.arms[:2])
@@ -91,11 +90,10 @@ def main() -> None:
     for path in options.studies:
         study, found = records.load(path)
         for setup in study.setups:
-            own = [record for record in found if record.run.setup == setup.name]
-            if setup.compare is None or all(record.state == "left" for record in own):
-                continue
-            for score in (*SCORES, "last 30 %"):
-                rows.append(row(study.name, setup.name, score, cells(setup, own, score)))
+            own = [r for r in found if r.run.setup == setup.name and is_finished(r, setup.measure)]
+            if setup.compare and own:
+                for score in (*SCORES, "last 30 %"):
+                    rows.append(row(study.name, setup.name, score, cells(setup, own, score)))
     content = {"effect": EFFECT, "power": POWER, "alpha": ALPHA, "rows": rows}
     show(content)
     write(options.out, content)

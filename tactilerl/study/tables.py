@@ -14,7 +14,7 @@ import pandas as pd
 from .. import statistics
 from ..errors import InputError
 from ..runs import config as configuration
-from ..statistics import Estimate
+from ..statistics import Array, Estimate
 from . import verdicts
 from .analysis import Analysis, Group, SetupResult
 from .grid import SCORES
@@ -108,6 +108,13 @@ def groups(one: SetupResult) -> Iterator[tuple[Row, Group]]:
         yield {"Config.": cell, "Type": one.setup.label(arm), "Runs": str(len(group))}, group
 
 
+def median_steps(steps: Array) -> str:
+    """Median of the steps to a threshold (runs,), infinite where it was not reached, and how many runs
+    reached it."""
+    median = f"{np.median(steps):,.0f}".replace("inf", "never")
+    return f"{median}; {np.isfinite(steps).sum()} of {len(steps)}"
+
+
 def measures(one: SetupResult, score: str) -> Table:
     """What else a learning curve says: means with intervals, and steps to two thresholds."""
     rows = []
@@ -115,10 +122,8 @@ def measures(one: SetupResult, score: str) -> Table:
         for name in dict.fromkeys([score, *SCORES]):
             row[HEADINGS[name]] = shown(statistics.mean(group.scores[name], group.counts))
         for threshold in THRESHOLDS:
-            steps = group.scores[f"steps to {threshold:g}"]
-            median = f"{np.median(steps):,.0f}".replace("inf", "never")
-            reached = f"{np.isfinite(steps).sum()} of {len(group)}"
-            row[f"Steps to {threshold:g} (median; reached by)"] = f"{median}; {reached}"
+            steps = median_steps(group.scores[f"steps to {threshold:g}"])
+            row[f"Steps to {threshold:g} (median; reached by)"] = steps
         rows.append(row)
     note = (
         "Mean of the runs with 95 % interval. Area: mean success over the run; final: over its last "
