@@ -110,8 +110,10 @@ def aggregate(scores: Array, metric: Metric) -> Array:
 def resample(rng: np.random.Generator, n: int, n_resamples: int = N_RESAMPLES) -> Array:
     """How often each of `n` runs is drawn in each bootstrap resample; (n, n_resamples)."""
     drawn = np.empty((n_resamples, n), np.uint8)  # nobody is drawn 256 times
-    for row in drawn:
-        row[:] = np.bincount(rng.integers(n, size=n), minlength=n)
+    for part in np.array_split(drawn, 1 + drawn.size // 2**20):  # for the memory's sake
+        runs = rng.integers(n, size=part.shape)
+        runs += n * np.arange(len(part))[:, None]
+        part[:] = np.bincount(runs.ravel(), minlength=part.size).reshape(part.shape)
     return np.ascontiguousarray(drawn.T)
 
 
