@@ -25,15 +25,8 @@ os.environ.setdefault(
 # A shell's background ignores Ctrl-C, and what it starts inherits that: here it counts again.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-LONG = (
-    "test_mpi",
-    "test_study_run",
-    "test_toy_learning",
-    "test_study_report",
-    "test_cli",
-    "test_probe",
-)
-"""Files that take longest begin first, so that no core is idle at the end."""
+# The longest first, so that no core is idle at the end.
+LONG = ["test_cli", "test_study_run", "test_probe", "test_mpi", "test_study_report", "test_toy_learning"]
 NO_PYBULLET = "PyBullet is not installed (it has wheels for Python up to 3.11)"
 
 
@@ -44,7 +37,8 @@ def needs_pybullet(item):
 
 
 def pytest_collection_modifyitems(items):
-    items.sort(key=lambda item: item.path.stem not in LONG)  # the others keep their order
+    order = [*LONG, ""]  # the others keep theirs
+    items.sort(key=lambda item: order.index(item.path.stem if item.path.stem in LONG else ""))
     if find_spec("pybullet") is None:
         for item in filter(needs_pybullet, items):
             item.add_marker(pytest.mark.skip(reason=NO_PYBULLET))

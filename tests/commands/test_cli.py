@@ -97,7 +97,7 @@ class TestTrain:
         [
             ("shadow", "ppo"),
             pytest.param("shadow", "ddpg_her", marks=pytest.mark.slow),
-            pytest.param("mpl", "ppo", marks=pytest.mark.pybullet),
+            pytest.param("mpl", "ppo", marks=[pytest.mark.pybullet, pytest.mark.slow]),
             pytest.param("mpl", "ddpg_her", marks=[pytest.mark.pybullet, pytest.mark.slow]),
             pytest.param("Pendulum-v1", "ppo", marks=pytest.mark.slow),  # has no goals for the other
         ],
@@ -740,6 +740,7 @@ class TestOtherCommands:
         assert ((blue > 100) & (red < 60)).sum() > 20  # taxels that are off
         assert "taxels fire" in result.stdout
 
+    @pytest.mark.slow
     def test_render_films_a_trained_run(self):
         pytest.importorskip("imageio_ffmpeg")
         imageio = pytest.importorskip("imageio.v2")

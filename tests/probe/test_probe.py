@@ -459,8 +459,8 @@ class TestFolder:
         short = ["--total-timesteps", "1", "--hold-seconds", "0.2", "--steps-per-epoch", "20"]
         assert main(["train", "--algo", "ppo", *scene, *short, "--out", "run"]) == 0
         capfd.readouterr()
-        said = error(capfd, "--policy", "run", "--grasps", "6", "--workers=1", "--layout", "5")
-        assert "with the same outcome" in said  # none by an untrained policy: they were played
+        # An untrained policy holds too few to tell anything from them, but they were played.
+        error(capfd, "--policy", "run", "--grasps", "6", "--workers=1", "--layout", "5")
         assert len(files.read(tmp_path / "probes/run/grasps.npz").records["held"]) == 6
 
 
