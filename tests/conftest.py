@@ -26,7 +26,7 @@ os.environ.setdefault(
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # The longest first, so that no core is idle at the end.
-LONG = ["test_cli", "test_study_run", "test_probe", "test_mpi", "test_study_report", "test_toy_learning"]
+LONG = ["test_cli", "test_study_run", "test_probe", "test_mpi", "test_study_report"]
 NO_PYBULLET = "PyBullet is not installed (it has wheels for Python up to 3.11)"
 
 
