@@ -19,10 +19,11 @@ from scipy.stats import spearmanr
 
 from benchmarks.command import ROOT, earlier, no_flags
 from benchmarks.printing import interval, markdown
-from benchmarks.studies import gates
+from benchmarks.studies import gates, over_setups
 from tactilerl import statistics, style
 from tactilerl.statistics import Array, Estimate
 from tactilerl.study import records, verdicts
+from tactilerl.study.analysis import analyse
 from tactilerl.study.grid import Setup, Study
 from tactilerl.study.records import Record
 
@@ -144,6 +145,15 @@ def over_layouts(name: str) -> None:
         if len(pairs):
             rows.append((SETUPS[setup.name], *compared(pairs)))
     markdown("| set-up | seeds | touch | no touch | difference | p |", rows)
+
+
+def agreement(name: str) -> None:
+    """Do the set-ups put the layouts into the same order?"""
+    study, found = load(name)
+    orders = over_setups.agreements(analyse(study, found).setups, study.primary.score)
+    titles = {"treatment": "mean with touch", "difference to the control": "touch − no touch"}
+    rows = [(titles[by], estimate(order, ".2f")) for by, order in orders.items()]
+    markdown("| layouts ordered by | rank correlation of the set-ups |", rows)
 
 
 def between(name: str, setup_name: str = "") -> None:
@@ -339,6 +349,7 @@ TABLES = tables(
     ("study between", between, "handover_fingers"),
     ("study trained with faults", trained_with, "faults"),
     ("study paper", over_layouts, "paper"),
+    ("study paper, agreement", agreement, "paper"),
     ("study paper, ddpg_her", layouts, "paper", "mujoco"),
     ("study paper, ddpg_her, between", between, "paper", "mujoco"),
     ("study paper, ddpg_her, orders", orders, "paper", "mujoco", "Shadow, MuJoCo"),
