@@ -62,14 +62,21 @@ def folds(held: Array, n: int, groups: Array | None, seed: int) -> list[Fold]:
             )
         if count < n:
             raise ValueError(f"folds: found {n}, allowed up to {count}, the grasps that {what}")
-    unasked = np.zeros((len(held), 1))
-    if groups is None:
-        splitter: Any = StratifiedKFold(n, shuffle=True, random_state=seed)
-        return list(splitter.split(unasked, held))
-    n_groups = len(np.unique(groups))
-    if n_groups < 2:
-        raise ValueError(f"hold_out: found {n_groups} object, allowed two or more, to hold some out")
-    return list(GroupKFold(min(n, n_groups)).split(unasked, held, groups))
+    splitter: Any = StratifiedKFold(n, shuffle=True, random_state=seed)
+    if groups is not None:
+        n_groups = len(np.unique(groups))
+        if n_groups < 2:
+            raise ValueError(f"hold_out: found {n_groups} object, allowed two or more, to hold some out")
+        splitter = GroupKFold(min(n, n_groups))
+    found = list(splitter.split(np.zeros((len(held), 1)), held, groups))
+    for outcomes in (held[train] for train, _ in found):
+        least, most = sorted((int(outcomes.sum()), int((~outcomes).sum())))
+        if least == 0 or most < INNER_FOLDS:
+            raise ValueError(
+                f"grasps: found a fold with {least} of one outcome and {most} of the other to learn "
+                f"from, allowed 1 and {INNER_FOLDS} or more: too few grasps"
+            )
+    return found
 
 
 def probabilities(features: Array, targets: Array, kept: list[Fold], kind: Kind) -> Array:

@@ -387,6 +387,13 @@ class TestAnalysis:
         for train, test in kept:
             assert not set(groups[train]) & set(groups[test])
 
+    def test_folds_with_too_few_to_learn_from_are_refused(self):
+        with pytest.raises(ValueError, match="a fold with 2 of one outcome and 2 of the other"):
+            estimators.folds(np.arange(8) % 2 == 0, 2, None, 0)
+        apart = np.repeat([True, False], 4)
+        with pytest.raises(ValueError, match="a fold with 0 of one outcome and 4 of the other"):
+            estimators.folds(apart, 2, apart.astype(int), 0)
+
     def test_forward_selection_does_not_choose_a_copy(self):
         rng = np.random.default_rng(0)
         a, b = rng.random((2, 400)) < 0.5
