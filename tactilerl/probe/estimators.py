@@ -64,10 +64,10 @@ def folds(held: Array, n: int, groups: Array | None, seed: int) -> list[Fold]:
             raise ValueError(f"folds: found {n}, allowed up to {count}, the grasps that {what}")
     splitter: Any = StratifiedKFold(n, shuffle=True, random_state=seed)
     if groups is not None:
-        n_groups = len(np.unique(groups))
-        if n_groups < 2:
-            raise ValueError(f"hold_out: found {n_groups} object, allowed two or more, to hold some out")
-        splitter = GroupKFold(min(n, n_groups))
+        objects = len(np.unique(groups))
+        if objects < 2:
+            raise ValueError(f"hold_out: found {objects} object, allowed two or more, to hold some out")
+        splitter = GroupKFold(min(n, objects))
     found = list(splitter.split(np.zeros((len(held), 1)), held, groups))
     for outcomes in (held[train] for train, _ in found):
         least, most = sorted((int(outcomes.sum()), int((~outcomes).sum())))
