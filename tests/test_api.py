@@ -416,17 +416,6 @@ assert not needless & set(sys.modules), needless & set(sys.modules)
 """
         )
 
-    def test_checkpoints_that_do_not_say_the_spaces_load(self):
-        run = tactilerl.train("point-reach", algo="ddpg_her", out="run", total_timesteps=1, **HER)
-        (obs, *_), _ = observations("point-reach")
-        action = tactilerl.load_policy(run).act(obs)
-        content = torch.load(run / "checkpoint.pt", weights_only=True)
-        del content["spaces"]
-        sealed.write(run / "checkpoint.pt", content)
-        assert np.array_equal(tactilerl.load_policy(run).act(obs), action)
-        tactilerl.train(resume=run, total_timesteps=101)
-        assert "spaces" in torch.load(run / "checkpoint.pt", weights_only=True)
-
 
 class TestImport:
     def test_importing_the_package_imports_nothing(self):

@@ -5,12 +5,13 @@ from __future__ import annotations
 import io
 import os
 import sys
+import time
 import traceback
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
-from ..errors import SAME, InputError, let_rank_0_speak
+from ..errors import SAME, InputError
 from ..version import __version__
 
 COMMANDS = {  # each a module here with `main(args)`, imported when it runs; what it does
@@ -67,7 +68,10 @@ def _run(args: list[str]) -> int:
         code: int = import_module(f".{name}", __package__).main(rest)
         return code
     except InputError as error:
-        let_rank_0_speak()
+        from ..algos import mpi
+
+        if mpi.launched_rank() not in (None, "0"):
+            time.sleep(1.0)  # mostly rank 0 has found the same, and its end is the others'
         _say("error", error, rest)
         return 2
     except BrokenPipeError:

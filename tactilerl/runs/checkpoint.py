@@ -91,8 +91,8 @@ class Checkpoint:
 
     @staticmethod
     def _experience(path: Path, about: dict[str, Any]) -> Any:
-        """What a file holds, which could have been moved; the first files say nothing of what."""
-        data = sealed.read_fields(path, "checkpoint", FORMAT, PART, about)
+        """What a file holds, which could have been moved."""
+        data = sealed.read_fields(path, "checkpoint", FORMAT, PART)
         if other := next((name for name in about if data[name] != about[name]), None):
             raise ValueError(f"it is the experience of another {other}")
         return data["experience"]
@@ -125,7 +125,7 @@ def read(run_dir: RunDir, config: RunConfig) -> dict[str, Any]:
     The states of the ranks are for their learners to judge.
     """
     path = run_dir.checkpoint_file
-    data = sealed.read_fields(path, "checkpoint", FORMAT, TYPES, {"spaces": ""})
+    data = sealed.read_fields(path, "checkpoint", FORMAT, TYPES)
     with damage_named(path):
         epoch, parts = data["epoch"], data["experience"]
         if not 0 <= epoch < 2**63 or not data["ranks"]:

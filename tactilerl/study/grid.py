@@ -269,11 +269,8 @@ def from_dict(data: Any) -> Study:
 
 def read(path: Path) -> Study:
     """Read and check a study file; InputError, one line, for everything that is wrong with it."""
-    try:
-        with damage_named(path, "not a study file"):
-            return _study(tomllib.loads(content(path, MAX_JSON).decode("utf-8")))
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such study file") from None
+    with damage_named(path, "not a study file", f"{path}: there is no such study file"):
+        return _study(tomllib.loads(content(path, MAX_JSON).decode("utf-8")))
 
 
 def _study(data: dict[str, Any]) -> Study:
