@@ -12,7 +12,7 @@ import numpy as np
 from . import hands, layouts, objects, observations, simulators, tasks, touch, typed
 from .choices import require_known, require_one_of
 from .hands import Array
-from .hold import HoldTest
+from .hold import Hold, HoldTest
 from .objects import ObjectConfig
 from .observations import ObservationConfig, Observer
 from .snapshot import Snapshot
@@ -329,7 +329,7 @@ class GraspEnv(gym.Env[Any, Array]):
     def _hold(self, test: HoldTest) -> bool:
         """A hold test from here on, with the joint targets of the last action: does the object stay?
         Leaves the simulator wherever the test ended."""
-        hold = test.begin(self._look(), self.config.timestep)
+        hold = Hold(test, self._look(), self.config.timestep)
         targets, verdict = hold.targets, None
         try:
             while verdict is None:

@@ -31,7 +31,7 @@ class Checkpoint:
 
     def __init__(self, run_dir: RunDir, config: RunConfig, learner: Algorithm, comm: Communicator):
         self.run_dir, self.config, self.learner, self.comm = run_dir, config, learner, comm
-        self._memory = learner if isinstance(learner, OffPolicy) else None
+        self._memory = learner.replay if isinstance(learner, OffPolicy) else None
         self._about = {"format": FORMAT, "config": json.dumps(config.identity())}
         self._parts: list[int] = []  # epochs whose experience is on disk
 
@@ -107,7 +107,7 @@ class Checkpoint:
         if self._memory is None:
             return False
         size = sum(path.stat().st_size for path in self._files())
-        return size > REWRITE * self._memory.experience_bytes * self.comm.size
+        return size > REWRITE * self._memory.nbytes * self.comm.size
 
 
 def _compact(value: Any) -> Any:
