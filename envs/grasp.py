@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import gymnasium as gym
@@ -88,7 +88,7 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
 def setup(hand: str, **choices: Any) -> GraspConfig:
     """The configuration of a hand's set-up, with some fields chosen otherwise; ValueError when there is
     no such field."""
-    require_known(choices, (field.name for field in fields(GraspConfig)))
+    require_known(choices, typed.names(GraspConfig))
     return GraspConfig(**{**hands.registration(hand).scene, **choices})
 
 

@@ -53,7 +53,9 @@ def main(args: Sequence[str] | None = None) -> int:
 
 def _run(args: list[str]) -> int:
     if not args or args[0] in ("-h", "--help"):
-        print(_usage())
+        lines = ["usage: tactilerl COMMAND [OPTIONS]", "", "commands:"]
+        lines += [f"  {name:10}{about}" for name, about in COMMANDS.items()]
+        print("\n".join([*lines, "", "tactilerl COMMAND --help lists a command's options."]))
         return 0 if args else 2
     if args[0] == "--version":
         print(f"tactilerl {__version__}")
@@ -114,9 +116,3 @@ def _as_typed(line: str, args: Sequence[str]) -> str:
         if flag != name and field.removeprefix("--").replace("-", "_") in (name, SAME.get(name)):
             return f"{flag}{colon}{rest}"
     return line
-
-
-def _usage() -> str:
-    lines = ["usage: tactilerl COMMAND [OPTIONS]", "", "commands:"]
-    lines += [f"  {name:10}{about}" for name, about in COMMANDS.items()]
-    return "\n".join([*lines, "", "tactilerl COMMAND --help lists a command's options."])

@@ -61,10 +61,6 @@ class RunDir:
                 f"folder {str(self.path)!r} exists but is not a run folder; choose another with --out"
             )
 
-    def is_begun(self) -> bool:
-        """Has the run got further than its first checkpoint?"""
-        return self.progress.n_rows() > 0 or any(self.experience_folder.glob("*.pt"))
-
     def write_config(self, config: RunConfig, ranks: int, epoch: int = 0, env_steps: int = 0) -> str:
         """Write config.json: every value, the number of ranks, and with what it was made.
 

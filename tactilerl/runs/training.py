@@ -142,7 +142,7 @@ def _begun(checkpoint: Checkpoint, any_ranks: bool) -> int:
     the goal was made smaller, and the run is beyond it already."""
     run_dir, learner = checkpoint.run_dir, checkpoint.learner
     if not run_dir.checkpoint_file.exists():
-        if run_dir.is_begun():
+        if run_dir.progress.n_rows() or any(run_dir.experience_folder.glob("*.pt")):
             raise InputError(
                 f"{run_dir.checkpoint_file}: missing, but the run has made progress; put it back, or "
                 "begin another run with another --out"
