@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 FORMAT = 1  # of a policy's file
 FLOAT = 4  # bytes
+SINCE = dict.fromkeys(("anneal_lr", "anneal_noise", "anneal_action_l2"), False)
+"""Hyperparameters of DDPG+HER that policies of 0.2.0 lack."""
 TYPES = {"policy_format": int, "algo": str, "learner": str, "spaces": str, "state": dict}
 
 
@@ -72,7 +74,8 @@ def _read_file(path: Path) -> Policy:
     data = sealed.read_fields(path, "policy", FORMAT, TYPES, "; for a run, give its folder")
     with damage_named(path):
         config_type, _ = algos.get(data["algo"])
-        config: Any = typed.make(config_type, json.loads(data["learner"]), "learner")
+        told = (SINCE if data["algo"] == "ddpg_her" else {}) | json.loads(data["learner"])
+        config: Any = typed.make(config_type, told, "learner")
         config.validate()
         return _policy(path, data["algo"], config, Spaces.from_json(data["spaces"]), data["state"])
 
