@@ -30,7 +30,7 @@ from ..runs.files import damage_named, replacing, unzip
 from ..runs.progress_csv import whole
 from ..runs.run_dir import require_record
 from ..statistics import Array
-from .folder import STATES, RunFiles, StudyFolder
+from .folder import STATES, RunFiles, StudyFolder, seconds_spent
 from .grid import Run, Study, from_dict, read
 
 COLLECTED = "collected.csv.gz"
@@ -73,6 +73,11 @@ class Record:
     def results(self) -> tuple[Any, ...]:
         """What it was made with and what came out; a column of other runs is none of it."""
         return self.config, [{k: v for k, v in row.items() if v} for row in self.rows]
+
+    @property
+    def seconds(self) -> float:
+        """Spent in epochs."""
+        return seconds_spent(self.rows)
 
 
 def load(*paths: Path) -> tuple[Study, list[Record]]:

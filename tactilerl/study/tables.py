@@ -17,7 +17,6 @@ from ..runs import config as configuration
 from ..statistics import Array, Estimate
 from . import verdicts
 from .analysis import Analysis, Group, SetupResult
-from .folder import seconds_spent
 from .grid import SCORES
 from .summary import ENDINGS, made_with, subject
 from .verdicts import THRESHOLDS
@@ -139,7 +138,7 @@ def cost(analysis: Analysis) -> Table:
     rows = []
     for one in analysis.setups:
         begun = [r for r in one.records if r.rows]
-        seconds = [seconds_spent(r.rows) for r in begun]
+        seconds = [r.seconds for r in begun]
         ranks = [int((r.config or {}).get("ranks", 1)) for r in begun]
         steps = sum(float(np.nan_to_num(r.column("env_steps"))[-1]) for r in begun)
         row = {"Set-up": one.setup.name, "Runs begun": str(len(begun))}
