@@ -14,6 +14,7 @@ from .spaces import Spaces
 
 if TYPE_CHECKING:
     from .policy import Policy
+    from .replay import Replay
 
 IsWanted = Callable[[], bool]
 T = TypeVar("T")
@@ -130,23 +131,15 @@ class OffPolicy(Algorithm, Protocol):
     """A learner that remembers: what it plays is much noisier than what it learns, so that has to be
     tested, and its memory has to fit, be saved, and hold what may be learned from again."""
 
+    replay: Replay
+    """Its memory."""
+
     def check(self) -> None:
         """Raise ValueError when memory is short or the environment's rewards do not fit; plays an
         episode."""
 
     def test(self) -> dict[str, float]:
         """How good is it without exploration, at the end of an epoch? Empty where not asked."""
-
-    @property
-    def experience_bytes(self) -> int:
-        """Memory that the experience takes when it is full."""
-
-    def new_experience(self, everything: bool = False) -> dict[str, Any]:
-        """Tensors: what is remembered since the last call, or at all; empty where nothing is."""
-
-    def add_experience(self, saved: dict[str, Any], is_foreign: bool = False) -> None:
-        """Remember what `new_experience` returned, of this learner or of another (`is_foreign`),
-        whose experience counts as new."""
 
 
 def get(name: str) -> tuple[Any, Any]:

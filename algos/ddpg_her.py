@@ -311,13 +311,3 @@ class DDPGHER(state.Saved):
         stats = GoalStats.of(spaces, config.norm_clip, Communicator())
         state.restore_parts({"actor": actor, "obs_stats": stats.obs, "goal_stats": stats.goal}, saved)
         return _policy(config, spaces, actor, stats)
-
-    @property
-    def experience_bytes(self) -> int:
-        return self.replay.nbytes
-
-    def new_experience(self, everything: bool = False) -> dict[str, Any]:
-        return self.replay.new_experience(everything)
-
-    def add_experience(self, saved: dict[str, Any], is_foreign: bool = False) -> None:
-        self.replay.add_experience(saved, is_foreign)

@@ -197,7 +197,8 @@ class Policy:
                 raise ValueError(f"env: found {name} of shape {found}, the policy has {known}")
         bounds = action_bounds(spaces.action)
         if not (np.array_equal(bounds[0], self._low) and np.array_equal(bounds[1], self._high)):
-            found, known = (_bounds(*pair) for pair in (bounds, (self._low, self._high)))
+            both = bounds, (self._low, self._high)
+            found, known = (f"from {low.min():g} to {high.max():g}" for low, high in both)
             raise ValueError(f"env: found actions {found}, the policy's are {known}")
 
     @torch.inference_mode()
@@ -226,10 +227,6 @@ class Policy:
         raise ValueError(
             f"obs: found shape {_said(found)}, expected {_said(self.shapes)}, or a batch of such"
         )
-
-
-def _bounds(low: Array, high: Array) -> str:
-    return " ".join(f"from {low.min():g} to {high.max():g}".split())
 
 
 def _said(shapes: dict[str, tuple[int, ...]]) -> str:

@@ -175,19 +175,15 @@ class Replay:
         self.n_episodes = max(self.n_episodes, slot + 1)
 
     def _split(self, obs: Array) -> dict[str, Array]:
-        """Observations (n, size) as they are stored: floats, and bytes at their end."""
+        """Observations (n, size) as they are stored: floats, and bytes at their end. All are floats
+        from where those turn out to be something else than 0 and 1, as under a wrapper's noise."""
         last = obs[:, self.sizes[0] - self.n_boolean :]
         if not ((last == 0) | (last == 1)).all():
-            self._keep_floats()
+            floats, boolean = self._columns["obs"], self._columns["boolean"]
+            self._columns["obs"] = np.concatenate([floats, boolean.astype(np.float32)], axis=1)
+            self._columns["boolean"], self.n_boolean = boolean[:, :0], 0
         n_float = self.sizes[0] - self.n_boolean
         return {"obs": obs[:, :n_float], "boolean": obs[:, n_float:]}
-
-    def _keep_floats(self) -> None:
-        """What was kept as bytes turns out to be something else, as under a wrapper's noise."""
-        obs, boolean = self._columns["obs"], self._columns["boolean"]
-        self._columns["obs"] = np.concatenate([obs, boolean.astype(np.float32)], axis=1)
-        self._columns["boolean"] = boolean[:, :0]
-        self.n_boolean = 0
 
     # -- sampling ----------------------------------------------------------------------------
 

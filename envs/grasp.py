@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import gymnasium as gym
@@ -12,7 +12,7 @@ import numpy as np
 from . import hands, layouts, objects, observations, simulators, tasks, touch, typed
 from .choices import require_known, require_one_of
 from .hands import Array
-from .hold import HoldTest
+from .hold import Hold, HoldTest
 from .objects import ObjectConfig
 from .observations import ObservationConfig, Observer
 from .snapshot import Snapshot
@@ -88,7 +88,7 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
 def setup(hand: str, **choices: Any) -> GraspConfig:
     """The configuration of a hand's set-up, with some fields chosen otherwise; ValueError when there is
     no such field."""
-    require_known(choices, (field.name for field in fields(GraspConfig)))
+    require_known(choices, typed.names(GraspConfig))
     return GraspConfig(**{**hands.registration(hand).scene, **choices})
 
 
@@ -329,7 +329,7 @@ class GraspEnv(gym.Env[Any, Array]):
     def _hold(self, test: HoldTest) -> bool:
         """A hold test from here on, with the joint targets of the last action: does the object stay?
         Leaves the simulator wherever the test ended."""
-        hold = test.begin(self._look(), self.config.timestep)
+        hold = Hold(test, self._look(), self.config.timestep)
         targets, verdict = hold.targets, None
         try:
             while verdict is None:

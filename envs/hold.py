@@ -52,13 +52,10 @@ class HoldTest:
     """"settled": the object is at rest when no point of it will move by more than this, m, before
     the compressed test ends and for one look more."""
 
-    def begin(self, now: Snapshot, timestep: float) -> Hold:
-        """The test from here on, with the joint targets of now but for the slide that rises."""
-        return Hold(self, now, timestep)
-
 
 class Hold:
-    """A hold test under way, from one look at the object to the next.
+    """A hold test under way, from one look at the object to the next; it begins with the joint targets
+    of now, but for the slide that rises.
 
     Whoever runs it takes `n_substeps` timesteps towards `targets` while what sticks creeps `creep`
     times as fast as usual, then calls `advance`, until there is a verdict.

@@ -13,11 +13,10 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
 
 import numpy as np
 
-from .givers import Giver
 from .hands import Array, Hand
 from .hold import LOOK_STEPS, HoldTest, Verdict
 from .objects import Shape
-from .simulators import Simulator
+from .simulators import Giver, Simulator
 from .snapshot import Snapshot
 from .typed import Positive, allow_only_with
 
@@ -132,7 +131,8 @@ class Task(Protocol):
         """Rewards (...) from goals (..., goal_size)."""
 
     def is_success(self, achieved_goal: Array, desired_goal: Array) -> Array:
-        """bool (...)"""
+        """bool (...); usually, is the outcome at the end of the achieved goal "held"?"""
+        return np.asarray(achieved_goal)[..., -1] == OUTCOMES["held"]
 
 
 class ReachGoal(Task):
@@ -223,9 +223,6 @@ class LiftAndHold(Task):
             achieved_goal, near, fell_back=failed, dropped=failed, timed_out=-100.0, held=1000.0
         )
 
-    def is_success(self, achieved_goal: Array, desired_goal: Array) -> Array:
-        return np.asarray(achieved_goal)[..., -1] == OUTCOMES["held"]
-
 
 class Handover(Task):
     """Close the hand while somebody holds an object against it, and keep it.
@@ -296,9 +293,6 @@ class Handover(Task):
     def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """1000 for an object that is held in the end, -100 for one that is missed."""
         return _by_outcome(achieved_goal, 0.0, missed=-100.0, held=1000.0)
-
-    def is_success(self, achieved_goal: Array, desired_goal: Array) -> Array:
-        return np.asarray(achieved_goal)[..., -1] == OUTCOMES["held"]
 
 
 def _outcome(name: Outcome) -> Array:

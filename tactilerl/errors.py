@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -53,11 +52,3 @@ def input_errors(where: str = "") -> Iterator[None]:
     except (ValueError, OSError, ImportError, RuntimeError, OverflowError, MemoryError) as error:
         line = " ".join(str(error).split())
         raise InputError(f"{where}: {line}" if where else line) from error
-
-
-def let_rank_0_speak() -> None:
-    """On other ranks, wait a second: mostly rank 0 has found the same, and its end is theirs."""
-    from .algos import mpi
-
-    if mpi.launched_rank() not in (None, "0"):
-        time.sleep(1.0)

@@ -20,6 +20,7 @@ def synthetic(hand, touches):
         "held": touches.copy(),
         "broken": np.zeros(n, bool),
         "joint_positions": np.zeros((n, len(hand.joints))),
+        "joint_velocities": np.zeros((n, len(hand.joints))),
         "link_positions": np.tile(apart, (n, 1, 1)),
         "link_rotations": np.tile(np.eye(3), (n, len(links), 1, 1)),
         "object_position": np.where(touches[:, None], on_tip, on_tip + np.array([0, 5.0, 0])),

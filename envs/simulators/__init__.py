@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from ..givers import Giver
 from ..hands import Array, Hand
 from ..layouts import Taxels
 from ..objects import ObjectState, Shape
@@ -20,6 +19,29 @@ if TYPE_CHECKING:
 
 class SimulationError(FloatingPointError):
     """The physics produced NaN or infinity, or ran out of memory; the scene must be reset."""
+
+
+@dataclass(frozen=True)
+class Giver:
+    """Brings the object to the hand: holds it by a damped spring and carries its weight.
+
+    The spring's rest point moves at `speed`, so what stands in the way is pressed on more and more
+    softly yielding, and never with more than `force`.
+    """
+
+    stiffness: float = 80.0
+    """N/m"""
+    damping: float = 4.0
+    """N s/m; about critical for 50 g."""
+    force: float = 1.0
+    """The most along each axis, N."""
+    speed: float = 0.6
+    """m/s"""
+
+    def pull(self, rest: Array, position: Array, velocity: Array) -> Array:
+        """The spring's force (3,) in N on an object at `position`, its rest point being `rest`."""
+        force = self.stiffness * (rest - position) - self.damping * velocity
+        return np.clip(force, -self.force, self.force)
 
 
 @dataclass(frozen=True)
@@ -186,8 +208,6 @@ SIMULATORS = {
 
 def make(name: str, scene: Scene) -> Simulator:
     """A running scene; the simulator's package is imported here and not before."""
-    if name not in SIMULATORS:
-        raise ValueError(f"unknown simulator {name!r}; allowed: {', '.join(SIMULATORS)}")
     registered = SIMULATORS[name]
     try:
         module = importlib.import_module(registered.module or f".{name}", __name__)

@@ -10,12 +10,11 @@ from contextlib import contextmanager
 import mujoco
 import numpy as np
 
-from ..givers import Giver
 from ..hands import Array
 from ..layouts import Taxels
 from ..objects import ObjectState, Shape
 from ..touch import taxel_points
-from . import Camera, Contacts, Scene, SimulationError, Simulator, joint_limits
+from . import Camera, Contacts, Giver, Scene, SimulationError, Simulator, joint_limits
 
 OBJECT, GIVER = "object", "giver"
 GIVERS_GROUP = 30  # of actuators, the last: a hand's are elsewhere
@@ -146,11 +145,9 @@ class MujocoSimulator(Simulator):
         self._qpos = np.array([joint.qposadr[0] for joint in joints])
         self._qvel = np.array([joint.dofadr[0] for joint in joints])
         self._ctrl = np.array([model.actuator(name).id for name in hand.actuators])
-        first, self._object_qvel = (
-            int(model.joint(OBJECT).qposadr[0]),
-            int(model.joint(OBJECT).dofadr[0]),
-        )
-        self._object_qpos = slice(first, first + 7)
+        free = model.joint(OBJECT)
+        self._object_qpos = slice(int(free.qposadr[0]), int(free.qposadr[0]) + 7)
+        self._object_qvel = int(free.dofadr[0])
         self._object_body = model.body(OBJECT).id
         self._object_geom = model.geom(OBJECT).id
         self._giver: Array | None = None

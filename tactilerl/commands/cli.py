@@ -5,12 +5,13 @@ from __future__ import annotations
 import io
 import os
 import sys
+import time
 import traceback
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
-from ..errors import SAME, InputError, let_rank_0_speak
+from ..errors import SAME, InputError
 from ..version import __version__
 
 COMMANDS = {  # each a module here with `main(args)`, imported when it runs; what it does
@@ -52,7 +53,9 @@ def main(args: Sequence[str] | None = None) -> int:
 
 def _run(args: list[str]) -> int:
     if not args or args[0] in ("-h", "--help"):
-        print(_usage())
+        lines = ["usage: tactilerl COMMAND [OPTIONS]", "", "commands:"]
+        lines += [f"  {name:10}{about}" for name, about in COMMANDS.items()]
+        print("\n".join([*lines, "", "tactilerl COMMAND --help lists a command's options."]))
         return 0 if args else 2
     if args[0] == "--version":
         print(f"tactilerl {__version__}")
@@ -67,7 +70,10 @@ def _run(args: list[str]) -> int:
         code: int = import_module(f".{name}", __package__).main(rest)
         return code
     except InputError as error:
-        let_rank_0_speak()
+        from ..algos import mpi
+
+        if mpi.launched_rank() not in (None, "0"):
+            time.sleep(1.0)  # mostly rank 0 has found the same, and its end is the others'
         _say("error", error, rest)
         return 2
     except BrokenPipeError:
@@ -110,9 +116,3 @@ def _as_typed(line: str, args: Sequence[str]) -> str:
         if flag != name and field.removeprefix("--").replace("-", "_") in (name, SAME.get(name)):
             return f"{flag}{colon}{rest}"
     return line
-
-
-def _usage() -> str:
-    lines = ["usage: tactilerl COMMAND [OPTIONS]", "", "commands:"]
-    lines += [f"  {name:10}{about}" for name, about in COMMANDS.items()]
-    return "\n".join([*lines, "", "tactilerl COMMAND --help lists a command's options."])

@@ -12,7 +12,6 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from ..algos.mpi import Communicator
 from ..envs import hands
 from ..envs.grasp import GraspConfig, setup
 from ..envs.objects import Items, ObjectConfig
@@ -89,7 +88,7 @@ def _find_grasp(name: str, scene: GraspConfig) -> hands.ScriptedGrasp:
     screen.print(f"{name} has no [[grasp]]: looking for one")
     with Progress(console=screen, transient=True, disable=not screen.is_terminal) as progress:
         task = progress.add_task("trying grasps", total=sum(grasp_search.ROUNDS))
-        workers = free_cores(Communicator())
+        workers = free_cores()
         grasp, share = grasp_search.find(name, scene, workers, lambda: progress.advance(task))
     if share < LEAST:
         raise ValueError(

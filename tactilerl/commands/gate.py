@@ -9,7 +9,6 @@ from typing import Annotated
 from rich.progress import Progress
 from rich.table import Table
 
-from ..algos.mpi import Communicator
 from ..envs import typed
 from ..errors import InputError, input_errors
 from ..probe import gate
@@ -60,7 +59,7 @@ def main(args: list[str]) -> int:
         task = progress.add_task("trying reflexes", total=None)
         rows = gate.examine(
             read.env, scene, read.starts, read.search, read.seed,
-            read.workers or free_cores(Communicator()), lambda: progress.advance(task),
+            read.workers or free_cores(), lambda: progress.advance(task),
         )  # fmt: skip
     sentence = gate.verdict(rows)
     if read.json:

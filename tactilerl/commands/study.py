@@ -14,7 +14,6 @@ import tyro
 from rich import box
 from rich.table import Table
 
-from ..algos.mpi import Communicator
 from ..errors import InputError
 from ..runs.files import pasted
 from ..runs.training import free_cores
@@ -47,7 +46,7 @@ class Run:
 
     def __call__(self) -> int:
         """`tactilerl study run FILE`"""
-        parallel = self.jobs or max(1, free_cores(Communicator()) // self.ranks_per_run)
+        parallel = self.jobs or max(1, free_cores() // self.ranks_per_run)
         with runner.executor(parallel) as pool:
             return self._train(pool, parallel) if pool is not None else 0
 
@@ -128,7 +127,7 @@ class Status:
         study = folder.study()
         overview = display.Overview(folder, study.runs())
         counts = overview.counts()
-        eta = overview.eta(counts["running"] or free_cores(Communicator()))
+        eta = overview.eta(counts["running"] or free_cores())
         found = looks.judge(study, folder)
         said = looks.answers(study, found)
         if self.json:

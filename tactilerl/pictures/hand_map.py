@@ -35,14 +35,6 @@ class Panel(NamedTuple):
     """Its ends, from there."""
 
 
-class Label(NamedTuple):
-    """A word on the map, and the middle of its baseline, mm."""
-
-    text: str
-    x: float
-    y: float
-
-
 def panels(hand: Hand) -> list[Panel]:
     """One for each of the hand's surfaces."""
     spans = [tuple(1e3 * end for end in surface.span) for surface in hand.surfaces]
@@ -63,11 +55,12 @@ def panels(hand: Hand) -> list[Panel]:
     return found
 
 
-def labels(hand: Hand, drawn: list[Panel]) -> list[Label]:
-    """What each digit is called, above its tip, and below the palm what that is."""
+def labels(hand: Hand, drawn: list[Panel]) -> list[tuple[str, float, float]]:
+    """What each digit is called, above its tip, and below the palm what that is: the word, and the
+    middle (x, y) of its baseline, mm."""
     both = list(zip(hand.surfaces, drawn, strict=True))
     tips = [
-        Label(surface.digit, panel.x, panel.y + panel.high + EDGE + LETTERS / 3)
+        (surface.digit, panel.x, panel.y + panel.high + EDGE + LETTERS / 3)
         for surface, panel in both
         if surface.segment == "distal"
     ]
@@ -75,7 +68,7 @@ def labels(hand: Hand, drawn: list[Panel]) -> list[Label]:
     if not palm:
         return tips
     middle = sum(panel.x for panel in palm) / len(palm)
-    return [*tips, Label("palm", middle, min(p.y + p.low for p in palm) - EDGE - LETTERS)]
+    return [*tips, ("palm", middle, min(p.y + p.low for p in palm) - EDGE - LETTERS)]
 
 
 def point(place: Place, drawn: list[Panel]) -> tuple[float, float]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..envs.hands import Array, Hand, Surface
+from ..envs.hands import Hand, Surface
 from ..envs.layouts import Layout, Patch, Taxels, mm
 
 
@@ -73,9 +73,3 @@ def union(every: list[Layout], hand: Hand) -> Taxels:
     placed = Layout("all", "", patches, points).place(hand)
     first = {place: index for index, place in reversed([*enumerate(of(placed))])}
     return placed.take([first[place] for place in sorted(first)])
-
-
-def index_of(taxels: Taxels, known: tuple[Place, ...]) -> Array:
-    """Where each of the taxels is among known places; -1 where it is not."""
-    column = {place: index for index, place in enumerate(known)}
-    return np.array([column.get(place, -1) for place in of(taxels)])

@@ -12,7 +12,6 @@ import numpy as np
 
 from ..envs import hands, typed
 from ..envs.objects import KINDS
-from ..errors import InputError
 from ..pictures.places import Place
 from ..runs.files import damage_named, read_arrays, replacing
 from .grasps import Measured, shapes_of
@@ -42,17 +41,15 @@ def write(path: Path, played: Played) -> None:
 
 def read(path: Path) -> Played:
     """What `write` wrote; InputError when it is not that."""
-    try:
-        with damage_named(path, "not a whole file of grasps"):
-            arrays = read_arrays(path)
-            about = json.loads(str(arrays.pop(SETTINGS)))
-            if about.pop("format") != FORMAT:
-                raise ValueError("it has another format")
-            places = tuple(typed.make(Place, place, "place") for place in about.pop("contact_places"))
-            if hands.is_hand(str(about.get("env"))):
-                _check(arrays, about, places)
-    except FileNotFoundError:
-        raise InputError(f"grasps file {str(path)!r} does not exist") from None
+    missing = f"grasps file {str(path)!r} does not exist"
+    with damage_named(path, "not a whole file of grasps", missing):
+        arrays = read_arrays(path)
+        about = json.loads(str(arrays.pop(SETTINGS)))
+        if about.pop("format") != FORMAT:
+            raise ValueError("it has another format")
+        places = tuple(typed.make(Place, place, "place") for place in about.pop("contact_places"))
+        if hands.is_hand(str(about.get("env"))):
+            _check(arrays, about, places)
     return Played(arrays, about, places)
 
 
@@ -63,7 +60,7 @@ def _check(arrays: Measured, about: dict[str, Any], places: tuple[Place, ...]) -
     hand = hands.get(about["env"])
     shapes = {"held": (), "broken": (), **shapes_of(hand), "contact": (len(places),)}
     for name in shapes:
-        if name not in arrays and name != "joint_velocities":
+        if name not in arrays:
             raise ValueError(f"{name} is missing")
     for name, values in arrays.items():
         expected = (arrays["held"].size, *shapes.get(name, ()))

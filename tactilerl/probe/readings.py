@@ -102,13 +102,14 @@ class Grasps:
     def feel_contact(self, taxels: Taxels) -> Array:
         """Readings bool (n, taxels) by the simulator's rule "contact", as they were recorded;
         ValueError for a place where none was."""
-        index = places.index_of(taxels, self.contact_places)
-        if missing := int((index < 0).sum()):
+        column = {place: index for index, place in enumerate(self.contact_places)}
+        wanted = places.of(taxels)
+        if missing := sum(place not in column for place in wanted):
             raise ValueError(
                 f"the simulator's contacts were recorded for {len(self.contact_places)} taxels; found "
                 f"a layout with {missing} others, allowed the layouts that the grasps were played with"
             )
-        return self.records["contact"][:, index].astype(bool)
+        return self.records["contact"][:, [column[place] for place in wanted]].astype(bool)
 
     def _object(self, some: Array) -> tuple[Shape, ObjectState]:
         """Of grasps of one object."""

@@ -31,7 +31,7 @@ class Checkpoint:
 
     def __init__(self, run_dir: RunDir, config: RunConfig, learner: Algorithm, comm: Communicator):
         self.run_dir, self.config, self.learner, self.comm = run_dir, config, learner, comm
-        self._memory = learner if isinstance(learner, OffPolicy) else None
+        self._memory = learner.replay if isinstance(learner, OffPolicy) else None
         self._about = {"format": FORMAT, "config": json.dumps(config.identity())}
         self._parts: list[int] = []  # epochs whose experience is on disk
 
@@ -91,8 +91,8 @@ class Checkpoint:
 
     @staticmethod
     def _experience(path: Path, about: dict[str, Any]) -> Any:
-        """What a file holds, which could have been moved; the first files say nothing of what."""
-        data = sealed.read_fields(path, "checkpoint", FORMAT, PART, about)
+        """What a file holds, which could have been moved."""
+        data = sealed.read_fields(path, "checkpoint", FORMAT, PART)
         if other := next((name for name in about if data[name] != about[name]), None):
             raise ValueError(f"it is the experience of another {other}")
         return data["experience"]
@@ -107,7 +107,7 @@ class Checkpoint:
         if self._memory is None:
             return False
         size = sum(path.stat().st_size for path in self._files())
-        return size > REWRITE * self._memory.experience_bytes * self.comm.size
+        return size > REWRITE * self._memory.nbytes * self.comm.size
 
 
 def _compact(value: Any) -> Any:
@@ -125,7 +125,7 @@ def read(run_dir: RunDir, config: RunConfig) -> dict[str, Any]:
     The states of the ranks are for their learners to judge.
     """
     path = run_dir.checkpoint_file
-    data = sealed.read_fields(path, "checkpoint", FORMAT, TYPES, {"spaces": ""})
+    data = sealed.read_fields(path, "checkpoint", FORMAT, TYPES)
     with damage_named(path):
         epoch, parts = data["epoch"], data["experience"]
         if not 0 <= epoch < 2**63 or not data["ranks"]:

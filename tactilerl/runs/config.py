@@ -99,11 +99,6 @@ class RunConfig:
         }
         return dataclasses.replace(self, **chosen)
 
-    def with_recipe(self, name: str) -> RunConfig:
-        """A copy with the hyperparameters of a recipe; InputError where the learner has none such."""
-        with input_errors():
-            return dataclasses.replace(self, learner=recipes.recipe(self.run.algo, name))
-
     def validate(self) -> None:
         """Raise ValueError naming the first invalid field."""
         for part in self.parts.values():

@@ -35,12 +35,15 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)  # not the fault of 
 
 
 @contextmanager
-def damage_named(path: Path, found: str = "damaged") -> Iterator[None]:
-    """Whatever a file's content breaks is an InputError that names the file, and says what it is."""
+def damage_named(path: Path, found: str = "damaged", missing: str = "") -> Iterator[None]:
+    """Whatever a file's content breaks is an InputError that names the file, and says what it is. Where
+    there is no file it is a FileNotFoundError, or an InputError that says `missing`."""
     try:
         yield
     except FileNotFoundError:
-        raise
+        if not missing:
+            raise
+        raise InputError(missing) from None
     except InputError as error:
         raise error if str(path) in str(error) else InputError(f"{path}: {error}") from error
     except Exception as error:  # parsers answer garbage with errors of any kind

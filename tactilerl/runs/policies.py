@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from contextlib import closing
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -25,6 +24,8 @@ if TYPE_CHECKING:
 
 FORMAT = 1  # of a policy's file
 FLOAT = 4  # bytes
+SINCE = dict.fromkeys(("anneal_lr", "anneal_noise", "anneal_action_l2"), False)
+"""Hyperparameters of DDPG+HER that policies of 0.2.0 lack."""
 TYPES = {"policy_format": int, "algo": str, "learner": str, "spaces": str, "state": dict}
 
 
@@ -70,11 +71,11 @@ def save_policy(path: str | Path, algo: str, learner: algos.Algorithm) -> None:
 
 
 def _read_file(path: Path) -> Policy:
-    hint = "; for a run, give its folder"
-    data = sealed.read_fields(path, "policy", FORMAT, TYPES, {}, hint)
+    data = sealed.read_fields(path, "policy", FORMAT, TYPES, "; for a run, give its folder")
     with damage_named(path):
         config_type, _ = algos.get(data["algo"])
-        config: Any = typed.make(config_type, json.loads(data["learner"]), "learner")
+        told = (SINCE if data["algo"] == "ddpg_her" else {}) | json.loads(data["learner"])
+        config: Any = typed.make(config_type, told, "learner")
         config.validate()
         return _policy(path, data["algo"], config, Spaces.from_json(data["spaces"]), data["state"])
 
@@ -91,8 +92,7 @@ def _policy(path: Path, algo: str, config: Any, spaces: Spaces, state: dict[str,
 def read_run(path: Path, env: str = "", trust: bool = False) -> Trained:
     """The policy of a run folder at its last checkpoint, and its configuration.
 
-    For `env` and `trust` see `RunDir.read_config`: the first checkpoints of format 3 do not say what
-    the spaces are, so the environment is made once to ask it. InputError as of `load_policy`.
+    For `env` and `trust` see `RunDir.read_config`. InputError as of `load_policy`.
     """
     from . import checkpoint  # a policy's file needs no environments' configuration
     from .run_dir import RunDir
@@ -101,12 +101,7 @@ def read_run(path: Path, env: str = "", trust: bool = False) -> Trained:
     saved, _ = run_dir.read_config(env, trust)
     data, file = checkpoint.read(run_dir, saved), run_dir.checkpoint_file
     with damage_named(file):
-        if data["spaces"]:
-            spaces = Spaces.from_json(data["spaces"])
-        else:
-            with closing(saved.make_env()) as made:
-                spaces = Spaces(made.observation_space, made.action_space)
-        state = data["ranks"][0]
+        spaces, state = Spaces.from_json(data["spaces"]), data["ranks"][0]
         policy = _policy(file, saved.run.algo, saved.learner, spaces, state)
         require_like(state["env_steps"], 0, "env_steps")
     run = dataclasses.replace(saved.run, workers=1, device="cpu", matmul="float32")

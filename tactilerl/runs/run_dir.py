@@ -10,14 +10,14 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Annotated, Any
 
+from ..algos import recipes
 from ..envs import hands, layouts
 from ..envs.typed import require_type
-from ..errors import InputError
-from . import files, provenance
+from ..errors import InputError, input_errors
+from . import provenance
 from .config import LAYOUT_COPY, PARTS, RunConfig, defaults, from_dict
 from .files import damage_named, read_json, replacing, writable
 from .progress_csv import ProgressTable
@@ -60,14 +60,6 @@ class RunDir:
             raise InputError(
                 f"folder {str(self.path)!r} exists but is not a run folder; choose another with --out"
             )
-
-    def lock(self) -> AbstractContextManager[None]:
-        """Keep other processes from writing here; InputError naming the one that does."""
-        return files.locked(self.path)
-
-    def is_begun(self) -> bool:
-        """Has the run got further than its first checkpoint?"""
-        return self.progress.n_rows() > 0 or any(self.experience_folder.glob("*.pt"))
 
     def write_config(self, config: RunConfig, ranks: int, epoch: int = 0, env_steps: int = 0) -> str:
         """Write config.json: every value, the number of ranks, and with what it was made.
@@ -113,12 +105,10 @@ class RunDir:
                 f"{str(self.path)!r} is a file, allowed the folder of a run; a saved policy is for "
                 "Python (tactilerl.load_policy)"
             )
-        try:
-            with damage_named(self.config_file, "not a run's configuration"):
-                data = read_json(self.config_file)
-                require_record(data)
-        except FileNotFoundError:
-            raise InputError(f"{str(self.path)!r} is not a run folder: no config.json in it") from None
+        missing = f"{str(self.path)!r} is not a run folder: no config.json in it"
+        with damage_named(self.config_file, "not a run's configuration", missing):
+            data = read_json(self.config_file)
+            require_record(data)
         return data
 
 
@@ -150,4 +140,7 @@ def resolve(
     if scene:
         raise InputError("scene: found with resume; a resumed run keeps its settings")
     saved, _ = RunDir(Path(resume)).read_config(env, trust)
-    return saved.with_recipe(recipe) if recipe else saved
+    if recipe:
+        with input_errors():
+            saved = dataclasses.replace(saved, learner=recipes.recipe(saved.run.algo, recipe))
+    return saved

@@ -41,28 +41,25 @@ def read(path: Path, what: str = "checkpoint") -> Any:
 
     Tensors are mapped from the file, not copied.
     """
-    try:
-        with damage_named(path, f"damaged or not a {what}"):
-            _require_seal(path)
-            _require_plain(path)
-            return torch.load(path, weights_only=True, map_location="cpu", mmap=True)
-    except FileNotFoundError:
-        raise InputError(f"{path}: missing; there is no {what} yet, or it was removed") from None
+    missing = f"{path}: missing; there is no {what} yet, or it was removed"
+    with damage_named(path, f"damaged or not a {what}", missing):
+        _require_seal(path)
+        _require_plain(path)
+        return torch.load(path, weights_only=True, map_location="cpu", mmap=True)
 
 
 def read_fields(
-    path: Path, what: str, version: int, types: dict[str, type], usual: dict[str, Any], hint: str = ""
+    path: Path, what: str, version: int, types: dict[str, type], hint: str = ""
 ) -> dict[str, Any]:
     """A dict with fields of these types, the first of them the version of its format; InputError when
-    that or the fields are others. `usual` are values of fields that the first files lack."""
+    that or the fields are others."""
     data, number = read(path, what), next(iter(types))
     found = data.get(number) if isinstance(data, dict) else None
     if type(found) is not int or found != version:
         raise InputError(f"{path}: not a {what} of format {version}{hint}")
-    data = usual | data
     if {name: type(value) for name, value in data.items()} != types:
         raise InputError(f"{path}: damaged (found {', '.join(map(str, data))})")
-    return data
+    return dict(data)
 
 
 def _require_seal(path: Path) -> None:

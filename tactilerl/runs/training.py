@@ -24,7 +24,7 @@ from ..terminal.console import paragraph
 from ..terminal.progress_bar import ProgressBar, require_tensorboard
 from .checkpoint import Checkpoint
 from .config import RunConfig, RunOptions
-from .files import pasted
+from .files import locked, pasted
 from .run_dir import RunDir
 
 COUNTS = ("episodes", *FAULTS, "updates")  # columns of progress.csv that are sums
@@ -125,7 +125,7 @@ def _writing(run_dir: RunDir, config: RunConfig, comm: Communicator) -> Iterator
     with ExitStack() as held:
         if comm.rank == 0:
             run_dir.create()
-            held.enter_context(run_dir.lock())
+            held.enter_context(locked(run_dir.path))
             run_dir.settled(config)  # another process may have begun it meanwhile
         held.enter_context(interrupts.in_order())
         try:
@@ -142,7 +142,7 @@ def _begun(checkpoint: Checkpoint, any_ranks: bool) -> int:
     the goal was made smaller, and the run is beyond it already."""
     run_dir, learner = checkpoint.run_dir, checkpoint.learner
     if not run_dir.checkpoint_file.exists():
-        if run_dir.is_begun():
+        if run_dir.progress.n_rows() or any(run_dir.experience_folder.glob("*.pt")):
             raise InputError(
                 f"{run_dir.checkpoint_file}: missing, but the run has made progress; put it back, or "
                 "begin another run with another --out"
@@ -196,11 +196,11 @@ def _merged(rows: list[dict[str, float]], weights: list[float] | None = None) ->
     }
 
 
-def free_cores(comm: Communicator) -> int:
-    """Cores that this process may use without taking one from the other ranks here."""
+def free_cores(comm: Communicator | None = None) -> int:
+    """Cores that this process may use without taking one from the other ranks here, if any."""
     cores = os.cpu_count() or 1
     own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else cores
-    return max(1, min(own, cores // comm.local_size))
+    return max(1, min(own, cores // (comm or Communicator()).local_size))
 
 
 def _require_device(run: RunOptions) -> None:

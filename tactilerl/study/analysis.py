@@ -43,10 +43,6 @@ class Group:
         return len(self.seeds)
 
 
-Groups = dict[tuple[str, str], Group]
-"""By cell and arm, in order of the grid."""
-
-
 @dataclass(frozen=True)
 class Comparison:
     """Treatment against control in one cell."""
@@ -65,7 +61,8 @@ class SetupResult:
     setup: Setup
     steps: Array
     """(points,) at which the curves are compared."""
-    groups: Groups
+    groups: dict[tuple[str, str], Group]
+    """By cell and arm, in order of the grid."""
     comparisons: dict[str, Comparison]
     records: list[Record]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from contextlib import closing
 
 from ..algos.mpi import Communicator
 from ..errors import InputError, input_errors
@@ -45,11 +46,8 @@ def start(runs: list[Run], configs: dict[str, RunConfig], folder: StudyFolder) -
         tried.add(run.combination)
         try:
             learner, pool = make_algorithm(configs[run.name], Communicator())
-            try:
-                with input_errors():
-                    check(learner)
-            finally:
-                pool.close()
+            with closing(pool), input_errors():
+                check(learner)
         except InputError as error:
             raise InputError(f"run {run.name}: {error}") from error
 

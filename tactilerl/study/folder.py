@@ -169,10 +169,6 @@ class StudyFolder:
 
     def study(self) -> Study:
         """The study that was run here last; InputError where there is none."""
-        try:
-            with damage_named(self.study_file, "not a study of this version"):
-                return from_dict(read_json(self.study_file))
-        except (FileNotFoundError, NotADirectoryError):
-            raise InputError(
-                f"{str(self.path)!r} is not a study's folder: no study.json in it"
-            ) from None
+        missing = f"{str(self.path)!r} is not a study's folder: no study.json in it"
+        with damage_named(self.study_file, "not a study of this version", missing):
+            return from_dict(read_json(self.study_file))

@@ -236,7 +236,7 @@ class Study:
                     f"{len(setup.seeds)} seeds; the last look is at all of them"
                 )
         n_runs = sum(len(one.seeds) * math.prod(map(len, one.grid.values())) for one in self.setups)
-        if not 1 <= n_runs <= MOST_RUNS:
+        if n_runs > MOST_RUNS:
             allowed = f"allowed are up to {MOST_RUNS:,} runs in a study"
             raise InputError(f"setups: found {n_runs:,} runs, {allowed}")
         for run in self.runs():  # of which no two have the same name
@@ -269,11 +269,8 @@ def from_dict(data: Any) -> Study:
 
 def read(path: Path) -> Study:
     """Read and check a study file; InputError, one line, for everything that is wrong with it."""
-    try:
-        with damage_named(path, "not a study file"):
-            return _study(tomllib.loads(content(path, MAX_JSON).decode("utf-8")))
-    except FileNotFoundError:
-        raise InputError(f"{path}: there is no such study file") from None
+    with damage_named(path, "not a study file", f"{path}: there is no such study file"):
+        return _study(tomllib.loads(content(path, MAX_JSON).decode("utf-8")))
 
 
 def _study(data: dict[str, Any]) -> Study:
@@ -360,7 +357,7 @@ def _seeds(values: list[Any], where: str) -> list[int]:
         for part in str(value).split(","):
             match = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+))?\s*", part)
             first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
-            if last < first or isinstance(value, bool):
+            if last < first:
                 raise InputError(
                     f'{where}.seed: found {value!r}, expected numbers and ranges, such as "0-9"'
                 )

@@ -132,8 +132,11 @@ def executor(jobs: int) -> Iterator[concurrent.futures.Executor | None]:
         with concurrent.futures.ThreadPoolExecutor(jobs) as pool, _stopped_by_signals():
             try:
                 yield pool
-            except BaseException:
-                _stop(pool)
+            except BaseException:  # end the runs' processes; each keeps its last epoch
+                _stopping.set()
+                pool.shutdown(wait=False, cancel_futures=True)
+                for child in list(_children):
+                    child.terminate()
                 raise
     finally:
         _stopping.clear()
@@ -152,14 +155,6 @@ def _stopped_by_signals() -> Iterator[None]:
             yield
     finally:
         signal.signal(signal.SIGTERM, before)
-
-
-def _stop(pool: concurrent.futures.Executor) -> None:
-    """End the runs' processes; each keeps its last epoch."""
-    _stopping.set()
-    pool.shutdown(wait=False, cancel_futures=True)
-    for child in list(_children):
-        child.terminate()
 
 
 def run_all(jobs: list[Job], pool: concurrent.futures.Executor, watch: Watch) -> dict[Path, Ending]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -251,10 +250,10 @@ def _sight(config: Mapping[str, Any]) -> str:
     return (config.get("scene") or {}).get("object_seen", "exact")
 
 
-def _but_sight(config: Mapping[str, Any]) -> str:
+def _but_sight(config: Mapping[str, Any]) -> dict[str, Any]:
     """All that makes a run, but its seed and how the object is seen."""
     parts = {name: dict(config.get(name) or {}) for name in ("run", "scene", "learner")}
     parts["run"].pop("seed", None)
     for name in SIGHT:
         parts["scene"].pop(name, None)
-    return json.dumps(parts, sort_keys=True)
+    return parts

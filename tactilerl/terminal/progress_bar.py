@@ -33,17 +33,16 @@ class ProgressBar:
     """Shows each epoch; writes TensorBoard events to a folder when given one."""
 
     def __init__(self, learner: Algorithm, comm: Communicator, events: Path | None = None) -> None:
-        is_quiet = comm.rank > 0
-        self.console = Console(quiet=is_quiet, highlight=False, soft_wrap=True, markup=False)
+        self.console = Console(quiet=comm.rank > 0, highlight=False, soft_wrap=True, markup=False)
         self.total = learner.total_timesteps
         self._first_step, self._started = learner.env_steps, time.perf_counter()
         self._events: Any = None
-        if events is not None and not is_quiet:
+        if events is not None and comm.rank == 0:
             self._events = require_tensorboard()(str(events))
         self._faults = dict.fromkeys(FAULTS, 0.0)
         self._bar: Progress | None = None
         # mpirun hands its ranks a terminal that is none: plain lines for several processes
-        if self.console.is_terminal and not is_quiet and comm.size == 1:
+        if self.console.is_terminal and comm.size == 1:
             whole, wraps = Column(no_wrap=True), Column(no_wrap=False)  # where the terminal is narrow
             self._bar = Progress(
                 BarColumn(),

@@ -443,7 +443,7 @@ class TestHoldTest:
                 look, object=dataclasses.replace(look.object, position=look.hand)
             )
 
-        phase = env.task.hold.begin(now(), env.config.timestep)
+        phase = hold.Hold(env.task.hold, now(), env.config.timestep)
         targets, verdict = phase.targets, None
         while verdict is None:
             is_at_top = phase.is_at_top
@@ -497,7 +497,7 @@ class TestHoldTest:
 
     def in_small_portions(self, env):
         """A hold test by hand, five timesteps at a time."""
-        phase, verdict = env.task.hold.begin(env._look(), env.config.timestep), None
+        phase, verdict = hold.Hold(env.task.hold, env._look(), env.config.timestep), None
         targets = phase.targets
         while verdict is None:
             env.simulator.set_creep(phase.creep)

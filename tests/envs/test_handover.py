@@ -5,8 +5,7 @@ import pytest
 
 from tactilerl import envs
 from tactilerl.envs import objects, tasks
-from tactilerl.envs.givers import Giver
-from tactilerl.envs.simulators import SimulationError
+from tactilerl.envs.simulators import Giver, SimulationError
 from tactilerl.probe.reflexes import Reflex
 
 SIMULATORS = ["mujoco", "pybullet"]
