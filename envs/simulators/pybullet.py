@@ -87,6 +87,8 @@ class PyBulletSimulator(Simulator):
         self._build()
         self._joints = [self._joint_index[name] for name in hand.joints]
         self._motors, self._gains, self._forces = self._motor_figures()
+        taxels = scene.contact_taxels
+        self._taxels = None if taxels is None else taxel_points(taxels)
         self._painter: MujocoSimulator | None = None
         self._rest: Array | None = None  # of the giver's spring, while the object is carried
         self._goal = np.zeros(3)
@@ -243,11 +245,11 @@ class PyBulletSimulator(Simulator):
 
     def contact_taxels(self) -> Array:
         """A taxel is on when a contact with the object that carries force lies in its sphere."""
-        taxels = self.scene.contact_taxels
-        assert taxels is not None
-        centres = taxel_points(taxels).world(*self.link_poses(taxels.links))
+        assert self.scene.contact_taxels is not None
+        assert self._taxels is not None
+        centres = self._taxels.world(*self.link_poses(self._taxels.links))
         gaps = np.square(self.contacts().points[None] - centres[:, None]).sum(axis=2)
-        return (gaps <= np.square(taxels.radii)[:, None]).any(axis=1)
+        return (gaps <= np.square(self.scene.contact_taxels.radii)[:, None]).any(axis=1)
 
     def render(self, camera: Camera, taxels: Taxels | None = None, lit: Array | None = None) -> Array:
         """Drawn by MuJoCo's renderer: one look for both simulators."""
