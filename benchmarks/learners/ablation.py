@@ -115,7 +115,7 @@ def summary(runs: dict[str, dict[str, float]], seeds: range) -> dict[str, Any]:
 
 
 def show(content: dict[str, Any]) -> None:
-    """As Markdown: contenders in rows, tasks in columns, and the median of their seconds."""
+    """As Markdown: contenders in rows, tasks in columns."""
     table = content["table"]
     tasks = [task for task in TASKS if any(task in row for row in table.values())]
     rows = []
@@ -123,10 +123,9 @@ def show(content: dict[str, Any]) -> None:
         cells = [
             "{} ({} to {})".format(*map(_short, row[t]["return"])) if t in row else "" for t in tasks
         ]
-        seconds = np.median([of_task["seconds"] for of_task in row.values()])
-        rows.append((name.replace("stable-b", "Stable-B"), *cells, f"{seconds:.0f}"))
+        rows.append((name.replace("stable-b", "Stable-B"), *cells))
     head = " | ".join(task.rpartition("-")[0] for task in tasks)
-    markdown(f"| | {head} | s |", rows)
+    markdown(f"| | {head} |", rows)
 
 
 def _short(value: float) -> str:
