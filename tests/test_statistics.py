@@ -87,6 +87,12 @@ class TestIntervals:
         written_out = [s.aggregate(np.repeat(scores, drawn), metric) for drawn in counts.T]
         assert_allclose(s.bootstrap(scores, metric, counts), written_out, atol=1e-12)
 
+    def test_resamples_are_those_of_one_call_each(self):
+        one, many = np.random.default_rng(3), np.random.default_rng(3)
+        counts = [np.bincount(one.integers(7, size=7), minlength=7) for _ in range(200_001)]
+        assert np.array_equal(s.resample(many, 7, 200_001).T, counts)  # several parts
+        assert one.bit_generator.state == many.bit_generator.state
+
     @pytest.mark.parametrize("metric", ["iqm", "mean"])
     def test_same_resamples_same_interval_as_rliable(self, rng, metric):
         scores = {"x": rng.random((10, 1))}
