@@ -37,8 +37,7 @@ def needs_pybullet(item):
 
 
 def pytest_collection_modifyitems(items):
-    order = [*LONG, ""]  # the others keep theirs
-    items.sort(key=lambda item: order.index(item.path.stem if item.path.stem in LONG else ""))
+    items.sort(key=lambda item: [*LONG, item.path.stem].index(item.path.stem))  # the others keep theirs
     if find_spec("pybullet") is None:
         for item in filter(needs_pybullet, items):
             item.add_marker(pytest.mark.skip(reason=NO_PYBULLET))

@@ -29,26 +29,27 @@ def learned(*of: str) -> None:
     """How far and how fast the runs learned; with two rows, the difference in pairs."""
     rows: list[tuple[object, ...]] = []
     areas: list[verdicts.BySeed] = []
-    for title, (name, setup_name, *place) in RUNS[of[0], of[1]].items():
+    places = RUNS[of[0], of[1]]
+    is_alone = len(places) == 1  # runs of two studies were not timed on one machine
+    for title, (name, setup_name, *place) in places.items():
         setup, found = answer.load_setup(name, setup_name)
         area, final, enough = (
             verdicts.by_seed(found, setup, place[0], place[1], score)
             for score in ("area", "final", "steps to 0.9")
         )
+        own = (r for r in found if (r.run.setup, r.run.cell, r.run.arm) == (setup.name, *place))
+        minutes = np.median([r.seconds for r in own if r.run.seed in area]) / 60
         steps = median_steps(np.array(list(enough.values())))
-        rows.append((title, len(area), mean(area.values()), mean(final.values()), steps))
+        row = title, len(area), mean(area.values()), mean(final.values()), steps, f"{minutes:.1f}"
+        rows.append(row if is_alone else row[:-1])
         areas.append(area)
-    head = "| runs | seeds | mean success over the run | over its last tenth "
-    head += "| steps to 0.9 (median; reached by) |"
     if len(areas) == 2:
         pairs = verdicts.in_pairs(*areas)
         difference = estimate(pairs.difference, "+.2f")
         rows.append(("their difference, in pairs", len(pairs), difference, "", ""))
-    else:  # runs of two studies were not timed on one machine
-        own = (r for r in found if (r.run.setup, r.run.cell, r.run.arm) == (setup.name, *place))
-        rows[0] += (f"{np.median([r.seconds for r in own if r.run.seed in area]) / 60:.1f}",)
-        head += " minutes, median |"
-    markdown(head, rows)
+    head = "| runs | seeds | mean success over the run | over its last tenth "
+    head += "| steps to 0.9 (median; reached by) |"
+    markdown(head + " minutes, median |" * is_alone, rows)
 
 
 def critic(name: str, setup_name: str, usual: str = "handover") -> None:

@@ -69,8 +69,9 @@ def folds(held: Array, n: int, groups: Array | None, seed: int) -> list[Fold]:
             raise ValueError(f"hold_out: found {objects} object, allowed two or more, to hold some out")
         splitter = GroupKFold(min(n, objects))
     found = list(splitter.split(np.zeros((len(held), 1)), held, groups))
-    for outcomes in (held[train] for train, _ in found):
-        least, most = sorted((int(outcomes.sum()), int((~outcomes).sum())))
+    for train, _ in found:
+        n_held = int(held[train].sum())
+        least, most = sorted((n_held, len(train) - n_held))
         if least == 0 or most < INNER_FOLDS:
             raise ValueError(
                 f"grasps: found a fold with {least} of one outcome and {most} of the other to learn "

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from functools import partial
 from pathlib import Path
 
@@ -467,7 +468,8 @@ class TestFolder:
         assert main(["train", "--algo", "ppo", *scene, *short, "--out", "run"]) == 0
         capfd.readouterr()
         # An untrained policy holds too few to tell anything from them, but they were played.
-        error(capfd, "--policy", "run", "--grasps", "6", "--workers=1", "--layout", "5")
+        said = error(capfd, "--policy", "run", "--grasps", "6", "--workers=1", "--layout", "5")
+        assert re.search("outcome|the grasps that were", said)
         assert len(files.read(tmp_path / "probes/run/grasps.npz").records["held"]) == 6
 
 
