@@ -70,7 +70,7 @@ policies: $(TRAINING)
 	$(call POLICY,handover_blind,--scene handover --run-type control)
 	$(call POLICY,shadow_lift,$(SHADOW_LIFT))
 
-# About half an hour on two cores; `make bench-peers` and so on for a part. `make bench OUT=docs/data`
+# 15 to 30 minutes on two cores; `make bench-peers` and so on for a part. `make bench OUT=docs/data`
 # is what the docs show of these.
 OUT ?= bench
 GRASPS ?= 5

@@ -8,6 +8,7 @@ A table stands between two comments, `<!-- table NAME -->` and `<!-- end -->`. T
 from __future__ import annotations
 
 import io
+import itertools
 import re
 from collections.abc import Callable
 from contextlib import redirect_stdout
@@ -16,8 +17,9 @@ from typing import Any
 
 from benchmarks import environments
 from benchmarks.command import DATA, DOCS, ROOT, data, no_flags
-from benchmarks.learners import ablation, cut_short, steady
-from benchmarks.physics import hold_verdict
+from benchmarks.learners import ablation, cut_short, footprint, precision, scaling, steady
+from benchmarks.peers import env, solve, updates
+from benchmarks.physics import hard_cases, hold_verdict, scene_parts, speed_vs_error
 from benchmarks.studies import (
     answer,
     coverage,
@@ -43,6 +45,11 @@ def _parts(name: str, show: Callable[..., None], *parts: str) -> Callable[[], No
     return lambda: show(*map(data(name).get, parts))
 
 
+def _settings(pair: str) -> Callable[[], None]:
+    hand = pair.split()[0]
+    return lambda: speed_vs_error.show(hand, data("speed_vs_error")[pair]["settings"])
+
+
 def _comparison() -> None:
     """The README's, for another page."""
     _, _, section = (ROOT / "README.md").read_text(encoding="utf-8").partition("## Compared with")
@@ -58,6 +65,26 @@ PRINTED: dict[str, Callable[[], None]] = {
     "probe agreement": _of("probe_agreement", probe_agreement.show),
     "probe hold": _of("probe_hold", probe_hold.show),
     "hold verdict": _of("hold_verdict", hold_verdict.show),
+    "updates": _parts("peers", updates.show, "updates"),
+    "steps": _parts("peers", env.show, "env"),
+    "toys": _parts("peers", solve.show, "solve"),
+    "second core": _parts("scaling", scaling.show, "limit", "collecting", "updates", "ranks"),
+    "ranks": _parts("scaling", scaling.show_shares, "ranks"),
+    "start": _parts("footprint", footprint.show_starting, "start"),
+    "memory": _parts("footprint", footprint.show_memory, "memory"),
+    "rounding": _parts("precision", precision.show_learners, "learners"),
+    "bootstrap": _parts("precision", precision.show_bootstrap, "bootstrap"),
+    "scene parts": _parts("scene_parts", scene_parts.show, "pairs"),
+    "physics": _of("speed_vs_error", speed_vs_error.show_shipped),
+    "free motion": _of("speed_vs_error", speed_vs_error.show_free_motion),
+    **{
+        f"physics {pair}": _settings(pair)
+        for pair in itertools.starmap(
+            "{} in {}".format, itertools.product(speed_vs_error.SIZES, speed_vs_error.SETTINGS)
+        )
+    },
+    "hard cases": _of("hard_cases", hard_cases.show_short),
+    "hard cases, long": _of("hard_cases_long", hard_cases.show),
     "cut short": _of("cut_short", cut_short.show),
     "many cores": _of("cut_short", cut_short.many_cores),
     "ablation": _of("ablation", ablation.show),

@@ -1,4 +1,4 @@
-"""How the benchmarks measure time: contenders in turn on one machine, and what is shown of it."""
+"""How the benchmarks measure time: contenders in turn on one machine."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any
-
-from .printing import show
 
 ROUNDS = 7
 Contender = Callable[[], int]
@@ -33,13 +31,6 @@ def rounds(contenders: dict[str, Contender], clock: Clock = time.perf_counter) -
 def contest(rates: dict[str, float], *pairs: tuple[str, str]) -> dict[str, Any]:
     """Rates, and for pairs of names the first's over the second's."""
     return {"per_s": rates, "ratios": {f"{a} / {b}": rates[a] / rates[b] for a, b in pairs}}
-
-
-def show_contest(title: str, found: dict[str, Any], rates: str = "per_s") -> None:
-    """Rates, and then ratios."""
-    rows = [(name, f"{rate:,.0f}") for name, rate in found[rates].items()]
-    ratios = [(name, f"{ratio:.2f} ×") for name, ratio in found["ratios"].items()]
-    show(title, ("", "per second"), [*rows, (), *ratios])
 
 
 class Watches:

@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any
 
 from benchmarks.command import Part, python, run_parts
-from benchmarks.printing import show
+from benchmarks.printing import markdown
 from benchmarks.timing import rounds
 
 STARTS = {
@@ -39,7 +39,7 @@ def starting() -> dict[str, float]:
 
 def show_starting(seconds: dict[str, float]) -> None:
     """One table."""
-    show(None, ("fresh process", "ms"), [(name, f"{1e3 * s:.0f}") for name, s in seconds.items()])
+    markdown("| fresh process | ms |", [(name, f"{1e3 * s:.0f}") for name, s in seconds.items()])
 
 
 def memory() -> dict[str, Any]:
@@ -49,9 +49,8 @@ def memory() -> dict[str, Any]:
 
 def show_memory(found: dict[str, Any]) -> None:
     """One table."""
-    replay = {f"a replay of {found['transitions']:,} transitions": found["replay"]}
-    rows = [(what, f"{size / 1e9:.2f}") for what, size in (found["peaks"] | replay).items()]
-    show(None, ("peak memory of the process", "GB"), rows)
+    sizes = found["peaks"] | {"the replay itself": found["replay"]}
+    markdown("| peak of the process | GB |", [(what, f"{n / 1e9:.2f}") for what, n in sizes.items()])
 
 
 PARTS: dict[str, Part] = {"start": (starting, show_starting), "memory": (memory, show_memory)}

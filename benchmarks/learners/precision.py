@@ -22,11 +22,12 @@ import torch
 
 from benchmarks.command import Part, run_parts
 from benchmarks.learners.random_goals import fed
-from benchmarks.printing import show
+from benchmarks.printing import markdown
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.networks import FlatAdam, Precision, has_bfloat16, matrix_products
 from tactilerl.algos.ppo import PPO, PPOConfig, Transitions
 from tactilerl.runs.evaluation import mean_interval
+from tactilerl.style import NAMES
 
 UPDATES = 100
 SCORES = np.array([0.31, 0.44, 0.47, 0.66, 0.85])
@@ -131,13 +132,13 @@ def learners() -> dict[str, Any]:
 def show_learners(found: dict[str, Any]) -> None:
     """One table."""
     rows = [
-        (learner, name, *(f"{row[f'parameter_error_{which}']:.2g}" for which in ("median", "worst")),
-         f"{row['speed']:.2f}")
+        (NAMES[learner], name,
+         *(f"{row[f'parameter_error_{which}']:.2g}" for which in ("median", "worst")),
+         f"{row['speed']:.1f}")
         for learner, of in found.items()
         for name, row in of.items()
     ]  # fmt: skip
-    columns = (f"{UPDATES} updates", "products", "error of the parameters", "worst", "speed")
-    show(None, columns, rows)
+    markdown("| updates | products | error, median | worst | speed |", rows)
 
 
 def rliable_interval(resamples: int, seed: int) -> Any:
@@ -166,17 +167,19 @@ def bootstrap() -> dict[str, Any]:
         started = time.process_time()
         found = [interval(resamples, seed) for seed in BOOTSTRAPS]
         ms = 1e3 * (time.process_time() - started) / len(BOOTSTRAPS)
-        result[name][resamples] = {"error": float(np.abs(found - exact).mean()), "ms": ms}
+        result[name][str(resamples)] = {"error": float(np.abs(found - exact).mean()), "ms": ms}
     return result
 
 
 def show_bootstrap(found: dict[str, Any]) -> None:
     """One table."""
-    rows = [
-        (f"{n:,}", *(f"{of[n]['error']:.5f}, {of[n]['ms']:.1f}" for of in found.values()))
-        for n in RESAMPLES
-    ]
-    show("bootstrap intervals: error of an end, ms", ("resamples", *found), rows)
+    head = "| resamples |" + "".join(f" {name}: mean error of an end | ms |" for name in found)
+    rows = []
+    for n in RESAMPLES:
+        of = [of[str(n)] for of in found.values()]
+        cells = [cell for row in of for cell in (f"{row['error']:.2g}", f"{row['ms']:,.1f}")]
+        rows.append((f"{n:,}", *cells))
+    markdown(head, rows)
 
 
 PARTS: dict[str, Part] = {

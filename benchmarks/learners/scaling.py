@@ -23,8 +23,8 @@ import torch
 from benchmarks.command import Part, processes, python, run_parts
 from benchmarks.learners.random_goals import fed
 from benchmarks.peers.env import Steps, mj_step
-from benchmarks.printing import show
-from benchmarks.timing import Contender, per_second, rounds, show_contest
+from benchmarks.printing import markdown
+from benchmarks.timing import Contender, per_second, rounds
 from tactilerl import envs
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
@@ -124,19 +124,42 @@ def ranks() -> dict[str, Any]:
     return result
 
 
-def show_ranks(part: dict[str, Any]) -> None:
-    """Rates, and where the time goes."""
-    show_contest("transitions learned from", part, "transitions_per_s")
+WORK = {
+    "2 / 1": "MuJoCo alone: `mj_step` in two processes that share nothing",
+    "shadow in MuJoCo: 2 cores / 1": "collecting, Shadow Hand in MuJoCo (threads)",
+    "mpl in PyBullet: 2 cores / 1": "collecting, MPL hand in PyBullet (processes)",
+    "PPO: 2 cores / 1": "PPO updates: actor and critic at the same time",
+    "DDPG+HER: 2 cores / 1": "DDPG+HER updates: both gradients at the same time",
+    "env_steps_per_s: 2 ranks / 1 rank": "DDPG+HER with two ranks, environment steps",
+    "transitions_per_s: 2 ranks / 1 rank": "DDPG+HER with two ranks, transitions learned from",
+}
+"""Of the ratios."""
+
+
+def show(*parts: dict[str, Any]) -> None:
+    """The ratios of some parts."""
+    ratios = {name: ratio for part in parts for name, ratio in part["ratios"].items()}
+    rows = [(words, f"{ratios[name]:.2f}") for name, words in WORK.items() if name in ratios]
+    markdown("| work | 2 cores / 1 |", rows)
+
+
+def show_shares(part: dict[str, Any]) -> None:
+    """Where the time of ranks goes."""
     one, two = part["shares at 1"], part["shares at 2"]
-    rows = [(name, f"{one[name]:.3f}", f"{two[name]:.3f}") for name in one]
-    show(None, ("share of time on the Shadow Hand", "1 rank", "2 ranks"), rows)
+    rows = [(name, f"{100 * one[name]:.0f} %", f"{100 * two[name]:.0f} %") for name in one]
+    markdown("| share of the time | 1 rank | 2 ranks |", rows)
 
 
-PLAYED = "environment steps of episodes played by an untrained policy"
+def show_ranks(part: dict[str, Any]) -> None:
+    """Both."""
+    show(part)
+    show_shares(part)
+
+
 PARTS: dict[str, Part] = {
-    "limit": (limit, partial(show_contest, "control steps of mj_step alone")),
-    "collecting": (collecting, partial(show_contest, PLAYED)),
-    "updates": (updates, partial(show_contest, "updates of actor and critic")),
+    "limit": (limit, show),
+    "collecting": (collecting, show),
+    "updates": (updates, show),
     "ranks": (ranks, show_ranks),
 }
 

@@ -13,6 +13,7 @@ import gymnasium as gym
 import mujoco
 import numpy as np
 
+from benchmarks.printing import markdown
 from benchmarks.timing import Contender, contest, rounds
 from tactilerl import envs
 
@@ -135,3 +136,16 @@ def _compared(ours: dict[str, Steps], others: dict[str, Contender]) -> dict[str,
     rates = rounds(contenders, time.process_time)
     pairs = (*itertools.product(ours, others), *((b, a) for a, b in itertools.pairwise(ours)))
     return contest(rates, *pairs)
+
+
+def show(scenes: dict[str, Any]) -> None:
+    """One table: rates of every layout over those of the simulator alone and of the peer."""
+    rows = []
+    for title, found in scenes.items():
+        rates = dict(found["per_s"])
+        ours = [(name, rates.pop(name)) for name in list(rates) if name.startswith("layout")]
+        alone, *peer = rates.values()
+        for name, rate in ours:
+            ratios = [f"{rate / other:.2f}" for other in (alone, *peer)]
+            rows.append((title, name, *ratios, *[""] * (1 - len(peer))))
+    markdown("| scene | | tactilerl / the simulator alone | tactilerl / Gymnasium-Robotics |", rows)

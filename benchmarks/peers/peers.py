@@ -10,25 +10,13 @@ processor's time; what counts are the ratios. Prints tables and writes JSON:
 
 from __future__ import annotations
 
-from typing import Any
-
 from benchmarks.command import Part, run_parts
-from benchmarks.peers.env import environments
-from benchmarks.peers.solve import show_solve, solve
-from benchmarks.peers.updates import updates
-from benchmarks.timing import show_contest
-
-
-def show_contests(part: dict[str, Any]) -> None:
-    """A table for each."""
-    for title, found in part.items():
-        show_contest(title, found)
-
+from benchmarks.peers import env, solve, updates
 
 PARTS: dict[str, Part] = {
-    "env": (environments, show_contests),
-    "updates": (updates, show_contests),
-    "solve": (solve, show_solve),
+    "env": (env.environments, env.show),
+    "updates": (updates.updates, updates.show),
+    "solve": (solve.solve, solve.show),
 }
 
 

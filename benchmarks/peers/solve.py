@@ -25,7 +25,7 @@ import torch
 from scipy import stats
 
 from benchmarks.peers.contenders import FIRST_START, Act, Looks, learn, play, sb3_ddpg
-from benchmarks.printing import interval, progress, show
+from benchmarks.printing import interval, markdown, progress
 from tactilerl import envs
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.networks import Precision, has_bfloat16
@@ -187,15 +187,14 @@ def _with_interval(statistic: Callable[..., Any], *samples: list[float]) -> list
     return [float(statistic(*data, axis=0)), float(ends.low), float(ends.high)]
 
 
-def show_solve(solved: dict[str, Any]) -> None:
+def show(solved: dict[str, Any]) -> None:
     """One table."""
     rows: list[tuple[str, ...]] = []
     for title, row in solved.items():
-        for name in LIBRARIES:
-            of = row[name]
-            seconds = interval(*of["seconds"], ",.2f", "-")
-            steps = interval(*of["env_steps"], ",.0f", "-")
+        for name, of in row.items():
+            if name in ("seeds", "ratio"):
+                continue
+            seconds, steps = interval(*of["seconds"], ".1f"), interval(*of["env_steps"], ",.0f")
             rows.append((f"{title}: {name}", seconds, steps, f"{of['not_solved']} of {row['seeds']}"))
-        low, high = row["ratio"][1:]
-        rows += [("ratio", f"{row['ratio'][0]:.2f} × ({low:.2f}-{high:.2f})"), ()]
-    show("until the toy is solved", ("", "seconds", "environment steps", "not solved"), rows)
+        rows.append((f"{title}: stable-baselines3 / tactilerl", interval(*row["ratio"], ".1f"), "", ""))
+    markdown("| | processor time, s | environment steps | not solved |", rows)

@@ -13,6 +13,7 @@ import torch
 from stable_baselines3.common.logger import Logger
 
 from benchmarks.learners.random_goals import GOAL, STEPS, RandomGoals, fed
+from benchmarks.printing import markdown
 from benchmarks.timing import Contender, contest, rounds
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.networks import has_bfloat16, matrix_products
@@ -153,3 +154,15 @@ def updates() -> dict[str, Any]:
         )
         for title, contenders in contests.items()
     }
+
+
+def show(contests: dict[str, Any]) -> None:
+    """One table, in units of Stable-Baselines3's rate in float32."""
+    rows = []
+    for title, found in contests.items():
+        for kind in ("", ", bfloat16"):
+            rates = [found["per_s"].get(name + kind) for name in (THEIRS, OURS, BOUND)]
+            if any(rates):
+                one = found["per_s"][THEIRS]
+                rows.append((title + kind, *(f"{rate / one:.2f}" if rate else "" for rate in rates)))
+    markdown("| updates | Stable-Baselines3 | tactilerl | the products alone |", rows)

@@ -25,7 +25,7 @@ import psutil
 from benchmarks.command import parser, write
 from benchmarks.physics.contacts import self_contact
 from benchmarks.physics.speed_vs_error import SHIPPED
-from benchmarks.printing import show
+from benchmarks.printing import markdown
 from tactilerl.envs import scripted
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.simulators import Scene
@@ -163,29 +163,29 @@ def perform(env: GraspEnv) -> dict[str, Any]:
     return {"us_per_step": 1e6 * float(np.median(seconds)), "held": int(sum(held)), "ends": ends}
 
 
-COLUMNS = {  # of the tables: title and format
-    "us_per_step": ("µs/step", ".0f"),
-    "load_ms": ("load, ms", ".1f"),
-    "rss_mb": ("memory, MB", ".2f"),
-    "held": (f"held of {GRASPS}", "d"),
-    "moved_mm": ("object moved, mm", ".2f"),
-}
+FORMATS = {"us_per_step": ".0f", "load_ms": ".0f", "rss_mb": ".2f", "held": "d", "moved_mm": ".2f"}
+
+
+def show(pairs: dict[str, dict[str, dict[str, Any]]]) -> None:
+    """One table."""
+    rows = [
+        (f"{title}: {name}", *(f"{row[key]:{form}}" for key, form in FORMATS.items()))
+        for title, variants in pairs.items()
+        for name, row in variants.items()
+    ]
+    head = f"| variant | µs per step, holding | load, ms | memory, MB | held of {GRASPS} | moved, mm |"
+    markdown(head, rows)
 
 
 def main() -> None:
     """Both hands in both simulators."""
     options = parser(__doc__).parse_args()
-    result: dict[str, Any] = {"grasps": GRASPS, "seconds": SECONDS}
+    pairs = {}
     for (hand, simulator), variants in VARIANTS.items():
         rows = {name: measure(hand, simulator, variant) for name, variant in variants.items()}
         ends = {name: np.array(row.pop("ends")) for name, row in rows.items()}
         for name, row in rows.items():
             row["moved_mm"] = 1e3 * float(np.linalg.norm(ends[name] - ends[SHIPPED], axis=1).max())
-        title = f"{hand} in {simulator}"
-        result[title] = rows
-        shown = [
-            (name, *(f"{row[key]:{form}}" for key, (_, form) in COLUMNS.items()))
-            for name, row in rows.items()
-        ]
-        show(title, ("variant", *(column for column, _ in COLUMNS.values())), shown)
-    write(options.out, result)
+        pairs[f"{hand} in {simulator}"] = rows
+    show(pairs)
+    write(options.out, {"grasps": GRASPS, "seconds": SECONDS, "pairs": pairs})

@@ -23,18 +23,20 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks import printing
 from benchmarks.command import count, earlier, parser, processes, write
 from benchmarks.physics.contacts import deepest, self_contact
 from benchmarks.physics.free_motion import BRICK, fall, swing
+from benchmarks.printing import markdown
 from tactilerl.envs import hands, scripted
 from tactilerl.envs.grasp import GraspEnv, setup
+from tactilerl.style import NAMES
 
 SECONDS = 5.0
 SEED = 35_000  # starts of this benchmark; the doctor and the search used others
 SIZES = {"shadow": (0.04, 0.05), "mpl": (0.045, 0.05)}  # of cubes, m
 SHIPPED = "as shipped"
 CLEARLY = 1.25
+LOST = ("fall", "spin_energy", "swing_energy")  # in free motion
 
 
 @dataclass(frozen=True)
@@ -260,30 +262,66 @@ def measure(hand: str, simulator: str, grasps: int) -> dict[str, dict[str, Any]]
     return {"reference, twice the step": compare(coarse, fine, shipped), **rows}
 
 
-COLUMNS = {
-    "speed": "speed",
-    "error_median_mm": "error, mm",
-    "error_worst_mm": "worst, mm",
-    "angle_median_rad": "rad",
-    "slip_5s_mm": "slip, mm",
-    "overlap_mm": "overlap, mm",
-    "bits_wrong": "bits wrong",
-    "outcomes_changed": "outcomes changed",
-    "fall_error": "fall",
-    "spin_energy_error": "spin",
-    "swing_energy_error": "swing",
-    "warnings": "warnings",
+FORMATS = {
+    "speed": ".2f",
+    "error_median_mm": ".2f",
+    "error_median_mm_of_cube": "",
+    "error_worst_mm": ".2f",
+    "angle_median_rad": ".3f",
+    "slip_5s_mm": ".2f",
+    "overlap_mm": "z.1f",
+    "bits_wrong": ".1f",
+    "outcomes_changed": "d",
 }
+"""Of the columns of `show`."""
 
 
-def show(title: str, rows: dict[str, dict[str, Any]]) -> None:
+def show(hand: str, rows: dict[str, dict[str, Any]]) -> None:
     """One table; settings on the front have a star."""
-    shown = [
-        (name + " *" * row.get("on_front", False),
-         *(f"{row[key]:.3g}" if key in row else "" for key in COLUMNS))
-        for name, row in rows.items()
-    ]  # fmt: skip
-    printing.show(title, ("setting", *COLUMNS.values()), shown)
+    sizes = [f"{1e3 * size:g}" for size in SIZES[hand]]
+    head = (
+        f"| setting | speed | error, median mm | {' / '.join(sizes)} mm cube | worst mm | rad "
+        "| slip, mm | overlap, mm | taxels wrong | outcomes changed |"
+    )
+    cells = []
+    for name, row in rows.items():
+        of_cube = row.get("error_median_mm_of_cube", {})
+        row = row | {"error_median_mm_of_cube": " / ".join(_number(of_cube, f"{s} mm") for s in sizes)}
+        words = name + " \\*" * row.get("on_front", False)
+        words = f"**{words}**" if name == SHIPPED else words
+        cells.append((words, *(_number(row, key, form) for key, form in FORMATS.items())))
+    markdown(head, cells)
+
+
+def _number(row: dict[str, Any], key: str, form: str = ".2f") -> str:
+    return f"{row[key]:{form}}" if key in row else "–"
+
+
+def show_shipped(results: dict[str, Any]) -> None:
+    """One table: what is shipped, beside half its timestep."""
+    rows = []
+    for title, result in sorted(results.items(), key=lambda item: item[0].split()[::-1]):
+        hand, _, simulator = title.split()
+        shipped, finer = (result["settings"][name] for name in (SHIPPED, "timestep / 2"))
+        keys = ("error_median_mm", "error_worst_mm", "slip_5s_mm", "bits_wrong", "outcomes_changed")
+        cells = [_number(shipped, key, FORMATS[key]) for key in keys]
+        cells += [_number(finer, key) for key in ("speed", "error_median_mm")]
+        timestep = f"{1e3 * setup(hand, simulator=simulator).timestep:.3g} ms"
+        rows.append((f"{NAMES[hand]} in {NAMES[simulator]}", timestep, *cells))
+    head = (
+        "| as shipped | timestep | error, median mm | worst mm | slip in 5 s, mm | taxels wrong "
+        "| outcomes changed | speed at half the timestep | error at half the timestep, median mm |"
+    )
+    markdown(head, rows)
+
+
+def show_free_motion(results: dict[str, Any]) -> None:
+    """One table: what the shipped settings lose."""
+    rows = [
+        (title, *(f"{result['settings'][SHIPPED][f'{key}_error']:.1e}" for key in LOST))
+        for title, result in results.items()
+    ]
+    markdown("| pair | fall | spin | swing |", rows)
 
 
 def main() -> None:
@@ -305,6 +343,6 @@ def main() -> None:
         for (hand, simulator), rows in zip(pairs, found, strict=True):
             title = f"{hand} in {simulator}"
             result[title] = {"grasps of each cube": options.grasps, "settings": rows}
-            cubes = " and ".join(f"{1e3 * size:g}" for size in SIZES[hand])
-            show(f"{title}, cubes of {cubes} mm, {options.grasps} grasps each, {SECONDS:.0f} s", rows)
+            print(title)
+            show(hand, rows)
             write(options.out, result)

@@ -23,7 +23,7 @@ from unittest.mock import patch
 import numpy as np
 
 from benchmarks.command import ROOT, run_parts
-from benchmarks.printing import show
+from benchmarks.printing import markdown
 from tactilerl.algos.mpi import Communicator
 from tactilerl.envs import hands, layouts, scripted, vector
 from tactilerl.envs.grasp import GraspEnv, setup
@@ -111,14 +111,14 @@ def show_steps(result: dict[str, Any]) -> None:
             physics, touch = row["physics_ms"], row["touch_ms"]
             share = f"{100 * touch / (touch + physics):.1f} %"
             rows.append((hand, n, row["on"], f"{physics:.2f}", f"{touch:.3f}", share))
-    show(None, ("hand", "taxels", "on", "physics, ms", "touch, ms", "share"), rows)
+    markdown("| hand | taxels | on | physics, ms | touch, ms | share |", rows)
 
 
 def show_probe(result: dict[str, Any]) -> None:
     """Minutes of one core."""
     seconds = {"playing them": result["play_s"]} | {str(n): result[str(n)] for n in NUMBERS}
     rows = [(name, f"{value / 60:.1f}") for name, value in seconds.items()]
-    show(f"{result['grasps']} grasps, one layout, one core", ("taxels", "minutes"), rows)
+    markdown(f"| {result['grasps']} grasps, one core, one layout: taxels | minutes |", rows)
 
 
 def main() -> None:

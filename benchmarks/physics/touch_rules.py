@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks.command import count, parser, write
 from benchmarks.physics.contacts import distances
-from benchmarks.printing import show
+from benchmarks.printing import markdown
 from benchmarks.timing import rounds
 from tactilerl import envs
 from tactilerl.envs import hands, layouts, scripted, simulators, touch
@@ -120,6 +120,6 @@ def main() -> None:
         cells = {(row["layout"], row["phase"], row["rule"]): cell(row) for row in result["rows"]}
         rows = [(name, *(cells[name, *column] for column in columns)) for name in layouts.PAPER]
         shares = {k: f"{100 * v:.2f} %" for k, v in result["cost_of_control_step"].items()}
-        title += f": mean bits, % of them false; a reading {shares}"
-        show(title, ("layout", *map(": ".join, columns)), rows)
+        print(f"{title}: mean bits, % of them false; a reading {shares}")
+        markdown(f"| layout | {' | '.join(map(': '.join, columns))} |", rows)
     write(options.out, results)

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.stats
 
 from benchmarks.command import parser, write
-from benchmarks.printing import show
+from benchmarks.printing import markdown
 from tactilerl import statistics
 from tactilerl.statistics import Array, Estimate
 from tactilerl.study import records
@@ -159,7 +159,7 @@ def main() -> None:
     orders = agreements(setups, study.primary.score)
     rows = [(by, f"{x:.2f}", f"{low:.2f} to {high:.2f}") for by, (x, low, high) in orders.items()]
     if rows:
-        show("Do the set-ups agree on the order?", ("order by", "rank correlation", "95 %"), rows)
+        markdown("| order of layouts by | rank correlation | 95 % |", rows)
     else:
         print("no order: it takes two set-ups with the same three cells")
     fitted: list[Term] = []
@@ -172,5 +172,5 @@ def main() -> None:
             (name, f"{x:.3f}", f"{low:.3f} to {high:.3f}", f"{p:.3f}")
             for name, (x, low, high), p in fitted
         ]
-        show(f"mixed model of the {study.primary.score}", ("term", "effect", "95 %", "p"), rows)
+        markdown(f"| mixed model of the {study.primary.score} | effect | 95 % | p |", rows)
     write(options.out, {"agreement": orders, "mixed_model": fitted})
