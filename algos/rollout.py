@@ -122,23 +122,23 @@ def _step(env: gym.Env[Any, Any], policy: Policy, action: Array, episode: Episod
         raise UnfitError(f"env: found {type(info).__name__} for a step's info, allowed a dict")
     episode.info = info
     for fault in FAULTS:
-        episode.faults[fault] += int(info.get(fault, 0))
-    episode.success = float(info.get("is_success", math.nan))
+        episode.faults[fault] += int(_number(info.get(fault, 0), fault))
+    episode.success = _number(info.get("is_success", math.nan), "is_success")
     episode.held = episode.held + 1 if episode.success == 1.0 else 0
     if info.get("diverged"):
         return True
     episode.add(policy, obs)
     episode.actions.append(action)
-    episode.rewards.append(finite(_number(reward), "a reward"))
+    episode.rewards.append(finite(_number(reward, "reward"), "a reward"))
     episode.terminated = terminated
     return bool(terminated or truncated)
 
 
-def _number(reward: Any) -> float:
-    """The reward; UnfitError where it is no number."""
-    if np.ndim(reward) or np.asarray(reward).dtype.kind not in "bifu":
-        raise UnfitError(f"env: found the reward {str(reward)[:50]}, allowed a number")
-    return float(reward)
+def _number(value: Any, what: str) -> float:
+    """What an environment returns; UnfitError where it is no number."""
+    if np.ndim(value) or np.asarray(value).dtype.kind not in "bifu":
+        raise UnfitError(f"env: found the {what} {str(value)[:50]}, allowed a number")
+    return float(value)
 
 
 def play_steps(

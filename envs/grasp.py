@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import gymnasium as gym
 import numpy as np
 
-from . import hands, layouts, objects, observations, simulators, tasks, touch, typed
+from . import hands, layouts, objects, observations, simulators, tasks, toml_files, touch, typed
 from .choices import require_known, require_one_of
 from .hands import Array
 from .hold import Hold, HoldTest
@@ -88,8 +88,11 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
 def setup(hand: str, **choices: Any) -> GraspConfig:
     """The configuration of a hand's set-up, with some fields chosen otherwise; ValueError when there is
     no such field."""
-    require_known(choices, typed.names(GraspConfig))
-    return GraspConfig(**{**hands.registration(hand).scene, **choices})
+    usual, known = hands.registration(hand).scene, typed.names(GraspConfig)
+    with toml_files.blamed(f"hand file {hands.file(hand)}: scene"):
+        require_known(usual, known)
+    require_known(choices, known)
+    return GraspConfig(**{**usual, **choices})
 
 
 JITTER_JOINT = 0.02  # rad, of every finger joint, within its range

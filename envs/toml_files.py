@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-LARGEST = 1_000_000  # bytes
+LARGEST = 10_000_000  # bytes
 
 
 def read(path: Path, what: str) -> dict[str, Any]:
@@ -19,7 +19,10 @@ def read(path: Path, what: str) -> dict[str, Any]:
         raise FileNotFoundError(f"{what} {str(path)!r} does not exist")
     try:
         with path.open("rb") as file:
-            return tomllib.loads(file.read(LARGEST).decode("utf-8"))
+            content = file.read(LARGEST + 1)
+        if len(content) > LARGEST:
+            raise ValueError(f"found more than {LARGEST:,} bytes")
+        return tomllib.loads(content.decode("utf-8"))
     except RecursionError:
         raise ValueError(f"{what} {path}: nested too deeply") from None
     except ValueError as error:

@@ -15,6 +15,7 @@ import numpy as np
 
 from .. import toml_files
 from ..choices import require_one_of
+from ..observations import TERMS
 from ..toml_files import number, only, strings, table, vector
 from . import (
     CLOSING_STEP,
@@ -54,7 +55,8 @@ def load(path: Path) -> Hand:
         only(data, KEYS, "the file")
         hand = _hand(Parts(data, path.parent), path.stem)
         if path.parent != FOLDER:
-            _require_still(hand, float(table(data, "scene").get("timestep", TIMESTEP)))
+            timestep = table(data, "scene").get("timestep", TIMESTEP)
+            _require_still(hand, number(timestep, "scene.timestep", 1e-5, 1.0))
         return hand
 
 
@@ -81,7 +83,7 @@ def _hand(parts: Parts, name: str) -> Hand:
         couplings=parts.follows,
         first_joints=_names(data, "first_joints", (), parts.joints),
         start={joint: angle for joint, angle in parts.start.items() if angle},
-        observation=_names(data, "observation", OBSERVATION),
+        observation=_names(data, "observation", OBSERVATION, tuple(TERMS)),
         added_inertia=number(data.get("added_inertia", Hand.added_inertia), "added_inertia", 0.0),
         grasps=grasps,
         opened={parts.driven[joint]: angle for joint, angle in parts.opened.items()},
@@ -202,6 +204,8 @@ def _grasps(parts: Parts, at: Array) -> tuple[ScriptedGrasp, ...]:
 def _groups(parts: Parts) -> dict[str, tuple[str, ...]]:
     """Actuators that close together, by what that is called: those of each digit, or of several."""
     chosen = table(parts.data, "actions").get("groups") or [[digit] for digit in parts.digits]
+    if not isinstance(chosen, list):
+        raise ValueError(f"actions.groups: found {chosen!r}, expected a list of lists of digits")
     found = {}
     for group in chosen:
         for digit in strings(group, "actions.groups"):

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -108,10 +109,13 @@ class Mount:
             spec.delete(element)
 
     def files(self) -> list[Path]:
-        """The model's, with its meshes."""
-        spec = _read(self.model)
+        """The model's, with what it includes and its meshes."""
+        spec, models = _read(self.model), [self.model]
+        for model in models:  # grows: a file that is included may include others
+            included = ElementTree.parse(model).iter("include")
+            models += [self.model.parent / each.attrib["file"] for each in included]
         folder = self.model.parent / spec.meshdir
-        return [self.model, *(folder / mesh.file for mesh in spec.meshes if mesh.file)]
+        return [*models, *(folder / mesh.file for mesh in spec.meshes if mesh.file)]
 
     def _add_servos(self, spec: mujoco.MjSpec) -> None:
         """For all joints but those that follow another."""

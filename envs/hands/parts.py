@@ -63,6 +63,8 @@ class Parts:
     def spec(self) -> mujoco.MjSpec:
         """The bare model, without what no hand can have."""
         spec = self.mount.bare()
+        for body in self.mount.masses:
+            require_one_of([each.name for each in spec.bodies], body, "masses")
         for joint in spec.joints:
             if not joint.name:
                 raise ValueError(f"a joint of body {joint.parent.name!r}: has no name; give it one")
@@ -101,9 +103,9 @@ class Parts:
         for joint, about in table(self.data, "couplings").items():
             where = f"couplings.{joint}"
             table({where: about}, where, {"follows", "ratio"})
-            driver = about.get("follows")
+            driver = str(about.get("follows"))
             self.angles({joint: 0, driver: 0}, "couplings")
-            found[joint] = joint, str(driver), number(about.get("ratio"), f"{where}.ratio")
+            found[joint] = joint, driver, number(about.get("ratio"), f"{where}.ratio")
         for coupling in mounting.followed(self.spec):
             found.setdefault(coupling[0], coupling)
         return tuple(found.values())
@@ -161,7 +163,8 @@ class Parts:
         if "start" in self.data:
             angles = self.angles(table(self.data, "start"), "start")
         else:
-            shares, angles = table(self.data, "start_closing"), dict(self.opened)
+            shares = table(self.data, "start_closing", set(self.digits))
+            angles = dict(self.opened)
             for digit in self.digits:
                 some = self.at(number(shares.get(digit, 0.0), f"start_closing.{digit}"))
                 angles |= {joint: some[joint] for joint in self.closing_of(digit)}

@@ -50,7 +50,7 @@ def pitch(parts: Parts, surfaces: tuple[Surface, ...]) -> Pitch:
         rows[surface.segment] = min(rows[surface.segment], 0.3 * (high - low))
     usual = {"column": min(5e-3, 0.6 * min(s.span[2] for s in segments)), "radius": 2e-3}
     own = {**usual, "large_radius": 3.8e-3, **about}
-    rows |= numbers(table(about, "rows"), "pitch.rows")
+    rows |= numbers(table(about, "rows", set(rows)), "pitch.rows")
     figures = ("column", "radius", "large_radius")
     return Pitch(rows, *(number(own[name], f"pitch.{name}", 0.0) for name in figures))
 

@@ -92,12 +92,12 @@ def main(args: list[str]) -> int:
     if read.sweep:
         points = [{name: value, **row} for value, row in zip(values, rows, strict=True)]
         result = {**about, "sweep": name, "points": points}
-    if read.out is not None:
-        sweep.draw(name, values, rows, read.out)
     if read.json:
         print(json.dumps(result))
     else:
         console.print(_table(result))
+    if read.out is not None:
+        sweep.draw(name, values, rows, read.out)
     return 0
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
@@ -100,7 +101,15 @@ class Run:
             console.print(f"{run.name}: {damage}; repair or remove it, then --retry-failed")
             files.write_outcome(Outcome("failed", total, damage))
         outcome = files.outcome()
-        return outcome is None or (outcome.state == "done" and outcome.total_timesteps < total)
+        if outcome and outcome.state == "done" and outcome.total_timesteps < total:
+            files.outcome_file.unlink()  # it counts again when it is as long as the others
+            return True
+        return outcome is None
+
+
+def _json(value: Any) -> str:
+    """As JSON, which has no numbers that are not finite: those are null."""
+    return json.dumps(json.loads(json.dumps(value), parse_constant=lambda _: None))
 
 
 def _print_failures(folder: StudyFolder, runs: list[grid.Run]) -> int:
@@ -133,7 +142,7 @@ class Status:
         if self.json:
             states = {name: dataclasses.asdict(one) for name, one in overview.standings.items()}
             result = {"study": study.name, "runs": len(states), **counts, "eta_s": eta}
-            print(json.dumps({**result, "answers": said, "states": states}))
+            print(_json({**result, "answers": said, "states": states}))
             return
         console.print(overview.table(f"study {study.name}, {len(overview.runs)} runs"))
         for sentence in said:
@@ -168,7 +177,7 @@ class Plan:
         if not needs:
             raise InputError(f"{self.study}: no comparison with two or more pairs of runs to plan from")
         if self.json:
-            print(json.dumps([dataclasses.asdict(need) for need in needs]))
+            print(_json([dataclasses.asdict(need) for need in needs]))
             return
         title = f"Pairs of runs for a difference of {self.effect:g} with power {self.power:g}"
         caption = (
@@ -192,7 +201,8 @@ class Plan:
             console.print(f"{name}: {need.score} needs the fewest pairs. In the study file:")
             console.print(f'  primary = {{score = "{need.score}"}}')
             pairs_at = planning.looks(need.needed)
-            console.print(f"  looks = {{pairs = {pairs_at}, effect = {self.effect:g}}}")
+            terms = f"pairs = {pairs_at}, effect = {self.effect:g}, alpha = {self.alpha:g}"
+            console.print(f"  looks = {{{terms}}}")
 
 
 @dataclass(frozen=True)
@@ -215,15 +225,16 @@ class Compare:
         rows = comparing.compare(a, b, self.score)
         differing = comparing.differing(a, b)
         if self.json:
-            print(json.dumps({"differing": differing, "rows": [one.as_dict() for one in rows]}))
+            print(_json({"differing": differing, "rows": [one.as_dict() for one in rows]}))
             return
         columns = ("", "runs", "steps", "pairs", "difference", "p", "p, Holm")
         table = Table(*columns, title=f"{self.a} − {self.b}: {self.score}", box=box.SIMPLE_HEAD)
         for one in rows:
-            gap, p = one.pairs.difference, one.pairs.p_value
+            gap = one.pairs.difference
             shown = f"{gap.value:+.3f} ({gap.low:+.3f}–{gap.high:+.3f})"
             sizes = f"{one.runs[0]} / {one.runs[1]}", f"{one.until:,.0f}", str(len(one.pairs) or "none")
-            table.add_row(one.place, *sizes, shown, f"{p:.3f}", f"{one.p_holm:.3f}")
+            p_values = one.pairs.p_value, one.p_holm
+            table.add_row(one.place, *sizes, shown, *(f"{p:.3f}" if p == p else "–" for p in p_values))
         console.print(table)
         console.print(f"they differ in: {'; '.join(differing) or 'nothing'}")
         if any(not len(one.pairs) for one in rows):
@@ -244,7 +255,7 @@ class Collect:
 
     def __call__(self) -> None:
         """`tactilerl study collect FOLDER`"""
-        if self.out is None and (self.more or self.folder.is_file()):
+        if self.out is None and (self.more or os.path.isfile(self.folder)):
             found = "several folders and files" if self.more else f"the file {str(self.folder)!r}"
             raise InputError(f"study collect: found {found}, expected a study's folder, or --out FILE")
         path = records.collect(self.folder, *self.more, out=self.out)
@@ -270,7 +281,7 @@ class Report:
             needed = f"study report needs {error.name}, which is not installed"
             raise InputError(f"{needed}: pip install 'tactilerl[study]'") from error
         found = analysis.analyse(*records.load(self.study), self.resamples)
-        out = self.out or (self.study if self.study.is_dir() else self.study.parent) / "report"
+        out = self.out or (self.study if os.path.isdir(self.study) else self.study.parent) / "report"
         try:
             path = report.write(found, out)
         except OSError as error:

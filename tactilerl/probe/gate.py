@@ -53,7 +53,7 @@ def examine(
 ) -> list[Found]:
     """The best reflex of each sense in a scene, `starts` starts each. Each has as many candidates, and
     each candidate the same `search` starts. `tick` is called after every candidate."""
-    found = []
+    found, first = [], 2 * SEARCH * seed
     for name in senses:
         sense, _ = SENSES[name]
         if name == "sight" and scene.object_seen in ("hidden", "exact"):
@@ -68,10 +68,10 @@ def examine(
             with closing(make()) as example:
                 candidates = reflexes.candidates(example, sense)
             for reflex in candidates:
-                rates.append(_play(played_in, reflex, SEARCH + seed, search).mean())
+                rates.append(_play(played_in, reflex, first + SEARCH, search).mean())
                 tick()
             best = candidates[int(np.argmax(rates))]
-            said = success_rate(_play(played_in, best, seed, starts))
+            said = success_rate(_play(played_in, best, first, starts))
             found.append(Found(name, best, said["success_rate"], said["success_rate_ci"], starts))
     return found
 

@@ -35,7 +35,7 @@ def play(
     `show` is told how many there are. What was played stays in the file whatever stops it.
     InputError when the file holds grasps of other settings.
     """
-    records = _kept(path, settings)
+    records = _kept(path, settings, contact_places)
     show(min(n, len(records)))
     if len(records) < n:
         with closing(start()) as workers, closing(_play(workers, task, len(records), n, comm)) as new:
@@ -53,17 +53,20 @@ def play(
     return files.Played(stack(records[:n]), settings, contact_places)
 
 
-def _kept(path: Path, settings: dict[str, Any]) -> list[Measured]:
+def _kept(path: Path, settings: dict[str, Any], places: tuple[Place, ...]) -> list[Measured]:
     """What an earlier call left."""
     if not path.exists():
         return []
-    arrays, theirs, _ = files.read(path)
+    arrays, theirs, there = files.read(path)
     ours = json.loads(json.dumps(settings))
     for name in {**ours, **theirs}:
         mine, other = ours.get(name), theirs.get(name)
         if mine != other:
             raise InputError(f"{path}: {name}: found {mine!r}, but its grasps have {other!r}; "
                              "choose another folder with --out")  # fmt: skip
+    if there != places:
+        raise InputError(f"{path}: its grasps have taxels in other places; choose another folder with "
+                         "--out")  # fmt: skip
     return [{name: values[k] for name, values in arrays.items()} for k in range(len(arrays["held"]))]
 
 

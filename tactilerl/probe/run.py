@@ -49,6 +49,8 @@ def grasps(
         return played, _held(read.output.out or source.parent, comm, held)
     prepared = _scripted if read.grasp.policy is None else _by_policy
     settings, config, task, start, name = prepared(read.grasp, read.analysis, held)
+    if digest := hands.digest(settings["env"]):  # of a hand of one's own, which may change
+        settings["hand"] = digest
     hand, spots = hands.get(settings["env"]), []
     _require_answerable(read.analysis, hand)
     if config.touch == "contact":  # the simulator's own readings are recorded
@@ -113,7 +115,9 @@ def _scripted(grasps: GraspFlags, asking: AnalysisFlags, held: ExitStack) -> Pla
 
 
 def _by_policy(grasps: GraspFlags, asking: AnalysisFlags, held: ExitStack) -> Playing:
+    from ..runs import sealed
     from ..runs.policies import read_run
+    from ..runs.run_dir import RunDir
 
     assert grasps.policy is not None
     beside = "--policy, allowed without: a run has its own scene"
@@ -125,7 +129,8 @@ def _by_policy(grasps: GraspFlags, asking: AnalysisFlags, held: ExitStack) -> Pl
                          f"{hands.allowed()}")  # fmt: skip
     settings = {
         "env": env, "simulator": scene.simulator, "touch": grasps.touch, "seed": grasps.seed,
-        "policy": name, "epoch": epoch, "env_steps": env_steps,
+        "policy": name, "checkpoint": sealed.seal(RunDir(grasps.policy).checkpoint_file)[:16],
+        "epoch": epoch, "env_steps": env_steps,
     }  # fmt: skip
     start = partial(start_workers, config, Communicator())
     return settings, scene, PolicyGrasps(policy, grasps.seed), start, name

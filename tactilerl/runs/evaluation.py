@@ -67,13 +67,14 @@ def success_rate(successes: np.ndarray) -> dict[str, Any]:
 
 
 PARTS = 3  # into which the range of what differs between objects is cut
+OBJECT = {"kind", "size", "density", "friction"}  # what an environment says of an episode's object
 UNITS = {"width": " m", "height": " m", "density": " kg/m³", "friction": ""}
 
 
 def by_object(played: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Success rates by kind and by thirds of each measure in which the episodes' objects differ."""
     objects = [episode["object"] for episode in played]
-    if any(thing is None for thing in objects):
+    if not all(isinstance(thing, dict) and thing.keys() >= OBJECT for thing in objects):
         return []
     successes = np.array([episode["success"] for episode in played])
     kinds = np.array([thing["kind"] for thing in objects])

@@ -155,9 +155,9 @@ def locked(folder: Path) -> Iterator[None]:
                 held.enter_context(filelock.FileLock(path, timeout=PATIENCE))
                 with open(path, "w", encoding="utf-8", opener=no_link) as file:
                     file.write(f"process {os.getpid()} on {platform.node()}")
-            for left in folder.rglob(".*.tmp"):
+            for left in (*folder.glob(".*.tmp"), *folder.glob("experience/.*.tmp")):
                 if LEFTOVER.fullmatch(left.name):
-                    left.unlink()
+                    left.unlink(missing_ok=True)
             yield
     except filelock.Timeout:
         holder = path.read_text(encoding="utf-8", errors="replace")[:200] or "another process"

@@ -93,6 +93,8 @@ def whole(rows: list[Row]) -> tuple[list[Row], str]:
     for index, row in enumerate(rows):
         try:
             _require_row(1, list(row), list(row))
+            if None in row or None in row.values():  # of csv.DictReader
+                raise ValueError(f"line {index + 2}: found more or fewer fields than the header has")
             _require_row(index + 2, list(row.values()), list(row))
             now = int(row["epoch"]), int(row["env_steps"])
             if now[0] <= last[0] or now[1] < last[1]:

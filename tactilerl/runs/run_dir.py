@@ -56,7 +56,7 @@ class RunDir:
         with writable(self.path):
             self.path.mkdir(parents=True, exist_ok=True)
             names = {path.name for path in self.path.iterdir() if path.suffix != ".tmp"}
-        if not (self.config_file.exists() or names <= {LAYOUT_COPY, ".lock"}):
+        if not (self.config_file.exists() or names <= {".lock"}):
             raise InputError(
                 f"folder {str(self.path)!r} exists but is not a run folder; choose another with --out"
             )
@@ -73,13 +73,13 @@ class RunDir:
         if changed or not records:
             records.append(now)
         content = {"format": FORMAT, **config.as_dict(), "ranks": ranks, "provenance": records}
-        if config.layout_file and not (self.path / LAYOUT_COPY).exists():
-            text = layouts.load(str(config.layout_file)).toml()
-            (self.path / LAYOUT_COPY).write_text(text, encoding="utf-8")
         if hand := config.hand or hands.digest(config.run.env):
             content["hand"] = hand
         with replacing(self.config_file) as file:
             file.write((json.dumps(content, indent=1) + "\n").encode())
+        if config.layout_file and not (self.path / LAYOUT_COPY).exists():
+            with replacing(self.path / LAYOUT_COPY) as file:
+                file.write(layouts.load(str(config.layout_file)).toml().encode())
         return changed
 
     def read_config(self, env: str = "", trust: bool = False) -> tuple[RunConfig, int]:

@@ -36,6 +36,11 @@ def write(path: Path, content: dict[str, Any]) -> None:
         file.write(MARK + digest.hexdigest().encode())
 
 
+def seal(path: Path) -> str:
+    """The checksum that `write` wrote, of a file that was read."""
+    return path.read_bytes()[-SEAL_SIZE:].removeprefix(MARK).decode()
+
+
 def read(path: Path, what: str = "checkpoint") -> Any:
     """What `write` was given; InputError when a single bit is another, or it holds anything else.
 

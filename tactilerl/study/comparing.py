@@ -6,6 +6,7 @@ Groups of runs are compared that have the same other names in both parts.
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -48,7 +49,7 @@ Part = dict[Place, list[tuple[Record, str]]]
 def read(text: str) -> Part:
     """A part as it is written on the command line; InputError where there is no such part."""
     whole, path, chosen = Path(text), text, ""
-    if not whole.exists():
+    if not os.path.exists(whole):  # False for any name
         path, _, chosen = text.rpartition(":") if ":" in text else (text, "", "")
     study, records = load(Path(path))
     places, measures = study.choose(chosen, path), {one.name: one.measure for one in study.setups}
@@ -74,7 +75,13 @@ def compare(a: Part, b: Part, score: str) -> list[Row]:
     rows = []
     for at_a, at_b in pairs:
         both = a[at_a], b[at_b]
-        end = min(record.curve(measure)[0][-1] for group in both for record, measure in group)
+        steps = [record.curve(measure)[0] for group in both for record, measure in group]
+        begin, end = max(one[0] for one in steps), min(one[-1] for one in steps)
+        if begin > end:
+            raise InputError(
+                f"compare: a run has its first epoch at {begin:,.0f} steps, another its last at "
+                f"{end:,.0f}: found no steps that all have"
+            )
         one, other = ({r.run.seed: scores(r, m, end)[score] for r, m in group} for group in both)
         compared = in_pairs(one, other) if one.keys() & other.keys() else _apart(one, other)
         rows.append(Row(" ".join(at_a) or "all", (len(one), len(other)), end, compared, np.nan))

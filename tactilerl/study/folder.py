@@ -111,6 +111,8 @@ class RunFiles:
                 return False
         except filelock.Timeout:
             return True
+        except OSError:  # nobody can train it in a folder that nobody can write to
+            return False
 
     def state(self) -> State:
         """Where the run stands."""
@@ -131,7 +133,7 @@ class RunFiles:
             with damage_named(path):
                 text = content(path).decode("utf-8")
                 table = csv.DictReader(text[: text.rfind("\n") + 1].splitlines())
-                return whole([row for row in table if None not in row and None not in row.values()])
+                return whole(list(table))
         except (FileNotFoundError, InputError):
             return [], "it cannot be read"
 
@@ -157,18 +159,25 @@ class StudyFolder:
         return RunFiles(self.path / "runs" / run.name)
 
     def create(self, study: Study) -> None:
-        """Make the folder, or write the study anew into one that a study was run in."""
+        """Make the folder, or write the study anew into one that it was run in."""
         with writable(self.path):
             if self.path.exists() and not self.study_file.exists() and any(self.path.iterdir()):
                 raise InputError(
                     f"{str(self.path)!r} exists and holds no study; choose another with --out"
                 )
             (self.path / "runs").mkdir(parents=True, exist_ok=True)
+        if self.study_file.exists() and (other := self.study().name) != study.name:
+            raise InputError(
+                f"{str(self.path)!r} holds the study {other!r}, not {study.name!r}; choose another "
+                "with --out"
+            )
         with replacing(self.study_file) as file:
             file.write((json.dumps(study.as_dict(), indent=1) + "\n").encode())
 
     def study(self) -> Study:
         """The study that was run here last; InputError where there is none."""
+        if os.path.isfile(self.path):
+            raise InputError(f"{str(self.path)!r} is a file, allowed the folder of a study")
         missing = f"{str(self.path)!r} is not a study's folder: no study.json in it"
         with damage_named(self.study_file, "not a study of this version", missing):
             return from_dict(read_json(self.study_file))

@@ -19,6 +19,7 @@ import gzip
 import io
 import json
 import math
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,7 +34,7 @@ from ..statistics import Array
 from .folder import STATES, RunFiles, StudyFolder, seconds_spent
 from .grid import Run, Study, from_dict, read
 
-COLLECTED = "collected.csv.gz"
+COLLECTED, GZIP = "collected.csv.gz", b"\x1f\x8b"
 FIXED = ("run", "state", "reason", "record")
 
 
@@ -109,10 +110,10 @@ def _load(path: Path) -> tuple[Study, list[Record]]:
     if path.suffix == ".toml":
         study = read(path)
         return study, [Record(run, "left", "", None, []) for run in study.runs()]
-    if path.exists() and not path.is_dir():
+    if os.path.isfile(path):  # False for any name
         return _unpack(path)
     folder = StudyFolder(path)
-    if not folder.study_file.exists() and (path / COLLECTED).is_file():
+    if not os.path.exists(folder.study_file) and os.path.isfile(path / COLLECTED):
         return _unpack(path / COLLECTED)
     study = folder.study()
     return study, [_record(run, folder.files(run)) for run in study.runs()]
@@ -140,8 +141,10 @@ def _anywhere(config: dict[str, Any]) -> dict[str, Any]:
 
 def collect(*paths: Path, out: Path | None = None) -> Path:
     """Pack folders and collected files of a study into one file; returns it."""
-    study, records = load(*paths)
     out = out or paths[0] / COLLECTED
+    if os.path.isfile(out) and not out.read_bytes().startswith(GZIP):
+        raise InputError(f"--out: found {str(out)!r}, which is no collected study; choose another name")
+    study, records = load(*paths)
     text = io.StringIO()
     columns = dict.fromkeys(column for record in records for row in record.rows for column in row)
     writer = csv.DictWriter(text, [*FIXED, *columns], lineterminator="\n")

@@ -59,9 +59,10 @@ def run_job(job: Job) -> Ending:
 
     What another process trains is left to it.
     """
-    files, code = RunFiles(job.base), 1
+    files, code, begin = RunFiles(job.base), 1, 0
     try:
         for _ in range(ATTEMPTS):
+            begin = files.log_file.stat().st_size if files.log_file.exists() else 0
             code = INTERRUPTED[0] if _stopping.is_set() else _process(files, job)
             if _stopping.is_set() or code in INTERRUPTED:
                 return "interrupted"
@@ -69,7 +70,7 @@ def run_job(job: Job) -> Ending:
                 break
         outcome = Outcome("done", job.total_timesteps)
         if code:
-            outcome = Outcome("failed", job.total_timesteps, _reason(code, files.log_file))
+            outcome = Outcome("failed", job.total_timesteps, _reason(code, files.log_file, begin))
         if code == BAD_INPUT and IN_USE in outcome.reason:
             return "busy"
         files.write_outcome(outcome)
@@ -93,6 +94,8 @@ def _process(files: RunFiles, job: Job) -> int:
             env=_environment(),
         )
     _children.add(child)
+    if _stopping.is_set():  # since the last look
+        child.terminate()
     try:
         return child.wait()
     finally:
@@ -106,11 +109,14 @@ def _environment() -> dict[str, str]:
     return kept | allowed | dict.fromkeys(THREADS, "1")
 
 
-def _reason(code: int, log_file: Path) -> str:
-    """Why a run failed, in a line: the signal, or the last thing that it said itself."""
+def _reason(code: int, log_file: Path, begin: int) -> str:
+    """Why a run failed, in a line: the signal, or the last thing that it said itself, which is in the
+    log from `begin` on."""
     if code < 0:
-        return f"killed by {signal.Signals(-code).name}"
-    lines = log_file.read_text(encoding="utf-8", errors="replace").splitlines()
+        names = {each.value: each.name for each in signal.Signals}
+        return f"killed by {names.get(-code, f'signal {-code}')}"
+    log = log_file.read_bytes()[begin:].decode("utf-8", errors="replace")
+    lines = log.splitlines()
     own = [line for line in lines if line.startswith("tactilerl: ")]
     said = own or [line for line in lines if line.strip()] or [""]
     return f"{said[-1].removeprefix('tactilerl: ').strip()[:300]} (exit code {code})"

@@ -94,7 +94,7 @@ def answer(setup: Setup, verdict: Verdict) -> str:
     corrected = ", corrected" if len(setup.cells) > 1 or stage is not None else ""
     p_value = verdict.pairs.p_value if verdict.valid_p == 1 else verdict.p_holm
     p = "p < 0.001" if p_value < 0.001 else f"p = {p_value:.3f}"
-    numbers += f", {p}{corrected}, {count}"
+    numbers += f", {count}" if math.isnan(p_value) else f", {p}{corrected}, {count}"
     look = "" if stage is None else f" Look {stage.look} of {stage.of}: {ENDINGS[stage.ending]}."
     if verdict.is_difference:
         first, second = (treatment, control) if found.value > 0 else (control, treatment)

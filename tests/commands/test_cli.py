@@ -569,6 +569,11 @@ class TestBadInput:
         assert Path("mine/thesis.txt").read_text() == "years of work"
         assert len(list(Path("mine").iterdir())) == 1
 
+    def test_a_layout_that_lies_where_its_copy_goes(self, capsys):
+        Path("mine").mkdir()
+        Path("mine/layout.toml").write_text("[[patch]]\n")
+        fails_with(capsys, ["train", "--out", "mine"], "'mine' exists but is not a run folder")
+
     def test_damaged_configuration(self, capsys):
         main([*TOY, "--total-timesteps", "1", "--out", "run"])
         good = json.loads(Path("run/config.json").read_text())

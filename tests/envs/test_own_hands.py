@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import tactilerl
 from tactilerl.commands.cli import main
-from tactilerl.envs import hands, layouts, objects, scripted, taxel_files
+from tactilerl.envs import hands, layouts, objects, scripted, taxel_files, toml_files
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.simulators import Scene
 from tactilerl.envs.touch import SKIN, SkinTouch
@@ -55,6 +55,24 @@ WRONG = [
     ("toml", "[digits]", "[pitch]\nrows = 3\n[digits]", "rows: found 3, expected a table"),
     ("toml", "object_size = 0.05", 'object_size = "5 cm"', "grasp 1: object_size: found '5 cm'"),
     ("toml", "[opened]", "[actions]\nkind = 'fly'\n[opened]", "actions.kind: found 'fly', allowed"),
+    ("toml", "[opened]", "[actions]\ngroups = 5\n[opened]", "actions.groups: found 5, expected a list"),
+    ("toml", "[digits]", "observation = ['bend']\n[digits]", "observation: found 'bend', allowed: "),
+    (
+        "toml",
+        "[digits]",
+        "[scene]\nfriktion = 1\n[digits]",
+        "scene: friktion: unknown; did you mean fri",
+    ),
+    ("toml", "[digits]", "[scene]\ntimestep = 0\n[digits]", "timestep: found 0"),
+    ("toml", "[digits]", "[masses]\nlef_1 = 0.1\n[digits]", "masses: found 'lef_1', allowed: "),
+    ("toml", "[digits]", "[start_closing]\nlfet = 0.2\n[digits]", "start_closing: unknown key 'lfet'"),
+    ("toml", "[digits]", "[pitch.rows]\nmidle = 0.01\n[digits]", "rows: unknown key 'midle'"),
+    (
+        "toml",
+        "[digits]",
+        "[couplings.left_tip]\nfollows = [1]\nratio = 1\n[digits]",
+        "couplings: found no",
+    ),
 ]
 
 
@@ -144,6 +162,20 @@ class TestHand:
             hands.get(path)
             return
         fails_with(capsys, ["env", "--env", path], complaint)
+
+    def test_the_digest_is_of_what_the_model_includes_too(self, own, tmp_path):
+        (tmp_path / "more.xml").write_text("<mujoco><size nuserdata='1'/></mujoco>")
+        path = own("  <worldbody>", "  <include file='more.xml'/><worldbody>", "gripper.xml")
+        path = own()
+        before = hands.digest(path)
+        (tmp_path / "more.xml").write_text("<mujoco><size nuserdata='2'/></mujoco>")
+        assert hands.digest(path) != before
+
+    def test_a_file_that_is_too_large_is_refused(self, own, tmp_path):
+        path = Path(own())
+        path.write_text(path.read_text() + "#" * toml_files.LARGEST)
+        with pytest.raises(ValueError, match="found more than 10,000,000 bytes"):
+            hands.get(str(path))
 
     def test_a_mesh_that_cannot_be_found_is_named(self, own):
         path = own('<mesh name="tip" vertex', '<mesh name="tip" file="no.stl"/><mesh name="x" vertex',

@@ -8,6 +8,7 @@ from one_line import fails_with
 
 from tactilerl import envs
 from tactilerl.commands.cli import main
+from tactilerl.envs.grasp import setup
 from tactilerl.probe import gate, reflexes
 from tactilerl.probe.gate import Found
 from tactilerl.probe.reflexes import Reflex
@@ -31,6 +32,19 @@ class TestVerdict:
 
     def test_touch_that_wins_nothing(self):
         assert "win 0.00 of" in gate.verdict(found(blind=0.4, joints=0.3, touch=0.2, sighted=1.0))
+
+
+def test_another_seed_has_other_starts(monkeypatch):
+    played = set()
+
+    def note(workers, reflex, first, n):
+        played.update(range(first, first + n))
+        return np.zeros(n)
+
+    monkeypatch.setattr(gate, "_play", note)
+    for seed in (0, 1):
+        gate.examine("mpl", setup("mpl", task="handover"), 200, 20, seed, 1, senses=["blind"])
+    assert len(played) == 2 * 220
 
 
 class TestReflexes:

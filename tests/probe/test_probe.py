@@ -20,6 +20,7 @@ from tactilerl.envs import hands, layouts, scripted, vector
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.observations import TaxelFaults
 from tactilerl.envs.touch import SkinTouch
+from tactilerl.errors import InputError
 from tactilerl.pictures import places
 from tactilerl.probe import analysis, estimators, figures, files, metrics, selection
 from tactilerl.probe.grasps import (
@@ -69,6 +70,19 @@ class TestGrasps:
         assert shown == [0, 1, 2, 2, 3]  # the second call plays one
         assert same(whole, parts.records)
         assert same(whole, files.read(tmp_path / "grasps.npz").records)
+
+    def test_grasps_of_something_else_are_not_gone_on_with(self, tmp_path):
+        def asked(settings, spots):
+            task = ScriptedGrasps(DRAWN, 1)
+            return play(tmp_path / "g.npz", 1, settings, spots, task, start, Communicator(), print)
+
+        here, there = (places.Place(0, row, 1.0, 2.0) for row in (1.0, 2.0))
+        asked({"hand": "a"}, (here,))
+        asked({"hand": "a"}, (here,))
+        with pytest.raises(InputError, match="hand: found 'b', but its grasps have 'a'"):
+            asked({"hand": "b"}, (here,))
+        with pytest.raises(InputError, match="taxels in other places"):
+            asked({"hand": "a"}, (there,))
 
     def test_another_number_is_another_grasp_and_another_object(self):
         records = played(1, range(6))

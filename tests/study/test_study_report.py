@@ -240,6 +240,20 @@ class TestWarnings:
     @pytest.mark.parametrize("part", ["status", "report", "collect", "plan"])
     def test_no_study_there(self, tmp_path, capsys, part):
         fails_with(capsys, ["study", part, tmp_path], "no study.json")
+        fails_with(capsys, ["study", part, tmp_path / ("x" * 300)], "xxx")
+
+    def test_a_file_is_no_folder_of_a_study(self, tmp_path, capsys):
+        (tmp_path / "mine").write_text("")
+        fails_with(capsys, ["study", "status", tmp_path / "mine"], "is a file, allowed the folder")
+
+    @pytest.mark.parametrize("row", ["2,2400", "2,2400,0.5,0.5,0.5,100,7"])
+    def test_a_row_of_another_length_in_the_middle(self, tmp_path, row):
+        folder = make_study(tmp_path / "s", n_seeds=1)
+        files = folder.files(folder.study().runs()[0])
+        lines = files.run_dir.progress.path.read_text().splitlines()
+        files.run_dir.progress.path.write_text("\n".join([*lines[:2], row, *lines[3:]]) + "\n")
+        assert files.state() == "damaged"
+        assert "line 3" in files.damage()
 
     def test_rows_that_no_run_writes(self, tmp_path, capsys):
         """In a folder the run is not done; in a collected file, nothing else is to be believed."""
@@ -369,6 +383,10 @@ class TestSplitStudies:
 
     def test_where_to_write_it(self, parts, capsys):
         fails_with(capsys, ["study", "collect", *parts], "or --out FILE")
+        file = parts[0].with_name("study.toml")
+        file.write_text("mine")
+        fails_with(capsys, ["study", "collect", *parts, "--out", file], "which is no collected study")
+        assert file.read_text() == "mine"
 
 
 class TestPlan:

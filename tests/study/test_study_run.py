@@ -88,6 +88,22 @@ class TestRun:
         args = ["study", "run", write(tmp_path, text), "--out", undisturbed]
         fails_with(capsys, args, "n_batches: found 3")
 
+    def test_another_study_in_its_folder_is_refused(self, undisturbed, tmp_path, capsys):
+        text, study = TINY.replace('"tiny"', '"other"'), StudyFolder(undisturbed).study_file
+        before = study.read_bytes()
+        args = ["study", "run", write(tmp_path, text), "--out", undisturbed]
+        fails_with(capsys, args, "holds the study 'tiny', not 'other'")
+        assert study.read_bytes() == before
+
+    def test_a_run_counts_again_when_it_is_as_long_as_was_asked(
+        self, undisturbed, tmp_path, monkeypatch
+    ):
+        shutil.copytree(undisturbed, tmp_path / "out")
+        monkeypatch.setattr(runner, "run_all", lambda *args, **options: {})  # stopped before they end
+        file = write(tmp_path, TINY.replace("= 200", "= 300"))
+        assert main(["study", "run", str(file), "--out", str(tmp_path / "out")]) == 0
+        assert [record.state for record in records.load(tmp_path / "out")[1]] == ["interrupted"] * 2
+
     def test_a_folder_that_holds_something_else_is_refused(self, tmp_path, capsys):
         (tmp_path / "out").mkdir()
         (tmp_path / "out" / "thesis.tex").write_text("")
@@ -186,6 +202,13 @@ class TestFailures:
         assert [path.joinpath("checkpoint.pt").exists() for path in aside] == [True] * (
             harm == "emptied"
         )
+
+    def test_why_it_failed_is_of_this_attempt(self, tmp_path):
+        log = tmp_path / "run.log"
+        log.write_text("tactilerl: interrupted\nTraceback\nMemoryError\n")
+        assert runner._reason(1, log, 23) == "MemoryError (exit code 1)"
+        assert runner._reason(-9, log, 0) == "killed by SIGKILL"
+        assert runner._reason(-35, log, 0) == "killed by signal 35"
 
     def test_a_full_disk_names_the_run(self, tmp_path, monkeypatch):
         def full(*args, **options):

@@ -201,6 +201,17 @@ class TestCompare:
         assert main(["study", "compare", *one]) == 0
         assert "not in pairs" in capsys.readouterr().out
 
+    def test_one_pair_has_no_p(self, folder, tmp_path, capsys):
+        other = make_study(tmp_path / "other", PAPER_LIKE.replace('"0-{last}"', "[3]"))
+        names = "pybullet,layout 2,main"
+        row = self.compare(capsys, f"{folder.path}:{names}", f"{other.path}:{names}")["rows"][0]
+        assert (row["pairs"], row["p"]) == (1, None)
+
+    def test_no_steps_that_all_have(self, folder, tmp_path, capsys):
+        other = make_study(tmp_path / "other", n_seeds=4, epochs=1, total=60_000)
+        args = ["study", "compare", folder.path, other.path]
+        fails_with(capsys, args, "found no steps that all have")
+
     def test_longer_runs_count_as_far_as_the_others_go(self, folder, tmp_path, capsys):
         other = make_study(tmp_path / "other", n_seeds=4, epochs=50, total=60_000)
         row = self.compare(capsys, folder.path, other.path)["rows"][0]
