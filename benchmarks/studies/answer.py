@@ -200,14 +200,14 @@ def senses(name: str = "senses") -> None:
     cells = study.setups[0].cells
     rows = []
     for setup in study.setups:
-        row = [setup.name.replace("_", " ")]
+        row = [re.sub(r"noisy_(\d)cm", r"error of \1 cm", setup.name)]
         for cell in cells:
             pairs = verdicts.in_pairs(
                 *(verdicts.by_seed(found, setup, cell, each, "area") for each in setup.arms[:2])
             )
-            row.append(f"{estimate(pairs.difference, '+.2f')}, of {len(pairs)}" if len(pairs) else "")
+            row.append(estimate(pairs.difference, "+.2f") if len(pairs) else "")
         rows.append(row)
-    noises = (f"{cell.removeprefix('joint noise held ')} rad" for cell in cells)
+    noises = (f"joint error {cell.removeprefix('joint noise held ')} rad" for cell in cells)
     markdown(f"| sight | {' | '.join(noises)} |", rows)
 
 
@@ -226,7 +226,8 @@ def orders(name: str, setup_name: str = "", pair: str = PAIR) -> None:
             values = np.array([predictor[cell] for cell in np.array(list(areas))[known]])
             found_order = rank_correlation(values, learned[known])
             rows.append((title, len(known), len(seeds), estimate(found_order, ".2f")))
-    markdown("| predictor | layouts | seeds | rank correlation with the learned area |", rows)
+    order = "rank correlation with the mean success over the run"
+    markdown(f"| predictor | layouts | seeds | {order} |", rows)
 
 
 def rank_correlation(predictor: Array, learned: Array) -> Estimate:
