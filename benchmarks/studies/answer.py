@@ -134,7 +134,7 @@ def layouts(name: str, setup_name: str = "") -> None:
 def over_layouts(name: str) -> None:
     """What touch adds in each set-up: the mean over its layouts within each seed."""
     study, found = load(name)
-    rows = []
+    rows, p_values = [], []
     for setup in study.setups:
         arms = []
         for arm in setup.arms[:2]:
@@ -144,7 +144,10 @@ def over_layouts(name: str) -> None:
         pairs = verdicts.in_pairs(*arms)
         if len(pairs):
             rows.append((SETUPS[setup.name], *compared(pairs)))
-    markdown("| set-up | seeds | touch | no touch | difference | p |", rows)
+            p_values.append(pairs.p_value)
+    corrected = [f"{p:.3f}" for p in statistics.holm(p_values)]
+    head = "| set-up | seeds | touch | no touch | difference | p | p, Holm |"
+    markdown(head, [(*row, p) for row, p in zip(rows, corrected, strict=True)])
 
 
 def agreement(name: str) -> None:

@@ -26,13 +26,16 @@ RUNS = {
 
 
 def learned(*of: str) -> None:
-    """How far and how fast the runs learned; with two rows, the difference in pairs."""
+    """How far and how fast the runs learned; with two rows, of the seeds that both have, and their
+    difference in pairs."""
     rows: list[tuple[object, ...]] = []
     areas: list[verdicts.BySeed] = []
     places = RUNS[of[0], of[1]]
     is_alone = len(places) == 1  # runs of two studies were not timed on one machine
-    for title, (name, setup_name, *place) in places.items():
-        setup, found = answer.load_setup(name, setup_name)
+    loaded = {title: (*answer.load_setup(*row[:2]), row[2:]) for title, row in places.items()}
+    common = set.intersection(*({r.run.seed for r in found} for _, found, _ in loaded.values()))
+    for title, (setup, every, place) in loaded.items():
+        found = [record for record in every if record.run.seed in common]
         area, final, enough = (
             verdicts.by_seed(found, setup, place[0], place[1], score)
             for score in ("area", "final", "steps to 0.9")
