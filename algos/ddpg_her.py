@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any, Literal
@@ -18,7 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from . import Count, DivergenceError, NotNegative, Positive, Share, Workers, rollout, state
+from . import Array, Count, DivergenceError, NotNegative, Positive, Share, Workers, rollout, state
 from .mpi import Communicator, same_on_all_ranks
 from .networks import MLP, FlatAdam, flatten, require_finite, require_hidden
 from .policy import GoalObs, GoalStats, Policy, explore, flat_stats, new_actor, on_cpu
@@ -84,6 +85,10 @@ class DDPGHERConfig:
     termination: Literal["bootstrap", "terminal"] = "bootstrap"
     """How the end of an episode by termination is treated. bootstrap: the target network's value
     is added, since the source has no done mask; terminal: it is not."""
+    normalise_rewards: bool = False
+    """Divide rewards by a running scale, so that the largest return so far counts as much as that of a
+    reward of 1 in every step. Whatever unit rewards have, --action-l2 and the step sizes then mean the
+    same; rewards of -1 and 0 stay as they are."""
 
     @property
     def anneals(self) -> bool:
@@ -111,6 +116,15 @@ def targets(
     return values.clamp(*(reward / (1.0 - gamma) for reward in span)) if span else values
 
 
+def largest_return(rewards: Sequence[float], gamma: float) -> float:
+    """The largest discounted return, without its sign, from any step of an episode to its end."""
+    largest = following = 0.0
+    for reward in reversed(rewards):
+        following = reward + gamma * following
+        largest = max(largest, abs(following))
+    return largest
+
+
 def _policy(
     config: DDPGHERConfig, spaces: Spaces, actor: MLP, stats: GoalStats, share: float = 1.0
 ) -> Policy:
@@ -124,7 +138,7 @@ class DDPGHER(state.Saved):
 
     policy_parts = ("actor", "obs_stats", "goal_stats")
     saved = (*policy_parts, "critic", "target_actor", "target_critic", "adam", "truth_stats")
-    counters = ("env_steps", "updates", "cycles", "worst", "best")
+    counters = ("env_steps", "updates", "cycles", "worst", "best", "reward_scale")
 
     def __init__(
         self,
@@ -166,7 +180,9 @@ class DDPGHER(state.Saved):
         self._both = SideBySide(at_once(workers, comm, self.device))
         self.cycles_per_epoch = config.n_cycles
         self.env_steps = self.updates = self.cycles = 0
-        self.worst, self.best = 1.0, 0.0  # all rewards so far lie from -worst to best
+        # All rewards so far lie from -worst to best, in the source from the start from -1 to 0.
+        self.worst = self.reward_scale = 0.0 if config.normalise_rewards else 1.0
+        self.best = self._largest = 0.0  # the largest return is that of the last episodes
 
     def check(self) -> None:
         (episode,) = require_transitions(self._play(1, rollout.PROBE))
@@ -208,6 +224,7 @@ class DDPGHER(state.Saved):
         seen = summary(episodes, self.comm)
         self.env_steps += int(seen.pop("steps"))
         usable = require_transitions(episodes)
+        self._largest = max(largest_return(episode.rewards, self.gamma) for episode in usable)
         slots = self.replay.store(usable)
         batch = self.replay.sample(sum(map(len, usable)), self.replay_p, slots)
         parts = (
@@ -235,9 +252,7 @@ class DDPGHER(state.Saved):
         """
         config = self.config
         drawn = self.replay.sample(config.n_batches * config.batch_size, self.replay_p)
-        rewards = self.comm.all_gather((-drawn.reward.min(), drawn.reward.max()))
-        worst, best = zip((self.worst, self.best), *rewards, strict=True)
-        self.worst, self.best = float(max(worst)), float(max(best))
+        self._see_rewards(drawn.reward)
         sums = torch.zeros(3, device=self.device)
         parts = [torch.tensor_split(torch.from_numpy(part).to(self.device), 2) for part in drawn]
         halves = self._both(*(partial(self._prepared, Batch(*h)) for h in zip(*parts, strict=True)))
@@ -249,7 +264,28 @@ class DDPGHER(state.Saved):
         self._check(sums)
         n = config.n_batches
         critic_loss, actor_loss, value = (sums / n).tolist()
-        return {"critic_loss": critic_loss, "actor_loss": actor_loss, "mean_q": value, "updates": n}
+        learned = {"critic_loss": critic_loss, "actor_loss": actor_loss, "updates": n}
+        return {**learned, "mean_q": value * (self.reward_scale or 1.0)}
+
+    @torch.no_grad()
+    def _see_rewards(self, drawn: Array) -> None:
+        """Move the bounds of rewards to hold those that were drawn (n,), and the scale with them.
+
+        A relabelled reward may exceed all returns that were lived. When the scale grows, the critics'
+        last layers shrink, so that values in the environment's unit stay (van Hasselt et al. 2016).
+        """
+        found = self.comm.all_gather((-drawn.min(), drawn.max(), self._largest))
+        worst, best, largest = zip((self.worst, self.best, 0.0), *found, strict=True)
+        self.worst, self.best = float(max(worst)), float(max(best))
+        if not self.config.normalise_rewards:
+            return
+        of_ones = largest_return([1.0] * self.replay.max_steps, self.gamma)
+        scale = float(max(self.worst, self.best, *largest)) / of_ones
+        if scale > self.reward_scale:
+            for critic in (self.critic, self.target_critic):
+                for values in critic.linears[-1].parameters():
+                    values.mul_(self.reward_scale / scale if self.reward_scale else 1.0)
+            self.reward_scale = scale
 
     @torch.no_grad()
     def _prepared(self, batch: Batch[Tensor]) -> tuple[Tensor, Tensor, Tensor]:
@@ -263,8 +299,9 @@ class DDPGHER(state.Saved):
         next_actions = self.target_actor(next_inputs[:, : self._n_obs])
         next_values = self.target_critic(torch.cat([next_inputs, next_actions], dim=1)).squeeze(-1)
         terminal = batch.terminal * (config.termination == "terminal")
-        span = (-self.worst, self.best) if config.clip_target else None
-        target = targets(batch.reward, next_values, terminal, self.gamma, span)
+        scale = self.reward_scale or 1.0
+        span = (-self.worst / scale, self.best / scale) if config.clip_target else None
+        target = targets(batch.reward / scale, next_values, terminal, self.gamma, span)
         return inputs, batch.action, target
 
     def _minibatch(self, inputs: Tensor, actions: Tensor, target: Tensor) -> Tensor:

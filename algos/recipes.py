@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from . import get
@@ -10,11 +11,14 @@ from .ppo import PPOConfig
 
 PAPER = "paper"  # every learner's own defaults
 # For runs that learn faster, or keep what they learned: docs/concepts/learners.md.
+# A name keeps its values for good: study files and recorded runs mean them by it.
+STEADY = DDPGHERConfig(
+    n_batches=16, polyak=0.9, anneal_lr=True, anneal_noise=True, anneal_action_l2=True
+)
 BEYOND: dict[str, dict[str, Any]] = {
     "ddpg_her": {
-        "steady": DDPGHERConfig(
-            n_batches=16, polyak=0.9, anneal_lr=True, anneal_noise=True, anneal_action_l2=True
-        ),
+        "steady": STEADY,
+        "scaled": replace(STEADY, normalise_rewards=True, termination="terminal", action_l2=0.1),
     },
     "ppo": {
         "steady": PPOConfig(

@@ -73,7 +73,7 @@ class Learner:
         `seed` is the random seed of everything, `device` PyTorch's device for the networks, `threads`
         PyTorch's threads while learning, `matmul` the precision of the products in updates.
         Hyperparameters are the flags of ``tactilerl train``, with the same defaults:
-        those of `recipe`, "paper" or "steady".
+        those of `recipe`, such as "paper" or "steady".
 
         Raises ValueError, in one line, for an invalid argument.
         """

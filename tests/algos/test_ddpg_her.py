@@ -4,6 +4,7 @@ import copy
 import dataclasses
 import math
 import pickle
+from functools import partial
 
 import gymnasium as gym
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 import torch
 
 from tactilerl.algos import DivergenceError, recipes
-from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig, targets
+from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig, largest_return, targets
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.networks import FlatAdam
 from tactilerl.algos.policy import explore
@@ -125,6 +126,78 @@ class TestTargets:
             tensors = type(batch)(*map(torch.from_numpy, batch))
             _, _, target = learner._prepared(tensors)
             assert torch.equal(target, tensors.reward) == is_cut
+
+
+class Ended(GoalEnv):
+    """Its reward comes with the end, and grows from one episode to the next."""
+
+    def __init__(self, unit=1.0):
+        super().__init__(terminated=True)
+        self.unit, self.worth = unit, 0.0
+
+    def step(self, action):
+        obs, _, terminated, truncated, info = super().step(action)
+        self.worth += 3.0 * terminated
+        obs["achieved_goal"] = obs["desired_goal"] + np.float32([self.worth * terminated, 0.0])
+        reward = float(self.compute_reward(obs["achieved_goal"], obs["desired_goal"], info))
+        return obs, reward, terminated, truncated, info
+
+    def compute_reward(self, achieved, desired, info):
+        far = np.abs(achieved - desired).max(axis=-1)
+        return self.unit * np.where(far > 6.0, far, 0.0)
+
+
+class TestUnitOfRewards:
+    """With their own scale, nothing that is learned depends on the unit of the rewards."""
+
+    def test_largest_return_by_hand(self):
+        assert largest_return([1.0, 0.0, -4.0], 0.5) == 4.0
+        assert largest_return([-8.0, 4.0, 4.0], 0.5) == 6.0
+        assert largest_return([0.0], 0.5) == 0.0
+
+    @pytest.mark.parametrize("env", [Ended, lambda unit=1.0: GoalEnv(reward_scale=unit)])
+    @pytest.mark.parametrize(
+        ("unit", "tolerance"), [(2.0**-10, 0), (32.0, 0), (20, 1e-6), (1e-3, 1e-6)]
+    )
+    def test_does_not_matter(self, env, unit, tolerance):
+        """Powers of two change no digit; others round."""
+        config = dataclasses.asdict(recipes.recipe("ddpg_her", "scaled")) | SMALL
+        one, other = (trained(5, make(env(unit), **config)) for unit in (1.0, unit))
+        assert other.reward_scale == pytest.approx(unit * one.reward_scale)
+        parameters = (learner.adam.vector for learner in (one, other))
+        torch.testing.assert_close(*parameters, atol=tolerance, rtol=0)
+
+    def test_rewards_of_minus_one_and_zero_stay_as_they_are(self):
+        """As soon as an episode misses its goal all along."""
+        found = []
+        for normalise in (False, True):
+            env = GoalEnv()
+            env.compute_reward = lambda achieved, desired, _: (achieved == desired).all(-1) - 1.0
+            found.append(trained(5, make(env, normalise_rewards=normalise)))
+            assert found[-1].reward_scale == 1.0
+        assert torch.equal(found[0].adam.vector, found[1].adam.vector)
+
+    def test_a_larger_return_leaves_what_the_critics_say_of_rewards(self):
+        learner = trained(2, make(Ended(), normalise_rewards=True))
+        inputs, before = torch.ones(5, 9), learner.reward_scale
+        critics = learner.critic, learner.target_critic
+        said = [before * critic(inputs) for critic in critics]
+        learner._see_rewards(np.float32([100.0]))
+        assert learner.reward_scale > 2 * before
+        for critic, values in zip(critics, said, strict=True):
+            torch.testing.assert_close(learner.reward_scale * critic(inputs), values)
+
+    def test_the_largest_return_of_any_rank_counts(self):
+        learner = make(normalise_rewards=True)
+        learner.comm.all_gather = lambda found: [found, (0.0, 0.0, 50.0)]
+        learner._see_rewards(np.zeros(1, np.float32))
+        of_ones = sum(0.8**t for t in range(5))
+        assert learner.reward_scale == pytest.approx(50 / of_ones)
+
+    def test_no_reward_but_zeros(self):
+        learner = trained(2, make(GoalEnv(reward_scale=0.0), normalise_rewards=True))
+        assert learner.reward_scale == 0.0
+        assert torch.isfinite(learner.adam.vector).all()
 
 
 class TestRecipes:
@@ -338,11 +411,13 @@ class TestUpdate:
 
 
 class TestSaving:
-    def test_goes_on_as_if_never_stopped(self):
-        whole = trained(6)
-        half = trained(3)
+    @pytest.mark.parametrize("normalise", [False, True])
+    def test_goes_on_as_if_never_stopped(self, normalise):
+        env = partial(GoalEnv, reward_scale=7.0)
+        whole = trained(6, make(env(), normalise_rewards=normalise))
+        half = trained(3, make(env(), normalise_rewards=normalise))
         state, kept = copy.deepcopy(half.state_dict()), half.replay.new_experience()
-        again = make()
+        again = make(env(), normalise_rewards=normalise)
         again.load_state_dict(state)
         again.replay.add_experience(kept)
         trained(3, again)

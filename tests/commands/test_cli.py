@@ -317,7 +317,7 @@ class TestResume:
         fails_with(capsys, [*again, "paper", *FAST], "the run was made with")
         assert main([*again, "steady", *FAST, "--gamma", "0.9"]) == 0  # as `study run` does
         fails_with(capsys, [*TOY, "--recipe", "stedy"], "recipe: found 'stedy'", "paper, steady")
-        fails_with(capsys, [*REACH, "--recipe", "calm"], "for ddpg_her: paper, steady")
+        fails_with(capsys, [*REACH, "--recipe", "calm"], "for ddpg_her: paper, steady, scaled")
         both = [*TOY, "--recipe", "steady", "--n-minibatches", "6"]
         fails_with(capsys, both, "found both", "None unsets")
         assert main([*both, "--minibatch-size", "None", "--total-timesteps", "1", "--out", "six"]) == 0
