@@ -264,8 +264,8 @@ class DDPGHER(state.Saved):
         self._check(sums)
         n = config.n_batches
         critic_loss, actor_loss, value = (sums / n).tolist()
-        learned = {"critic_loss": critic_loss, "actor_loss": actor_loss, "updates": n}
-        return {**learned, "mean_q": value * (self.reward_scale or 1.0)}
+        learned = {"critic_loss": critic_loss, "actor_loss": actor_loss}
+        return {**learned, "mean_q": value * (self.reward_scale or 1.0), "updates": n}
 
     @torch.no_grad()
     def _see_rewards(self, drawn: Array) -> None:
