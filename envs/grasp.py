@@ -17,7 +17,6 @@ from .objects import ObjectConfig
 from .observations import ObservationConfig, Observer
 from .snapshot import Snapshot
 from .tasks import TaskConfig
-from .typed import Positive
 
 LIMIT = 1e6  # observations beyond this are a broken simulation
 EJECTED = 10.0  # m/s, of the object during an action: twice what random actions ever throw it at
@@ -46,13 +45,13 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
     fingers close and open; grip: one action closes and opens the whole hand."""
     start_closing: Annotated[float, "[0, 1)"] = 0.2
     """With --actions fingers or grip: how far the hand is closed at the start; 1: fully."""
-    finger_gain: Positive = 1.0
+    finger_gain: Annotated[float, "(0, 100]"] = 1.0
     """Position gain and force limit of the fingers, relative to the hand model's."""
-    timestep: Positive = 0.004
+    timestep: Annotated[float, "[1e-06, 0.1]"] = 0.004
     """Physics step, s."""
-    control_dt: Positive = 0.2
+    control_dt: Annotated[float, "(0, 10]"] = 0.2
     """Time between actions, s; a whole number of timesteps."""
-    max_episode_steps: Annotated[int, "[1, inf)"] | None = None
+    max_episode_steps: Annotated[int, "[1, 20000]"] | None = None
     """Actions per episode; default: the task's (lift-and-hold 100, as in the paper)."""
 
     def __post_init__(self) -> None:
@@ -128,7 +127,9 @@ class GraspEnv(gym.Env[Any, Array]):
             self.hand = self.hand.closing_from(config.start_closing, config.actions)
         self.taxels = layouts.load(config.layout).place(self.hand)
         self._touch = touch.RULES[config.touch](self.taxels, self.hand)
-        self.task: tasks.Task = tasks.TASKS[config.task](config, self.hand, setup(hand).timestep)
+        self.task: tasks.Task = tasks.TASKS[config.task](
+            config, self.hand, setup(hand).timestep, items.first.shape
+        )
         self.max_episode_steps = config.max_episode_steps or self.task.max_episode_steps
         self.simulator = simulators.make(
             config.simulator,
@@ -147,7 +148,8 @@ class GraspEnv(gym.Env[Any, Array]):
         )
         names = () if config.run_type == "absent" else self.taxels.names
         is_boolean = self._touch.is_boolean
-        self._observer = Observer(config, self.hand, names, is_boolean, config.control_dt)
+        first = items.first.shape
+        self._observer = Observer(config, self.hand, names, is_boolean, config.control_dt, first)
         self._targets = self.hand.start_targets()
         self.simulator.reset(self.hand.start_positions(), np.array([0.0, 0.0, items.height / 2]), 0.0)
         self.palm_skin = self._palm_skin()

@@ -10,12 +10,14 @@ import numpy as np
 
 from .choices import require_one_of
 from .hands import Array
-from .typed import allow_only_with
+from .typed import allow_only_with, hints, require_type
 
 Kind = Literal["box", "sphere", "cylinder"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 Number = float | str
 """A value, or LOW..HIGH: drawn uniformly from there in every episode."""
+Density = Annotated[float, "[1, 25000]"] | str
+Friction = Annotated[float, "(0, 10]"] | str
 SMALLEST = 0.001  # m: below, a simulator finds no mass in it
 WIDEST = 0.08  # m, of an object across; the benchmark hard_cases goes up to it
 TALLEST = 0.15  # m, of an object: held at its top, its centre is well above what counts as dropped
@@ -32,9 +34,9 @@ class ObjectConfig:
     object_size: tuple[Number, ...] = (0.05,)
     """Edge of a cube or three edges of a box, diameter of a sphere, or diameter and height of a
     standing cylinder, m. Size, density and friction may be ranges, such as 0.04..0.05."""
-    object_density: Number = 567.0
+    object_density: Density = 567.0
     """Density, kg/m^3."""
-    friction: Number = 1.0
+    friction: Friction = 1.0
     """Coefficient of sliding friction of the object."""
     jitter: bool = True
     """Vary the start slightly in every episode (the paper does not)."""
@@ -187,9 +189,6 @@ def bounds(name: str, value: Number) -> tuple[float, float]:
         low = high = math.nan
     if len(parts) > 2 or math.isnan(low) or math.isnan(high):
         raise ValueError(f"{name}: found {value!r}, allowed a number or LOW..HIGH")
-    for number in (low, high):
-        if not (math.isfinite(number) and number > 0):
-            raise ValueError(f"{name}: found {number}, allowed a finite number above 0")
     if low > high:
         raise ValueError(f"{name}: found {value!r}, allowed LOW..HIGH with LOW up to HIGH")
     return low, high
@@ -197,6 +196,9 @@ def bounds(name: str, value: Number) -> tuple[float, float]:
 
 def validate(config: ObjectConfig) -> None:
     """ValueError naming the first invalid field."""
+    for name in ("object_density", "friction"):
+        for end in bounds(name, getattr(config, name)):
+            require_type(end, hints(ObjectConfig)[name], name)
     items = Items(config)
     for size, is_wrong, allowed in (
         (items.smallest, items.smallest < SMALLEST, f"{SMALLEST} m or more"),

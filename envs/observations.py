@@ -20,8 +20,9 @@ from scipy.spatial.transform import Rotation
 from . import objects
 from .hands import SLIDES, Array, Hand
 from .snapshot import Snapshot
-from .typed import NotNegative, Share, allow_only_with
+from .typed import Share, allow_only_with
 
+Metres, Radians = Annotated[float, "[0, 1]"], Annotated[float, "[0, 3.142]"]
 SIGHT_NOISE = (0.01, 0.1)  # m and rad, where noise is asked for without saying how much
 
 
@@ -45,21 +46,21 @@ class SensorConfig(TaxelFaults):
 
     object_seen: Literal["exact", "noisy", "start", "hidden"] = "exact"
     """How the policy sees the object's pose: exact (paper), noisy (--sight-noise), start (where it was
-    at the start of the episode), or hidden (zeros)."""
-    sight_noise: tuple[NotNegative, NotNegative] | None = None
+    at the start of the episode), or hidden (zeros, and the kind of the scene's first object)."""
+    sight_noise: tuple[Metres, Radians] | None = None
     """With --object-seen noisy: standard deviations of the noise on each coordinate, m, and about each
     axis, rad; default: 0.01 0.1."""
     sight_noise_kind: Literal["white", "held"] = "white"
     """white: drawn at every step; held: drawn once per episode."""
-    joint_noise: NotNegative = 0.0
+    joint_noise: Radians = 0.0
     """Standard deviation of the noise on each observed joint angle, rad, drawn at every step.
     Velocities get the matching error."""
-    joint_noise_held: NotNegative = 0.0
+    joint_noise_held: Radians = 0.0
     """Standard deviation of a constant offset on each observed joint angle, rad, drawn once per
     episode."""
-    slide_noise: NotNegative = 0.0
+    slide_noise: Metres = 0.0
     """Like --joint-noise, for the slides that carry the hand, m."""
-    slide_noise_held: NotNegative = 0.0
+    slide_noise_held: Metres = 0.0
     """Like --joint-noise-held, for the slides, m."""
     taxel_delay: Annotated[int, "[0, 100]"] = 0
     """Delay of the taxel readings, in control steps."""
@@ -135,7 +136,9 @@ TERMS = {
     "joint_velocities": Term("velocity of", attrgetter("joints"), lambda _, now: now.joint_velocities),
     "object_position": Term("object", lambda _: "xyz", lambda _, now: now.object.position),
     "object_orientation": Term(
-        "object quaternion", lambda _: "wxyz", lambda _, now: now.object.orientation
+        "object quaternion",
+        lambda _: "wxyz",
+        lambda _, now: np.copysign(1.0, now.object.orientation[0]) * now.object.orientation,
     ),
     "asked": Term(
         "asked for:", attrgetter("action_names"), lambda h, now: h.action_map.asked(now.targets)
@@ -307,8 +310,11 @@ class Observer:
         taxel_names: tuple[str, ...],
         is_boolean: bool,
         control_dt: float,
+        first: objects.Shape,
     ) -> None:
-        """`taxel_names` are those in the observation; `is_boolean` says whether they read 0 or 1."""
+        """`taxel_names` are those in the observation; `is_boolean`: do they read 0 or 1? What is hidden
+        is said to have the shape of the scene's `first` object."""
+        self._shape = first if config.object_seen == "hidden" else None
         self.hand, self._terms = hand, [*hand.observation, *["asked"] * config.observe_targets]
         self._sight = Sight(config)
         is_slide = np.isin(hand.joints, SLIDES)
@@ -342,7 +348,7 @@ class Observer:
 
     def observe(self, truth: Snapshot, taxels: Array) -> Array:
         """(n,) float32 from what is true and what the taxels feel; once a control step."""
-        sensed = replace(truth, object=self._sight(truth.object))
+        sensed = replace(truth, object=self._sight(truth.object), shape=self._shape or truth.shape)
         if self._joints is not None:
             sensed = self._joints(sensed)
         terms = np.concatenate([TERMS[term].read(self.hand, sensed) for term in self._terms])

@@ -18,7 +18,7 @@ from .hold import LOOK_STEPS, HoldTest, Verdict
 from .objects import Shape
 from .simulators import Giver, Simulator
 from .snapshot import Snapshot
-from .typed import Positive, allow_only_with
+from .typed import allow_only_with
 
 
 @dataclass(frozen=True)
@@ -31,9 +31,9 @@ class TaskConfig:
     reward: Literal["staged", "sparse", "dense", "outcome"] | None = None
     """lift-and-hold: staged; reach-goal: sparse (0 or -1) or dense (-10 x distance); handover:
     outcome. Default: the task's first."""
-    lift_clearance: Positive = 0.03
+    lift_clearance: Annotated[float, "(0, 1]"] = 0.03
     """lift-and-hold: height of the object's lowest point at which it counts as lifted, m."""
-    hold_seconds: Positive = 20.0
+    hold_seconds: Annotated[float, "(0, 1000]"] = 20.0
     """lift-and-hold and handover: length of the hold test, s (paper: 5,000 timesteps)."""
     hold_verdict: Verdict = "full"
     """lift-and-hold and handover: full, or settled, a test of about 1 s that is sometimes wrong. See
@@ -41,11 +41,12 @@ class TaskConfig:
     handover_reach: Annotated[float, "[0, 0.1]"] = 0.0
     """handover: how far from the finger bases towards the fingertips the object is held, m; 0: against
     the palm."""
-    goal_height: Positive = 0.08
-    """reach-goal: height of the goal above the object's start without jitter, m."""
+    goal_height: Annotated[float, "(0, 1]"] = 0.08
+    """reach-goal: height of the goal above where the object rests, m; where objects differ, above where
+    the largest of the first kind rests, so that the goal does not tell the object's size."""
     goal_range: float = 0.0
     """reach-goal: largest random offset of the goal along x, y and z, m."""
-    goal_tolerance: Positive = 0.03
+    goal_tolerance: Annotated[float, "(0, 1]"] = 0.03
     """reach-goal: largest distance from the goal that counts as success, m."""
 
 
@@ -108,9 +109,10 @@ class Task(Protocol):
     config: TaskConfig
     hold: HoldTest
 
-    def __init__(self, config: TaskConfig, hand: Hand, own_timestep: float) -> None:
-        """As configured, for a hand whose own timestep is that, s."""
-        self.config = config
+    def __init__(self, config: TaskConfig, hand: Hand, own_timestep: float, first: Shape) -> None:
+        """As configured, for a hand whose own timestep is that, s, and a scene whose first object has
+        this shape."""
+        self.config, self.first = config, first
         self.hold = HoldTest(config.hold_seconds, LOOK_STEPS * own_timestep, config.hold_verdict)
 
     def start(self, usual: Start, palm: Array, shape: Shape) -> Start:
@@ -143,7 +145,7 @@ class ReachGoal(Task):
     goal_size = 3
 
     def begin(self, start: Snapshot, rng: np.random.Generator) -> tuple[Array, Array]:
-        goal = np.array([0.0, 0.0, start.shape.half_size[2] + self.config.goal_height])
+        goal = np.array([0.0, 0.0, self.first.half_size[2] + self.config.goal_height])
         if spread := self.config.goal_range:
             goal += rng.uniform(-spread, spread, 3)
         return start.object.position, goal
@@ -189,8 +191,8 @@ class LiftAndHold(Task):
     finger_weight: ClassVar[float] = 0.2
     """alpha of the paper's reward."""
 
-    def __init__(self, config: TaskConfig, hand: Hand, own_timestep: float) -> None:
-        super().__init__(config, hand, own_timestep)
+    def __init__(self, config: TaskConfig, hand: Hand, own_timestep: float, first: Shape) -> None:
+        super().__init__(config, hand, own_timestep, first)
         self.only_goal: Array = np.append(np.zeros(1 + len(hand.fingertips)), OUTCOMES["held"])
         self.goal_size = len(self.only_goal)
 

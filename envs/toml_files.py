@@ -56,24 +56,29 @@ def table(data: dict[str, Any], key: str, allowed: set[str] | None = None) -> di
     return value
 
 
-def is_number(value: Any) -> bool:
-    """Is it one, and no larger than anything here can be?"""
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e9
+def is_number(value: Any, least: float = -1e9, most: float = 1e9) -> bool:
+    """Is it one, and in this range?"""
+    is_one = isinstance(value, int | float) and not isinstance(value, bool)
+    return is_one and least <= value <= most
 
 
 def number(value: Any, where: str, least: float = -1e9, most: float = 1e9) -> float:
     """A number from `least` to `most`; ValueError for anything else."""
-    if not is_number(value) or not least <= value <= most:
-        span = f" from {least:g}" * (least > -1e9) + f" to {most:g}" * (most < 1e9)
-        raise ValueError(f"{where}: found {value!r}, expected a number{span}")
+    if not is_number(value, least, most):
+        raise ValueError(f"{where}: found {value!r}, expected a number{_span(least, most)}")
     return float(value)
 
 
-def vector(value: Any, n: int, where: str) -> tuple[float, ...]:
-    """`n` numbers; ValueError for anything else."""
-    if not isinstance(value, list | tuple) or len(value) != n or not all(map(is_number, value)):
-        raise ValueError(f"{where}: found {value!r}, expected {n} numbers")
+def vector(value: Any, n: int, where: str, least: float = -1e9, most: float = 1e9) -> tuple[float, ...]:
+    """`n` numbers from `least` to `most`; ValueError for anything else."""
+    is_list = isinstance(value, list | tuple) and len(value) == n
+    if not is_list or not all(is_number(x, least, most) for x in value):
+        raise ValueError(f"{where}: found {value!r}, expected {n} numbers{_span(least, most)}")
     return tuple(float(x) for x in value)
+
+
+def _span(least: float, most: float) -> str:
+    return f" from {least:g}" * (least > -1e9) + f" to {most:g}" * (most < 1e9)
 
 
 def strings(value: Any, where: str) -> tuple[str, ...]:

@@ -14,8 +14,6 @@ import numpy as np
 from typeguard import CollectionCheckStrategy, TypeCheckError, check_type
 
 T = TypeVar("T")
-Positive = Annotated[float, "(0, inf)"]
-NotNegative = Annotated[float, "[0, inf)"]
 Share = Annotated[float, "[0, 1]"]
 WORDS = {int: "a whole number", float: "a number", str: "a string", bool: "True or False"}
 LARGEST = 2**63  # whole numbers stay below, so that they have a place in an array
@@ -61,8 +59,13 @@ def validate(instance: Any) -> None:
 
 def require(kind: type, values: Mapping[str, Any]) -> None:
     """ValueError naming the first of `values` that is not what the field of that name says."""
-    for name, hint in get_type_hints(kind, include_extras=True).items():
+    for name, hint in hints(kind).items():
         require_type(values[name], hint, name)
+
+
+def hints(kind: type) -> dict[str, Any]:
+    """The types of a dataclass's fields, with their ranges."""
+    return get_type_hints(kind, include_extras=True)
 
 
 def allow_only_with(what: str, config: Any, *names: str) -> None:

@@ -355,7 +355,9 @@ def registration(name: str) -> Registration:
         data = toml_files.read(path, "hand file")
         about = toml_files.table(data, "environment", {"id", "closing"})
         closing = about.get("closing", Registration.closing)
-        low, high = toml_files.vector(closing, 2, "environment.closing")
+        low, high = toml_files.vector(closing, 2, "environment.closing", 0.0, 2.0)
+        if low > high:
+            raise ValueError(f"environment.closing: found {closing!r}, expected [low, high]")
         return Registration(str(about.get("id", "")), (low, high), toml_files.table(data, "scene"))
 
 

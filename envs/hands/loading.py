@@ -224,7 +224,7 @@ def _joint_action(parts: Parts, grasps: tuple[ScriptedGrasp, ...], at: Array) ->
     limits[limited] = model.actuator_ctrlrange[limited]
     height = grasps[-1].targets[SLIDES[2]] if grasps else min(0.0, 0.06 - float(at[2]))
     centre = vector(slides.get("centre", (0.0, 0.0, round(height, NANO))), 3, "slides.centre")
-    half_range = vector(slides.get("half_range", HALF_RANGE), 3, "slides.half_range")
+    half_range = vector(slides.get("half_range", HALF_RANGE), 3, "slides.half_range", 0.0, 1.0)
     return LinearAction(
         centre=np.concatenate([centre, limits.mean(axis=1)]),
         half_range=np.concatenate([half_range, np.ptp(limits, axis=1) / 2]),

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tactilerl import envs
-from tactilerl.envs import observations
+from tactilerl.envs import hands, objects, observations, scenes
 from tactilerl.envs.observations import Broken, Delay, FalseReadings
 from tactilerl.probe.reflexes import Reflex
 
@@ -294,3 +294,49 @@ def test_the_truth_of_taxels_is_not_that_after_a_hold_test():
     assert all(observed == told for observed, told, _ in seen)
     assert any(told > 0 for _, told, is_last in seen if is_last)
     env.close()
+
+
+@pytest.mark.parametrize("hand", hands.HANDS)
+@pytest.mark.parametrize("scene", scenes.names())
+def test_nothing_tells_what_a_scene_hides(scene, hand):
+    """Of objects that differ in all that a scene may hide, observations first differ in what is seen
+    alone, then in touch and joints too. No policy here is shown the achieved goal: it is the truth."""
+    env = envs.make(hand, scene=scene)
+    is_hidden = env.config.object_seen == "hidden"
+    kinds = ("sphere", "box") if is_hidden else ("box", "box")
+    things = (
+        (objects.make(kinds[0], (0.04,)), 300.0, 0.6),
+        (objects.make(kinds[1], (0.05,)), 900.0, 1.2),
+    )
+    sight = () if is_hidden else ("object x", "object y", "object z", "object quaternion")
+    felt = "taxel", "position of", "velocity of", "hand"
+    episodes = []
+    for thing in things:
+        env._items.draw = lambda rng, thing=thing: objects.Item(*thing)
+        obs = [env.reset(seed=1)[0]]
+        obs += [env.step(np.zeros(env.action_space.shape))[0] for _ in range(3)]
+        episodes.append(obs)
+    names = env.observation_names()
+    for step, (one, other) in enumerate(zip(*episodes, strict=True)):
+        for key in one.keys() - {"achieved_goal"}:
+            differs = np.flatnonzero(one[key] != other[key])
+            told = [names[i] for i in differs] if key == "observation" else [key] * len(differs)
+            allowed = sight + felt * (step > 0)
+            assert [name for name in told if not name.startswith(allowed or "?")] == []
+    env.close()
+
+
+@pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
+@pytest.mark.parametrize("seen", ["exact", "noisy"])
+def test_quaternions_have_one_sign(simulator, seen):
+    env = envs.make("shadow", simulator=simulator, object_seen=seen, critic_sees="truth")
+    entries, told = env.observation_entries("object_orientation"), []
+    obs, _ = env.reset(seed=0)
+    for turn in np.linspace(0.1, 4 * np.pi, 40):
+        env.simulator.reset(env.hand.start_positions(), np.array([0.0, 0.0, 1.0]), turn)
+        env._object_position = np.array([0.0, 0.0, 1.0])
+        obs, *_ = env.step(np.zeros(env.action_space.shape))
+        told += [obs["observation"][entries], obs["truth"][-4 - len(env.taxels) : -len(env.taxels)]]
+    env.close()
+    assert np.abs(np.array(told)[:, 3]).max() > 0.9
+    assert np.array(told)[:, 0].min() >= 0.0

@@ -34,7 +34,7 @@ PINNED = [
     "aa5c54e4ab1d7210",
     "db0ffe237ec1af3c",
     "64e9445ef0516d51",
-    "905c92ad2d7879ac",
+    "1cbef40b33e64e95",
     "f1c6cf31b16fc15c",
     "4fba65cadb6125ba",
     "ad2e047a649db87f",
