@@ -22,7 +22,8 @@ from .hands import SLIDES, Array, Hand
 from .snapshot import Snapshot
 from .typed import Share, allow_only_with
 
-Metres, Radians = Annotated[float, "[0, 1]"], Annotated[float, "[0, 3.142]"]
+Metres = Annotated[float, "[0, 1]"]
+Radians = Annotated[float, "[0, 3.142]"]
 SIGHT_NOISE = (0.01, 0.1)  # m and rad, where noise is asked for without saying how much
 
 

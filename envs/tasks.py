@@ -107,6 +107,7 @@ class Task(Protocol):
     only_goal: Array | None = None
     """The goal (goal_size,) of every episode, where no other is ever asked for or could be."""
     config: TaskConfig
+    first: Shape
     hold: HoldTest
 
     def __init__(self, config: TaskConfig, hand: Hand, own_timestep: float, first: Shape) -> None:
