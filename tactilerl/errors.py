@@ -38,8 +38,17 @@ SAME = {name: PEERS[name][0] for name in ("batch_size", "n_epochs", "n_steps")}
 """Of these, flags that the command takes under either name."""
 
 
+BAD_INPUT, BUSY = 2, 75
+"""Exit codes of commands that did nothing, since the input was wrong, or since another process is at it
+(EX_TEMPFAIL of sysexits.h)."""
+
+
 class InputError(ValueError):
     """One line: what was wrong, what was found, what is allowed. The command exits with 2."""
+
+
+class BusyError(InputError):
+    """Another process has what this one needs; the command exits with `BUSY`."""
 
 
 @contextmanager

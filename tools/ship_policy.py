@@ -8,35 +8,37 @@ The run cannot be resumed from there: optimisers, critics and experience stay be
 from __future__ import annotations
 
 import argparse
-import shutil
 import sys
 from pathlib import Path
 
 from tactilerl import algos
 from tactilerl.errors import InputError
-from tactilerl.runs import checkpoint, sealed
+from tactilerl.runs import checkpoint, files, sealed
 from tactilerl.runs.config import LAYOUT_COPY
-from tactilerl.runs.run_dir import RunDir
+from tactilerl.runs.run_dir import FORMAT, RunDir
 
 
 def ship(run: Path, folder: Path) -> None:
-    """Write `folder`, anew where it holds a policy already; InputError where it holds a run or anything
-    else."""
+    """Write `folder`, anew where it holds such a policy already; InputError where it holds anything else."""
     source, target = RunDir(run), RunDir(folder)
     config, _ = source.read_config()
     data = checkpoint.read(source, config)
     parts = (*algos.get(config.run.algo)[1].policy_parts, "env_steps")
     state = {name: data["ranks"][0][name] for name in parts}
-    copied = {source.config_file.name, source.progress.path.name, LAYOUT_COPY}
     folder.mkdir(parents=True, exist_ok=True)
-    if any(path.name not in {*copied, target.checkpoint_file.name} for path in folder.iterdir()):
+    if any(folder.iterdir()) and not target.checkpoint_file.exists():
         raise InputError(f"{folder}: found other files in it, allowed a new folder or a policy's")
-    if target.checkpoint_file.exists() and "critic" in sealed.read(target.checkpoint_file)["ranks"][0]:
-        raise InputError(f"{folder}: found a whole run, allowed a new folder or a policy's")
-    for name in copied:
+    content = data | {"ranks": [state], "experience": []}
+    sealed.write(target.checkpoint_file, content, _is_shipped)  # first: it says whose folder this is
+    for name in (source.config_file.name, source.progress.path.name, LAYOUT_COPY):
         if (run / name).exists():
-            shutil.copy(run / name, folder)
-    sealed.write(target.checkpoint_file, data | {"ranks": [state], "experience": []})
+            with files.replacing(folder / name) as file:
+                file.write(files.content(run / name))
+
+
+def _is_shipped(path: Path) -> bool:
+    data = sealed.read_fields(path, "checkpoint", FORMAT, checkpoint.TYPES)
+    return "critic" not in data["ranks"][0]
 
 
 def main() -> int:

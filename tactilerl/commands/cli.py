@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
-from ..errors import SAME, InputError
+from ..errors import BAD_INPUT, BUSY, SAME, BusyError, InputError
 from ..version import __version__
 
 COMMANDS = {  # each a module here with `main(args)`, imported when it runs; what it does
@@ -28,7 +28,8 @@ LONGEST = 600  # characters of an error's line: a path may have 5,000
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run one command; the exit code: 0 done, 1 stopped or failed a check, 2 bad input."""
+    """Run one command; the exit code: 0 done, 1 stopped or failed a check, 2 bad input, 75
+    another process writes there."""
     for stream in (sys.stdout, sys.stderr):  # a terminal that cannot show a character shows "?"
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
@@ -75,7 +76,7 @@ def _run(args: list[str]) -> int:
         if mpi.launched_rank() not in (None, "0"):
             time.sleep(1.0)  # mostly rank 0 has found the same, and its end is the others'
         _say("error", error, rest)
-        return 2
+        return BUSY if isinstance(error, BusyError) else BAD_INPUT
     except BrokenPipeError:
         raise
     except (FloatingPointError, OSError) as error:  # DivergenceError, without importing PyTorch for it

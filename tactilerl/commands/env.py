@@ -17,7 +17,7 @@ from ..envs.grasp import GraspEnv
 from ..envs.layouts import Taxels
 from ..envs.taxel_files import WRITERS
 from ..errors import InputError, input_errors
-from ..runs.files import replacing
+from ..runs.files import content, replacing
 from ..terminal.help import About
 from .scene import layout_notes, read_scene
 
@@ -59,8 +59,9 @@ def _export(path: Path, taxels: Taxels | None) -> None:
             for link in taxels.links
         }
     for name, points in files.items():
-        with replacing(name) as file:
-            file.write(WRITERS[path.suffix](points))
+        made = WRITERS[path.suffix](points)
+        with replacing(name, lambda there, made=made: content(there) == made) as file:
+            file.write(made)
 
 
 def main(args: list[str]) -> int:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
 from ..envs.hands import DIGITS, Array, Hand, Surface, skins
 from ..envs.layouts import Taxels
+from ..runs.files import MAKER
 from . import places
 from .places import Place
 
@@ -151,6 +152,15 @@ def _inside(x: Array, y: Array, panel: Panel) -> Array:
     beyond_y = np.maximum(np.abs(y - middle) - (half_height - corner), 0.0)
     is_inside: Array = np.hypot(beyond_x, beyond_y) <= corner
     return is_inside
+
+
+def save_picture(picture: Array, file: BinaryIO, ending: str) -> None:
+    """Write it as .png or .jpg, with who made it."""
+    about = importlib.import_module("PIL.PngImagePlugin").PngInfo()
+    about.add_text("Software", MAKER)
+    kind = {".png": "PNG", ".jpg": "JPEG"}[ending.lower()]
+    drawn = importlib.import_module("PIL.Image").fromarray(picture)
+    drawn.save(file, kind, pnginfo=about, comment=MAKER)  # each format takes its own
 
 
 def lettered(

@@ -17,7 +17,8 @@ from ..envs.grasp import GraspConfig, GraspEnv
 from ..envs.hands import ScriptedGrasp
 from ..envs.simulators import Camera, Simulator
 from ..errors import InputError
-from .hand_map import TaxelMap, lettered
+from ..runs.files import MAKER, is_picture, replacing, require_ours
+from .hand_map import TaxelMap, lettered, save_picture
 
 Pose = Literal["start", "grasp"]
 Follow = Literal["grasp", "hand", "nothing"]
@@ -26,6 +27,7 @@ FILMS, PICTURES = (".mp4", ".mkv", ".mov"), (".png", ".jpg")
 HOLD_SECONDS = 2.0  # of a hold test in a film: all there is to see in the whole
 # Fragments of a second, each whole in itself: what is there can be played at any time.
 PLAYABLE = ["-tune", "zerolatency", "-g", str(FPS), "-flush_packets", "1"]
+PLAYABLE += ["-metadata", f"comment={MAKER}"]
 PLAYABLE += ["-movflags", "frag_keyframe+empty_moov+default_base_moof"]
 END_PICTURES = FPS // 2  # of the last moment, repeated: so one sees how it ended
 
@@ -40,14 +42,15 @@ def picture(
 ) -> int:
     """Write a picture of the start or of a scripted grasp (`grasp`: instead of the hand's own), beside
     it the hand unrolled; how many taxels fire in it."""
-    imageio = _writer("--out", out, PICTURES)
+    _writer("--out", out, PICTURES)
     with closing(GraspEnv(env_name, config, render_mode="rgb_array")) as env:
         env.reset(seed=0)
         if pose == "grasp":
             start = scripted.Start(np.zeros(2), 0.0, np.zeros(len(env.hand.joints)))
             for _ in scripted.hold_steps(env, grasp or scripted.grasp_for(env), start, seconds=0.5):
                 pass
-        imageio.imwrite(out, _View(env, camera).picture(camera))
+        with replacing(out, is_picture) as file:
+            save_picture(_View(env, camera).picture(camera), file, out.suffix)
         return int((env.taxel_readings() > 0).sum())
 
 
@@ -196,6 +199,7 @@ def _writer(flag: str, out: Path, endings: tuple[str, ...], *modules: str) -> An
         raise InputError(f"{flag}: found {out.name!r}, allowed names that end in {', '.join(endings)}")
     if not out.parent.is_dir():
         raise InputError(f"{flag}: found no folder {out.parent}, allowed one that exists")
+    require_ours(out, is_picture)
     try:
         *_, imageio = map(importlib.import_module, (*modules, "imageio.v2"))
         return imageio

@@ -18,7 +18,7 @@ from ..algos.mpi import Communicator
 from ..errors import InputError
 from . import sealed
 from .config import RunConfig
-from .files import damage_named
+from .files import damage_named, own_folder
 from .run_dir import FORMAT, RunDir
 
 TYPES = {"format": int, "epoch": int, "config": str, "ranks": list, "experience": list, "spaces": str}
@@ -41,7 +41,7 @@ class Checkpoint:
         experience = self._memory.new_experience(everything=bool(is_anew)) if self._memory else {}
         for rank, part in enumerate(self.comm.receive(experience)):
             if part:
-                self.run_dir.experience_folder.mkdir(exist_ok=True)
+                own_folder(self.run_dir.experience_folder)
                 content = {**self._about, "epoch": epoch, "rank": rank, "experience": part}
                 sealed.write(self._part(epoch, rank), content)
         states = list(self.comm.receive(_compact(self.learner.state_dict())))

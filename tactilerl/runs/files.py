@@ -13,7 +13,7 @@ import secrets
 import shlex
 import stat
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -21,7 +21,7 @@ from typing import Any, BinaryIO
 import filelock
 import numpy as np
 
-from ..errors import InputError
+from ..errors import BusyError, InputError
 
 LARGEST = 10**9  # bytes of a table; what else is read as a whole says so itself
 MAX_JSON = 1_000_000  # bytes of a file with settings
@@ -29,8 +29,10 @@ UNPACKED, RATIO = 50_000_000, 100  # bytes, or times its size, that a file may u
 NAME = re.compile(r"[A-Za-z0-9][\w.+-]*")
 LONGEST_NAME = 240  # bytes; file systems allow 255, endings included
 PATIENCE = 2.0  # s; who only looks at a lock has it for an instant
-IN_USE = "is writing to this folder"
 LEFTOVER = re.compile(r"\.[0-9a-f]{16}\.tmp")  # of a process that was killed while it wrote
+MAKER = "made by tactilerl"  # in the metadata of pictures
+IsOurs = Callable[[Path], Any]
+"""Is the regular file there one of ours, by its content? What is false, or a ValueError, says no."""
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)  # not the fault of who named the file
 
 
@@ -117,12 +119,14 @@ def _most(file: BinaryIO) -> int:
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[BinaryIO]:
+def replacing(path: Path, is_ours: IsOurs | None = None) -> Iterator[BinaryIO]:
     """A file to write to that takes the place of `path` when it is whole, or not at all.
 
-    It is made anew under a name that nobody knows, so that no link is followed. InputError where
-    nothing can be written there, OSError where the disk is full.
+    What is there may be nothing, or a regular file that `is_ours` (None: of a folder that is ours).
+    It is made anew under a name that nobody knows, so that no link is followed.
+    InputError where something else is there or nothing can be written, OSError where the disk is full.
     """
+    require_ours(path, is_ours)
     temporary = path.with_name(f".{secrets.token_hex(8)}.tmp")
     with writable(path):
         file = temporary.open("x+b")
@@ -141,9 +145,43 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
         temporary.unlink(missing_ok=True)
 
 
+def require_ours(path: Path, is_ours: IsOurs | None = None) -> None:
+    """InputError unless nothing is at `path` yet, or a regular file that `is_ours`."""
+    with writable(path):
+        if not os.path.lexists(path):
+            return
+        mode = path.lstat().st_mode
+        if not stat.S_ISREG(mode):
+            found = "a link" if stat.S_ISLNK(mode) else "a folder" if stat.S_ISDIR(mode) else "no file"
+            raise InputError(f"cannot write {str(path)!r}: it is {found}, allowed a file or a new name")
+        try:
+            is_known = is_ours is None or is_ours(path)
+        except ValueError:
+            is_known = False
+    if not is_known:
+        raise InputError(
+            f"cannot write {str(path)!r}: another file is there, which would be lost; "
+            "choose another name, or move it away"
+        )
+
+
+def is_picture(path: Path) -> bool:
+    """Was the picture or film made here?"""
+    return MAKER.encode() in content(path)
+
+
+def own_folder(path: Path) -> Path:
+    """A folder in one of ours, made where there is none; InputError where it is a link or a file."""
+    with writable(path):
+        path.mkdir(exist_ok=True)
+    if path.is_symlink():
+        raise InputError(f"cannot write into {str(path)!r}: it is a link, allowed a folder")
+    return path
+
+
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Keep other processes from writing to a folder; InputError naming the one that does.
+    """Keep other processes from writing to a folder; BusyError naming the one that does.
 
     The system releases the lock when the process ends, however it ends. What a process left that was
     killed while it wrote is dropped.
@@ -161,7 +199,7 @@ def locked(folder: Path) -> Iterator[None]:
             yield
     except filelock.Timeout:
         holder = path.read_text(encoding="utf-8", errors="replace")[:200] or "another process"
-        raise InputError(f"{folder}: {holder} {IN_USE}") from None
+        raise BusyError(f"{folder}: {holder} is writing to this folder") from None
 
 
 @contextmanager

@@ -52,9 +52,10 @@ def load_policy(path: str | Path) -> Policy:
 
 
 def save_policy(path: str | Path, algo: str, learner: algos.Algorithm) -> None:
-    """Write the policy of a learner, whole or not at all; replaces a file that is there.
+    """Write the policy of a learner, whole or not at all; replaces another policy that is there.
 
-    Raises ValueError when `path` cannot be a file, OSError when it cannot be written.
+    Raises ValueError when `path` is no place for a file, or holds another one; OSError when the disk is
+    full.
     """
     path = Path(path)
     if path.is_dir() or not path.parent.is_dir():
@@ -67,11 +68,15 @@ def save_policy(path: str | Path, algo: str, learner: algos.Algorithm) -> None:
         "spaces": learner.spaces.to_json(),
         "state": {name: state[name] for name in learner.policy_parts},
     }
-    sealed.write(path, content)
+    sealed.write(path, content, _fields)
+
+
+def _fields(path: Path) -> dict[str, Any]:
+    return sealed.read_fields(path, "policy", FORMAT, TYPES, "; for a run, give its folder")
 
 
 def _read_file(path: Path) -> Policy:
-    data = sealed.read_fields(path, "policy", FORMAT, TYPES, "; for a run, give its folder")
+    data = _fields(path)
     with damage_named(path):
         config_type, _ = algos.get(data["algo"])
         told = (SINCE if data["algo"] == "ddpg_her" else {}) | json.loads(data["learner"])

@@ -16,7 +16,7 @@ from typing import Any
 import torch
 
 from ..errors import InputError
-from .files import damage_named, open_regular, replacing
+from .files import IsOurs, damage_named, open_regular, replacing
 
 MARK = b"\ntactilerl sha256 "
 SEAL_SIZE = len(MARK) + 2 * hashlib.sha256().digest_size
@@ -27,9 +27,9 @@ KNOWN = {"collections OrderedDict", "torch._utils _rebuild_tensor_v2"}
 KNOWN |= {f"torch {kind}Storage" for kind in ("Float", "Double", "Long", "Int", "Byte", "Bool")}
 
 
-def write(path: Path, content: dict[str, Any]) -> None:
-    """Write tensors and plain values, and their checksum."""
-    with replacing(path) as file:
+def write(path: Path, content: dict[str, Any], is_ours: IsOurs | None = None) -> None:
+    """Write tensors and plain values, and their checksum; for `is_ours` see `files.replacing`."""
+    with replacing(path, is_ours) as file:
         torch.save(content, file)
         file.seek(0)
         digest = hashlib.file_digest(file, "sha256")  # type: ignore[arg-type]  # is readable

@@ -12,6 +12,7 @@ import numpy as np
 from ..envs.observations import SensorConfig
 from ..errors import InputError, input_errors
 from .config import RunConfig
+from .files import MAKER, is_picture, replacing, require_ours
 
 PICTURES = (".png", ".svg", ".pdf")
 USUAL = vars(SensorConfig())
@@ -49,6 +50,7 @@ def require_drawable(out: Path) -> None:
         )
     if not out.parent.is_dir():
         raise InputError(f"--out: the folder {str(out.parent)!r} does not exist")
+    require_ours(out, is_picture)
     if find_spec("matplotlib") is None:
         raise InputError("--out: found no matplotlib; install it: pip install 'tactilerl[plots]'")
 
@@ -64,4 +66,6 @@ def draw(name: str, values: list[Any], rows: list[dict[str, Any]], out: Path) ->
     axes.errorbar(values, rates, yerr=[rates - low, high - rates], marker="o", capsize=3)
     axes.set(xlabel=name.replace("_", " "), ylabel="success rate", ylim=(-0.02, 1.02))
     axes.grid(alpha=0.3)
-    figure.savefig(out, dpi=150)
+    made_by = {"Software" if out.suffix == ".png" else "Creator": MAKER}
+    with replacing(out, is_picture) as file:
+        figure.savefig(file, format=out.suffix[1:], dpi=150, metadata=made_by)

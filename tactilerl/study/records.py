@@ -34,7 +34,7 @@ from ..statistics import Array
 from .folder import STATES, RunFiles, StudyFolder, seconds_spent
 from .grid import Run, Study, from_dict, read
 
-COLLECTED, GZIP = "collected.csv.gz", b"\x1f\x8b"
+COLLECTED = "collected.csv.gz"
 FIXED = ("run", "state", "reason", "record")
 
 
@@ -142,8 +142,6 @@ def _anywhere(config: dict[str, Any]) -> dict[str, Any]:
 def collect(*paths: Path, out: Path | None = None) -> Path:
     """Pack folders and collected files of a study into one file; returns it."""
     out = out or paths[0] / COLLECTED
-    if os.path.isfile(out) and not out.read_bytes().startswith(GZIP):
-        raise InputError(f"--out: found {str(out)!r}, which is no collected study; choose another name")
     study, records = load(*paths)
     text = io.StringIO()
     columns = dict.fromkeys(column for record in records for row in record.rows for column in row)
@@ -156,7 +154,7 @@ def collect(*paths: Path, out: Path | None = None) -> Path:
             writer.writerow({"run": record.run.name, "state": record.state, **first, **row})
             first = {}
     with (
-        replacing(out) as file,
+        replacing(out, _unpack) as file,
         gzip.GzipFile(filename="", mode="wb", fileobj=file, mtime=0) as packed,
     ):
         packed.write(text.getvalue().encode())

@@ -6,16 +6,20 @@ The same records give the same bytes: no file holds a date or a path.
 from __future__ import annotations
 
 from base64 import b64encode
+from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
 
 import jinja2
 
-from ..runs.files import replacing
+from ..runs.files import content as read
+from ..runs.files import own_folder, replacing, require_ours
 from . import figures, summary, tables
 from .analysis import Analysis
 from .figures import Picture
 from .tables import Table
+
+TEMPLATE = "report.html.j2"
 
 
 class Section(NamedTuple):
@@ -27,20 +31,32 @@ class Section(NamedTuple):
 
 
 def write(analysis: Analysis, folder: Path) -> Path:
-    """Write everything into `folder`, over what an earlier report left there; returns report.html."""
-    made, images = sections(analysis), {}
-    files: dict[Path, bytes] = {}
+    """Write everything into `folder`, over what an earlier report left there; returns report.html.
+
+    InputError where other files would be lost. report.html comes first: it says whose the folder is.
+    """
+    page, beside, images = folder / "report.html", dict[Path, bytes](), {}
+    require_ours(page, _is_report)
+    made = sections(analysis)
     for part in (part for section in made for part in section.parts):
         place = folder / ("tables" if isinstance(part, Table) else "figures") / part.name
         formats = part.formats()
-        files |= {place.with_name(f"{part.name}.{ending}"): it for ending, it in formats.items()}
+        beside |= {place.with_name(f"{part.name}.{ending}"): it for ending, it in formats.items()}
         images[part.name] = b64encode(formats.get("svg", b"")).decode()
-    files[folder / "report.html"] = _page(analysis, made, images).encode()
-    for path, content in files.items():
-        path.parent.mkdir(parents=True, exist_ok=True)
+    is_new = not page.exists()
+    folder.mkdir(parents=True, exist_ok=True)
+    for path in beside:
+        own_folder(path.parent)
+        require_ours(path, (lambda _: False) if is_new else None)
+    for path, content in {page: _page(analysis, made, images).encode(), **beside}.items():
         with replacing(path) as file:
             file.write(content)
-    return folder / "report.html"
+    return page
+
+
+def _is_report(path: Path) -> bool:
+    head, _, _ = (resources.files(__package__) / TEMPLATE).read_text("utf-8").partition("{{")
+    return read(path).startswith(head.encode())
 
 
 def _page(analysis: Analysis, made: list[Section], images: dict[str, str]) -> str:
@@ -51,7 +67,7 @@ def _page(analysis: Analysis, made: list[Section], images: dict[str, str]) -> st
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    return environment.get_template("report.html.j2").render(
+    return environment.get_template(TEMPLATE).render(
         study=analysis.study,
         about=[summary.about(one, analysis.study.primary.score) for one in analysis.setups],
         provenance=summary.provenance(analysis.records),

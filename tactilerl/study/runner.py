@@ -20,13 +20,13 @@ from pathlib import Path
 from typing import Any, Literal, cast
 
 from ..algos import mpi
-from ..runs.files import IN_USE, no_link
+from ..errors import BAD_INPUT, BUSY
+from ..runs.files import no_link
 from ..terminal import interrupts
 from .folder import Outcome, RunFiles
 
 ATTEMPTS = 2
 LOOK = 1.0  # s between looks at what runs
-BAD_INPUT = 2  # exit code of what a second attempt cannot mend
 INTERRUPTED = (130, -signal.SIGINT)
 LAUNCHER_PREFIXES = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "MPI_LOCAL")
 THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
@@ -66,13 +66,13 @@ def run_job(job: Job) -> Ending:
             code = INTERRUPTED[0] if _stopping.is_set() else _process(files, job)
             if _stopping.is_set() or code in INTERRUPTED:
                 return "interrupted"
+            if code == BUSY:
+                return "busy"
             if code in (0, BAD_INPUT):
                 break
         outcome = Outcome("done", job.total_timesteps)
         if code:
             outcome = Outcome("failed", job.total_timesteps, _reason(code, files.log_file, begin))
-        if code == BAD_INPUT and IN_USE in outcome.reason:
-            return "busy"
         files.write_outcome(outcome)
         return outcome.state
     except OSError as error:

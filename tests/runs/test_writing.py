@@ -1,0 +1,143 @@
+"""What others own is never lost: what writes a file takes a new name, or replaces one of its own."""
+
+import os
+import runpy
+import shutil
+import sys
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+import pytest
+from one_line import fails_with
+from study_records import make_study
+
+import tactilerl
+from tactilerl.commands.cli import main
+from tactilerl.errors import BUSY
+from tactilerl.pictures.hand_map import save_picture
+from tactilerl.runs import files, sweep
+
+TRAIN = ["train", "--env", "lqr", "--hidden", "8", "--steps-per-epoch", "60", "--n-passes", "1"]
+STUDY = """
+name = "toy"
+[grid]
+n_passes = [2, 4]
+seed = "0-{last}"
+[setups.ppo]
+env = "lqr"
+"""
+ship = runpy.run_path(str(Path(__file__).parents[2] / "tools/ship_policy.py"))["main"]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("made")
+    assert main([*TRAIN, "--total-timesteps", "60", "--out", str(folder / "run")]) == 0
+    make_study(folder / "study", STUDY, n_seeds=2, total=3000)
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def here(made, in_tmp):
+    for name in ("run", "study"):
+        shutil.copytree(made / name, name)
+
+
+def save(path):
+    learner = tactilerl.PPO("lqr", hidden=(8,))
+    try:
+        learner.save(path)
+    except ValueError:
+        return 2
+    return 0
+
+
+def shipped(folder):
+    with mock.patch.object(sys, "argv", ["ship_policy.py", "run", folder]):
+        return ship()
+
+
+# What it writes, and how; a folder's first file says whose the folder is.
+WRITERS = {
+    "x.toml": lambda name: main(["env", "--export", name]),
+    "x.csv": lambda name: main(["env", "--export", name]),
+    "x.json": lambda name: main(["env", "--export", name]),
+    "x.pt": save,
+    "x.csv.gz": lambda name: main(["study", "collect", "study", "--out", name]),
+    "x.jpg": lambda name: main(["render", "--pose", "start", "--out", name]),
+    "x.png": lambda name: main(["render", "--pose", "start", "--out", name]),
+    "x.mp4": lambda name: main(["render", "examples", "--video", name]),
+    "x.svg": lambda name: main(["evaluate", "shadow", "--sweep", "taxel-dead", "0", "--out", name]),
+    "report/report.html": lambda name: main(["study", "report", "study", "--out", "report"]),
+    "report/tables/runs.csv": lambda name: main(["study", "report", "study", "--out", "report"]),
+    "shipped/config.json": lambda name: shipped("shipped"),
+    "shipped/checkpoint.pt": lambda name: shipped("shipped"),
+}
+DRAWN = ("x.jpg", "x.png", "x.mp4", "x.svg")
+
+
+@pytest.fixture
+def foreign():
+    Path("victim").write_text("mine")
+    yield
+    assert Path("victim").read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_the_files_of_others_stay(name, foreign, capsys):
+    policies = Path(__file__).parents[2] / "examples/policies"
+    for run in ("examples", "shadow"):
+        os.symlink(policies / "handover_touch", run)
+    path = Path(name)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    for there in (
+        lambda: path.write_text("mine"),
+        lambda: path.symlink_to(Path("victim").resolve()),
+        lambda: os.mkfifo(path),
+    ):
+        there()
+        before = path.lstat()
+        assert WRITERS[name](name) == 2
+        assert path.lstat()[:7] == before[:7]
+        path.unlink()
+
+
+@pytest.mark.parametrize("name", [name for name in WRITERS if name not in DRAWN])
+def test_what_is_ours_is_replaced(name):
+    for _ in range(2):
+        assert WRITERS[name](name) == 0
+    assert Path(name).is_file()
+
+
+@pytest.mark.parametrize("ending", [".png", ".jpg", ".svg", ".pdf"])
+def test_a_picture_says_who_made_it(ending):
+    path, picture = Path(f"x{ending}"), np.zeros((4, 4, 3), np.uint8)
+    for _ in range(2):
+        if ending in sweep.PICTURES[1:]:
+            rows = [{"success_rate": 0.5, "success_rate_ci": [0.4, 0.6]}]
+            sweep.draw("taxel_dead", [0.0], rows, path)
+        else:
+            with files.replacing(path, files.is_picture) as file:
+                save_picture(picture, file, ending)
+    assert files.is_picture(path)
+
+
+def test_a_policy_never_replaces_a_run():
+    assert save("run/checkpoint.pt") == 2
+    assert main(["evaluate", "run", "--episodes", "1"]) == 0
+
+
+@pytest.mark.parametrize("folder", ["report/tables", "report/figures"])
+def test_no_link_leads_out_of_a_folder(folder, capsys):
+    Path("theirs").mkdir()
+    Path("report").mkdir()
+    Path(folder).symlink_to(Path("theirs").resolve())
+    fails_with(capsys, ["study", "report", "study", "--out", "report"], folder, "link")
+    assert not [*Path("theirs").iterdir()]
+
+
+def test_another_process_is_an_exit_code_of_its_own(capsys):
+    with files.locked(Path("run")):
+        code = main([*TRAIN, "--total-timesteps", "120", "--out", "run"])
+    assert code == BUSY != 2
