@@ -19,7 +19,7 @@ from tactilerl.runs.run_dir import FORMAT, RunDir
 
 
 def ship(run: Path, folder: Path) -> None:
-    """Write `folder`, anew where it holds such a policy already; InputError where it holds anything else."""
+    """Write `folder`, anew where it holds such a policy; InputError where it holds anything else."""
     source, target = RunDir(run), RunDir(folder)
     config, _ = source.read_config()
     data = checkpoint.read(source, config)

@@ -6,6 +6,7 @@ import json
 import re
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -60,8 +61,12 @@ def _export(path: Path, taxels: Taxels | None) -> None:
         }
     for name, points in files.items():
         made = WRITERS[path.suffix](points)
-        with replacing(name, lambda there, made=made: content(there) == made) as file:
+        with replacing(name, partial(_holds, made)) as file:
             file.write(made)
+
+
+def _holds(data: bytes, path: Path) -> bool:
+    return content(path) == data
 
 
 def main(args: list[str]) -> int:
