@@ -1,20 +1,23 @@
-"""The tables of docs/environments, from the code: facts, spaces, arguments, and what the gate found.
+"""The pages of docs/environments, from the code: facts, spaces, arguments, and what the gate found.
 
-`python -m benchmarks tables` writes them.
+`make docs` makes one page for each named scene and each hand. `python -m benchmarks tables` writes the
+table of all arguments into the overview.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import io
 import itertools
 import re
-from collections.abc import Iterable
-from functools import cache, partial
+from collections.abc import Callable, Iterable
+from contextlib import redirect_stdout
+from functools import cache
 from typing import Any
 
 from docstring_parser import parse_from_object
 
-from benchmarks.command import data
+from benchmarks.command import DOCS, data
 from tactilerl.envs import hands, scenes
 from tactilerl.envs.grasp import GraspConfig, GraspEnv, setup
 from tactilerl.envs.hands import LinearAction
@@ -102,6 +105,9 @@ def arguments(name: str) -> None:
         for key in config
         if config[key] != usual[key]
     ]
+    if not rows:
+        print("None: this environment has the defaults.")
+        return
     _table(("argument", "here", "default"), rows)
 
 
@@ -135,9 +141,55 @@ def _table(head: tuple[str, ...], rows: Iterable[tuple[Any, ...]]) -> None:
         print(f"| {' | '.join(map(str, row))} |")
 
 
-TABLES = {"all arguments": all_arguments} | {
-    f"{show.__name__} of {name}": partial(show, name)
-    for name in (*hands.HANDS, *scenes.names())
-    for show in (facts, observation, action, arguments, gate)
-    if (name, show) != ("shadow", arguments)  # whose values are the defaults
-}
+TABLES = {"all arguments": all_arguments}
+TASKS = {"lift-and-hold": "lift-and-hold", "reach-goal": "reach-a-goal", "handover": "handover"}
+"""Where concepts/tasks.md explains each."""
+
+
+def names() -> tuple[str, ...]:
+    """What has a page: named scenes first, then hands."""
+    return (*scenes.names(), *hands.HANDS)
+
+
+def title(name: str) -> str:
+    """As people call it: the Gymnasium id without what all ids share."""
+    ours = hands.registration(name).id if name in hands.HANDS else scenes.gymnasium_id(name)
+    return ours.removeprefix("tactilerl/").removesuffix("-v0")
+
+
+def page(name: str) -> str:
+    """The whole page of a named scene or a hand, in Markdown."""
+    config, _ = _made(name)
+    named = _named(name)
+    pictures = (name, f"{named.env}_{config.simulator}")
+    picture = next(each for each in pictures if (DOCS / f"images/{each}.png").is_file())
+    about = named.about or (
+        "This hand can be combined with every task, object, simulator and layout. "
+        "`gymnasium.make` starts it with the values below."
+    )
+    sections: dict[str, Callable[[str], None]] = {
+        "Observation space": observation,
+        "Action space": action,
+        "Arguments": arguments,
+        "Scripted baselines": gate,
+    }
+    notes = {
+        "Observation space": "[What the policy senses](../concepts/senses.md) explains the entries.\n\n",
+        "Arguments": "What differs from the defaults. The overview has [all arguments]"
+        "(README.md#all-arguments).\n\n",
+        "Scripted baselines": "Success rates of scripted policies that close at a signal of one sense, over "
+        "200 starts ([gates](../gates.md))"
+        + (", in the task handover in MuJoCo" if name in hands.HANDS else "")
+        + ".\n\n",
+    }
+    text = f"# {title(name)}\n\n![{title(name)}](../images/{picture}.png)\n\n{about}\n\n{_printed(facts, name)}\n"
+    text += f"Rewards and the end of an episode are those of [the task](../concepts/tasks.md#{TASKS[config.task]}).\n"
+    return text + "".join(
+        f"\n## {head}\n\n{notes.get(head, '')}{_printed(show, name)}" for head, show in sections.items()
+    )
+
+
+def _printed(show: Callable[[str], None], name: str) -> str:
+    with redirect_stdout(io.StringIO()) as printed:
+        show(name)
+    return printed.getvalue()

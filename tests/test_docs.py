@@ -187,6 +187,18 @@ def test_learners_list_their_hyperparameters(hooks):
             assert f"| `{field.name}` | `{getattr(config(), field.name)!r}` | " in shown
 
 
+def test_each_environment_has_a_page(hooks):
+    """With every entry of what it observes and does; its links lead somewhere."""
+    for name in hooks.environments.names():
+        page = hooks.environments.page(name)
+        _, env = hooks.environments._made(name)
+        last = len(env.observation_names()) - 1
+        assert re.search(rf"^\| (?:\d+–)?{last} \| taxels", page, re.MULTILINE), name
+        assert f"| {len(env.hand.action_names) - 1} |" in page
+        for link in re.findall(r"\]\(([^)#\s]+)", page):
+            assert (ROOT / "docs/environments" / link).exists(), f"{name}: {link}"
+
+
 # -- examples --------------------------------------------------------------------------------
 
 EXAMPLES = {

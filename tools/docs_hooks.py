@@ -2,7 +2,8 @@
 
 The pages in docs/reference are complete in a repository's browser; the site adds what would go stale if
 it were written by hand: the flags of every command, signatures and docstrings, the hyperparameters of
-each learner, the version, and a link to the repository that the checkout was cloned from.
+each learner, a page on each environment, the version, and a link to the repository that the checkout was
+cloned from.
 """
 
 from __future__ import annotations
@@ -12,16 +13,21 @@ import io
 import os
 import re
 import subprocess
+import sys
 import textwrap
+from pathlib import Path
 from typing import Any
 
 from docstring_parser import parse_from_object
 
-import tactilerl
-from tactilerl.algos.ddpg_her import DDPGHERConfig
-from tactilerl.algos.ppo import PPOConfig
-from tactilerl.commands import cli
-from tactilerl.commands.study import PARTS as STUDY
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for benchmarks, which is not installed
+
+import tactilerl  # noqa: E402
+from benchmarks import environments  # noqa: E402
+from tactilerl.algos.ddpg_her import DDPGHERConfig  # noqa: E402
+from tactilerl.algos.ppo import PPOConfig  # noqa: E402
+from tactilerl.commands import cli  # noqa: E402
+from tactilerl.commands.study import PARTS as STUDY  # noqa: E402
 
 WIDTH = 78  # of help texts: what a page shows without scrolling
 os.environ |= {"COLUMNS": str(WIDTH), "NO_COLOR": "1"}
@@ -64,6 +70,16 @@ def repository() -> str:
     told = subprocess.run(asked, capture_output=True, text=True).stdout.strip()
     address = re.sub(r"^(?:ssh://)?git@([^:/]+)[:/]", r"https://\1/", told).removesuffix(".git")
     return address if address.startswith("https://") and "@" not in address else ""
+
+
+def on_files(files: Any, *, config: Any) -> Any:
+    """Called by mkdocs with the files of the site: adds a page for each environment."""
+    from mkdocs.structure.files import File  # only where a site is built
+
+    for name in environments.names():
+        path = f"environments/{name}.md"
+        files.append(File.generated(config, path, content=environments.page(name)))
+    return files
 
 
 def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
