@@ -160,33 +160,39 @@ def title(name: str) -> str:
 def page(name: str) -> str:
     """The whole page of a named scene or a hand, in Markdown."""
     config, _ = _made(name)
-    named = _named(name)
+    named, task = _named(name), TASKS[config.task]
     pictures = (name, f"{named.env}_{config.simulator}")
     picture = next(each for each in pictures if (DOCS / f"images/{each}.png").is_file())
-    about = named.about or (
-        "This hand can be combined with every task, object, simulator and layout. "
-        "`gymnasium.make` starts it with the values below."
-    )
-    sections: dict[str, Callable[[str], None]] = {
-        "Observation space": observation,
-        "Action space": action,
-        "Arguments": arguments,
-        "Scripted baselines": gate,
-    }
-    notes = {
-        "Observation space": "[What the policy senses](../concepts/senses.md) explains the entries.\n\n",
-        "Arguments": "What differs from the defaults. The overview has [all arguments]"
-        "(README.md#all-arguments).\n\n",
-        "Scripted baselines": "Success rates of scripted policies that close at a signal of one sense, over "
-        "200 starts ([gates](../gates.md))"
-        + (", in the task handover in MuJoCo" if name in hands.HANDS else "")
-        + ".\n\n",
-    }
-    text = f"# {title(name)}\n\n![{title(name)}](../images/{picture}.png)\n\n{about}\n\n{_printed(facts, name)}\n"
-    text += f"Rewards and the end of an episode are those of [the task](../concepts/tasks.md#{TASKS[config.task]}).\n"
-    return text + "".join(
-        f"\n## {head}\n\n{notes.get(head, '')}{_printed(show, name)}" for head, show in sections.items()
-    )
+    about = named.about or "A hand for every task, object, simulator and layout."
+    where = ", in the task handover in MuJoCo" if name in hands.HANDS else ""
+    return f"""# {title(name)}
+
+![{title(name)}](../images/{picture}.png)
+
+{about}
+
+{_printed(facts, name)}
+Rewards and the end of an episode are those of [the task](../concepts/tasks.md#{task}).
+
+## Observation space
+
+[What the policy senses](../concepts/senses.md) explains the entries.
+
+{_printed(observation, name)}
+## Action space
+
+{_printed(action, name)}
+## Arguments
+
+What differs from the defaults. The overview has [all arguments](README.md#all-arguments).
+
+{_printed(arguments, name)}
+## Scripted baselines
+
+Success rates over 200 starts of scripted policies that close at a signal of one
+sense{where} ([gates](../gates.md)).
+
+{_printed(gate, name)}"""
 
 
 def _printed(show: Callable[[str], None], name: str) -> str:

@@ -2,8 +2,8 @@
 
 The pages in docs/reference are complete in a repository's browser; the site adds what would go stale if
 it were written by hand: the flags of every command, signatures and docstrings, the hyperparameters of
-each learner, a page on each environment, the version, and a link to the repository that the checkout was
-cloned from.
+each learner, a page on each environment, the version, and a link to the repository that the checkout
+was cloned from.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from docstring_parser import parse_from_object
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for benchmarks, which is not installed
 
-import tactilerl  # noqa: E402
-from benchmarks import environments  # noqa: E402
-from tactilerl.algos.ddpg_her import DDPGHERConfig  # noqa: E402
-from tactilerl.algos.ppo import PPOConfig  # noqa: E402
-from tactilerl.commands import cli  # noqa: E402
-from tactilerl.commands.study import PARTS as STUDY  # noqa: E402
+import tactilerl
+from benchmarks import environments
+from tactilerl.algos.ddpg_her import DDPGHERConfig
+from tactilerl.algos.ppo import PPOConfig
+from tactilerl.commands import cli
+from tactilerl.commands.study import PARTS as STUDY
 
 WIDTH = 78  # of help texts: what a page shows without scrolling
 os.environ |= {"COLUMNS": str(WIDTH), "NO_COLOR": "1"}
