@@ -35,9 +35,10 @@ def make(
     """
     if scene is not None:
         named = scenes.load(scene)
-        name, choices = name or named.env, {**named.scene, **choices}
+        name = name or named.env
         if not hands.is_hand(name):
             raise ValueError(f"env: found {name!r} with a scene, allowed: {hands.allowed()}")
+        choices = {**named.on(name), **choices}
     if name is None:
         raise ValueError("found neither the name of an environment nor a scene")
     if hands.is_hand(name):

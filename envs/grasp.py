@@ -202,7 +202,7 @@ class GraspEnv(gym.Env[Any, Array]):
             joints = np.clip(joints, *self.simulator.joint_limits.T)
         place = np.array([*offset, item.shape.half_size[2]])
         usual = tasks.Start(joints, self.hand.start_targets(), place, yaw)
-        start = self.task.start(usual, self.palm_skin, item.shape)
+        start = self.task.start(usual, self.palm_skin, item.shape, goal_rng)
         self._targets, self._steps = start.targets, 0
         self._observer.begin(observer_rng)
         try:

@@ -194,11 +194,25 @@ def bounds(name: str, value: Number) -> tuple[float, float]:
     return low, high
 
 
+def require_ends(config: Any, *names: str) -> None:
+    """ValueError for an end of a range that the type of its field does not allow."""
+    for name in names:
+        for end in bounds(name, getattr(config, name)):
+            require_type(end, hints(type(config))[name], name)
+
+
+def scaled(value: Any, factor: float) -> Any:
+    """A number, a range or a list of them times `factor`; to a tenth of a millimetre, as a file would
+    have it in m."""
+    if isinstance(value, list | tuple):
+        return [scaled(each, factor) for each in value]
+    low, high = (round(factor * end, 4) for end in bounds("a length", value))
+    return f"{low:g}..{high:g}" if low < high else low
+
+
 def validate(config: ObjectConfig) -> None:
     """ValueError naming the first invalid field."""
-    for name in ("object_density", "friction"):
-        for end in bounds(name, getattr(config, name)):
-            require_type(end, hints(ObjectConfig)[name], name)
+    require_ends(config, "object_density", "friction")
     items = Items(config)
     for size, is_wrong, allowed in (
         (items.smallest, items.smallest < SMALLEST, f"{SMALLEST} m or more"),

@@ -15,7 +15,7 @@ import numpy as np
 
 from .hands import Array, Hand
 from .hold import LOOK_STEPS, HoldTest, Verdict
-from .objects import Shape
+from .objects import Shape, bounds, require_ends
 from .simulators import Giver, Simulator
 from .snapshot import Snapshot
 from .typed import allow_only_with
@@ -38,9 +38,9 @@ class TaskConfig:
     hold_verdict: Verdict = "full"
     """lift-and-hold and handover: full, or settled, a test of about 1 s that is sometimes wrong. See
     docs/concepts/tasks.md."""
-    handover_reach: Annotated[float, "[0, 0.1]"] = 0.0
+    handover_reach: Annotated[float, "[0, 0.1]"] | str = 0.0
     """handover: how far from the finger bases towards the fingertips the object is held, m; 0: against
-    the palm."""
+    the palm. It may be a range, such as 0.01..0.05."""
     goal_height: Annotated[float, "(0, 1]"] = 0.08
     """reach-goal: height of the goal above where the object rests, m; where objects differ, above where
     the largest of the first kind rests, so that the goal does not tell the object's size."""
@@ -58,6 +58,7 @@ def validate(config: TaskConfig) -> None:
     for task, name in (("reach-goal", "goal_range"), ("handover", "handover_reach")):
         if config.task != task:
             allow_only_with(f"task {task}", config, name)
+    require_ends(config, "handover_reach")
     rewards = TASKS[config.task].rewards
     if config.reward is not None and config.reward not in rewards:
         allowed = ", ".join(rewards)
@@ -116,7 +117,7 @@ class Task(Protocol):
         self.config, self.first = config, first
         self.hold = HoldTest(config.hold_seconds, LOOK_STEPS * own_timestep, config.hold_verdict)
 
-    def start(self, usual: Start, palm: Array, shape: Shape) -> Start:
+    def start(self, usual: Start, palm: Array, shape: Shape, rng: np.random.Generator) -> Start:
         """How an episode begins: usually with the hand open above an object on the ground, both a
         little moved. `palm` (3,) is a place on the palm's skin, at the bases of the fingers."""
         return usual
@@ -266,9 +267,11 @@ class Handover(Task):
             raise ValueError(f"control_dt: found {control_dt} s, allowed {fastest:.3f} s or more in a "
                              "handover: the object would not arrive")  # fmt: skip
 
-    def start(self, usual: Start, palm: Array, shape: Shape) -> Start:
+    def start(self, usual: Start, palm: Array, shape: Shape, rng: np.random.Generator) -> Start:
         x, y, _ = usual.position  # fingers point along -y
-        under = [x, y - self.config.handover_reach, -shape.half_size[2] - self.below]
+        nearest, furthest = bounds("handover_reach", self.config.handover_reach)
+        reach = rng.uniform(nearest, furthest) if nearest < furthest else nearest
+        under = [x, y - reach, -shape.half_size[2] - self.below]
         return usual._replace(position=palm + np.array(under))
 
     def begin(self, start: Snapshot, rng: np.random.Generator) -> tuple[Array, Array]:

@@ -309,6 +309,16 @@ class Hand:
         return np.array([self.start.get(joint, 0.0) for joint in self.actuated])
 
     @property
+    def finger_length(self) -> float:
+        """Of its longest digit, from knuckle to tip, m."""
+        lengths = dict.fromkeys(self.digits, 0.0)
+        for surface in self.surfaces:
+            low, high, _ = surface.span
+            if surface.segment != "palm":
+                lengths[surface.digit] += high - low
+        return max(lengths.values())
+
+    @property
     def digits(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(s.digit for s in self.surfaces if s.segment != "palm"))
 

@@ -1,7 +1,8 @@
 """Named scenes: choices of hand, simulator, task and senses that belong together, and who learns there.
 
 Each is a TOML file here, or anybody's own, that says why it chose what it chose. With `base` it says
-only what differs from another scene of the library.
+only what differs from another scene of the library. `scaled` names the lengths that are meant for the
+scene's own hand: on another they grow with its fingers.
 """
 
 from __future__ import annotations
@@ -10,11 +11,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from .. import toml_files
+from .. import hands, toml_files
 from ..choices import nearest, require_one_of
+from ..objects import scaled
 
 FOLDER = Path(__file__).parent
 SUFFIX = ".toml"
+LENGTHS = {"object_size", "start_offset", "handover_reach"}
+"""Fields that may be relative to the length of fingers."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +33,15 @@ class NamedScene:
     """Fields of `grasp.GraspConfig`."""
     train: dict[str, Any] = field(default_factory=dict)
     """Flags of ``tactilerl train``: learner, recipe, hyperparameters, length."""
+    scaled: tuple[str, ...] = ()
+    """Fields of `scene` that are lengths relative to the fingers of `env`."""
+
+    def on(self, hand: str) -> dict[str, Any]:
+        """`scene` for a hand: what is relative to the length of fingers in its own m."""
+        if hand == self.env or not self.scaled:
+            return self.scene
+        factor = hands.get(hand).finger_length / hands.get(self.env).finger_length
+        return self.scene | {name: scaled(self.scene[name], factor) for name in self.scaled}
 
 
 def names() -> tuple[str, ...]:
@@ -50,7 +63,7 @@ def load(name: str) -> NamedScene:
         )
     path = Path(name) if name.endswith(SUFFIX) else FOLDER / f"{name}{SUFFIX}"
     data = toml_files.read(path, "scene file")
-    kinds = {"about": str, "base": str, "env": str, "scene": dict, "train": dict}
+    kinds = {"about": str, "base": str, "env": str, "scene": dict, "train": dict, "scaled": list}
     toml_files.only(data, set(kinds), f"scene file {path}")
     base = NamedScene()
     for key, value in data.items():
@@ -60,5 +73,10 @@ def load(name: str) -> NamedScene:
         if key == "base":
             require_one_of(names(), value, f"scene file {path}: base")
             base = load(value)
-    both = {key: {**getattr(base, key), **data.get(key, {})} for key in ("scene", "train")}
-    return NamedScene(data.get("about", base.about), data.get("env", base.env), **both)
+    env, lengths = data.get("env", base.env), tuple(data.get("scaled", base.scaled))
+    with toml_files.blamed(f"scene file {path}"):
+        scene = {**base.on(env), **data.get("scene", {})}
+        for name in lengths:
+            require_one_of(sorted(LENGTHS & scene.keys()), name, "scaled")
+    train = {**base.train, **data.get("train", {})}
+    return NamedScene(data.get("about", base.about), env, scene, train, lengths)

@@ -34,7 +34,7 @@ def read_scene(
     parts: dict[str, Any] = {"command": dataclasses.replace(command, env=env)}
     if hands.is_hand(env):
         with input_errors(f"scene {name}" if name else ""):
-            parts["scene"] = setup(env, **named.scene)
+            parts["scene"] = setup(env, **named.on(env))
     read = read_parts(env, parts, args, prog, about, NAMED_SCENE)
     return read.command, getattr(read, "scene", None)
 

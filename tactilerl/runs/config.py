@@ -203,7 +203,7 @@ def defaults(
     with input_errors(f"scene {scene}" if scene else ""):
         return RunConfig(
             RunOptions(algo=algo, env=env, total_timesteps=paper.total_timesteps),
-            setup(env, **{"task": paper.task, **named.scene}) if hands.is_hand(env) else None,
+            setup(env, **{"task": paper.task, **named.on(env)}) if hands.is_hand(env) else None,
             recipes.recipe(algo, recipe or usual),
         ).choose(train)
 

@@ -155,6 +155,16 @@ class TestEpisode:
         np.testing.assert_allclose(at[1] - at[0], [0, -0.05, 0], atol=1e-9)
         palm.close(), fingers.close()
 
+    def test_where_it_is_held_is_drawn_from_a_range(self):
+        still, env = make(**STILL), make(**STILL, handover_reach="0.02..0.04")
+        at = [
+            [scene.reset(seed=seed) and scene.simulator.object_state().position for seed in range(20)]
+            for scene in (still, env)
+        ]
+        reach = (at[0] - np.array(at[1]))[:, 1]
+        assert reach.min() >= 0.02 and reach.max() <= 0.04 and np.ptp(reach) > 0.01
+        still.close(), env.close()
+
     def test_physics_that_breaks_is_said(self):
         env = make()
         env.reset(seed=0)
@@ -239,6 +249,9 @@ class TestActions:
     ("choices", "named"),
     [
         ({"handover_reach": 0.2}, "handover_reach: found 0.2"),
+        ({"handover_reach": -0.01}, "handover_reach: found -0.01"),
+        ({"handover_reach": "0.02..0.2"}, "handover_reach: found 0.2, allowed from 0 to 0.1"),
+        ({"handover_reach": "0.04..0.02"}, "handover_reach: found '0.04..0.02', allowed LOW..HIGH"),
         ({"task": "lift-and-hold", "handover_reach": 0.05}, "handover_reach: found 0.05"),
         ({"start_closing": 1.0}, "start_closing: found 1.0, allowed from 0 to below 1"),
         ({"actions": "thumb"}, "actions: found 'thumb', allowed: all, fingers, grip"),

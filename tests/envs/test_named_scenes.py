@@ -11,7 +11,7 @@ from one_line import fails_with
 import tactilerl
 from tactilerl.commands.cli import main
 from tactilerl.envs import scenes
-from tactilerl.envs.hands import HANDS
+from tactilerl.envs.hands import HANDS, get
 from tactilerl.runs.config import defaults
 
 pytestmark = pytest.mark.usefixtures("in_tmp")
@@ -109,8 +109,11 @@ class TestOwnFile:
         ("text", "named"),
         [
             ("[scene", "scene file mine.toml: not valid TOML"),
-            ("colour = 3", "unknown key 'colour'; allowed: about, base, env, scene, train"),
+            ("colour = 3", "unknown key 'colour'; allowed: about, base, env, scaled, scene, train"),
             ("env = 3", "env: found 3, allowed a str"),
+            ('base = "handover"\nscaled = ["history"]', "scaled: found 'history', allowed: "),
+            ('base = "handover"\nscaled = ["handover_reach"]', "scaled: found 'handover_reach'"),
+            ('base = "handover"\n[scene]\nhandover_reach = "0.3..x"', "handover_reach: found '0.3..x'"),
             ('env = "foot"', "found 'foot'"),
             ('base = "mine.toml"', "base: found 'mine.toml', allowed: dark_mpl"),
             ("[scene]\ncolour = 3", "colour"),
@@ -127,6 +130,20 @@ class TestOwnFile:
         Path("mine.toml").write_text(text)
         fails_with(capsys, ["train", "--scene", "mine.toml", *SHORT, "--out", "run"], named)
         assert not Path("run").exists()
+
+    def test_lengths_grow_with_the_fingers_of_another_hand(self):
+        Path("mine.toml").write_text(
+            'base = "handover_anywhere"\nenv = "shadow"\n[scene]\nstart_offset = 0.01\n'
+        )
+        named, mine = scenes.load("handover_anywhere"), scenes.load("mine.toml")
+        factor = get("shadow").finger_length / get("mpl").finger_length
+        assert factor == pytest.approx(96.0 / 74.6, abs=0.01)  # of their models
+        assert named.on("mpl") == named.scene
+        for scene, offset in ((named.on("shadow"), 0.02 * factor), (mine.on("shadow"), 0.01)):
+            assert scene["start_offset"] == pytest.approx(offset, abs=1e-4)
+            low, high = map(float, scene["handover_reach"].split(".."))
+            assert (low, high) == pytest.approx((0.02 * factor, 0.04 * factor), abs=1e-4)
+        assert named.on("shadow")["object_size"] == named.scene["object_size"]
 
     def test_a_file_that_is_not_there(self, capsys):
         fails_with(capsys, ["train", "--scene", "gone.toml"], "gone.toml")
