@@ -24,8 +24,8 @@ from .mpi import Communicator, same_on_all_ranks
 from .networks import MLP, FlatAdam, flatten, require_finite, require_hidden
 from .policy import GoalObs, GoalStats, Policy, explore, flat_stats, new_actor, on_cpu
 from .replay import Batch, Replay
-from .rollout import Episode, PlayEpisode, require_transitions, summary
-from .side_by_side import SideBySide, at_once
+from .rollout import PlayEpisode, play_episodes, summary
+from .side_by_side import SideBySide, may_share
 from .spaces import Spaces, action_size, flat_size, goal_size, has_single_goal, n_boolean
 
 CHECK_EVERY = 100  # updates between two looks at whether the ranks' parameters are equal
@@ -148,6 +148,7 @@ class DDPGHER(state.Saved):
         seed: int,
         total_timesteps: int,
         device: str = "cpu",
+        cores: int = 1,
     ) -> None:
         config.validate()
         self.workers, self.comm, self.device = workers, comm, torch.device(device)
@@ -177,7 +178,8 @@ class DDPGHER(state.Saved):
         sizes, rewards = (n_obs - n_goal, n_goal, n_actions, n_truth), workers.compute_reward
         rng = np.random.default_rng([seed, comm.rank, rollout.LEARN])
         self.replay = Replay(config.buffer_size, steps, sizes, n_boolean(space), rewards, rng)
-        self._both = SideBySide(at_once(workers, comm, self.device))
+        self._both = SideBySide(may_share(cores, comm, self.device))
+        self._penalty = config.action_l2
         self.cycles_per_epoch = config.n_cycles
         self.env_steps = self.updates = self.cycles = 0
         # All rewards so far lie from -worst to best, in the source from the start from -1 to 0.
@@ -185,7 +187,7 @@ class DDPGHER(state.Saved):
         self.best = self._largest = 0.0  # the largest return is that of the last episodes
 
     def check(self) -> None:
-        (episode,) = require_transitions(self._play(1, rollout.PROBE))
+        *_, episode = play_episodes(self.workers, self._player(rollout.PROBE), 1)
         self.replay.require_rewards(episode)
         self.replay.require_memory(self.comm.local_size)
 
@@ -208,22 +210,22 @@ class DDPGHER(state.Saved):
         share = self._share(self.config.anneal_noise)
         return _policy(self.config, self.spaces, self.actor, self.stats, share)
 
-    def _play(self, n: int, purpose: int) -> list[Episode[GoalObs]]:
-        """`n` episodes of this rank's own."""
+    def _player(self, purpose: int) -> PlayEpisode[GoalObs]:
+        """Plays episodes of this rank's own."""
         key = (self.seed, self.comm.rank, purpose, self.cycles)
-        task = PlayEpisode[GoalObs](self.policy(), key, explores=purpose != rollout.TEST)
-        return list(self.workers.play(task, range(n)))
+        return PlayEpisode[GoalObs](self.policy(), key, explores=purpose != rollout.TEST)
 
     def collect(self) -> dict[str, float]:
         """One cycle's episodes: into the replay, and relabelled into the normaliser."""
         config, key = self.config, [self.seed, self.comm.rank, rollout.LEARN, self.cycles]
         self.replay.rng = np.random.default_rng(key)  # whatever came before
         self.adam.share = self._share(config.anneal_lr)
-        episodes = self._play(config.n_rollouts, rollout.TRAIN)
+        self._penalty = config.action_l2 * self._share(config.anneal_action_l2)
+        episodes = play_episodes(self.workers, self._player(rollout.TRAIN), config.n_rollouts)
         self.cycles += 1
         seen = summary(episodes, self.comm)
         self.env_steps += int(seen.pop("steps"))
-        usable = require_transitions(episodes)
+        usable = [episode for episode in episodes if len(episode)]
         self._largest = max(largest_return(episode.rewards, self.gamma) for episode in usable)
         slots = self.replay.store(usable)
         batch = self.replay.sample(sum(map(len, usable)), self.replay_p, slots)
@@ -239,7 +241,7 @@ class DDPGHER(state.Saved):
     def test(self) -> dict[str, float]:
         if not (n := self.config.n_test_rollouts * self.config.n_rollouts):
             return {}
-        seen = summary(self._play(n, rollout.TEST), self.comm)
+        seen = summary([*self.workers.play(self._player(rollout.TEST), range(n))], self.comm)
         return {f"test_{name}": seen[name] for name in ("success_rate", "mean_return", *rollout.FAULTS)}
 
     # -- learning ----------------------------------------------------------------------------
@@ -328,7 +330,7 @@ class DDPGHER(state.Saved):
         judged = self.critic.run(torch.cat([inputs, own], dim=1))
         by_layer = self.critic.deltas(judged, torch.full_like(judged[-1], -1 / n))
         by_own = by_layer[0] @ self.critic.linears[0].weight[:, n_seen:]
-        penalty = self.config.action_l2 * self._share(self.config.anneal_action_l2)
+        penalty = self._penalty
         value = judged[-1].mean()
         self.actor.backward(seen, by_own + 2 * penalty / own.numel() * own)
         return torch.stack([penalty * own.square().mean() - value, value])

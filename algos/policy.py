@@ -183,9 +183,9 @@ class Policy:
 
     def to_env(self, actions: Array) -> Array:
         """From units where the bounds are ±1, (..., d), to the environment's own, clipped."""
-        half = (self._high - self._low) / 2
-        shaped = actions.reshape(actions.shape[:-1] + self._low.shape)
-        return self._low + half * (np.clip(shaped, -1.0, 1.0) + 1.0)
+        low, high = self._low, self._high
+        shaped = np.clip(actions.reshape(actions.shape[:-1] + low.shape), -1.0, 1.0)
+        return np.clip(low + (high - low) / 2 * (shaped + 1.0), low, high)  # rounding may exceed them
 
     def require_spaces(self, spaces: Spaces) -> None:
         """ValueError unless observations and actions have the shapes that the policy knows."""

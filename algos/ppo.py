@@ -22,7 +22,7 @@ from .normalizer import Normalizer
 from .policy import FlatInputs, Policy, flat_stats, new_actor, on_cpu
 from .policy_gradient import Spread, Transitions, gae, gaussian, normalise, surrogate
 from .rollout import Episode, PlayEpisode, finite, play_steps, require_transitions, summary
-from .side_by_side import SideBySide, at_once, each
+from .side_by_side import SideBySide, each, may_share
 from .spaces import Spaces, action_size, flat_size
 
 ACTOR_GAIN = 0.01  # of the last layer when weights start orthogonal
@@ -138,6 +138,7 @@ class PPO(state.Saved):
         seed: int,
         total_timesteps: int,
         device: str = "cpu",
+        cores: int = 1,
     ) -> None:
         config.validate()
         self.config, self.workers, self.comm = config, workers, comm
@@ -155,7 +156,7 @@ class PPO(state.Saved):
             start_orthogonal(self.critic, 1.0, weights, seen)
         for network in (self.actor, self.spread, self.critic):
             network.to(self.device)
-        self._both = SideBySide(at_once(workers, comm, self.device))
+        self._both = SideBySide(may_share(cores, comm, self.device))
         learned = [self.actor, *([self.spread] if config.exploration == "learned" else [])]
         self.actor_adam = FlatAdam(*((part, config.actor_lr) for part in learned))
         self.critic_adam = FlatAdam((self.critic, config.critic_lr))

@@ -17,12 +17,13 @@ import numpy as np
 
 from . import Array, DivergenceError, IsWanted, UnfitError, Workers
 from .mpi import Communicator
-from .policy import Policy
+from .policy import LARGEST, Policy
 from .spaces import TRUTH
 
 Obs = TypeVar("Obs")
 FAULTS = ("diverged", "warnings")  # what `info` may say of a step, and is counted
 LONGEST = 20_000  # steps of an episode that is thought to have an end
+MOST_FAILURES = 100  # episodes in a row without a step, from which nothing can be learned
 TRAIN, TEST, EVALUATE, PROBE = 1, 2, 3, 4  # what episodes are for: each has random numbers of its own
 LEARN = 5  # and so has what learns from them
 
@@ -90,15 +91,21 @@ class PlayEpisode(Generic[Obs]):
     """Where to note steps as they are taken, and to see whether more are wanted."""
 
     def __call__(self, env: gym.Env[Any, Any], number: int, is_wanted: IsWanted) -> Episode[Obs]:
-        """The episode; cut short when it is not wanted any more.
+        """The episode; cut short when it is not wanted any more. One that cannot begin, because the
+        reset raises a FloatingPointError, has no step and counts as diverged.
 
         Raises DivergenceError when an observation or a reward is not finite, and UnfitError when
         the episode does not end or the environment returns what its spaces do not say.
         """
         policy, rng = self.policy, np.random.default_rng([*self.key, number])
         noise = rng if self.explores else None
-        first, _ = env.reset(seed=int(rng.integers(2**31)))
         episode = Episode[Obs]()
+        try:
+            first, _ = env.reset(seed=int(rng.integers(2**31)))
+        except FloatingPointError as error:
+            episode.faults["diverged"], episode.success = 1, 0.0
+            episode.info = {"error": str(error)}
+            return episode
         episode.add(policy, first)
         is_done = False
         while not is_done and is_wanted() and not (self.tally and self.tally.is_full(number)):
@@ -124,6 +131,8 @@ def _step(env: gym.Env[Any, Any], policy: Policy, action: Array, episode: Episod
     for fault in FAULTS:
         episode.faults[fault] += int(_number(info.get(fault, 0), fault))
     episode.success = _number(info.get("is_success", math.nan), "is_success")
+    if episode.success not in (0.0, 1.0) and not math.isnan(episode.success):
+        raise UnfitError(f"env: found the is_success {episode.success:g}, allowed 0 or 1")
     episode.held = episode.held + 1 if episode.success == 1.0 else 0
     if info.get("diverged"):
         return True
@@ -139,6 +148,17 @@ def _number(value: Any, what: str) -> float:
     if np.ndim(value) or np.asarray(value).dtype.kind not in "bifu":
         raise UnfitError(f"env: found the {what} {str(value)[:50]}, allowed a number")
     return float(value)
+
+
+def play_episodes(workers: Workers, job: PlayEpisode[Obs], n: int) -> list[Episode[Obs]]:
+    """Episodes 0, 1, 2, ... in order of number until `n` of them have transitions. DivergenceError when
+    `MOST_FAILURES` more have none."""
+    episodes: list[Episode[Obs]] = []
+    while missing := n - sum(len(episode) > 0 for episode in episodes):
+        if len(episodes) >= n + MOST_FAILURES:
+            require_transitions(episodes[-MOST_FAILURES:])
+        episodes += workers.play(job, range(len(episodes), len(episodes) + missing))
+    return episodes
 
 
 def play_steps(
@@ -201,15 +221,19 @@ def require_transitions(episodes: list[Episode[Any]]) -> list[Episode[Any]]:
     """The episodes from which something can be learned; DivergenceError when there is none."""
     usable = [episode for episode in episodes if len(episode)]
     if not usable:
-        raise DivergenceError(f"all of {len(episodes)} episodes diverged at their first step")
+        reason = episodes[-1].info.get("error")
+        raise DivergenceError(
+            f"all of {len(episodes)} episodes diverged at their first step or could not begin"
+            + (f" (the last: {reason})" if reason else "")
+        )
     return usable
 
 
 def finite(values: Any, what: str) -> Any:
-    """`values`, an array or a tuple of arrays; DivergenceError unless all are finite."""
+    """`values`, an array or a tuple of arrays; DivergenceError unless all are finite in float32."""
     parts = values if isinstance(values, tuple) else (values,)
-    if not all(np.isfinite(part).all() for part in parts):
+    if not all((np.abs(part) <= LARGEST).all() for part in parts):
         flat = np.concatenate([np.ravel(part) for part in parts])
-        which = f" (entry {np.flatnonzero(~np.isfinite(flat))[0]})" if flat.size > 1 else ""
-        raise DivergenceError(f"{what} of the environment is not finite{which}")
+        which = f" (entry {np.argmin(np.abs(flat) <= LARGEST)})" if flat.size > 1 else ""
+        raise DivergenceError(f"{what} of the environment is not finite in float32{which}")
     return values

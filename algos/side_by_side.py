@@ -9,17 +9,16 @@ from typing import TypeVar
 
 import torch
 
-from . import Workers
 from .mpi import Communicator
 
 A = TypeVar("A")
 B = TypeVar("B")
 
 
-def at_once(workers: Workers, comm: Communicator, device: torch.device) -> bool:
-    """May a learner compute on two cores? As episodes are played on: not in one process of several,
-    nor on a GPU, which takes one thing after another anyway."""
-    return comm.size == 1 and len(workers) > 1 and device.type == "cpu"
+def may_share(cores: int, comm: Communicator, device: torch.device) -> bool:
+    """May a learner that is allowed so many cores compute on two? Not in one process of several, which
+    exchange messages one after another, nor on a GPU, which takes one thing after another anyway."""
+    return cores > 1 and comm.size == 1 and device.type == "cpu"
 
 
 def each(compute: Callable[[A], torch.Tensor], parts: Iterable[A]) -> torch.Tensor:

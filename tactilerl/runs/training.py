@@ -47,7 +47,8 @@ def start_learner(
     _require_device(run)
     with ExitStack() as started:
         workers = started.enter_context(closing(start()))
-        options = comm, run.seed, run.total_timesteps, run.device
+        cores = run.workers or free_cores(comm)  # a toy is played on one and learned from on two
+        options = comm, run.seed, run.total_timesteps, run.device, cores
         learner = algorithm(hyperparameters, workers, *options)
         started.pop_all()
     return learner, workers

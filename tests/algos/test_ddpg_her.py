@@ -16,6 +16,7 @@ from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig, largest_return, tar
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.networks import FlatAdam
 from tactilerl.algos.policy import explore
+from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.envs import typed, vector
 
 
@@ -65,6 +66,21 @@ class GoalEnv(gym.Env):
         return self.reward_scale * ((np.linalg.norm(achieved - desired, axis=-1) < 1.0) - 1.0)
 
 
+class Unsteady(GoalEnv):
+    """Some of its episodes cannot begin, by their seeds."""
+
+    def __init__(self, share):
+        super().__init__()
+        self.share, self.failed = share, 0
+
+    def reset(self, *, seed=None, options=None):
+        obs, info = super().reset(seed=seed)
+        if self.np_random.random() < self.share:
+            self.failed += 1
+            raise FloatingPointError("it exploded")
+        return obs, info
+
+
 SMALL = dict(hidden=(16, 16), buffer_size=200, batch_size=8, n_cycles=2, n_batches=3)
 
 
@@ -73,6 +89,11 @@ def make(env=None, seed=0, comm=None, **choices):
     workers = vector.start(lambda: env or GoalEnv())
     typed.validate(config)
     return DDPGHER(config, workers, comm or Communicator(), seed, total_timesteps=100)
+
+
+def make_ppo(env):
+    config = PPOConfig(hidden=(16,), steps_per_epoch=40, n_passes=2)
+    return PPO(config, vector.start(lambda: env), Communicator(), 0, total_timesteps=100)
 
 
 def trained(cycles=3, learner=None, **choices):
@@ -242,10 +263,12 @@ class TestFallsOverTheRun:
 
     @pytest.mark.parametrize("anneals", [False, True])
     def test_action_penalty(self, anneals):
-        learner = make(anneal_action_l2=anneals, action_l2=0.3)
+        """As much is left of it as of the step sizes."""
+        learner = make(anneal_action_l2=anneals, anneal_lr=anneals, action_l2=0.3)
         assert learner.config.anneals == anneals
-        for cycles, share in ((1, 0.9), (4, 0.5), (5, 0.0), (1, 0.0)):
+        for cycles, share in ((1, 1.0), (4, 0.6), (5, 0.1), (1, 0.0)):
             inputs = torch.ones(8, trained(cycles, learner).actor.linears[0].in_features)
+            assert learner.adam.share == pytest.approx(share if anneals else 1.0)
             loss, value = learner._actor_gradient(inputs)
             with torch.no_grad():
                 penalty = learner.actor(inputs).square().mean()
@@ -568,6 +591,23 @@ class TestHardCases:
         comm.all_gather = lambda value: [value, "another" if isinstance(value, str) else value]
         with pytest.raises(DivergenceError, match="differ"):
             learner.update()
+
+    @pytest.mark.parametrize("learn", [make, make_ppo])
+    def test_episodes_that_cannot_begin_are_counted(self, learn):
+        env = Unsteady(0.5)
+        learner = learn(env)
+        if learn is make:
+            learner.check()
+        for _ in range(5):
+            seen = learner.collect()
+            assert seen["episodes"] - seen["diverged"] >= 2
+            learner.update()
+        assert env.failed > 0
+
+    @pytest.mark.parametrize("learn", [make, make_ppo])
+    def test_where_no_episode_begins_the_run_stops(self, learn):
+        with pytest.raises(DivergenceError, match=r"all of \d+ episodes .* \(the last: it exploded\)"):
+            learn(Unsteady(1.0)).collect()
 
     def test_rewards_that_cannot_be_recomputed_are_refused(self):
         with pytest.raises(ValueError, match="compute_reward"):

@@ -13,8 +13,9 @@ import pytest
 import torch
 from states import flat
 
-from tactilerl.algos import DivergenceError, recipes
+from tactilerl.algos import DivergenceError, UnfitError, recipes
 from tactilerl.algos.mpi import Communicator
+from tactilerl.algos.policy import Policy
 from tactilerl.algos.policy_gradient import Spread, gae, normalise, surrogate
 from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.algos.rollout import TRAIN, PlayEpisode, play_steps
@@ -500,6 +501,17 @@ class TestHardCases:
         with pytest.raises(ValueError, match="at least one"):
             make_ppo(scripted()).update()
 
+    @pytest.mark.parametrize("dtype", [np.float32, np.float64])
+    def test_actions_stay_within_any_bounds(self, dtype):
+        """However the way from -1 and 1 to the bounds is rounded."""
+        n = 1000
+        low, high = np.sort(np.random.default_rng(0).normal(size=(2, n)), axis=0).astype(dtype)
+        action = gym.spaces.Box(low, high, dtype=dtype)
+        spaces = Spaces(gym.spaces.Box(-1, 1, (1,)), action)
+        policy = Policy(None, None, None, spaces)
+        for end in (-1.0, 1.0):
+            assert action.contains(policy.to_env(np.full(n, end, np.float32)).astype(dtype))
+
     def test_saturated_actions_reach_the_environment_clipped(self):
         ppo = make_ppo(scripted())
         with torch.no_grad():
@@ -508,7 +520,7 @@ class TestHardCases:
         assert np.abs(np.concatenate(ppo.workers.env.seen_actions)).max() <= 1.0
         assert math.isfinite(ppo.update()["policy_loss"])
 
-    @pytest.mark.parametrize("bad", [math.nan, math.inf])
+    @pytest.mark.parametrize("bad", [math.nan, math.inf, 1e308, -1e39])
     def test_reward_that_is_not_finite_stops_the_run(self, bad):
         with pytest.raises(DivergenceError, match="reward"):
             make_ppo(scripted(reward=lambda rng: bad)).collect()
@@ -570,6 +582,11 @@ class TestHardCases:
     def test_nothing_but_divergence_stops_the_run(self):
         with pytest.raises(DivergenceError, match="all of 60 episodes"):
             make_ppo(scripted(info=lambda step: {"diverged": True})).collect()
+
+    @pytest.mark.parametrize("info", [{"is_success": 7}, {"is_success": math.inf}])
+    def test_a_success_that_is_none_is_refused(self, info):
+        with pytest.raises(UnfitError, match=r"env: found the is_success (7|inf), allowed 0 or 1"):
+            make_ppo(scripted(info=lambda step: info)).collect()
 
     def test_warnings_are_counted_also_of_steps_that_diverged(self):
         faults = {2: {"warnings": 3}, 4: {"warnings": 10, "diverged": True}}

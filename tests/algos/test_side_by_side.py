@@ -1,6 +1,7 @@
 """Actor and critic computed at the same time: the same bits as in turn, and errors of either."""
 
 import threading
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -10,8 +11,10 @@ from tactilerl import envs
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
-from tactilerl.algos.side_by_side import SideBySide, at_once
+from tactilerl.algos.side_by_side import SideBySide, may_share
 from tactilerl.envs import vector
+from tactilerl.runs import training
+from tactilerl.runs.config import defaults
 
 
 def test_both_run_at_the_same_time_only_when_asked():
@@ -42,14 +45,27 @@ def test_a_thread_computes_with_as_many_threads_as_the_caller():
     torch.set_num_threads(before)
 
 
-def test_only_where_episodes_are_played_on_several_cores_too():
+def test_only_where_there_are_cores_for_it():
     ranks = Communicator()
     ranks.size = 2
     cpu = torch.device("cpu")
-    assert at_once([1, 2], Communicator(), cpu)
-    assert not at_once([1], Communicator(), cpu)
-    assert not at_once([1, 2], ranks, cpu)
-    assert not at_once([1, 2], Communicator(), torch.device("meta"))
+    assert may_share(2, Communicator(), cpu)
+    assert not may_share(1, Communicator(), cpu)
+    assert not may_share(2, ranks, cpu)
+    assert not may_share(2, Communicator(), torch.device("meta"))
+
+
+@pytest.mark.parametrize("algo", ["ppo", "ddpg_her"])
+@pytest.mark.parametrize(("asked", "free", "two"), [(None, 2, True), (None, 1, False), (1, 2, False)])
+def test_a_toy_is_played_on_one_core_and_learned_from_on_those_that_are_allowed(
+    monkeypatch, algo, asked, free, two
+):
+    monkeypatch.setattr(training, "free_cores", lambda comm=None: free)
+    config = defaults(algo, "point-reach").choose({"workers": asked, "hidden": (8,)})
+    learner, workers = training.make_algorithm(config, Communicator())
+    with closing(workers):
+        assert len(workers) == 1
+        assert (learner._both._other is not None) == two
 
 
 PPO_SMALL = PPOConfig(hidden=(32, 32), steps_per_epoch=100, n_passes=4, target_kl=0.05)
