@@ -229,13 +229,9 @@ class DDPGHER(state.Saved):
         self._largest = max(largest_return(episode.rewards, self.gamma) for episode in usable)
         slots = self.replay.store(usable)
         batch = self.replay.sample(sum(map(len, usable)), self.replay_p, slots)
-        parts = (
-            (self.obs_stats, batch.obs),
-            (self.goal_stats, batch.goal),
-            (self.truth_stats, batch.truth),
-        )
-        for stats, seen_of in parts:
-            stats.update(seen_of.clip(-config.clip_obs, config.clip_obs))
+        for name in ("obs", "goal", "truth"):
+            values = getattr(batch, name).clip(-config.clip_obs, config.clip_obs)
+            getattr(self, f"{name}_stats").update(values)
         return seen
 
     def test(self) -> dict[str, float]:
