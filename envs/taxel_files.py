@@ -22,6 +22,7 @@ from . import toml_files
 from .hands import Array
 from .toml_files import number, strings, table, vector
 
+FARTHEST = 1.0  # m from the origin of its link
 RADIUS = 2e-3  # m, where a file gives none
 LARGEST, MOST = 20_000_000, 20_000  # bytes and taxels
 COLUMNS = ("link", "x", "y", "z", "nx", "ny", "nz", "radius")
@@ -53,9 +54,8 @@ def point(data: Any, index: int) -> Point:
     link = data.get("link")
     if not isinstance(link, str) or not link:
         raise ValueError(f"{where}: link: found {link!r}, expected the name of a link")
-    position, normal = (vector(data.get(key), 3, f"{where}: {key}") for key in ("position", "normal"))
-    if max(map(abs, position)) > 1.0:
-        raise ValueError(f"{where}: position: found {list(position)}, allowed up to 1 m")
+    position = vector(data.get("position"), 3, f"{where}: position", -FARTHEST, FARTHEST)
+    normal = vector(data.get("normal"), 3, f"{where}: normal")
     length = float(np.linalg.norm(normal))
     if not 0.5 <= length <= 2.0:
         raise ValueError(f"{where}: normal: found {list(normal)}, expected a unit vector")
@@ -107,14 +107,14 @@ def mounted(data: Any, index: int, folder: Path) -> Iterator[Point]:
     if not isinstance(file, str) or Path(file).suffix not in READERS:
         allowed = f"names that end in {', '.join(READERS)}"
         raise ValueError(f"{where}: file: found {file!r}, allowed {allowed}")
-    shift = np.array(vector(data.get("position", (0, 0, 0)), 3, f"{where}: position"))
+    shift = vector(data.get("position", (0, 0, 0)), 3, f"{where}: position", -FARTHEST, FARTHEST)
     quaternion = vector(data.get("quaternion", (1, 0, 0, 0)), 4, f"{where}: quaternion")
     if abs(float(np.linalg.norm(quaternion)) - 1.0) > 0.1:
         raise ValueError(f"{where}: quaternion: found {list(quaternion)}, expected one of length 1")
     turn = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
     for link in strings(data.get("links"), f"{where}: links"):
         for number_of, each in enumerate(read(folder / file, link), 1):
-            place = tuple((shift + turn @ each.position).tolist())
+            place = tuple((np.array(shift) + turn @ each.position).tolist())
             radius = number(data.get("radius", each.radius), f"{where}: radius", 1e-4)
             name = f"{link}.{Path(file).stem}[{number_of}]"
             yield Point(link, place, tuple((turn @ each.normal).tolist()), radius, name)

@@ -77,6 +77,14 @@ def vector(value: Any, n: int, where: str, least: float = -1e9, most: float = 1e
     return tuple(float(x) for x in value)
 
 
+def interval(value: Any, where: str, least: float = -1e9, most: float = 1e9) -> tuple[float, ...]:
+    """(low, high), the first below the second; ValueError for anything else."""
+    low, high = vector(value, 2, where, least, most)
+    if low >= high:
+        raise ValueError(f"{where}: found {value!r}, expected the lower end first")
+    return low, high
+
+
 def _span(least: float, most: float) -> str:
     return f" from {least:g}" * (least > -1e9) + f" to {most:g}" * (most < 1e9)
 
@@ -85,4 +93,6 @@ def strings(value: Any, where: str) -> tuple[str, ...]:
     """One or more strings; ValueError for anything else."""
     if not isinstance(value, list) or not value or not all(isinstance(item, str) for item in value):
         raise ValueError(f"{where}: found {value!r}, expected a list of names")
+    if len(set(value)) < len(value):
+        raise ValueError(f"{where}: found {value!r}, expected each name once")
     return tuple(value)

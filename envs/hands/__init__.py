@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -365,9 +365,7 @@ def registration(name: str) -> Registration:
         data = toml_files.read(path, "hand file")
         about = toml_files.table(data, "environment", {"id", "closing"})
         closing = about.get("closing", Registration.closing)
-        low, high = toml_files.vector(closing, 2, "environment.closing", 0.0, 2.0)
-        if low > high:
-            raise ValueError(f"environment.closing: found {closing!r}, expected [low, high]")
+        low, high = toml_files.interval(closing, "environment.closing", 0.0, 2.0)
         return Registration(str(about.get("id", "")), (low, high), toml_files.table(data, "scene"))
 
 
@@ -376,13 +374,23 @@ def digest(name: str) -> str:
     is no hand. ValueError and OSError where they cannot be read."""
     if name in HANDS or not is_hand(name):
         return ""
-    content = b"".join(path.read_bytes() for path in (file(name), *get(name).build.files()))
+    content = b"".join(path.read_bytes() for path in (file(name), *get(name).build.files))
     return hashlib.sha256(content).hexdigest()[:16]
 
 
 def get(name: str) -> Hand:
     """The hand of this name or file. ValueError or FileNotFoundError saying what is wrong with its
     file or model, ImportError where the package that has the model is not installed."""
+    path = file(name)
+    if path.parent == FOLDER:
+        return _packaged(path)
+    from . import sandbox
+
+    return sandbox.load(path)
+
+
+@cache
+def _packaged(path: Path) -> Hand:
     from . import loading
 
-    return loading.load(file(name))
+    return loading.load(path)

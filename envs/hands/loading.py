@@ -16,7 +16,7 @@ import numpy as np
 from .. import toml_files
 from ..choices import require_one_of
 from ..observations import TERMS
-from ..toml_files import number, only, strings, table, vector
+from ..toml_files import interval, number, only, strings, table, vector
 from . import (
     CLOSING_STEP,
     FOLDER,
@@ -42,6 +42,7 @@ HALF_RANGE = (0.03, 0.03, 0.20)  # m, how far actions of 1 move the slides from 
 SLIDE_STEP = (0.01, 0.01, 0.2)  # m, of actions that are increments
 SLIDE_LIMITS = ((-0.02, 0.02), (-0.02, 0.02), (-0.03, 0.06))  # m, around the grasping height
 CLEAR, STEP, HIGHEST = 0.008, 0.002, 0.5  # m: around the hand at the start; of the search for it
+FARTHEST = 1.0  # m of anything from the palm or the object
 NANO = 9  # decimals of m that count of a place
 TIMESTEP = 0.004  # s, of scenes that say nothing else
 NUDGE, STILL, MOST_MOVED = 0.02, 0.4, 0.2  # rad, s, rad: of a hand that should hang still
@@ -135,13 +136,14 @@ def _require_still(hand: Hand, timestep: float) -> None:
 def _hung(parts: Parts) -> tuple[Mount, Array]:
     """The model's mount, and where a point of the palm hangs at the start, m."""
     place = table(parts.data, "place", {"of", "at"})
-    of = np.array(vector(place.get("of", parts.palm_point), 3, "place.of"))
+    of = np.array(vector(place.get("of", parts.palm_point), 3, "place.of", -FARTHEST, FARTHEST))
     data = posed(parts.model, parts.start)
     root, palm = (data.xmat[body].reshape(3, 3) for body in (1, parts.palm))
     turn = mounting.turned(root.T @ palm, parts.palmar, parts.fingers)
     steps = root.T @ (data.xpos[parts.palm] - data.xpos[1]), root.T @ palm @ of
     is_turned = not np.allclose(turn, posed(parts.model, {}).xmat[1].reshape(3, 3), atol=1e-9)
-    mount = replace(parts.mount, rotation=tuple(map(tuple, turn.tolist())), is_turned=is_turned)
+    rotation = tuple(map(tuple, turn.tolist()))
+    mount = replace(parts.mount, rotation=rotation, is_turned=is_turned, files=tuple(parts.files))
 
     def at_place(at: Array) -> Mount:
         for step in steps:
@@ -149,7 +151,7 @@ def _hung(parts: Parts) -> tuple[Mount, Array]:
         return replace(mount, position=tuple(at.tolist()))
 
     if "at" in place:
-        at = np.array(vector(place["at"], 3, "place.at"))
+        at = np.array(vector(place["at"], 3, "place.at", -FARTHEST, FARTHEST))
     else:
         at = _above_the_object(parts, at_place(np.zeros(3)))
     return at_place(at), at
@@ -206,9 +208,11 @@ def _groups(parts: Parts) -> dict[str, tuple[str, ...]]:
     chosen = table(parts.data, "actions").get("groups") or [[digit] for digit in parts.digits]
     if not isinstance(chosen, list):
         raise ValueError(f"actions.groups: found {chosen!r}, expected a list of lists of digits")
-    found = {}
-    for group in chosen:
-        for digit in strings(group, "actions.groups"):
+    found: dict[str, tuple[str, ...]] = {}
+    groups = [strings(group, "actions.groups") for group in chosen]
+    strings([digit for group in groups for digit in group], "actions.groups")
+    for group in groups:
+        for digit in group:
             require_one_of(parts.digits, digit, "actions.groups")
         members = [parts.driven[joint] for digit in group for joint in parts.closing_of(digit)]
         if members:
@@ -244,7 +248,7 @@ def _with_actions(data: dict[str, Any], hand: Hand) -> Hand:
         raise ValueError(f"slides.limits: found {limits!r}, expected three pairs")
     action = hand.closing(
         np.array(vector(slides.get("step", SLIDE_STEP), 3, "slides.step")),
-        np.array([vector(pair, 2, "slides.limits") for pair in limits]),
+        np.array([interval(pair, "slides.limits") for pair in limits]),
         number(actions.get("step", CLOSING_STEP), "actions.step", 0.0),
     )
     return replace(hand, action_map=action, action_names=(*SLIDES, *hand.group_names))

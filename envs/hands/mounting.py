@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from fnmatch import filter as filter_names
 from fnmatch import fnmatchcase
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import mujoco
@@ -50,6 +53,8 @@ class Mount:
     """(3, 3) of the root body."""
     is_turned: bool = False
     """Does the model give it another?"""
+    files: tuple[Path, ...] = ()
+    """The model's, with what it includes and its meshes."""
 
     def __call__(self, visual: bool = False, finger_gain: float = 1.0) -> mujoco.MjSpec:
         """The hand alone as an editable model: no ground, no object, no taxels.
@@ -97,10 +102,18 @@ class Mount:
 
     def _leave_out(self, spec: mujoco.MjSpec) -> None:
         """What the file says, and what a scene has of its own or has no use for."""
-        for elements in ("bodies", "geoms", "tendons", "actuators", "sites"):
-            for element in getattr(spec, elements):  # those that are left
-                if any(fnmatchcase(element.name, pattern) for pattern in self.drop):
-                    spec.delete(element)
+        kinds = ("bodies", "geoms", "tendons", "actuators", "sites")
+        names = [element.name for kind in kinds for element in getattr(spec, kind)]
+        for pattern in self.drop:
+            if not filter_names(names, pattern):
+                raise ValueError(f"drop: found {pattern!r}, which nothing in the model is called")
+        for kind in kinds:
+            elements = getattr(spec, kind)  # those that are left
+            chosen = [element for element in elements if self._is_left_out(element)]
+            if kind == "bodies":  # one takes along what hangs on it
+                chosen = [body for body in chosen if not any(map(self._is_left_out, _above(body)))]
+            for element in chosen:
+                spec.delete(element)
         used = {geom.meshname for geom in spec.geoms}
         meshes = [mesh for mesh in spec.meshes if mesh.name not in used]
         joints = [joint for root in spec.worldbody.bodies for joint in root.joints]
@@ -108,14 +121,9 @@ class Mount:
         for element in (*spec.sensors, *spec.lights, *spec.cameras, *spec.keys, *meshes, *free):
             spec.delete(element)
 
-    def files(self) -> list[Path]:
-        """The model's, with what it includes and its meshes."""
-        spec, models = _read(self.model), [self.model]
-        for model in models:  # grows: a file that is included may include others
-            included = ElementTree.parse(model).iter("include")
-            models += [self.model.parent / each.attrib["file"] for each in included]
-        folder = self.model.parent / spec.meshdir
-        return [*models, *(folder / mesh.file for mesh in spec.meshes if mesh.file)]
+    def _is_left_out(self, element: Any) -> bool:
+        is_named = any(fnmatchcase(element.name, pattern) for pattern in self.drop)
+        return is_named and element.name != "world"
 
     def _add_servos(self, spec: mujoco.MjSpec) -> None:
         """For all joints but those that follow another."""
@@ -130,26 +138,66 @@ class Mount:
 
     def _is_finger(self, spec: mujoco.MjSpec, joint: str) -> bool:
         """Does a joint move a part of the hand without moving the palm?"""
-        body, moved = spec.body(self.palm), spec.joint(joint).parent.name
-        while body.name != "world":
-            if body.name == moved:
-                return False
-            body = body.parent
-        return True
+        palm, moved = spec.body(self.palm), spec.joint(joint).parent.name
+        return all(body.name != moved for body in (palm, *_above(palm)))
+
+
+def _above(body: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:
+    """What a body hangs on, up to the world."""
+    while body.name != "world":
+        body = body.parent
+        yield body
 
 
 def _read(path: Path) -> mujoco.MjSpec:
     """A model's file, with nothing of it merged; ValueError in one line."""
-    if not path.is_file():
-        raise FileNotFoundError(f"model {str(path)!r} does not exist")
-    try:
-        spec = mujoco.MjSpec.from_file(str(path))
-    except ValueError as error:
-        raise ValueError(f"model {path}: {' '.join(str(error).split())}") from None
+    included(path)
+    with quiet():
+        try:
+            spec = mujoco.MjSpec.from_file(str(path))
+        except ValueError as error:
+            raise ValueError(f"model {path}: {' '.join(str(error).split())}") from None
     _forget_defaults(spec)
     spec.compiler.fusestatic = False
     spec.compiler.balanceinertia = path.suffix.lower() == ".urdf"
     return spec
+
+
+def included(path: Path) -> list[Path]:
+    """A model's file and those that it includes; FileNotFoundError for what is no file, such as a pipe
+    that never ends."""
+    found = [path]
+    for each in found:  # grows: a file that is included may include others
+        if not each.is_file():
+            raise FileNotFoundError(f"model {str(each)!r} does not exist")
+        with suppress(ElementTree.ParseError, UnicodeDecodeError):  # MuJoCo says it better
+            elements = ElementTree.parse(each).iter("include")
+            more = [path.parent / element.attrib.get("file", "") for element in elements]
+            found += [other for other in dict.fromkeys(more) if other not in found]
+    return found
+
+
+def assets(path: Path, spec: mujoco.MjSpec) -> list[Path]:
+    """The files of a model's meshes, textures and height fields; ValueError for what is none."""
+    folders = {"meshes": spec.meshdir, "hfields": spec.meshdir, "textures": spec.texturedir}
+    found = []
+    for kind, folder in folders.items():
+        found += [path.parent / folder / each.file for each in getattr(spec, kind) if each.file]
+    for file in found:
+        if not file.is_file():
+            raise ValueError(f"model: found no file {str(file)!r}")
+    return found
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """MuJoCo's warnings are not written to the terminal, nor to a log where it runs."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 def _forget_defaults(spec: mujoco.MjSpec) -> None:
@@ -170,10 +218,11 @@ def _quaternion(rotation: Array) -> Array:
 
 def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
     """A model; ValueError in one line where it is wrong, or a mesh of it cannot be found."""
-    try:
-        return spec.compile()
-    except ValueError as error:
-        raise ValueError(f"model: {' '.join(str(error).split())}") from None
+    with quiet():
+        try:
+            return spec.compile()
+        except ValueError as error:
+            raise ValueError(f"model: {' '.join(str(error).split())}") from None
 
 
 def followed(spec: mujoco.MjSpec) -> Iterator[tuple[str, str, float]]:

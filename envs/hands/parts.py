@@ -78,8 +78,15 @@ class Parts:
         return spec
 
     @cached_property
+    def files(self) -> list[Path]:
+        """Of the model."""
+        path = self.mount.model
+        return [*mounting.included(path), *mounting.assets(path, self.spec)]
+
+    @cached_property
     def model(self) -> mujoco.MjModel:
         """The same, compiled."""
+        assert self.files  # before MuJoCo opens them
         model = mounting.compiled(self.spec)
         for index in np.flatnonzero(model.jnt_limited == 0):
             name = model.joint(index).name
@@ -108,6 +115,12 @@ class Parts:
             found[joint] = joint, driver, number(about.get("ratio"), f"{where}.ratio")
         for coupling in mounting.followed(self.spec):
             found.setdefault(coupling[0], coupling)
+        for joint in found:
+            chain = [joint]
+            while chain[-1] in found:
+                chain.append(found[chain[-1]][1])
+                if chain[-1] in chain[:-1]:
+                    raise ValueError(f"couplings: found a circle: {' follows '.join(chain)}")
         return tuple(found.values())
 
     def body(self, name: Any, where: str) -> int:
@@ -174,13 +187,16 @@ class Parts:
 
     @cached_property
     def digits(self) -> dict[str, Digit]:
-        found = {}
+        found: dict[str, Digit] = {}
         for name, about in table(self.data, "digits").items():
             where = f"digits.{name}"
             table({where: about}, where, {"links", "tip", "palmar", "base", "base_link"})
             links = strings(about.get("links"), f"{where}.links")
             for link in links:
                 self.body(link, where)
+                others = (other for other, digit in found.items() if link in digit.links)
+                if other := next(others, None):
+                    raise ValueError(f"{where}.links: found {link!r}, which is a link of {other}")
             found[name] = Digit(links, vector(about.get("tip"), 3, f"{where}.tip"))
         if not found:
             raise ValueError("digits: found none, expected a table with one or more")

@@ -14,6 +14,7 @@ import tactilerl
 from tactilerl.commands.cli import main
 from tactilerl.envs import hands, layouts, objects, scripted, taxel_files, toml_files
 from tactilerl.envs.grasp import GraspEnv, setup
+from tactilerl.envs.hands import loading, sandbox
 from tactilerl.envs.simulators import Scene
 from tactilerl.envs.touch import SKIN, SkinTouch
 from tactilerl.pictures import hand_map, places
@@ -22,6 +23,12 @@ from tactilerl.runs.run_dir import RunDir
 
 FILES = Path(__file__).parents[1] / "hands"
 GRIPPER = str(FILES / "gripper.toml")
+
+
+@pytest.fixture(autouse=True)
+def _read_here(monkeypatch):
+    """Hands are read in this process, which is faster; test_hostile_hands.py tests the usual way."""
+    monkeypatch.setattr(sandbox, "load", loading.load)
 
 
 @pytest.fixture

@@ -1,0 +1,154 @@
+"""Files of hands that crash, hang or fill the memory of whatever reads them: one line each, soon, and
+nothing is written where the command runs."""
+
+import os
+import random
+from pathlib import Path
+
+import pytest
+from one_line import fails_with
+
+from tactilerl.envs import hands
+from tactilerl.envs.hands import loading, sandbox
+
+FILES = Path(__file__).parents[1] / "hands"
+TOML, MODEL = ((FILES / name).read_text() for name in ("gripper.toml", "gripper.xml"))
+WORLD, PALM = "<worldbody>", '<geom type="cylinder" size="0.045 0.012"/>'
+ENTITIES = "".join(f'<!ENTITY a{i + 1} "{10 * f"&a{i};"}">' for i in range(11))
+BOMB = f'<!DOCTYPE m [<!ENTITY a0 "x">{ENTITIES}]>'
+GRID = '<flexcomp name="f" type="grid" count="200 200 1" spacing=".01 .01 .01" mass="1"/>'
+MANY = "".join(f'<body name="b{i}"><geom size=".01"/></body>' for i in range(3000))
+DEEP = 2000 * '<body><geom size=".01"/>' + 2000 * "</body>"
+CIRCLE = "[couplings]\nleft_tip = {{follows = 'left_knuckle', ratio = 1}}\n" \
+         "left_knuckle = {{follows = 'left_tip', ratio = 1}}\n"  # fmt: skip
+
+
+@pytest.fixture
+def hand(tmp_path, monkeypatch):
+    """hand(toml, model) writes the gripper's files, changed, and is the name of its TOML, seen from an
+    empty folder beside it."""
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    monkeypatch.setattr(sandbox, "CPU_SECONDS", 5)
+
+    def write(toml=TOML, model=MODEL):
+        (tmp_path / "gripper.toml").write_text(toml)
+        (tmp_path / "gripper.xml").write_text(model)
+        return "../gripper.toml"
+
+    yield write
+    assert not list((tmp_path / "here").iterdir())
+
+
+@pytest.fixture
+def read_here(monkeypatch):
+    """Hands are read in this process, which is faster."""
+    monkeypatch.setattr(sandbox, "load", loading.load)
+
+
+HOSTILE = [
+    (MODEL.replace(WORLD, f'{WORLD}<replicate count="100000000"><body/></replicate>', 1), "to read"),
+    (MODEL.replace(PALM, PALM + GRID), "longer than 5 s to read"),
+    (MODEL.replace(PALM, PALM + MANY), ""),
+    (MODEL.replace(PALM, PALM + DEEP), "nesting is too deep"),
+    (BOMB + MODEL[MODEL.index("<mujoco") :].replace("left_1", "&a11;"), "no body 'left_1'"),
+    (MODEL.replace(WORLD, f'<include file="pipe"/>{WORLD}', 1), "'../pipe' does not exist"),
+    (
+        MODEL.replace('name="tip" vertex', 'name="tip" file="pipe.stl"/><mesh name="x" vertex'),
+        "no file",
+    ),
+]
+
+
+@pytest.mark.parametrize(("model", "complaint"), HOSTILE, ids=range(len(HOSTILE)))
+def test_a_hostile_model_is_one_line(hand, model, complaint, capfd):
+    for pipe in ("../pipe", "../pipe.stl"):
+        os.mkfifo(pipe)
+    fails_with(capfd, ["env", "--env", hand(model=model)], complaint)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "complaint"),
+    [
+        ("palm = ", 'drop = ["*"]\npalm = ', "model: found 0 bodies at its root"),
+        ("palm = ", 'drop = ["left_2", "palm", "right_?"]\npalm = ', "found 0 bodies at its root"),
+        ("palm = ", 'drop = ["no*"]\npalm = ', "drop: found 'no*', which nothing in the model is"),
+        ("[opened]", f"{CIRCLE.format()}[opened]", "couplings: found a circle: left_tip follows left_"),
+        (
+            "[opened]",
+            "[place]\nat = [0, 0, 1e8]\n[opened]",
+            "place.at: found [0, 0, 100000000.0], expected",
+        ),
+        (
+            "[opened]",
+            "[slides]\nhalf_range = [-1, 0, 0]\n[opened]",
+            "half_range: found [-1, 0, 0], expected",
+        ),
+        (
+            "[opened]",
+            "[environment]\nclosing = [5, -5]\n[opened]",
+            "closing: found [5, -5], expected 2 numbers from",
+        ),
+        ("[opened]", "[environment]\nclosing = [1, 0.5]\n[opened]", "expected the lower end first"),
+        ('"left_1", "left_2"', '"left_1", "left_1"', "expected each name once"),
+        ('"left_1", "left_2"', '"left_1", "back_1"', "found 'back_1', which is a link of left"),
+        (
+            "[opened]",
+            "[actions]\nkind = 'closing'\n[slides]\nlimits = [[0, 1], [0, 1], [1, 0]]\n[opened]",
+            "slides.limits: found [1, 0], expected the lower end first",
+        ),
+        ("[opened]", "[actions]\ngroups = [['left'], ['left']]\n[opened]", "expected each name once"),
+    ],
+)
+def test_nonsense_in_a_file_is_one_line(hand, old, new, complaint, capfd, read_here):
+    assert old in TOML
+    fails_with(capfd, ["env", "--env", hand(TOML.replace(old, new, 1))], complaint)
+
+
+def test_a_sensor_far_away_is_refused(hand, capfd, tmp_path, read_here):
+    (tmp_path / "pad.csv").write_text("link,x,y,z,nx,ny,nz,radius\na,0,0,0,0,0,1,.002\n")
+    sensor = '[[sensor]]\nfile = "pad.csv"\nlinks = ["left_2"]\nposition = [1e8, 0, 0]\n'
+    (tmp_path / "layout.toml").write_text(sensor)
+    flags = ["--env", hand(), "--layout", "../layout.toml"]
+    fails_with(capfd, ["env", *flags], "sensor 1: position: found [100000000.0, 0, 0], expected 3 nu")
+
+
+def test_a_hand_is_read_once_and_again_when_a_file_changes(hand, monkeypatch):
+    path, read = hand(), []
+    monkeypatch.delenv(sandbox.TRIED, raising=False)
+    run = sandbox._run
+    monkeypatch.setattr(sandbox, "_run", lambda *args: read.append(args) or run(*args))
+    first = hands.get(path)
+    assert hands.get(path) is first
+    assert len(read) == 1
+    path = hand(model=MODEL.replace("-0.7 1.2", "-0.7 1.1"))
+    assert hands.get(path) is not first
+    assert hands.get("shadow") is hands.get("shadow")  # which no process of its own reads
+    assert len(read) == 2
+
+
+def test_processes_that_are_started_from_here_need_not_try_again(hand, monkeypatch):
+    monkeypatch.delenv(sandbox.TRIED, raising=False)
+    path = hand()
+    hands.get(path)
+    sandbox._read.clear()
+    monkeypatch.setattr(sandbox, "_run", None)
+    hands.get(path)
+
+
+def test_mutated_files_are_one_line_or_a_hand(hand, read_here):
+    rng, refused = random.Random(0), 0
+    pieces = ["nan", "-1", "1e300", "[" * 200, "", "[0, 0]", "é", "left_1", '"*"', "0", "{}"]
+    for _ in range(100):
+        lines = TOML.splitlines()
+        index = rng.choice([i for i, line in enumerate(lines) if "=" in line and "model" not in line])
+        key, _, value = lines[index].partition("=")
+        lines[index] = f"{key}= {rng.choice([*pieces, value[: len(value) // 2]])}"
+        said = ""
+        try:
+            hands.get(hand("\n".join(lines)))
+        except ValueError as error:
+            said = str(error)
+        assert "\n" not in said, lines[index]
+        refused += bool(said)
+    assert 50 < refused < 100
