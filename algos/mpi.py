@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 RANKS = ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK", "MPI_LOCALRANKID")  # set by launchers
+SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS", "MPI_LOCALNRANKS")
 
 
 class Communicator:
@@ -100,8 +101,19 @@ def launched_rank() -> str | None:
 
 
 def world() -> Communicator:
-    """All ranks of this launch; a lone Communicator without a launcher."""
-    return Communicator() if launched_rank() is None else MPICommunicator()
+    """All ranks of this launch; a lone Communicator without a launcher, or where it started one alone.
+
+    Without mpi4py, rank 0 of a launch whose size nobody told is alone. ImportError on several ranks.
+    """
+    size = next((os.environ[name] for name in SIZES if name in os.environ), None)
+    if launched_rank() is None or size == "1":
+        return Communicator()
+    try:
+        return MPICommunicator()
+    except ImportError:
+        if size is None and launched_rank() == "0":
+            return Communicator()
+        raise
 
 
 def abort(code: int) -> None:

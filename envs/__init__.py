@@ -17,22 +17,32 @@ from typing import Any
 
 import gymnasium as gym
 
-from . import hands, scenes
+from . import hands, scenes, typed
 from .choices import nearest
 
 TOYS = {"lqr": "tactilerl/LQR-v0", "point-reach": "tactilerl/PointReach-v0"}
 
 
 def make(
-    name: str | None = None, *, scene: str | None = None, render_mode: str | None = None, **choices: Any
+    name: str | None = None,
+    *,
+    env: str | None = None,
+    scene: str | None = None,
+    render_mode: str | None = None,
+    **choices: Any,
 ) -> gym.Env[Any, Any]:
     """An environment by name.
 
     `name` is one of the library's hands or the path of a hand's .toml file (`choices` are then fields
-    of `grasp.GraspConfig`), a toy ("lqr", "point-reach"), or a Gymnasium id. `scene` is a named scene
-    (`scenes.names`) or its file; `name` and `choices` then change what it says. Raises ValueError
-    when there is none of that name.
+    of `grasp.GraspConfig`), a toy ("lqr", "point-reach"), or a Gymnasium id; `env` means the same.
+    `scene` is a named scene (`scenes.names`) or its file; `name` and `choices` then change what it
+    says. Raises ValueError when there is none of that name.
     """
+    for key, word in {"name": name, "env": env, "scene": scene}.items():
+        typed.require_type(word, str | None, key)
+    if name is not None and env is not None:
+        raise ValueError(f"env: found {env!r} with the name {name!r}, allowed one of them")
+    name = name or env
     if scene is not None:
         named = scenes.load(scene)
         name = name or named.env

@@ -86,6 +86,8 @@ def require_type(value: Any, hint: Any, name: str) -> None:
             raise ValueError(f"{name}: found {value!r}, allowed: {', '.join(allowed)}") from None
         raise ValueError(f"{name}: found {_short(value)}, allowed {words(hint)}") from None
     for item in value if isinstance(value, tuple) else (value,):
+        if isinstance(item, str) and "\0" in item:
+            raise ValueError(f"{name}: found {item[:50]!r}, allowed no character 0")
         if isinstance(item, bool) and bool not in parts(hint):
             raise ValueError(f"{name}: found {item}, expected a number")
         if isinstance(item, int) and abs(item) >= LARGEST:

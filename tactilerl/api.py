@@ -16,7 +16,6 @@ import copy
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, nullcontext
 from functools import partial
-from numbers import Integral
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -35,6 +34,7 @@ from .envs.choices import require_known
 from .errors import PEERS
 from .runs import config, evaluation, policies, training
 from .runs.config import RunOptions
+from .runs.files import as_path
 from .runs.run_dir import resolve
 from .terminal.progress_bar import ProgressBar
 
@@ -82,6 +82,7 @@ class Learner:
             raise ValueError(
                 f"found {found}, allowed the environment alone; `hidden` sets the networks"
             )
+        typed.require_type(recipe, str, "recipe")
         defaults = recipes.recipe(self.algo, recipe)
         options = dict(seed=seed, workers=workers, device=device, threads=threads, matmul=matmul)
         require_known(hyperparameters, typed.names(defaults) | {*options, "recipe"}, PEERS)
@@ -190,8 +191,7 @@ def evaluate(
     steps and more, as ``tactilerl evaluate --json`` does. `stochastic` keeps the exploration noise;
     for `env` and `workers` see `PPO`. Raises ValueError when the policy does not fit `env`.
     """
-    if not isinstance(episodes, Integral) or episodes < 1:
-        raise ValueError(f"episodes: found {episodes}, allowed a whole number, 1 or more")
+    typed.require_type(episodes, evaluation.EpisodeCount, "episodes")
     typed.require_type(workers, config.WorkerCount, "workers")
     if isinstance(policy, Learner):
         policy = policy.policy()
@@ -228,10 +228,15 @@ def train(
     when an observation, a reward, a loss or a parameter is no longer finite; the last checkpoint
     is kept.
     """
+    for name, word in {"env": env, "algo": algo, "recipe": recipe, "scene": scene}.items():
+        typed.require_type(word, str | None, name)
+    for name, switch in {"any_ranks": any_ranks, "trust": trust}.items():
+        typed.require_type(switch, bool, name)
     if resume is not None and out is not None:
         raise ValueError("out: found with resume; a resumed run stays in its folder")
+    resume = resume and as_path(resume, "resume")
     base = resolve(algo, env or "", recipe, scene, resume, trust)
-    said = {"algo": algo, "out": out and str(out)}
+    said = {"algo": algo, "out": out and str(as_path(out, "out"))}
     chosen = base.choose({**flags, **{name: value for name, value in said.items() if value}})
     return training.train(chosen, mpi.world(), any_ranks)
 

@@ -8,6 +8,7 @@ import pickle
 import runpy
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import gymnasium as gym
@@ -271,6 +272,22 @@ MISTAKES = [
     (lambda: tactilerl.PPO("lqr", threads=0), "threads: found 0"),
     (lambda: tactilerl.PPO("lqr", device="toaster"), "device: found 'toaster'"),
     (lambda: tactilerl.PPO("nope"), "unknown environment 'nope'"),
+    *(
+        (partial(use, 3), f"{name}: found 3, allowed")
+        for name, use in (("env", tactilerl.train), ("name", tactilerl.make))
+    ),
+    *(
+        (partial(tactilerl.train, "lqr", **{name: value}), f"{name}: found")
+        for name in ("algo", "recipe", "scene", "resume", "out", "trust")
+        for value in (3, [1])
+    ),
+    (lambda: tactilerl.train(out="\0"), "out: found"),
+    (lambda: tactilerl.train(layout="\0"), "layout: found"),
+    (lambda: tactilerl.PPO("lqr", recipe=[1]), "recipe: found list"),
+    (lambda: tactilerl.PPO("lqr").save(None), "path: found None, allowed a path"),
+    (lambda: tactilerl.load_policy(None), "path: found None, allowed a path"),
+    (lambda: tactilerl.make("shadow", env="mpl"), "env: found 'mpl' with the name 'shadow'"),
+    (lambda: tactilerl.evaluate(short(), Short(), episodes=10**6), "episodes: found 1000000"),
     (lambda: tactilerl.PPO(3), "env: found int, allowed an environment, an id or a function"),
     (lambda: tactilerl.PPO(tactilerl.make("lqr"), workers=2), "workers: found 2 with one"),
     (lambda: tactilerl.PPO("CartPole-v1"), "action space: found Discrete"),

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from benchmarks.command import no_flags
 from tactilerl import envs
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
@@ -49,6 +50,7 @@ def synthetic(replay: Replay, rng: np.random.Generator) -> Episode[GoalObs]:
 
 def main() -> None:
     """Peaks after each stage of a worker's life."""
+    no_flags(__doc__)
     torch.set_num_threads(1)
     with closing(vector.start(lambda: envs.make("shadow", task="reach-goal", layout="1"))) as workers:
         learner = DDPGHER(DDPGHERConfig(), workers, Communicator(), 0, 1)

@@ -13,6 +13,7 @@ from typing import Any
 
 import torch
 
+from benchmarks.command import no_flags
 from benchmarks.timing import Watches
 from tactilerl import envs
 from tactilerl.algos import mpi
@@ -24,6 +25,7 @@ CYCLES = 3
 
 def main() -> None:
     """Some cycles on the Shadow Hand on each rank; rank 0 prints where its time went."""
+    no_flags(__doc__)
     torch.set_num_threads(1)
     comm = mpi.world()
     workers: Any = vector.start(lambda: envs.make("shadow", task="reach-goal"))

@@ -17,7 +17,7 @@ from tactilerl.algos.mpi import Communicator
 from tactilerl.envs import scenes, tasks
 from tactilerl.envs.grasp import setup
 from tactilerl.probe import gate
-from tactilerl.runs.training import free_cores
+from tactilerl.runs.cores import free_cores
 
 HANDS, SIMULATORS = ("mpl", "shadow", "allegro"), ("mujoco", "pybullet")
 LAYOUTS = {str(i): str(i) for i in range(1, 7)} | {

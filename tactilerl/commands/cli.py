@@ -30,6 +30,9 @@ LONGEST = 600  # characters of an error's line: a path may have 5,000
 def main(args: Sequence[str] | None = None) -> int:
     """Run one command; the exit code: 0 done, 1 stopped or failed a check, 2 bad input, 75
     another process writes there."""
+    for name in ("stdout", "stderr"):  # one that was closed takes everything and shows nothing
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):  # a terminal that cannot show a character shows "?"
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
@@ -63,6 +66,8 @@ def _run(args: list[str]) -> int:
         return 0
     name, rest = args[0], args[1:]
     try:
+        if odd := next((arg for arg in args if "\0" in arg), None):
+            raise InputError(f"found {odd[:50]!r}, allowed no character 0")
         if name not in COMMANDS:
             from ..envs.choices import nearest
 

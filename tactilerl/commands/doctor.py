@@ -19,7 +19,7 @@ from ..envs.simulators import Camera
 from ..errors import InputError, input_errors
 from ..pictures import render
 from ..probe import doctor, grasp_search
-from ..runs.training import free_cores
+from ..runs.cores import free_cores
 from ..terminal import flags
 from ..terminal.console import console
 from ..terminal.help import About

@@ -8,7 +8,7 @@ import sys
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import tyro
 from rich.console import Console
@@ -45,7 +45,7 @@ class EvaluateFlags:
 
     run: tyro.conf.Positional[Path]
     """Run folder."""
-    episodes: Annotated[int, "[1, inf)"] = 100
+    episodes: evaluation.EpisodeCount = 100
     """Number of episodes, whose starts do not occur in training."""
     stochastic: bool = False
     """Keep the exploration noise."""
@@ -103,10 +103,10 @@ def main(args: list[str]) -> int:
 
 def _read(args: list[str], sensors: SensorConfig) -> tuple[EvaluateFlags, SensorConfig]:
     """The flags, and the sensors: these, but for flags that say otherwise."""
-    kinds: list[Any] = [("command", EvaluateFlags), ("sensor", SensorConfig, sensors)]
+    kinds: list[Any] = [("command_part", EvaluateFlags), ("sensor_part", SensorConfig, sensors)]
     options: Any = dataclasses.make_dataclass("Options", kinds)
     read = flags.parse(options, args, "tactilerl evaluate", ABOUT)
-    return read.command, read.sensor
+    return read.command_part, read.sensor_part
 
 
 def _play(run: RunConfig, policy: Any, read: EvaluateFlags) -> list[dict[str, Any]]:

@@ -13,7 +13,7 @@ from ..envs import typed
 from ..errors import InputError, input_errors
 from ..probe import gate
 from ..runs.config import WorkerCount
-from ..runs.training import free_cores
+from ..runs.cores import free_cores
 from ..terminal.console import console
 from ..terminal.help import About
 from .scene import read_scene, require_scene

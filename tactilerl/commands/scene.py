@@ -24,7 +24,7 @@ def read_scene(
     """The command's own flags, and the scene's where its environment has a scene. --help shows the
     first, and of the scene's those that `about` names."""
     command: Any = kind()
-    about = about._replace(first=("named_scene", "env", *about.first, *vars(command)))
+    about = about._replace(first=("scene", "env", *about.first, *vars(command)))
     with input_errors():
         name = flags.peek(args, "--scene")
         named = scenes.load(name) if name else NamedScene(env=command.env)
@@ -36,7 +36,7 @@ def read_scene(
         with input_errors(f"scene {name}" if name else ""):
             parts["scene"] = setup(env, **named.on(env))
     read = read_parts(env, parts, args, prog, about, NAMED_SCENE)
-    return read.command, getattr(read, "scene", None)
+    return read.command_part, getattr(read, "scene_part", None)
 
 
 def require_scene(scene: GraspConfig | None, env: str) -> GraspConfig:

@@ -16,8 +16,8 @@ from rich import box
 from rich.table import Table
 
 from ..errors import InputError
+from ..runs.cores import free_cores
 from ..runs.files import pasted
-from ..runs.training import free_cores
 from ..study import check, comparing, display, grid, looks, planning, records, runner
 from ..study.folder import Outcome, RunFiles, StudyFolder
 from ..terminal import flags

@@ -21,8 +21,9 @@ from ..envs.scripted import require_grasps
 from ..errors import InputError, input_errors
 from ..pictures import places
 from ..runs import provenance
+from ..runs.cores import free_cores
 from ..runs.files import locked, replacing
-from ..runs.training import free_cores, start_workers
+from ..runs.training import start_workers
 from . import analysis, estimators, figures, files, selection
 from .grasps import Measured, PolicyGrasps, Scenes, ScriptedGrasps
 from .options import AnalysisFlags, GraspFlags, Options

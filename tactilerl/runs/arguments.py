@@ -25,7 +25,7 @@ def _extra(field: str, default: Any, about: str, kind: Any = str, **named: Any) 
 
 
 ABOUT = f"A named scene ({', '.join(scenes.names())}) or a scene's .toml file; other flags override it."
-NAMED_SCENE = _extra("named_scene", "", ABOUT, name="scene")
+NAMED_SCENE = _extra("scene", "", ABOUT)
 OTHER_BITS = "With --resume: allow another number of processes; results are then not bit-identical."
 TRUST = "With --resume: allow importing the module named in the environment's id."
 RESUME = (
@@ -37,7 +37,7 @@ TRAIN = About(
     "Train a policy. The flags and their defaults depend on --scene, --algo and --env. "
     "Without --scene and --recipe, the defaults are the paper's.",
     first=(
-        "named_scene", "algo", "env", "layout", "run_type", "task", "recipe", "total_timesteps", "seed",
+        "scene", "algo", "env", "layout", "run_type", "task", "recipe", "total_timesteps", "seed",
         "workers", "out", "resume",
     ),
     examples=(
@@ -63,20 +63,23 @@ def read(args: Sequence[str], base: RunConfig) -> tuple[RunConfig, Any]:
     recipe = _extra("recipe", recipes.PAPER, about, known)
     more = (recipe, NAMED_SCENE, *RESUME)
     given = read_parts(base.run.env, base.parts, args, "tactilerl train", TRAIN, *more)
-    return dataclasses.replace(base, **{name: getattr(given, name) for name in base.parts}), given
+    return dataclasses.replace(
+        base, **{name: getattr(given, f"{name}_part") for name in base.parts}
+    ), given
 
 
 def read_parts(
     env: str, parts: Mapping[str, Any], args: Sequence[str], prog: str, about: About, *more: Any
 ) -> Any:
-    """The flags over the values of several dataclasses, by the names of `parts`, and `more` of them.
+    """The flags over the values of several dataclasses, NAME_part each, and `more` of them.
 
     Where a flag of a scene is refused because `env` is no hand, it is said which hands there are.
     """
-    kinds = [(name, type(part)) for name, part in parts.items()]
+    kinds = [(f"{name}_part", type(part)) for name, part in parts.items()]  # no flag has such a name
     options = dataclasses.make_dataclass("Options", [*kinds, *more])
+    usual = options(**{f"{name}_part": part for name, part in parts.items()})
     try:
-        return flags.parse(options, args, prog, about, options(**parts))
+        return flags.parse(options, args, prog, about, usual)
     except InputError as error:
         refused = str(error).partition("'--")[2].partition("'")[0].partition("=")[0]
         if hands.is_hand(env) or refused.replace("-", "_") not in typed.names(GraspConfig):

@@ -188,7 +188,11 @@ def defaults(
     """
     with input_errors():
         named = scenes.load(scene) if scene else NamedScene(env=RunOptions.env)
+        for name in ("algo", "recipe"):
+            typed.require_type(named.train.get(name, ""), str, f"scene {scene}: train: {name}")
     own, env = named.train.get("algo", RunOptions.algo), env or named.env
+    if scene and algo not in (None, own):
+        defaults(scene=scene)  # what is left out is checked as well
     algo = algo or own
     train = {k: v for k, v in named.train.items() if k != "algo"} if algo == own else {}
     usual = train.pop("recipe", recipes.PAPER)
@@ -201,11 +205,13 @@ def defaults(
         raise InputError(f"--env: found {env!r} with --scene, allowed: {hands.allowed()}")
     paper = known[algo]
     with input_errors(f"scene {scene}" if scene else ""):
-        return RunConfig(
+        config = RunConfig(
             RunOptions(algo=algo, env=env, total_timesteps=paper.total_timesteps),
             setup(env, **{"task": paper.task, **named.on(env)}) if hands.is_hand(env) else None,
             recipes.recipe(algo, recipe or usual),
         ).choose(train)
+        config.validate()
+        return config
 
 
 def from_dict(data: dict[str, Any]) -> RunConfig:

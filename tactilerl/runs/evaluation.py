@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -10,6 +10,8 @@ from .. import statistics
 from ..algos.policy import Policy
 from ..algos.rollout import EVALUATE, FAULTS, Episode, PlayEpisode
 
+EpisodeCount = Annotated[int, "[1, 100000]"]
+MOST_DRAWN = 20_000_000  # samples of the bootstrap at a time, some 200 MB
 SEED = 10_000_000  # evaluation starts are not those of training
 
 
@@ -34,8 +36,12 @@ def row(episode: Episode[Any]) -> dict[str, Any]:
 
 def mean_interval(values: np.ndarray, resamples: int = 9_999, seed: int = 0) -> tuple[float, float]:
     """Percentile bootstrap interval of the mean of `values` (n,)."""
-    counts = statistics.resample(np.random.default_rng(seed), len(values), resamples)
-    return statistics.estimate(values, "mean", counts)[1:]
+    rng, each = np.random.default_rng(seed), max(1, MOST_DRAWN // len(values))
+    drawn = [
+        statistics.bootstrap(values, "mean", statistics.resample(rng, len(values), min(each, rest)))
+        for rest in range(resamples, 0, -each)
+    ]
+    return statistics.percentile_interval(np.concatenate(drawn))
 
 
 def summarise(played: list[dict[str, Any]]) -> dict[str, Any]:

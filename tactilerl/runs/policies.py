@@ -17,7 +17,7 @@ from ..algos.spaces import Spaces
 from ..algos.state import require_like
 from ..envs import typed
 from . import sealed
-from .files import damage_named
+from .files import as_path, damage_named
 
 if TYPE_CHECKING:
     from .config import RunConfig
@@ -47,7 +47,7 @@ def load_policy(path: str | Path) -> Policy:
     others are safe to load: only tensors and plain values are read. Raises ValueError, one line,
     when there is no policy or its file is damaged.
     """
-    path = Path(path)
+    path = as_path(path, "path")
     return read_run(path).policy if path.is_dir() else _read_file(path)
 
 
@@ -57,7 +57,7 @@ def save_policy(path: str | Path, algo: str, learner: algos.Algorithm) -> None:
     Raises ValueError when `path` is no place for a file, or holds another one; OSError when the disk is
     full.
     """
-    path = Path(path)
+    path = as_path(path, "path")
     if path.is_dir() or not path.parent.is_dir():
         raise ValueError(f"path: found {str(path)!r}, allowed a file in a folder that exists")
     state = learner.state_dict()

@@ -24,7 +24,8 @@ class Origin(TypedDict):
     env_steps: int
     versions: dict[str, str]
     commit: str | None
-    """Of the repository that our source belongs to; None when it is installed from a wheel."""
+    """Of the repository that our source belongs to, with "-dirty" where files differ from it; None when
+    it is installed from a wheel."""
 
 
 def origin(epoch: int = 0, env_steps: int = 0) -> Origin:
@@ -52,18 +53,25 @@ def difference(before: Origin, now: Origin) -> str:
         if a.get(name) != b.get(name)
     ]
     if before["commit"] != now["commit"]:
-        changed.append("commit {} -> {}".format(*((r["commit"] or "none")[:10] for r in (before, now))))
+        changed.append("commit {} -> {}".format(*(_short(r["commit"]) for r in (before, now))))
     return ", ".join(changed)
 
 
+def _short(commit: str | None) -> str:
+    name, dash, dirty = (commit or "none").partition("-")
+    return f"{name[:10]}{dash}{dirty}"
+
+
 def commit(folder: Path) -> str | None:
-    """The commit of the repository that tracks this package in `folder`.
+    """The commit of the repository that tracks this package in `folder`, with "-dirty" where files of
+    it were changed since.
 
     None where none does: a virtual environment may lie inside somebody else's repository.
     """
     env = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
+    describe = ["describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
     found = ""
-    for command in (["ls-files", "--error-unmatch", "__init__.py"], ["rev-parse", "HEAD"]):
+    for command in (["ls-files", "--error-unmatch", "__init__.py"], describe):
         try:
             result = subprocess.run(
                 ["git", "-C", str(folder), *command],

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
@@ -24,6 +23,7 @@ from ..terminal.console import paragraph
 from ..terminal.progress_bar import ProgressBar, require_tensorboard
 from .checkpoint import Checkpoint
 from .config import RunConfig, RunOptions
+from .cores import free_cores
 from .files import locked, pasted
 from .run_dir import RunDir
 
@@ -195,13 +195,6 @@ def _merged(rows: list[dict[str, float]], weights: list[float] | None = None) ->
         key: sum(values) if key in COUNTS else float(np.average(values, weights=weights))
         for key, values in columns.items()
     }
-
-
-def free_cores(comm: Communicator | None = None) -> int:
-    """Cores that this process may use without taking one from the other ranks here, if any."""
-    cores = os.cpu_count() or 1
-    own = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else cores
-    return max(1, min(own, cores // (comm or Communicator()).local_size))
 
 
 def _require_device(run: RunOptions) -> None:

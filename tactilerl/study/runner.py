@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, Literal, cast
 
 from ..algos import mpi
-from ..errors import BAD_INPUT, BUSY
+from ..errors import BAD_INPUT, BUSY, input_errors
 from ..runs.files import no_link
 from ..terminal import interrupts
 from .folder import Outcome, RunFiles
@@ -128,7 +128,9 @@ def executor(jobs: int) -> Iterator[concurrent.futures.Executor | None]:
 
     None on the ranks that do the work; they are done when the first rank is.
     """
-    if mpi.launched_rank() is not None and mpi.world().size > 1:
+    with input_errors():
+        is_launch = mpi.world().size > 1
+    if is_launch:
         from mpi4py.futures import MPICommExecutor
 
         with MPICommExecutor() as ranks:

@@ -52,7 +52,7 @@ def parse(kind: type[T], args: Sequence[str], prog: str, about: help.About, defa
     if unknown:
         reason = f"found {unknown[0]!r}, {_hint(unknown[0], known)}"
         raise InputError(f"{reason}{' See' if reason.endswith('?') else '; see'} {prog} --help")
-    own = getattr(read, "command", read)
+    own = getattr(read, "command_part", read)
     if not hasattr(own, "validate"):  # what has, is validated with what it belongs to
         with input_errors():
             for name, hint in get_type_hints(type(own), include_extras=True).items():
@@ -81,7 +81,7 @@ def _reason(said: str, args: Sequence[str], kind: Any) -> str:
     lines = (line.strip(" │╭╮╰╯─") for line in said.splitlines())
     reason = " ".join(takewhile(bool, lines))  # the flag's help follows
     reason = " ".join(re.split(r"\s*-{5,}\s*", reason)[:2])  # a terminal without boxes has dashes
-    if missing := re.search(r"Missing value for argument '(?:--|\w+\.)([\w-]+)'", reason):
+    if missing := re.search(r"Missing value for argument '(?:--|[\w-]+\.)([\w-]+)'", reason):
         name = missing[1].replace("-", "_")
         if name not in known:
             return f"--{missing[1]}: found no value, allowed a value"
@@ -107,7 +107,6 @@ def _hint(token: str, known: Sequence[str]) -> str:
     """What may have been meant by what is no flag."""
     from ..algos import ALGORITHMS, get
 
-    known = [*known, "scene"]
     if not token.startswith("-"):
         placed = _placed(token, known)
         return f"did you mean {placed}?" if placed else "which no flag takes"
@@ -124,7 +123,7 @@ def _hint(token: str, known: Sequence[str]) -> str:
     return f"{hint} ({why})" if why else hint
 
 
-def _placed(token: str, known: list[str]) -> str:
+def _placed(token: str, known: Sequence[str]) -> str:
     """A value that stands alone, after the flag that takes it; "" for none."""
     from ..algos import ALGORITHMS
     from ..envs import hands, scenes

@@ -15,6 +15,7 @@ import torch
 from states import flat
 from tiny_study import TINY, learned, write
 
+from tactilerl.algos import mpi
 from tactilerl.commands.cli import main
 from tactilerl.study import records
 
@@ -47,6 +48,7 @@ import numpy as np, torch
 from tactilerl import envs
 from tactilerl.algos import mpi
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
+from tactilerl.algos import mpi
 from tactilerl.commands.cli import main
 from tactilerl.envs import vector
 comm, alone = mpi.world(), mpi.Communicator()
@@ -292,3 +294,23 @@ def test_several_ranks_for_each_run_of_a_study(tmp_path):
     assert main([*args, "--ranks-per-run", "2"]) == 0
     _, (record,) = records.load(Path("out"))
     assert record.config["ranks"] == 2
+
+
+@pytest.mark.parametrize(
+    ("said", "is_alone"),
+    [
+        ({"PMIX_RANK": "0"}, True),
+        ({"PMIX_RANK": "0", "SLURM_STEP_NUM_TASKS": "1"}, True),
+        ({"PMIX_RANK": "1"}, False),
+        ({"OMPI_COMM_WORLD_RANK": "0", "OMPI_COMM_WORLD_SIZE": "2"}, False),
+    ],
+)
+def test_a_launch_of_one_process_needs_no_mpi4py(said, is_alone, monkeypatch):
+    monkeypatch.setitem(sys.modules, "mpi4py", None)
+    for name, value in said.items():
+        monkeypatch.setenv(name, value)
+    if is_alone:
+        assert mpi.world().size == 1
+    else:
+        with pytest.raises(ImportError, match="mpi4py"):
+            mpi.world()

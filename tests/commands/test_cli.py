@@ -480,6 +480,12 @@ class TestBadInput:
             (["train", "--layout", "x" * 5000], ["layout"]),
             (["train", "--layout", "x" * 5000 + ".toml"], ["layout"]),
             ([*TOY, "--trust"], ["--trust: found without --resume"]),
+            (["train", "--named-scene", "x"], ["found '--named-scene', which is not a flag"]),
+            (["train", "--out", "a\0b"], ["allowed no character 0"]),
+            (
+                ["evaluate", "nowhere", "--episodes", "100001"],
+                ["--episodes: found 100001", "to 100000"],
+            ),
             (["env", "--env", "nope"], ["unknown environment 'nope'"]),
         ],
     )

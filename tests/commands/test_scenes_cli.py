@@ -68,6 +68,22 @@ def test_bad_values_are_one_line(flags, named, capsys):
     assert not Path("run").exists()
 
 
+@pytest.mark.parametrize(
+    ("train", "named"),
+    [
+        ('algo = ["ppo"]', "train: algo: found list"),
+        ("recipe = 3", "train: recipe: found 3"),
+        ('hidden = "x"', "hidden: found 'x'"),
+        ("total_timesteps = -1", "total_timesteps: found -1"),
+    ],
+)
+@pytest.mark.parametrize("algo", ["ppo", "ddpg_her"])
+def test_a_scenes_training_is_checked_even_where_flags_override_it(train, named, algo, capsys):
+    Path("mine.toml").write_text(f'base = "handover"\n[train]\n{train}\n')
+    flags = ["--algo", algo, "--hidden", "8", "--total-timesteps", "1", "--recipe", "paper"]
+    fails_with(capsys, ["train", "--scene", "mine.toml", *flags], "mine.toml", named)
+
+
 class TestEvaluateWithOtherSensors:
     @pytest.fixture
     def trained(self, capsys):

@@ -26,6 +26,7 @@ from tactilerl.algos import memory
 from tactilerl.commands.cli import main
 from tactilerl.errors import InputError
 from tactilerl.runs import files, provenance, sealed
+from tactilerl.runs.cores import free_cores
 from tactilerl.runs.progress_csv import ProgressTable
 from tactilerl.runs.run_dir import RunDir
 
@@ -543,9 +544,16 @@ class TestProvenance:
         git("add", "venv")
         git("commit", "-m", "ours")
         assert provenance.commit(package) == git("rev-parse", "HEAD")
+        (package / "__init__.py").write_text("1 + 1")
+        assert provenance.commit(package) == git("rev-parse", "HEAD") + "-dirty"
 
 
 class TestTerminal:
+    def test_output_that_was_closed(self):
+        command = f"exec {sys.executable} -m tactilerl env >&-"
+        result = subprocess.run(["sh", "-c", command], stderr=subprocess.PIPE)
+        assert (result.returncode, result.stderr) == (0, b"")
+
     def test_output_that_nobody_reads(self):
         command = [sys.executable, "-m", "tactilerl", "--help"]
         read, written = os.pipe()
@@ -591,7 +599,9 @@ class TestTerminal:
         assert (result.stdout, result.returncode) == ("1\n", 130)
 
 
-class TestMemory:
+class TestLimits:
+    """Of the container, or of the group of processes, that this one runs in."""
+
     def tree(self, root, group, files):
         (root / "proc/self").mkdir(parents=True)
         (root / "proc/self/cgroup").write_text(group)
@@ -599,6 +609,22 @@ class TestMemory:
             path = root / "sys/fs/cgroup" / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text)
+
+    @pytest.mark.parametrize(
+        ("group", "files", "cores"),
+        [
+            ("0::/a/b\n", {"a/b/cpu.max": "max 100000", "a/cpu.max": "150000 100000"}, 2),
+            ("0::/docker/x\n", {"cpu.max": "100000 100000\n"}, 1),
+            ("4:cpu,cpuacct:/x\n", {"cpu/cpu.cfs_quota_us": "-1", "cpu/cpu.cfs_period_us": "9"}, 8),
+            ("4:cpu,cpuacct:/x\n", {"cpu/cpu.cfs_quota_us": "30", "cpu/cpu.cfs_period_us": "10"}, 3),
+            ("", {}, 8),
+        ],
+    )
+    def test_cores(self, tmp_path, monkeypatch, group, files, cores):
+        monkeypatch.setattr(os, "cpu_count", lambda: 8)
+        monkeypatch.setattr(os, "sched_getaffinity", lambda process: range(8))
+        self.tree(tmp_path, group, files)
+        assert free_cores(root=tmp_path) == cores
 
     def test_version_2(self, tmp_path):
         files = {"a/b/memory.max": "max", "a/b/memory.current": "5", "a/b/memory.stat": "anon 5"}
