@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -11,15 +12,17 @@ import numpy as np
 
 from . import hands, layouts, objects, observations, simulators, tasks, toml_files, touch, typed
 from .choices import require_known, require_one_of
-from .hands import Array
-from .hold import Hold, HoldTest
 from .objects import ObjectConfig
 from .observations import ObservationConfig, Observer
-from .snapshot import Snapshot
+from .simulators import SimulationError, Sphere
+from .state import Array, Shape, State
 from .tasks import TaskConfig
 
 LIMIT = 1e6  # observations beyond this are a broken simulation
 EJECTED = 10.0  # m/s, of the object during an action: twice what random actions ever throw it at
+JITTER_JOINT = 0.02  # rad, of every finger joint, within its range
+LIT, DARK = (1.0, 0.85, 0.0, 1.0), (0.05, 0.25, 0.9, 1.0)  # of taxels in pictures
+LIT_SCALE = 2.0  # a taxel that fires is drawn larger: between hand and object it is hard to see
 
 
 @dataclass(frozen=True)
@@ -49,10 +52,6 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
     """Position gain and force limit of the fingers, relative to the hand model's."""
     timestep: Annotated[float, "[1e-06, 0.1]"] = 0.004
     """Physics step, s."""
-    control_dt: Annotated[float, "(0, 10]"] = 0.2
-    """Time between actions, s; a whole number of timesteps."""
-    max_episode_steps: Annotated[int, "[1, 20000]"] | None = None
-    """Actions per episode; default: the task's (lift-and-hold 100, as in the paper)."""
 
     def __post_init__(self) -> None:
         chosen = {**vars(self), "layout": str(self.layout)}  # 4 is "4"
@@ -79,8 +78,6 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
             raise ValueError(f"control_dt: found {self.control_dt} s, allowed {allowed}")
         objects.validate(self)
         tasks.validate(self)
-        if self.task == "handover":
-            tasks.Handover.require_time(self.max_episode_steps, self.control_dt)
         observations.validate(self, self.run_type, touch.RULES[self.touch].is_boolean)
 
 
@@ -94,9 +91,6 @@ def setup(hand: str, **choices: Any) -> GraspConfig:
     return GraspConfig(**{**usual, **choices})
 
 
-JITTER_JOINT = 0.02  # rad, of every finger joint, within its range
-
-
 class GraspEnv(gym.Env[Any, Array]):
     """A hand above an object on the ground; a goal environment in Gymnasium's sense.
 
@@ -106,6 +100,7 @@ class GraspEnv(gym.Env[Any, Array]):
     the physics broke: the step is then void, the observation the last good one, and the
     episode truncated. At reset and at the end of an episode it says which ``object`` that had.
     ``warnings`` is there when the simulator has warned since the last step, and says how often.
+    ``state`` is what was true after the last action, before any hold test.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}
@@ -120,42 +115,38 @@ class GraspEnv(gym.Env[Any, Array]):
         self.render_mode = render_mode
         self.metadata = {**self.metadata, "render_fps": max(1, round(1 / config.control_dt))}
         self._items = items = objects.Items(config)
-        self._item = items.first
+        self._item = first = items.first
         width = items.width if config.is_near else math.inf
         self.hand = hands.get(hand).start_above(width, items.height)
         if config.actions != "all":
             self.hand = self.hand.closing_from(config.start_closing, config.actions)
         self.taxels = layouts.load(config.layout).place(self.hand)
         self._touch = touch.RULES[config.touch](self.taxels, self.hand)
-        self.task: tasks.Task = tasks.TASKS[config.task](
-            config, self.hand, setup(hand).timestep, items.first.shape
-        )
+        self._points = touch.taxel_points(self.taxels)
+        own_timestep = setup(hand).timestep
+        self.task: tasks.Task = tasks.TASKS[config.task](config, self.hand, own_timestep, first.shape)
         self.max_episode_steps = config.max_episode_steps or self.task.max_episode_steps
-        self.simulator = simulators.make(
-            config.simulator,
-            simulators.Scene(
-                hand=self.hand,
-                shape=self.shape,
-                mass=self._item.mass,
-                friction=self._item.friction,
-                timestep=config.timestep,
-                finger_gain=config.finger_gain,
-                rise=self.task.rise + max(0.0, items.height - self.hand.start_clearance),
-                contact_taxels=self._touch.sensed,
-                giver=self.task.giver,
-                visual=render_mode is not None,
-            ),
+        scene = simulators.Scene(
+            hand=self.hand,
+            shape=first.shape,
+            mass=first.mass,
+            friction=first.friction,
+            timestep=config.timestep,
+            finger_gain=config.finger_gain,
+            rise=self.task.rise + max(0.0, items.height - self.hand.start_clearance),
+            sensors=touch.sensors(self.taxels) if self._touch.by_sensors else (),
+            giver=self.task.giver,
+            visual=render_mode is not None,
         )
+        self.simulator = simulators.make(config.simulator, scene)
         names = () if config.run_type == "absent" else self.taxels.names
         is_boolean = self._touch.is_boolean
-        first = items.first.shape
-        self._observer = Observer(config, self.hand, names, is_boolean, config.control_dt, first)
-        self._targets = self.hand.start_targets()
+        self._observer = Observer(config, self.hand, names, is_boolean, config.control_dt, first.shape)
         self.simulator.reset(self.hand.start_positions(), np.array([0.0, 0.0, items.height / 2]), 0.0)
+        self.state = self.simulator.state()
         self.palm_skin = self._palm_skin()
         self._warnings = self.simulator.warnings
-        self._steps, self._object_position = 0, np.zeros(3)
-        self._obs: dict[str, Array] = {}
+        self._steps, self._obs = 0, {}
         self._desired_goal = np.zeros(self.task.goal_size, np.float32)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (len(self.hand.action_names),), np.float32)
         self.observation_space = self._spaces()
@@ -164,7 +155,7 @@ class GraspEnv(gym.Env[Any, Array]):
         """The place (3,) on the palm's skin where objects are handed over."""
         beside = self.hand.handed_beside
         palm = [s for s in self.hand.surfaces if s.segment == "palm" and s.digit not in beside]
-        positions, rotations = self.simulator.link_poses(tuple(surface.link for surface in palm))
+        positions, rotations = self.state.poses(tuple(surface.link for surface in palm))
         centres = np.array([surface.centre for surface in palm])[:, :, None]
         return np.asarray((positions + (rotations @ centres)[:, :, 0]).mean(axis=0))
 
@@ -172,14 +163,14 @@ class GraspEnv(gym.Env[Any, Array]):
         """Taxels lie between 0 and 1; a task with a single goal has it as its only one."""
         unbounded, goal = np.full(self.task.goal_size, np.inf), self.task.only_goal
         lowest, highest = (-unbounded, unbounded) if goal is None else (goal, goal)
-        truth = {}
+        more = {}
         if self.config.critic_sees == "truth":
-            truth["truth"] = observations.truth_space(
+            more["truth"] = observations.privileged_space(
                 self.hand, self.taxels.names, self._touch.is_boolean
             )
         return gym.spaces.Dict(
             {
-                **truth,
+                **more,
                 "observation": self._observer.space,
                 "achieved_goal": _float_box(-unbounded, unbounded),
                 "desired_goal": _float_box(lowest, highest),
@@ -192,7 +183,25 @@ class GraspEnv(gym.Env[Any, Array]):
         super().reset(seed=seed)
         # To spawn draws nothing from the generator itself.
         observer_rng, goal_rng, object_rng = self.np_random.spawn(3)
-        self._item = item = self._items.draw(object_rng)
+        self._item, self._steps = self._items.draw(object_rng), 0
+        item = self._item
+        start = self.task.start(self._jittered(item.shape), self.palm_skin, item.shape, goal_rng)
+        self._observer.begin(observer_rng)
+        try:
+            self.simulator.change_object(item.shape, item.mass, item.friction)
+            self.simulator.reset(*start)
+            self.state = self.simulator.state()
+            sensed = self._sense(self.state)
+        except SimulationError as error:
+            raise SimulationError(f"an episode cannot begin: {error}") from error
+        achieved, desired = self.task.begin(self.state, goal_rng)
+        self._desired_goal = desired.astype(np.float32)
+        self.task.before_step(self.simulator, self._steps)
+        self._obs = self._goal_obs(sensed, achieved)
+        return self._obs, {"is_success": False, "object": item.describe()}
+
+    def _jittered(self, shape: Shape) -> tasks.Start:
+        """The hand open above the object, both a little moved where that is asked for."""
         joints, offset, yaw = self.hand.start_positions(), np.zeros(2), 0.0
         if self.config.jitter:
             rng, furthest, turn = self.np_random, self.config.start_offset, self.config.start_yaw
@@ -200,24 +209,8 @@ class GraspEnv(gym.Env[Any, Array]):
             yaw = rng.uniform(-turn, turn)
             joints[3:] += rng.uniform(-JITTER_JOINT, JITTER_JOINT, len(joints) - 3)
             joints = np.clip(joints, *self.simulator.joint_limits.T)
-        place = np.array([*offset, item.shape.half_size[2]])
-        usual = tasks.Start(joints, self.hand.start_targets(), place, yaw)
-        start = self.task.start(usual, self.palm_skin, item.shape, goal_rng)
-        self._targets, self._steps = start.targets, 0
-        self._observer.begin(observer_rng)
-        try:
-            self.simulator.change_object(item.shape, item.mass, item.friction)
-            self.simulator.reset(start.joints, start.position, start.yaw)
-            snapshot = self._look()
-            sensed = self._sensed(snapshot)
-        except simulators.SimulationError as error:
-            raise simulators.SimulationError(f"an episode cannot begin: {error}") from error
-        self._object_position = snapshot.object.position
-        achieved, desired = self.task.begin(snapshot, goal_rng)
-        self._desired_goal = desired.astype(np.float32)
-        self.task.act(self.simulator, self._steps)
-        self._obs = self._goal_obs(sensed, achieved)
-        return self._obs, {"is_success": False, "object": item.describe()}
+        position = np.array([*offset, shape.half_size[2]])
+        return tasks.Start(joints, position, yaw, self.hand.start_targets())
 
     def step(self, action: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
         action = np.asarray(action, dtype=np.float64)
@@ -225,39 +218,34 @@ class GraspEnv(gym.Env[Any, Array]):
             raise ValueError(f"action: found shape {action.shape}, allowed {self.action_space.shape}")
         if not np.isfinite(action).all():
             raise ValueError(f"action: found {action[~np.isfinite(action)][0]}, allowed finite numbers")
-        return self.follow(self.hand.action_map(np.clip(action, -1.0, 1.0), self._targets))
+        return self.step_to(self.hand.action_map(np.clip(action, -1.0, 1.0), self.state.targets))
 
-    def follow(self, targets: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
+    def step_to(self, targets: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
         """A step towards joint targets (n_actuators,), rad and m, that no action need stand for."""
-        self._targets = targets
         self._steps += 1
+        is_last = self._steps >= self.max_episode_steps
         try:
-            self.task.act(self.simulator, self._steps)
-            self.simulator.step(self._targets, self.config.n_substeps)
-            snapshot = self._look()
-            self._follow(snapshot.object.position)
-            sensed = self._sensed(snapshot)
-            judged = self.task.judge(snapshot, self._steps >= self.max_episode_steps)
-            achieved = judged.achieved_goal
-            if judged.hold is not None and not self._hold(judged.hold):
-                achieved = judged.dropped_goal
-        except simulators.SimulationError as error:
+            self.task.before_step(self.simulator, self._steps)
+            self.simulator.step(targets, self.config.n_substeps)
+            self._before, self.state = self.state, self.simulator.state()
+            self._require_whole()
+            sensed = self._sense(self.state)
+            achieved, terminated = self.task.after_step(self.simulator, self.state, is_last)
+        except SimulationError as error:
             info = self._info(True, is_success=False, diverged=True, error=str(error))
-            last = {key: value.copy() for key, value in self._obs.items()}
-            return last, 0.0, False, True, info
+            return {key: value.copy() for key, value in self._obs.items()}, 0.0, False, True, info
         self._obs = obs = self._goal_obs(sensed, achieved)
         goals = obs["achieved_goal"], obs["desired_goal"]
-        terminated = judged.is_over
-        truncated = not terminated and self._steps >= self.max_episode_steps
-        info = self._info(terminated or truncated, is_success=bool(self.task.is_success(*goals)))
-        return obs, float(self.task.reward(*goals)), terminated, truncated, info
+        reward, is_success = float(self.task.reward(*goals)), bool(self.task.is_success(*goals))
+        info = self._info(terminated or is_last, is_success=is_success)
+        return obs, reward, terminated, is_last and not terminated, info
 
     def compute_reward(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Array:
         """Rewards (...) of goals (..., goal_size); pure, `info` is not looked at."""
         return self.task.reward(np.asarray(achieved_goal), np.asarray(desired_goal))
 
     @property
-    def shape(self) -> objects.Shape:
+    def shape(self) -> Shape:
         """The object's, in this episode."""
         return self._item.shape
 
@@ -277,7 +265,7 @@ class GraspEnv(gym.Env[Any, Array]):
     def taxel_readings(self) -> Array:
         """(n_taxels,) what the taxels feel now by the configured touch rule, without their faults:
         bool, or by rule "force" N."""
-        return self._touch.read(self.simulator, self.shape, self.simulator.object_state())
+        return self._touch.read(self.simulator.state())
 
     def render(self) -> Array | None:
         """A picture of the scene, taxels that fire lit, when made with "rgb_array"."""
@@ -285,43 +273,42 @@ class GraspEnv(gym.Env[Any, Array]):
 
     def picture(self, camera: simulators.Camera) -> Array:
         """The scene as `camera` sees it, RGB (height, width, 3) uint8."""
-        lit = self.taxel_readings() > 0 if self.config.run_type == "main" else None
-        taxels = None if self.config.run_type == "absent" else self.taxels
-        return self.simulator.render(camera, taxels, lit)
+        return self.simulator.render(camera, [*self._drawn(self.simulator.state())])
+
+    def _drawn(self, state: State) -> Iterator[Sphere]:
+        """The taxels."""
+        if (run_type := self.config.run_type) != "absent":
+            centres, radii = self._points.world(state), self.taxels.radii
+            lit = self._touch.read(state) > 0 if run_type == "main" else np.zeros(len(radii), bool)
+            for centre, radius, on in zip(centres, radii, lit, strict=True):
+                yield Sphere(centre, radius * (LIT_SCALE if on else 1.0), LIT if on else DARK)
 
     def close(self) -> None:
         self.simulator.close()
 
-    def _look(self) -> Snapshot:
-        """What is true now, asked of the simulator once for all that follows."""
-        points = self.simulator.link_positions()
-        joints, state = self.simulator.joint_state(), self.simulator.object_state()
-        return Snapshot(points[0], points[1:], *joints, self._targets, state, self.shape)
-
-    def _follow(self, position: Array) -> None:
-        """Where is the object after this action? SimulationError when it got there too fast: the
-        physics can break and stay finite, as fingers that overlap deeply shoot the object out."""
-        moved, self._object_position = position - self._object_position, position
+    def _require_whole(self) -> None:
+        """SimulationError when an action moved the object too fast: the physics can break and stay
+        finite, as fingers that overlap deeply shoot the object out."""
+        moved = self.state.object_position - self._before.object_position
         speed = math.sqrt(moved @ moved) / self.config.control_dt
         if not speed < EJECTED:
             reason = f"the object moved at {speed:.3g} m/s: it was ejected or the physics broke"
-            raise simulators.SimulationError(reason)
+            raise SimulationError(reason)
 
-    def _sensed(self, now: Snapshot) -> dict[str, Array]:
-        """What policy and critic are told; SimulationError when the physics broke. Before a hold test
-        moves the hand: taxels are read from where its links are."""
-        run_type, has_truth = self.config.run_type, self.config.critic_sees == "truth"
+    def _sense(self, state: State) -> dict[str, Array]:
+        """What policy and critic are shown; SimulationError when the physics broke."""
+        run_type, is_privileged = self.config.run_type, self.config.critic_sees == "truth"
         felt = np.zeros(0)
-        if has_truth or run_type == "main":
-            felt = self._touch.read(self.simulator, self.shape, now.object)
+        if is_privileged or run_type == "main":
+            felt = self._touch.read(state)
         blind = np.zeros(len(self.taxels) if run_type == "control" else 0)
-        observation = self._observer.observe(now, felt if run_type == "main" else blind)
+        observation = self._observer.observe(state, felt if run_type == "main" else blind)
         largest = np.abs(observation).max()
         if not largest < LIMIT:
             reason = f"an observation is as large as {largest}: the physics broke"
-            raise simulators.SimulationError(reason)
-        truth = {"truth": observations.truth(self.hand, now, felt)} if has_truth else {}
-        return {**truth, "observation": observation}
+            raise SimulationError(reason)
+        more = {"truth": observations.privileged(self.hand, state, felt)} if is_privileged else {}
+        return {**more, "observation": observation}
 
     def _info(self, is_end: bool, **info: Any) -> dict[str, Any]:
         """With the warnings that no step has told of yet, including a reset's; at the end of an
@@ -330,20 +317,6 @@ class GraspEnv(gym.Env[Any, Array]):
             info["object"] = self._item.describe()
         before, self._warnings = self._warnings, self.simulator.warnings
         return info if self._warnings == before else {**info, "warnings": self._warnings - before}
-
-    def _hold(self, test: HoldTest) -> bool:
-        """A hold test from here on, with the joint targets of the last action: does the object stay?
-        Leaves the simulator wherever the test ended."""
-        hold = Hold(test, self._look(), self.config.timestep)
-        targets, verdict = hold.targets, None
-        try:
-            while verdict is None:
-                self.simulator.set_creep(hold.creep)
-                self.simulator.step(targets, hold.n_substeps)
-                targets, verdict = hold.advance(self._look())
-        finally:
-            self.simulator.set_creep(1.0)
-        return verdict
 
     def _goal_obs(self, sensed: dict[str, Array], achieved: Array) -> dict[str, Array]:
         return {

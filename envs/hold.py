@@ -20,8 +20,8 @@ from typing import Literal
 
 import numpy as np
 
-from .hands import Array
-from .snapshot import Snapshot
+from .simulators import Simulator
+from .state import Array, State
 
 Verdict = Literal["full", "settled"]
 RAISE_SPEED = 0.3  # m/s
@@ -33,7 +33,7 @@ LOOK_STEPS = 25  # of the set-up's own timestep, whatever timestep it is run wit
 
 @dataclass(frozen=True)
 class HoldTest:
-    """Parameters of a hold test; times are rounded to whole timesteps, at least one."""
+    """A hold test; times are rounded to whole timesteps, at least one."""
 
     seconds: float
     """Time at the top, s."""
@@ -52,72 +52,54 @@ class HoldTest:
     """"settled": the object is at rest when no point of it will move by more than this, m, before
     the compressed test ends and for one look more."""
 
-
-class Hold:
-    """A hold test under way, from one look at the object to the next; it begins with the joint targets
-    of now, but for the slide that rises.
-
-    Whoever runs it takes `n_substeps` timesteps towards `targets` while what sticks creeps `creep`
-    times as fast as usual, then calls `advance`, until there is a verdict.
-    """
-
-    def __init__(self, test: HoldTest, now: Snapshot, timestep: float) -> None:
-        self.test, self.targets, self.creep = test, now.targets.copy(), 1.0
+    def run(self, simulator: Simulator, state: State) -> bool:
+        """Does the object stay in the hand, from this state on and with its joint targets, but for the
+        slide that rises? Leaves the simulator wherever the test ended."""
+        timestep, targets = simulator.scene.timestep, state.targets.copy()
         # From where the slide is, not from its target: the hand may lag far behind that.
-        self.targets[2] = now.joint_positions[2]
-        self._top = self.targets[2] + test.height - now.hand[2]
-        times = (test.look_every, test.seconds)
-        self._every, self._left = (max(1, round(seconds / timestep)) for seconds in times)
-        self._way = RAISE_SPEED * timestep * self._every
-        self._n_looks, self._corners = 0, _corners(now)
-        self._plan()
+        targets[2] = state.joint_positions[2]
+        top = targets[2] + self.height - state.palm[2]
+        every, left = (max(1, round(s / timestep)) for s in (self.look_every, self.seconds))
+        way, n_looks, corners = RAISE_SPEED * timestep * every, 0, _corners(state)
+        try:
+            while True:
+                n_substeps = every
+                if targets[2] != top:  # the palm does not turn, but rise and stay
+                    targets[2] += np.clip(top - targets[2], -way, way)
+                else:
+                    n_substeps = min(every, left)
+                    left -= n_substeps
+                simulator.step(targets, n_substeps)
+                state, before = simulator.state(), corners
+                corners, n_looks, is_at_top = _corners(state), n_looks + 1, bool(targets[2] == top)
+                if not np.linalg.norm(_in_hand(state)) <= OUT_OF_REACH:
+                    return False
+                if is_at_top and not left:
+                    return True
+                if self.verdict == "full":
+                    continue
+                compressed = (n_looks - round(self.shake_seconds / self.look_every)) * self.look_every
+                if compressed >= 0:
+                    simulator.set_creep(self.creep)
+                speed = float(np.linalg.norm(corners - before, axis=1).max()) / self.look_every
+                if compressed > 0 and self._settles(state, speed, compressed, is_at_top):
+                    return True
+        finally:
+            simulator.set_creep(1.0)
 
-    @property
-    def is_at_top(self) -> bool:
-        """Is the hand to rise no further?"""
-        return bool(self.targets[2] == self._top)
-
-    def advance(self, now: Snapshot) -> tuple[Array, bool | None]:
-        """Targets (n_actuators,) of the next steps, and whether the object stays in the hand: None as
-        long as that is open. `now` is what the last steps led to."""
-        self._n_looks += 1
-        if not np.linalg.norm(_in_hand(now)) <= OUT_OF_REACH:
-            return self.targets, False
-        is_over = self.is_at_top and not self._left
-        if is_over or (self.test.verdict == "settled" and self._settles(now)):
-            return self.targets, True
-        self._plan()
-        return self.targets, None
-
-    def _plan(self) -> None:
-        """What comes next: the palm does not turn, but rise and stay."""
-        self.n_substeps = self._every
-        if not self.is_at_top:
-            self.targets[2] += np.clip(self._top - self.targets[2], -self._way, self._way)
-            return
-        self.n_substeps = min(self._every, self._left)
-        self._left -= self.n_substeps
-
-    def _settles(self, now: Snapshot) -> bool:
-        """The early verdict: at rest, or still in the hand when time is up and it is at the top."""
-        test, before = self.test, self._corners
-        self._corners = _corners(now)
-        compressed = (self._n_looks - round(test.shake_seconds / test.look_every)) * test.look_every
-        if compressed >= 0:
-            self.creep = test.creep
-        if compressed <= 0:
-            return False
-        left = max(0.0, (test.seconds + test.height / RAISE_SPEED) / test.creep - compressed)
-        speed = np.linalg.norm(self._corners - before, axis=1).max() / test.look_every
-        is_at_rest = speed * (left + test.look_every) < test.settle_distance
-        return bool(is_at_rest and now.clearance > CLEAR) or (self.is_at_top and left == 0)
+    def _settles(self, state: State, speed: float, compressed: float, is_at_top: bool) -> bool:
+        """The early verdict after so much compressed time, s, on an object that moves in the hand at
+        `speed`, m/s: it is at rest, or still in the hand at the top when time is up."""
+        left = max(0.0, (self.seconds + self.height / RAISE_SPEED) / self.creep - compressed)
+        is_at_rest = speed * (left + self.look_every) < self.settle_distance
+        return bool(is_at_rest and state.clearance > CLEAR) or (is_at_top and left == 0)
 
 
-def _in_hand(now: Snapshot) -> Array:
+def _in_hand(state: State) -> Array:
     """The object's position relative to the palm (3,), m."""
-    return now.object.position - now.hand
+    return state.object_position - state.palm
 
 
-def _corners(now: Snapshot) -> Array:
+def _corners(state: State) -> Array:
     """Of the object's bounding box relative to the palm (8, 3), m: they show turns."""
-    return _in_hand(now) + CORNERS * now.shape.half_size @ now.object.rotation.T
+    return _in_hand(state) + CORNERS * state.shape.half_size @ state.object_rotation.T

@@ -19,7 +19,8 @@ import numpy as np
 
 from . import taxel_files, toml_files
 from .choices import require_one_of
-from .hands import DIGITS, HANDS, SEGMENTS, Array, Hand, Pitch, Surface
+from .hands import DIGITS, HANDS, SEGMENTS, Hand, Pitch, Surface
+from .state import Array
 from .taxel_files import Point
 from .toml_files import is_number, number, only, strings, table
 

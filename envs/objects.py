@@ -1,19 +1,17 @@
-"""The object to grasp: its shape, where its surface is, and how it differs between episodes."""
+"""Which objects there are to grasp, and how they differ between episodes."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal, get_args
+from dataclasses import dataclass
+from typing import Annotated, Any
 
 import numpy as np
 
 from .choices import require_one_of
-from .hands import Array
+from .state import KINDS, Kind, Shape
 from .typed import allow_only_with, hints, require_type
 
-Kind = Literal["box", "sphere", "cylinder"]
-KINDS: tuple[Kind, ...] = get_args(Kind)
 Number = float | str
 """A value, or LOW..HIGH: drawn uniformly from there in every episode."""
 Density = Annotated[float, "[1, 25000]"] | str
@@ -49,68 +47,6 @@ class ObjectConfig:
     def is_near(self) -> bool:
         """Does the object start where the hand leaves room for it?"""
         return not self.jitter or (self.start_offset <= OFFSET and self.start_yaw <= YAW)
-
-
-@dataclass(frozen=True)
-class Shape:
-    """A primitive in its own frame, centred at the origin; a cylinder stands along z. In m."""
-
-    kind: Kind
-    half_size: tuple[float, float, float]
-    """Half extents along its own axes, m."""
-
-    @property
-    def width(self) -> float:
-        """The larger of its two measures across, m."""
-        return 2 * max(self.half_size[:2])
-
-    @property
-    def height(self) -> float:
-        return 2 * self.half_size[2]
-
-    @property
-    def volume(self) -> float:
-        """m³"""
-        x, y, z = self.half_size
-        factor = {"box": 8.0, "sphere": 4 / 3 * math.pi, "cylinder": 2 * math.pi}
-        return factor[self.kind] * x * y * z
-
-    def squared_distance(self, points: Array) -> Array:
-        """Squared distance (...) in m² from points (..., 3) to the solid, 0 inside."""
-        if self.kind == "sphere":
-            return np.square(np.maximum(np.linalg.norm(points, axis=-1) - self.half_size[0], 0.0))
-        if self.kind == "cylinder":
-            points = np.stack([np.hypot(points[..., 0], points[..., 1]), points[..., 2]], axis=-1)
-        beyond = np.abs(points)
-        beyond -= self.half_size[-points.shape[-1] :]
-        np.maximum(beyond, 0.0, out=beyond)
-        return np.einsum("...i,...i->...", beyond, beyond)
-
-    def half_height(self, rotation: Array) -> float:
-        """How far the shape reaches below its centre when turned by `rotation` (3, 3), m."""
-        x, _, z = self.half_size
-        if self.kind == "sphere":
-            return x
-        if self.kind == "cylinder":
-            upright = abs(rotation[2, 2])
-            return float(z * upright + x * math.sqrt(max(0.0, 1.0 - upright**2)))
-        return float(np.abs(rotation[2]) @ self.half_size)
-
-
-@dataclass(frozen=True)
-class ObjectState:
-    """Pose and velocity of the object, world frame, SI units."""
-
-    position: Array
-    """(3,)"""
-    orientation: Array
-    """(4,) quaternion wxyz."""
-    rotation: Array
-    """(3, 3), the same orientation as a matrix."""
-    velocity: Array = field(default_factory=lambda: np.zeros(3))
-    """(3,) of its centre, m/s."""
-    angular_velocity: Array = field(default_factory=lambda: np.zeros(3))
-    """(3,) rad/s."""
 
 
 def make(kind: Kind, size: tuple[float, ...]) -> Shape:

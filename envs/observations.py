@@ -17,9 +17,8 @@ import gymnasium as gym
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from . import objects
-from .hands import SLIDES, Array, Hand
-from .snapshot import Snapshot
+from .hands import SLIDES, Hand
+from .state import KINDS, Array, Shape, State
 from .typed import Share, allow_only_with
 
 Metres = Annotated[float, "[0, 1]"]
@@ -112,7 +111,7 @@ class Term(NamedTuple):
     """All entries are."""
     each: Callable[[Hand], Sequence[str]]
     """Which of that each one is."""
-    read: Callable[[Hand, Snapshot], Array]
+    read: Callable[[Hand, State], Array]
     """(n,) from what the policy may know."""
 
 
@@ -121,31 +120,34 @@ def term_names(terms: Sequence[str], hand: Hand) -> list[str]:
     return [f"{TERMS[term].what} {each}" for term in terms for each in TERMS[term].each(hand)]
 
 
-def _of_first_joints(hand: Hand, now: Snapshot) -> Array:
-    return now.joint_positions.take([hand.joints.index(joint) for joint in hand.first_joints])
+def _of_first_joints(hand: Hand, state: State) -> Array:
+    return state.joint_positions.take([hand.joints.index(joint) for joint in hand.first_joints])
+
+
+def _upper(quaternion: Array) -> Array:
+    """Of the two quaternions of an orientation, that with w from 0 up."""
+    return np.copysign(1.0, quaternion[0]) * quaternion
 
 
 TERMS = {
     "object_id": Term(
         "object kind:",
-        lambda _: [", ".join(objects.KINDS)],
-        lambda _, now: np.array([float(objects.KINDS.index(now.shape.kind))]),
+        lambda _: [", ".join(KINDS)],
+        lambda _, state: np.array([float(KINDS.index(state.shape.kind))]),
     ),
-    "hand_position": Term("hand", lambda _: "xyz", lambda _, now: now.hand),
+    "hand_position": Term("hand", lambda _: "xyz", lambda _, state: state.palm),
     "finger_joints": Term("position of", attrgetter("first_joints"), _of_first_joints),
-    "joint_positions": Term("position of", attrgetter("joints"), lambda _, now: now.joint_positions),
-    "joint_velocities": Term("velocity of", attrgetter("joints"), lambda _, now: now.joint_velocities),
-    "object_position": Term("object", lambda _: "xyz", lambda _, now: now.object.position),
+    "joint_positions": Term("position of", attrgetter("joints"), lambda _, s: s.joint_positions),
+    "joint_velocities": Term("velocity of", attrgetter("joints"), lambda _, s: s.joint_velocities),
+    "object_position": Term("object", lambda _: "xyz", lambda _, state: state.object_position),
     "object_orientation": Term(
-        "object quaternion",
-        lambda _: "wxyz",
-        lambda _, now: np.copysign(1.0, now.object.orientation[0]) * now.object.orientation,
+        "object quaternion", lambda _: "wxyz", lambda _, state: _upper(state.object_orientation)
     ),
     "asked": Term(
-        "asked for:", attrgetter("action_names"), lambda h, now: h.action_map.asked(now.targets)
+        "asked for:", attrgetter("action_names"), lambda h, state: h.action_map.asked(state.targets)
     ),
 }
-TRUE = ("joint_positions", "joint_velocities", "object_position", "object_orientation")
+PRIVILEGED = ("joint_positions", "joint_velocities", "object_position", "object_orientation")
 
 
 # -- stages ----------------------------------------------------------------------------------
@@ -178,17 +180,17 @@ class JointErrors:
         self._rng, self._error = rng, self.held * held.standard_normal(self.held.shape)
         self._noise: Array | None = None
 
-    def __call__(self, truth: Snapshot) -> Snapshot:
+    def __call__(self, state: State) -> State:
         """What is sensed of joints and hand; once a control step."""
         noise, before = self.white * self._rng.standard_normal(self.white.shape), self._noise
         self._noise = noise
         error = self._error + noise
         speed = 0.0 if before is None else (noise - before) / self.control_dt
         return replace(
-            truth,
-            joint_positions=truth.joint_positions + error,
-            joint_velocities=truth.joint_velocities + speed,
-            hand=truth.hand + error[: len(SLIDES)],  # carried by the slides, along the world's axes
+            state,
+            joint_positions=state.joint_positions + error,
+            joint_velocities=state.joint_velocities + speed,
+            palm=state.palm + error[: len(SLIDES)],  # carried by the slides, along the world's axes
         )
 
 
@@ -252,34 +254,39 @@ class Delay(Past):
 
 
 class Sight:
-    """How the object's pose is seen: as it is, off by a random offset and a turn about a random axis
-    (at every step or for an episode), as it was when the episode began, or not at all."""
+    """How the object is seen: as it is, off by a random offset and a turn about a random axis (at every
+    step or for an episode), as it was when the episode began, or not at all: it is then said to have
+    the shape of the scene's first object."""
 
-    def __init__(self, config: SensorConfig) -> None:
+    def __init__(self, config: SensorConfig, first: Shape) -> None:
         self._seen, self._is_held = config.object_seen, config.sight_noise_kind == "held"
         self._scale = np.repeat(config.sight_noise or SIGHT_NOISE, 3)
+        self._shape = first
 
     def begin(self, rng: np.random.Generator) -> None:
         self._rng = rng
-        self._first: objects.ObjectState | None = None
+        self._start: State | None = None
         self._error = self._draw()
 
     def _draw(self) -> Array:
         return self._scale * self._rng.standard_normal(6)
 
-    def __call__(self, obj: objects.ObjectState) -> objects.ObjectState:
-        """What is seen of it; only position and orientation count."""
+    def __call__(self, state: State) -> State:
+        """What is seen; of the object's pose only position and quaternion count."""
         if self._seen == "exact":
-            return obj
+            return state
         if self._seen == "hidden":
-            return objects.ObjectState(np.zeros(3), np.zeros(4), obj.rotation)
-        self._first = self._first or obj
-        if self._seen == "start":
-            return self._first
-        error = self._error if self._is_held else self._draw()
-        truth = Rotation.from_quat(obj.orientation, scalar_first=True)
-        orientation = (Rotation.from_rotvec(error[3:]) * truth).as_quat(scalar_first=True)
-        return objects.ObjectState(obj.position + error[:3], orientation, obj.rotation)
+            none = {"object_position": np.zeros(3), "object_orientation": np.zeros(4)}
+            return replace(state, shape=self._shape, **none)
+        self._start = start = self._start or state
+        position, orientation = start.object_position, start.object_orientation
+        if self._seen == "noisy":
+            error = self._error if self._is_held else self._draw()
+            actual = Rotation.from_quat(state.object_orientation, scalar_first=True)
+            turned = Rotation.from_rotvec(error[3:]) * actual
+            position = state.object_position + error[:3]
+            orientation = turned.as_quat(scalar_first=True)
+        return replace(state, object_position=position, object_orientation=orientation)
 
 
 # -- all of it -------------------------------------------------------------------------------
@@ -299,7 +306,7 @@ class NamedBox(gym.spaces.Box):
 
 
 class Observer:
-    """Turns snapshots into the observation of one hand with its sensors.
+    """Turns states into the observation of one hand with its sensors.
 
     The taxels, of the oldest to be remembered too, stand at the end.
     """
@@ -311,13 +318,12 @@ class Observer:
         taxel_names: tuple[str, ...],
         is_boolean: bool,
         control_dt: float,
-        first: objects.Shape,
+        first: Shape,
     ) -> None:
-        """`taxel_names` are those in the observation; `is_boolean`: do they read 0 or 1? What is hidden
-        is said to have the shape of the scene's `first` object."""
-        self._shape = first if config.object_seen == "hidden" else None
+        """`taxel_names` are those in the observation; `is_boolean`: do they read 0 or 1? `first` is the
+        shape of the scene's first object."""
         self.hand, self._terms = hand, [*hand.observation, *["asked"] * config.observe_targets]
-        self._sight = Sight(config)
+        self._sight = Sight(config, first)
         is_slide = np.isin(hand.joints, SLIDES)
         white = np.where(is_slide, config.slide_noise, config.joint_noise)
         held = np.where(is_slide, config.slide_noise_held, config.joint_noise_held)
@@ -330,16 +336,16 @@ class Observer:
         ages = ["", *(f" (t-{age})" for age in range(1, config.history))]
         names = [f"{name}{age}" for part in now for age in ages for name in part]
         self.space = NamedBox(names, len(ages) * len(taxel_names), is_boolean)
-        whose = [term for term in self._terms for _ in TERMS[term].each(hand)]
+        terms = [term for term in self._terms for _ in TERMS[term].each(hand)]
         taxels = np.repeat(["taxels"] + [""] * (len(ages) - 1), len(taxel_names))
-        self._whose = np.array([*whose, *[""] * (len(ages) - 1) * len(whose), *taxels])
+        self._term_of_entry = np.array([*terms, *[""] * (len(ages) - 1) * len(terms), *taxels])
 
     def entries(self, *terms: str) -> Array:
         """Indices of the newest entries of these terms, as far as the hand has them, or "taxels"."""
-        return np.flatnonzero(np.isin(self._whose, terms))
+        return np.flatnonzero(np.isin(self._term_of_entry, terms))
 
     def begin(self, rng: np.random.Generator) -> None:
-        """A new episode, which the next snapshot starts."""
+        """A new episode, which the next state starts."""
         sight, joints, taxels = rng.spawn(3)
         self._sight.begin(sight)
         if self._joints is not None:
@@ -347,27 +353,27 @@ class Observer:
         for stage in (*self._taxels, *self._past):
             stage.begin(taxels)
 
-    def observe(self, truth: Snapshot, taxels: Array) -> Array:
+    def observe(self, state: State, taxels: Array) -> Array:
         """(n,) float32 from what is true and what the taxels feel; once a control step."""
-        sensed = replace(truth, object=self._sight(truth.object), shape=self._shape or truth.shape)
+        sensed = self._sight(state)
         if self._joints is not None:
             sensed = self._joints(sensed)
         terms = np.concatenate([TERMS[term].read(self.hand, sensed) for term in self._terms])
         for stage in self._taxels:
             taxels = stage(taxels)
-        told = [*self._past[0].add(terms), *self._past[1].add(taxels)]
-        return np.concatenate(told, dtype=np.float32, casting="same_kind")
+        obs = [*self._past[0].add(terms), *self._past[1].add(taxels)]
+        return np.concatenate(obs, dtype=np.float32, casting="same_kind")
 
 
-def truth(hand: Hand, now: Snapshot, taxels: Array) -> Array:
-    """(n,) float32: what a critic may see of an episode, whatever the policy is told."""
-    parts = [TERMS[name].read(hand, now) for name in TRUE]
+def privileged(hand: Hand, state: State, taxels: Array) -> Array:
+    """(n,) float32: what a critic may see of an episode, whatever the policy does."""
+    parts = [TERMS[name].read(hand, state) for name in PRIVILEGED]
     return np.concatenate([*parts, taxels], dtype=np.float32, casting="same_kind")
 
 
-def truth_space(hand: Hand, taxel_names: Sequence[str], is_boolean: bool) -> NamedBox:
-    """Where `truth` lies."""
-    names = [*term_names(TRUE, hand), *(f"taxel {name}" for name in taxel_names)]
+def privileged_space(hand: Hand, taxel_names: Sequence[str], is_boolean: bool) -> NamedBox:
+    """Where `privileged` lies."""
+    names = [*term_names(PRIVILEGED, hand), *(f"taxel {name}" for name in taxel_names)]
     return NamedBox(names, len(taxel_names), is_boolean)
 
 

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from .grasp import JITTER_JOINT, GraspEnv
-from .hands import Array, Hand, ScriptedGrasp
+from .hands import Hand, ScriptedGrasp
 from .objects import OFFSET, YAW
+from .state import Array
 
 PERIODS = (0.04, 0.05)  # s between targets: the first that is a whole number of timesteps
 APPROACH, CLOSE, LIFT = 0.4, 0.8, 1.0  # s

@@ -1,7 +1,7 @@
 """The two tasks of the paper, and handover: where the object is at first and who moves it, which goal,
 what is achieved, what is rewarded, what is success.
 
-A task owns all of that, its thresholds and its hold test; the environment tells it what is true after
+A task owns all of that, its thresholds and its hold test; the environment calls it before and after
 each action. Rewards are pure functions of the achieved and the desired goal, so that hindsight
 relabelling can recompute them.
 """
@@ -13,11 +13,11 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
 
 import numpy as np
 
-from .hands import Array, Hand
+from .hands import Hand
 from .hold import LOOK_STEPS, HoldTest, Verdict
-from .objects import Shape, bounds, require_ends
+from .objects import bounds, require_ends
 from .simulators import Giver, Simulator
-from .snapshot import Snapshot
+from .state import Array, Shape, State
 from .typed import allow_only_with
 
 
@@ -48,47 +48,37 @@ class TaskConfig:
     """reach-goal: largest random offset of the goal along x, y and z, m."""
     goal_tolerance: Annotated[float, "(0, 1]"] = 0.03
     """reach-goal: largest distance from the goal that counts as success, m."""
+    control_dt: Annotated[float, "(0, 10]"] = 0.2
+    """Time between actions, s; a whole number of timesteps."""
+    max_episode_steps: Annotated[int, "[1, 20000]"] | None = None
+    """Actions per episode; default: the task's (lift-and-hold 100, as in the paper)."""
 
 
 def validate(config: TaskConfig) -> None:
     """ValueError naming the first invalid field."""
-    if not 0 <= config.goal_range <= config.goal_height:
-        allowed = f"from 0 to goal_height, {config.goal_height:g} m"
-        raise ValueError(f"goal_range: found {config.goal_range} m, allowed {allowed}")
-    for task, name in (("reach-goal", "goal_range"), ("handover", "handover_reach")):
-        if config.task != task:
-            allow_only_with(f"task {task}", config, name)
     require_ends(config, "handover_reach")
-    rewards = TASKS[config.task].rewards
-    if config.reward is not None and config.reward not in rewards:
-        allowed = ", ".join(rewards)
+    task = TASKS[config.task]
+    others = {name for other in TASKS.values() for name in other.options} - {*task.options}
+    for name in sorted(others):
+        users = [other for other, kind in TASKS.items() if name in kind.options]
+        allow_only_with(f"task {' or '.join(users)}", config, name)
+    if config.reward is not None and config.reward not in task.rewards:
+        allowed = ", ".join(task.rewards)
         raise ValueError(f"reward: found {config.reward!r}, allowed for {config.task}: {allowed}")
+    task.validate(config)
 
 
 class Start(NamedTuple):
-    """How hand and object begin an episode."""
+    """How hand and object begin an episode: what `Simulator.reset` takes."""
 
     joints: Array
     """Positions (n_joints,) in the order of the hand's ``joints``, rad and m."""
-    targets: Array
-    """(n_actuators,) that the hand is held to at first."""
     position: Array
     """Of the object (3,), m."""
     yaw: float
     """Of the object, rad."""
-
-
-class Judgement(NamedTuple):
-    """What a task says after an action."""
-
-    achieved_goal: Array
-    """(goal_size,) float64"""
-    is_over: bool = False
-    """Does the episode end here by the task's own rules?"""
-    hold: HoldTest | None = None
-    """What has still to be passed for that, from the scene as it is; the episode is over then."""
-    dropped_goal: Array = np.zeros(0)
-    """What was achieved where it is not passed."""
+    targets: Array
+    """(n_actuators,) that the hand is held to at first."""
 
 
 class Task(Protocol):
@@ -97,6 +87,8 @@ class Task(Protocol):
 
     rewards: ClassVar[tuple[str, ...]]
     """The kinds of reward it has; the first is the default."""
+    options: ClassVar[tuple[str, ...]] = ()
+    """Fields of the configuration that do nothing in tasks that do not name them too."""
     max_episode_steps: ClassVar[int]
     """Length of an episode unless the configuration says otherwise."""
     rise: ClassVar[float] = 0.0
@@ -111,6 +103,10 @@ class Task(Protocol):
     first: Shape
     hold: HoldTest
 
+    @classmethod
+    def validate(cls, config: TaskConfig) -> None:
+        """ValueError naming a field that does not go together with others in this task."""
+
     def __init__(self, config: TaskConfig, hand: Hand, own_timestep: float, first: Shape) -> None:
         """As configured, for a hand whose own timestep is that, s, and a scene whose first object has
         this shape."""
@@ -122,14 +118,15 @@ class Task(Protocol):
         little moved. `palm` (3,) is a place on the palm's skin, at the bases of the fingers."""
         return usual
 
-    def act(self, simulator: Simulator, step: int) -> None:
-        """What others do in the scene before the hand's action number `step`, or at the start (0)."""
-
-    def begin(self, start: Snapshot, rng: np.random.Generator) -> tuple[Array, Array]:
+    def begin(self, state: State, rng: np.random.Generator) -> tuple[Array, Array]:
         """(achieved, desired goal) of a new episode, each (goal_size,)."""
 
-    def judge(self, now: Snapshot, is_last: bool) -> Judgement:
-        """What was achieved with an action, the episode's last one or not."""
+    def before_step(self, simulator: Simulator, step: int) -> None:
+        """What others do in the scene before the hand's action number `step`, or at the start (0)."""
+
+    def after_step(self, simulator: Simulator, state: State, is_last: bool) -> tuple[Array, bool]:
+        """What was achieved (goal_size,) with an action, the episode's last one or not; and does the
+        episode end here by the task's own rules? Then it may use the simulator for a last test."""
 
     def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """Rewards (...) from goals (..., goal_size)."""
@@ -143,17 +140,24 @@ class ReachGoal(Task):
     """Bring the object to a place above the ground and keep it there (paper, MuJoCo set-up)."""
 
     rewards = ("sparse", "dense")
+    options = ("goal_range",)
     max_episode_steps = 20
     goal_size = 3
 
-    def begin(self, start: Snapshot, rng: np.random.Generator) -> tuple[Array, Array]:
-        goal = np.array([0.0, 0.0, self.first.half_size[2] + self.config.goal_height])
-        if spread := self.config.goal_range:
-            goal += rng.uniform(-spread, spread, 3)
-        return start.object.position, goal
+    @classmethod
+    def validate(cls, config: TaskConfig) -> None:
+        if not 0 <= config.goal_range <= config.goal_height:
+            allowed = f"from 0 to goal_height, {config.goal_height:g} m"
+            raise ValueError(f"goal_range: found {config.goal_range} m, allowed {allowed}")
 
-    def judge(self, now: Snapshot, is_last: bool) -> Judgement:
-        return Judgement(now.object.position)
+    def begin(self, state: State, rng: np.random.Generator) -> tuple[Array, Array]:
+        goal = np.array([0.0, 0.0, self.first.half_size[2] + self.config.goal_height])
+        if furthest := self.config.goal_range:
+            goal += rng.uniform(-furthest, furthest, 3)
+        return state.object_position, goal
+
+    def after_step(self, simulator: Simulator, state: State, is_last: bool) -> tuple[Array, bool]:
+        return state.object_position, False
 
     def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """sparse: 0 within the tolerance, else -1; dense: -10 x distance in m. Both readings
@@ -166,14 +170,13 @@ class ReachGoal(Task):
         return _distance(achieved_goal, desired_goal) <= self.config.goal_tolerance
 
 
-Outcome = Literal["undecided", "fell_back", "lifted", "dropped", "held", "timed_out", "missed"]
+Outcome = Literal["undecided", "fell_back", "dropped", "held", "timed_out", "missed"]
 # How the outcome of a step of lift-and-hold or handover stands at the end of its achieved goal.
 OUTCOMES: dict[Outcome, float] = {
     "timed_out": -1.0,
     "missed": -0.5,
     "undecided": 0.0,
     "fell_back": 0.25,  # had left the ground, and lies on it again
-    "lifted": 0.4,  # the hold test decides between the next two
     "dropped": 0.5,  # was lifted, and did not survive the hold test
     "held": 1.0,
 }
@@ -198,23 +201,23 @@ class LiftAndHold(Task):
         self.only_goal: Array = np.append(np.zeros(1 + len(hand.fingertips)), OUTCOMES["held"])
         self.goal_size = len(self.only_goal)
 
-    def begin(self, start: Snapshot, rng: np.random.Generator) -> tuple[Array, Array]:
+    def begin(self, state: State, rng: np.random.Generator) -> tuple[Array, Array]:
         self._is_off_ground = False
-        return self._achieved(start, "undecided"), self.only_goal
+        return self._achieved(state, "undecided"), self.only_goal
 
-    def judge(self, now: Snapshot, is_last: bool) -> Judgement:
-        if now.clearance > self.config.lift_clearance:
-            held, dropped = self._achieved(now, "held"), self._achieved(now, "dropped")
-            return Judgement(held, True, self.hold, dropped)
-        was_off, self._is_off_ground = self._is_off_ground, now.clearance > OFF_GROUND
+    def after_step(self, simulator: Simulator, state: State, is_last: bool) -> tuple[Array, bool]:
+        if state.clearance > self.config.lift_clearance:
+            is_held = self.hold.run(simulator, state)
+            return self._achieved(state, "held" if is_held else "dropped"), True
+        was_off, self._is_off_ground = self._is_off_ground, state.clearance > OFF_GROUND
         if is_last:  # the paper's time-out is a verdict too, with its -100
-            return Judgement(self._achieved(now, "timed_out"), True)
+            return self._achieved(state, "timed_out"), True
         has_fallen = was_off and not self._is_off_ground
-        return Judgement(self._achieved(now, "fell_back" if has_fallen else "undecided"))
+        return self._achieved(state, "fell_back" if has_fallen else "undecided"), False
 
-    def _achieved(self, now: Snapshot, outcome: Outcome) -> Array:
-        points = np.vstack([now.hand, now.fingertips])
-        return np.append(_distance(points, now.object.position), OUTCOMES[outcome])
+    def _achieved(self, state: State, outcome: Outcome) -> Array:
+        points = np.vstack([state.palm, state.fingertips])
+        return np.append(_distance(points, state.object_position), OUTCOMES[outcome])
 
     def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """Closeness of palm and fingertips until a lift; 5 more for a failed attempt, whether
@@ -237,6 +240,7 @@ class Handover(Task):
     """
 
     rewards = ("outcome",)
+    options = ("handover_reach",)
     max_episode_steps = 60
     rise = 0.2
     giver: ClassVar[Giver] = Giver()
@@ -256,16 +260,15 @@ class Handover(Task):
     """m from the palm: it was missed."""
 
     @classmethod
-    def require_time(cls, max_episode_steps: int | None, control_dt: float) -> None:
+    def validate(cls, config: TaskConfig) -> None:
         """ValueError where an episode ends before the hold test, or the giver lets go on the way."""
-        least = cls.waits[1] + cls.stays + cls.settles
-        if max_episode_steps is not None and max_episode_steps < least:
-            raise ValueError(f"max_episode_steps: found {max_episode_steps}, allowed {least} or more "
-                             "in a handover")  # fmt: skip
+        least, found = cls.waits[1] + cls.stays + cls.settles, config.max_episode_steps
+        if found is not None and found < least:
+            raise ValueError(f"max_episode_steps: found {found}, allowed {least} or more in a handover")
         fastest = 2 * (cls.below + cls.beyond) / cls.giver.speed / cls.stays
-        if control_dt < fastest:
-            raise ValueError(f"control_dt: found {control_dt} s, allowed {fastest:.3f} s or more in a "
-                             "handover: the object would not arrive")  # fmt: skip
+        if config.control_dt < fastest:
+            found_dt = f"control_dt: found {config.control_dt} s, allowed {fastest:.3f} s or more in a"
+            raise ValueError(f"{found_dt} handover: the object would not arrive")
 
     def start(self, usual: Start, palm: Array, shape: Shape, rng: np.random.Generator) -> Start:
         x, y, _ = usual.position  # fingers point along -y
@@ -274,12 +277,12 @@ class Handover(Task):
         under = [x, y - reach, -shape.half_size[2] - self.below]
         return usual._replace(position=palm + np.array(under))
 
-    def begin(self, start: Snapshot, rng: np.random.Generator) -> tuple[Array, Array]:
+    def begin(self, state: State, rng: np.random.Generator) -> tuple[Array, Array]:
         self._sets_off = int(rng.integers(*self.waits, endpoint=True))
-        self._wait = start.object.position
+        self._wait = state.object_position
         return _outcome("undecided"), self.only_goal
 
-    def act(self, simulator: Simulator, step: int) -> None:
+    def before_step(self, simulator: Simulator, step: int) -> None:
         self._step = step
         if step == 0:
             simulator.carry(self._wait)
@@ -288,13 +291,13 @@ class Handover(Task):
         elif step == self._sets_off + self.stays:
             simulator.let_go()
 
-    def judge(self, now: Snapshot, is_last: bool) -> Judgement:
+    def after_step(self, simulator: Simulator, state: State, is_last: bool) -> tuple[Array, bool]:
         since = self._step - self._sets_off - self.stays
-        if since >= 0 and _distance(now.hand, now.object.position) > self.fallen:
-            return Judgement(_outcome("missed"), True)
+        if since >= 0 and _distance(state.palm, state.object_position) > self.fallen:
+            return _outcome("missed"), True
         if since >= self.settles:
-            return Judgement(_outcome("held"), True, self.hold, _outcome("missed"))
-        return Judgement(_outcome("undecided"))
+            return _outcome("held" if self.hold.run(simulator, state) else "missed"), True
+        return _outcome("undecided"), False
 
     def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """1000 for an object that is held in the end, -100 for one that is missed."""

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from . import toml_files
-from .hands import Array
+from .state import Array
 from .toml_files import number, strings, table, vector
 
 FARTHEST = 1.0  # m from the origin of its link

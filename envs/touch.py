@@ -6,7 +6,7 @@ contact points, where skin would meet it in a patch; the overlap of a small sphe
 with the object is that patch. The sphere alone would also feel what is near and touches nothing.
 Ground and self-contact cannot fire a taxel, and the rule is the same in every simulator.
 
-Rule "contact" (the paper's) depends on the simulator and lives there.
+Rule "contact" (the paper's) depends on the simulator, whose own sensors feel it.
 
 Rule "force": the taxels that are on by rule "skin" carry the normal forces between their link and the
 object. Each contact's force is shared among those of its link, the near ones taking more, so that
@@ -20,13 +20,13 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from .hands import Array, Hand, Surface
+from .hands import Hand, Surface
 from .layouts import Taxels
-from .objects import ObjectState, Shape
+from .simulators import Sensor
+from .state import Array, Shape, State
 
 if TYPE_CHECKING:
     from .hands.skins import Geom
-    from .simulators import Simulator
 
 SKIN = 5e-4  # m, how thick the skin is: what is further from a link's surface does not touch it
 SLACK = 5e-5  # m, by how much the distance of a bone from the object may be taken too large
@@ -48,14 +48,15 @@ class LinkPoints:
         self.links = links
         self._blocks = blocks.reshape(n, 4 * k)
 
-    def world(self, link_positions: Array, link_rotations: Array) -> Array:
-        """(..., n, 3), m, from poses of ``links``: (..., k, 3) and (..., k, 3, 3)."""
-        return self._blocks @ _stacked(link_positions, link_rotations)
+    def world(self, state: State) -> Array:
+        """(..., n, 3), m."""
+        return self._blocks @ _stacked(*state.poses(self.links))
 
-    def local(self, link_positions: Array, link_rotations: Array, obj: ObjectState) -> Array:
-        """The same points in the frame of `obj`."""
-        from_object = link_positions - obj.position[..., None, :]
-        return self._blocks @ (_stacked(from_object, link_rotations) @ obj.rotation)
+    def local(self, state: State) -> Array:
+        """The same points in the object's frame."""
+        positions, rotations = state.poses(self.links)
+        from_object = positions - state.object_position[..., None, :]
+        return self._blocks @ (_stacked(from_object, rotations) @ state.object_rotation)
 
 
 def _stacked(positions: Array, rotations: Array) -> Array:
@@ -67,6 +68,12 @@ def _stacked(positions: Array, rotations: Array) -> Array:
 def taxel_points(taxels: Taxels) -> LinkPoints:
     """The centres of taxels."""
     return LinkPoints(taxels.links, taxels.link_index, taxels.positions)
+
+
+def sensors(taxels: Taxels) -> tuple[Sensor, ...]:
+    """Where the simulator itself is to feel, for rules that go by that."""
+    links = (taxels.links[link] for link in taxels.link_index)
+    return tuple(map(Sensor, links, taxels.positions, taxels.radii.tolist()))
 
 
 class SkinTouch:
@@ -109,18 +116,14 @@ class SkinTouch:
         reaches = np.repeat([reach for _, _, reach in bones], sizes)
         self._squared_reaches = np.concatenate([taxels.radii, reaches]) ** 2
 
-    def read(
-        self, link_positions: Array, link_rotations: Array, shape: Shape, obj: ObjectState
-    ) -> Array:
-        """Which taxels are on: bool (..., n), from poses (..., k, 3) and (..., k, 3, 3) of `links`
-        and an object whose state has the same leading axes."""
-        points = self._points.local(link_positions, link_rotations, obj)
-        in_reach = shape.squared_distance(points) <= self._squared_reaches
+    def read(self, state: State) -> Array:
+        """Which taxels are on: bool (..., n)."""
+        in_reach = state.shape.squared_distance(self._points.local(state)) <= self._squared_reaches
         n = len(self._bone)
         touches = np.logical_or.reduceat(in_reach[..., n:], self._first, axis=-1)
         is_on = in_reach[..., :n] & touches[..., self._bone]
         if self._shaped is not None:
-            self._shaped.correct(is_on, link_positions, link_rotations, shape, obj)
+            self._shaped.correct(is_on, state.shape, state, *state.poses(self.links))
         return is_on
 
 
@@ -148,7 +151,7 @@ class _Shaped:
         self._taxels = {geom: np.array(some) for geom, some in carried.items()}
 
     def correct(
-        self, is_on: Array, positions: Array, rotations: Array, shape: Shape, obj: ObjectState
+        self, is_on: Array, shape: Shape, state: State, positions: Array, rotations: Array
     ) -> None:
         """Turn off in `is_on` (..., n) what is on links that do not touch."""
         for geom, taxels in self._taxels.items():
@@ -156,7 +159,7 @@ class _Shaped:
             for at in np.argwhere(is_on[..., taxels].any(axis=-1)):
                 where = tuple(at)
                 pose = positions[(*where, link)], rotations[(*where, link)]
-                thing = obj.position[where], obj.rotation[where]
+                thing = state.object_position[where], state.object_rotation[where]
                 if not self._geoms.within(geom, *pose, shape.kind, shape.half_size, *thing, SKIN):
                     is_on[(*where, taxels)] = False
 
@@ -186,13 +189,13 @@ class Rule(Protocol):
 
     is_boolean: bool = True
     """Are its readings 0 or 1?"""
-    sensed: Taxels | None = None
-    """Taxels that the simulator itself has to sense."""
+    by_sensors: bool = False
+    """Does it read sensors that the simulator has where the taxels are?"""
 
     def __init__(self, taxels: Taxels, hand: Hand) -> None: ...
 
-    def read(self, simulator: Simulator, shape: Shape, obj: ObjectState) -> Array:
-        """(n_taxels,) what the taxels feel now of the object with this shape and state."""
+    def read(self, state: State) -> Array:
+        """(n_taxels,) what the taxels feel of the object."""
 
 
 class SkinRule(Rule):
@@ -201,18 +204,20 @@ class SkinRule(Rule):
     def __init__(self, taxels: Taxels, hand: Hand) -> None:
         self._skin = SkinTouch(taxels, hand.surfaces)
 
-    def read(self, simulator: Simulator, shape: Shape, obj: ObjectState) -> Array:
-        return self._skin.read(*simulator.link_poses(self._skin.links), shape, obj)
+    def read(self, state: State) -> Array:
+        return self._skin.read(state)
 
 
 class ContactRule(Rule):
     """Rule "contact": Boolean, by what the simulator calls a contact."""
 
-    def __init__(self, taxels: Taxels, hand: Hand) -> None:
-        self.sensed = taxels
+    by_sensors = True
 
-    def read(self, simulator: Simulator, shape: Shape, obj: ObjectState) -> Array:
-        return simulator.contact_taxels()
+    def __init__(self, taxels: Taxels, hand: Hand) -> None:
+        pass
+
+    def read(self, state: State) -> Array:
+        return state.sensors
 
 
 class ForceRule(SkinRule):
@@ -226,20 +231,20 @@ class ForceRule(SkinRule):
         super().__init__(taxels, hand)
         self._taxels, self._points = taxels, taxel_points(taxels)
 
-    def read(self, simulator: Simulator, shape: Shape, obj: ObjectState) -> Array:
-        taxels, contacts = self._taxels, simulator.contacts()
-        poses = simulator.link_poses(taxels.links)
-        is_on = self._skin.read(*poses, shape, obj)
-        has_taxels = np.array([link in taxels.links for link in contacts.links], bool)
-        if not (is_on.any() and has_taxels.any()):
+    def read(self, state: State) -> Array:
+        taxels, contacts = self._taxels, state.contacts
+        is_on = self._skin.read(state)
+        index = {name: number for number, name in enumerate(taxels.links)}
+        link = np.array([index.get(state.links[link], -1) for link in contacts.links], int)
+        felt = link >= 0
+        if not (is_on.any() and felt.any()):
             return np.zeros(len(taxels))
-        link = np.array([taxels.links.index(link) for link in contacts.links if link in taxels.links])
-        offsets = self._points.world(*poses)[:, None] - contacts.points[has_taxels]
+        offsets = self._points.world(state)[:, None] - contacts.points[felt]
         weights = is_on[:, None] / (np.square(offsets).sum(axis=-1) + taxels.radii[:, None] ** 2)
-        weights *= taxels.link_index[:, None] == link
+        weights *= taxels.link_index[:, None] == link[felt]
         total = weights.sum(axis=0)
         return weights @ np.divide(
-            contacts.forces[has_taxels], total, out=np.zeros_like(total), where=total > 0
+            contacts.forces[felt], total, out=np.zeros_like(total), where=total > 0
         )
 
 

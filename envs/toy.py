@@ -7,7 +7,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from .hands import Array
+from .state import Array
 
 
 class LQREnv(gym.Env[Array, Array]):

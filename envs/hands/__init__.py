@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .. import toml_files
+from ..state import Array
 
 if TYPE_CHECKING:
     from .mounting import Mount
     from .skins import Geom
-
-Array = np.ndarray
 
 SLIDES = ("slide_x", "slide_y", "slide_z")
 """Joints and actuators that carry the whole hand along the world's axes."""

@@ -16,12 +16,12 @@ import numpy as np
 from .. import toml_files
 from ..choices import require_one_of
 from ..observations import TERMS
+from ..state import Array
 from ..toml_files import interval, number, only, strings, table, vector
 from . import (
     CLOSING_STEP,
     FOLDER,
     SLIDES,
-    Array,
     Hand,
     LinearAction,
     ScriptedGrasp,

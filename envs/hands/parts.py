@@ -14,8 +14,9 @@ import mujoco
 import numpy as np
 
 from ..choices import require_one_of
+from ..state import Array
 from ..toml_files import number, only, strings, table, vector
-from . import Array, mounting
+from . import mounting
 from .mounting import Mount
 
 Angles = dict[str, float]

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from . import Array
+from ..state import Array
 
 FAR = 0.5  # m: beyond any hand
 MESH = "mesh"

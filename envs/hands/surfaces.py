@@ -8,8 +8,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from ..state import Array
 from ..toml_files import number, table, vector
-from . import SEGMENTS, Array, Pitch, Surface, mounting
+from . import SEGMENTS, Pitch, Surface, mounting
 from .parts import Parts, beside, numbers, posed, unit
 from .skins import Distances, Geom, geoms_of, meet
 

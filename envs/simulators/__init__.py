@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import importlib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
-from ..hands import Array, Hand
-from ..layouts import Taxels
-from ..objects import ObjectState, Shape
+from ..hands import Hand
+from ..state import Array, Shape, State
 
 if TYPE_CHECKING:
     import mujoco
@@ -44,6 +43,25 @@ class Giver:
         return np.clip(force, -self.force, self.force)
 
 
+class Sensor(NamedTuple):
+    """A sphere on a link, in which the simulator itself feels contacts; m."""
+
+    link: str
+    centre: Array
+    """(3,) in the link's frame."""
+    radius: float
+
+
+class Sphere(NamedTuple):
+    """What a picture shows besides the scene; m."""
+
+    centre: Array
+    """(3,) in the world's frame."""
+    radius: float
+    colour: tuple[float, float, float, float]
+    """Red, green, blue, opacity."""
+
+
 @dataclass(frozen=True)
 class Scene:
     """What is simulated, in SI units."""
@@ -57,8 +75,7 @@ class Scene:
     finger_gain: float
     rise: float = 0.0
     """How much higher than usual the hand hangs."""
-    contact_taxels: Taxels | None = None
-    """Taxels to read by the simulator's own contact rule."""
+    sensors: tuple[Sensor, ...] = ()
     giver: Giver | None = None
     """Who may carry the object."""
     visual: bool = False
@@ -76,24 +93,13 @@ class Scene:
         root.pos = root.pos + np.array([0.0, 0.0, self.rise])
         return spec
 
-    @cached_property
-    def points(self) -> tuple[tuple[str, ...], Array]:
-        """Palm point and fingertips: bodies, and points (1 + n_digits, 3, 1) in their frames."""
+    def with_points(self, state: State) -> State:
+        """A state with where the palm point and the fingertips are, which follows from its links."""
         palm = self.hand.palm, self.hand.palm_point
         links, points = zip(palm, *self.hand.fingertips, strict=True)
-        return links, np.array(points)[:, :, None]
-
-
-@dataclass(frozen=True)
-class Contacts:
-    """Where the hand presses on the object."""
-
-    points: Array
-    """(k, 3), world frame, m."""
-    links: tuple[str, ...]
-    """The body of the hand in each."""
-    forces: Array
-    """(k,) normal force, above 0, N."""
+        positions, rotations = state.poses(links)
+        found = positions + np.matmul(rotations, np.array(points)[:, :, None])[:, :, 0]
+        return replace(state, palm=found[0], fingertips=found[1:])
 
 
 @dataclass(frozen=True)
@@ -131,9 +137,12 @@ class Simulator(Protocol):
         """Have another object in the scene, of which a reset must follow."""
         self.scene = self.scene.with_object(shape, mass, friction)
 
-    def reset(self, joint_positions: Array, object_position: Array, yaw: float) -> None:
+    def reset(
+        self, joint_positions: Array, object_position: Array, yaw: float, targets: Array | None = None
+    ) -> None:
         """Put everything at rest; afterwards the past has no influence. SimulationError when the
-        physics cannot begin there."""
+        physics cannot begin there. `targets` (n_actuators,) are the state's until the next step;
+        usually the hand's at its start."""
 
     def step(self, joint_targets: Array, n_substeps: int) -> None:
         """Advance by `n_substeps` timesteps; SimulationError when that broke the state."""
@@ -149,29 +158,11 @@ class Simulator(Protocol):
         """From now on, let what sticks creep this many times as fast as it does in the scene as it
         is built (1); nothing where dry friction does not creep."""
 
-    def joint_state(self) -> tuple[Array, Array]:
-        """Positions and velocities in the order of ``hand.joints``, each (n_joints,)."""
+    def state(self) -> State:
+        """What is true now; contacts are those of the last timestep."""
 
-    def object_state(self) -> ObjectState:
-        """Where the object is."""
-
-    def link_positions(self) -> Array:
-        """(1 + n_digits, 3): the palm point, then the hand's fingertips."""
-        links, points = self.scene.points
-        positions, rotations = self.link_poses(links)
-        return positions + np.matmul(rotations, points)[:, :, 0]
-
-    def link_poses(self, links: tuple[str, ...]) -> tuple[Array, Array]:
-        """Positions (k, 3) and rotations (k, 3, 3) of bodies."""
-
-    def contacts(self) -> Contacts:
-        """Between hand and object, of the last timestep."""
-
-    def contact_taxels(self) -> Array:
-        """bool (n,): the scene's ``contact_taxels`` by this simulator's own rule."""
-
-    def render(self, camera: Camera, taxels: Taxels | None, lit: Array | None) -> Array:
-        """RGB picture (height, width, 3) uint8, taxels drawn, those that are `lit` bright."""
+    def render(self, camera: Camera, spheres: Sequence[Sphere] = ()) -> Array:
+        """RGB picture (height, width, 3) uint8 of the scene with some spheres."""
 
     def close(self) -> None:
         """Release what is held outside Python."""

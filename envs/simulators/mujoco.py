@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import mujoco
 import numpy as np
 
-from ..hands import Array
-from ..layouts import Taxels
-from ..objects import ObjectState, Shape
-from ..touch import taxel_points
-from . import Camera, Contacts, Giver, Scene, SimulationError, Simulator, joint_limits
+from ..state import Array, Contacts, Shape, State
+from . import Camera, Giver, Scene, Sensor, SimulationError, Simulator, Sphere, joint_limits
 
 OBJECT, GIVER = "object", "giver"
 GIVERS_GROUP = 30  # of actuators, the last: a hand's are elsewhere
-LIT_SCALE = 2.0  # a taxel that fires is drawn larger: between hand and object it is hard to see
 GEOM, NOT_DRAWN = mujoco.mjtGeom, 4  # group of sites
 # What depends on the object in a compiled model, besides what `mj_setConst` derives.
 OBJECT_FIGURES = {
@@ -36,7 +32,7 @@ FRICTION_TO_NORMAL_IMPEDANCE = 100.0
 
 
 def build_spec(scene: Scene) -> mujoco.MjSpec:
-    """Hand, ground, object and, for the contact rule, one touch sensor per taxel."""
+    """Hand, ground, object and sensors."""
     spec = scene.build_hand(scene.visual)
     spec.option.timestep = scene.timestep
     spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON
@@ -54,8 +50,8 @@ def build_spec(scene: Scene) -> mujoco.MjSpec:
     _add_object(spec, scene)
     if scene.giver is not None:
         _add_giver(spec, scene.giver)
-    if scene.contact_taxels is not None:
-        _add_touch_sensors(spec, scene.contact_taxels)
+    for number, sensor in enumerate(scene.sensors):
+        _add_touch_sensor(spec, f"sensor{number}", sensor)
     return spec
 
 
@@ -116,13 +112,12 @@ def _add_sky(spec: mujoco.MjSpec) -> None:
     )
 
 
-def _add_touch_sensors(spec: mujoco.MjSpec, taxels: Taxels) -> None:
-    every = zip(taxels.link_index, taxels.positions, taxels.radii, strict=True)
-    for i, (link, position, radius) in enumerate(every):
-        name, size, body = f"taxel{i}", [radius] * 3, spec.body(taxels.links[link])
-        body.add_site(name=name, type=GEOM.mjGEOM_SPHERE, size=size, pos=position, group=NOT_DRAWN)
-        site, sensor = mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtSensor.mjSENS_TOUCH
-        spec.add_sensor(name=name, type=sensor, objtype=site, objname=name)
+def _add_touch_sensor(spec: mujoco.MjSpec, name: str, sensor: Sensor) -> None:
+    spec.body(sensor.link).add_site(
+        name=name, type=GEOM.mjGEOM_SPHERE, size=[sensor.radius] * 3, pos=sensor.centre, group=NOT_DRAWN
+    )
+    site, touch = mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtSensor.mjSENS_TOUCH
+    spec.add_sensor(name=name, type=touch, objtype=site, objname=name)
 
 
 class MujocoSimulator(Simulator):
@@ -153,7 +148,12 @@ class MujocoSimulator(Simulator):
         self._giver: Array | None = None
         if scene.giver is not None:
             self._giver = np.array([model.actuator(f"{GIVER}{axis}").id for axis in range(3)])
-        self._bodies: dict[tuple[str, ...], Array] = {}
+        self._targets = hand.start_targets()
+        self._bodies = np.array([b for b in range(1, model.nbody) if b != self._object_body])
+        self._links = tuple(model.body(body).name for body in self._bodies)
+        self._link_of_geom = np.full(model.ngeom, -1)
+        for link, body in enumerate(self._bodies):
+            self._link_of_geom[model.geom_bodyid == body] = link
 
     @property
     def warnings(self) -> int:
@@ -179,7 +179,10 @@ class MujocoSimulator(Simulator):
         mujoco.mj_setConst(model, self.data)
         model.stat.meaninertia = sum(model.dof_M0.tolist()) / model.nv  # the solver's unit
 
-    def reset(self, joint_positions: Array, object_position: Array, yaw: float) -> None:
+    def reset(
+        self, joint_positions: Array, object_position: Array, yaw: float, targets: Array | None = None
+    ) -> None:
+        self._targets = self.scene.hand.start_targets() if targets is None else targets
         self._past_warnings = self.warnings  # MuJoCo forgets them
         mujoco.mj_resetData(self.model, self.data)
         self.let_go()
@@ -195,9 +198,10 @@ class MujocoSimulator(Simulator):
 
     def step(self, joint_targets: Array, n_substeps: int) -> None:
         model, data = self.model, self.data
-        data.ctrl[self._ctrl] = joint_targets
+        self._targets = np.array(joint_targets)
+        data.ctrl[self._ctrl] = self._targets
         with self._checked():
-            if self.scene.contact_taxels is None:
+            if not self.scene.sensors:
                 mujoco.mj_step(model, data, n_substeps)
             else:  # only the last substep's readings are looked at
                 off = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
@@ -241,43 +245,41 @@ class MujocoSimulator(Simulator):
         """A soft contact that sticks moves at (friction force) / (friction impedance)."""
         self.model.opt.impratio = FRICTION_TO_NORMAL_IMPEDANCE / factor
 
-    def joint_state(self) -> tuple[Array, Array]:
-        return self.data.qpos.take(self._qpos), self.data.qvel.take(self._qvel)
-
-    def object_state(self) -> ObjectState:
-        data, body = self.data, self._object_body
-        rotation, start = data.xmat[body].reshape(3, 3).copy(), self._object_qvel
-        velocity, spin = data.qvel[start : start + 3], data.qvel[start + 3 : start + 6]
-        return ObjectState(
-            data.xpos[body].copy(), data.xquat[body].copy(), rotation, velocity.copy(), rotation @ spin
+    def state(self) -> State:
+        data, body, start = self.data, self._object_body, self._object_qvel
+        rotation = data.xmat[body].reshape(3, 3).copy()
+        return self.scene.with_points(
+            State(
+                shape=self.scene.shape,
+                object_position=data.xpos[body].copy(),
+                object_rotation=rotation,
+                object_orientation=data.xquat[body].copy(),
+                object_velocity=data.qvel[start : start + 3].copy(),
+                object_angular_velocity=rotation @ data.qvel[start + 3 : start + 6],
+                links=self._links,
+                link_positions=data.xpos.take(self._bodies, axis=0),
+                link_rotations=data.xmat.take(self._bodies, axis=0).reshape(-1, 3, 3),
+                joint_positions=data.qpos.take(self._qpos),
+                joint_velocities=data.qvel.take(self._qvel),
+                targets=self._targets,
+                contacts=self._contacts(),
+                sensors=data.sensordata > 0.0,
+            )
         )
 
-    def link_poses(self, links: tuple[str, ...]) -> tuple[Array, Array]:
-        if links not in self._bodies:
-            self._bodies[links] = np.array([self.model.body(link).id for link in links])
-        data, bodies = self.data, self._bodies[links]
-        return data.xpos.take(bodies, axis=0), data.xmat.take(bodies, axis=0).reshape(-1, 3, 3)
+    def _contacts(self) -> Contacts:
+        pairs, force = self.data.contact.geom.reshape(-1, 2), np.zeros(6)
+        links = self._link_of_geom[pairs].max(axis=1)  # -1 of the object and the ground
+        found = []
+        for index in np.flatnonzero((pairs == self._object_geom).any(axis=1) & (links >= 0)):
+            mujoco.mj_contactForce(self.model, self.data, index, force)
+            if force[0] > 0.0:
+                found.append((index, force[0]))
+        where = np.array([index for index, _ in found], int)
+        forces = np.array([normal for _, normal in found])
+        return Contacts(self.data.contact.pos.reshape(-1, 3)[where], links[where], forces)
 
-    def contacts(self) -> Contacts:
-        model, data = self.model, self.data
-        points, links, forces = [], [], []
-        for index, contact in enumerate(data.contact):
-            if self._object_geom not in contact.geom:
-                continue
-            first, second = contact.geom
-            body = model.geom_bodyid[second if first == self._object_geom else first]
-            force = np.zeros(6)
-            mujoco.mj_contactForce(model, data, index, force)
-            if body > 0 and force[0] > 0.0:
-                points.append(contact.pos.copy())
-                links.append(model.body(body).name)
-                forces.append(force[0])
-        return Contacts(np.array(points).reshape(-1, 3), tuple(links), np.array(forces))
-
-    def contact_taxels(self) -> Array:
-        return self.data.sensordata > 0.0
-
-    def render(self, camera: Camera, taxels: Taxels | None = None, lit: Array | None = None) -> Array:
+    def render(self, camera: Camera, spheres: Sequence[Sphere] = ()) -> Array:
         if self._renderer is None:
             offscreen = self.model.vis.global_
             offscreen.offwidth, offscreen.offheight = camera.width, camera.height
@@ -290,31 +292,21 @@ class MujocoSimulator(Simulator):
                     f"({' '.join(str(error).split()).partition(', this most')[0]})"
                 ) from error
         view = mujoco.MjvCamera()
-        middle = (self.data.xpos[self._object_body] + self.link_positions()[0]) / 2
+        middle = (self.data.xpos[self._object_body] + self.state().palm) / 2
         view.lookat[:] = middle if camera.lookat is None else camera.lookat
         view.distance, view.azimuth, view.elevation = camera.distance, camera.azimuth, camera.elevation
         self._renderer.update_scene(self.data, view)
         self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = camera.shadows
-        if taxels is not None:
-            self._draw(taxels, np.zeros(len(taxels), bool) if lit is None else lit)
-        return self._renderer.render()
-
-    def _draw(self, taxels: Taxels, lit: Array) -> None:
-        assert self._renderer is not None
         scene = self._renderer.scene
-        points = taxel_points(taxels).world(*self.link_poses(taxels.links))
-        for point, radius, on in zip(points, taxels.radii, lit, strict=True):
-            if scene.ngeom >= scene.maxgeom:
-                raise RuntimeError("too many taxels to draw")
+        if scene.ngeom + len(spheres) > scene.maxgeom:
+            raise RuntimeError("too many taxels to draw")
+        for sphere in spheres:
             mujoco.mjv_initGeom(
-                scene.geoms[scene.ngeom],
-                GEOM.mjGEOM_SPHERE,
-                np.full(3, LIT_SCALE * radius if on else radius),
-                point,
-                np.eye(3).ravel(),
-                np.array([1.0, 0.85, 0.0, 1.0] if on else [0.05, 0.25, 0.9, 1.0], np.float32),
-            )
+                scene.geoms[scene.ngeom], GEOM.mjGEOM_SPHERE, np.full(3, sphere.radius), sphere.centre,
+                np.eye(3).ravel(), np.array(sphere.colour, np.float32),
+            )  # fmt: skip
             scene.ngeom += 1
+        return self._renderer.render()
 
     def close(self) -> None:
         if self._renderer is not None:

@@ -13,8 +13,9 @@ import math
 import os
 import tempfile
 import weakref
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from functools import partial
 from inspect import isbuiltin
 from pathlib import Path
@@ -25,11 +26,8 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..hands import Array
-from ..layouts import Taxels
-from ..objects import ObjectState, Shape
-from ..touch import taxel_points
-from . import Camera, Contacts, Scene, SimulationError, Simulator, joint_limits, urdf
+from ..state import Array, Contacts, Shape, State
+from . import Camera, Scene, SimulationError, Simulator, Sphere, joint_limits, urdf
 from .mujoco import MujocoSimulator
 
 
@@ -87,8 +85,10 @@ class PyBulletSimulator(Simulator):
         self._build()
         self._joints = [self._joint_index[name] for name in hand.joints]
         self._motors, self._gains, self._forces = self._motor_figures()
-        taxels = scene.contact_taxels
-        self._taxels = None if taxels is None else taxel_points(taxels)
+        self._targets = hand.start_targets()
+        self._names = tuple(self.model.body(body).name for body in range(1, self.model.nbody))
+        self._indices = [self._links[name] for name in self._names]
+        self._link_of_index = {index: link for link, index in enumerate(self._indices)}
         self._painter: MujocoSimulator | None = None
         self._rest: Array | None = None  # of the giver's spring, while the object is carried
         self._goal = np.zeros(3)
@@ -156,7 +156,10 @@ class PyBulletSimulator(Simulator):
 
     # -- running -----------------------------------------------------------------------------
 
-    def reset(self, joint_positions: Array, object_position: Array, yaw: float) -> None:
+    def reset(
+        self, joint_positions: Array, object_position: Array, yaw: float, targets: Array | None = None
+    ) -> None:
+        self._targets = self.scene.hand.start_targets() if targets is None else targets
         bullet = self._bullet
         if not bullet.isConnected():
             raise OSError("PyBullet's client is gone: make the environment again")
@@ -169,6 +172,7 @@ class PyBulletSimulator(Simulator):
             bullet.resetBasePositionAndOrientation(self.object, object_position, turn)
 
     def step(self, joint_targets: Array, n_substeps: int) -> None:
+        self._targets = np.array(joint_targets)
         with self._checked():
             self._step(joint_targets, n_substeps)
 
@@ -179,8 +183,8 @@ class PyBulletSimulator(Simulator):
             yield
         except pybullet.error as error:
             raise SimulationError(f"PyBullet: {error}") from error
-        obj, (positions, velocities) = self.object_state(), self.joint_state()
-        if not math.isfinite(obj.position.sum() + positions.sum() + velocities.sum()):
+        position, _ = self._bullet.getBasePositionAndOrientation(self.object)
+        if not math.isfinite(sum(position) + sum(map(sum, self._joint_states()))):
             raise SimulationError("PyBullet's state is not finite")
 
     def _step(self, joint_targets: Array, n_substeps: int) -> None:
@@ -209,56 +213,66 @@ class PyBulletSimulator(Simulator):
         return giver.pull(rest, position, np.array(velocity))
 
     def carry(self, goal: Array) -> None:
-        self._rest, self._goal = self.object_state().position, goal
+        position, _ = self._bullet.getBasePositionAndOrientation(self.object)
+        self._rest, self._goal = np.array(position), goal
 
     def let_go(self) -> None:
         self._rest = None
 
-    def joint_state(self) -> tuple[Array, Array]:
+    def _joint_states(self) -> list[tuple[float, float]]:
+        """Position and velocity of each joint."""
         states = self._bullet.getJointStates(self.hand, self._joints)
-        return np.array([state[0] for state in states]), np.array([state[1] for state in states])
+        return [(state[0], state[1]) for state in states]
 
-    def object_state(self) -> ObjectState:
-        position, xyzw = self._bullet.getBasePositionAndOrientation(self.object)
-        velocity, spin = self._bullet.getBaseVelocity(self.object)
-        rotation = np.array(pybullet.getMatrixFromQuaternion(xyzw)).reshape(3, 3)
-        orientation = np.array([xyzw[3], *xyzw[:3]])
-        return ObjectState(
-            np.array(position), orientation, rotation, np.array(velocity), np.array(spin)
+    def state(self) -> State:
+        bullet = self._bullet
+        position, xyzw = bullet.getBasePositionAndOrientation(self.object)
+        velocity, spin = bullet.getBaseVelocity(self.object)
+        poses = bullet.getLinkStates(self.hand, self._indices, computeForwardKinematics=True)
+        positions, velocities = np.array(self._joint_states()).T
+        return self.scene.with_points(
+            self._felt(
+                State(
+                    shape=self.scene.shape,
+                    object_position=np.array(position),
+                    object_rotation=np.array(pybullet.getMatrixFromQuaternion(xyzw)).reshape(3, 3),
+                    object_orientation=np.array([xyzw[3], *xyzw[:3]]),
+                    object_velocity=np.array(velocity),
+                    object_angular_velocity=np.array(spin),
+                    links=self._names,
+                    link_positions=np.array([pose[4] for pose in poses]),
+                    link_rotations=Rotation.from_quat([pose[5] for pose in poses]).as_matrix(),
+                    joint_positions=positions,
+                    joint_velocities=velocities,
+                    targets=self._targets,
+                )
+            )
         )
 
-    def link_poses(self, links: tuple[str, ...]) -> tuple[Array, Array]:
-        indices = [self._links[link] for link in links]
-        states = self._bullet.getLinkStates(self.hand, indices, computeForwardKinematics=True)
-        positions = np.array([state[4] for state in states])
-        return positions, Rotation.from_quat([state[5] for state in states]).as_matrix()
-
-    def contacts(self) -> Contacts:
+    def _felt(self, state: State) -> State:
+        """With contacts; a sensor is on when one with the object that carries force lies in it."""
         found = self._bullet.getContactPoints(self.hand, self.object)
         pressing = [contact for contact in found if contact[9] > 0.0]
-        names = {index: name for name, index in self._links.items()}
-        return Contacts(
-            np.array([contact[5] for contact in pressing]).reshape(-1, 3),
-            tuple(names[contact[3]] for contact in pressing),
-            np.array([contact[9] for contact in pressing]),
-        )
+        points = np.array([contact[5] for contact in pressing]).reshape(-1, 3)
+        links = np.array([self._link_of_index[contact[3]] for contact in pressing], int)
+        contacts = Contacts(points, links, np.array([contact[9] for contact in pressing]))
+        if not self.scene.sensors:
+            return replace(state, contacts=contacts)
+        names, centres, radii = zip(*self.scene.sensors, strict=True)
+        positions, rotations = state.poses(names)
+        centres = positions + np.einsum("nij,nj->ni", rotations, np.array(centres))
+        gaps = np.square(points[None] - centres[:, None]).sum(axis=2)
+        is_on = (gaps <= np.square(radii)[:, None]).any(axis=1)
+        return replace(state, contacts=contacts, sensors=is_on)
 
-    def contact_taxels(self) -> Array:
-        """A taxel is on when a contact with the object that carries force lies in its sphere."""
-        assert self.scene.contact_taxels is not None
-        assert self._taxels is not None
-        centres = self._taxels.world(*self.link_poses(self._taxels.links))
-        gaps = np.square(self.contacts().points[None] - centres[:, None]).sum(axis=2)
-        return (gaps <= np.square(self.scene.contact_taxels.radii)[:, None]).any(axis=1)
-
-    def render(self, camera: Camera, taxels: Taxels | None = None, lit: Array | None = None) -> Array:
+    def render(self, camera: Camera, spheres: Sequence[Sphere] = ()) -> Array:
         """Drawn by MuJoCo's renderer: one look for both simulators."""
         if self._painter is None:
             self._painter = MujocoSimulator(self.scene)
-        scene, obj = self.scene, self.object_state()
+        scene, state = self.scene, self.state()
         self._painter.change_object(scene.shape, scene.mass, scene.friction)
-        self._painter.place(self.joint_state()[0], obj.position, obj.orientation)
-        return self._painter.render(camera, taxels, lit)
+        self._painter.place(state.joint_positions, state.object_position, state.object_orientation)
+        return self._painter.render(camera, spheres)
 
     def close(self) -> None:
         if self._painter is not None:
