@@ -146,7 +146,8 @@ class GraspEnv(gym.Env[Any, Array]):
         self.state = self.simulator.state()
         self.palm_skin = self._palm_skin()
         self._warnings = self.simulator.warnings
-        self._steps, self._obs = 0, {}
+        self._steps = 0
+        self._obs: dict[str, Array] = {}
         self._desired_goal = np.zeros(self.task.goal_size, np.float32)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (len(self.hand.action_names),), np.float32)
         self.observation_space = self._spaces()

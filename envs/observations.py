@@ -276,8 +276,8 @@ class Sight:
         if self._seen == "exact":
             return state
         if self._seen == "hidden":
-            none = {"object_position": np.zeros(3), "object_orientation": np.zeros(4)}
-            return replace(state, shape=self._shape, **none)
+            state = replace(state, shape=self._shape)
+            return replace(state, object_position=np.zeros(3), object_orientation=np.zeros(4))
         self._start = start = self._start or state
         position, orientation = start.object_position, start.object_orientation
         if self._seen == "noisy":

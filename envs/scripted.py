@@ -54,10 +54,10 @@ def hold_steps(
     place(env, start)
     for targets in ramps(env, grasp, dt):
         simulator.step(targets, n_substeps)
-    floor = simulator.object_state().position[2] - FALLEN
+    floor = simulator.state().object_position[2] - FALLEN
     for _ in range(round(seconds / dt)):
         simulator.step(targets, n_substeps)
-        height = simulator.object_state().position[2]
+        height = simulator.state().object_position[2]
         yield bool(height > max(floor, env.shape.half_size[2] + 0.02))
 
 

@@ -28,7 +28,7 @@ def fall(env: GraspEnv) -> dict[str, float]:
     _spin(env)
     before = _rotational_energy(env)
     simulator.step(env.hand.start_targets(), n)
-    fallen = DROP[2] - simulator.object_state().position[2]
+    fallen = DROP[2] - simulator.state().object_position[2]
     wanted = 0.5 * GRAVITY * (n * env.config.timestep) ** 2
     return {
         "fall_error": float(abs(fallen / wanted - 1.0)),
@@ -69,7 +69,7 @@ def _rotational_energy(env: GraspEnv) -> float:
         from tactilerl.envs.simulators.pybullet import pybullet
 
         _, velocity = pybullet.getBaseVelocity(sim.object, physicsClientId=sim.client)
-        local = sim.object_state().rotation.T @ np.array(velocity)
+        local = sim.state().object_rotation.T @ np.array(velocity)
     else:
         local = sim.data.joint("object").qvel[3:]
     return float(0.5 * (inertia * np.square(local)).sum())

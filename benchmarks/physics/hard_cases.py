@@ -172,8 +172,8 @@ def look(env: GraspEnv, action: np.ndarray) -> tuple[bool, dict[str, float]]:
     faults["let_through"] = float(not np.isfinite(action).all())
     if info.get("diverged"):
         return done, faults
-    moved = np.linalg.norm(env.simulator.object_state().position - before[:3])
-    angles = env.simulator.joint_state()[0][3:]
+    moved = np.linalg.norm(env.simulator.state().object_position - before[:3])
+    angles = env.simulator.state().joint_positions[3:]
     low, high = np.array([env.simulator.model.joint(j).range for j in env.hand.joints[3:]]).T
     return done, {
         **faults,
@@ -185,15 +185,16 @@ def look(env: GraspEnv, action: np.ndarray) -> tuple[bool, dict[str, float]]:
 
 def state(env: GraspEnv) -> np.ndarray:
     """Position and orientation of the object, positions and velocities of the joints."""
-    thing = env.simulator.object_state()
-    return np.concatenate([thing.position, thing.orientation, *env.simulator.joint_state()])
+    now = env.simulator.state()
+    pose = now.object_position, now.object_orientation
+    return np.concatenate([*pose, now.joint_positions, now.joint_velocities])
 
 
 def begin(env: GraspEnv, seed: int, start: float | None) -> None:
     """Reset; with `start`, once more with the object inside the hand."""
     env.reset(seed=seed)
     if start is not None:
-        place = env.simulator.link_positions()[0] - [0.0, 0.0, start]
+        place = env.simulator.state().palm - [0.0, 0.0, start]
         env.simulator.reset(env.hand.start_positions(), place, 0.0)
 
 

@@ -25,8 +25,10 @@ from benchmarks.command import count, earlier, parser, write
 from benchmarks.printing import markdown
 from tactilerl import envs, statistics
 from tactilerl.envs import scripted
-from tactilerl.envs.hands import Array, LinearAction
+from tactilerl.envs.hands import LinearAction
 from tactilerl.envs.hold import HoldTest
+from tactilerl.envs.simulators import Simulator
+from tactilerl.envs.state import Array, State
 from tactilerl.runs.policies import read_run
 
 SEED = 50_000
@@ -56,14 +58,14 @@ class Watched:
     seconds: float = 0.0
 
     def __post_init__(self) -> None:
-        self._hold, self.env._hold = self.env._hold, self.run
+        self._test: HoldTest = replace(self.env.task.hold, **self.fields)
+        self.env.task.hold = self
 
-    def run(self, test: HoldTest) -> bool:
-        """As the environment does."""
-        self.env._targets = self.env._targets.copy()
-        self.env._targets[0] += self.aside
+    def run(self, simulator: Simulator, state: State) -> bool:
+        """As the task's own test."""
+        aside = self.aside * np.eye(len(state.targets))[0]
         started = time.process_time()
-        held = self._hold(replace(test, **self.fields))
+        held = self._test.run(simulator, replace(state, targets=state.targets + aside))
         self.held, self.seconds = held, time.process_time() - started
         return held
 
@@ -95,7 +97,7 @@ class ScriptedPolicy:
         if isinstance(does, LinearAction):
             return (target - does.centre) / does.half_range
         step = [*does.slide_step, *[does.closing_step] * len(does.groups)]
-        return (does.asked(target) - does.asked(self.env._targets)) / step
+        return (does.asked(target) - does.asked(self.env.state.targets)) / step
 
 
 def trained(run: Path) -> Source:

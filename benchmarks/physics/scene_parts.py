@@ -152,8 +152,9 @@ def perform(env: GraspEnv) -> dict[str, Any]:
     *_, targets = scripted.ramps(env, grasp, scripted.period(env.config.timestep))
     for start in scripted.perturbed_starts(env, SEED, GRASPS):
         up = list(scripted.hold_steps(env, grasp, start, SECONDS))
-        (palm,), (frame,) = env.simulator.link_poses((env.hand.palm,))
-        ends.append(frame.T @ (env.simulator.object_state().position - palm))
+        state = env.simulator.state()
+        (palm,), (frame,) = state.poses((env.hand.palm,))
+        ends.append(frame.T @ (state.object_position - palm))
         held.append(up[-1])
         started = time.process_time()
         for _ in range(STEPS):

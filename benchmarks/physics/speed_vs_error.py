@@ -157,7 +157,7 @@ def _change_mujoco(simulator: Any, setting: Setting) -> None:
         setattr(simulator.model.opt, name, value)
     simulator.model.geom("object").solref[0] *= setting.contact_time
     if setting.all_sensors:  # the simulator takes care of them only when the scene has some
-        simulator.scene = replace(simulator.scene, contact_taxels=None)
+        simulator.scene = replace(simulator.scene, sensors=())
 
 
 def _change_bullet(stack: ExitStack, hand: str, setting: Setting) -> None:
@@ -192,9 +192,9 @@ def _watched(env: GraspEnv, hold: Iterator[bool]) -> Iterator[tuple[Any, ...]]:
     started = time.process_time()
     for is_up in hold:
         seconds = time.process_time() - started  # looking does not count
-        thing = env.simulator.object_state()
-        (palm,), (frame,) = env.simulator.link_poses((env.hand.palm,))
-        pose = frame.T @ (thing.position - palm), frame.T @ thing.rotation
+        state = env.simulator.state()
+        (palm,), (frame,) = state.poses((env.hand.palm,))
+        pose = frame.T @ (state.object_position - palm), frame.T @ state.object_rotation
         yield *pose, env.taxel_readings(), is_up, deepest(env), seconds
         started = time.process_time()
 

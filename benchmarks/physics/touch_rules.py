@@ -23,6 +23,7 @@ from benchmarks.timing import rounds
 from tactilerl import envs
 from tactilerl.envs import hands, layouts, scripted, simulators, touch
 from tactilerl.envs.grasp import GraspEnv
+from tactilerl.envs.state import State
 
 SEED = 60_000
 HOLD = 1.0  # s
@@ -37,10 +38,9 @@ class Overlap:
     def __init__(self, taxels: layouts.Taxels) -> None:
         self.points, self.squared_radii = touch.taxel_points(taxels), taxels.radii**2
 
-    def read(self, positions: Any, rotations: Any, shape: Any, thing: Any) -> np.ndarray:
+    def read(self, state: State) -> np.ndarray:
         """bool (n,), as `SkinTouch.read`."""
-        points = self.points.local(positions, rotations, thing)
-        return shape.squared_distance(points) <= self.squared_radii
+        return state.shape.squared_distance(self.points.local(state)) <= self.squared_radii
 
 
 def phases(env: GraspEnv, start: scripted.Start) -> Any:
@@ -57,11 +57,11 @@ def phases(env: GraspEnv, start: scripted.Start) -> Any:
 
 def cost(env: GraspEnv, rules: dict[str, Any]) -> dict[str, float]:
     """Processor time of one reading in layout 1, as a share of a control step's."""
-    poses, thing = env.simulator.link_poses(rules["skin"].links), env.simulator.object_state()
+    state = env.simulator.state()
 
     def read(rule: Any) -> int:
         for _ in range(REPEATS):
-            rule.read(*poses, env.shape, thing)
+            rule.read(state)
         return REPEATS
 
     def step() -> int:
@@ -86,10 +86,10 @@ def examine(hand: str, simulator: str, grasps: int) -> dict[str, Any]:
         for start in scripted.perturbed_starts(env, SEED, grasps):
             for phase in phases(env, start):
                 links = env.taxels.links  # the same in all six
-                poses, thing = env.simulator.link_poses(links), env.simulator.object_state()
+                state = env.simulator.state()
                 far = distances(env, links) > touch.SKIN
                 for (name, rule), reader in rules.items():
-                    on = reader.read(*poses, env.shape, thing)
+                    on = reader.read(state)
                     false = on & far[taxels[name].link_index]
                     counts[name, rule][phase] += (on.sum(), false.sum(), 1)
         share = cost(env, {rule: rules["1", rule] for rule in RULES})

@@ -8,8 +8,9 @@ from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
-from ..envs.hands import DIGITS, Array, Hand, Surface, skins
+from ..envs.hands import DIGITS, Hand, Surface, skins
 from ..envs.layouts import Taxels
+from ..envs.state import Array
 from ..runs.files import MAKER
 from . import places
 from .places import Place

@@ -98,10 +98,10 @@ class _Player:
         start: list[np.ndarray] = []
 
         def show() -> None:
-            simulator, camera = self.env.simulator, self._camera
+            state, camera = self.env.simulator.state(), self._camera
             if self._follow != "grasp":
-                palm = simulator.link_positions()[0]
-                start[:] = start or [palm, (palm + simulator.object_state().position) / 2]
+                palm = state.palm
+                start[:] = start or [palm, (palm + state.object_position) / 2]
                 moved = palm - start[0] if self._follow == "hand" else np.zeros(3)
                 camera = replace(camera, lookat=tuple((start[1] + moved).tolist()))
             write(self._view.picture(camera))

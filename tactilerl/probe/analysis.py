@@ -18,7 +18,7 @@ from joblib import Parallel, delayed
 from threadpoolctl import threadpool_limits
 
 from .. import statistics
-from ..envs.hands import Array
+from ..envs.state import Array
 from . import estimators, metrics
 from .options import AnalysisFlags
 from .readings import Grasps

@@ -28,7 +28,7 @@ from sklearn.multioutput import MultiOutputRegressor
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from ..envs.hands import Array
+from ..envs.state import Array
 
 Kind = Literal["linear", "boosting"]
 Fold = tuple[Array, Array]

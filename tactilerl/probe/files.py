@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..envs import hands, typed
-from ..envs.objects import KINDS
+from ..envs.state import KINDS
 from ..pictures.places import Place
 from ..runs.files import damage_named, read_arrays, replacing
 from .grasps import Measured, shapes_of

@@ -12,8 +12,9 @@ import numpy as np
 
 from ..envs import scripted, vector
 from ..envs.grasp import GraspConfig, GraspEnv
-from ..envs.hands import SLIDES, Array, Hand, ScriptedGrasp
+from ..envs.hands import SLIDES, Hand, ScriptedGrasp
 from ..envs.simulators import SimulationError
+from ..envs.state import Array
 
 SEED = 30_000  # apart from the doctor's starts and from those of training
 SECONDS = 1.0  # of a hold
@@ -39,7 +40,7 @@ def find(
         if not example.hand.closed:
             raise ValueError(f"hand {hand}: has no [closed], the joint angles of the closed hand")
         own, size = example.hand, example.shape.width
-        down = float(example.simulator.link_positions()[1:, 2].min()) - GROUND
+        down = float(example.simulator.state().fingertips[:, 2].min()) - GROUND
     lowest = np.array([-BESIDE, -BESIDE, -max(down, 0.0), CLOSINGS[0]])
     highest = np.array([BESIDE, BESIDE, UP, CLOSINGS[1]])
     rng = np.random.default_rng(SEED)

@@ -15,9 +15,10 @@ import numpy as np
 
 from ..envs import objects, scripted
 from ..envs.grasp import GraspConfig, GraspEnv
-from ..envs.hands import Array, Hand
+from ..envs.hands import Hand
 from ..envs.hold import Verdict
 from ..envs.simulators import SimulationError
+from ..envs.state import KINDS, Array, Kind
 from ..envs.vector import IsWanted
 
 if TYPE_CHECKING:  # the processes that fit estimators start without PyTorch
@@ -35,7 +36,7 @@ LIFTED = 0.03  # m under the object's lowest point: from here on a policy has li
 class Perturbation:
     """How scripted grasps differ from each other; drawn evenly for every grasp."""
 
-    kinds: tuple[objects.Kind, ...]
+    kinds: tuple[Kind, ...]
     sizes: tuple[float, ...]
     """Edge of the cube, diameter (and height) of the sphere and the cylinder, m."""
     frictions: tuple[float, ...]
@@ -128,18 +129,19 @@ class ScriptedGrasps:
         is_final = self.verdict == "settled" and not env.simulator.creeps
         position, n_looks = _in_hand(env), round(HOLD_SECONDS / dt)
         for left in reversed(range(n_looks)):
-            if env.simulator.object_state().position[2] <= up or not is_wanted():
+            if env.simulator.state().object_position[2] <= up or not is_wanted():
                 return False
             env.simulator.step(targets, round(dt / env.config.timestep))
             before, position = position, _in_hand(env)
             if is_final and np.linalg.norm(position - before) * left < AT_REST:
                 break
-        return bool(env.simulator.object_state().position[2] > up)
+        return bool(env.simulator.state().object_position[2] > up)
 
 
 def _in_hand(env: GraspEnv) -> Array:
     """The object's position relative to the palm (3,), m."""
-    return env.simulator.object_state().position - env.simulator.link_positions()[0]
+    state = env.simulator.state()
+    return state.object_position - state.palm
 
 
 @dataclass(frozen=True)
@@ -165,10 +167,7 @@ class PolicyGrasps:
                     self.policy.act(obs, deterministic=False, rng=rng)
                 )
                 is_done = terminated or truncated
-                # After the step that ended the task, a hold test may have been played.
-                thing = base.simulator.object_state()
-                height = thing.position[2] - base.shape.half_height(thing.rotation)
-                is_lifted = is_lifted or terminated or height > LIFTED
+                is_lifted = is_lifted or terminated or base.state.clearance > LIFTED
                 if not is_lifted:
                     record = moment(base)
         except SimulationError:
@@ -185,15 +184,13 @@ def links_of(hand: Hand) -> tuple[str, ...]:
 
 def moment(env: GraspEnv) -> Measured:
     """The state of hand and object now, SI units, world frame, quaternions wxyz."""
-    simulator, thing, record = env.simulator, env.simulator.object_state(), broken(env)
-    record["broken"] = np.array(False)
-    record["joint_positions"], record["joint_velocities"] = simulator.joint_state()
-    poses = simulator.link_poses(links_of(env.hand))
-    record["link_positions"], record["link_rotations"] = poses
-    record["object_position"], record["object_orientation"] = thing.position, thing.orientation
+    state, record = env.simulator.state(), broken(env)
+    for name in ("joint_positions", "joint_velocities", "object_position", "object_orientation"):
+        record[name] = getattr(state, name)
+    record["link_positions"], record["link_rotations"] = state.poses(links_of(env.hand))
     if env.config.touch == "contact":
-        record["contact"] = np.asarray(simulator.contact_taxels(), bool)
-    return record
+        record["contact"] = state.sensors
+    return {**record, "broken": np.array(False)}
 
 
 def shapes_of(hand: Hand) -> dict[str, tuple[int, ...]]:
@@ -218,7 +215,7 @@ def broken(env: GraspEnv) -> Measured:
         "held": np.array(False),
         "broken": np.array(True),
         **{name: np.zeros(shape) for name, shape in shapes_of(env.hand).items()},
-        "object_kind": np.array(objects.KINDS.index(env.shape.kind)),
+        "object_kind": np.array(KINDS.index(env.shape.kind)),
         "object_half_size": np.array(env.shape.half_size, dtype=float),
         "contact": np.zeros(n_taxels, bool),
     }

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from .. import statistics
-from ..envs.hands import Array
+from ..envs.state import Array
 
 MEMORY = 4_000_000  # weights handled at once
 LOWER_IS_BETTER = ("log_loss", "error_mm", "error_deg")

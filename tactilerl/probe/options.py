@@ -12,6 +12,7 @@ from ..envs import hands, objects, scenes, tasks, typed
 from ..envs.grasp import setup
 from ..envs.hold import Verdict
 from ..envs.observations import TaxelFaults, validate_faults
+from ..envs.state import Kind
 from ..runs.config import WorkerCount
 from .grasps import Perturbation
 
@@ -49,7 +50,7 @@ class GraspFlags:
     touch: Literal["skin", "contact"] = "skin"
     """Touch rule. skin: any layout can be read afterwards; contact: the simulator's own contacts are
     recorded for the layouts of this call."""
-    object: tuple[objects.Kind, ...] = ("box",)
+    object: tuple[Kind, ...] = ("box",)
     """Kinds of object: box, sphere, cylinder."""
     object_size: tuple[float, ...] = (0.04, 0.045, 0.05)
     """Edges of cubes, diameters (and heights) of spheres and cylinders, m."""

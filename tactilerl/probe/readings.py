@@ -7,10 +7,10 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..envs.hands import SLIDES, Array, Hand
+from ..envs.hands import SLIDES, Hand
 from ..envs.layouts import Taxels
-from ..envs.objects import KINDS, ObjectState, Shape
 from ..envs.observations import SensorConfig, TaxelFaults, taxel_stages
+from ..envs.state import KINDS, Array, Shape, State
 from ..envs.touch import SkinTouch
 from ..pictures import places
 from ..pictures.places import Place
@@ -88,15 +88,12 @@ class Grasps:
     def feel(self, taxels: Taxels) -> Array:
         """Readings bool (n, taxels) by the rule "skin"."""
         touch = SkinTouch(taxels, self.hand.surfaces)
-        links = [links_of(self.hand).index(link) for link in taxels.links]
         readings = np.zeros((len(self), len(taxels)), bool)
         names, which = self.objects()
         for index in range(len(names)):
             chosen = np.flatnonzero(which == index)
             for some in np.split(chosen, range(BATCH, len(chosen), BATCH)):
-                positions = self.records["link_positions"][some][:, links]
-                rotations = self.records["link_rotations"][some][:, links]
-                readings[some] = touch.read(positions, rotations, *self._object(some))
+                readings[some] = touch.read(self._state(some))
         return readings
 
     def feel_contact(self, taxels: Taxels) -> Array:
@@ -111,14 +108,17 @@ class Grasps:
             )
         return self.records["contact"][:, [column[place] for place in wanted]].astype(bool)
 
-    def _object(self, some: Array) -> tuple[Shape, ObjectState]:
+    def _state(self, some: Array) -> State:
         """Of grasps of one object."""
-        position, orientation, kind, size = (
-            self.records[f"object_{name}"][some]
-            for name in ("position", "orientation", "kind", "half_size")
+        of = {name: values[some] for name, values in self.records.items()}
+        return State(
+            shape=Shape(KINDS[int(of["object_kind"][0])], tuple(of["object_half_size"][0].tolist())),
+            object_position=of["object_position"],
+            object_rotation=_rotations(of["object_orientation"]),
+            links=links_of(self.hand),
+            link_positions=of["link_positions"],
+            link_rotations=of["link_rotations"],
         )
-        shape = Shape(KINDS[int(kind[0])], tuple(size[0].tolist()))
-        return shape, ObjectState(position, orientation, _rotations(orientation))
 
 
 def _rotations(quaternions: Array) -> Array:

@@ -17,8 +17,8 @@ import numpy as np
 
 from ..envs import vector
 from ..envs.grasp import GraspEnv
-from ..envs.hands import Array
 from ..envs.scripted import LIFT_HEIGHT, grasp_for, legs
+from ..envs.state import Array
 
 BASELINE = 5  # readings: before, nothing has come to the hand yet
 RESOLUTION = 1e-4  # rad or m: what any joint's reading may be off by
@@ -57,7 +57,7 @@ class Reflex:
         while not is_over:
             if targets is first and (says() >= self.threshold or reading.step >= latest):
                 targets = second
-            obs, _, terminated, truncated, info = base.follow(next(targets))
+            obs, _, terminated, truncated, info = base.step_to(next(targets))
             reading.add(obs)
             is_over = terminated or truncated
         return bool(info["is_success"])

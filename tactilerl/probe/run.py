@@ -16,8 +16,9 @@ import numpy as np
 from ..algos.mpi import Communicator
 from ..envs import hands, layouts, typed, vector
 from ..envs.grasp import GraspConfig, setup
-from ..envs.hands import Array, Hand
+from ..envs.hands import Hand
 from ..envs.scripted import require_grasps
+from ..envs.state import Array
 from ..errors import InputError, input_errors
 from ..pictures import places
 from ..runs import provenance

@@ -16,7 +16,7 @@ from sklearn.linear_model import LogisticRegression
 from sklearn.preprocessing import StandardScaler
 from threadpoolctl import threadpool_limits
 
-from ..envs.hands import Array
+from ..envs.state import Array
 from . import estimators, metrics
 from .analysis import JOINTS, Cell, Probe, Samples, hold_gain
 

@@ -96,13 +96,13 @@ def test_cases_already_in_the_file_are_kept(monkeypatch, tmp_path):
 def test_actions_that_are_not_finite_change_nothing(hand, simulator, bad):
     env = GraspEnv(hand, setup(hand, simulator=simulator, task="reach-goal"))
     env.reset(seed=0)
-    before = env.simulator.object_state().position, env.simulator.joint_state()[0].copy()
+    before = env.simulator.state().object_position, env.simulator.state().joint_positions.copy()
     action = np.zeros(env.action_space.shape)
     action[1] = bad
     with pytest.raises(ValueError, match="action: found"):
         env.step(action)
-    np.testing.assert_array_equal(env.simulator.object_state().position, before[0])
-    np.testing.assert_array_equal(env.simulator.joint_state()[0], before[1])
+    np.testing.assert_array_equal(env.simulator.state().object_position, before[0])
+    np.testing.assert_array_equal(env.simulator.state().joint_positions, before[1])
     after = env.step(np.zeros(env.action_space.shape))[0]["observation"]
     env.reset(seed=0)
     never = env.step(np.zeros(env.action_space.shape))[0]["observation"]

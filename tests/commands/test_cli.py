@@ -775,11 +775,10 @@ class TestOtherCommands:
         start = scripted.Start(np.zeros(2), 0.0, np.zeros(len(env.hand.joints)))
         for _ in scripted.hold_steps(env, scripted.grasp_for(env), start, 0.5):
             pass
-        *_, env._targets = scripted.ramps(env, scripted.grasp_for(env), 0.04)
         heights, began = [], env.simulator.data.time
-        palm = env.simulator.link_positions
-        env.simulator = _Filmed(env.simulator, 10, lambda: heights.append(palm()[0, 2]))
-        assert env._hold(env.task.hold)
+        state = env.simulator.state
+        env.simulator = _Filmed(env.simulator, 10, lambda: heights.append(state().palm[2]))
+        assert env.task.hold.run(env.simulator, state())
         assert len(heights) == round((env.simulator.data.time - began) / 0.04)
         assert len(heights) > 50
         assert np.ptp(heights) > 0.6

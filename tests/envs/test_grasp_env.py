@@ -3,6 +3,7 @@
 import copy
 import dataclasses
 import itertools
+import math
 import pickle
 import subprocess
 import sys
@@ -19,6 +20,7 @@ from tactilerl.envs import hold, tasks
 from tactilerl.envs.grasp import GraspConfig, GraspEnv
 from tactilerl.envs.simulators import SimulationError
 from tactilerl.envs.simulators import mujoco as mujoco_simulator
+from tactilerl.envs.state import Shape
 
 TASKS = ("lift-and-hold", "reach-goal")
 
@@ -92,7 +94,7 @@ def test_jitter_stays_within_the_joints_ranges(hand, simulator):
     model = env.simulator.model
     for seed in range(10):
         env.reset(seed=seed)
-        starts.append(env.simulator.joint_state()[0])
+        starts.append(env.simulator.state().joint_positions)
     n_at_limit = 0
     for joint, seen in zip(env.hand.joints[3:], np.array(starts).T[3:], strict=True):
         low, high = model.joint(joint).range
@@ -208,9 +210,10 @@ class TestRewards:
         achieved = np.array([[0.0, 0.0, 0.1], [0.0, 0.03, 0.1], [0.0, 0.04, 0.1]])
         config = tasks.TaskConfig(goal_height=0.08, goal_tolerance=0.03)
         hand = make().hand
-        sparse = tasks.ReachGoal(config, hand, 0.004)
+        shape = Shape("box", (0.02, 0.02, 0.02))
+        sparse = tasks.ReachGoal(config, hand, 0.004, shape)
         assert sparse.reward(achieved, goal).tolist() == [0.0, 0.0, -1.0]
-        dense = tasks.ReachGoal(dataclasses.replace(config, reward="dense"), hand, 0.004)
+        dense = tasks.ReachGoal(dataclasses.replace(config, reward="dense"), hand, 0.004, shape)
         np.testing.assert_allclose(dense.reward(achieved, goal), [0.0, -0.3, -0.4])
         assert sparse.is_success(achieved, goal).tolist() == [True, True, False]
 
@@ -223,7 +226,6 @@ class TestRewards:
             "timed_out": -100.0,
             "undecided": closeness,
             "fell_back": closeness + 5,
-            "lifted": closeness,
             "dropped": closeness + 5,
             "held": 1000.0,
             "missed": closeness,  # of another task
@@ -318,7 +320,7 @@ class TestFaults:
         told = [env.step(-up)[-1].get("warnings", 0) for _ in range(8)]
         assert sum(told) == env.simulator.warnings > 0
         env.reset(seed=0)
-        env.simulator.step(env.hand.action_map(-up, env._targets), 400)  # the next step tells
+        env.simulator.step(env.hand.action_map(-up, env.state.targets), 400)  # the next step tells
         fresh = env.simulator.warnings - sum(told)
         assert fresh > 0
         env.reset(seed=0)
@@ -344,7 +346,9 @@ class TestFaults:
         env = make(task="reach-goal")
         before, _ = env.reset(seed=0)
         env.simulator.data.joint("object").qpos[2] += 0.5
-        env._object_position = env.simulator.data.joint("object").qpos[:3].copy()
+        env.state = dataclasses.replace(
+            env.state, object_position=env.simulator.data.joint("object").qpos[:3].copy()
+        )
         env.simulator.data.joint("object").qvel[0] = speed
         obs, _, _, truncated, info = env.step(np.zeros(23))
         assert info.get("diverged", False) is truncated is ejected
@@ -421,6 +425,25 @@ def test_friction_is_the_objects_against_everything(friction):
     assert len(seen) > 2  # ground and hand
 
 
+def with_targets(env, targets):
+    return dataclasses.replace(env.simulator.state(), targets=targets)
+
+
+class Watched:
+    """A simulator in which the object is always in the hand; `watch` sees every state."""
+
+    def __init__(self, simulator):
+        self.inner = simulator
+
+    def __getattr__(self, name):
+        return getattr(self.inner, name)
+
+    def state(self):
+        state = self.inner.state()
+        self.watch(state)
+        return dataclasses.replace(state, object_position=state.palm)
+
+
 class TestHoldTest:
     """The verdict of the hold, on a grasp that holds and on one that cannot."""
 
@@ -434,32 +457,22 @@ class TestHoldTest:
         *_, targets = scripted.ramps(env, grasp, scripted.period(env.config.timestep))
         if not close:
             targets[3:] = env.hand.start_targets()[3:]
-        env._targets = targets
-        return env._hold(dataclasses.replace(test or env.task.hold, seconds=seconds, verdict=verdict))
+        test = dataclasses.replace(test or env.task.hold, seconds=seconds, verdict=verdict)
+        return test.run(env.simulator, with_targets(env, targets))
 
-    def looks(self, env):
-        """Whether the hand is at the top at each look of a hold test of what is always in the hand."""
-
-        def now():
-            look = env._look()
-            return dataclasses.replace(
-                look, object=dataclasses.replace(look.object, position=look.hand)
-            )
-
-        phase = hold.Hold(env.task.hold, now(), env.config.timestep)
-        targets, verdict = phase.targets, None
-        while verdict is None:
-            is_at_top = phase.is_at_top
-            env.simulator.step(targets, phase.n_substeps)
-            targets, verdict = phase.advance(now())
-            yield is_at_top
-        assert verdict
+    def looks(self, env, targets=None):
+        """Height of the hand and time at each look of a hold test of what is always in the hand."""
+        simulator, looks = Watched(env.simulator), []
+        simulator.watch = lambda state: looks.append((state.palm[2], env.simulator.data.time))
+        targets = env.state.targets if targets is None else targets
+        assert env.task.hold.run(simulator, with_targets(env, targets))
+        return looks
 
     def test_grasped_object_is_held_at_one_metre(self):
         env = make()
         assert self.verdict(env, close=True)
-        assert env.simulator.link_positions()[0, 2] == pytest.approx(1.0, abs=0.02)
-        assert env.simulator.object_state().position[2] > 0.85
+        assert env.simulator.state().palm[2] == pytest.approx(1.0, abs=0.02)
+        assert env.simulator.state().object_position[2] > 0.85
 
     @pytest.mark.parametrize("timestep", [0.004, 0.002, 0.0031])
     @pytest.mark.parametrize("seconds", [0.08, 0.196, 0.4])
@@ -467,11 +480,11 @@ class TestHoldTest:
         env = make(timestep=timestep, control_dt=50 * timestep, hold_seconds=seconds)
         env.reset(seed=0)
         env.step(np.eye(23)[2])  # the hand is on its way up and lags behind its target
-        looks = [(is_at_top, env.simulator.data.time) for is_at_top in self.looks(env)]
-        top = [time for is_at_top, time in looks if is_at_top]
-        assert top[-1] - top[0] == pytest.approx(seconds, abs=timestep / 2 + 1e-9)
-        gaps = np.diff([time for is_at_top, time in looks if not is_at_top])
-        assert gaps == pytest.approx(0.1, abs=timestep / 2 + 1e-9)
+        times = np.array([time for _, time in self.looks(env)])
+        way = hold.RAISE_SPEED * timestep * round(0.1 / timestep)  # between looks
+        rise = math.ceil((1.0 - env.state.palm[2]) / way)
+        assert times[-1] - times[rise - 1] == pytest.approx(seconds, abs=timestep / 2 + 1e-9)
+        assert np.diff(times[:rise]) == pytest.approx(0.1, abs=timestep / 2 + 1e-9)
 
     @pytest.mark.parametrize(("hand", "timestep"), [("shadow", 0.004), ("mpl", 1 / 240)])
     def test_is_5000_of_the_set_ups_own_timesteps_whatever_the_timestep(self, hand, timestep):
@@ -481,41 +494,13 @@ class TestHoldTest:
             test = envs.make(hand, simulator="mujoco", **choice).task.hold
             assert [test.seconds, test.look_every] == pytest.approx(times)
 
-    @pytest.mark.parametrize("hand", ["shadow", "mpl"])
-    @pytest.mark.parametrize("verdict", ["full", "settled"])
-    def test_one_look_at_a_time_is_the_test_that_a_step_runs_to_its_end(self, hand, verdict):
-        """A phase needs nothing but to be told what is: whoever runs it may do so bit by bit."""
-        from tactilerl.envs import scripted
-
-        ends = []
-        for run in (lambda env: env._hold(env.task.hold), self.in_small_portions):
-            env = envs.make(hand, simulator="mujoco", hold_seconds=1.0, hold_verdict=verdict)
-            start = scripted.Start(np.zeros(2), 0.0, np.zeros(len(env.hand.joints)))
-            for _ in scripted.hold_steps(env, scripted.grasp_for(env), start, 0.5):
-                pass
-            *_, env._targets = scripted.ramps(env, scripted.grasp_for(env), 0.04)
-            ends.append((run(env), env.simulator.data.time, *env.simulator.data.qpos))
-        assert ends[0] == ends[1]
-        assert ends[0][0]
-
-    def in_small_portions(self, env):
-        """A hold test by hand, five timesteps at a time."""
-        phase, verdict = hold.Hold(env.task.hold, env._look(), env.config.timestep), None
-        targets = phase.targets
-        while verdict is None:
-            env.simulator.set_creep(phase.creep)
-            for done in range(0, phase.n_substeps, 5):
-                env.simulator.step(targets, min(5, phase.n_substeps - done))
-            targets, verdict = phase.advance(env._look())
-        return verdict
-
     def test_palm_ends_at_one_metre_wherever_it_was_going(self):
         env = make(hold_seconds=2.0)
         for action in (-1.0, 1.0):
             env.reset(seed=0)
             env.step(action * np.eye(23)[2])
-            list(self.looks(env))
-            assert env.simulator.link_positions()[0, 2] == pytest.approx(
+            self.looks(env)
+            assert env.simulator.state().palm[2] == pytest.approx(
                 1.0, abs=0.02
             )  # the wrist may still turn
 
@@ -527,7 +512,7 @@ class TestHoldTest:
     def test_settled_is_called_on_the_way_up(self, simulator):
         env = make(simulator=simulator)
         assert self.verdict(env, close=True, verdict="settled")
-        assert env.simulator.link_positions()[0, 2] < 0.9
+        assert env.simulator.state().palm[2] < 0.9
 
     def test_settled_foresees_a_drop_in_the_far_future(self, monkeypatch):
         """With friction this soft the cube is in the hand for 16 s, and leaves it after that."""
@@ -544,8 +529,7 @@ class TestHoldTest:
         targets = env.hand.start_targets()
         targets[2] -= 0.2
         env.simulator.step(targets, 5)
-        env._targets = targets
-        assert not env._hold(env.task.hold)
+        assert not env.task.hold.run(env.simulator, env.simulator.state())
 
     def test_settled_waits_while_the_object_stands_on_the_ground(self):
         """A hand that is too weak to rise keeps still, and so does what is in it."""
@@ -553,8 +537,8 @@ class TestHoldTest:
         env.reset(seed=0)
         env.simulator.model.actuator("slide_z").forcerange = 0.0
         rises, began = env.task.hold.height / hold.RAISE_SPEED, env.simulator.data.time
-        env._hold(env.task.hold)
-        assert env.simulator.object_state().position[2] < 0.03
+        env.task.hold.run(env.simulator, env.state)
+        assert env.simulator.state().object_position[2] < 0.03
         assert env.simulator.data.time - began > 0.8 * rises
 
     def test_the_ramp_begins_where_the_hand_is(self):
@@ -562,10 +546,7 @@ class TestHoldTest:
         env.reset(seed=0)
         targets = env.hand.start_targets()
         targets[2] -= 0.2
-        below = env.simulator.link_positions()[0, 2]
-        env._targets = targets
-        next(self.looks(env))
-        assert env.simulator.link_positions()[0, 2] > below + 0.01
+        assert self.looks(env, targets)[0][0] > env.state.palm[2] + 0.01
 
     def test_settled_leaves_the_creep_as_it_was(self):
         env = make()
@@ -580,7 +561,7 @@ class TestHoldTest:
         env = make()
         test = dataclasses.replace(env.task.hold, settle_distance=0.0, shake_seconds=shake_seconds)
         assert self.verdict(env, close=True, verdict="settled", test=test, seconds=20.0)
-        assert env.simulator.link_positions()[0, 2] > 0.9
+        assert env.simulator.state().palm[2] > 0.9
         assert env.simulator.data.time == pytest.approx(ends, abs=0.25)
 
     def test_settled_is_not_called_at_the_top_while_the_object_slides(self, monkeypatch):
@@ -595,8 +576,8 @@ class TestHoldTest:
         env.reset(seed=0)
         thing = env.simulator.data.joint("object")
         thing.qpos[2], thing.qvel[2] = 0.5, 40.0
-        assert not env._hold(env.task.hold)
-        assert env.simulator.object_state().position[2] > 1.0
+        assert not env.task.hold.run(env.simulator, env.simulator.state())
+        assert env.simulator.state().object_position[2] > 1.0
 
 
 def test_a_copy_goes_on_as_the_environment_and_on_its_own():

@@ -27,7 +27,7 @@ def heights(env, seed=0, steps=LATE):
             break
         *_, terminated, truncated, _ = env.step(np.zeros(env.action_space.shape))
         done = terminated or truncated
-        top = env.simulator.object_state().position[2] + env.shape.half_size[2]
+        top = env.simulator.state().object_position[2] + env.shape.half_size[2]
         found.append(top - env.palm_skin[2])
     return np.array(found)
 
@@ -45,7 +45,7 @@ class TestGiver:
         env = make(simulator=simulator, object_size=(0.04,), **STILL)
         env.reset(seed=0)
         sim, giver, dt = env.simulator, env.task.giver, env.config.timestep / 8
-        start, mass = sim.object_state().position, 400 * 0.04**3
+        start, mass = sim.state().object_position, 400 * 0.04**3
         goal = start + np.array([0.0, 0.0, 0.05])
         sim.carry(goal)
         targets = env.hand.start_targets()
@@ -57,7 +57,7 @@ class TestGiver:
                 velocity += dt * giver.pull(rest, position, velocity) / mass
                 position += dt * velocity
             np.testing.assert_allclose(
-                sim.object_state().position, position, atol=2.4e-3
+                sim.state().object_position, position, atol=2.4e-3
             )  # a step of 4 ms
         assert position[2] - start[2] > 0.03
         env.close()
@@ -68,14 +68,14 @@ class TestGiver:
         env.reset(seed=0)
         sim, targets = env.simulator, env.hand.start_targets()
         sim.step(targets, 10)
-        assert np.abs(sim.object_state().velocity).max() < 1e-3  # its weight is carried
+        assert np.abs(sim.state().object_velocity).max() < 1e-3  # its weight is carried
         sim.let_go()
         sim.step(targets, 20)
         fallen = 9.81 * 20 * env.config.timestep
-        assert sim.object_state().velocity[2] == pytest.approx(-fallen, rel=0.06)
+        assert sim.state().object_velocity[2] == pytest.approx(-fallen, rel=0.06)
         env.reset(seed=0)
         sim.step(targets, 10)
-        assert np.abs(sim.object_state().velocity).max() < 1e-3  # and so it is in the next episode
+        assert np.abs(sim.state().object_velocity).max() < 1e-3  # and so it is in the next episode
         env.close()
 
 
@@ -98,7 +98,7 @@ class TestEpisode:
         positions, felt = [], []
         for _ in range(env.task._sets_off + env.task.stays - 1):
             env.step(np.zeros(1))
-            positions.append(env.simulator.joint_state()[0].copy())
+            positions.append(env.simulator.state().joint_positions.copy())
             felt.append(int(env.taxel_readings().sum()))
         before, after = positions[env.task._sets_off - 2], positions[-1]
         assert np.abs(after - before)[:3].max() < 1e-3  # m, of the slides
@@ -151,7 +151,7 @@ class TestEpisode:
 
     def test_held_against_the_fingers_the_object_is_further_out(self):
         palm, fingers = make(**STILL), make(**STILL, handover_reach=0.05)
-        at = [env.reset(seed=0) and env.simulator.object_state().position for env in (palm, fingers)]
+        at = [env.reset(seed=0) and env.simulator.state().object_position for env in (palm, fingers)]
         np.testing.assert_allclose(at[1] - at[0], [0, -0.05, 0], atol=1e-9)
         palm.close(), fingers.close()
 

@@ -82,7 +82,7 @@ def test_objects_are_drawn_within_what_was_asked_for_and_starts_stay(hand, simul
         shape = make(item["kind"], tuple(item["size"][:1]))
         assert item["mass"] == pytest.approx(item["density"] * shape.volume)
     varied.reset(seed=3)
-    height = varied.simulator.object_state().position[2]
+    height = varied.simulator.state().object_position[2]
     assert height == pytest.approx(seen[3]["size"][2] / 2)
     varied.close()
 
@@ -93,11 +93,11 @@ def test_starts_further_off_are_drawn_and_free_of_the_hand(hand, simulator):
     places = []
     for seed in range(30):
         env.reset(seed=seed)
-        assert not len(env.simulator.contacts().links)
-        thing = env.simulator.object_state()
-        places.append([*thing.position[:2], np.arctan2(thing.rotation[1, 0], thing.rotation[0, 0])])
-        env.simulator.step(env._targets, 5)
-        assert np.abs(env.simulator.object_state().velocity).max() < 0.05
+        assert not len(env.simulator.state().contacts.links)
+        turn = env.state.object_rotation
+        places.append([*env.state.object_position[:2], np.arctan2(turn[1, 0], turn[0, 0])])
+        env.simulator.step(env.state.targets, 5)
+        assert np.abs(env.simulator.state().object_velocity).max() < 0.05
     reached = np.abs(places).max(axis=0)
     assert (reached <= [0.02, 0.02, 1.5]).all()
     assert (reached > [0.015, 0.015, 1.2]).all()

@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from tactilerl import envs
 from tactilerl.envs import hands, objects, observations, scenes
 from tactilerl.envs.observations import Broken, Delay, FalseReadings
+from tactilerl.envs.state import State
 from tactilerl.probe.reflexes import Reflex
 
 BOTH = [
@@ -82,22 +83,24 @@ class TestSight:
 
     @pytest.mark.parametrize("kind", ["white", "held"])
     def test_noise_has_the_size_that_was_asked_for(self, kind):
-        exact = observations.Sight(observations.SensorConfig())
+        box = objects.make("box", (0.05,))
+        exact = observations.Sight(observations.SensorConfig(), box)
         noise = observations.SensorConfig(
             object_seen="noisy", sight_noise=(0.02, 0.3), sight_noise_kind=kind
         )
-        noisy = observations.Sight(noise)
+        noisy = observations.Sight(noise, box)
         turn = Rotation.from_rotvec([0.4, -0.2, 1.0])
-        thing = observations.objects.ObjectState(
-            np.array([1.0, 2.0, 3.0]), turn.as_quat(scalar_first=True), turn.as_matrix()
-        )
+        place, orientation = np.array([1.0, 2.0, 3.0]), turn.as_quat(scalar_first=True)
+        none = (), np.zeros((0, 3)), np.zeros((0, 3, 3))
+        thing = State(box, place, turn.as_matrix(), *none, object_orientation=orientation)
         assert exact(thing) is thing
         offsets, angles = [], []
         for number in range(300):
             noisy.begin(np.random.default_rng(number))
             seen = [noisy(thing) for _ in range(3)]
-            offsets.append([s.position - thing.position for s in seen])
-            turned = [Rotation.from_quat(s.orientation, scalar_first=True) * turn.inv() for s in seen]
+            offsets.append([s.object_position - place for s in seen])
+            quaternions = [s.object_orientation for s in seen]
+            turned = [Rotation.from_quat(q, scalar_first=True) * turn.inv() for q in quaternions]
             angles.append([t.as_rotvec() for t in turned])
         for errors, size in ((np.array(offsets), 0.02), (np.array(angles), 0.3)):
             assert errors.std() == pytest.approx(size, rel=0.1)
@@ -271,10 +274,10 @@ class TestTruth:
         obs, _ = env.reset(seed=3)
         assert env.observation_space["truth"].contains(obs["truth"])
         n_joints = len(env.hand.joints)
-        exact = env.simulator.joint_state()[0].astype(np.float32)
+        exact = env.simulator.state().joint_positions.astype(np.float32)
         np.testing.assert_array_equal(obs["truth"][:n_joints], exact)
         position = obs["truth"][2 * n_joints : 2 * n_joints + 3]
-        np.testing.assert_allclose(position, env.simulator.object_state().position, atol=1e-7)
+        np.testing.assert_allclose(position, env.simulator.state().object_position, atol=1e-7)
         np.testing.assert_array_equal(obs["truth"][-139:], env.taxel_readings())
 
 
@@ -334,7 +337,7 @@ def test_quaternions_have_one_sign(simulator, seen):
     obs, _ = env.reset(seed=0)
     for turn in np.linspace(0.1, 4 * np.pi, 40):
         env.simulator.reset(env.hand.start_positions(), np.array([0.0, 0.0, 1.0]), turn)
-        env._object_position = np.array([0.0, 0.0, 1.0])
+        env.state = env.simulator.state()
         obs, *_ = env.step(np.zeros(env.action_space.shape))
         told += [obs["observation"][entries], obs["truth"][-4 - len(env.taxels) : -len(env.taxels)]]
     env.close()

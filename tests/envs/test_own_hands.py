@@ -16,6 +16,7 @@ from tactilerl.envs import hands, layouts, objects, scripted, taxel_files, toml_
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.hands import loading, sandbox
 from tactilerl.envs.simulators import Scene
+from tactilerl.envs.state import State
 from tactilerl.envs.touch import SKIN, SkinTouch
 from tactilerl.pictures import hand_map, places
 from tactilerl.probe import grasp_search
@@ -219,8 +220,8 @@ class TestTouch:
             for gap, on in ((-1e-4, True), (SKIN - 1e-4, True), (SKIN + 1e-4, False)):
                 centre = taxels.positions[index] + (0.02 + gap) * taxels.normals[index]
                 axes = np.linalg.svd(taxels.normals[index][None])[2].T[:, [1, 2, 0]]
-                state = objects.ObjectState(place + turn @ centre, np.zeros(4), turn @ axes)
-                assert rule.read(*poses, shape, state)[index] == on, (taxels.names[index], gap)
+                state = State(shape, place + turn @ centre, turn @ axes, taxels.links, *poses)
+                assert rule.read(state)[index] == on, (taxels.names[index], gap)
 
     def test_many_readings_at_once_are_those_one_by_one(self):
         hand = hands.get(GRIPPER)
@@ -230,13 +231,16 @@ class TestTouch:
         positions = 0.02 * rng.normal(size=(20, k, 3))
         rotations = Rotation.random(20 * k, rng=rng).as_matrix().reshape(20, k, 3, 3)
         turns = Rotation.random(20, rng=rng).as_matrix()
-        states = objects.ObjectState(0.03 * rng.normal(size=(20, 3)), np.zeros((20, 4)), turns)
-        together = rule.read(positions, rotations, shape, states)
+        arrays = 0.03 * rng.normal(size=(20, 3)), turns, positions, rotations
+
+        def state(centres, turns, *poses):
+            return State(shape, centres, turns, taxels.links, *poses)
+
+        together = rule.read(state(*arrays))
         assert together.any()
         assert not together.all()
         for i in range(20):
-            one = objects.ObjectState(states.position[i], np.zeros(4), turns[i])
-            assert (rule.read(positions[i], rotations[i], shape, one) == together[i]).all()
+            assert (rule.read(state(*(array[i] for array in arrays))) == together[i]).all()
 
     def test_taxels_lie_on_the_skin(self):
         hand = hands.get(GRIPPER)

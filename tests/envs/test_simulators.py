@@ -57,19 +57,18 @@ def gap(env):
 
 class TestKinematics:
     def test_same_angles_same_poses(self, pair):
-        mj, bullet = pair
+        mj, _ = pair
         hand, rng = mj.scene.hand, np.random.default_rng(0)
         for _ in range(20):
             positions = rng.uniform(-0.5, 1.0, len(hand.joints))
             for simulator in pair:
                 simulator.reset(positions, np.array([0.1, 0.2, 1.0]), 0.4)
-            for a, b in zip(*(s.link_poses(bodies(mj.model)) for s in pair), strict=True):
+            for a, b in zip(*(s.state().poses(bodies(mj.model)) for s in pair), strict=True):
                 assert np.abs(a - b).max() < 1e-6
-            np.testing.assert_allclose(mj.link_positions(), bullet.link_positions(), atol=1e-6)
-            np.testing.assert_allclose(mj.joint_state()[0], bullet.joint_state()[0], atol=1e-12)
-            thing = [s.object_state() for s in pair]
-            np.testing.assert_allclose(thing[0].rotation, thing[1].rotation, atol=1e-7)
-            np.testing.assert_allclose(thing[0].orientation, thing[1].orientation, atol=1e-7)
+            one, other = (s.state() for s in pair)
+            for name, atol in (("palm", 1e-6), ("fingertips", 1e-6), ("joint_positions", 1e-12),
+                               ("object_rotation", 1e-7), ("object_orientation", 1e-7)):  # fmt: skip
+                np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=atol)
 
     def test_same_masses_and_limits(self, pair):
         from tactilerl.envs.simulators.pybullet import pybullet
@@ -95,7 +94,7 @@ class TestPhysics:
         made.reset(made.scene.hand.start_positions(), np.array([0.3, 0.3, 1.0]), 0.0)
         made.step(made.scene.hand.start_targets(), 48)
         fallen = 0.5 * 9.81 * 0.2**2
-        assert 1.0 - made.object_state().position[2] == pytest.approx(fallen, rel=0.03)
+        assert 1.0 - made.state().object_position[2] == pytest.approx(fallen, rel=0.03)
         made.close()
 
     @pytest.mark.parametrize("simulator", BOTH)
@@ -105,7 +104,7 @@ class TestPhysics:
         start = made.scene.hand.start_positions()
         made.reset(start, np.array([0.4, 0.4, 0.025]), 0.0)
         made.step(made.scene.hand.start_targets(), 240)
-        assert np.abs(made.joint_state()[0] - start).max() < 0.02
+        assert np.abs(made.state().joint_positions - start).max() < 0.02
         made.close()
 
     @pytest.mark.parametrize("simulator", BOTH)
@@ -137,7 +136,7 @@ class TestPhysics:
         assert env.simulator.scene.mass == pytest.approx(800 * volume)
         env.reset(seed=0)
         env.simulator.step(env.hand.start_targets(), 120)
-        position = env.simulator.object_state().position
+        position = env.simulator.state().object_position
         np.testing.assert_allclose(position, [0, 0, size[-1] / 2], atol=1e-3)
         env.close()
 
@@ -150,8 +149,8 @@ class TestPhysics:
             env = envs.make(hand, simulator=simulator, object_size=size, jitter=False)
             env.reset(seed=0)
             env.simulator.step(env.hand.start_targets(), 50)
-            assert np.abs(env.simulator.object_state().position[:2]).max() < 1e-4
-            heights.append(env.simulator.link_positions()[0, 2])
+            assert np.abs(env.simulator.state().object_position[:2]).max() < 1e-4
+            heights.append(env.simulator.state().palm[2])
             env.close()
         assert heights[1] - heights[0] == pytest.approx(0.04, abs=1e-3)
 
@@ -185,7 +184,7 @@ class TestPhysics:
             for _ in range(15):
                 env.step(-np.eye(env.action_space.shape[0])[2])
                 gaps.append(gap(env))
-            lowest.append(env._targets[2])
+            lowest.append(env.state.targets[2])
             env.close()
         assert min(gaps) < 1e-3  # of the wide one: a small one has room between the fingers
         assert lowest[0] == pytest.approx(lowest[1])
@@ -262,7 +261,7 @@ for hand in ("shadow", "mpl", "allegro"):
         left = []
         for _ in range(3):
             simulator.step(targets, round(0.05 / env.config.timestep))
-            left.append(targets[1] - simulator.joint_state()[0][1])
+            left.append(targets[1] - simulator.state().joint_positions[1])
         np.testing.assert_allclose(np.diff(np.log(left)) / 0.05, -rate, rtol=0.05)
         env.close()
 
@@ -272,8 +271,8 @@ for hand in ("shadow", "mpl", "allegro"):
         for start in scripted.perturbed_starts(env, 4, 3):
             places = []
             for is_up in scripted.hold_steps(env, scripted.grasp_for(env), start, 3.0):
-                (palm,), (frame,) = env.simulator.link_poses((env.hand.palm,))
-                places.append(frame.T @ (env.simulator.object_state().position - palm))
+                (palm,), (frame,) = env.simulator.state().poses((env.hand.palm,))
+                places.append(frame.T @ (env.simulator.state().object_position - palm))
                 assert is_up
             drifts.append(np.linalg.norm(places[-1] - places[0]))
         assert np.median(drifts) < 1e-3  # m; without friction anchors several times that
@@ -287,9 +286,9 @@ for hand in ("shadow", "mpl", "allegro"):
         assert a != b
         first.reset(seed=0)
         second.reset(seed=0)
-        state = second.simulator.object_state().position
+        state = second.simulator.state().object_position
         first.step(np.ones(7))
-        np.testing.assert_array_equal(second.simulator.object_state().position, state)
+        np.testing.assert_array_equal(second.simulator.state().object_position, state)
         first.close()
         assert not pybullet.isConnected(a)
         del second  # without close
@@ -366,7 +365,7 @@ class TestMPL:
         names = env.observation_names()
         assert len(names) == 1 + 3 + 3 + 5 + 19
         obs, _ = env.reset(seed=0)
-        hand = env.simulator.link_positions()[0]
+        hand = env.simulator.state().palm
         np.testing.assert_allclose(obs["observation"][1:4], hand, rtol=1e-6)
         env.close()
 
@@ -376,7 +375,7 @@ class TestMPL:
         hand = made.scene.hand
         place = np.array([0.4, 0.4, 0.025])
         made.reset(hand.start_positions(), place, 0.0)
-        before = made.link_positions()
+        before = made.state().fingertips
         closed = hand.action_map(0.1 * np.eye(7)[3:].sum(axis=0), hand.start_targets())
         made.reset(closed, place, 0.0)
-        assert (made.link_positions()[2:, 2] < before[2:, 2] - 0.003).all()
+        assert (made.state().fingertips[1:, 2] < before[1:, 2] - 0.003).all()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactilerl import envs
-from tactilerl.envs import hands, objects, tasks
+from tactilerl.envs import hands, tasks
 
 BOTH = [("shadow", "mujoco"), ("mpl", "pybullet")]
 
@@ -47,7 +47,7 @@ def test_the_objects_velocity_is_what_its_poses_say(simulator):
     """Of a turned box that falls and spins in free space."""
     env = envs.make("mpl", simulator=simulator, object_size=(0.02, 0.03, 0.05))
     sim, dt = env.simulator, env.config.timestep
-    assert not sim.object_state().velocity.any()
+    assert not sim.state().object_velocity.any()
     sim.reset(env.hand.start_positions(), np.array([0.4, 0.4, 1.0]), 0.7)
     if simulator == "mujoco":
         sim.data.joint("object").qvel[3:] = [2.0, 1.0, 3.0]
@@ -58,20 +58,15 @@ def test_the_objects_velocity_is_what_its_poses_say(simulator):
     targets, states = env.hand.start_targets(), []
     for _ in range(12):
         sim.step(targets, 1)
-        states.append(sim.object_state())
+        states.append(sim.state())
     before, last = states[-2], states[-1]
-    moved = (last.position - before.position) / dt
-    np.testing.assert_allclose(last.velocity, moved, atol=1e-6)
-    assert last.velocity[2] == pytest.approx(-9.81 * 12 * dt, rel=0.05)
-    turned = last.rotation @ before.rotation.T
+    moved = (last.object_position - before.object_position) / dt
+    np.testing.assert_allclose(last.object_velocity, moved, atol=1e-6)
+    assert last.object_velocity[2] == pytest.approx(-9.81 * 12 * dt, rel=0.05)
+    turned = last.object_rotation @ before.object_rotation.T
     spin = np.array([turned[2, 1], turned[0, 2], turned[1, 0]]) / dt
-    np.testing.assert_allclose(last.angular_velocity, spin, rtol=0.02, atol=0.02)
+    np.testing.assert_allclose(last.object_angular_velocity, spin, rtol=0.02, atol=0.02)
     env.close()
-
-
-def test_a_state_without_a_velocity_is_at_rest():
-    state = objects.ObjectState(np.zeros(3), np.array([1.0, 0, 0, 0]), np.eye(3))
-    assert not np.concatenate([state.velocity, state.angular_velocity]).any()
 
 
 class InHand(tasks.ReachGoal):
@@ -84,16 +79,16 @@ class InHand(tasks.ReachGoal):
         closed = [hand.closed.get(name, 0.0) for name in hand.actuators]
         pose = dict(zip(hand.actuated, closed, strict=True))
         joints = np.array([pose.get(joint, 0.0) for joint in hand.joints])
-        return tasks.Start(joints, np.array(closed), palm - [0.0, 0.05, 0.04], 0.5)
+        return tasks.Start(joints, palm - [0.0, 0.05, 0.04], 0.5, np.array(closed))
 
 
 def test_a_task_of_ones_own_decides_how_an_episode_begins(monkeypatch):
     monkeypatch.setitem(tasks.TASKS, "in-hand", InHand)
     env = envs.make("shadow", task="in-hand", object_size=0.03)
     env.reset(seed=0)
-    hand, (joints, _) = env.hand, env.simulator.joint_state()
+    hand, joints = env.hand, env.state.joint_positions
     assert joints[hand.joints.index("robot0:FFJ2")] == hand.closed["robot0:A_FFJ2"] == 1.571
-    in_hand = env.simulator.object_state().position - env.palm_skin
+    in_hand = env.simulator.state().object_position - env.palm_skin
     np.testing.assert_allclose(in_hand, [0.0, -0.05, -0.04], atol=1e-12)
-    assert env.simulator.object_state().position[2] > 0.2
-    np.testing.assert_array_equal(env._targets, [hand.closed.get(n, 0.0) for n in hand.actuators])
+    assert env.simulator.state().object_position[2] > 0.2
+    np.testing.assert_array_equal(env.state.targets, [hand.closed.get(n, 0.0) for n in hand.actuators])

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from tactilerl import envs
 from tactilerl.envs import hands, layouts, objects, scripted, touch
 from tactilerl.envs.hands import Surface
-from tactilerl.envs.simulators import Contacts
+from tactilerl.envs.state import Contacts, State
 
 
 def brute_force_distance(shape, point, n=60):
@@ -39,8 +39,9 @@ def test_distance_to_a_box():
     assert shape.squared_distance(np.zeros((1, 3)))[0] == 0.0
 
 
-def pose(position, rotation):
-    return objects.ObjectState(np.array(position), np.full(4, np.nan), np.array(rotation))
+def state(taxels, link_poses, shape, position, rotation):
+    """An object, and the links of taxels with their positions and rotations."""
+    return State(shape, np.array(position), np.array(rotation), taxels.links, *link_poses)
 
 
 R, L = 0.01, 0.04  # of the one phalanx of a hand made for these tests: its bone along z
@@ -68,12 +69,13 @@ def taxels_at(surfaces, places, radius=1.5e-3):
     )  # fmt: skip
 
 
-def read(surface, rows, shape, thing, radius=1.5e-3):
+def read(surface, rows, shape, position, rotation, radius=1.5e-3):
     """What the taxels feel, their link turned anyhow in the world, the object as seen from it."""
     turn, place = Rotation.random(rng=3).as_matrix(), np.array([0.3, 0.1, 0.2])
-    moved = pose(turn @ thing.position + place, turn @ thing.rotation)
-    rule = touch.SkinTouch(taxels_on(surface, rows, radius), (surface,))
-    return rule.read(place[None], turn[None], shape, moved).tolist()
+    taxels = taxels_on(surface, rows, radius)
+    moved = turn @ np.array(position) + place, turn @ rotation
+    rule = touch.SkinTouch(taxels, (surface,))
+    return rule.read(state(taxels, (place[None], turn[None]), shape, *moved)).tolist()
 
 
 @pytest.mark.parametrize("surface", [PHALANX, PALM])
@@ -81,16 +83,15 @@ def read(surface, rows, shape, thing, radius=1.5e-3):
 def test_a_taxel_feels_what_touches_its_skin_and_not_what_is_only_near(surface, gap, on):
     """A cube with its face to the palmar side; taxels in the middle of it and 5 mm beyond."""
     y = -(surface.radius or 0.0) - gap - 0.02
-    middle = pose([0.0, y, surface.centre[2]], np.eye(3))
-    assert read(surface, [0.0, 0.025], objects.make("box", (0.04,)), middle) == [on, False]
+    middle = [0.0, y, surface.centre[2]], np.eye(3)
+    assert read(surface, [0.0, 0.025], objects.make("box", (0.04,)), *middle) == [on, False]
 
 
 def test_a_taxel_reaches_as_far_as_its_radius_along_a_link_that_touches():
     """A face touches the base of a bone and leaves it at 0.1 rad: by 1.2 and 1.8 mm at the last."""
     tilt = Rotation.from_rotvec([0.1, 0.0, 0.0]).as_matrix()
-    thing = pose(-(R + 0.05) * tilt[:, 1], tilt)
-    rows = np.array([0.0, 0.012, 0.018]) - L / 2
-    assert read(PHALANX, rows, objects.make("box", (0.1,)), thing) == [True, True, False]
+    rows, box = np.array([0.0, 0.012, 0.018]) - L / 2, objects.make("box", (0.1,))
+    assert read(PHALANX, rows, box, -(R + 0.05) * tilt[:, 1], tilt) == [True, True, False]
 
 
 def test_a_link_that_does_not_touch_is_silent_whatever_another_feels():
@@ -98,8 +99,8 @@ def test_a_link_that_does_not_touch_is_silent_whatever_another_feels():
     taxels = taxels_at([PHALANX, twin], [(0, 0.0), (1, 0.0)])
     rule = touch.SkinTouch(taxels, (PHALANX, twin))
     poses = np.array([[0.0, 0.0, 0.0], [0.0, 1e-3, 0.0]]), np.tile(np.eye(3), (2, 1, 1))
-    thing = pose([0.0, -R - 0.02, L / 2], np.eye(3))
-    assert rule.read(*poses, objects.make("box", (0.04,)), thing).tolist() == [True, False]
+    box, place = objects.make("box", (0.04,)), [0.0, -R - 0.02, L / 2]
+    assert rule.read(state(taxels, poses, box, place, np.eye(3))).tolist() == [True, False]
 
 
 @pytest.mark.parametrize("hand", hands.HANDS)
@@ -126,15 +127,15 @@ def test_skin_is_the_shape_that_the_simulators_collide(hand):
 
 @pytest.mark.parametrize("kind", objects.KINDS)
 def test_many_readings_at_once_are_those_one_by_one(kind):
-    rule = touch.SkinTouch(taxels_on(PHALANX, [-0.01, 0.0, 0.01]), (PHALANX,))
+    taxels = taxels_on(PHALANX, [-0.01, 0.0, 0.01])
+    rule = touch.SkinTouch(taxels, (PHALANX,))
     turns = Rotation.random(50, rng=4).as_matrix()
     places = np.random.default_rng(5).uniform(-0.04, 0.04, (50, 3))
-    poses, shape = (
-        (np.zeros((50, 1, 3)), np.tile(np.eye(3), (50, 1, 1, 1))),
-        objects.make(kind, (0.04,)),
-    )
-    many = rule.read(*poses, shape, objects.ObjectState(places, np.empty((50, 4)), turns))
-    each = [rule.read(poses[0][i], poses[1][i], shape, pose(places[i], turns[i])) for i in range(50)]
+    poses = np.zeros((50, 1, 3)), np.tile(np.eye(3), (50, 1, 1, 1))
+    shape = objects.make(kind, (0.04,))
+    many = rule.read(state(taxels, poses, shape, places, turns))
+    one = [(state(taxels, [p[i] for p in poses], shape, places[i], turns[i])) for i in range(50)]
+    each = [*map(rule.read, one)]
     assert many.shape == (50, 3)
     np.testing.assert_array_equal(many, each)
     assert 0 < many.sum() < many.size
@@ -195,14 +196,12 @@ class TestForce:
         n_felt = 0
         for _ in scripted.hold_steps(env, scripted.grasp_for(env), next(starts), 0.3):
             force = env.taxel_readings()
-            on = skin._touch.read(env.simulator, env.shape, env.simulator.object_state())
-            contacts = env.simulator.contacts()
+            now = env.simulator.state()
+            on, contacts = skin._touch.read(now), now.contacts
             links = np.array(env.taxels.links)[env.taxels.link_index]
             assert (on[force > 0]).all()
             for link in set(links):
-                pressed = sum(
-                    f for f, name in zip(contacts.forces, contacts.links, strict=True) if name == link
-                )
+                pressed = contacts.forces[contacts.links == now.links.index(link)].sum()
                 expected = pressed if on[links == link].any() else 0.0
                 assert force[links == link].sum() == pytest.approx(expected, rel=1e-6)
                 n_felt += expected > 0
@@ -211,18 +210,14 @@ class TestForce:
 
     def test_the_near_taxel_takes_more(self):
         env = envs.make("shadow", simulator="mujoco", layout="2", touch="force")
-        link = env.taxels.links[0]
-        mine = np.flatnonzero(env.taxels.link_index == 0)
-        at = touch.taxel_points(env.taxels).world(*env.simulator.link_poses(env.taxels.links))[mine]
-
-        class Pressed:
-            def contacts(self):
-                return Contacts(at[:1], (link,), np.array([2.0]))
-
-            link_poses = env.simulator.link_poses
-
-        around = objects.ObjectState(at.mean(axis=0), np.array([1.0, 0, 0, 0]), np.eye(3))
-        force = env._touch.read(Pressed(), objects.make("box", (0.3,)), around)
+        now, mine = env.simulator.state(), np.flatnonzero(env.taxels.link_index == 0)
+        at = touch.taxel_points(env.taxels).world(now)[mine]
+        link = now.links.index(env.taxels.links[0])
+        around = dataclasses.replace(
+            now, shape=objects.make("box", (0.3,)), object_position=at.mean(axis=0),
+            contacts=Contacts(at[:1], np.array([link]), np.array([2.0])),
+        )  # fmt: skip
+        force = env._touch.read(around)
         assert force.sum() == pytest.approx(2.0)
         assert not np.delete(force, mine).any()
         assert np.argmax(force) == mine[0]
@@ -254,6 +249,6 @@ def total_force(simulator="mujoco", **choices):
     start = next(iter(scripted.perturbed_starts(env, 0, 1)))
     for _ in scripted.hold_steps(env, scripted.grasp_for(env), start, 0.3):
         pass
-    force = env.simulator.contacts().forces.sum()
+    force = env.simulator.state().contacts.forces.sum()
     env.close()
     return force

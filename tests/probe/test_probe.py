@@ -3,6 +3,7 @@
 import json
 import os
 import re
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -28,7 +29,6 @@ from tactilerl.probe.grasps import (
     PolicyGrasps,
     Scenes,
     ScriptedGrasps,
-    links_of,
     moment,
     stack,
 )
@@ -567,12 +567,10 @@ def test_the_settings_are_those_of_the_environments_own_touch():
     grasps = Grasps(hand, synthetic(hand, [1, 0, 1]))
     felt = grasps.feel(taxels)
     assert felt.any(axis=1).tolist() == [True, False, True]
-    links = [links_of(hand).index(link) for link in taxels.links]
-    touch = SkinTouch(taxels, hand.surfaces)
-    poses = (grasps.records[f"link_{what}"][0][links] for what in ("positions", "rotations"))
-    shape, thing = grasps._object(np.array([0]))
-    alone = type(thing)(thing.position[0], thing.orientation[0], thing.rotation[0])
-    assert np.array_equal(touch.read(*poses, shape, alone), felt[0])
+    first = grasps._state(np.array([0]))
+    alone = {name: getattr(first, name)[0] for name in ("object_position", "object_rotation")}
+    alone |= {name: getattr(first, name)[0] for name in ("link_positions", "link_rotations")}
+    assert np.array_equal(SkinTouch(taxels, hand.surfaces).read(replace(first, **alone)), felt[0])
 
 
 def test_a_map_without_taxels(tmp_path):
