@@ -158,11 +158,13 @@ class TestEpisode:
     def test_where_it_is_held_is_drawn_from_a_range(self):
         still, env = make(**STILL), make(**STILL, handover_reach="0.02..0.04")
         at = [
-            [scene.reset(seed=seed) and scene.simulator.object_state().position for seed in range(20)]
+            [scene.reset(seed=seed) and scene.state.object_position for seed in range(20)]
             for scene in (still, env)
         ]
         reach = (at[0] - np.array(at[1]))[:, 1]
-        assert reach.min() >= 0.02 and reach.max() <= 0.04 and np.ptp(reach) > 0.01
+        assert reach.min() >= 0.02
+        assert reach.max() <= 0.04
+        assert np.ptp(reach) > 0.01
         still.close(), env.close()
 
     def test_physics_that_breaks_is_said(self):
