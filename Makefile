@@ -8,7 +8,7 @@ INSTALL := $(BIN)/pip install --quiet --no-compile --disable-pip-version-check -
 # Where the CPU build of PyTorch is. `make CUDA=1` takes what pip finds by itself, on Linux with CUDA.
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 CUDA ?=
-RUN ?= runs/shadow_layout4
+RUNS ?= runs
 JOBS ?= 3
 export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
@@ -35,13 +35,12 @@ $(DEVELOPMENT): $(TRAINING)
 		echo "PyBullet: found no wheel for this Python; going on without it"
 	touch $@
 
-# The early hold verdict is for speed.
-SHADOW_LIFT := --algo ppo --env shadow --layout 4 --total-timesteps 36000 --hold-verdict settled
-
-# Goes on with the run when it is there already.
+# Two hands, the same but for touch. Goes on with runs that are there already.
 train: $(TRAINING)
-	$(BIN)/tactilerl train $(SHADOW_LIFT) --out $(RUN)
-	$(BIN)/tactilerl evaluate $(RUN) --episodes 50
+	$(BIN)/tactilerl train --scene handover --out $(RUNS)/touch
+	$(BIN)/tactilerl train --scene handover --touch off --out $(RUNS)/blind
+	$(BIN)/tactilerl evaluate $(RUNS)/touch
+	$(BIN)/tactilerl evaluate $(RUNS)/blind
 
 # Several files of tests at a time, each with one thread; some wait, so three keep two cores busy.
 # `make test JOBS=12` on eight.
@@ -60,6 +59,7 @@ lint: $(DEVELOPMENT)
 	$(BIN)/mypy
 
 # The trained policies that ship with the repository, from nothing; about ten core-minutes.
+# The lift's early hold verdict is for speed.
 define POLICY
 $(BIN)/tactilerl train $(2) --workers 1 --out build/policies/$(1)
 $(BIN)/python tools/ship_policy.py build/policies/$(1) examples/policies/$(1)
@@ -68,7 +68,7 @@ endef
 policies: $(TRAINING)
 	$(call POLICY,handover_touch,--scene handover --run-type main)
 	$(call POLICY,handover_blind,--scene handover --run-type control)
-	$(call POLICY,shadow_lift,$(SHADOW_LIFT))
+	$(call POLICY,shadow_lift,--layout 4 --total-timesteps 36000 --hold-verdict settled)
 
 # 15 to 30 minutes on two cores; `make bench-peers` and so on for a part. `make bench OUT=docs/data`
 # is what the docs show of these.
