@@ -15,7 +15,9 @@ HERE = Path(__file__).parent
 def found() -> dict[str, Path]:
     """The files that have a `main`, by name."""
     files = sorted(
-        path for path in HERE.rglob("*.py") if path.parent != HERE or path.stem in ("figures", "tables")
+        path
+        for path in HERE.rglob("*.py")
+        if path.parent != HERE or path.stem in ("figures", "tables", "times")
     )
     return {path.stem: path for path in files if "\ndef main(" in path.read_text(encoding="utf-8")}
 

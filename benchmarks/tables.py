@@ -15,7 +15,7 @@ from contextlib import redirect_stdout
 from functools import partial
 from typing import Any
 
-from benchmarks import environments
+from benchmarks import environments, times
 from benchmarks.command import DATA, DOCS, ROOT, data, no_flags
 from benchmarks.learners import ablation, cut_short, footprint, precision, scaling, steady
 from benchmarks.peers import env, solve, updates
@@ -101,6 +101,7 @@ PRINTED: dict[str, Callable[[], None]] = {
         for flag in faults.SWEEPS
         if (DATA / "faults.json").exists()
     },
+    **({"times": _parts("times", times.show, "seconds")} if (DATA / "times.json").exists() else {}),
     **{f"gates {name}": _of("gates", partial(gates.show, name)) for name in gates.tables()},
     **environments.TABLES,
     "comparison": _comparison,

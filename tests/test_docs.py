@@ -188,13 +188,15 @@ def test_learners_list_their_hyperparameters(hooks):
 
 
 def test_each_environment_has_a_page(hooks):
-    """With every entry of what it observes and does; its links lead somewhere."""
+    """With every entry of what it observes and does. The overview has its id."""
+    overview = (ROOT / "docs/environments/README.md").read_text(encoding="utf-8")
     for name in hooks.environments.names():
         page = hooks.environments.page(name)
         _, env = hooks.environments._made(name)
         last = len(env.observation_names()) - 1
         assert re.search(rf"^\| (?:\d+–)?{last} \| taxels", page, re.MULTILINE), name
         assert f"| {len(env.hand.action_names) - 1} |" in page
+        assert f"`tactilerl/{hooks.environments.title(name)}-v0`" in overview
         for link in re.findall(r"\]\(([^)#\s]+)", page):
             assert (ROOT / "docs/environments" / link).exists(), f"{name}: {link}"
 

@@ -29,6 +29,7 @@ from tactilerl.algos.ppo import PPOConfig
 from tactilerl.commands import cli
 from tactilerl.commands.study import PARTS as STUDY
 
+ROOT = Path(__file__).resolve().parents[1]
 WIDTH = 78  # of help texts: what a page shows without scrolling
 os.environ |= {"COLUMNS": str(WIDTH), "NO_COLOR": "1"}
 SEVERAL = {  # commands whose flags depend on what follows them
@@ -61,6 +62,9 @@ def on_config(config: Any) -> Any:
     config.repo_url = config.repo_url or repository()
     if config.repo_url:
         config.repo_name = "Repository"
+    (section,) = (each for each in config.nav if "Environments" in each)
+    pages = [{environments.title(name): f"environments/{name}.md"} for name in environments.names()]
+    section["Environments"] = [{"Overview": "environments/README.md"}, *pages]
     return config
 
 
@@ -73,13 +77,20 @@ def repository() -> str:
 
 
 def on_files(files: Any, *, config: Any) -> Any:
-    """Called by mkdocs with the files of the site: adds a page for each environment."""
+    """Called by mkdocs with the files of the site: adds the README and a page for each environment."""
     from mkdocs.structure.files import File  # only where a site is built
 
-    for name in environments.names():
-        path = f"environments/{name}.md"
-        files.append(File.generated(config, path, content=environments.page(name)))
+    pages = {f"environments/{name}.md": environments.page(name) for name in environments.names()}
+    for path, text in {"index.md": home(), **pages}.items():
+        files.append(File.generated(config, path, content=text))
     return files
+
+
+def home() -> str:
+    """The README, with links as the site has them; files outside docs/ are named without a link."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8").replace("](docs/", "](")
+    outside = "|".join(re.escape(path.name) for path in ROOT.iterdir() if path.is_file())
+    return re.sub(rf"\[([^\]]*)\]\((?:{outside})\)", r"\1", text)
 
 
 def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
