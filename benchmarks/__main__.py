@@ -33,7 +33,8 @@ def usage(files: dict[str, Path]) -> str:
     lines = ["usage: python -m benchmarks NAME [OPTIONS]"]
     for group in sorted({path.parent for path in files.values()}):
         lines += ["", about(group / "__init__.py")]
-        lines += [f"  {name:16}{about(path)}" for name, path in files.items() if path.parent == group]
+        own = {name: path for name, path in files.items() if path.parent == group}
+        lines += [f"  {name:18}{about(path)}" for name, path in own.items()]
     return "\n".join(lines)
 
 

@@ -16,7 +16,7 @@ from adjustText import adjust_text
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from benchmarks.command import DOCS, data, no_flags
-from benchmarks.studies import answer, faults, probe_tables
+from benchmarks.studies import faults, probe_tables, study_tables
 from tactilerl.envs import hands, layouts
 from tactilerl.pictures.hand_map import TaxelMap
 from tactilerl.pictures.places import Place
@@ -85,7 +85,7 @@ def settings(axes: Any, rows: dict[str, dict[str, Any]]) -> tuple[list[Any], np.
 
 def study_curves(study: str, pictures: dict[str, str]) -> None:
     """The learning curves of some set-ups, as the report of their study draws them."""
-    for one in analyse(*answer.load(study)).setups:
+    for one in analyse(*study_tables.load(study)).setups:
         if one.setup.name in pictures:
             picture = study_figures.curves(one).formats()["png"]
             (IMAGES / f"{pictures[one.setup.name]}.png").write_bytes(picture)
@@ -144,7 +144,7 @@ def main() -> None:
         speed_against_error()
         layouts_unrolled()
         fault_curves()
-        answer.draw(IMAGES)
+        study_tables.draw(IMAGES)
         for name, pair in CHOSEN.items():
             chosen_taxels(name, probes[pair])
     probe_tables.figure(probes, IMAGES / "probe_selection.png")

@@ -21,17 +21,17 @@ from benchmarks.learners import ablation, cut_short, footprint, precision, scali
 from benchmarks.peers import env, solve, updates
 from benchmarks.physics import hard_cases, hold_verdict, scene_parts, speed_vs_error
 from benchmarks.studies import (
-    answer,
     coverage,
-    errors,
+    error_rates,
     faults,
     gates,
+    pair_correlation,
     pairs,
     probe_agreement,
     probe_hold,
     probe_tables,
     results,
-    shared,
+    study_tables,
 )
 
 MARKED = re.compile(r"(<!-- table (.+?) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
@@ -90,11 +90,11 @@ PRINTED: dict[str, Callable[[], None]] = {
     "ablation": _of("ablation", ablation.show),
     "steady": _of("steady", steady.markdown),
     "pairs": _of("pairs", pairs.show),
-    "shared": _of("shared", shared.markdown),
-    "errors": _parts("errors", errors.show_p_values, "p_values"),
-    "looks": _parts("errors", errors.show_looks, "looks", "p_values"),
+    "pair correlation": _of("pair_correlation", pair_correlation.markdown),
+    "error rates": _parts("error_rates", error_rates.show_p_values, "p_values"),
+    "looks": _parts("error_rates", error_rates.show_looks, "looks", "p_values"),
     "coverage": _parts("coverage", coverage.show, "coverage"),
-    **answer.TABLES,
+    **study_tables.TABLES,
     **results.TABLES,
     **{
         f"study faults, {flag}": _of("faults", faults.show, [flag])

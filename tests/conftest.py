@@ -70,9 +70,9 @@ def trained_here(monkeypatch):
     """Runs of a study are trained by the command that they are always trained by, but without a
     process each, which takes seconds to start; with `--jobs 1`, because they share one output."""
 
-    def process(files, job):
-        with open(files.log_file, "a") as log, redirect_stdout(log), redirect_stderr(log):
-            return main(["train", *job.arguments, "--out", str(job.base)])
+    def process(log_file, job):
+        with open(log_file, "a") as log, redirect_stdout(log), redirect_stderr(log):
+            return main(job.command())
 
     monkeypatch.setattr(runner, "_process", process)
 

@@ -12,7 +12,7 @@ import numpy as np
 from tactilerl.runs import provenance
 from tactilerl.runs.run_dir import FORMAT
 from tactilerl.study import check, grid
-from tactilerl.study.folder import Outcome, StudyFolder
+from tactilerl.study.records import StudyFiles
 
 PAPER_LIKE = """
 name = "made-up"
@@ -40,12 +40,24 @@ total_timesteps = 60_000
 LEVEL = {"layout 1": 0.7, "layout 2": 0.85, "layout 5": 0.5, "sighted": 0.95}
 
 
-def make_study(path, text=PAPER_LIKE, n_seeds=4, epochs=25, total=30_000):
+def make_study(path, text=PAPER_LIKE, n_seeds=4, epochs=25, total=None):
     """A study's folder with all runs done; main runs rise higher the better their layout."""
     text = text.replace("{last}", str(n_seeds - 1))
     path.with_suffix(".toml").write_text(text)
     shutil.copytree(_made(text, epochs, total).name, path, dirs_exist_ok=True)
-    return StudyFolder(path)
+    return StudyFiles(path)
+
+
+def interrupt(folder, run, rows=20):
+    """A run that has not come to its end."""
+    path = folder.run_dir(run).progress.path
+    path.write_text("".join(path.read_text().splitlines(keepends=True)[: rows + 1]))
+
+
+def fail(folder, run, reason="diverged"):
+    """A run that failed."""
+    interrupt(folder, run)
+    folder.write_failure(run, reason)
 
 
 @cache
@@ -54,27 +66,27 @@ def _made(text, epochs, total):
     made = tempfile.TemporaryDirectory(prefix="tactilerl-tests-")
     file = Path(made.name, "study.toml")
     file.write_text(text)
-    study, folder = grid.read(file), StudyFolder(Path(made.name))
+    study, folder = grid.read(file), StudyFiles(Path(made.name))
     file.unlink()
     runs = study.runs()
     configs = check.configure(runs)
     folder.create(study)
     made_with = [provenance.origin()]
     for index, run in enumerate(runs):
-        files = folder.files(run)
-        files.base.mkdir()
+        run_dir = folder.run_dir(run)
+        run_dir.path.mkdir()
         content = {"format": FORMAT, **configs[run.name].as_dict(), "ranks": 1, "provenance": made_with}
-        files.run_dir.config_file.write_text(json.dumps(content))
-        write_progress(files, run, np.random.default_rng(index), epochs, total)
-        files.write_outcome(Outcome("done", total))
+        run_dir.config_file.write_text(json.dumps(content))
+        steps = total or configs[run.name].run.total_timesteps
+        write_progress(run_dir, run, np.random.default_rng(index), epochs, steps)
     return made
 
 
-def write_progress(files, run, rng, epochs, total):
+def write_progress(run_dir, run, rng, epochs, total):
     """A curve that rises to its level, with noise."""
     level = LEVEL.get(run.cell, 0.6) if run.arm in ("main", "0.95") else LEVEL.get(run.setup, 0.55)
     level += rng.normal(0, 0.05)
-    with files.run_dir.progress.path.open("w", newline="") as file:
+    with run_dir.progress.path.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(
             ["epoch", "env_steps", "success_rate", "test_success_rate", "diverged", "steps_per_s"]

@@ -17,7 +17,9 @@ BESIDE = {"version", "errors", "statistics", "style", "api", "registration", "",
 ALLOWED = {
     "mujoco": ("envs/simulators/", "envs/hands/"),
     "pybullet": ("envs/simulators/pybullet.py",),
-    "mpi4py": ("algos/mpi.py", "tactilerl/study/runner.py"),
+    "mpi4py": ("algos/mpi.py", "tactilerl/study/engine.py"),
+    "dask": ("tactilerl/study/engine.py",),
+    "dask_jobqueue": ("tactilerl/study/engine.py",),
     "matplotlib": (
         "benchmarks/",
         "tactilerl/probe/figures.py",

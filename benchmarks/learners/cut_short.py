@@ -156,7 +156,7 @@ def many_cores(results: dict[str, dict[str, Any]]) -> None:
     name = "handover_layout-2_run_type-main_s0"
     idle = {1: 0.0} | {n: results[f"run {name}"][str(n)]["waiting"] for n in WORKERS}
     at_once = data("scaling")["updates"]["ratios"]["PPO: 2 cores / 1"]
-    runs = [r for r in records.load(DATA / "handover.csv.gz")[1] if r.run.name[:-1] == name[:-1]]
+    runs = [r for r in records.load(DATA / "handover.tar.gz")[1] if r.run.name[:-1] == name[:-1]]
     parts = [
         [np.nansum(r.column(part)) for part in ("collect_s", "update_s")] / r.column("env_steps")[-1]
         for r in runs

@@ -44,7 +44,7 @@ def show_starting(seconds: dict[str, float]) -> None:
 
 def memory() -> dict[str, Any]:
     """What `full_replay` found."""
-    return json.loads(python("-m", "benchmarks", "full_replay").splitlines()[-1])
+    return json.loads(python("-m", "benchmarks.learners.full_replay").splitlines()[-1])
 
 
 def show_memory(found: dict[str, Any]) -> None:

@@ -3,7 +3,7 @@
 The Shadow Hand with layout 1, and the default number of transitions, all written to. Peaks are
 Linux's. `footprint.py` starts this in a fresh process:
 
-    python -m benchmarks full_replay
+    python -m benchmarks.learners.full_replay
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def synthetic(replay: Replay, rng: np.random.Generator) -> Episode[GoalObs]:
     return Episode(seen, list(actions), [-1.0] * len(actions), truth=[np.zeros(n_truth)] * len(seen))
 
 
-def main() -> None:
+def measure() -> None:
     """Peaks after each stage of a worker's life."""
     no_flags(__doc__)
     torch.set_num_threads(1)
@@ -67,3 +67,7 @@ def main() -> None:
             torch.save(replay.new_experience(everything=True), file)
         peaks["after saving all of it"] = peak()
     print(json.dumps({"transitions": len(replay), "replay": replay.nbytes, "peaks": peaks}))
+
+
+if __name__ == "__main__":
+    measure()

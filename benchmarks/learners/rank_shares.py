@@ -2,7 +2,7 @@
 
 `scaling.py` starts this with one rank and with two:
 
-    mpirun -n 2 python -m benchmarks rank_shares
+    mpirun -n 2 python -m benchmarks.learners.rank_shares
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from tactilerl.envs import vector
 CYCLES = 3
 
 
-def main() -> None:
+def measure() -> None:
     """Some cycles on the Shadow Hand on each rank; rank 0 prints where its time went."""
     no_flags(__doc__)
     torch.set_num_threads(1)
@@ -66,3 +66,7 @@ def main() -> None:
     if comm.rank == 0:
         print(json.dumps(result))
     workers.close()
+
+
+if __name__ == "__main__":
+    measure()

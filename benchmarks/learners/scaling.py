@@ -110,7 +110,7 @@ def ranks() -> dict[str, Any]:
     found: dict[int, list[dict[str, Any]]] = {1: [], 2: []}
     for _ in range(REPEATS):
         for n, results in found.items():
-            output = python("-m", "benchmarks", "rank_shares", launcher=(mpirun, "-n", str(n)))
+            output = python("-m", "benchmarks.learners.rank_shares", launcher=(mpirun, "-n", str(n)))
             results.append(json.loads(output.splitlines()[-1]))
     result: dict[str, Any] = {"ratios": {}}
     for key in ("transitions_per_s", "env_steps_per_s"):

@@ -1,6 +1,6 @@
 """A study as the paper compares it: converged rates not in pairs, beside the paper's own results.
 
-    python -m benchmarks as_the_paper docs/data/paper.csv.gz --figures out
+    python -m benchmarks as_the_paper docs/data/paper.tar.gz --figures out
 
 The paper's numbers stand beside those of its two set-ups, as far as its text gives them
 (published.toml).

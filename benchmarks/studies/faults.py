@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.command import count, earlier, parser, python, write
 from benchmarks.printing import markdown
-from benchmarks.studies.answer import mean
+from benchmarks.studies.study_tables import mean
 
 SWEEPS = {
     "taxel-dead": ("0", "0.1", "0.2", "0.3", "0.5", "0.7", "0.9", "1"),

@@ -1,6 +1,6 @@
 """What the set-ups of a collected study say together: the order of the cells, and a mixed model.
 
-    python -m benchmarks over_setups docs/data/paper.csv.gz
+    python -m benchmarks over_setups docs/data/paper.tar.gz
 
 Two or more set-ups with the same three or more cells, such as the paper's two with its six layouts:
 do they put them into the same order? Set-ups that cross hands, simulators and algorithms: is the

@@ -1,6 +1,6 @@
 """What pairs of runs gain in the collected studies: correlation, and runs that an effect needs.
 
-    python -m benchmarks pairs docs/data/{handover,paper}.csv.gz --out docs/data/pairs.json
+    python -m benchmarks pairs docs/data/{handover,paper}.tar.gz --out docs/data/pairs.json
 
 A t test of a difference of 0.1 with a power of 0.8. Pairs of all cells of a set-up stand together,
 about one mean, or each about the mean of its cell, as in `tactilerl study plan`.

@@ -9,8 +9,8 @@ import numpy as np
 
 from benchmarks.command import no_flags
 from benchmarks.printing import markdown
-from benchmarks.studies import answer
-from benchmarks.studies.answer import estimate, mean
+from benchmarks.studies import study_tables
+from benchmarks.studies.study_tables import estimate, mean
 from tactilerl import style
 from tactilerl.study import verdicts
 from tactilerl.study.tables import median_steps
@@ -32,7 +32,7 @@ def learned(*of: str) -> None:
     areas: list[verdicts.BySeed] = []
     places = RUNS[of[0], of[1]]
     is_alone = len(places) == 1  # runs of two studies were not timed on one machine
-    loaded = {title: (*answer.load_setup(*row[:2]), row[2:]) for title, row in places.items()}
+    loaded = {title: (*study_tables.load_setup(*row[:2]), row[2:]) for title, row in places.items()}
     common = set.intersection(*({r.run.seed for r in found} for _, found, _ in loaded.values()))
     for title, (setup, every, place) in loaded.items():
         found = [record for record in every if record.run.seed in common]
@@ -57,30 +57,30 @@ def learned(*of: str) -> None:
 
 def critic(name: str, setup_name: str, usual: str = "handover") -> None:
     """A critic that sees the truth against one that sees what the policy sees, in each arm."""
-    setup, found = answer.load_setup(name, setup_name)
-    other, sound = answer.load_setup(usual, usual)
+    setup, found = study_tables.load_setup(name, setup_name)
+    other, sound = study_tables.load_setup(usual, usual)
     rows = []
     for arm in setup.arms:
         pairs = verdicts.in_pairs(
             verdicts.by_seed(found, setup, setup.cells[0], arm, "area"),
             verdicts.by_seed(sound, other, other.cells[0], arm, "area"),
         )
-        rows.append((style.ROLES[arm], *answer.compared(pairs)))
+        rows.append((style.ROLES[arm], *study_tables.compared(pairs)))
     markdown("| hand | pairs | critic sees the truth | what the policy sees | difference | p |", rows)
 
 
-TABLES = answer.tables(
+TABLES = study_tables.tables(
     ("results ppo", learned, "learners", "ppo"),
     ("results updates", learned, "learners", "updates"),
     ("results critic", critic, "variants", "critic"),
-    ("results fingertips", answer.layouts, "variants", "fingertips"),
+    ("results fingertips", study_tables.layouts, "variants", "fingertips"),
 )
 
 
 def main() -> None:
     """All tables."""
     no_flags(__doc__)
-    answer.show(TABLES)
+    study_tables.show(TABLES)
 
 
 if __name__ == "__main__":

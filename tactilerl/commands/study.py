@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import shlex
+from collections.abc import Callable, Iterable
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
@@ -16,10 +18,11 @@ from rich import box
 from rich.table import Table
 
 from ..errors import InputError
-from ..runs.cores import free_cores
 from ..runs.files import pasted
-from ..study import check, comparing, display, grid, looks, planning, records, runner
-from ..study.folder import Outcome, RunFiles, StudyFolder
+from ..runs.cores import free_cores
+from ..study import check, comparing, engine, grid, looks, planning, progress, records
+from ..study.records import Record, StudyFiles
+from ..study.runner import Job
 from ..terminal import flags
 from ..terminal.console import console
 from ..terminal.help import About
@@ -34,77 +37,65 @@ class Run:
     """Study file (TOML)."""
     out: Path | None = None
     """Folder of the study; default: studies/NAME. Runs already in it are continued."""
+    on: str = "local"
+    """Where runs are trained: local; mpi (under mpirun); dask:ADDRESS of a scheduler; or slurm, pbs,
+    lsf, sge or htcondor (extra: cluster)."""
     jobs: Annotated[int, "[1, inf)"] | None = None
-    """Runs trained side by side; default: one per core, or one per rank but the first under mpirun."""
+    """Runs trained side by side; default: one per core. With a batch system: jobs to submit."""
+    walltime: str | None = None
+    """Time limit of a job of a batch system, as it wants it; default: dask-jobqueue's."""
+    memory: str | None = None
+    """Memory of a job of a batch system; default: dask-jobqueue's, or 3GB."""
     ranks_per_run: Annotated[int, "[1, inf)"] = 1
     """Processes per run (for DDPG+HER with several workers)."""
     retry_failed: bool = False
     """Try failed runs again."""
-    only: str = ""
-    """Train only runs with all these names of set-ups, cells or arms, as NAME,NAME."""
     collected: tuple[Path, ...] = ()
     """Skip runs that are done in these folders or collected files of the study."""
 
     def __call__(self) -> int:
         """`tactilerl study run FILE`"""
-        parallel = self.jobs or max(1, free_cores() // self.ranks_per_run)
-        with runner.executor(parallel) as pool:
-            return self._train(pool, parallel) if pool is not None else 0
+        chosen = engine.Engine(self.on, self.jobs, self.ranks_per_run, self.walltime, self.memory)
+        with chosen.executor() as pool:
+            return self._train(*pool) if pool is not None else 0
 
-    def _train(self, pool: Executor, parallel: int) -> int:
+    def _train(self, pool: Executor, parallel: Callable[[], int]) -> int:
         study = grid.read(self.study)
-        folder = StudyFolder(self.out or Path("studies") / study.name)
-        runs, title = self._runs(study), f"study {study.name}"
+        files, title = StudyFiles(self.out or Path("studies") / study.name), f"study {study.name}"
+        elsewhere = records.load(self.study, *self.collected)[1] if self.collected else []
+        done = {one.run.name for one in elsewhere if one.state == "done"}
+        runs = [run for run in study.runs() if run.name not in done]
         console.print(f"{title}: checking {len(runs)} runs")
         configs = check.configure(runs)
-        damaged = check.find_damage(runs, configs, folder)
-        check.start(runs, configs, folder)
-        folder.create(study)
-        jobs: dict[str, runner.Job] = {}
-        for one in runs:
-            files, total = folder.files(one), configs[one.name].run.total_timesteps
-            if self._is_to_do(one, files, total, damaged.get(one.name, "")):
-                jobs[one.name] = runner.Job(files.base, one.arguments, total, self.ranks_per_run)
-        overview = display.Overview(folder, runs)
+        found = {run.name: files.record(run) for run in runs}
+        check.require_same(found.values(), configs)
+        check.start(found.values(), configs)
+        files.create(study)
+        if self.retry_failed:
+            _forget_failures(files, found)
+        todo = [one.run for one in found.values() if not one.has_ended]
+        here, folder = Path.cwd(), files.path.absolute()
+        jobs = {run.name: Job(folder, run, self.ranks_per_run, here) for run in todo}
         left = "to do" if study.looks is None else "to do at most"
-        console.print(f"{title}: {len(runs)} runs, {len(jobs)} {left}, in {folder.path}")
-        with display.Watch(overview, getattr(pool, "num_workers", parallel), title) as watch:
-            run_all = partial(runner.run_all, pool=pool, watch=watch)
+        console.print(f"{title}: {len(runs)} runs, {len(jobs)} {left}, in {files.path}")
+        with progress.Watch(files, found, parallel) as watch:
+            run_all = partial(engine.run_all, pool=pool, watch=watch)
             if study.looks is None:
                 endings = run_all(list(jobs.values()))
             else:
-                endings = looks.run(study, folder, jobs, run_all, console.print, self.collected)
-        failures = _print_failures(folder, runs)
+                endings = looks.run(study, files.path, jobs, run_all, console.print, self.collected)
+        failures = _print_failures(files.record(run) for run in runs)
         if busy := list(endings.values()).count("busy"):
             console.print(f"{busy} runs are trained by another `study run`")
-        console.print(f"  tactilerl study report {pasted(folder.path)}")
+        console.print(f"  tactilerl study report {pasted(files.path)}")
         return 1 if failures else 0
 
-    def _runs(self, study: grid.Study) -> list[grid.Run]:
-        """Those that were chosen and are not done elsewhere."""
-        chosen = study.choose(self.only, self.study)
-        if not chosen:
-            raise InputError(f"--only: found {self.only!r}, but no run has all these names")
-        elsewhere = records.load(self.study, *self.collected)[1] if self.collected else []
-        done = {one.run.name for one in elsewhere if one.state == "done"}
-        return [run for run in study.runs() if run.name in chosen and run.name not in done]
 
-    def _is_to_do(self, run: grid.Run, files: RunFiles, total: int, damage: str) -> bool:
-        """Is a run to be trained, after what is damaged was put aside or recorded as failed?"""
-        if found := files.damage():
-            console.print(f"{run.name}: {found}; recorded as done, it is trained again")
-            if place := files.set_aside():
-                console.print(f"  what is left of it: {pasted(place)}")
-        if self.retry_failed and (before := files.outcome()) and before.state == "failed":
-            files.outcome_file.unlink()
-        if damage:
-            console.print(f"{run.name}: {damage}; repair or remove it, then --retry-failed")
-            files.write_outcome(Outcome("failed", total, damage))
-        outcome = files.outcome()
-        if outcome and outcome.state == "done" and outcome.total_timesteps < total:
-            files.outcome_file.unlink()  # it counts again when it is as long as the others
-            return True
-        return outcome is None
+def _forget_failures(files: StudyFiles, found: dict[str, Record]) -> None:
+    for name, record in found.items():
+        if record.state == "failed":
+            files.beside(record.run, "json").unlink(missing_ok=True)
+            found[name] = files.record(record.run)
 
 
 def _json(value: Any) -> str:
@@ -112,13 +103,35 @@ def _json(value: Any) -> str:
     return json.dumps(json.loads(json.dumps(value), parse_constant=lambda _: None))
 
 
-def _print_failures(folder: StudyFolder, runs: list[grid.Run]) -> int:
+def _print_failures(found: Iterable[Record]) -> int:
     """Every run that failed, and why; how many."""
-    outcomes = {one.name: folder.files(one).outcome() for one in runs}
-    reasons = {name: o.reason for name, o in outcomes.items() if o and o.state == "failed"}
-    for name, reason in reasons.items():
-        console.print(f"failed: {name}: {reason}")
-    return len(reasons)
+    failed = [record for record in found if record.state == "failed"]
+    for record in failed:
+        console.print(f"failed: {record.run.name}: {record.reason}")
+    return len(failed)
+
+
+@dataclass(frozen=True)
+class Todo:
+    """Print a command for each run that is not done, for job arrays and the like."""
+
+    study: tyro.conf.Positional[Path]
+    """Study file (TOML)."""
+    out: Path | None = None
+    """Folder of the study; default: studies/NAME."""
+    ranks_per_run: Annotated[int, "[1, inf)"] = 1
+    """Processes per run."""
+
+    def __call__(self) -> None:
+        """`tactilerl study todo FILE`"""
+        study = grid.read(self.study)
+        files = StudyFiles(self.out or Path("studies") / study.name)
+        found = [files.record(run) for run in study.runs()]
+        check.require_same(found, check.configure(record.run for record in found))
+        files.create(study)
+        for record in found:
+            if record.state != "done":
+                print(shlex.join(Job(files.path, record.run, self.ranks_per_run).command("tactilerl")))
 
 
 @dataclass(frozen=True)
@@ -126,31 +139,31 @@ class Status:
     """Count runs that are done, running, failed and left."""
 
     folder: tyro.conf.Positional[Path]
-    """Folder of the study."""
+    """Folder of the study, or the file that `collect` wrote."""
     json: bool = False
     """Print JSON instead of a table."""
 
     def __call__(self) -> None:
         """`tactilerl study status FOLDER`"""
-        folder = StudyFolder(self.folder)
-        study = folder.study()
-        overview = display.Overview(folder, study.runs())
-        counts = overview.counts()
-        eta = overview.eta(counts["running"] or free_cores())
-        found = looks.judge(study, folder)
-        said = looks.answers(study, found)
+        study, found = records.load(records.require_study(self.folder))
+        counts = progress.counts(found)
+        eta = progress.eta(found, counts["running"] or free_cores())
+        verdicts = looks.judge(study, found)
+        said = looks.answers(study, verdicts)
         if self.json:
-            states = {name: dataclasses.asdict(one) for name, one in overview.standings.items()}
+            states = {
+                one.run.name: {"state": one.state, "fraction": one.fraction, "seconds": one.seconds}
+                for one in found
+            }
             result = {"study": study.name, "runs": len(states), **counts, "eta_s": eta}
             print(_json({**result, "answers": said, "states": states}))
             return
-        console.print(overview.table(f"study {study.name}, {len(overview.runs)} runs"))
+        console.print(progress.table(f"study {study.name}, {len(found)} runs", found))
         for sentence in said:
             console.print(sentence)
-        has_all = counts["done"] + counts["failed"] == len(overview.runs)
-        is_over = has_all or looks.have_ended(found)
+        is_over = all(one.has_ended for one in found) or looks.have_ended(verdicts)
         console.print("nothing left to do" if is_over else f"ETA {duration(eta)}")
-        _print_failures(folder, overview.runs)
+        _print_failures(found)
 
 
 @dataclass(frozen=True)
@@ -173,7 +186,9 @@ class Plan:
         for name in ("effect", "power", "alpha"):
             if not 0 < getattr(self, name) < 1:
                 raise InputError(f"--{name}: found {getattr(self, name)}, allowed between 0 and 1")
-        needs = planning.plan(*records.load(self.study), self.effect, self.power, self.alpha)
+        needs = planning.plan(
+            *records.load(records.require_study(self.study)), self.effect, self.power, self.alpha
+        )
         if not needs:
             raise InputError(f"{self.study}: no comparison with two or more pairs of runs to plan from")
         if self.json:
@@ -248,10 +263,10 @@ class Collect:
     folder: tyro.conf.Positional[Path]
     """Folder of the study, or a collected file."""
     more: tyro.conf.Positional[tuple[Path, ...]] = ()
-    """More folders or collected files of the same study to merge, or its study file. Of each run,
-    the record that got furthest is kept."""
+    """More folders or collected files of the same study to merge, or its study file. Each run is
+    taken from the first place where it is done."""
     out: Path | None = None
-    """File to write; default: collected.csv.gz in FOLDER."""
+    """File to write; default: collected.tar.gz in FOLDER."""
 
     def __call__(self) -> None:
         """`tactilerl study collect FOLDER`"""
@@ -280,7 +295,7 @@ class Report:
         except ModuleNotFoundError as error:
             needed = f"study report needs {error.name}, which is not installed"
             raise InputError(f"{needed}: pip install 'tactilerl[study]'") from error
-        found = analysis.analyse(*records.load(self.study), self.resamples)
+        found = analysis.analyse(*records.load(records.require_study(self.study)), self.resamples)
         out = self.out or (self.study if os.path.isdir(self.study) else self.study.parent) / "report"
         try:
             path = report.write(found, out)
@@ -293,7 +308,7 @@ class Report:
         console.print(f"{path} (tables and figures beside it)")
 
 
-KINDS: tuple[Any, ...] = (Run, Status, Plan, Compare, Collect, Report)
+KINDS: tuple[Any, ...] = (Run, Todo, Status, Plan, Compare, Collect, Report)
 PARTS = {kind.__name__.lower(): kind for kind in KINDS}
 
 

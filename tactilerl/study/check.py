@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable, Mapping
 from contextlib import closing
 
 from ..algos.mpi import Communicator
@@ -10,11 +11,11 @@ from ..errors import InputError, input_errors
 from ..runs import arguments as train_flags
 from ..runs.config import RunConfig
 from ..runs.training import check, make_algorithm
-from .folder import StudyFolder
 from .grid import Run
+from .records import Record
 
 
-def configure(runs: list[Run]) -> dict[str, RunConfig]:
+def configure(runs: Iterable[Run]) -> dict[str, RunConfig]:
     """The configuration of every run, by name; InputError naming the first invalid run.
 
     Flags are read once for all runs that differ only in the seed.
@@ -36,39 +37,30 @@ def configure(runs: list[Run]) -> dict[str, RunConfig]:
     return configs
 
 
-def start(runs: list[Run], configs: dict[str, RunConfig], folder: StudyFolder) -> None:
+def require_same(records: Iterable[Record], configs: Mapping[str, RunConfig]) -> None:
+    """InputError where a folder holds another run than the study file now asks for. Values that only
+    one version knows do not count."""
+    for record in records:
+        for part, wanted in configs[record.run.name].identity().items():
+            made = (record.config or {}).get(part) or {}
+            for key, value in (wanted or {}).items():
+                if key in made and made[key] != value:
+                    raise InputError(
+                        f"run {record.run.name}: {key}: found {value!r}, the run was made with "
+                        f"{made[key]!r}; give this study another --out, or move that folder away"
+                    )
+
+
+def start(records: Iterable[Record], configs: Mapping[str, RunConfig]) -> None:
     """Make the environment and the learner of every combination that has not begun yet, as `train`
     would; InputError naming the first run for which that fails."""
     tried = set()
-    for run in runs:
-        if run.combination in tried or folder.files(run).exists:
-            continue
-        tried.add(run.combination)
-        try:
-            learner, pool = make_algorithm(configs[run.name], Communicator())
-            with closing(pool), input_errors():
-                check(learner)
-        except InputError as error:
-            raise InputError(f"run {run.name}: {error}") from error
-
-
-def find_damage(runs: list[Run], configs: dict[str, RunConfig], folder: StudyFolder) -> dict[str, str]:
-    """Run folders that cannot go on, and why, by name of the run.
-
-    InputError where a folder holds another run than the study file now asks for.
-    """
-    damaged = {}
-    for run in runs:
-        files = folder.files(run)
-        if not files.exists or files.damage():  # the latter makes room for another
-            continue
-        try:
-            saved, _ = files.run_dir.read_config()
-        except InputError as error:
-            damaged[run.name] = str(error)
-            continue
-        if difference := saved.difference(configs[run.name].identity()):
-            raise InputError(
-                f"{files.base}: {difference}; give this study another --out, or move that folder away"
-            )
-    return damaged
+    for run in (record.run for record in records if record.state == "left"):
+        if run.combination not in tried:
+            tried.add(run.combination)
+            try:
+                learner, pool = make_algorithm(configs[run.name], Communicator())
+                with closing(pool), input_errors():
+                    check(learner)
+            except InputError as error:
+                raise InputError(f"run {run.name}: {error}") from error

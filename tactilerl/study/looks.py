@@ -3,62 +3,56 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from . import records, summary, verdicts
-from .folder import StudyFolder
 from .grid import Run, Study
-from .runner import Ending, Job
+from .records import Record
+from .runner import PATIENCE, Ending, Job
 from .verdicts import Verdict
 
-PATIENCE = 5.0  # s between questions after runs that another process trains
-Endings = dict[Path, Ending]
 Found = Mapping[str, Mapping[str, Verdict]]
 """Comparisons by set-up and cell."""
-RunAll = Callable[[list[Job]], Endings]
-"""`runner.run_all`, given its pool and who watches."""
+RunAll = Callable[[list[Job]], dict[str, Ending]]
+"""`engine.run_all`, given its pool and who watches."""
 
 
 def run(
     study: Study,
-    folder: StudyFolder,
+    folder: Path,
     jobs: Mapping[str, Job],
     run_all: RunAll,
     say: Callable[[str], None],
     collected: Sequence[Path] = (),
-) -> Endings:
-    """Run jobs, by name of their run, up to one look after the other; how they ended, by `Job.base`.
+) -> dict[str, Ending]:
+    """Run jobs, by name of their run, up to one look after the other; how they ended, by name.
 
     What belongs to comparisons that have ended is left out. A look waits for runs that others train.
     """
     assert study.looks is not None
-    endings: Endings = {}
+    endings: dict[str, Ending] = {}
     waiting = dict(jobs)
+
+    def now() -> Found:
+        return judge(study, records.load(folder, *collected)[1])
+
     for n in study.looks.pairs:
-        is_last = n == study.looks.pairs[-1]
-        found = judge(study, folder, waiting, collected)
+        is_last, found = n == study.looks.pairs[-1], now()
         due = [r for r in study.runs() if r.name in waiting and _is_due(study, r, n, is_last, found)]
         batch = [waiting.pop(r.name) for r in due]
         endings |= run_all(batch)
-        while busy := [job for job in batch if endings[job.base] == "busy"]:
+        while busy := [job for job in batch if endings[job.run.name] == "busy"]:
             time.sleep(PATIENCE)
             endings |= run_all(busy)
         if batch or (is_last and not endings):
-            for sentence in answers(study, judge(study, folder, waiting, collected)):
+            for sentence in answers(study, now()):
                 say(sentence)
     return endings
 
 
-def judge(
-    study: Study, folder: StudyFolder, waiting: Collection[str] = (), collected: Sequence[Path] = ()
-) -> Found:
-    """All primary comparisons; runs that are `waiting` are not done, whatever was recorded of them."""
-    found = [
-        replace(record, state="left") if record.run.name in waiting else record
-        for record in records.load(folder.path, *collected)[1]
-    ]
+def judge(study: Study, found: Sequence[Record]) -> Found:
+    """All primary comparisons."""
     return {setup.name: verdicts.judge(study, setup, found) for setup in study.setups}
 
 

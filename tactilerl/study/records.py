@@ -1,41 +1,42 @@
-"""What a study has recorded, from its run folders or from the one file that `collect` makes of
-them.
+"""What a study has recorded: in its folder, or in the one file that `collect` packs.
 
-The collected file is a compressed CSV. Its first row is the study itself: no run, and study.json as
-its `record`. Then come the epochs of every run, at least one row a run:
+study.json                what the runs are, as `Study.as_dict` has it
+runs/NAME/                the run folder of `tactilerl train`: config.json, progress.csv, checkpoint.pt
+runs/NAME.json            why the run failed, if it did
+runs/NAME.log .lock       what it printed; held by the `study run` that trains it
 
-    run       name of the run
-    state     done, failed, running, interrupted or left, when it was collected
-    reason    why it failed
-    record    on a run's first row: its config.json (all values, versions, commit, ranks), but where
-              it was written
-    ...       the columns of progress.csv, word for word; empty where a run has none
+A run is done when its table is as long as was asked for. So folders of runs can be copied from one
+study to another, with rsync for example. A packed file has the JSON and CSV files of all runs.
 """
 
 from __future__ import annotations
 
 import csv
-import gzip
 import io
 import json
 import math
 import os
+import tarfile
+from collections.abc import Callable
 from dataclasses import dataclass
+from gzip import GzipFile
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeVar, get_args
 
+import filelock
 import numpy as np
 
 from ..errors import InputError
-from ..runs.files import damage_named, replacing, unzip
-from ..runs.progress_csv import whole
-from ..runs.run_dir import require_record
+from ..runs.files import LEFTOVER, MAX_JSON, content, damage_named, replacing, unzip, writable
+from ..runs.progress_csv import Row, whole
+from ..runs.run_dir import RunDir, require_record
 from ..statistics import Array
-from .folder import STATES, RunFiles, StudyFolder, seconds_spent
 from .grid import Run, Study, from_dict, read
 
-COLLECTED = "collected.csv.gz"
-FIXED = ("run", "state", "reason", "record")
+State = Literal["done", "running", "failed", "interrupted", "left"]
+STATES: tuple[State, ...] = get_args(State)
+STUDY, RUNS, PACKED = "study.json", "runs", "collected.tar.gz"
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -43,12 +44,14 @@ class Record:
     """What one run left behind."""
 
     run: Run
-    state: str
+    state: State
     reason: str
+    """Why it failed, or what cannot be read of it."""
     config: dict[str, Any] | None
-    """config.json; None where there is none that can be read."""
-    rows: list[dict[str, str]]
-    """The progress table."""
+    """config.json, without the folder of the machine that it was made on; None where there is none
+    that can be read."""
+    rows: list[Row]
+    """The progress table, up to where it is cut off or damaged."""
 
     def column(self, name: str) -> Array:
         """A column of the progress table as numbers; NaN where there is none."""
@@ -66,122 +69,239 @@ class Record:
         return self.state in ("done", "failed")
 
     @property
-    def progress(self) -> tuple[bool, bool, int]:
-        """Orders records of one run by how far they are."""
-        return self.state == "done", self.state == "failed", len(self.rows)
+    def fraction(self) -> float:
+        """Of its steps."""
+        return min(1.0, self._steps / _asked(self.run, self.config)) if self.config else 0.0
 
     @property
-    def results(self) -> tuple[Any, ...]:
-        """What it was made with and what came out; a column of other runs is none of it."""
-        return self.config, [{k: v for k, v in row.items() if v} for row in self.rows]
+    def _steps(self) -> int:
+        return int(self.rows[-1]["env_steps"]) if self.rows else 0
 
     @property
     def seconds(self) -> float:
-        """Spent in epochs."""
-        return seconds_spent(self.rows)
+        """Spent in epochs, without starting and saving."""
+        seconds, steps = 0.0, 0
+        for row in self.rows:
+            now, speed = int(row["env_steps"]), float(row.get("steps_per_s") or 0)
+            seconds, steps = seconds + ((now - steps) / speed if speed > 0 else 0.0), now
+        return seconds
+
+
+def _asked(run: Run, config: dict[str, Any]) -> float:
+    """Steps that a run should have: the study's, or if it says nothing, those that it was made for."""
+    try:
+        return max(1, int(run.flags.get("total_timesteps", config["run"].get("total_timesteps"))))
+    except (TypeError, ValueError, OverflowError):
+        return math.inf
+
+
+class StudyFiles:
+    """The files of a study: a folder, or a packed file."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._packed = _unpacked(path) if os.path.isfile(path) else None  # False for any name
+
+    def read(self, name: str) -> bytes:
+        """A file's content; FileNotFoundError where there is none."""
+        if self._packed is None:
+            return content(self.path / name)
+        if name not in self._packed:
+            raise FileNotFoundError(name)
+        return self._packed[name]
+
+    def study(self) -> Study:
+        """The study that was run here last; InputError where there is none."""
+        missing = f"{str(self.path)!r} is not a study's folder: no study.json in it"
+        with damage_named(self.path / STUDY, "not a study of this version", missing):
+            data = self.read(STUDY)
+            if len(data) > MAX_JSON:
+                raise ValueError(f"it has more than {MAX_JSON:,} bytes")
+            return from_dict(json.loads(data))
+
+    def run_dir(self, run: Run) -> RunDir:
+        """The folder of one of its runs."""
+        return RunDir(self.path / RUNS / run.name)
+
+    def beside(self, run: Run, ending: str) -> Path:
+        """A file of a run that lies beside its folder."""
+        return self.path / RUNS / f"{run.name}.{ending}"
+
+    def record(self, run: Run) -> Record:
+        """What there is of a run now."""
+        name, nothing = f"{RUNS}/{run.name}", (list[Row](), "")
+        config, unread = self._parsed(f"{name}/config.json", _config, None)
+        (rows, cut), damaged = self._parsed(f"{name}/progress.csv", _rows, nothing)
+        failure, _ = self._parsed(f"{name}.json", _failure, "")
+        record = Record(run, "left", failure or unread or damaged or cut, config, rows)
+        state: State = "interrupted" if config or unread else "left"
+        if config and record.fraction == 1:
+            return Record(run, "done", "", config, rows)
+        if self._packed is None and self.is_running(run):
+            state = "running"
+        elif failure:
+            state = "failed"
+            for place in (self.path, self.path.resolve()):
+                failure = failure.replace(f"{place / RUNS}{os.sep}", "")
+        return Record(run, state, failure or unread or damaged or cut, config, rows)
+
+    def _parsed(self, name: str, parse: Callable[[bytes], T], nothing: T) -> tuple[T, str]:
+        """What a file says, or `nothing`; and why not, where it is there."""
+        try:
+            with damage_named(Path(name)):
+                return parse(self.read(name)), ""
+        except FileNotFoundError:
+            return nothing, ""
+        except InputError as error:
+            return nothing, str(error)
+
+    def is_running(self, run: Run) -> bool:
+        """Does a process, here or elsewhere, train it right now?"""
+        lock = self.run_dir(run).path / ".lock"
+        if not lock.exists():
+            return False
+        try:
+            with filelock.FileLock(lock, timeout=0):
+                return False
+        except filelock.Timeout:
+            return True
+        except OSError:  # nobody can train it in a folder that nobody can write to
+            return False
+
+    def write_failure(self, run: Run, reason: str) -> None:
+        """Record that a run failed, and why."""
+        with replacing(self.beside(run, "json")) as file:
+            file.write(_failed(reason))
+
+    def create(self, study: Study) -> None:
+        """Make the folder, or write the study anew into one that it was run in."""
+        with writable(self.path):
+            names = {p.name for p in self.path.iterdir()} if self.path.exists() else set()
+        if STUDY in names and (other := self.study().name) != study.name:
+            raise InputError(
+                f"{str(self.path)!r} holds the study {other!r}, not {study.name!r}; choose another "
+                "with --out"
+            )
+        if STUDY not in names and not all(LEFTOVER.fullmatch(one) or one == RUNS for one in names):
+            raise InputError(f"{str(self.path)!r} exists and holds no study; choose another with --out")
+        with writable(self.path):
+            (self.path / RUNS).mkdir(parents=True, exist_ok=True)
+        with replacing(self.path / STUDY) as file:
+            file.write(_study(study))
+
+
+def _config(data: bytes) -> dict[str, Any]:
+    config = json.loads(data[: MAX_JSON + 1])
+    require_record(config)
+    config["run"].pop("out", None)
+    return dict(config)
+
+
+def _rows(data: bytes) -> tuple[list[Row], str]:
+    """The rows up to the first that no run writes, and what is wrong with that one."""
+    text = data.decode()
+    return whole(list(csv.DictReader(text[: text.rfind("\n") + 1].splitlines())))
+
+
+def _failure(data: bytes) -> str:
+    """Why a run failed. Version 0.3.0 wrote such a file of every run, with its state."""
+    found = json.loads(data[: MAX_JSON + 1])
+    return str(found["reason"]) or "failed" if found["state"] == "failed" else ""
+
+
+def _failed(reason: str) -> bytes:
+    return (json.dumps({"state": "failed", "reason": reason}) + "\n").encode()
+
+
+def _study(study: Study) -> bytes:
+    return (json.dumps(study.as_dict(), indent=1) + "\n").encode()
+
+
+# -- the records of one study, from all the places where they lie -------------------------------
 
 
 def load(*paths: Path) -> tuple[Study, list[Record]]:
-    """The study and all its runs in order of the grid, from its folder, file or collected file.
+    """The study and all its runs in order of the grid, from folders, packed files and study files.
 
-    From several: the one with the most runs, and of each run the record that is furthest. InputError
-    where another part says something else, has more runs, or has one done with other results.
+    From several: the study that has the most runs, and each run from the first place that has it
+    done. InputError where another part says something else, or has other runs.
     """
-    parts = {path: _load(path) for path in paths}
-    whole = max(paths, key=lambda path: len(parts[path][1]))
-    study, found = parts[whole][0], dict[str, Record]()
+    parts = {path: _part(path) for path in paths}
+    largest = max(paths, key=lambda path: len(parts[path][1]))
+    study, found = parts[largest][0], dict[str, Record]()
     told = study.told()
     for path, (part, records) in parts.items():
         for what, said in part.told().items():
             if told.get(what) != said:
                 allowed = told.get(what, "none; name the study file that has both, too")
-                raise InputError(f"{path}: {what}: found {said}, but {whole} has {allowed}")
+                raise InputError(f"{path}: {what}: found {said}, but {largest} has {allowed}")
         for record in records:
             known = found.setdefault(record.run.name, record)
-            if known.state == record.state == "done" and known.results != record.results:
-                raise InputError(
-                    f"{path}: run {record.run.name}: found it done, with other results elsewhere"
-                )
-            found[record.run.name] = max(known, record, key=lambda one: one.progress)
+            found[record.run.name] = max(known, record, key=_progress)  # the first of equals
     return study, [found[run.name] for run in study.runs()]
 
 
-def _load(path: Path) -> tuple[Study, list[Record]]:
+def _progress(record: Record) -> tuple[bool, bool, int]:
+    return record.state == "done", record.state == "failed", record.state != "done" and len(record.rows)
+
+
+def _part(path: Path) -> tuple[Study, list[Record]]:
     if path.suffix == ".toml":
         study = read(path)
         return study, [Record(run, "left", "", None, []) for run in study.runs()]
-    if os.path.isfile(path):  # False for any name
-        return _unpack(path)
-    folder = StudyFolder(path)
-    if not os.path.exists(folder.study_file) and os.path.isfile(path / COLLECTED):
-        return _unpack(path / COLLECTED)
-    study = folder.study()
-    return study, [_record(run, folder.files(run)) for run in study.runs()]
+    files = StudyFiles(path)
+    study = files.study()
+    return study, [files.record(run) for run in study.runs()]
 
 
-def _record(run: Run, files: RunFiles) -> Record:
-    outcome, state = files.outcome(), files.state()
-    config, reason = None, files.damage() or (outcome.reason if outcome else "")
-    if files.exists:
-        try:
-            if state != "done":  # goes on, which takes a configuration of this version
-                files.run_dir.read_config()
-            config = _anywhere(files.run_dir.record())
-        except InputError as error:
-            state, reason = "failed" if state != "damaged" else state, str(error)
-    for place in (files.base, files.base.resolve()):
-        reason = reason.replace(str(place), run.name)
-    return Record(run, state, reason, config, files.rows())
-
-
-def _anywhere(config: dict[str, Any]) -> dict[str, Any]:
-    """A record without the folder of the machine that it was made on."""
-    return {**config, "run": {k: v for k, v in config["run"].items() if k != "out"}}
+def require_study(path: Path) -> Path:
+    """InputError where a study file is named instead of its folder, or the packed file."""
+    if path.suffix == ".toml":
+        folder = f"studies/{read(path).name}"
+        raise InputError(f"{path}: found a study file, expected the study's folder, such as {folder}")
+    return path
 
 
 def collect(*paths: Path, out: Path | None = None) -> Path:
-    """Pack folders and collected files of a study into one file; returns it."""
-    out = out or paths[0] / COLLECTED
+    """Pack what there is of a study into one file; returns it."""
+    out = out or paths[0] / PACKED
     study, records = load(*paths)
-    text = io.StringIO()
-    columns = dict.fromkeys(column for record in records for row in record.rows for column in row)
-    writer = csv.DictWriter(text, [*FIXED, *columns], lineterminator="\n")
-    writer.writeheader()
-    writer.writerow({"state": "study", "record": json.dumps(study.as_dict())})
+    files = {STUDY: _study(study)}
     for record in records:
-        first = {"reason": record.reason, "record": json.dumps(record.config)}
-        for row in record.rows or [{}]:
-            writer.writerow({"run": record.run.name, "state": record.state, **first, **row})
-            first = {}
+        name = f"{RUNS}/{record.run.name}"
+        if record.config is not None:
+            files[f"{name}/config.json"] = json.dumps(record.config).encode()
+        if record.rows:
+            text = io.StringIO()
+            writer = csv.DictWriter(text, list(record.rows[0]), lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(record.rows)
+            files[f"{name}/progress.csv"] = text.getvalue().encode()
+        if record.state == "failed":
+            files[f"{name}.json"] = _failed(record.reason)
     with (
-        replacing(out, _unpack) as file,
-        gzip.GzipFile(filename="", mode="wb", fileobj=file, mtime=0) as packed,
+        replacing(out, _unpacked) as file,
+        GzipFile(filename="", mode="wb", fileobj=file, mtime=0) as packed,
+        tarfile.open(fileobj=packed, mode="w", format=tarfile.PAX_FORMAT) as archive,
     ):
-        packed.write(text.getvalue().encode())
+        for name, data in files.items():
+            entry = tarfile.TarInfo(name)
+            entry.size = len(data)
+            archive.addfile(entry, io.BytesIO(data))
     return out
 
 
-def _unpack(path: Path) -> tuple[Study, list[Record]]:
+def _unpacked(path: Path) -> dict[str, bytes]:
+    """The files in a packed file, by name. They are never written anywhere by that name."""
     with damage_named(path, "not a collected study"):
-        text = io.StringIO(unzip(path).decode("utf-8"), newline="")
-        first, *rows = csv.DictReader(text, strict=True)
-        study = from_dict(json.loads(first["record"]))
-        by_run: dict[str, list[dict[str, str]]] = {}
-        for row in rows:
-            by_run.setdefault(row["run"], []).append(row)
-        return study, [_unpacked(run, by_run[run.name]) for run in study.runs()]
-
-
-def _unpacked(run: Run, rows: list[dict[str, str]]) -> Record:
-    head = rows[0]
-    if head["state"] not in STATES or any(row["state"] != head["state"] for row in rows):
-        raise ValueError(f"run {run.name}: found the state {head['state']!r}")
-    config = json.loads(head["record"])
-    if config is not None:
-        require_record(config)
-        config = _anywhere(config)
-    progress = [{k: v for k, v in row.items() if k not in FIXED} for row in rows]
-    progress = [row for row in progress if any(row.values())]
-    if fault := whole(progress)[1]:
-        raise ValueError(f"run {run.name}: {fault}")
-    return Record(run, head["state"], head["reason"], config, progress)
+        data, found = unzip(path), {}
+        if data.startswith(b"run,state,"):
+            raise ValueError("of version 0.3: tools/convert_collected.py makes one of this version")
+        with tarfile.open(fileobj=io.BytesIO(data)) as archive:
+            for entry in archive:
+                if entry.type == tarfile.REGTYPE and not entry.issparse():
+                    file = archive.extractfile(entry)
+                    found[entry.name] = file.read() if file else b""
+        if STUDY not in found:
+            raise ValueError("no study.json in it")
+        return found

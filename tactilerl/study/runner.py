@@ -1,7 +1,6 @@
-"""Runs the runs of a study: on this machine's cores, or on the ranks of an MPI launch.
+"""Trains the runs of a study, each in a process of its own: a run that crashes takes nobody with it.
 
-Both are executors of `concurrent.futures`' kind. A job waits for the process of its run, so threads
-are enough here; a run that crashes takes nobody with it.
+A job is "make this run done": it can be asked for twice, and by anybody who sees the study's folder.
 """
 
 from __future__ import annotations
@@ -13,20 +12,23 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
-from ..algos import mpi
-from ..errors import BAD_INPUT, BUSY, input_errors
+import filelock
+
+from ..errors import BAD_INPUT, BUSY
 from ..runs.files import no_link
 from ..terminal import interrupts
-from .folder import Outcome, RunFiles
+from .grid import Run
+from .records import StudyFiles
 
 ATTEMPTS = 2
 LOOK = 1.0  # s between looks at what runs
+PATIENCE = 5.0  # s until what others train is asked for again; a killed worker's run ends meanwhile
 INTERRUPTED = (130, -signal.SIGINT)
 LAUNCHER_PREFIXES = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "MPI_LOCAL")
 THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
@@ -41,57 +43,67 @@ _stopping = threading.Event()
 
 @dataclass(frozen=True)
 class Job:
-    """All that the process of a run is told; can be pickled."""
+    """A run that is to be done; can be pickled."""
 
-    base: Path
-    """`RunFiles.base`"""
-    arguments: list[str]
-    total_timesteps: int
+    folder: Path
+    """Of the study; absolute, where other machines are to find it."""
+    run: Run
     ranks: int = 1
+    cwd: Path | None = None
+    """Where files that its flags name are looked for; None: here."""
 
-
-Watch = Callable[[list[Job], dict[Path, Ending]], None]
-"""Is told the jobs that run, and how the others ended."""
+    def command(self, *program: str, launcher: str = "mpirun") -> list[str]:
+        """What trains it by this `program`, and goes on where it was cut off."""
+        out = StudyFiles(self.folder).run_dir(self.run).path
+        command = [*program, "train", *self.run.arguments, "--out", str(out)]
+        return [launcher, "-n", str(self.ranks), *command] if self.ranks > 1 else command
 
 
 def run_job(job: Job) -> Ending:
-    """Train one run to its end, in a process of its own; a failure is tried once more.
-
-    What another process trains is left to it.
-    """
-    files, code, begin = RunFiles(job.base), 1, 0
+    """Train one run to its end; a failure is tried once more. What has ended or what another process
+    trains is left as it is."""
+    files = StudyFiles(job.folder)
     try:
-        for _ in range(ATTEMPTS):
-            begin = files.log_file.stat().st_size if files.log_file.exists() else 0
-            code = INTERRUPTED[0] if _stopping.is_set() else _process(files, job)
-            if _stopping.is_set() or code in INTERRUPTED:
-                return "interrupted"
-            if code == BUSY:
+        with filelock.FileLock(files.beside(job.run, "lock"), timeout=0):
+            state = files.record(job.run).state
+            if state == "running":
                 return "busy"
-            if code in (0, BAD_INPUT):
-                break
-        outcome = Outcome("done", job.total_timesteps)
-        if code:
-            outcome = Outcome("failed", job.total_timesteps, _reason(code, files.log_file, begin))
-        files.write_outcome(outcome)
-        return outcome.state
+            return state if state in ("done", "failed") else _train(files, job)
+    except filelock.Timeout:
+        return "busy"
     except OSError as error:
-        error.add_note(f"run {job.base.name}")
+        error.add_note(f"run {job.run.name}")
         raise
 
 
-def _process(files: RunFiles, job: Job) -> int:
-    command = [sys.executable, "-m", "tactilerl", "train", *job.arguments, "--out", str(job.base)]
-    if job.ranks > 1:
-        launcher = shutil.which("mpirun") or str(Path(sys.executable).with_name("mpirun"))
-        command = [launcher, "-n", str(job.ranks), *command]
-    with open(files.log_file, "ab", opener=no_link) as log:
+def _train(files: StudyFiles, job: Job) -> Ending:
+    log, code, begin = files.beside(job.run, "log"), 1, 0
+    for _ in range(ATTEMPTS):
+        begin = log.stat().st_size if log.exists() else 0
+        code = INTERRUPTED[0] if _stopping.is_set() else _process(log, job)
+        if _stopping.is_set() or code in INTERRUPTED:
+            return "interrupted"
+        if code == BUSY:
+            return "busy"
+        if code in (0, BAD_INPUT):  # which a second attempt cannot mend
+            break
+    if code == 0 and files.record(job.run).state == "done":
+        return "done"
+    files.write_failure(job.run, _reason(code, log, begin))
+    return "failed"
+
+
+def _process(log_file: Path, job: Job) -> int:
+    launcher = shutil.which("mpirun") or str(Path(sys.executable).with_name("mpirun"))
+    command = job.command(sys.executable, "-m", "tactilerl", launcher=launcher)
+    with open(log_file, "ab", opener=no_link) as log:
         child = subprocess.Popen(
             [sys.executable, "-c", BEGIN, str(os.getpid()), *command],
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=subprocess.STDOUT,
             env=_environment(),
+            cwd=job.cwd,
         )
     _children.add(child)
     if _stopping.is_set():  # since the last look
@@ -115,29 +127,17 @@ def _reason(code: int, log_file: Path, begin: int) -> str:
     if code < 0:
         names = {each.value: each.name for each in signal.Signals}
         return f"killed by {names.get(-code, f'signal {-code}')}"
-    log = log_file.read_bytes()[begin:].decode("utf-8", errors="replace")
-    lines = log.splitlines()
+    lines = log_file.read_bytes()[begin:].decode("utf-8", errors="replace").splitlines()
     own = [line for line in lines if line.startswith("tactilerl: ")]
     said = own or [line for line in lines if line.strip()] or [""]
     return f"{said[-1].removeprefix('tactilerl: ').strip()[:300]} (exit code {code})"
 
 
 @contextmanager
-def executor(jobs: int) -> Iterator[concurrent.futures.Executor | None]:
-    """Where jobs are submitted to: the other ranks of an MPI launch, or `jobs` threads.
-
-    None on the ranks that do the work; they are done when the first rank is.
-    """
-    with input_errors():
-        is_launch = mpi.world().size > 1
-    if is_launch:
-        from mpi4py.futures import MPICommExecutor
-
-        with MPICommExecutor() as ranks:
-            yield cast(concurrent.futures.Executor | None, ranks)
-        return
+def threads(n: int) -> Iterator[concurrent.futures.Executor]:
+    """`n` jobs at a time on this machine: a job waits for its process, so threads are enough."""
     try:
-        with concurrent.futures.ThreadPoolExecutor(jobs) as pool, _stopped_by_signals():
+        with concurrent.futures.ThreadPoolExecutor(n) as pool, _stopped_by_signals():
             try:
                 yield pool
             except BaseException:  # end the runs' processes; each keeps its last epoch
@@ -163,21 +163,3 @@ def _stopped_by_signals() -> Iterator[None]:
             yield
     finally:
         signal.signal(signal.SIGTERM, before)
-
-
-def run_all(jobs: list[Job], pool: concurrent.futures.Executor, watch: Watch) -> dict[Path, Ending]:
-    """Run the jobs in order; the endings by `Job.base`.
-
-    `watch` is called every second and whenever jobs end, with the jobs that run and the
-    endings so far. Jobs that somebody else was training are asked for once more at the end.
-    """
-    endings: dict[Path, Ending] = {}
-    for is_first in (True, False):
-        batch = [job for job in jobs if is_first or endings[job.base] == "busy"]
-        waiting = {pool.submit(run_job, job): job for job in batch}
-        while waiting:
-            ended, _ = concurrent.futures.wait(waiting, LOOK, concurrent.futures.FIRST_COMPLETED)
-            for future in ended:
-                endings[waiting.pop(future).base] = future.result()
-            watch([job for future, job in waiting.items() if future.running()], endings)
-    return endings

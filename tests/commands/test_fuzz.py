@@ -24,7 +24,7 @@ from tactilerl.commands.cli import main
 from tactilerl.envs import hands
 from tactilerl.probe import files as grasps
 from tactilerl.runs import sealed
-from tactilerl.study import records, runner
+from tactilerl.study import engine, records
 
 FEW = 12  # times as many cases are tried with `-m slow`
 TRAIN = ["train", "--env", "lqr", "--hidden", "8", "--steps-per-epoch", "60", "--n-passes", "1"]
@@ -67,6 +67,7 @@ total_timesteps = 3000
 [setups.ppo]
 env = "lqr"
 hidden = [16, 16]
+total_timesteps = 3000
 compare = {n_passes = [4, 2]}
 grid = {n_passes = [2, 4], seed = 0}
 """
@@ -90,7 +91,7 @@ def trained(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def made_up(tmp_path_factory):
-    return make_study(tmp_path_factory.mktemp("made-up") / "study", STUDY, n_seeds=2, total=3000).path
+    return make_study(tmp_path_factory.mktemp("made-up") / "study", STUDY, n_seeds=2).path
 
 
 @pytest.fixture
@@ -216,7 +217,7 @@ def test_checkpoints(run, tried, cases):
 
 def test_studies(here, tried, cases, monkeypatch):
     """Everything but the training itself, which takes minutes where a study is still one."""
-    monkeypatch.setattr(runner, "run_all", lambda jobs, pool, watch: {})
+    monkeypatch.setattr(engine, "run_all", lambda jobs, pool, watch: {})
     rng, good = random.Random(6), STUDY.replace("{last}", "1")
     for i in cases(400):
         Path("study.toml").write_text(mutated(good, rng) if i else good, encoding="utf-8")
@@ -241,22 +242,22 @@ def test_study_folders(study, tried, cases):
             path.write_text(mutated(text, rng), encoding="utf-8")
         what = f"{path}: {path.read_text()[:1000]}"
         tried(["study", "status", "study", "--json"], what)
-        if tried(["study", "collect", "study", "--out", "collected.csv.gz"], what) == 0:
+        if tried(["study", "collect", "study", "--out", "collected.tar.gz"], what) == 0:
             require_sound(records.load(study)[1])
-            assert tried(["study", "collect", "collected.csv.gz", "--out", "again.csv.gz"], what) == 0
+            assert tried(["study", "collect", "collected.tar.gz", "--out", "again.tar.gz"], what) == 0
         if i % 30 == 0:
             tried(["study", "report", "study", "--resamples", "100"], what)
 
 
 def test_collected_studies(study, tried, cases):
-    rng, path = random.Random(8), Path("c.csv.gz")
+    rng, path = random.Random(8), Path("c.tar.gz")
     good = records.collect(study, out=path).read_bytes()
     whole, text = records.load(path), gzip.decompress(good).decode()
     for i in cases(300):
         bad, at = bytearray(good), rng.randrange(8 * len(good))
         bad[at // 8] ^= 1 << at % 8
         path.write_bytes(bad if i % 2 else gzip.compress(mutated(text, rng).encode()))
-        code = tried(["study", "collect", str(path), "--out", "x.csv.gz"], f"collected {i}")
+        code = tried(["study", "collect", str(path), "--out", "x.tar.gz"], f"collected {i}")
         if i % 2:
             assert code == 2 or records.load(path) == whole, f"bit {at}"
         elif code == 0:

@@ -2,23 +2,25 @@
 
 import gzip
 import html
+import io
 import json
 import os
 import re
 import shutil
 import subprocess
 import sys
+import tarfile
 
 import numpy as np
 import pytest
 from one_line import fails_with
-from study_records import make_study
+from study_records import fail, interrupt, make_study
 
 from tactilerl import statistics
 from tactilerl import study as package
 from tactilerl.commands.cli import main
 from tactilerl.study import analysis, figures, planning, records, report, summary, tables
-from tactilerl.study.folder import Outcome, StudyFolder
+from tactilerl.study.records import StudyFiles
 from tactilerl.terminal.console import console
 
 RESAMPLES = 500
@@ -55,6 +57,18 @@ def contents(path):
     return {p.relative_to(path): p.read_bytes() for p in sorted(path.rglob("*")) if p.is_file()}
 
 
+def rewrite(path, name, change):
+    """Change one file in a collected study."""
+    with tarfile.open(path) as archive:
+        found = {one.name: archive.extractfile(one).read() for one in archive}
+    found[name] = change(found[name].decode()).encode()
+    with tarfile.open(path, "w:gz") as archive:
+        for each, data in found.items():
+            entry = tarfile.TarInfo(each)
+            entry.size = len(data)
+            archive.addfile(entry, io.BytesIO(data))
+
+
 def parts(result, kind):
     return [p for section in report.sections(result) for p in section.parts if isinstance(p, kind)]
 
@@ -89,7 +103,7 @@ class TestNumbers:
     def test_a_pair_counts_only_where_both_runs_are_done(self, tmp_path, capsys):
         folder = make_study(tmp_path / "s", n_seeds=3)
         lost = next(r for r in folder.study().runs() if (r.arm, r.seed) == ("control", 1))
-        folder.files(lost).write_outcome(Outcome("failed", 1, "diverged"))
+        fail(folder, lost)
         found = analysis.analyse(*records.load(folder.path), 100).setups[0].comparisons[lost.cell]
         assert found.verdict.pairs.seeds == [0, 2]
         assert all(len(pairs) == 2 for pairs in found.secondary.values())
@@ -129,7 +143,7 @@ class TestFiles:
         fails_with(capsys, args, "expected a study's folder, or --out FILE")
 
     def test_the_collected_file_is_as_good_as_the_folders(self, folder, written, tmp_path, capsys):
-        path = tmp_path / "one.csv.gz"
+        path = tmp_path / "one.tar.gz"
         assert main(["study", "collect", str(folder.path), "--out", str(path)]) == 0
         first = path.read_bytes()
         records.collect(folder.path, out=path)
@@ -160,25 +174,26 @@ class TestFiles:
         assert "$x^$" in drawn
 
     def test_a_collected_study_with_a_name_that_leads_elsewhere(self, folder, tmp_path, capsys):
-        path = records.collect(folder.path, out=tmp_path / "c.csv.gz")
-        text = gzip.decompress(path.read_bytes()).decode()
-        for name in ("../../../pwn", '""""><img src=x onerror=alert(1)>'):
-            path.write_bytes(gzip.compress(text.replace("mujoco", name).encode()))
+        path = records.collect(folder.path, out=tmp_path / "c.tar.gz")
+        good = path.read_bytes()
+        for name in ("../../../pwn", "'><img src=x onerror=alert(1)>"):
+            path.write_bytes(good)
+            rewrite(path, "study.json", lambda text, name=name: text.replace("mujoco", name))
             fails_with(capsys, ["study", "report", path, "--out", tmp_path / "x/y/z"])
-        assert [p.name for p in tmp_path.iterdir()] == ["c.csv.gz"]
+        assert [p.name for p in tmp_path.iterdir()] == ["c.tar.gz"]
 
     def test_nobody_learns_from_a_collected_study_where_it_was_made(self, folder, tmp_path):
         copy = tmp_path / "secret"
         shutil.copytree(folder.path, copy)
         runs = folder.study().runs()
         for run in runs:
-            file = StudyFolder(copy).files(run).run_dir.config_file
+            file = StudyFiles(copy).run_dir(run).config_file
             data = json.loads(file.read_text())
             data["run"]["out"] = str(file.parent)
             file.write_text(json.dumps(data))
-        failed = StudyFolder(copy).files(runs[0])
-        failed.write_outcome(Outcome("failed", 1, f"{failed.base}/checkpoint.pt: damaged"))
-        path = records.collect(copy, out=tmp_path / "c.csv.gz")
+        place = StudyFiles(copy).run_dir(runs[0]).path
+        fail(StudyFiles(copy), runs[0], f"{place}/checkpoint.pt: damaged")
+        path = records.collect(copy, out=tmp_path / "c.tar.gz")
         assert "secret" not in gzip.decompress(path.read_bytes()).decode()
         assert records.load(path) == records.load(copy)
         assert f"{runs[0].name}/checkpoint.pt: damaged" == records.load(path)[1][0].reason
@@ -193,28 +208,28 @@ class TestWarnings:
     def test_failed_unfinished_diverged_and_mixed_versions_are_said(self, tmp_path, capsys):
         folder = make_study(tmp_path / "s", n_seeds=2)
         runs = folder.study().runs()
-        folder.files(runs[0]).write_outcome(Outcome("failed", 1, "diverged: a reward is nan"))
-        folder.files(runs[1]).outcome_file.unlink()
-        config = folder.files(runs[2]).run_dir.config_file
+        fail(folder, runs[0], "diverged: a reward is nan")
+        interrupt(folder, runs[1])
+        config = folder.run_dir(runs[2]).config_file
         config.write_text(config.read_text().replace('"torch": "', '"torch": "0.'))
-        progress = folder.files(runs[3]).run_dir.progress.path
+        progress = folder.run_dir(runs[3]).progress.path
         progress.write_text(progress.read_text().replace(",0.0,100.0", ",1.0,100.0"))
-        folder.files(runs[4]).run_dir.config_file.write_text("{")
+        folder.run_dir(runs[4]).config_file.write_text("{")
         assert main(["study", "report", str(folder.path), "--resamples", "100"]) == 0
         out = capsys.readouterr().out
-        assert "Of 24 runs 1 damaged, 1 failed, 1 interrupted" in out
+        assert "Of 24 runs 1 failed, 2 interrupted" in out
         assert "different versions" in out
         assert "diverged in 1 run" in out
         rows = (folder.path / "report/tables/runs.csv").read_text().splitlines()
         assert rows[1].startswith("pybullet,layout 1,main,0,failed")
         assert rows[1].endswith("diverged: a reward is nan")
         assert "interrupted" in rows[2]
-        assert "not a run's configuration" in rows[5]
+        assert "config.json: damaged" in rows[5]
 
     @pytest.mark.parametrize("tail", ["26,30000,0.5", "26,30000,0.5,0.5,0,100,7\n", '"', "\0\n"])
     def test_a_damaged_end_of_a_progress_table_is_left_out(self, tmp_path, tail):
         folder = make_study(tmp_path / "s", n_seeds=1)
-        file = folder.files(folder.study().runs()[0]).run_dir.progress.path
+        file = folder.run_dir(folder.study().runs()[0]).progress.path
         file.write_text(file.read_text() + tail)
         _, all_records = records.load(folder.path)
         assert [len(record.rows) for record in all_records] == [25] * 12
@@ -242,51 +257,58 @@ class TestWarnings:
         fails_with(capsys, ["study", part, tmp_path], "no study.json")
         fails_with(capsys, ["study", part, tmp_path / ("x" * 300)], "xxx")
 
-    def test_a_file_is_no_folder_of_a_study(self, tmp_path, capsys):
+    def test_a_file_is_no_study(self, tmp_path, capsys):
         (tmp_path / "mine").write_text("")
-        fails_with(capsys, ["study", "status", tmp_path / "mine"], "is a file, allowed the folder")
+        fails_with(capsys, ["study", "status", tmp_path / "mine"], "mine: not a collected study")
+        (tmp_path / "old.tar.gz").write_bytes(gzip.compress(b"run,state,reason,record\n"))
+        fails_with(capsys, ["study", "status", tmp_path / "old.tar.gz"], "convert_collected.py")
+
+    @pytest.mark.parametrize("part", ["status", "report", "plan"])
+    def test_a_study_file_is_not_what_came_of_it(self, folder, capsys, part):
+        file = folder.path.with_suffix(".toml")
+        fails_with(capsys, ["study", part, file], "found a study file", "studies/made-up")
 
     @pytest.mark.parametrize("row", ["2,2400", "2,2400,0.5,0.5,0.5,100,7"])
     def test_a_row_of_another_length_in_the_middle(self, tmp_path, row):
         folder = make_study(tmp_path / "s", n_seeds=1)
-        files = folder.files(folder.study().runs()[0])
-        lines = files.run_dir.progress.path.read_text().splitlines()
-        files.run_dir.progress.path.write_text("\n".join([*lines[:2], row, *lines[3:]]) + "\n")
-        assert files.state() == "damaged"
-        assert "line 3" in files.damage()
+        run = folder.study().runs()[0]
+        path = folder.run_dir(run).progress.path
+        lines = path.read_text().splitlines()
+        path.write_text("\n".join([*lines[:2], row, *lines[3:]]) + "\n")
+        assert folder.record(run).state == "interrupted"
+        assert "line 3" in folder.record(run).reason
 
-    def test_rows_that_no_run_writes(self, tmp_path, capsys):
-        """In a folder the run is not done; in a collected file, nothing else is to be believed."""
+    @pytest.mark.parametrize(
+        "row", ["1,inf", "1,-1", "1,1000,7", "1,1000,-1", "1,1000,0.5\n1,40000,0.5"]
+    )
+    def test_rows_that_no_run_writes(self, tmp_path, row):
+        """In a folder and in a collected file, the run is not done."""
         folder = make_study(tmp_path / "s", n_seeds=1)
-        path = records.collect(folder.path)
-        text = gzip.decompress(path.read_bytes()).decode()
-        first = text.splitlines()[2]
-        files = folder.files(folder.study().runs()[0])
-        for row in ("1,inf", "1,-1", "1,1000,7", "1,1000,-1", "1,1000,0.5\n1,2000,0.5"):
-            files.run_dir.progress.path.write_text(f"epoch,env_steps,success_rate\n{row}\n")
-            assert files.state() == "damaged"
-            assert main(["study", "status", str(folder.path)]) == 0
-            whole = [f"{one}{',' * (5 - one.count(','))}" for one in row.split("\n")]
-            new = "\n".join(f"{first.rsplit(',', 6)[0]},{one}" for one in whole)
-            path.write_bytes(gzip.compress(text.replace(first, new).encode()))
-            words = "not a collected study (run pybullet_layout-1"
-            fails_with(capsys, ["study", "report", path], words)
+        run = folder.study().runs()[0]
+        text = f"epoch,env_steps,success_rate\n{row}\n"
+        folder.run_dir(run).progress.path.write_text(text)
+        assert folder.record(run).state == "interrupted"
+        assert folder.record(run).reason
+        assert main(["study", "status", str(folder.path)]) == 0
+        for name in ("s", "whole"):
+            path = records.collect(make_study(tmp_path / name, n_seeds=1).path)
+        rewrite(path, f"runs/{run.name}/progress.csv", lambda _: text)
+        assert StudyFiles(path).record(run).state == "interrupted"
 
     def test_a_damaged_configuration_costs_a_run_and_no_more(self, tmp_path, capsys):
         folder = make_study(tmp_path / "s", n_seeds=1)
-        files = folder.files(folder.study().runs()[0])
-        files.outcome_file.unlink()
-        text, old = files.run_dir.config_file.read_text(), '"total_timesteps": 30000'
+        path = folder.run_dir(folder.study().runs()[0]).config_file
+        text, old = path.read_text(), '"total_timesteps": 30000'
         assert old in text
         for value in ('"abc"', "1e999", "[1]", "null", "[" * 100_000):
-            files.run_dir.config_file.write_text(text.replace(old, f'"total_timesteps": {value}'))
+            path.write_text(text.replace(old, f'"total_timesteps": {value}'))
             assert main(["study", "status", str(folder.path), "--json"]) == 0
         assert main(["study", "report", str(folder.path), "--resamples", "100"]) == 0
-        assert "Of 12 runs 1 failed" in capsys.readouterr().out
+        assert "Of 12 runs 1 interrupted" in capsys.readouterr().out
 
     def test_a_finished_run_of_another_version_counts(self, tmp_path):
         folder = make_study(tmp_path / "s", n_seeds=1)
-        path = folder.files(folder.study().runs()[0]).run_dir.config_file
+        path = folder.run_dir(folder.study().runs()[0]).config_file
         config = json.loads(path.read_text())
         del config["learner"]["gamma"]  # which that version did not have yet
         path.write_text(json.dumps(config))
@@ -297,8 +319,8 @@ class TestWarnings:
     @pytest.mark.parametrize("content", [b"", b"{", b'{"name": 1}', b"\xff\xfe", b"[" * 100_000])
     def test_damaged_study_or_collected_file(self, tmp_path, capsys, content):
         (tmp_path / "study.json").write_bytes(content)
-        (tmp_path / "c.csv.gz").write_bytes(content)
-        for path in (tmp_path, tmp_path / "c.csv.gz"):
+        (tmp_path / "c.tar.gz").write_bytes(content)
+        for path in (tmp_path, tmp_path / "c.tar.gz"):
             fails_with(capsys, ["study", "report", path], str(path))
 
     def test_a_missing_extra_is_named(self, tmp_path, monkeypatch, capsys):
@@ -315,7 +337,7 @@ class TestSplitStudies:
     def parts(self, folder, tmp_path):
         """The study file, and folders of its set-ups, of which one names no other."""
         text = folder.path.with_suffix(".toml").read_text()
-        first = StudyFolder(tmp_path / "first")
+        first = StudyFiles(tmp_path / "first")
         first.create(folder.study())
         shutil.copytree(folder.path / "runs", first.path / "runs", dirs_exist_ok=True)
         for path in first.path.glob("runs/mujoco*"):
@@ -332,35 +354,34 @@ class TestSplitStudies:
     def test_parts_make_the_study(self, folder, parts, tmp_path):
         whole = records.load(folder.path)
         for number, some in enumerate((parts, parts[:0:-1], parts[1:])):
-            assert self.collect(tmp_path / f"{number}.csv.gz", *some) == 0
-            assert records.load(tmp_path / f"{number}.csv.gz") == whole
-        again = tmp_path / "again.csv.gz"
-        assert self.collect(again, tmp_path / "0.csv.gz", parts[2], tmp_path / "1.csv.gz") == 0
-        assert again.read_bytes() == (tmp_path / "0.csv.gz").read_bytes()
+            assert self.collect(tmp_path / f"{number}.tar.gz", *some) == 0
+            assert records.load(tmp_path / f"{number}.tar.gz") == whole
+        again = tmp_path / "again.tar.gz"
+        assert self.collect(again, tmp_path / "0.tar.gz", parts[2], tmp_path / "1.tar.gz") == 0
+        assert again.read_bytes() == (tmp_path / "0.tar.gz").read_bytes()
 
-    def test_the_record_that_is_furthest_counts(self, folder, tmp_path):
-        other = StudyFolder(tmp_path / "other")
+    def test_the_first_place_where_a_run_is_done_counts(self, folder, tmp_path):
+        other = StudyFiles(tmp_path / "other")
         other.create(folder.study())
         shutil.copytree(folder.path / "runs", other.path / "runs", dirs_exist_ok=True)
-        done, failed, begun, *_ = runs = folder.study().runs()
-        other.files(done).write_outcome(Outcome("failed", 1, "diverged"))
-        for run in (failed, begun):
-            other.files(run).outcome_file.unlink()
-        packed = records.collect(other.path, out=tmp_path / "c.csv.gz")
-        other.files(failed).write_outcome(Outcome("failed", 1, "diverged"))
-        progress = other.files(begun).run_dir.progress.path
-        progress.write_text("".join(progress.read_text().splitlines(keepends=True)[:9]))
-        states = [record.state for record in records.load(packed, other.path)[1]]
-        assert states == ["failed", "failed", "interrupted", *["done"] * (len(runs) - 3)]
-        assert [len(r.rows) for r in records.load(other.path, packed)[1]][:3] == [25, 25, 25]
-        assert records.load(packed, folder.path) == records.load(folder.path)
-
-    def test_two_that_are_done_and_differ(self, folder, parts, tmp_path, capsys):
-        run = folder.study().runs()[0]
-        file = StudyFolder(parts[1]).files(run).run_dir.progress.path
-        file.write_text(file.read_text().replace(",100.0", ",90.0"))
-        args = ["study", "collect", folder.path, parts[1], "--out", tmp_path / "c"]
-        fails_with(capsys, args, f"run {run.name}: found it done, with other results")
+        faster, failed, begun, *_ = runs = folder.study().runs()
+        progress = other.run_dir(faster).progress.path
+        progress.write_text(progress.read_text().replace(",100.0", ",90.0"))
+        fail(other, failed)
+        interrupt(other, begun)
+        states = [one.state for one in records.load(other.path)[1]]
+        assert states == ["done", "failed", "interrupted", *["done"] * (len(runs) - 3)]
+        speeds = [
+            records.load(*places)[1][0].column("steps_per_s")[0]
+            for places in ((folder.path, other.path), (other.path, folder.path))
+        ]
+        assert speeds == [100, 90]
+        packed = records.collect(other.path, out=tmp_path / "c.tar.gz")
+        assert records.load(folder.path, packed) == records.load(folder.path)
+        interrupt(other, begun, 8)
+        found = records.load(other.path, packed)[1]
+        assert [one.state for one in found] == states
+        assert len(found[2].rows) == 20
 
     @pytest.mark.parametrize(
         ("old", "new", "words"),
@@ -385,7 +406,7 @@ class TestSplitStudies:
         fails_with(capsys, ["study", "collect", *parts], "or --out FILE")
         file = parts[0].with_name("study.toml")
         file.write_text("mine")
-        fails_with(capsys, ["study", "collect", *parts, "--out", file], "which is no collected study")
+        fails_with(capsys, ["study", "collect", *parts, "--out", file], "another file is there")
         assert file.read_text() == "mine"
 
 

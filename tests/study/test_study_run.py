@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import shlex
 import shutil
 import signal
 import subprocess
@@ -17,11 +18,11 @@ import pytest
 from one_line import fails_with
 from tiny_study import TINY, learned, write
 
-from benchmarks.studies import again
+from benchmarks.studies import reproduce
 from tactilerl.commands.cli import main
-from tactilerl.errors import InputError
-from tactilerl.study import analysis, display, records, report, runner
-from tactilerl.study.folder import Outcome, StudyFolder
+from tactilerl.errors import BUSY, InputError
+from tactilerl.study import analysis, engine, records, report, runner
+from tactilerl.study.records import StudyFiles
 
 ROOT = Path(__file__).parents[2]
 LAUNCH = [sys.executable, "-m", "tactilerl", "study", "run"]
@@ -67,10 +68,12 @@ class TestRun:
             "n_batches": 2, "n_test_rollouts": 1, "total_timesteps": 200, "polyak": 0.95, "seed": 0,
         }.items()]  # fmt: skip
         assert main(["train", *flags, "--out", str(tmp_path / "run")]) == 0
-        run = StudyFolder(undisturbed).study().runs()[-1]
-        ours = records.Record(run, "done", "", None, StudyFolder(undisturbed).files(run).rows())
-        rows = records.RunFiles(tmp_path / "run").rows()
-        theirs = records.Record(run, "done", "", None, rows)
+        run = StudyFiles(undisturbed).study().runs()[-1]
+        ours = StudyFiles(undisturbed).record(run)
+        (tmp_path / "runs").mkdir()
+        shutil.move(tmp_path / "run", tmp_path / "runs" / run.name)
+        theirs = StudyFiles(tmp_path).record(run)
+        assert ours.state == theirs.state == "done"
         for column in ("env_steps", "critic_loss", "test_success_rate"):
             np.testing.assert_array_equal(ours.column(column), theirs.column(column))
 
@@ -89,7 +92,7 @@ class TestRun:
         fails_with(capsys, args, "n_batches: found 3")
 
     def test_another_study_in_its_folder_is_refused(self, undisturbed, tmp_path, capsys):
-        text, study = TINY.replace('"tiny"', '"other"'), StudyFolder(undisturbed).study_file
+        text, study = TINY.replace('"tiny"', '"other"'), undisturbed / "study.json"
         before = study.read_bytes()
         args = ["study", "run", write(tmp_path, text), "--out", undisturbed]
         fails_with(capsys, args, "holds the study 'tiny', not 'other'")
@@ -99,7 +102,7 @@ class TestRun:
         self, undisturbed, tmp_path, monkeypatch
     ):
         shutil.copytree(undisturbed, tmp_path / "out")
-        monkeypatch.setattr(runner, "run_all", lambda *args, **options: {})  # stopped before they end
+        monkeypatch.setattr(engine, "run_all", lambda *args, **options: {})  # stopped before they end
         file = write(tmp_path, TINY.replace("= 200", "= 300"))
         assert main(["study", "run", str(file), "--out", str(tmp_path / "out")]) == 0
         assert [record.state for record in records.load(tmp_path / "out")[1]] == ["interrupted"] * 2
@@ -111,26 +114,41 @@ class TestRun:
             capsys, ["study", "run", write(tmp_path), "--out", tmp_path / "out"], "holds no study"
         )
 
-    def test_only_some_runs_and_the_rest_another_day(self, undisturbed, trained_here, tmp_path, capsys):
-        file, out, packed = write(tmp_path), tmp_path / "out", tmp_path / "c.csv.gz"
-        only = ["--jobs", "1", "--only", "reach,polyak 0.95"]
-        assert main(["study", "run", str(file), "--out", str(out), *only]) == 0
-        assert "1 runs, 1 to do" in capsys.readouterr().out
-        states = [record.state for record in records.load(out)[1]]
-        assert states == ["left", "done"]
+    def test_what_is_done_elsewhere_is_not_trained_here(self, undisturbed, tmp_path, capsys):
+        file, packed = write(tmp_path), tmp_path / "c.tar.gz"
         assert main(["study", "collect", str(undisturbed), "--out", str(packed)]) == 0
         args = ["study", "run", str(file), "--out", str(tmp_path / "b"), "--collected", str(packed)]
         assert main(args) == 0
         assert "0 runs, 0 to do" in capsys.readouterr().out
 
-    @pytest.mark.parametrize(
-        ("only", "words"),
-        [("polyak 0.8", ["'polyak 0.8'", "reach, polyak 0.9"]), ("polyak 0.9,polyak 0.95", ["no run"])],
-    )
-    def test_only_what_there_is(self, tmp_path, capsys, only, words):
-        args = ["study", "run", write(tmp_path), "--out", tmp_path / "out", "--only", only]
-        fails_with(capsys, args, *words)
-        assert not (tmp_path / "out").exists()
+    def test_copied_folders_of_runs_are_a_merged_study(self, undisturbed, tmp_path, capsys):
+        runs = StudyFiles(undisturbed).study().runs()
+        for place, run in zip("ab", runs, strict=True):
+            StudyFiles(tmp_path / place).create(StudyFiles(undisturbed).study())
+            folder = f"runs/{run.name}"
+            shutil.copytree(undisturbed / folder, tmp_path / place / folder)
+        states = [[one.state for one in records.load(tmp_path / place)[1]] for place in "ab"]
+        assert states == [["done", "left"], ["left", "done"]]
+        shutil.copytree(tmp_path / "a/runs", tmp_path / "b/runs", dirs_exist_ok=True)  # as rsync does
+        assert main(["study", "run", str(write(tmp_path)), "--out", str(tmp_path / "b")]) == 0
+        assert "2 runs, 0 to do" in capsys.readouterr().out
+        assert learned(tmp_path / "b") == learned(undisturbed)
+
+    def test_a_command_for_each_run_that_is_not_done(self, undisturbed, tmp_path, capsys):
+        out = tmp_path / "with space"
+        shutil.copytree(undisturbed, out)
+        run = StudyFiles(out).study().runs()[0]
+        shutil.rmtree(out / "runs" / run.name)
+        todo = ["study", "todo", str(write(tmp_path)), "--out", str(out)]
+        assert main(todo) == 0
+        (command,) = capsys.readouterr().out.splitlines()
+        program, *args = shlex.split(command)
+        assert program == "tactilerl"
+        assert main(args) == main(args) == 0
+        capsys.readouterr()
+        assert main(todo) == 0
+        assert capsys.readouterr().out == ""
+        assert learned(out) == learned(undisturbed)
 
 
 class TestFailures:
@@ -158,50 +176,43 @@ class TestFailures:
         self, undisturbed, trained_here, tmp_path, capsys
     ):
         shutil.copytree(undisturbed, tmp_path / "out")
-        folder = StudyFolder(tmp_path / "out")
-        first, second, *_ = (folder.files(run) for run in folder.study().runs())
-        first.run_dir.config_file.write_text("{")
-        first.outcome_file.unlink()
-        second.run_dir.config_file.unlink()
-        second.outcome_file.unlink()
+        folder = StudyFiles(tmp_path / "out")
+        first, second = (folder.run_dir(run) for run in folder.study().runs())
+        first.config_file.write_text("{")
+        second.config_file.unlink()
         args = ["study", "run", str(write(tmp_path)), "--out", str(tmp_path / "out"), "--jobs", "1"]
         assert main(args) == 1
         out = capsys.readouterr().out
+        assert "2 runs, 2 to do" in out
         assert "config.json: not a run's configuration" in out
         assert "exists but is not a run folder; choose another" in out
-        assert "2 runs, 1 to do" in out
-        assert first.run_dir.checkpoint_file.exists()
-        assert second.run_dir.progress.path.exists()
-        assert folder.files(folder.study().runs()[0]).state() == "failed"
+        assert first.checkpoint_file.exists()
+        assert second.progress.path.exists()
+        assert [one.state for one in records.load(folder.path)[1]] == ["failed", "failed"]
 
-    @pytest.mark.parametrize("harm", ["emptied", "gone", "outcome"])
+    @pytest.mark.parametrize("harm", ["cut off", "gone"])
     def test_a_finished_run_that_is_no_longer_there_is_trained_again(
         self, undisturbed, trained_here, tmp_path, capsys, harm
     ):
         shutil.copytree(undisturbed, tmp_path / "out")
-        folder = StudyFolder(tmp_path / "out")
-        files = folder.files(folder.study().runs()[0])
+        folder = StudyFiles(tmp_path / "out")
+        run = folder.study().runs()[0]
+        table = folder.run_dir(run).progress.path
         if harm == "gone":
-            shutil.rmtree(files.base)
-        elif harm == "emptied":
-            files.run_dir.progress.path.write_text("")
+            shutil.rmtree(folder.run_dir(run).path)
         else:
-            files.outcome_file.write_text('{"state": ["x"], "total_timesteps": 200, "reason": ""}')
-        state = {"gone": "damaged", "emptied": "damaged", "outcome": "interrupted"}[harm]
-        assert files.state() == state
+            rows = table.read_text().splitlines(keepends=True)
+            table.write_text("".join(rows[:-1]))
+        state = {"gone": "left", "cut off": "interrupted"}[harm]
+        assert folder.record(run).state == state
         assert main(["study", "report", str(folder.path), "--resamples", "100"]) == 0
         assert f"Of 2 runs 1 {state}" in capsys.readouterr().out
         args = ["study", "run", str(write(tmp_path)), "--out", str(folder.path), "--jobs", "1"]
-        assert main(args) == 0
-        out = capsys.readouterr().out
-        assert "2 runs, 1 to do" in out
-        assert ("trained again" in out) == (harm != "outcome")
-        assert files.state() == "done"
-        assert learned(folder.path) == learned(undisturbed)
-        aside = list(folder.path.glob("runs/*.damaged1"))
-        assert [path.joinpath("checkpoint.pt").exists() for path in aside] == [True] * (
-            harm == "emptied"
-        )
+        assert main(args) == (harm == "cut off")  # whose checkpoint has seen more: nothing is made up
+        assert "2 runs, 1 to do" in capsys.readouterr().out
+        if harm == "gone":
+            assert folder.record(run).state == "done"
+            assert learned(folder.path) == learned(undisturbed)
 
     def test_why_it_failed_is_of_this_attempt(self, tmp_path):
         log = tmp_path / "run.log"
@@ -210,25 +221,25 @@ class TestFailures:
         assert runner._reason(-9, log, 0) == "killed by SIGKILL"
         assert runner._reason(-35, log, 0) == "killed by signal 35"
 
-    def test_a_full_disk_names_the_run(self, tmp_path, monkeypatch):
+    def test_a_full_disk_names_the_run(self, undisturbed, tmp_path, monkeypatch):
         def full(*args, **options):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
         monkeypatch.setattr(subprocess, "Popen", full)
+        run = StudyFiles(undisturbed).study().runs()[0]
         (tmp_path / "runs").mkdir()
         with pytest.raises(OSError, match="No space left") as caught:
-            runner.run_job(runner.Job(tmp_path / "runs" / "mine", [], 1))
-        assert caught.value.__notes__ == ["run mine"]
+            runner.run_job(runner.Job(tmp_path, run))
+        assert caught.value.__notes__ == [f"run {run.name}"]
 
     def test_a_killed_run_is_taken_up_once_more(self, undisturbed, tmp_path):
-        shutil.copytree(undisturbed, tmp_path / "out")
-        folder = StudyFolder(tmp_path / "out")
-        files = folder.files(folder.study().runs()[0])
-        files.outcome_file.unlink()
+        (tmp_path / "runs").mkdir()
+        run = StudyFiles(undisturbed).study().runs()[0]
         threading.Thread(target=kill_first_child, daemon=True).start()
-        run = folder.study().runs()[0]
-        assert runner.run_job(runner.Job(files.base, run.arguments, 200)) == "done"
-        assert files.outcome() == Outcome("done", 200)
+        assert runner.run_job(runner.Job(tmp_path, run)) == "done"
+        assert StudyFiles(tmp_path).record(run).state == "done"
+        log = StudyFiles(tmp_path).beside(run, "log").read_text()
+        assert "epoch    1" in log
 
 
 def kill_first_child():
@@ -239,18 +250,60 @@ def kill_first_child():
 
 
 class TestSharing:
-    @pytest.mark.slow
-    def test_a_run_that_somebody_else_trains_is_left_to_them(self, undisturbed, tmp_path, capsys):
+    @pytest.fixture
+    def folder(self, undisturbed, tmp_path):
+        """A study of which one run is missing."""
         shutil.copytree(undisturbed, tmp_path / "out")
-        folder = StudyFolder(tmp_path / "out")
-        files = folder.files(folder.study().runs()[0])
-        files.outcome_file.unlink()
-        with filelock.FileLock(files.lock_file):
-            assert display.Standing.of(files).state == "running"
+        folder = StudyFiles(tmp_path / "out")
+        folder.run_dir(folder.study().runs()[0]).progress.path.unlink()
+        return folder
+
+    @pytest.mark.parametrize("holder", ["train", "study run"])
+    def test_a_run_that_somebody_else_trains_is_left_to_them(
+        self, folder, tmp_path, capsys, monkeypatch, holder
+    ):
+        """Without a process, a line in its log or a failure."""
+        run = folder.study().runs()[0]
+        log = folder.beside(run, "log").read_bytes()
+        lock = {
+            "train": folder.run_dir(run).path / ".lock",
+            "study run": folder.beside(run, "lock"),
+        }[holder]
+        monkeypatch.setattr(runner, "_process", None)
+        monkeypatch.setattr(engine, "PATIENCE", 0)
+        with filelock.FileLock(lock):
+            assert (folder.record(run).state == "running") == (holder == "train")
             assert main(["study", "run", str(write(tmp_path)), "--out", str(folder.path)]) == 0
         assert "1 runs are trained by another" in capsys.readouterr().out
-        assert files.outcome() is None
-        assert files.state() == "interrupted"
+        assert folder.record(run).state == "interrupted"
+        assert folder.beside(run, "log").read_bytes() == log
+
+    def test_a_process_that_comes_too_late_is_no_failure(self, folder, monkeypatch):
+        """Whatever its path is called, and however long that is."""
+        run = folder.study().runs()[0]
+        monkeypatch.setattr(runner, "_process", lambda log, job: BUSY)
+        assert runner.run_job(runner.Job(folder.path, run)) == "busy"
+        assert folder.record(run).state == "interrupted"
+
+    def test_what_others_have_done_meanwhile_is_not_trained_again(
+        self, undisturbed, tmp_path, monkeypatch
+    ):
+        monkeypatch.setattr(runner, "_process", None)
+        run = StudyFiles(undisturbed).study().runs()[0]
+        assert runner.run_job(runner.Job(undisturbed, run)) == "done"
+
+    @pytest.mark.parametrize("there", ["", "runs", "study.json", ".0123456789abcdef.tmp"])
+    def test_another_starter_may_have_begun_to_make_the_folder(self, undisturbed, tmp_path, there):
+        study = StudyFiles(undisturbed).study()
+        folder = StudyFiles(tmp_path / "out")
+        if there:
+            folder.path.mkdir()
+        if there == "study.json":
+            shutil.copy(undisturbed / there, folder.path)
+        elif there:
+            (folder.path / there).mkdir()
+        folder.create(study)
+        assert folder.study() == study
 
     @pytest.mark.slow
     def test_two_at_once_train_each_run_once(self, undisturbed, tmp_path):
@@ -304,9 +357,9 @@ def test_stopping_by_sigterm_ends_the_runs_and_they_go_on(tmp_path, capsys):
     assert code == 130
     out, err = capsys.readouterr()
     assert "Traceback" not in out + err
-    folder = StudyFolder(tmp_path / "out")
-    assert not [run for run in folder.study().runs() if folder.files(run).is_running()]
-    assert "failed" not in {folder.files(run).state() for run in folder.study().runs()}
+    folder = StudyFiles(tmp_path / "out")
+    states = {folder.record(run).state for run in folder.study().runs()}
+    assert not states & {"failed", "running"}
 
 
 def descendants(pid):
@@ -346,42 +399,44 @@ def test_ranks_of_a_run_end_with_the_study(tmp_path, one_launch, number):
 
 
 def test_a_doubtful_reader_trains_a_run_again(undisturbed, tmp_path, monkeypatch, capsys):
-    """`python -m benchmarks again`: the same bits, and a number that is not."""
-    collected = records.collect(undisturbed, out=tmp_path / "c.csv.gz")
+    """`python -m benchmarks reproduce`: the same bits, and a number that is not."""
+    collected = records.collect(undisturbed, out=tmp_path / "c.tar.gz")
     name = records.load(collected)[1][0].run.name
-    monkeypatch.setattr(sys, "argv", ["again", str(collected), name])
-    assert again.main() == 0
+    monkeypatch.setattr(sys, "argv", ["reproduce", str(collected), name])
+    assert reproduce.main() == 0
     assert "4 epochs: the same, bit for bit" in capsys.readouterr().out
-    monkeypatch.setattr(runner, "run_job", lambda job: shutil.copytree(made, job.base) and "done")
+    monkeypatch.setattr(
+        runner, "run_job", lambda job: shutil.copytree(made, job.folder / "runs" / name) and "done"
+    )
     made = tmp_path / "run"
     shutil.copytree(undisturbed / "runs" / name, made)
     table = made / "progress.csv"
     text = table.read_text()
     assert "\n4,200," in text
     table.write_text(text.replace("\n4,200,", "\n4,201,"))
-    assert again.main() == 1
+    assert reproduce.main() == 1
     assert "epoch 4, env_steps: 200 -> 201" in capsys.readouterr().out
-    monkeypatch.setattr(sys, "argv", ["again", str(collected), f"../{name}"])
+    monkeypatch.setattr(sys, "argv", ["reproduce", str(collected), f"../{name}"])
     with pytest.raises(InputError, match=f"run: found '../{name}'; did you mean {name}"):
-        again.main()
+        reproduce.main()
 
 
 @pytest.mark.parametrize("same", ["24", "56"])
 def test_controls_of_layouts_with_as_many_taxels_are_the_same_run(same):
     """docs/study.md says so of the paper's study."""
-    found = {one.run.name: one for one in records.load(ROOT / "docs/data/paper.csv.gz")[1]}
+    found = {one.run.name: one for one in records.load(ROOT / "docs/data/paper.tar.gz")[1]}
     for seed in range(5):
         a, b = (found[f"mujoco_layout-{n}_run_type-control_s{seed}"].rows for n in same)
         other = found[f"mujoco_layout-1_run_type-control_s{seed}"].rows
-        assert not again.differences(a, b)
-        assert again.differences(a, other)
+        assert not reproduce.differences(a, b)
+        assert reproduce.differences(a, other)
 
 
 def test_a_benchmark_ends_with_one_line_over_bad_input(tmp_path):
-    command = [sys.executable, "-m", "benchmarks", "again", str(tmp_path / "gone.csv.gz"), "x"]
+    command = [sys.executable, "-m", "benchmarks", "reproduce", str(tmp_path / "gone.tar.gz"), "x"]
     result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert (result.returncode, result.stderr.count("\n")) == (2, 1)
-    assert "gone.csv.gz' is not a study's folder" in result.stderr
+    assert "gone.tar.gz' is not a study's folder" in result.stderr
 
 
 def test_a_report_of_a_real_study(undisturbed, tmp_path):
@@ -390,3 +445,33 @@ def test_a_report_of_a_real_study(undisturbed, tmp_path):
     assert "2 of 2 runs are done" in text
     assert "polyak 0.95 − polyak 0.9 in pairs: point-reach, DDPG+HER" in text
     assert "too few runs to detect a difference" in text
+
+
+class TestAfterAnUpgrade:
+    """Runs that version 0.3.0 has made and recorded as done."""
+
+    @pytest.fixture
+    def old(self, tmp_path):
+        shutil.copytree(Path(__file__).with_name("of_0_3_0"), tmp_path / "of_0_3_0")
+        return tmp_path / "of_0_3_0"
+
+    @pytest.mark.parametrize("unknown", ["", "gamma", "clip_range"])
+    def test_finished_runs_stay_finished(self, old, monkeypatch, capsys, unknown):
+        """Also where they lack a value that this version knows."""
+        monkeypatch.setattr(runner, "_process", None)
+        for path in old.glob("runs/*/config.json"):
+            config = json.loads(path.read_text())
+            config["learner"].pop(unknown, None)
+            path.write_text(json.dumps(config))
+        before = {path: path.read_bytes() for path in old.glob("runs/**/*.*")}
+        assert main(["study", "run", str(old / "study.toml"), "--out", str(old)]) == 0
+        assert "4 runs, 0 to do" in capsys.readouterr().out
+        assert {path: path.read_bytes() for path in before} == before
+        assert main(["study", "report", str(old), "--resamples", "100"]) == 0
+        assert "in no figure" not in capsys.readouterr().out
+        assert [one.state for one in records.load(records.collect(old))[1]] == ["done"] * 4
+
+    def test_another_value_is_another_run(self, old, capsys):
+        file = old / "study.toml"
+        file.write_text(file.read_text().replace("hidden = [4]", "hidden = [8]"))
+        fails_with(capsys, ["study", "run", file, "--out", old], "hidden: found [8]", "[4]")

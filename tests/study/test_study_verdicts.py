@@ -1,16 +1,17 @@
 """What a study says of its primary comparisons: looks, what sight leaves to touch, other parts."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
 from one_line import fails_with
-from study_records import PAPER_LIKE, make_study
+from study_records import PAPER_LIKE, fail, make_study
 
 from tactilerl.commands.cli import main
 from tactilerl.study import looks, records, summary, verdicts
-from tactilerl.study.folder import Outcome, RunFiles
 from tactilerl.study.grid import Compare, Looks, Setup
+from tactilerl.study.runner import Job
 
 LOOKS = PAPER_LIKE[: PAPER_LIKE.index("[setups.mujoco]")].replace(
     'name = "made-up"', 'name = "made-up"\nlooks.pairs = [6, 9, 12]\nlooks.effect = 0.03'
@@ -45,7 +46,7 @@ def leave_out(folder, is_out):
     """Runs that nobody has trained yet."""
     for run in folder.study().runs():
         if is_out(run):
-            folder.files(run).outcome_file.unlink()
+            shutil.rmtree(folder.run_dir(run).path)
 
 
 class TestTake:
@@ -79,18 +80,19 @@ class TestStudyWithLooks:
     def test_it_stops_where_the_answer_is_and_leaves_the_rest(self, tmp_path, capsys):
         """Layout 2 is far ahead, layout 5 is not."""
         folder = make_study(tmp_path / "s", LOOKS, n_seeds=12)
-        leave_out(folder, lambda run: True)
+        done = tmp_path / "done"
+        (folder.path / "runs").rename(done)
         study = folder.study()
-        jobs = {run.name: looks.Job(folder.files(run).base, [], 30_000) for run in study.runs()}
+        jobs = {run.name: Job(folder.path, run) for run in study.runs()}
         batches, said = [], []
 
         def run_all(batch):
-            batches.append(sorted(job.base.name for job in batch))
-            for job in batch:
-                RunFiles(job.base).write_outcome(Outcome("done", 30_000))
-            return {job.base: "done" for job in batch}
+            batches.append(sorted(job.run.name for job in batch))
+            for name in batches[-1]:
+                shutil.copytree(done / name, folder.path / "runs" / name)
+            return {job.run.name: "done" for job in batch}
 
-        endings = looks.run(study, folder, jobs, run_all, said.append)
+        endings = looks.run(study, folder.path, jobs, run_all, said.append)
         assert [len(batch) for batch in batches[:2]] == [36, 18]
         assert not [name for name in batches[2] if "layout-2" in name]
         found = judged(folder)
@@ -128,7 +130,7 @@ class TestStudyWithLooks:
     def test_a_pair_that_failed_is_missing_and_no_look_is(self, tmp_path):
         folder = make_study(tmp_path / "s", LOOKS, n_seeds=12)
         lost = next(r for r in folder.study().runs() if (r.cell, r.seed) == ("layout 2", 1))
-        folder.files(lost).write_outcome(Outcome("failed", 1, "diverged"))
+        fail(folder, lost)
         found = judged(folder)["layout 2"]
         assert (found.stage.look, len(found.pairs)) == (2, 8)
 

@@ -1,6 +1,6 @@
 """How often do a study's tests find what is not there, and what is? Simulated pairs of runs.
 
-    nice python -m benchmarks errors --out docs/data/errors.json    # ten minutes
+    nice python -m benchmarks error_rates --out docs/data/error_rates.json    # ten minutes
 
 Areas under the curve of treatment and control share what their seed gives them. Under no difference
 both are drawn alike; under a difference of 0.1 the treatment's are so much larger.

@@ -1,6 +1,6 @@
 """Does a run of a collected study come out again, bit for bit? Trains it and compares every epoch.
 
-    python -m benchmarks again docs/data/handover.csv.gz handover_layout-2_run_type-main_s0
+    python -m benchmarks reproduce docs/data/handover.tar.gz handover_layout-2_run_type-main_s0
 
 The same bits need the same machine and versions, so both versions are printed. Exit code 1 where an
 epoch differs.
@@ -16,7 +16,6 @@ from tactilerl.envs.choices import nearest
 from tactilerl.errors import InputError
 from tactilerl.runs.progress_csv import TIMES
 from tactilerl.study import records, runner
-from tactilerl.study.folder import RunFiles
 
 
 def differences(before: list[dict[str, str]], after: list[dict[str, str]]) -> list[str]:
@@ -47,15 +46,18 @@ def main() -> int:
     before = found[options.run]
     config = before.config or {}
     with tempfile.TemporaryDirectory() as folder:
-        made = RunFiles(Path(folder) / before.run.name)
-        job = runner.Job(made.base, before.run.arguments, 0, config.get("ranks", 1))
+        files = records.StudyFiles(Path(folder))
+        (files.path / records.RUNS).mkdir()
+        job = runner.Job(files.path, before.run, config.get("ranks", 1))
         if (ending := runner.run_job(job)) != "done":
-            flags.exit(1, f"{ending}\n{made.log_file.read_text(encoding='utf-8')}")
-        after, now = made.rows(), made.run_dir.record()
+            log = files.beside(before.run, "log").read_text(encoding="utf-8")
+            flags.exit(1, f"{ending}\n{log}")
+        after = files.record(before.run)
+    now = after.config or {}
     for when, record in (("before", config), ("now", now)):
         last = record["provenance"][-1]
         versions = ", ".join(f"{name} {number}" for name, number in sorted(last["versions"].items()))
         print(f"{when:7} commit {last['commit']}, {versions}")
-    differing = differences(before.rows, after)
-    print("\n".join(differing[:5]) or f"{len(after)} epochs: the same, bit for bit")
+    differing = differences(before.rows, after.rows)
+    print("\n".join(differing[:5]) or f"{len(after.rows)} epochs: the same, bit for bit")
     return 1 if differing else 0

@@ -1,7 +1,7 @@
 """How much do two arms of one seed have in common? Correlation of their areas over 40 seeds.
 
-    nice python -m benchmarks shared --out docs/data/shared.json    # ten minutes
-    python -m benchmarks shared --as "before"    # the same, with other code in PYTHONPATH
+    nice python -m benchmarks pair_correlation --out docs/data/pair_correlation.json    # ten minutes
+    python -m benchmarks pair_correlation --as "before"    # the same, with other code in PYTHONPATH
 
 Toys: a point is to be brought to rest (PPO) or to a goal (DDPG+HER). One arm also observes numbers
 that mean nothing, at the end and each by its name, as it is with layouts of other sizes.

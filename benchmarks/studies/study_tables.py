@@ -1,6 +1,6 @@
 """What the studies found: the tables of docs/study.md, from the collected data beside it.
 
-python -m benchmarks answer
+python -m benchmarks study_tables
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ FAULTS = {"dead": "a fifth of the taxels dead", "late": "readings one step (0.1 
 @cache
 def load(name: str) -> tuple[Study, list[Record]]:
     """A collected study with its runs."""
-    return records.load(DATA / f"{name}.csv.gz")
+    return records.load(DATA / f"{name}.tar.gz")
 
 
 def load_setup(name: str, setup_name: str = "") -> tuple[Setup, list[Record]]:
@@ -64,7 +64,7 @@ def load_setup(name: str, setup_name: str = "") -> tuple[Setup, list[Record]]:
 
 def is_there(name: str, setup_name: str = "", *_: str) -> bool:
     """Has the study been collected, with runs of the set-up?"""
-    if not (DATA / f"{name}.csv.gz").exists():
+    if not (DATA / f"{name}.tar.gz").exists():
         return False
     own = (r for r in load(name)[1] if setup_name in ("", r.run.setup))
     return any(r.state == "done" for r in own)
