@@ -6,7 +6,6 @@ The same records give the same bytes: no file holds a date or a path.
 from __future__ import annotations
 
 from base64 import b64encode
-from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,6 +19,7 @@ from .figures import Picture
 from .tables import Table
 
 TEMPLATE = "report.html.j2"
+FOOTER = b"Made by <code>tactilerl study report</code>"  # of every version
 
 
 class Section(NamedTuple):
@@ -55,8 +55,7 @@ def write(analysis: Analysis, folder: Path) -> Path:
 
 
 def _is_report(path: Path) -> bool:
-    head, _, _ = (resources.files(__package__) / TEMPLATE).read_text("utf-8").partition("{{")
-    return read(path).startswith(head.encode())
+    return FOOTER in read(path)
 
 
 def _page(analysis: Analysis, made: list[Section], images: dict[str, str]) -> str:

@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 import tarfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from tactilerl.study import analysis, figures, planning, records, report, summar
 from tactilerl.study.records import StudyFiles
 from tactilerl.terminal.console import console
 
+ROOT = Path(__file__).parents[2]
 RESAMPLES = 500
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 MEASURE = """<script>
@@ -475,3 +477,11 @@ def test_a_browser_shows_every_table_and_figure(result, written, tmp_path, width
     for name, drawn_width, rows in found["figures"]:
         assert drawn_width > 100, name
         assert rows > 0 or name.startswith("figure-"), name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(path.stem for path in (ROOT / "docs/reports").glob("*.html")))
+def test_committed_reports_come_out_of_their_data(tmp_path, name):
+    found = analysis.analyse(*records.load(ROOT / f"docs/data/{name}.tar.gz"))
+    page = report.write(found, tmp_path).read_bytes()
+    assert page == (ROOT / f"docs/reports/{name}.html").read_bytes()
