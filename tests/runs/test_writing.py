@@ -34,7 +34,7 @@ ship = runpy.run_path(str(Path(__file__).parents[2] / "tools/ship_policy.py"))["
 def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("made")
     assert main([*TRAIN, "--total-timesteps", "60", "--out", str(folder / "run")]) == 0
-    make_study(folder / "study", STUDY, n_seeds=2, total=3000)
+    make_study(folder / "study", STUDY, n_seeds=2)
     return folder
 
 
@@ -64,7 +64,7 @@ WRITERS = {
     "x.csv": lambda name: main(["env", "--export", name]),
     "x.json": lambda name: main(["env", "--export", name]),
     "x.pt": save,
-    "x.csv.gz": lambda name: main(["study", "collect", "study", "--out", name]),
+    "x.tar.gz": lambda name: main(["study", "collect", "study", "--out", name]),
     "x.jpg": lambda name: main(["render", "--pose", "start", "--out", name]),
     "x.png": lambda name: main(["render", "--pose", "start", "--out", name]),
     "x.mp4": lambda name: main(["render", "examples", "--video", name]),
