@@ -18,8 +18,8 @@ from rich import box
 from rich.table import Table
 
 from ..errors import InputError
-from ..runs.files import pasted
 from ..runs.cores import free_cores
+from ..runs.files import pasted
 from ..study import check, comparing, engine, grid, looks, planning, progress, records
 from ..study.records import Record, StudyFiles
 from ..study.runner import Job
