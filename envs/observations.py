@@ -17,6 +17,7 @@ import gymnasium as gym
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from .choices import require_one_of
 from .hands import SLIDES, Hand
 from .state import KINDS, Array, Shape, State
 from .typed import Share, allow_only_with
@@ -322,6 +323,8 @@ class Observer:
     ) -> None:
         """`taxel_names` are those in the observation; `is_boolean`: do they read 0 or 1? `first` is the
         shape of the scene's first object."""
+        for term in hand.observation:
+            require_one_of(TERMS, term, f"hand {hand.name}: observation")
         self.hand, self._terms = hand, [*hand.observation, *["asked"] * config.observe_targets]
         self._sight = Sight(config, first)
         is_slide = np.isin(hand.joints, SLIDES)

@@ -15,19 +15,10 @@ import numpy as np
 
 from .. import toml_files
 from ..choices import require_one_of
-from ..observations import TERMS
 from ..state import Array
 from ..toml_files import interval, number, only, strings, table, vector
-from . import (
-    CLOSING_STEP,
-    FOLDER,
-    SLIDES,
-    Hand,
-    LinearAction,
-    ScriptedGrasp,
-    mounting,
-    surfaces,
-)
+from . import mounting, surfaces
+from .hand import CLOSING_STEP, SLIDES, Hand, LinearAction, ScriptedGrasp
 from .mounting import Mount
 from .parts import Parts, posed
 
@@ -55,7 +46,7 @@ def load(path: Path) -> Hand:
         data = toml_files.read(path, "hand file")
         only(data, KEYS, "the file")
         hand = _hand(Parts(data, path.parent), path.stem)
-        if path.parent != FOLDER:
+        if path.parent != Path(__file__).parent:
             timestep = table(data, "scene").get("timestep", TIMESTEP)
             _require_still(hand, number(timestep, "scene.timestep", 1e-5, 1.0))
         return hand
@@ -84,7 +75,7 @@ def _hand(parts: Parts, name: str) -> Hand:
         couplings=parts.follows,
         first_joints=_names(data, "first_joints", (), parts.joints),
         start={joint: angle for joint, angle in parts.start.items() if angle},
-        observation=_names(data, "observation", OBSERVATION, tuple(TERMS)),
+        observation=_names(data, "observation", OBSERVATION),
         added_inertia=number(data.get("added_inertia", Hand.added_inertia), "added_inertia", 0.0),
         grasps=grasps,
         opened={parts.driven[joint]: angle for joint, angle in parts.opened.items()},

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..state import Array
-from . import SLIDES
+from .hand import SLIDES
 
 SLIDE = {"gain": 1000.0, "damping": 79.0, "force": 30.0}
 """N/m, N s/m, N. Without a limit on its force the hand would be pressed into the ground."""

@@ -18,7 +18,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
-from . import Hand
+from .hand import Hand
 
 CPU_SECONDS, SECONDS = 30, 300
 """Of reading: on a processor, and by the clock, which counts where a file is waited for."""

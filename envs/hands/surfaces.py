@@ -10,7 +10,8 @@ import numpy as np
 
 from ..state import Array
 from ..toml_files import number, table, vector
-from . import SEGMENTS, Pitch, Surface, mounting
+from . import mounting
+from .hand import SEGMENTS, Pitch, Surface
 from .parts import Parts, beside, numbers, posed, unit
 from .skins import Distances, Geom, geoms_of, meet
 

@@ -1,0 +1,319 @@
+"""A robot hand: what a simulator, a task and a taxel layout need to know about one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..state import Array
+
+if TYPE_CHECKING:
+    from .mounting import Mount
+    from .skins import Geom
+
+SLIDES = ("slide_x", "slide_y", "slide_z")
+"""Joints and actuators that carry the whole hand along the world's axes."""
+DIGITS = ("thumb", "index", "middle", "ring", "little")
+"""What digits of hands with up to five are usually called."""
+SEGMENTS = ("proximal", "middle", "distal")
+"""What three segments of a digit are called."""
+CLOSING_STEP = 0.5  # how far an action of 1 closes fingers that go from open to closed
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The palmar side of one link: where taxels may lie.
+
+    A link that is one capsule is the palmar half of a cylinder. One of other or several ``geoms`` is
+    what is met when one comes from the palmar side. A flat palm is a plane. All vectors are in the
+    link's frame; the grid's origin is ``centre + radius * palmar`` on a cylinder.
+    """
+
+    digit: str
+    """Which; for the palm, the finger whose base it is, or "palm"."""
+    segment: str
+    """Which segment of the digit, or "palm"."""
+    link: str
+    """Body the taxels ride on."""
+    centre: tuple[float, float, float]
+    """Point on the cylinder's axis (on the plane, or within the geoms) under the grid's centre, m."""
+    along: tuple[float, float, float]
+    """Unit vector towards the fingertip: the direction of a grid's rows."""
+    palmar: tuple[float, float, float]
+    """Unit outward normal of the palmar side."""
+    radius: float | None = None
+    """Cylinder radius in m; None for other surfaces."""
+    bone: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    """Both ends of the axis of the capsule that is the link's shape, m; None for other shapes."""
+    geoms: tuple[Geom, ...] = ()
+    """What the link is made of, where it is neither one capsule nor flat."""
+    extent: tuple[float, float] = (9e-3, 9e-3)
+    """Of a surface that is no cylinder: half its length and half its width, m."""
+
+    def place(self, row: float, column: float) -> tuple[Array, Array]:
+        """Position and outward normal in the link frame, each (3,), of a taxel `row` and `column`
+        metres off centre.
+
+        The flat grid is projected on to the link along the palmar normal, so that the paper's
+        pitches hold in the plane they are given in. Raises ValueError when that lies beside the link.
+        """
+        palmar = np.array(self.palmar)
+        above = np.array(self.centre) + row * np.array(self.along) + column * self.across
+        if self.geoms:
+            from .skins import meet
+
+            if found := meet(self.geoms, above, -palmar):
+                return found
+            raise ValueError(
+                f"a taxel {1e3 * row:.1f} mm along and {1e3 * column:.1f} mm beside the middle of "
+                f"{self.digit}.{self.segment} lies beside the link: found nothing there, allowed "
+                f"±{1e3 * self.extent[0]:.1f} mm along and ±{1e3 * self.extent[1]:.1f} mm beside"
+            )
+        if self.radius is None:
+            return above, palmar
+        if abs(column) > self.radius + 1e-9:  # its very edge, in mm, is not exact in m
+            raise ValueError(
+                f"a taxel {1e3 * abs(column):.1f} mm off the middle of {self.digit}.{self.segment} "
+                f"lies beside the phalanx: found |column| {1e3 * abs(column):.1f} mm, "
+                f"allowed up to its radius, {1e3 * self.radius:.1f} mm"
+            )
+        height = np.sqrt(max(0.0, self.radius**2 - column**2))
+        return above + height * palmar, (column * self.across + height * palmar) / self.radius
+
+    def is_beside(self, row: float, column: float) -> bool:
+        """Is there nothing of the link?"""
+        try:
+            self.place(row, column)
+        except ValueError:
+            return True
+        return False
+
+    @property
+    def across(self) -> Array:
+        """Unit vector (3,) in the direction of a grid's columns."""
+        return np.cross(np.array(self.palmar), np.array(self.along))
+
+    def offset(self, position: Array) -> tuple[float, float, float]:
+        """(row, column, height over the grid's middle) in m of a point (3,) in the link frame."""
+        axes = np.array([self.along, self.across, self.palmar])
+        row, column, height = axes @ (position - np.array(self.centre))
+        return float(row), float(column), float(height)
+
+    @property
+    def span(self) -> tuple[float, float, float]:
+        """Rows of both ends, and half the width of the link, m, from the grid's middle."""
+        if self.bone is None:
+            return -self.extent[0], *self.extent
+        assert self.radius is not None
+        low, high = sorted(self.offset(np.array(point))[0] for point in self.bone)
+        return low, high, self.radius
+
+
+@dataclass(frozen=True)
+class Pitch:
+    """Distances between a hand's taxels and their sensing radii, in m (paper, Methods)."""
+
+    rows: dict[str, float]
+    """Row distance for each segment."""
+    column: float
+    """Column distance."""
+    radius: float
+    """Radius of a taxel of layouts 1-5 and of every palm taxel."""
+    large_radius: float
+    """Radius of a phalanx taxel of layout 6."""
+
+
+@dataclass(frozen=True)
+class LinearAction:
+    """Joint target = centre + action * half_range (paper, MuJoCo set-up; Melnik et al. 2021)."""
+
+    centre: Array
+    half_range: Array
+
+    def __call__(self, action: Array, joint_targets: Array) -> Array:
+        """New joint targets, shape (n_actuators,), from an action in [-1, 1] of the same shape."""
+        return self.centre + action * self.half_range
+
+    def asked(self, joint_targets: Array) -> Array:
+        """What each action has asked for last: the targets themselves."""
+        return joint_targets
+
+
+@dataclass(frozen=True)
+class ClosingAction:
+    """Increments "in relation to the current position and within the limits" (paper, PyBullet
+    set-up): the slides move, where they are actions, and groups of joints go along their closing
+    trajectories.
+
+    The position is the one last asked for, not the one reached: a finger that the object stops is
+    asked for more with each increment and presses the harder, up to its force limit. From the
+    position reached, any small step back would let go.
+    """
+
+    slide_step: Array
+    """(3,) how far an action of 1 moves each slide's target, m; (0,) where no slide is an action."""
+    slide_limits: Array
+    """(3, 2) lowest and highest target of each slide, m; (0, 2) likewise."""
+    closing_step: float
+    """How far an action of 1 closes a group; 1 is from open to closed."""
+    groups: tuple[Array, ...]
+    """For each action after the slides', the actuators that it moves."""
+    open: Array
+    """(n_actuators,) targets at the open end."""
+    closed: Array
+    """(n_actuators,) targets at the closed end."""
+
+    def __call__(self, action: Array, joint_targets: Array) -> Array:
+        """New joint targets (n_actuators,) from an action (slides, then groups) in [-1, 1]."""
+        targets, n_slides = joint_targets.copy(), len(self.slide_step)
+        moved = targets[:n_slides] + self.slide_step * action[:n_slides]
+        targets[:n_slides] = np.clip(moved, self.slide_limits[:, 0], self.slide_limits[:, 1])
+        _, members, group = self._indices
+        closing = np.clip(self._closing(targets) + self.closing_step * action[n_slides:], 0.0, 1.0)
+        targets[members] = self.open[members] + closing[group] * (self.closed - self.open)[members]
+        return targets
+
+    def asked(self, joint_targets: Array) -> Array:
+        """What each action has asked for last: the slides' targets, m, and how far each group is to be
+        closed."""
+        return np.concatenate([joint_targets[: len(self.slide_step)], self._closing(joint_targets)])
+
+    def _closing(self, targets: Array) -> Array:
+        first, way = self._indices[0], self.closed - self.open
+        return np.asarray((targets[first] - self.open[first]) / way[first])
+
+    @cached_property
+    def _indices(self) -> tuple[Array, Array, Array]:
+        """The first actuator of each group that moves; all in groups; and the group of each."""
+        sizes, way = [len(group) for group in self.groups], self.closed - self.open
+        first = np.array([group[way[group] != 0][0] for group in self.groups])
+        return first, np.concatenate(self.groups), np.repeat(np.arange(len(sizes)), sizes)
+
+
+@dataclass(frozen=True)
+class ScriptedGrasp:
+    """An open-loop grasp found by search."""
+
+    object_size: float
+    """Edge of the cube it was found for, m."""
+    targets: dict[str, float]
+    """Joint targets by actuator name, rad or m."""
+
+
+@dataclass(frozen=True)
+class Hand:
+    """One hand, palm down above the origin of the world.
+
+    The first three joints and actuators are the slides of the whole hand along the world's
+    x, y and z axes, in m, zero where the hand starts over an object no wider than ``start_clearance``.
+    """
+
+    name: str
+    build: Mount
+    """(with visual meshes?, gain of the finger actuators relative to the model's) -> model
+    of the hand alone: no ground, no object, no taxels."""
+    joints: tuple[str, ...]
+    """Joints in the order of the observation."""
+    actuators: tuple[str, ...]
+    """Actuators in the order of joint targets; each drives the joint of ``actuated``."""
+    actuated: tuple[str, ...]
+    palm: str
+    """Body whose ``palm_point`` is "the hand" in rewards."""
+    palm_point: tuple[float, ...]
+    palmar: tuple[float, ...]
+    """Unit vector out of the palm, in its frame."""
+    fingers: tuple[float, ...]
+    """Unit vector from the palm towards the fingers, in its frame."""
+    fingertips: tuple[tuple[str, tuple[float, ...]], ...]
+    """Body and point (m, body frame) of the tip of each digit it has."""
+    surfaces: tuple[Surface, ...]
+    pitch: Pitch
+    action_map: LinearAction | ClosingAction
+    action_names: tuple[str, ...]
+    couplings: tuple[tuple[str, str, float], ...] = ()
+    """(joint, actuated joint, ratio): the first moves with the second, by a tendon where there
+    are tendons."""
+    first_joints: tuple[str, ...] = ()
+    """The joint that stands for each digit in the observation term "finger_joints"."""
+    start: dict[str, float] = field(default_factory=dict)
+    """Joint positions at reset that are not zero, rad or m."""
+    observation: tuple[str, ...] = ()
+    """Names of the observation's terms, in order (`GraspEnv.observation_names`)."""
+    start_clearance: float = 0.05
+    """Edge of the largest cube that lies free of the hand at the start, m. Over what is higher the
+    hand hangs higher; over what is wider it starts further up its slide (`start_above`)."""
+    added_inertia: float = 1e-4
+    """Rotational inertia that every link gets in Bullet, kg m²: the solver needs it, and the value
+    is the one that comes nearest to small timesteps (docs/appendix/physics_settings.md)."""
+    grasps: tuple[ScriptedGrasp, ...] = ()
+    opened: dict[str, float] = field(default_factory=dict)
+    """Targets by actuator of the open hand, from where fingers that close in groups set off, rad."""
+    closed: dict[str, float] = field(default_factory=dict)
+    """Targets of the same actuators where the hand is closed, rad."""
+    groups: tuple[tuple[str, ...], ...] = ()
+    """The actuators that close together, each in one group."""
+    group_names: tuple[str, ...] = ()
+    handed_beside: tuple[str, ...] = ()
+    """Fingers at whose bases no object is handed over: it comes to the middle of the others'."""
+
+    def closing_from(self, start: float, actions: str) -> Hand:
+        """The hand with its slides standing still and fingers that close and open again, from where
+        they are `start` of the way from open to closed: all by one action ("grip") or group by group
+        ("fingers")."""
+        action, names = self.closing(np.zeros(0), np.zeros((0, 2)), CLOSING_STEP), self.group_names
+        opened = action.open + start * (action.closed - action.open)
+        pose = dict(zip(self.actuated, opened.tolist(), strict=True))
+        pose |= {joint: ratio * pose[driver] for joint, driver, ratio in self.couplings}
+        action = replace(action, open=opened)
+        if actions == "grip":
+            action = replace(action, groups=(np.concatenate(action.groups),))
+            names = ("closing of the hand",)
+        pose = {joint: angle for joint, angle in pose.items() if angle}
+        return replace(self, action_map=action, action_names=names, start=pose)
+
+    def closing(self, slide_step: Array, slide_limits: Array, closing_step: float) -> ClosingAction:
+        """Actions that close and open its groups; see there."""
+        driven = [*zip(self.actuators, self.actuated, strict=True)]
+        opened, closed = (
+            np.array([ends.get(name, self.start.get(joint, 0.0)) for name, joint in driven])
+            for ends in (self.opened, self.closed)
+        )
+        groups = tuple(np.array([self.actuators.index(n) for n in group]) for group in self.groups)
+        return ClosingAction(slide_step, slide_limits, closing_step, groups, opened, closed)
+
+    def start_above(self, width: float, height: float) -> Hand:
+        """The hand as it starts over an object of these measures, m.
+
+        What is wider than `start_clearance` does not lie free between the fingers. Nothing of the
+        hand is below the ground at the start, so raised by the object's height it is free of the
+        object. The part of that above `start_clearance` is in how high the hand hangs, whatever the
+        width.
+        """
+        if width <= self.start_clearance:
+            return self
+        return replace(self, start={**self.start, SLIDES[2]: min(height, self.start_clearance)})
+
+    def start_positions(self) -> Array:
+        """Joint positions at reset in the order of ``joints``, shape (n_joints,)."""
+        return np.array([self.start.get(joint, 0.0) for joint in self.joints])
+
+    def start_targets(self) -> Array:
+        """Joint targets that hold the start pose, shape (n_actuators,)."""
+        return np.array([self.start.get(joint, 0.0) for joint in self.actuated])
+
+    @property
+    def finger_length(self) -> float:
+        """Of its longest digit, from knuckle to tip, m."""
+        lengths = dict.fromkeys(self.digits, 0.0)
+        for surface in self.surfaces:
+            low, high, _ = surface.span
+            if surface.segment != "palm":
+                lengths[surface.digit] += high - low
+        return max(lengths.values())
+
+    @property
+    def digits(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(s.digit for s in self.surfaces if s.segment != "palm"))
