@@ -285,14 +285,14 @@ def test_the_truth_of_taxels_is_not_that_after_a_hold_test():
     """They are read before it moves the hand, as the policy's are."""
     env = envs.make("mpl", scene="dark_mpl", critic_sees="truth", object_seen="exact")
     n, seen = len(env.taxels), []
-    follow = env.follow
+    step_to = env.step_to
 
     def watched(targets):
-        obs, *rest = follow(targets)
+        obs, *rest = step_to(targets)
         seen.append((obs["observation"][-n:].sum(), obs["truth"][-n:].sum(), rest[1]))
         return obs, *rest
 
-    env.follow = watched
+    env.step_to = watched
     assert any(Reflex("time", 2, 1.0).play(env, seed) for seed in range(3))
     assert all(observed == told for observed, told, _ in seen)
     assert any(told > 0 for _, told, is_last in seen if is_last)
