@@ -50,12 +50,6 @@ def _settings(pair: str) -> Callable[[], None]:
     return lambda: speed_vs_error.show(hand, data("speed_vs_error")[pair]["settings"])
 
 
-def _comparison() -> None:
-    """The README's, for another page."""
-    _, _, section = (ROOT / "README.md").read_text(encoding="utf-8").partition("## Compared with")
-    print(section.partition("\n## ")[0].replace("](docs/", "]("))
-
-
 PRINTED: dict[str, Callable[[], None]] = {
     "probe gains": _of("probe", probe_tables.gains, 0.05),
     "probe gains, exact joints": _of("probe", probe_tables.gains, 0.0),
@@ -104,7 +98,6 @@ PRINTED: dict[str, Callable[[], None]] = {
     **({"times": _parts("times", times.show, "seconds")} if (DATA / "times.json").exists() else {}),
     **{f"gates {name}": _of("gates", partial(gates.show, name)) for name in gates.tables()},
     **environments.TABLES,
-    "comparison": _comparison,
 }
 """What prints each table, perhaps with a title."""
 
