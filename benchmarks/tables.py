@@ -17,7 +17,7 @@ from typing import Any
 
 from benchmarks import environments, times
 from benchmarks.command import DATA, DOCS, ROOT, data, no_flags
-from benchmarks.learners import ablation, cut_short, footprint, precision, scaling, steady
+from benchmarks.learners import ablation, bounces, cut_short, footprint, precision, scaling, steady
 from benchmarks.peers import env, solve, updates
 from benchmarks.physics import hard_cases, hold_verdict, scene_parts, speed_vs_error
 from benchmarks.studies import (
@@ -59,6 +59,7 @@ PRINTED: dict[str, Callable[[], None]] = {
     "probe agreement": _of("probe_agreement", probe_agreement.show),
     "probe hold": _of("probe_hold", probe_hold.show),
     "hold verdict": _of("hold_verdict", hold_verdict.show),
+    "bounces": _of("bounces", bounces.show),
     "updates": _parts("peers", updates.show, "updates"),
     "steps": _parts("peers", env.show, "env"),
     "toys": _parts("peers", solve.show, "solve"),

@@ -57,17 +57,17 @@ class TestReflexes:
     def test_a_blind_one_does_the_same_whatever_it_is_told(self, monkeypatch):
         env = envs.make(scene="handover", run_type="absent")
         played = []
-        follow = env.follow
+        step_to = env.step_to
 
         def blindfolded(targets):
             played[-1].append(targets.copy())
-            obs, *rest = follow(targets)
+            obs, *rest = step_to(targets)
             return {**obs, "observation": obs["observation"] * np.nan}, *rest
 
-        for told in (follow, blindfolded):
+        for told in (step_to, blindfolded):
             played.append([])
             monkeypatch.setattr(
-                env, "follow", lambda t, told=told: (played[-1].append(t.copy()), told(t))[1]
+                env, "step_to", lambda t, told=told: (played[-1].append(t.copy()), told(t))[1]
             )
             Reflex("time", 20, 1.0).play(env, 1)
         whole, blind = (np.unique(np.array(p), axis=0) for p in played)
@@ -77,8 +77,8 @@ class TestReflexes:
     def test_touch_goes_when_taxels_fire_and_not_before(self):
         env = envs.make(scene="handover")
         steps = []
-        follow = env.follow
-        env.follow = lambda targets: (steps.append(targets.copy()), follow(targets))[1]
+        step_to = env.step_to
+        env.step_to = lambda targets: (steps.append(targets.copy()), step_to(targets))[1]
         assert Reflex("touch", 1, 1.0).play(env, 2)
         went = next(i for i, targets in enumerate(steps) if not np.array_equal(targets, steps[0]))
         assert env.task._sets_off < went < env.task._sets_off + env.task.stays
