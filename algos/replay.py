@@ -11,7 +11,6 @@ import torch
 from . import Array, memory
 from .policy import GoalObs
 from .rollout import Episode
-from .state import require_like
 
 Reward = Callable[[Array, Array], Array]
 Values = TypeVar("Values")
@@ -245,10 +244,9 @@ class Replay:
 
     def add_experience(self, saved: dict[str, Any], is_foreign: bool = False) -> None:
         """Put back what `new_experience` returned: in the same slots, or, when it is another
-        buffer's, as episodes that were not there yet. ValueError when it is none of that shape."""
+        buffer's, as episodes that were not there yet."""
         if not saved:
             return
-        self._require_experience(saved)
         parts = {name: values.numpy() for name, values in saved.items()}
         slots, lengths = parts.pop("slots"), parts.pop("lengths")
         for i, slot in enumerate(slots):
@@ -259,27 +257,6 @@ class Replay:
                 self._add(columns)
             else:
                 self._put(int(slot), columns)
-
-    def _require_experience(self, saved: dict[str, Any]) -> None:
-        slots = saved.get("slots") if isinstance(saved, dict) else None
-        n = len(slots) if isinstance(slots, torch.Tensor) and slots.ndim == 1 else 0
-        whole = {"slots": torch.empty(n, dtype=torch.int64, device="meta")}
-        whole["lengths"] = torch.empty_like(whole["slots"])
-        # What was saved as bytes before it turned out not to be Boolean stays right.
-        boolean = saved.get("boolean") if isinstance(saved, dict) else None
-        n_boolean = self.n_boolean
-        if isinstance(boolean, torch.Tensor) and boolean.ndim == 2:
-            n_boolean = min(boolean.shape[1], self.sizes[0])
-        for name, ((_, width), dtype) in self._shapes(n_boolean).items():
-            values = torch.from_numpy(np.empty((0, width), dtype)).to("meta")
-            whole[name] = values.new_empty((n * self._rows, width))
-        require_like(saved, whole, "experience")
-        for name, values in saved.items():
-            if not torch.isfinite(values).all():
-                raise ValueError(f"experience.{name}: found numbers that are not finite")
-        for name, least, end in (("slots", 0, self.n_slots), ("lengths", 1, self._rows)):
-            if n and not (least <= int(saved[name].min()) and int(saved[name].max()) < end):
-                raise ValueError(f"experience.{name}: found others than from {least} to {end - 1}")
 
 
 def _short(rewards: Array) -> str:

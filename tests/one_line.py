@@ -3,10 +3,10 @@
 from tactilerl.commands.cli import main
 
 
-def fails_with(capsys, args, *words):
-    """Exit code 2 and one line, with all the words, which is returned."""
+def fails_with(capsys, args, *words, code=2):
+    """An exit code and one line, with all the words, which is returned."""
     capsys.readouterr()
-    assert main([*map(str, args)]) == 2
+    assert main([*map(str, args)]) == code
     out, err = capsys.readouterr()
     assert err.startswith("tactilerl: error: ")
     assert err.count("\n") == 1

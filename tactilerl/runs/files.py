@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import gzip
 import json
-import math
 import os
 import platform
 import re
@@ -93,29 +92,24 @@ def unzip(path: Path) -> bytes:
 
 
 def read_arrays(path: Path) -> dict[str, Any]:
-    """The arrays of an npz file; ValueError before anything is unpacked that is out of proportion, or
-    is not of the size that its header says."""
-    with open_regular(path) as file, zipfile.ZipFile(file) as archive:
-        entries, most = archive.infolist(), _most(file)
-        if sum(entry.file_size for entry in entries) > most:
-            raise ValueError(f"it unpacks to more than {most:,} bytes")
-        return {entry.filename.removesuffix(".npy"): _array(archive, entry) for entry in entries}
+    """The arrays of an npz file; ValueError where it unpacks to what is out of proportion."""
+    with open_regular(path) as file:
+        require_small(file)
+        with np.load(file, allow_pickle=False) as arrays:
+            return dict(arrays)
 
 
-def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Any:
-    with archive.open(entry) as file:
-        version = np.lib.format.read_magic(file)
-        read_header = getattr(np.lib.format, f"read_array_header_{version[0]}_0")
-        shape, _, dtype = read_header(file)
-        size = file.tell() + dtype.itemsize * math.prod(shape)
-        if min(shape, default=0) < 0 or size != entry.file_size:
-            raise ValueError(f"{entry.filename} is not as large as it says")
-    with archive.open(entry) as file:
-        return np.lib.format.read_array(file, allow_pickle=False)
+def require_small(file: BinaryIO, unpacked: int = UNPACKED, ratio: int = RATIO) -> None:
+    """ValueError before anything of an archive is unpacked that is out of proportion."""
+    with zipfile.ZipFile(file) as archive:
+        size = sum(entry.file_size for entry in archive.infolist())
+    if size > (most := _most(file, unpacked, ratio)):
+        raise ValueError(f"it unpacks to more than {most:,} bytes")
+    file.seek(0)
 
 
-def _most(file: BinaryIO) -> int:
-    return max(UNPACKED, RATIO * os.fstat(file.fileno()).st_size)
+def _most(file: BinaryIO, unpacked: int = UNPACKED, ratio: int = RATIO) -> int:
+    return max(unpacked, ratio * os.fstat(file.fileno()).st_size)
 
 
 @contextmanager

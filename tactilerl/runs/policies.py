@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from .. import algos
 from ..algos.policy import Policy, network_sizes
 from ..algos.spaces import Spaces
-from ..algos.state import require_like
 from ..envs import typed
 from . import sealed
 from .files import as_path, damage_named
@@ -108,7 +107,6 @@ def read_run(path: Path, env: str = "", trust: bool = False) -> Trained:
     with damage_named(file):
         spaces, state = Spaces.from_json(data["spaces"]), data["ranks"][0]
         policy = _policy(file, saved.run.algo, saved.learner, spaces, state)
-        require_like(state["env_steps"], 0, "env_steps")
     run = dataclasses.replace(saved.run, workers=1, device="cpu", matmul="float32")
     scene = saved.scene and dataclasses.replace(saved.scene, hold_verdict="full")
     config = dataclasses.replace(saved, run=run, scene=scene)

@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from grasp_records import ASKED, synthetic
 from study_records import make_study
 
@@ -23,7 +22,6 @@ import tactilerl
 from tactilerl.commands.cli import main
 from tactilerl.envs import hands
 from tactilerl.probe import files as grasps
-from tactilerl.runs import sealed
 from tactilerl.study import engine, records
 
 FEW = 12  # times as many cases are tried with `-m slow`
@@ -198,21 +196,6 @@ def test_flipped_bits(run, tried, cases):
         assert tried(args, f"bit {at}") == 2
     path.write_bytes(good)
     assert tried(["evaluate", "run", "--episodes", "1"], "the good one") == 0
-
-
-def test_checkpoints(run, tried, cases):
-    """With a checksum that fits: what is not of the learner's kind is found all the same."""
-    rng, path = random.Random(5), run / "checkpoint.pt"
-    good = path.read_bytes()
-    values = [*VALUES, torch.zeros(3), torch.zeros(0), torch.zeros(2, 2, dtype=torch.int64)]
-    sealed.write(path, torch.load(path, weights_only=True))
-    assert tried(["evaluate", "run", "--episodes", "1"], "the same, sealed again") == 0
-    for _ in cases(150):
-        path.write_bytes(good)
-        content = torch.load(path, weights_only=True)
-        replace_leaf(content, rng.choice(values), rng)
-        sealed.write(path, content)
-        tried(["evaluate", "run", "--episodes", "1"], "checkpoint")
 
 
 def test_studies(here, tried, cases, monkeypatch):

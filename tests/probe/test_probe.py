@@ -21,7 +21,7 @@ from tactilerl.envs import hands, layouts, scripted, vector
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.observations import TaxelFaults
 from tactilerl.envs.touch import SkinTouch
-from tactilerl.errors import InputError
+from tactilerl.errors import BUSY, InputError
 from tactilerl.pictures import places
 from tactilerl.probe import analysis, estimators, figures, files, metrics, selection
 from tactilerl.probe.grasps import (
@@ -462,8 +462,8 @@ class TestPlayed:
         assert "friction" in capfd.readouterr().err
 
 
-def error(capsys, *args):
-    return fails_with(capsys, ["probe", *args])
+def error(capsys, *args, code=2):
+    return fails_with(capsys, ["probe", *args], code=code)
 
 
 class TestFolder:
@@ -471,10 +471,10 @@ class TestFolder:
         """Two at once both ended well, and one's grasps were gone."""
         out = one_taxel.parent
         with locked(out):
-            said = error(capsys, "--out", str(out), "--seed", "1", "--grasps", "3")
+            said = error(capsys, "--out", str(out), "--seed", "1", "--grasps", "3", code=BUSY)
             assert f"process {os.getpid()} on " in said
             assert "is writing to this folder" in said
-            assert "is writing" in error(capsys, "--from", str(one_taxel))
+            assert "is writing" in error(capsys, "--from", str(one_taxel), code=BUSY)
 
     def test_a_policy_of_a_scene_with_ranges_is_asked(self, tmp_path, capfd, in_tmp):
         scene = ["--env", "shadow", "--friction", "0.5..1.0", "--object-size", "0.04..0.05"]

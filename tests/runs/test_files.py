@@ -1,7 +1,6 @@
 """Damaged and hostile files: each is refused with one line, before any of it is used."""
 
 import gzip
-import hashlib
 import io
 import json
 import os
@@ -24,7 +23,7 @@ from one_line import fails_with
 
 from tactilerl.algos import memory
 from tactilerl.commands.cli import main
-from tactilerl.errors import InputError
+from tactilerl.errors import BUSY, InputError
 from tactilerl.runs import files, provenance, sealed
 from tactilerl.runs.cores import free_cores
 from tactilerl.runs.progress_csv import ProgressTable
@@ -65,100 +64,34 @@ def edit(path, change):
     sealed.write(path, content)
 
 
-def seal(path):
-    """Give any file a checksum that fits."""
-    content = path.read_bytes()
-    path.write_bytes(content + sealed.MARK + hashlib.sha256(content).hexdigest().encode())
-
-
 def make_special(path, kind):
     """A file that has no end, or whose other end nobody writes to."""
     path.unlink()
     os.mkfifo(path) if kind == "pipe" else path.symlink_to("/dev/zero")
 
 
-def put(*keys, value):
-    """Replace a part of the first rank's state."""
-
-    def change(content):
-        part = content["ranks"][0]
-        for key in keys[:-1]:
-            part = part[key]
-        part[keys[-1]] = value
-
-    return change
-
-
 class TestCheckpoint:
     @pytest.mark.parametrize(
         ("change", "words"),
         [
-            (put("actor", "0.weight", value=torch.zeros(1).expand(8, 2)), "0.weight"),
-            (put("actor", value={}), "actor: found a dict of 0"),
-            (put("actor", value=None), "actor: found NoneType"),
-            (put("env_steps", value=1.5), "env_steps: found float"),
-            (put("env_steps", value=True), "env_steps: found bool"),
-            (put("env_steps", value=-1), "env_steps: found a number out of range"),
-            (put("env_steps", value=2**63), "env_steps: found a number out of range"),
+            (lambda content: content["ranks"][0].pop("actor"), "state: actor: missing"),
+            (lambda content: content["ranks"][0].update(more=1), "state: more: missing, or unknown"),
             (lambda content: content.update(ranks=[]), "0 ranks"),
-            (lambda content: content.update(ranks=[3]), "state: found int"),
             (lambda content: content.update(epoch=-1), "epoch -1"),
             (lambda content: content.update(epoch="3"), "found"),
             (lambda content: content.update(experience=["../x"]), "experience"),
-            (lambda content: content.update(experience=[7]), "experience"),
-            (lambda content: content.update(config="[" * 100_000), "damaged"),
             (lambda content: content.update(config="{}"), "from another configuration"),
             (lambda content: content.update(format=2), "not a checkpoint of format"),
-            (lambda content: content.update(format=torch.zeros(2)), "not a checkpoint of format"),
-            (lambda content: content.update(format=True), "not a checkpoint of format"),
         ],
     )
     def test_another_kind_of_content_is_refused(self, ppo, capsys, change, words):
-        edit(CHECKPOINT, change)
-        before = TABLE.read_bytes()
-        fails_with(capsys, RESUME, "checkpoint.pt", words)
-        fails_with(capsys, ["evaluate", "run"], "checkpoint.pt", words)
-        assert TABLE.read_bytes() == before
-
-    @pytest.mark.parametrize(
-        ("change", "words"),
-        [
-            (put("actor_adam", "exp_avg", value=torch.zeros(3)), "exp_avg: found float32 (3,)"),
-            (put("actor_adam", "lr", value=1.0), "actor_adam: found a dict of 4"),
-            (put("critic_adam", "exp_avg_sq", value=[1.0]), "exp_avg_sq: found a list of 1"),
-            (put("actor_adam", "steps", value=torch.zeros(1).double()), "steps: found float64"),
-            (put("more", value=1), "state: found a dict"),
-        ],
-    )
-    def test_another_kind_of_what_only_learning_needs_is_refused(self, ppo, capsys, change, words):
+        """As another version may have written it."""
         edit(CHECKPOINT, change)
         before = TABLE.read_bytes()
         fails_with(capsys, RESUME, "checkpoint.pt", words)
         assert TABLE.read_bytes() == before
 
-    @pytest.mark.parametrize(
-        ("name", "value"),
-        [
-            ("slots", torch.tensor([10**6, 1])),
-            ("slots", torch.tensor([-1, 1])),
-            ("slots", torch.zeros(0, dtype=torch.int64)),
-            ("slots", 3),
-            ("lengths", torch.tensor([25, 26])),
-            ("lengths", torch.tensor([0, 25])),
-            ("action", torch.zeros(52, 5)),
-            ("obs", torch.zeros(52, 2).double()),
-            ("terminal", torch.zeros(51, 1, dtype=torch.uint8)),
-            ("obs", torch.full((52, 2), torch.inf)),
-            ("achieved", torch.full((52, 2), torch.nan)),
-        ],
-    )
-    def test_another_kind_of_experience_is_refused(self, her, capsys, name, value):
-        edit(PART, lambda content: content["experience"].update({name: value}))
-        fails_with(capsys, RESUME, PART.name, "experience")
-
-    @pytest.mark.parametrize(
-        ("name", "value"), [("epoch", 2), ("rank", 1), ("config", "{}"), ("epoch", torch.zeros(2))]
-    )
+    @pytest.mark.parametrize(("name", "value"), [("epoch", 2), ("rank", 1), ("config", "{}")])
     def test_experience_of_something_else_is_refused(self, her, capsys, name, value):
         edit(PART, lambda content: content.update({name: value}))
         fails_with(capsys, [*RESUME, "--total-timesteps", "200"], PART.name, "damaged")
@@ -182,10 +115,6 @@ class TestCheckpoint:
         )
         fails_with(capsys, ["evaluate", "run"], "hidden: found (100000,), more than the file holds")
 
-    def test_step_sizes_come_from_the_configuration(self, ppo):
-        state = torch.load(CHECKPOINT, weights_only=True)["ranks"][0]
-        assert set(state["actor_adam"]) == {"steps", "exp_avg", "exp_avg_sq"}
-
     def test_every_flipped_bit_is_found(self, her):
         rng = random.Random(0)
         for path in (CHECKPOINT, PART):
@@ -199,47 +128,32 @@ class TestCheckpoint:
             path.write_bytes(good)
             sealed.read(path)
 
-    def test_file_of_an_earlier_version(self, ppo, capsys):
-        torch.save(torch.load(CHECKPOINT, weights_only=True), CHECKPOINT)
-        fails_with(capsys, RESUME, "checkpoint.pt", "no checksum", "before 0.2")
-
-    def test_bombs(self, ppo, capsys):
+    @pytest.mark.parametrize(
+        ("pickled", "how", "words"),
+        [
+            (pickle.dumps({"format": 3}, 2)[:-1] + b"0" * 10**6, zipfile.ZIP_DEFLATED, "unpacks to"),
+            (b"\x80\x02" + b"]" * 10**6 + b"a" * (10**6 - 1) + b".", 0, "not a checkpoint"),
+            (b"\x80\x02c__builtin__\nbytearray\nJ\xff\xff\xff\x7f\x85R.", 0, "bytearray"),
+            (b"\x80\x02cos\nsystem\nU\x0ctouch hackedq\x85R.", 0, "damaged"),
+        ],
+        ids=["deflated", "deep", "long", "code"],
+    )
+    def test_bombs(self, ppo, capsys, pickled, how, words):
         """Files with a fitting checksum that are small and would become large, or run code."""
-        good, deep = Path("good.pt"), b"\x80\x02" + b"]" * 10**6 + b"a" * (10**6 - 1) + b"."
-        torch.save({"format": 3, "x": torch.zeros(1000)}, good)
-        zeros = pickle.dumps({"format": 3}, 2)[:-1] + b"0" * 30_000_000
-        evil = {
-            "deflated": (zeros, zipfile.ZIP_DEFLATED, "compressed"),
-            "deep": (deep, zipfile.ZIP_STORED, "not a checkpoint"),
-            "long": (zeros, zipfile.ZIP_STORED, "bytes of plain values"),
-            "bytes": (b"\x80\x02c__builtin__\nbytearray\nJ\xff\xff\xff\x7f\x85R.", 0, "bytearray"),
-            "code": (b"\x80\x02cos\nsystem\nU\x0ctouch hackedq\x85R.", 0, "os system"),
-        }
-        for content, how, words in evil.values():
-            with zipfile.ZipFile(good) as old, zipfile.ZipFile(CHECKPOINT, "w", how) as new:
-                for name in old.namelist():
-                    new.writestr(name, content if name.endswith("data.pkl") else old.read(name))
-            seal(CHECKPOINT)
-            fails_with(capsys, RESUME, "checkpoint.pt", words)
+        torch.save({"format": 3, "x": torch.zeros(1000)}, "good.pt")
+        with (
+            zipfile.ZipFile("good.pt") as old,
+            sealed.writing(CHECKPOINT) as file,
+            zipfile.ZipFile(file, "w", how) as new,
+        ):
+            for name in old.namelist():
+                new.writestr(name, pickled if name.endswith("data.pkl") else old.read(name))
+        fails_with(capsys, RESUME, "checkpoint.pt", words)
         assert not Path("hacked").exists()
 
-    def test_tensor_that_claims_more_than_its_file_holds(self, ppo, capsys):
-        """`weights_only` alone would read the memory behind it."""
-        torch.save({"x": torch.zeros(1000)}, CHECKPOINT)
-        content = CHECKPOINT.read_bytes()
-        size = (1000).to_bytes(2, "little")
-        assert content.count(b"M" + size) >= 2  # of the storage, and of the shape
-        CHECKPOINT.write_bytes(content.replace(b"M" + size, b"M" + (60_000).to_bytes(2, "little")))
-        with zipfile.ZipFile(CHECKPOINT) as old, zipfile.ZipFile("new", "w") as new:
-            for entry in old.infolist():
-                entry_bytes = content[entry.header_offset :]
-                start = 30 + int.from_bytes(entry_bytes[26:28], "little")
-                start += int.from_bytes(entry_bytes[28:30], "little")
-                patched = CHECKPOINT.read_bytes()[entry.header_offset + start :][: entry.file_size]
-                new.writestr(entry.filename, patched)
-        shutil.move("new", CHECKPOINT)
-        seal(CHECKPOINT)
-        fails_with(capsys, RESUME, "checkpoint.pt", "damaged")
+    def test_a_file_without_its_checksum(self, ppo, capsys):
+        torch.save(torch.load(CHECKPOINT, weights_only=True), CHECKPOINT)
+        fails_with(capsys, RESUME, "checkpoint.pt", "no checksum", "before 0.2")
 
     def test_missing_checkpoint_of_a_run_with_progress(self, ppo, her_copy, capsys):
         for run in ("run", "her"):
@@ -367,7 +281,7 @@ class TestReading:
         with pytest.raises(ValueError, match="unpacks to more than"):
             files.unzip(path)
 
-    def test_arrays_that_are_larger_than_their_file_says(self, tmp_path):
+    def test_arrays_that_unpack_to_much_more(self, tmp_path):
         path = tmp_path / "x.npz"
         np.savez_compressed(path, a=np.arange(6).reshape(2, 3), b=np.array("text"))
         read = files.read_arrays(path)
@@ -375,14 +289,6 @@ class TestReading:
         np.savez_compressed(path, a=np.zeros(10_000_000))
         with pytest.raises(ValueError, match="unpacks to more than"):
             files.read_arrays(path)
-        for shape in ((10**12,), (2**40, 2**40), (-5,), (1,)):
-            header = io.BytesIO()
-            about = {"descr": "<f8", "fortran_order": False, "shape": shape}
-            np.lib.format.write_array_header_1_0(header, about)
-            with zipfile.ZipFile(path, "w") as archive:
-                archive.writestr("a.npy", header.getvalue())
-            with pytest.raises(ValueError, match="not as large as it says"):
-                files.read_arrays(path)
 
     @pytest.mark.parametrize(
         "name", ["../x", "a/b", "", ".x", "x\n", 3, None, ["x"], "é" * 200, '"><img src=x>', "$x^$"]
@@ -400,8 +306,10 @@ class TestLock:
         first.stdout.readline()
         more = [*RESUME, "--total-timesteps", "240"]
         before = TABLE.read_bytes()
-        fails_with(capsys, more, f"process {first.pid} on ", "is writing to this folder")
-        fails_with(capsys, more, f"process {first.pid} on ")  # which has not changed the name
+        fails_with(capsys, more, f"process {first.pid} on ", "is writing to this folder", code=BUSY)
+        fails_with(
+            capsys, more, f"process {first.pid} on ", code=BUSY
+        )  # which has not changed the name
         assert TABLE.read_bytes() == before
         first.send_signal(signal.SIGKILL)
         first.communicate()

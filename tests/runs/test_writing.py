@@ -14,7 +14,6 @@ from study_records import make_study
 
 import tactilerl
 from tactilerl.commands.cli import main
-from tactilerl.errors import BUSY
 from tactilerl.pictures.hand_map import save_picture
 from tactilerl.runs import files, sweep
 
@@ -135,9 +134,3 @@ def test_no_link_leads_out_of_a_folder(folder, capsys):
     Path(folder).symlink_to(Path("theirs").resolve())
     fails_with(capsys, ["study", "report", "study", "--out", "report"], folder, "link")
     assert not [*Path("theirs").iterdir()]
-
-
-def test_another_process_is_an_exit_code_of_its_own(capsys):
-    with files.locked(Path("run")):
-        code = main([*TRAIN, "--total-timesteps", "120", "--out", "run"])
-    assert code == BUSY != 2
