@@ -1,8 +1,8 @@
-"""What the policy is told: terms, sight of the object, joint angles, taxels with their faults, history.
+"""What the policy observes: terms, sight, joint angles, taxels with their faults, history.
 
 One small object a concern. Each is a `Stage` that a reading passes on its way: it is begun with every
 episode and a generator of its own, so that what one draws moves nothing that another draws. Goals
-and rewards never pass here: they keep the truth.
+and rewards never pass here: they keep the state.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from .choices import require_one_of
 from .hands import SLIDES, Hand
 from .state import KINDS, Array, Shape, State
-from .typed import Share, allow_only_with
+from .typed import Fraction, allow_only_with
 
 Metres = Annotated[float, "[0, 1]"]
 Radians = Annotated[float, "[0, 3.142]"]
@@ -31,14 +31,14 @@ SIGHT_NOISE = (0.01, 0.1)  # m and rad, where noise is asked for without saying 
 class TaxelFaults:
     """Broken taxels and false readings. None, by default."""
 
-    taxel_false_on: Share = 0.0
+    taxel_false_on: Fraction = 0.0
     """Probability per step that a taxel that is off reads on."""
-    taxel_false_off: Share = 0.0
+    taxel_false_off: Fraction = 0.0
     """Probability per step that a taxel that is on reads off."""
-    taxel_dead: Share = 0.0
-    """Share of taxels that never fire; --hand-seed decides which."""
-    taxel_stuck: Share = 0.0
-    """Share of taxels that always fire; --hand-seed decides which."""
+    taxel_dead: Fraction = 0.0
+    """Fraction of taxels that never fire; --hand-seed decides which."""
+    taxel_stuck: Fraction = 0.0
+    """Fraction of taxels that always fire; --hand-seed decides which."""
 
 
 @dataclass(frozen=True)
@@ -110,15 +110,15 @@ class Term(NamedTuple):
 
     what: str
     """All entries are."""
-    each: Callable[[Hand], Sequence[str]]
+    entries: Callable[[Hand], Sequence[str]]
     """Which of that each one is."""
     read: Callable[[Hand, State], Array]
-    """(n,) from what the policy may know."""
+    """(n,) from what is sensed."""
 
 
 def term_names(terms: Sequence[str], hand: Hand) -> list[str]:
     """What each entry of some terms is."""
-    return [f"{TERMS[term].what} {each}" for term in terms for each in TERMS[term].each(hand)]
+    return [f"{TERMS[term].what} {entry}" for term in terms for entry in TERMS[term].entries(hand)]
 
 
 def _of_first_joints(hand: Hand, state: State) -> Array:
@@ -144,8 +144,8 @@ TERMS = {
     "object_orientation": Term(
         "object quaternion", lambda _: "wxyz", lambda _, state: _upper(state.object_orientation)
     ),
-    "asked": Term(
-        "asked for:", attrgetter("action_names"), lambda h, state: h.action_map.asked(state.targets)
+    "targets": Term(
+        "asked for:", attrgetter("action_names"), lambda h, state: h.action_map.commands(state.targets)
     ),
 }
 PRIVILEGED = ("joint_positions", "joint_velocities", "object_position", "object_orientation")
@@ -325,7 +325,7 @@ class Observer:
         shape of the scene's first object."""
         for term in hand.observation:
             require_one_of(TERMS, term, f"hand {hand.name}: observation")
-        self.hand, self._terms = hand, [*hand.observation, *["asked"] * config.observe_targets]
+        self.hand, self._terms = hand, [*hand.observation, *["targets"] * config.observe_targets]
         self._sight = Sight(config, first)
         is_slide = np.isin(hand.joints, SLIDES)
         white = np.where(is_slide, config.slide_noise, config.joint_noise)
@@ -339,7 +339,7 @@ class Observer:
         ages = ["", *(f" (t-{age})" for age in range(1, config.history))]
         names = [f"{name}{age}" for part in now for age in ages for name in part]
         self.space = NamedBox(names, len(ages) * len(taxel_names), is_boolean)
-        terms = [term for term in self._terms for _ in TERMS[term].each(hand)]
+        terms = [term for term in self._terms for _ in TERMS[term].entries(hand)]
         taxels = np.repeat(["taxels"] + [""] * (len(ages) - 1), len(taxel_names))
         self._term_of_entry = np.array([*terms, *[""] * (len(ages) - 1) * len(terms), *taxels])
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,31 +20,31 @@ LIFT_HEIGHT = 0.15  # m
 FALLEN = 0.1  # m below where it was at the beginning of the hold
 
 
-@dataclass(frozen=True)
-class Start:
-    """A perturbed start of a scripted grasp."""
+class Offsets(NamedTuple):
+    """How far a scripted grasp starts from where it was found."""
 
-    object_offset: Array
-    """(2,) m"""
-    yaw: float
-    joint_offsets: Array
+    place: Array | float = 0.0
+    """Of the object along x and y, (2,) m."""
+    yaw: float = 0.0
+    """Of the object, rad."""
+    joints: Array | float = 0.0
     """(n_joints,) rad; the slides' are zero."""
 
 
-def perturbed_start(rng: np.random.Generator, n_joints: int) -> Start:
-    """A start as the environment's jitter would make it, but for the joints' ranges."""
+def perturbed_start(rng: np.random.Generator, n_joints: int) -> Offsets:
+    """As the environment's jitter would make them, but for the joints' ranges."""
     joints = np.concatenate([np.zeros(3), rng.uniform(-JITTER_JOINT, JITTER_JOINT, n_joints - 3)])
-    return Start(rng.uniform(-OFFSET, OFFSET, 2), float(rng.uniform(-YAW, YAW)), joints)
+    return Offsets(rng.uniform(-OFFSET, OFFSET, 2), float(rng.uniform(-YAW, YAW)), joints)
 
 
-def perturbed_starts(env: GraspEnv, seed: int, n: int) -> Iterator[Start]:
+def perturbed_starts(env: GraspEnv, seed: int, n: int) -> Iterator[Offsets]:
     """`n` starts; each follows from `seed` and its number alone."""
     for index in range(n):
         yield perturbed_start(np.random.default_rng([seed, index]), len(env.hand.joints))
 
 
 def hold_steps(
-    env: GraspEnv, grasp: ScriptedGrasp, start: Start, seconds: float, dt: float | None = None
+    env: GraspEnv, grasp: ScriptedGrasp, start: Offsets, seconds: float, dt: float | None = None
 ) -> Iterator[bool]:
     """Perform `grasp` on the environment's simulator and yield once per control step of the
     hold: is the object still up? The environment's own episode is not involved."""
@@ -61,11 +61,11 @@ def hold_steps(
         yield bool(height > max(floor, env.shape.half_size[2] + 0.02))
 
 
-def place(env: GraspEnv, start: Start) -> None:
+def place(env: GraspEnv, start: Offsets) -> None:
     """Put hand and object of the environment's simulator there."""
-    position = np.array([*start.object_offset, env.shape.half_size[2]])
-    joints = env.hand.start_positions() + start.joint_offsets
-    env.simulator.reset(joints, position, start.yaw)
+    position = np.array([0.0, 0.0, env.shape.half_size[2]])
+    position[:2] += start.place
+    env.simulator.reset(env.hand.start_positions() + start.joints, position, start.yaw)
 
 
 def period(timestep: float) -> float:

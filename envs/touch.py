@@ -23,7 +23,7 @@ import numpy as np
 from .hands import Hand, Surface
 from .layouts import Taxels
 from .simulators import Sensor
-from .state import Array, Shape, State
+from .state import Array, State
 
 if TYPE_CHECKING:
     from .hands.skins import Geom
@@ -76,7 +76,21 @@ def sensors(taxels: Taxels) -> tuple[Sensor, ...]:
     return tuple(map(Sensor, links, taxels.positions, taxels.radii.tolist()))
 
 
-class SkinTouch:
+class Rule(Protocol):
+    """A touch rule for the taxels of one layout on one hand."""
+
+    is_boolean: bool = True
+    """Are its readings 0 or 1?"""
+    by_sensors: bool = False
+    """Does it read sensors that the simulator has where the taxels are?"""
+
+    def __init__(self, taxels: Taxels, hand: Hand) -> None: ...
+
+    def read(self, state: State) -> Array:
+        """(..., n_taxels) what the taxels feel of the object."""
+
+
+class SkinTouch(Rule):
     """Rule "skin" for the taxels of one layout on one hand. It keeps nothing of what it reads.
 
     The skin of a phalanx is a capsule around its bone, so it is within `SKIN` of the object when
@@ -86,8 +100,8 @@ class SkinTouch:
     of a taxel is the geom that is nearest to it, whose distance MuJoCo computes.
     """
 
-    def __init__(self, taxels: Taxels, surfaces: tuple[Surface, ...]) -> None:
-        self.links = taxels.links
+    def __init__(self, taxels: Taxels, hand: Hand) -> None:
+        self.links, surfaces = taxels.links, hand.surfaces
         is_shaped = any(surfaces[index].geoms for index in taxels.surfaces)
         self._shaped = _Shaped(taxels, surfaces) if is_shaped else None
         bones: list[tuple[int, Array, float]] = []  # link, points (m, 3), reach
@@ -117,13 +131,12 @@ class SkinTouch:
         self._squared_reaches = np.concatenate([taxels.radii, reaches]) ** 2
 
     def read(self, state: State) -> Array:
-        """Which taxels are on: bool (..., n)."""
         in_reach = state.shape.squared_distance(self._points.local(state)) <= self._squared_reaches
         n = len(self._bone)
         touches = np.logical_or.reduceat(in_reach[..., n:], self._first, axis=-1)
         is_on = in_reach[..., :n] & touches[..., self._bone]
         if self._shaped is not None:
-            self._shaped.correct(is_on, state.shape, state, *state.poses(self.links))
+            self._shaped.correct(is_on, state, *state.poses(self.links))
         return is_on
 
 
@@ -150,17 +163,16 @@ class _Shaped:
         self._links = {geom: int(taxels.link_index[some[0]]) for geom, some in carried.items()}
         self._taxels = {geom: np.array(some) for geom, some in carried.items()}
 
-    def correct(
-        self, is_on: Array, shape: Shape, state: State, positions: Array, rotations: Array
-    ) -> None:
+    def correct(self, is_on: Array, state: State, positions: Array, rotations: Array) -> None:
         """Turn off in `is_on` (..., n) what is on links that do not touch."""
         for geom, taxels in self._taxels.items():
             link = self._links[geom]
             for at in np.argwhere(is_on[..., taxels].any(axis=-1)):
                 where = tuple(at)
                 pose = positions[(*where, link)], rotations[(*where, link)]
-                thing = state.object_position[where], state.object_rotation[where]
-                if not self._geoms.within(geom, *pose, shape.kind, shape.half_size, *thing, SKIN):
+                place = state.object_position[where], state.object_rotation[where]
+                thing = state.shape.kind, state.shape.half_size, *place
+                if not self._geoms.within(geom, *pose, *thing, SKIN):
                     is_on[(*where, taxels)] = False
 
 
@@ -184,30 +196,6 @@ def _cap(position: Array, radius: float, normal: Array) -> tuple[Array, float]:
     return (position - (sphere - SKIN) * normal)[None], sphere
 
 
-class Rule(Protocol):
-    """A touch rule for the taxels of one layout on one hand."""
-
-    is_boolean: bool = True
-    """Are its readings 0 or 1?"""
-    by_sensors: bool = False
-    """Does it read sensors that the simulator has where the taxels are?"""
-
-    def __init__(self, taxels: Taxels, hand: Hand) -> None: ...
-
-    def read(self, state: State) -> Array:
-        """(n_taxels,) what the taxels feel of the object."""
-
-
-class SkinRule(Rule):
-    """Rule "skin": Boolean, by geometry."""
-
-    def __init__(self, taxels: Taxels, hand: Hand) -> None:
-        self._skin = SkinTouch(taxels, hand.surfaces)
-
-    def read(self, state: State) -> Array:
-        return self._skin.read(state)
-
-
 class ContactRule(Rule):
     """Rule "contact": Boolean, by what the simulator calls a contact."""
 
@@ -220,7 +208,7 @@ class ContactRule(Rule):
         return state.sensors
 
 
-class ForceRule(SkinRule):
+class ForceRule(SkinTouch):
     """Rule "force": normal force in N. A contact's force goes to the taxels of its link that are on
     by rule "skin", in the proportion 1 / (d² + r²), d being a taxel's distance from the contact and r
     its radius; where none is on, it is felt by none."""
@@ -229,17 +217,17 @@ class ForceRule(SkinRule):
 
     def __init__(self, taxels: Taxels, hand: Hand) -> None:
         super().__init__(taxels, hand)
-        self._taxels, self._points = taxels, taxel_points(taxels)
+        self._taxels, self._centres = taxels, taxel_points(taxels)
 
     def read(self, state: State) -> Array:
         taxels, contacts = self._taxels, state.contacts
-        is_on = self._skin.read(state)
+        is_on = super().read(state)
         index = {name: number for number, name in enumerate(taxels.links)}
         link = np.array([index.get(state.links[link], -1) for link in contacts.links], int)
         felt = link >= 0
         if not (is_on.any() and felt.any()):
             return np.zeros(len(taxels))
-        offsets = self._points.world(state)[:, None] - contacts.points[felt]
+        offsets = self._centres.world(state)[:, None] - contacts.points[felt]
         weights = is_on[:, None] / (np.square(offsets).sum(axis=-1) + taxels.radii[:, None] ** 2)
         weights *= taxels.link_index[:, None] == link[felt]
         total = weights.sum(axis=0)
@@ -248,4 +236,4 @@ class ForceRule(SkinRule):
         )
 
 
-RULES: dict[str, type[Rule]] = {"skin": SkinRule, "contact": ContactRule, "force": ForceRule}
+RULES: dict[str, type[Rule]] = {"skin": SkinTouch, "contact": ContactRule, "force": ForceRule}

@@ -14,7 +14,7 @@ import numpy as np
 from typeguard import CollectionCheckStrategy, TypeCheckError, check_type
 
 T = TypeVar("T")
-Share = Annotated[float, "[0, 1]"]
+Fraction = Annotated[float, "[0, 1]"]
 WORDS = {int: "a whole number", float: "a number", str: "a string", bool: "True or False"}
 LARGEST = 2**63  # whole numbers stay below, so that they have a place in an array
 

@@ -97,7 +97,7 @@ class ScriptedPolicy:
         if isinstance(does, LinearAction):
             return (target - does.centre) / does.half_range
         step = [*does.slide_step, *[does.closing_step] * len(does.groups)]
-        return (does.asked(target) - does.asked(self.env.state.targets)) / step
+        return (does.commands(target) - does.commands(self.env.state.targets)) / step
 
 
 def trained(run: Path) -> Source:

@@ -63,7 +63,7 @@ def steps() -> dict[str, Any]:
 def measure(env: GraspEnv) -> dict[str, float]:
     """Medians over control steps of a held grasp."""
     grasp = scripted.grasp_for(env)
-    start = scripted.Start(np.zeros(2), 0.0, np.zeros(len(env.hand.joints)))
+    start = scripted.Offsets()
     *_, targets = scripted.ramps(env, grasp, scripted.period(env.config.timestep))
     on = sum(1 for _ in scripted.hold_steps(env, grasp, start, 0.2))
     assert on

@@ -43,7 +43,7 @@ class Overlap:
         return state.shape.squared_distance(self.points.local(state)) <= self.squared_radii
 
 
-def phases(env: GraspEnv, start: scripted.Start) -> Any:
+def phases(env: GraspEnv, start: scripted.Offsets) -> Any:
     """Perform a grasp; the name of its phase after each step."""
     dt = scripted.period(env.config.timestep)
     n = [round(seconds / dt) for seconds in (scripted.APPROACH, scripted.CLOSE, scripted.LIFT, HOLD)]
@@ -81,7 +81,7 @@ def examine(hand: str, simulator: str, grasps: int) -> dict[str, Any]:
         taxels = {name: layouts.load(name).place(env.hand) for name in layouts.PAPER}
         for name, placed in taxels.items():
             rules[name, "overlap"] = Overlap(placed)
-            rules[name, "skin"] = touch.SkinTouch(placed, env.hand.surfaces)
+            rules[name, "skin"] = touch.SkinTouch(placed, env.hand)
         counts = {key: {phase: np.zeros(3, int) for phase in PHASES} for key in rules}
         for start in scripted.perturbed_starts(env, SEED, grasps):
             for phase in phases(env, start):

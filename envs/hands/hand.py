@@ -137,7 +137,7 @@ class LinearAction:
         """New joint targets, shape (n_actuators,), from an action in [-1, 1] of the same shape."""
         return self.centre + action * self.half_range
 
-    def asked(self, joint_targets: Array) -> Array:
+    def commands(self, joint_targets: Array) -> Array:
         """What each action has asked for last: the targets themselves."""
         return joint_targets
 
@@ -176,7 +176,7 @@ class ClosingAction:
         targets[members] = self.open[members] + closing[group] * (self.closed - self.open)[members]
         return targets
 
-    def asked(self, joint_targets: Array) -> Array:
+    def commands(self, joint_targets: Array) -> Array:
         """What each action has asked for last: the slides' targets, m, and how far each group is to be
         closed."""
         return np.concatenate([joint_targets[: len(self.slide_step)], self._closing(joint_targets)])

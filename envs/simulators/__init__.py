@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
@@ -93,12 +94,18 @@ class Scene:
         root.pos = root.pos + np.array([0.0, 0.0, self.rise])
         return spec
 
-    def with_points(self, state: State) -> State:
-        """A state with where the palm point and the fingertips are, which follows from its links."""
+    @cached_property
+    def _points(self) -> tuple[tuple[str, ...], Array]:
+        """Palm point and fingertips: links, and points (1 + n_digits, 3, 1) in their frames."""
         palm = self.hand.palm, self.hand.palm_point
         links, points = zip(palm, *self.hand.fingertips, strict=True)
+        return links, np.array(points)[:, :, None]
+
+    def with_points(self, state: State) -> State:
+        """A state with where the palm point and the fingertips are, which follows from its links."""
+        links, points = self._points
         positions, rotations = state.poses(links)
-        found = positions + np.matmul(rotations, np.array(points)[:, :, None])[:, :, 0]
+        found = positions + np.matmul(rotations, points)[:, :, 0]
         return replace(state, palm=found[0], fingertips=found[1:])
 
 

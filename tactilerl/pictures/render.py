@@ -46,7 +46,7 @@ def picture(
     with closing(GraspEnv(env_name, config, render_mode="rgb_array")) as env:
         env.reset(seed=0)
         if pose == "grasp":
-            start = scripted.Start(np.zeros(2), 0.0, np.zeros(len(env.hand.joints)))
+            start = scripted.Offsets()
             for _ in scripted.hold_steps(env, grasp or scripted.grasp_for(env), start, seconds=0.5):
                 pass
         with replacing(out, is_picture) as file:

@@ -83,7 +83,7 @@ def agreement(a: list[Felt], b: list[Felt]) -> float | None:
     return both / either if either else None
 
 
-def _felt(env: GraspEnv, grasp: ScriptedGrasp, start: scripted.Start, seconds: float) -> Felt:
+def _felt(env: GraspEnv, grasp: ScriptedGrasp, start: scripted.Offsets, seconds: float) -> Felt:
     """At each control step of one hold."""
     felt = []
     try:

@@ -96,17 +96,17 @@ class ScriptedGrasps:
         except SimulationError:
             return broken(scene)
 
-    def _start(self, env: GraspEnv, rng: np.random.Generator) -> scripted.Start:
+    def _start(self, env: GraspEnv, rng: np.random.Generator) -> scripted.Offsets:
         drawn, at_rest = self.perturbation, env.hand.start_positions()
         offset = rng.uniform(-drawn.offset, drawn.offset, 2)
         yaw = float(rng.uniform(-drawn.yaw, drawn.yaw))
         joints = at_rest.copy()
         joints[3:] += rng.uniform(-drawn.joint_jitter, drawn.joint_jitter, len(joints) - 3)
         joints = np.clip(joints, *env.simulator.joint_limits.T)
-        return scripted.Start(offset, yaw, joints - at_rest)
+        return scripted.Offsets(offset, yaw, joints - at_rest)
 
     def _play(
-        self, env: GraspEnv, start: scripted.Start, closing: float, is_wanted: IsWanted
+        self, env: GraspEnv, start: scripted.Offsets, closing: float, is_wanted: IsWanted
     ) -> Measured:
         """Approach, close, take the record, lift, hold."""
         dt = scripted.period(env.config.timestep)

@@ -63,7 +63,7 @@ class GraspFlags:
     closing: tuple[float, float] | None = None
     """How far the fingers close, from and to; 1: fully, as in the scripted grasp. Default: a range
     in which 30 to 70 % of the grasps hold (mpl 0.8 1.1, others 0.5 0.9)."""
-    joint_jitter: typed.Share = 0.1
+    joint_jitter: typed.Fraction = 0.1
     """Largest random offset of a finger joint at the start, rad."""
     hold_verdict: Verdict = "settled"
     """full: is the object up 2 s after the lift?; settled: the same, but PyBullet stops early when

@@ -87,7 +87,7 @@ class Grasps:
 
     def feel(self, taxels: Taxels) -> Array:
         """Readings bool (n, taxels) by the rule "skin"."""
-        touch = SkinTouch(taxels, self.hand.surfaces)
+        touch = SkinTouch(taxels, self.hand)
         readings = np.zeros((len(self), len(taxels)), bool)
         names, which = self.objects()
         for index in range(len(names)):

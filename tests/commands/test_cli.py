@@ -772,7 +772,7 @@ class TestOtherCommands:
     def test_a_film_shows_the_hold_test(self):
         """Picture by picture, as the hand rises; nothing of it is drawn here."""
         env = tactilerl.make("shadow", layout="6", hold_seconds=0.4)
-        start = scripted.Start(np.zeros(2), 0.0, np.zeros(len(env.hand.joints)))
+        start = scripted.Offsets()
         for _ in scripted.hold_steps(env, scripted.grasp_for(env), start, 0.5):
             pass
         heights, began = [], env.simulator.data.time

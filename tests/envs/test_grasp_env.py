@@ -451,7 +451,7 @@ class TestHoldTest:
         from tactilerl.envs import scripted
 
         grasp = scripted.grasp_for(env)
-        start = scripted.Start(np.zeros(2), 0.0, np.zeros(len(env.hand.joints)))
+        start = scripted.Offsets()
         for _ in scripted.hold_steps(env, grasp, start, 0.5):
             pass
         *_, targets = scripted.ramps(env, grasp, scripted.period(env.config.timestep))

@@ -209,7 +209,7 @@ class TestTouch:
         """Of boxes and hulls: on while a cube is nearer than SKIN, off beyond, by points of a hull."""
         hand = hands.get(GRIPPER)
         taxels = layouts.load("5").place(hand)
-        rule, shape = SkinTouch(taxels, hand.surfaces), objects.make("box", (0.04,))
+        rule, shape = SkinTouch(taxels, hand), objects.make("box", (0.04,))
         rng = np.random.default_rng(0)
         for index in range(len(taxels)):
             link = taxels.link_index[index]
@@ -226,7 +226,7 @@ class TestTouch:
     def test_many_readings_at_once_are_those_one_by_one(self):
         hand = hands.get(GRIPPER)
         taxels = layouts.load("1").place(hand)
-        rule, shape = SkinTouch(taxels, hand.surfaces), objects.make("box", (0.05,))
+        rule, shape = SkinTouch(taxels, hand), objects.make("box", (0.05,))
         rng, k = np.random.default_rng(1), len(taxels.links)
         positions = 0.02 * rng.normal(size=(20, k, 3))
         rotations = Rotation.random(20 * k, rng=rng).as_matrix().reshape(20, k, 3, 3)

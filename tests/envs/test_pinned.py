@@ -89,7 +89,7 @@ def test_a_hold_test_is_what_it_was(hand, verdict):
         pytest.skip(f"pinned with mujoco {VERSIONS['mujoco']}")
     env = envs.make(hand, simulator="mujoco", layout="1", hold_seconds=1.3, hold_verdict=verdict)
     grasp = scripted.grasp_for(env)
-    start = scripted.Start(np.zeros(2), 0.0, np.zeros(len(env.hand.joints)))
+    start = scripted.Offsets()
     for _ in scripted.hold_steps(env, grasp, start, 0.2):
         pass
     assert env.task.hold.run(env.simulator, env.simulator.state())

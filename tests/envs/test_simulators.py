@@ -193,7 +193,7 @@ class TestPhysics:
     def test_a_cylinder_can_be_grasped(self, simulator):
         choices = dict(object="cylinder", object_size=(0.045, 0.05))
         env = GraspEnv("mpl", setup("mpl", simulator=simulator, layout="1", **choices))
-        start = scripted.Start(np.zeros(2), 0.0, np.zeros(len(env.hand.joints)))
+        start = scripted.Offsets()
         assert list(scripted.hold_steps(env, scripted.grasp_for(env), start, 1.0))[-1]
         assert env.taxel_readings().any()
         env.close()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactilerl import envs
-from tactilerl.envs import hands, tasks
+from tactilerl.envs import hands, scripted, tasks
 
 BOTH = [("shadow", "mujoco"), ("mpl", "pybullet")]
 
@@ -74,7 +74,7 @@ class InHand(tasks.ReachGoal):
 
     rise: ClassVar[float] = 0.3
 
-    def start(self, usual, palm, shape):
+    def start(self, usual, palm, shape, rng):
         hand = hands.get("shadow")
         closed = [hand.closed.get(name, 0.0) for name in hand.actuators]
         pose = dict(zip(hand.actuated, closed, strict=True))
@@ -92,3 +92,27 @@ def test_a_task_of_ones_own_decides_how_an_episode_begins(monkeypatch):
     np.testing.assert_allclose(in_hand, [0.0, -0.05, -0.04], atol=1e-12)
     assert env.simulator.state().object_position[2] > 0.2
     np.testing.assert_array_equal(env.state.targets, [hand.closed.get(n, 0.0) for n in hand.actuators])
+
+
+class Egg(tasks.ReachGoal):
+    """An episode ends when the object is pressed with more than 1 N."""
+
+    def after_step(self, simulator, state, is_last):
+        achieved, _ = super().after_step(simulator, state, is_last)
+        return achieved, bool(state.contacts.forces.sum() > 1.0)
+
+
+@pytest.mark.parametrize(("hand", "simulator"), BOTH)
+def test_a_task_of_ones_own_may_judge_how_hard_the_hand_presses(hand, simulator, monkeypatch):
+    monkeypatch.setitem(tasks.TASKS, "egg", Egg)
+    env = envs.make(hand, simulator=simulator, task="egg", jitter=False, max_episode_steps=60)
+    env.reset(seed=0)
+    pressed, broke = [], False
+    for targets in scripted.ramps(env, scripted.grasp_for(env), env.config.control_dt):
+        if not broke:
+            _, _, broke, _, _ = env.step_to(targets)
+            pressed.append(env.state.contacts.forces.sum())
+    assert broke
+    assert max(pressed[:-1]) <= 1.0 < pressed[-1]
+    assert {env.state.links[link] for link in env.state.contacts.links} <= {*env.state.links}
+    env.close()

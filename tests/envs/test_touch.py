@@ -1,6 +1,7 @@
 """The skin rule against distances known by construction."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -52,6 +53,11 @@ PHALANX = Surface(
 PALM = Surface("index", "palm", "b", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))
 
 
+def with_surfaces(*surfaces):
+    """All that the rule looks at of a hand."""
+    return SimpleNamespace(surfaces=surfaces)
+
+
 def taxels_on(surface, rows, radius=1.5e-3):
     """Taxels in the middle of a surface, `rows` m along."""
     return taxels_at([surface], [(0, row) for row in rows], radius)
@@ -74,7 +80,7 @@ def read(surface, rows, shape, position, rotation, radius=1.5e-3):
     turn, place = Rotation.random(rng=3).as_matrix(), np.array([0.3, 0.1, 0.2])
     taxels = taxels_on(surface, rows, radius)
     moved = turn @ np.array(position) + place, turn @ rotation
-    rule = touch.SkinTouch(taxels, (surface,))
+    rule = touch.SkinTouch(taxels, with_surfaces(surface))
     return rule.read(state(taxels, (place[None], turn[None]), shape, *moved)).tolist()
 
 
@@ -97,7 +103,7 @@ def test_a_taxel_reaches_as_far_as_its_radius_along_a_link_that_touches():
 def test_a_link_that_does_not_touch_is_silent_whatever_another_feels():
     twin = dataclasses.replace(PHALANX, link="b")
     taxels = taxels_at([PHALANX, twin], [(0, 0.0), (1, 0.0)])
-    rule = touch.SkinTouch(taxels, (PHALANX, twin))
+    rule = touch.SkinTouch(taxels, with_surfaces(PHALANX, twin))
     poses = np.array([[0.0, 0.0, 0.0], [0.0, 1e-3, 0.0]]), np.tile(np.eye(3), (2, 1, 1))
     box, place = objects.make("box", (0.04,)), [0.0, -R - 0.02, L / 2]
     assert rule.read(state(taxels, poses, box, place, np.eye(3))).tolist() == [True, False]
@@ -128,7 +134,7 @@ def test_skin_is_the_shape_that_the_simulators_collide(hand):
 @pytest.mark.parametrize("kind", objects.KINDS)
 def test_many_readings_at_once_are_those_one_by_one(kind):
     taxels = taxels_on(PHALANX, [-0.01, 0.0, 0.01])
-    rule = touch.SkinTouch(taxels, (PHALANX,))
+    rule = touch.SkinTouch(taxels, with_surfaces(PHALANX))
     turns = Rotation.random(50, rng=4).as_matrix()
     places = np.random.default_rng(5).uniform(-0.04, 0.04, (50, 3))
     poses = np.zeros((50, 1, 3)), np.tile(np.eye(3), (50, 1, 1, 1))

@@ -570,7 +570,7 @@ def test_the_settings_are_those_of_the_environments_own_touch():
     first = grasps._state(np.array([0]))
     alone = {name: getattr(first, name)[0] for name in ("object_position", "object_rotation")}
     alone |= {name: getattr(first, name)[0] for name in ("link_positions", "link_rotations")}
-    assert np.array_equal(SkinTouch(taxels, hand.surfaces).read(replace(first, **alone)), felt[0])
+    assert np.array_equal(SkinTouch(taxels, hand).read(replace(first, **alone)), felt[0])
 
 
 def test_a_map_without_taxels(tmp_path):
