@@ -171,8 +171,7 @@ class _Shaped:
                 where = tuple(at)
                 pose = positions[(*where, link)], rotations[(*where, link)]
                 place = state.object_position[where], state.object_rotation[where]
-                thing = state.shape.kind, state.shape.half_size, *place
-                if not self._geoms.within(geom, *pose, *thing, SKIN):
+                if not self._geoms.within(geom, *pose, state.shape, *place, SKIN):
                     is_on[(*where, taxels)] = False
 
 

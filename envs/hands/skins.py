@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from ..state import Array
+from ..state import Array, Shape
 
 FAR = 0.5  # m: beyond any hand
 MESH = "mesh"
@@ -137,16 +137,15 @@ class Distances:
         self._places = self._data.geom_xpos.copy(), self._data.geom_xmat.copy()
 
     def within(
-        self, geom: int, position: Array, rotation: Array, kind: str, half_size: tuple[float, ...],
-        centre: Array, turn: Array, reach: float,
+        self, geom: int, position: Array, rotation: Array, shape: Shape, centre: Array, turn: Array,
+        reach: float,
     ) -> bool:  # fmt: skip
-        """Is a geom, whose link has this pose, no further than `reach` m from an object of this kind
-        and half extents with that pose?"""
+        """Is a geom, whose link has this pose, no further than `reach` m from an object with that?"""
         model, data = self._model, self._data
-        x, _, z = half_size
-        thing = model.geom(kind).id
-        model.geom_size[thing] = (x, z, 0.0) if kind == "cylinder" else half_size
-        model.geom_rbound[thing] = float(np.linalg.norm(half_size))
+        x, _, z = shape.half_size
+        thing = model.geom(shape.kind).id
+        model.geom_size[thing] = (x, z, 0.0) if shape.kind == "cylinder" else shape.half_size
+        model.geom_rbound[thing] = float(np.linalg.norm(shape.half_size))
         data.geom_xpos[thing], data.geom_xmat[thing] = centre, turn.ravel()
         place, axes = self._places[0][geom], self._places[1][geom].reshape(3, 3)
         data.geom_xpos[geom] = position + rotation @ place
