@@ -8,7 +8,6 @@ about one mean, or each about the mean of its cell, as in `tactilerl study plan`
 
 from __future__ import annotations
 
-from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +16,12 @@ import numpy as np
 from benchmarks.command import parser, write
 from benchmarks.printing import markdown
 from tactilerl import statistics
+from tactilerl.statistics import final_rate
 from tactilerl.study import records
 from tactilerl.study.grid import SCORES, Setup
 from tactilerl.study.planning import spread
 from tactilerl.study.records import Record
-from tactilerl.study.verdicts import is_finished, scores
+from tactilerl.study.verdicts import BySeed, both_arms, in_pairs, runs_of
 
 EFFECT, POWER, ALPHA = 0.1, 0.8, 0.05
 LONG_TAIL = 0.3
@@ -30,23 +30,22 @@ Cell = tuple[np.ndarray, np.ndarray]
 """Treatment and control, both (pairs,)."""
 
 
-def reached(record: Record, measure: str) -> dict[str, float]:
-    """All scores of a run, and the mean of the last 30 %."""
-    tail = statistics.final_rate(record.curve(measure)[1][None], LONG_TAIL)[0]
-    return {**scores(record, measure), "last 30 %": float(tail)}
-
-
-def cells(setup: Setup, of_setup: list[Record], score: str) -> list[Cell]:
-    """The pairs of each cell, from finished runs."""
-    found: dict[tuple[str, str], dict[int, float]] = defaultdict(dict)
-    for r in of_setup:
-        found[r.run.cell, r.run.arm][r.run.seed] = reached(r, setup.measure)[score]
+def cells(setup: Setup, found: list[Record], score: str) -> list[Cell]:
+    """The pairs of each cell, by a score or the mean of the last 30 %."""
     paired = []
     for cell in setup.cells:
-        a, b = (found[cell, arm] for arm in setup.arms[:2])
-        seeds = sorted(a.keys() & b.keys())
-        paired.append((np.array([a[seed] for seed in seeds]), np.array([b[seed] for seed in seeds])))
+        if score in SCORES:
+            both = both_arms(found, setup, cell, score)
+        else:
+            both = [last(runs_of(found, setup, cell, arm)) for arm in setup.arms[:2]]
+        pairs = in_pairs(both, 100)
+        paired.append((pairs.treatment, pairs.control))
     return paired
+
+
+def last(runs: list[Record]) -> BySeed:
+    """The mean of each run's last 30 %."""
+    return {r.run.seed: float(final_rate(r.curve[1][None], LONG_TAIL)[0]) for r in runs}
 
 
 def row(study: str, setup: str, score: str, of_cells: list[Cell]) -> dict[str, Any]:
@@ -90,10 +89,9 @@ def main() -> None:
     for path in options.studies:
         study, found = records.load(path)
         for setup in study.setups:
-            own = [r for r in found if r.run.setup == setup.name and is_finished(r, setup.measure)]
-            if setup.compare and own:
+            if setup.compare and any(r.run.setup == setup.name and r.is_finished for r in found):
                 for score in (*SCORES, "last 30 %"):
-                    rows.append(row(study.name, setup.name, score, cells(setup, own, score)))
+                    rows.append(row(study.name, setup.name, score, cells(setup, found, score)))
     content = {"effect": EFFECT, "power": POWER, "alpha": ALPHA, "rows": rows}
     show(content)
     write(options.out, content)

@@ -32,22 +32,21 @@ def learned(*of: str) -> None:
     areas: list[verdicts.BySeed] = []
     places = RUNS[of[0], of[1]]
     is_alone = len(places) == 1  # runs of two studies were not timed on one machine
-    loaded = {title: (*study_tables.load_setup(*row[:2]), row[2:]) for title, row in places.items()}
-    common = set.intersection(*({r.run.seed for r in found} for _, found, _ in loaded.values()))
-    for title, (setup, every, place) in loaded.items():
-        found = [record for record in every if record.run.seed in common]
-        area, final, enough = (
-            verdicts.by_seed(found, setup, place[0], place[1], score)
-            for score in ("area", "final", "steps to 0.9")
-        )
-        own = (r for r in found if (r.run.setup, r.run.cell, r.run.arm) == (setup.name, *place))
-        minutes = np.median([r.seconds for r in own if r.run.seed in area]) / 60
+    loaded = {}
+    for title, (name, setup_name, cell, arm) in places.items():
+        setup, found = study_tables.load_setup(name, setup_name)
+        loaded[title] = verdicts.runs_of(found, setup, cell, arm)
+    seeds = set.intersection(*({one.run.seed for one in runs} for runs in loaded.values()))
+    groups = [[one for one in runs if one.run.seed in seeds] for runs in loaded.values()]
+    scored = [verdicts.scored(score, *groups) for score in ("area", "final", "steps to 0.9")]
+    for title, runs, area, final, enough in zip(loaded, groups, *scored, strict=True):
+        minutes = np.median([one.seconds for one in runs]) / 60
         steps = median_steps(np.array(list(enough.values())))
         row = title, len(area), mean(area.values()), mean(final.values()), steps, f"{minutes:.1f}"
         rows.append(row if is_alone else row[:-1])
         areas.append(area)
     if len(areas) == 2:
-        pairs = verdicts.in_pairs(*areas)
+        pairs = verdicts.in_pairs(areas)
         difference = estimate(pairs.difference, "+.2f")
         rows.append(("their difference, in pairs", len(pairs), difference, "", ""))
     head = "| runs | seeds | mean success over the run | over its last tenth "
@@ -61,10 +60,11 @@ def critic(name: str, setup_name: str, usual: str = "handover") -> None:
     other, sound = study_tables.load_setup(usual, usual)
     rows = []
     for arm in setup.arms:
-        pairs = verdicts.in_pairs(
-            verdicts.by_seed(found, setup, setup.cells[0], arm, "area"),
-            verdicts.by_seed(sound, other, other.cells[0], arm, "area"),
+        both = (
+            verdicts.runs_of(found, setup, setup.cells[0], arm),
+            verdicts.runs_of(sound, other, other.cells[0], arm),
         )
+        pairs = verdicts.in_pairs(verdicts.scored("area", *both))
         rows.append((style.ROLES[arm], *study_tables.compared(pairs)))
     markdown("| hand | pairs | critic sees the truth | what the policy sees | difference | p |", rows)
 

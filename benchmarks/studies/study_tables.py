@@ -83,10 +83,12 @@ def decides(name: str = "handover") -> None:
     (cell,) = main.cells
     arms = {style.ROLES[each]: (main, cell, each) for each in main.arms}
     arms[SIGHTED] = sighted, sighted.cells[0], ""
-    rows = []
-    for title, place in arms.items():
-        areas, finals = (verdicts.by_seed(found, *place, score) for score in ("area", "final"))
-        rows.append((title, len(areas), mean(areas.values()), mean(finals.values())))
+    groups = [verdicts.runs_of(found, *place) for place in arms.values()]
+    both = (verdicts.scored(score, *groups) for score in ("area", "final"))
+    rows = [
+        (title, len(area), mean(area.values()), mean(final.values()))
+        for title, area, final in zip(arms, *both, strict=True)
+    ]
     markdown("| arm | runs | mean success over the run | over its last tenth |", rows)
 
 
@@ -96,12 +98,8 @@ def worth(name: str = "handover") -> None:
     (setup, _), (cell,) = study.setups, study.setups[0].cells
     rows: list[tuple[object, ...]] = []
     for other in setup.arms[1:]:
-        pairs = {
-            score: verdicts.in_pairs(
-                *(verdicts.by_seed(found, setup, cell, each, score) for each in (setup.arms[0], other))
-            )
-            for score in ("area", "final")
-        }
+        runs = [verdicts.runs_of(found, setup, cell, arm) for arm in (setup.arms[0], other)]
+        pairs = {score: verdicts.in_pairs(verdicts.scored(score, *runs)) for score in ("area", "final")}
         title, area = f"{style.ROLES['main']} − {style.ROLES[other]}", pairs["area"]
         both = (estimate(pairs[score].difference, "+.2f") for score in ("area", "final"))
         rows.append((title, len(area), next(both), f"{area.p_value:.3f}", next(both)))
@@ -121,7 +119,7 @@ def layouts(name: str, setup_name: str = "") -> None:
     rows = []
     for cell, verdict in verdicts.judge(load(name)[0], setup, found).items():
         pairs, where = verdict.pairs, label(cell)
-        finals = verdicts.by_seed(found, setup, cell, "main", "final")
+        finals, _ = verdicts.both_arms(found, setup, cell, "final")
         means = (f"{np.mean(v):.2f}" if len(v) else "" for v in (pairs.treatment, pairs.control))
         row = [where.removeprefix("layout "), len(pairs), *means]
         row += [estimate(pairs.difference, "+.2f"), p_value(verdict), mean(finals.values())]
@@ -137,11 +135,11 @@ def over_layouts(name: str) -> None:
     rows, p_values = [], []
     for setup in study.setups:
         arms = []
-        for arm in setup.arms[:2]:
-            areas = [verdicts.by_seed(found, setup, cell, arm, "area") for cell in setup.cells]
+        cells = [verdicts.both_arms(found, setup, cell, "area") for cell in setup.cells]
+        for areas in zip(*cells, strict=True):
             whole = [seed for seed in areas[0] if all(seed in each for each in areas)]
             arms.append({seed: float(np.mean([each[seed] for each in areas])) for seed in whole})
-        pairs = verdicts.in_pairs(*arms)
+        pairs = verdicts.in_pairs(arms)
         if len(pairs):
             rows.append((SETUPS[setup.name], *compared(pairs)))
             p_values.append(pairs.p_value)
@@ -162,8 +160,11 @@ def agreement(name: str) -> None:
 def between(name: str, setup_name: str = "") -> None:
     """Layouts with touch against each other, in pairs: what the paper says of them."""
     setup, found = load_setup(name, setup_name)
-    area = {cell: verdicts.by_seed(found, setup, cell, "main", "area") for cell in setup.cells}
-    pairs = [verdicts.in_pairs(*(area[f"layout {each}"] for each in both)) for both in BETWEEN]
+    runs = {cell: verdicts.runs_of(found, setup, cell, "main") for cell in setup.cells}
+    pairs = [
+        verdicts.in_pairs(verdicts.scored("area", *(runs[f"layout {each}"] for each in both)))
+        for both in BETWEEN
+    ]
     corrected = statistics.holm([each.p_value for each in pairs])
     rows = [
         (f"{a} − {b}", what, len(each), estimate(each.difference, "+.2f"), f"{p:.3f}")
@@ -179,13 +180,13 @@ def trained_with(name: str = "faults", without: str = "handover") -> None:
     place = others.setups[0], others.setups[0].cells[0]
     rows = []
     for setup in study.setups:
-        own = verdicts.by_seed(found, setup, setup.cells[0], "", "area")
+        own = verdicts.runs_of(found, setup, setup.cells[0], "")
         pairs = [
-            verdicts.in_pairs(own, verdicts.by_seed(sound, *place, arm, "area"))
+            verdicts.in_pairs(verdicts.scored("area", own, verdicts.runs_of(sound, *place, arm)))
             for arm in ("main", "control")
         ]
         differences = (estimate(each.difference, "+.2f") for each in pairs)
-        rows.append((FAULTS[setup.name], len(pairs[0]), mean(own.values()), *differences))
+        rows.append((FAULTS[setup.name], len(pairs[0]), mean(pairs[0].treatment), *differences))
     head = "| trained with | pairs | mean success | − touch without faults | − no touch |"
     markdown(head, rows)
 
@@ -205,9 +206,7 @@ def senses(name: str = "senses") -> None:
     for setup in study.setups:
         row = [re.sub(r"noisy_(\d)cm", r"error of \1 cm", setup.name)]
         for cell in cells:
-            pairs = verdicts.in_pairs(
-                *(verdicts.by_seed(found, setup, cell, each, "area") for each in setup.arms[:2])
-            )
+            pairs = verdicts.in_pairs(verdicts.both_arms(found, setup, cell, "area"))
             row.append(estimate(pairs.difference, "+.2f") if len(pairs) else "")
         rows.append(row)
     noises = (f"joint error {cell.removeprefix('joint noise held ')} rad" for cell in cells)
@@ -217,8 +216,9 @@ def senses(name: str = "senses") -> None:
 def orders(name: str, setup_name: str = "", pair: str = PAIR) -> None:
     """Do scripted reflexes and the probe foretell the order of layouts in learning?"""
     setup, found = load_setup(name, setup_name)
-    areas = {label(cell): verdicts.by_seed(found, setup, cell, "main", "area") for cell in setup.cells}
-    areas = {cell: by_seed for cell, by_seed in areas.items() if by_seed}
+    runs = {label(cell): verdicts.runs_of(found, setup, cell, "main") for cell in setup.cells}
+    runs = {cell: own for cell, own in runs.items() if own}
+    areas = dict(zip(runs, verdicts.scored("area", *runs.values()), strict=True))
     seeds = sorted(set.intersection(*(set(by_seed) for by_seed in areas.values())))
     learned = np.array([[by_seed[seed] for seed in seeds] for by_seed in areas.values()])
     predictors = {"touch reflex, same scene": reflexes(name), "probe, gain over joints": probed(pair)}
@@ -301,8 +301,7 @@ def _curves(axes: Axes, study: Study, found: list[Record]) -> None:
     """Every run thin, their mean thick."""
     setup = study.setups[0]
     for run_type in setup.arms[:2]:
-        own = [r for r in found if r.run.setup == setup.name and r.run.arm == run_type]
-        runs = [r.curve(setup.measure) for r in own if r.state == "done"]
+        runs = [one.curve for one in verdicts.runs_of(found, setup, setup.cells[0], run_type)]
         steps = np.linspace(max(x[0] for x, _ in runs), min(x[-1] for x, _ in runs), 60)
         curves = np.array([np.interp(steps, *run) for run in runs])
         axes.plot(steps, curves.T, color=COLOURS[run_type], lw=0.8, alpha=0.6)
@@ -318,10 +317,10 @@ def _layouts(axes: Axes, study: Study, found: list[Record]) -> None:
     """Success over the last tenth, each run and their mean."""
     (setup,) = study.setups
     labels = [label(cell).removeprefix("layout ").replace("of the ", "") for cell in setup.cells]
-    for run_type, aside in zip(setup.arms, (-0.13, 0.13), strict=True):
+    for arm, (run_type, aside) in enumerate(zip(setup.arms, (-0.13, 0.13), strict=True)):
         colour, named = COLOURS[run_type], style.arm(run_type)
         for place, cell in enumerate(setup.cells):
-            rates = list(verdicts.by_seed(found, setup, cell, run_type, "final").values())
+            rates = list(verdicts.both_arms(found, setup, cell, "final")[arm].values())
             x, is_first = place + aside, place == 0
             axes.plot(
                 [x] * len(rates), rates, "o", color=colour, ms=4, alpha=0.45, mew=0, clip_on=False,

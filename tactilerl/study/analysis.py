@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -91,15 +91,19 @@ def analyse(study: Study, records: list[Record], n_resamples: int = statistics.N
     setups = []
     for index, setup in enumerate(study.setups):
         own = [record for record in records if record.run.setup == setup.name]
-        finished = [record for record in own if verdicts.is_finished(record, setup.measure)]
-        steps = _common_steps([record.curve(setup.measure)[0] for record in finished])
+        finished = [record for record in own if record.is_finished]
+        first, last = verdicts.span(finished)
+        points = min(MOST_POINTS, max((len(one.curve[0]) for one in finished), default=0))
+        steps = np.linspace(first, last, points) if first < last else np.full(min(1, points), last)
         groups = {}
         rng = np.random.default_rng([SEED, index])
-        for place in product(setup.cells, setup.arms):
-            runs = [r for r in finished if (r.run.cell, r.run.arm) == place]
-            if runs:
-                counts = statistics.resample(rng, len(runs), n_resamples)
-                groups[place] = _group(place[1], runs, setup.measure, steps, counts)
+        for cell in setup.cells:
+            arms = {arm: verdicts.runs_of(own, setup, cell, arm) for arm in setup.arms}
+            common = verdicts.span(itertools.chain(*arms.values()))
+            for arm, runs in arms.items():
+                if runs:
+                    counts = statistics.resample(rng, len(runs), n_resamples)
+                    groups[cell, arm] = _group(arm, runs, steps, common, counts)
         compared = {
             cell: _comparison(study, setup, verdict, records, n_resamples)
             for cell, verdict in verdicts.judge(study, setup, records, n_resamples).items()
@@ -109,21 +113,14 @@ def analyse(study: Study, records: list[Record], n_resamples: int = statistics.N
     return Analysis(study, records, setups)
 
 
-def _common_steps(curves: list[Array]) -> Array:
-    """Steps at which all runs have a rate, evenly spaced."""
-    if not curves:
-        return np.empty(0)
-    first, last = max(steps[0] for steps in curves), min(steps[-1] for steps in curves)
-    points = min(MOST_POINTS, max(len(steps) for steps in curves))
-    return np.linspace(first, last, points) if last > first else np.array([last])
-
-
-def _group(arm: str, records: list[Record], measure: str, steps: Array, counts: Array) -> Group:
-    curves = np.array([np.interp(steps, *record.curve(measure)) for record in records])
-    reached = [verdicts.scores(record, measure) for record in records]
+def _group(
+    arm: str, runs: list[Record], steps: Array, common: tuple[float, float], counts: Array
+) -> Group:
+    curves = np.array([np.interp(steps, *record.curve) for record in runs])
+    reached = [verdicts.scores(record, *common) for record in runs]
     scores = {name: np.array([one[name] for one in reached]) for name in reached[0]}
     aggregated = statistics.sample_efficiency(curves, "iqm", counts)
-    return Group(arm, [record.run.seed for record in records], curves, *aggregated, scores, counts)
+    return Group(arm, [record.run.seed for record in runs], curves, *aggregated, scores, counts)
 
 
 def _comparison(
@@ -131,6 +128,6 @@ def _comparison(
 ) -> Comparison:
     others = [score for score in SCORES if score != study.primary.score]
     both = {score: verdicts.both_arms(records, setup, verdict.cell, score) for score in others}
-    secondary = {score: verdicts.in_pairs(*arms, n_resamples) for score, arms in both.items()}
+    secondary = {score: verdicts.in_pairs(arms, n_resamples) for score, arms in both.items()}
     room = verdicts.headroom(study, setup, verdict.cell, records, n_resamples)
     return Comparison(verdict, secondary, room)

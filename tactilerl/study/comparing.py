@@ -16,7 +16,7 @@ import numpy as np
 from .. import statistics
 from ..errors import InputError
 from .records import Record, load
-from .verdicts import SEED, BySeed, Pairs, in_pairs, is_finished, scores
+from .verdicts import SEED, BySeed, Pairs, in_pairs, scored, span
 
 UNTOLD = ("seed", "workers", "threads", "tensorboard")
 Place = tuple[str, ...]
@@ -42,8 +42,8 @@ class Row:
         return {"place": self.place, **counts, **self.pairs.difference._asdict(), **p_values}
 
 
-Part = dict[Place, list[tuple[Record, str]]]
-"""Finished runs, each with the measure of its set-up, by what tells their group from others."""
+Part = dict[Place, list[Record]]
+"""Finished runs, by what tells their group from others."""
 
 
 def read(text: str) -> Part:
@@ -52,12 +52,10 @@ def read(text: str) -> Part:
     if not os.path.exists(whole):  # False for any name
         path, _, chosen = text.rpartition(":") if ":" in text else (text, "", "")
     study, records = load(Path(path))
-    places, measures = study.choose(chosen, path), {one.name: one.measure for one in study.setups}
-    part: Part = {}
+    places, part = study.choose(chosen, path), Part()
     for record in records:
-        measure = measures[record.run.setup]
-        if record.run.name in places and is_finished(record, measure):
-            part.setdefault(places[record.run.name], []).append((record, measure))
+        if record.run.name in places and record.is_finished:
+            part.setdefault(places[record.run.name], []).append(record)
     if not part:
         raise InputError(f"{text}: no finished run in it")
     return part
@@ -75,15 +73,14 @@ def compare(a: Part, b: Part, score: str) -> list[Row]:
     rows = []
     for at_a, at_b in pairs:
         both = a[at_a], b[at_b]
-        steps = [record.curve(measure)[0] for group in both for record, measure in group]
-        begin, end = max(one[0] for one in steps), min(one[-1] for one in steps)
+        begin, end = span([*both[0], *both[1]])
         if begin > end:
             raise InputError(
                 f"compare: a run has its first epoch at {begin:,.0f} steps, another its last at "
                 f"{end:,.0f}: found no steps that all have"
             )
-        one, other = ({r.run.seed: scores(r, m, end)[score] for r, m in group} for group in both)
-        compared = in_pairs(one, other) if one.keys() & other.keys() else _apart(one, other)
+        one, other = scored(score, *both)
+        compared = in_pairs([one, other]) if one.keys() & other.keys() else _apart(one, other)
         rows.append(Row(" ".join(at_a) or "all", (len(one), len(other)), end, compared, np.nan))
     corrected = statistics.holm([row.pairs.p_value for row in rows])
     return [replace(row, p_holm=float(p)) for row, p in zip(rows, corrected, strict=True)]
@@ -91,7 +88,7 @@ def compare(a: Part, b: Part, score: str) -> list[Row]:
 
 def differing(a: Part, b: Part) -> list[str]:
     """What the first runs of both parts were told differently, besides the seed; and their commits."""
-    configs = [next(iter(part.values()))[0][0].config or {} for part in (a, b)]
+    configs = [next(iter(part.values()))[0].config or {} for part in (a, b)]
     flat = [
         {k: v for name in ("run", "scene", "learner") for k, v in (c.get(name) or {}).items()}
         | {"commit": str((c.get("provenance") or [{}])[-1].get("commit"))[:12]}

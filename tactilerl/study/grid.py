@@ -143,7 +143,8 @@ class Setup:
             name = re.sub(r"[^\w.+-]+", "-", "_".join(parts))
             arm = shown.pop(compared, "")
             cell = ", ".join(f"{flag.replace('_', ' ')} {value}" for flag, value in shown.items())
-            yield Run(name, self.name, cell or "all", arm, seed, {**self.flags, **chosen})
+            flags_of = {**self.flags, **chosen}
+            yield Run(name, self.name, cell or "all", arm, seed, self.measure, flags_of)
 
     def names(self, run: Run) -> list[str]:
         """Of the set-up, cell and arm of a run, those that somebody chose."""
@@ -161,6 +162,8 @@ class Run:
     cell: str
     arm: str
     seed: int
+    measure: str
+    """Of the set-up: the column of progress.csv that is the run's success rate."""
     flags: dict[str, Any]
     """Of `tactilerl train`, without the seed."""
 

@@ -50,7 +50,7 @@ def plan(
     needs = []
     for setup in study.setups:
         for score in SCORES if setup.compare else ():
-            cells = [in_pairs(*both_arms(records, setup, cell, score)) for cell in setup.cells]
+            cells = [in_pairs(both_arms(records, setup, cell, score)) for cell in setup.cells]
             cells = [one for one in cells if len(one) > 1]
             if cells:
                 needs.append(_need(setup, score, cells, effect, power, alpha))

@@ -19,6 +19,7 @@ import os
 import tarfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from gzip import GzipFile
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args
@@ -57,11 +58,17 @@ class Record:
         """A column of the progress table as numbers; NaN where there is none."""
         return np.array([float(row.get(name) or math.nan) for row in self.rows])
 
-    def curve(self, measure: str) -> tuple[Array, Array]:
+    @cached_property
+    def curve(self) -> tuple[Array, Array]:
         """(steps, rates) of the epochs that have a rate."""
-        steps, rates = self.column("env_steps"), self.column(measure)
+        steps, rates = self.column("env_steps"), self.column(self.run.measure)
         known = np.isfinite(steps) & np.isfinite(rates)
         return steps[known], rates[known]
+
+    @property
+    def is_finished(self) -> bool:
+        """Is it done, and has it a curve?"""
+        return self.state == "done" and len(self.curve[0]) > 0
 
     @property
     def has_ended(self) -> bool:

@@ -15,7 +15,6 @@ from .. import statistics
 from ..errors import InputError
 from ..runs import config as configuration
 from ..statistics import Array, Estimate
-from . import verdicts
 from .analysis import Analysis, Group, SetupResult
 from .grid import SCORES
 from .summary import ENDINGS, made_with, subject
@@ -191,13 +190,16 @@ def runs(analysis: Analysis) -> Table:
     rows = []
     for record in analysis.records:
         run, one, steps = record.run, setups[record.run.setup], record.column("env_steps")
-        is_finished = verdicts.is_finished(record, one.setup.measure)
-        reached = verdicts.scores(record, one.setup.measure) if is_finished else {}
+        group = one.groups.get((run.cell, run.arm))
+        at = group.seeds.index(run.seed) if group and run.seed in group.seeds else None
         diverged = sum(np.nansum(record.column(name)) for name in ("diverged", "test_diverged"))
         row = {"Set-up": run.setup, "Config.": run.cell, "Type": one.setup.label(run.arm)}
         row |= {"Seed": str(run.seed), "State": record.state, "Epochs": str(len(record.rows))}
         row["Steps"] = f"{steps[-1]:.0f}" if len(steps) else "0"
-        row |= {name.capitalize(): number(reached.get(name, math.nan)) for name in SCORES}
+        for name in SCORES:
+            row[name.capitalize()] = number(
+                group.scores[name][at] if group and at is not None else math.nan
+            )
         rows.append(row | {"Diverged episodes": f"{diverged:.0f}", "Why it failed": record.reason})
     said = [f"{name}: {one.setup.measure}" for name, one in setups.items()]
     return Table("runs", "Runs", rows, f"Rates: {'; '.join(said)}.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -96,24 +97,40 @@ class Headroom:
         return self.room.value >= LEAST_ROOM
 
 
-def is_finished(record: Record, measure: str) -> bool:
-    """Is it done, and has it a curve?"""
-    return record.state == "done" and len(record.curve(measure)[0]) > 0
+def runs_of(records: Iterable[Record], setup: Setup, cell: str, arm: str) -> list[Record]:
+    """The finished runs of one arm, in order of the seeds."""
+    place = setup.name, cell, arm
+    return [one for one in records if one.run.combination == place and one.is_finished]
 
 
-def scores(record: Record, measure: str, until: float = math.inf) -> dict[str, float]:
-    """What a finished run reached, or had `until` so many steps, by the names in `primary.SCORES`; and
-    its steps to `THRESHOLDS`."""
-    steps, rates = record.curve(measure)
-    steps, rates = steps[steps <= until], rates[steps <= until]
+def span(records: Iterable[Record]) -> tuple[float, float]:
+    """The first and the last step at which all of the runs have a rate; the first is behind the last
+    where there is none."""
+    steps = [record.curve[0] for record in records]
+    first, last = max((one[0] for one in steps), default=0), min((one[-1] for one in steps), default=0)
+    return float(first), float(last)
+
+
+def scores(record: Record, first: float, last: float) -> dict[str, float]:
+    """What a finished run reached from the `first` to the `last` step, by the names in `grid.SCORES`;
+    and its steps to `THRESHOLDS`."""
+    steps, rates = record.curve
+    at = np.unique([min(first, last), *steps[(steps > first) & (steps < last)], last])
+    rates = np.interp(at, steps, rates)[None]
     found = {
-        "area": statistics.area_under_curve(steps, rates[None]),
-        "final": statistics.final_rate(rates[None]),
-        "converged": statistics.converged_rate(rates[None]),
+        "area": statistics.area_under_curve(at, rates),
+        "final": statistics.final_rate(rates),
+        "converged": statistics.converged_rate(rates),
     }
     for threshold in THRESHOLDS:
-        found[f"steps to {threshold:g}"] = statistics.steps_to_threshold(steps, rates[None], threshold)
+        found[f"steps to {threshold:g}"] = statistics.steps_to_threshold(at, rates, threshold)
     return {name: float(value[0]) for name, value in found.items()}
+
+
+def scored(score: str, *groups: Sequence[Record]) -> list[BySeed]:
+    """A score of each run of several groups, over the steps that all of them have."""
+    common = span(itertools.chain(*groups))
+    return [{one.run.seed: scores(one, *common)[score] for one in group} for group in groups]
 
 
 @cache
@@ -122,10 +139,11 @@ def resamples(n: int, n_resamples: int = statistics.N_RESAMPLES) -> Array:
     return statistics.resample(np.random.default_rng([SEED, n]), n, n_resamples)
 
 
-def in_pairs(treatment: BySeed, control: BySeed, n_resamples: int = statistics.N_RESAMPLES) -> Pairs:
-    """The seeds that both have, in the treatment's order."""
+def in_pairs(arms: Sequence[BySeed], n_resamples: int = statistics.N_RESAMPLES) -> Pairs:
+    """The seeds that treatment and control have, in the treatment's order."""
+    treatment, control = arms
     seeds = [seed for seed in treatment if seed in control]
-    a, b = (np.array([arm[seed] for seed in seeds]) for arm in (treatment, control))
+    a, b = (np.array([arm[seed] for seed in seeds]) for arm in arms)
     p_value = statistics.sign_flip_p(a - b, np.random.default_rng([SEED, len(seeds)]), n_resamples)
     return Pairs(seeds, a, b, statistics.mean(a - b, resamples(len(seeds), n_resamples)), p_value)
 
@@ -140,39 +158,25 @@ def judge(
         if study.looks is not None:
             found.append(_at_looks(study.looks, setup, cell, records, arms))
         else:
-            found.append(Verdict(cell, in_pairs(*arms, n_resamples), len(setup.seeds)))
+            found.append(Verdict(cell, in_pairs(arms, n_resamples), len(setup.seeds)))
     corrected = statistics.holm([one.valid_p for one in found])
     return {one.cell: replace(one, p_holm=float(p)) for one, p in zip(found, corrected, strict=True)}
 
 
-def by_seed(records: Iterable[Record], setup: Setup, cell: str, arm: str, score: str) -> BySeed:
-    """A score of the finished runs of one arm, in order of the seeds."""
-    return {
-        r.run.seed: scores(r, setup.measure)[score]
-        for r in records
-        if _is_in(r, setup, cell) and r.run.arm == arm and is_finished(r, setup.measure)
-    }
-
-
-def both_arms(records: Sequence[Record], setup: Setup, cell: str, score: str) -> tuple[BySeed, BySeed]:
+def both_arms(records: Sequence[Record], setup: Setup, cell: str, score: str) -> list[BySeed]:
     """The scores of treatment and control."""
-    treatment, control = (by_seed(records, setup, cell, arm, score) for arm in setup.arms[:2])
-    return treatment, control
-
-
-def _is_in(record: Record, setup: Setup, cell: str) -> bool:
-    return (record.run.setup, record.run.cell) == (setup.name, cell)
+    return scored(score, *(runs_of(records, setup, cell, arm) for arm in setup.arms[:2]))
 
 
 def _at_looks(
-    looks: Looks, setup: Setup, cell: str, records: Sequence[Record], arms: tuple[BySeed, BySeed]
+    looks: Looks, setup: Setup, cell: str, records: Sequence[Record], arms: Sequence[BySeed]
 ) -> Verdict:
     """As it stands at the last look whose runs have all ended. Runs beyond the look that ended the
     comparison do not count."""
-    own = (r for r in records if _is_in(r, setup, cell) and r.run.arm in setup.arms[:2])
-    is_open = {r.run.seed for r in own if not r.has_ended}
+    own = [(setup.name, cell, arm) for arm in setup.arms[:2]]
+    is_open = {r.run.seed for r in records if r.run.combination in own and not r.has_ended}
     n_ended = next((i for i, seed in enumerate(setup.seeds) if seed in is_open), len(setup.seeds))
-    whole = in_pairs(*arms)
+    whole = in_pairs(arms)
     at_hand = [sum(s in whole.seeds for s in setup.seeds[:n]) for n in looks.pairs if n <= n_ended]
     taken = take(looks, whole.treatment - whole.control, at_hand, len(setup.cells))
     n, gap, p_value, ending = taken[-1] if taken else Taken(len(whole), whole.difference, math.nan, "")
@@ -222,38 +226,25 @@ def headroom(
 ) -> Headroom | None:
     """With the runs that differ from a cell's controls in seeing the object exactly, and in nothing
     else, wherever in the study they are; None where there are none."""
-    own = (r for r in records if _is_in(r, setup, cell) and r.run.arm == setup.arms[1])
-    blind = next((r.config for r in own if r.config), None)
-    if blind is None or _sight(blind) == "exact":
+    touch, control = (runs_of(records, setup, cell, arm) for arm in setup.arms[:2])
+    made = [_but_sight(one.config or {}) for one in control[:1]]
+    if not made or made[0][1] == "exact":
         return None
-    score, measure, alike = study.primary.score, setup.measure, _but_sight(blind)
-    seen = {
-        r.run.seed: scores(r, measure)[score]
-        for r in records
-        if r.config and _sight(r.config) == "exact" and _but_sight(r.config) == alike
-        if is_finished(r, measure)
-    }
-    touch, control = both_arms(records, setup, cell, score)
-    seeds = [seed for seed in touch if seed in control and seed in seen]
+    alike = (made[0][0], "exact")
+    seen = [one for one in records if one.is_finished and _but_sight(one.config or {}) == alike]
+    arms = scored(study.primary.score, seen, touch, control)
+    seeds = [seed for seed in arms[1] if seed in arms[0] and seed in arms[2]]
     if not seeds:
         return None
-    best, main, least = (np.array([arm[s] for s in seeds]) for arm in (seen, touch, control))
+    best, main, least = (np.array([arm[seed] for seed in seeds]) for arm in arms)
     drawn = resamples(len(seeds), n_resamples)
-    return Headroom(
-        len(seeds),
-        statistics.mean(best - least, drawn),
-        statistics.share(main - least, best - least, drawn),
-    )
+    share = statistics.share(main - least, best - least, drawn)
+    return Headroom(len(seeds), statistics.mean(best - least, drawn), share)
 
 
-def _sight(config: Mapping[str, Any]) -> str:
-    return (config.get("scene") or {}).get("object_seen", "exact")
-
-
-def _but_sight(config: Mapping[str, Any]) -> dict[str, Any]:
-    """All that makes a run, but its seed and how the object is seen."""
+def _but_sight(config: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
+    """All that makes a run, but its seed and how the object is seen; and that."""
     parts = {name: dict(config.get(name) or {}) for name in ("run", "scene", "learner")}
     parts["run"].pop("seed", None)
-    for name in SIGHT:
-        parts["scene"].pop(name, None)
-    return parts
+    sight = [parts["scene"].pop(name, "exact") for name in SIGHT]
+    return parts, str(sight[0])

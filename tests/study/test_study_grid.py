@@ -216,6 +216,6 @@ class TestBadFiles:
 
     def test_unknown_part_and_help(self, capsys):
         assert main(["study", "fly"]) == 2
-        assert "run, status, plan, compare, collect, report" in capsys.readouterr().err
+        assert "run, todo, status, plan, compare, collect, report" in capsys.readouterr().err
         assert main(["study", "--help"]) == 0
         assert "plan" in capsys.readouterr().out

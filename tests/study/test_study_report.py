@@ -20,7 +20,7 @@ from study_records import fail, interrupt, make_study
 from tactilerl import statistics
 from tactilerl import study as package
 from tactilerl.commands.cli import main
-from tactilerl.study import analysis, figures, planning, records, report, summary, tables
+from tactilerl.study import analysis, figures, planning, records, report, summary, tables, verdicts
 from tactilerl.study.records import StudyFiles
 from tactilerl.terminal.console import console
 
@@ -95,13 +95,6 @@ class TestNumbers:
         assert found.pairs.p_value == pytest.approx(0.125)  # four signs alike: 2 of 16 ways
         assert found.p_holm >= found.pairs.p_value
 
-    def test_an_area_is_the_mean_over_a_runs_own_steps(self, folder, result):
-        record = next(r for r in records.load(folder.path)[1] if r.run.setup == "pybullet")
-        steps, rates = record.curve("success_rate")
-        between = (rates[1:] + rates[:-1]) / 2 @ np.diff(steps) / (steps[-1] - steps[0])
-        group = result.setups[0].groups[record.run.cell, record.run.arm]
-        assert by_seed(group, "area")[record.run.seed] == pytest.approx(between)
-
     def test_a_pair_counts_only_where_both_runs_are_done(self, tmp_path, capsys):
         folder = make_study(tmp_path / "s", n_seeds=3)
         lost = next(r for r in folder.study().runs() if (r.arm, r.seed) == ("control", 1))
@@ -115,9 +108,10 @@ class TestNumbers:
     def test_a_group_is_its_runs(self, folder, result):
         group = result.setups[1].groups["layout 2", "main"]
         _, own = records.load(folder.path)
-        own = [r for r in own if (r.run.setup, r.run.cell, r.run.arm) == ("mujoco", "layout 2", "main")]
-        rates = [r.curve("test_success_rate")[1] for r in own]
-        expected = [statistics.converged_rate(one[None])[0] for one in rates]
+        arms = [
+            verdicts.runs_of(own, result.setups[1].setup, "layout 2", a) for a in ("main", "control")
+        ]
+        expected = list(verdicts.scored("converged", *arms)[0].values())
         assert group.seeds == [0, 1, 2, 3]
         np.testing.assert_allclose(group.scores["converged"], expected)
         row = next(r for r in rows(result, "mujoco_measures") if r[:2] == ["layout 2", "main"])
@@ -127,7 +121,7 @@ class TestNumbers:
     def test_curves_are_compared_at_steps_that_all_runs_have(self, result):
         one = result.setups[0]
         for record in one.records:
-            steps, _ = record.curve("success_rate")
+            steps, _ = record.curve
             assert steps[0] <= one.steps[0]
             assert one.steps[-1] <= steps[-1]
         assert all(group.curves.shape == (4, 25) for group in one.groups.values())

@@ -10,7 +10,7 @@ from study_records import PAPER_LIKE, fail, make_study
 
 from tactilerl.commands.cli import main
 from tactilerl.study import looks, records, summary, verdicts
-from tactilerl.study.grid import Compare, Looks, Setup
+from tactilerl.study.grid import Compare, Looks, Run, Setup
 from tactilerl.study.runner import Job
 
 LOOKS = PAPER_LIKE[: PAPER_LIKE.index("[setups.mujoco]")].replace(
@@ -140,13 +140,12 @@ class TestHeadroom:
         folder = make_study(tmp_path / "s", SIGHT, n_seeds=8)
         study, found = records.load(folder.path)
         room = verdicts.headroom(study, study.setups[0], "all", found, 500)
-        areas = {
-            (r.run.setup, r.run.arm, r.run.seed): verdicts.scores(r, "success_rate")["area"]
-            for r in found
-        }
-        seeds = range(8)
-        sight = [areas["sighted", "", s] - areas["blind", "control", s] for s in seeds]
-        touch = [areas["blind", "main", s] - areas["blind", "control", s] for s in seeds]
+        blind, sighted = study.setups
+        arms = [(sighted, ""), (blind, "main"), (blind, "control")]
+        runs = [verdicts.runs_of(found, setup, "all", arm) for setup, arm in arms]
+        seen, main_arm, control = verdicts.scored("area", *runs)
+        sight = [seen[seed] - control[seed] for seed in range(8)]
+        touch = [main_arm[seed] - control[seed] for seed in range(8)]
         assert room.n == 8
         assert room.room.value == pytest.approx(np.mean(sight))
         assert room.share.value == pytest.approx(np.mean(touch) / np.mean(sight))
@@ -260,3 +259,50 @@ class TestErrorsOfLooks:
             "success_rate",
         )
         assert words in summary.answer(setup, self.verdict(ending, 0.02))
+
+
+class TestCommonRange:
+    """Runs that are compared are scored over the steps that all of them have."""
+
+    def record(self, steps, rates, seed=0):
+        run = Run(f"r{seed}", "one", "all", "main", seed, "success_rate", {})
+        rows = [
+            {"env_steps": str(step), "success_rate": str(rate)}
+            for step, rate in zip(steps, rates, strict=True)
+        ]
+        return records.Record(run, "done", "", {}, rows)
+
+    def test_it_begins_and_ends_where_all_have_a_rate(self):
+        long = self.record([0, 10, 20, 30, 40], [0, 0, 0.5, 1, 1])
+        short = self.record([5, 15, 25], [0.2, 0.4, 0.6])
+        assert verdicts.span([long, short]) == (5, 25)
+        ((area,), (other,)) = (list(x.values()) for x in verdicts.scored("area", [long], [short]))
+        # From 5 to 25: 0 up to 10, then up to 0.5 at 20, and 0.75 at 25.
+        assert area == pytest.approx((0 + 0.25 * 10 + 0.625 * 5) / 20)
+        assert other == pytest.approx(0.4)
+
+    def test_what_comes_after_does_not_count(self):
+        steps = np.arange(0, 50, 10)
+        same = [self.record(steps, [0.1, 0.2, 0.4, 0.6, last], 1) for last in (0.0, 1.0)]
+        short = self.record(steps[:4], [0.1, 0.2, 0.4, 0.6], 2)
+        for score in ("area", "final", "converged", "steps to 0.5"):
+            a, b = (verdicts.scored(score, [one], [short]) for one in same)
+            assert a[0][1] == b[0][1] == a[1][2]
+
+    def test_runs_without_a_common_step_are_taken_at_their_ends(self):
+        one, other = self.record([10], [0.3]), self.record([20], [0.6], 1)
+        assert verdicts.scored("area", [one], [other]) == [{0: 0.3}, {1: 0.6}]
+
+    def test_report_and_compare_have_one_rule(self, tmp_path, capsys):
+        """Also where one arm's runs are longer."""
+        folder = make_study(tmp_path / "s", n_seeds=4)
+        for run in folder.study().runs():
+            if (run.setup, run.arm, run.seed) == ("pybullet", "main", 2):
+                path = folder.run_dir(run).progress.path
+                path.write_text(path.read_text() + "26,36000,0.0,0.0,0.0,100.0\n")
+        study, found = records.load(folder.path)
+        found = verdicts.judge(study, study.setups[0], found)["layout 2"].pairs.difference
+        parts = [f"{folder.path}:pybullet,layout 2,{arm}" for arm in ("main", "control")]
+        assert main(["study", "compare", *parts, "--json"]) == 0
+        (row,) = json.loads(capsys.readouterr().out)["rows"]
+        assert [row[name] for name in ("value", "low", "high")] == pytest.approx(list(found))
