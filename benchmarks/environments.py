@@ -47,7 +47,7 @@ def _made(name: str) -> tuple[GraspConfig, GraspEnv]:
 def facts(name: str) -> None:
     """What stands at the head of a page."""
     config, env = _made(name)
-    ours = hands.registration(name).id if name in hands.HANDS else scenes.gymnasium_id(name)
+    ours = hands.usage(name).id if name in hands.HANDS else scenes.gymnasium_id(name)
     spaces = env.observation_space.spaces.items()
     rows = {
         "Make": f'`gymnasium.make("{ours}")`, after `import tactilerl`',
@@ -156,7 +156,7 @@ def names() -> tuple[str, ...]:
 
 def title(name: str) -> str:
     """As people call it: the Gymnasium id without what all ids share."""
-    ours = hands.registration(name).id if name in hands.HANDS else scenes.gymnasium_id(name)
+    ours = hands.usage(name).id if name in hands.HANDS else scenes.gymnasium_id(name)
     return ours.removeprefix("tactilerl/").removesuffix("-v0")
 
 

@@ -80,7 +80,7 @@ def make(
 # No wrapper may hide `compute_reward`.
 _register = partial(gym.register, order_enforce=False, disable_env_checker=True)
 for _hand in hands.HANDS:
-    _register(hands.registration(_hand).id, "tactilerl.envs:make", kwargs={"name": _hand})
+    _register(hands.usage(_hand).id, "tactilerl.envs:make", kwargs={"name": _hand})
 for _scene in scenes.names():
     _register(scenes.gymnasium_id(_scene), "tactilerl.envs:make", kwargs={"scene": _scene})
 _register("tactilerl/PointReach-v0", "tactilerl.envs.toy:PointReachEnv")

@@ -84,7 +84,7 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
 def setup(hand: str, **choices: Any) -> GraspConfig:
     """The configuration of a hand's set-up, with some fields chosen otherwise; ValueError when there is
     no such field."""
-    usual, known = hands.registration(hand).scene, typed.names(GraspConfig)
+    usual, known = hands.usage(hand).scene, typed.names(GraspConfig)
     with toml_files.blamed(f"hand file {hands.file(hand)}: scene"):
         require_known(usual, known)
     require_known(choices, known)

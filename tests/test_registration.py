@@ -19,9 +19,8 @@ HAND = Path(__file__).parent / "hands"
 
 @pytest.fixture(autouse=True)
 def _registered(monkeypatch, in_tmp):
-    saturn = simulators.Registration("Saturn", module="tests.outside")
     brave = algos.Registration("BraveConfig", "Brave", 500, "reach-goal", module="tests.outside")
-    monkeypatch.setitem(simulators.SIMULATORS, "saturn", saturn)
+    monkeypatch.setitem(simulators.SIMULATORS, "saturn", "tests.outside:Saturn")
     monkeypatch.setitem(tasks.TASKS, "nudge", outside.Nudge)
     monkeypatch.setitem(algos.ALGORITHMS, "brave", brave)
     stages = [*observations.STAGES, lambda config, n: outside.Inverted()]

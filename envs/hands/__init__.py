@@ -19,7 +19,7 @@ HANDS = ("shadow", "mpl", "allegro")
 
 
 @dataclass(frozen=True)
-class Registration:
+class Usage:
     """What a hand's file says of the scenes it is used in."""
 
     id: str = ""
@@ -48,15 +48,15 @@ def file(name: str) -> Path:
     return Path(name) if name.endswith(SUFFIX) else FOLDER / f"{name}{SUFFIX}"
 
 
-def registration(name: str) -> Registration:
+def usage(name: str) -> Usage:
     """Of a hand by name or file; ValueError and FileNotFoundError where the file is wrong."""
     path = file(name)
     with toml_files.blamed(f"hand file {path}"):
         data = toml_files.read(path, "hand file")
         about = toml_files.table(data, "environment", {"id", "closing"})
-        closing = about.get("closing", Registration.closing)
+        closing = about.get("closing", Usage.closing)
         low, high = toml_files.interval(closing, "environment.closing", 0.0, 2.0)
-        return Registration(str(about.get("id", "")), (low, high), toml_files.table(data, "scene"))
+        return Usage(str(about.get("id", "")), (low, high), toml_files.table(data, "scene"))
 
 
 def digest(name: str) -> str:

@@ -182,34 +182,23 @@ def joint_limits(model: mujoco.MjModel, hand: Hand) -> Array:
     return np.where(limited[:, None], model.jnt_range[joints], (-np.inf, np.inf))
 
 
-@dataclass(frozen=True)
-class Registration:
-    """A simulator that can be asked for by name."""
-
-    simulator: str
-    """Name of the class there."""
-    missing: str = ""
-    """What to say where the module cannot be imported."""
-    module: str = ""
-    """Where the class is; default: in the module here that has the simulator's name."""
-
-
 SIMULATORS = {
-    "mujoco": Registration("MujocoSimulator"),
-    "pybullet": Registration(
-        "PyBulletSimulator",
-        "simulator pybullet: found no PyBullet; install the extra: pip install "
-        "'tactilerl[pybullet]' (wheels for Python up to 3.11), or choose --simulator mujoco",
-    ),
+    "mujoco": f"{__name__}.mujoco:MujocoSimulator",
+    "pybullet": f"{__name__}.pybullet:PyBulletSimulator",
 }
+"""Where the class of a simulator is, by the name that one asks for it by: "module:class"."""
+MISSING = {
+    "pybullet": "simulator pybullet: found no PyBullet; install the extra: pip install "
+    "'tactilerl[pybullet]' (wheels for Python up to 3.11), or choose --simulator mujoco",
+}
+"""What to say where its module cannot be imported."""
 
 
 def make(name: str, scene: Scene) -> Simulator:
     """A running scene; the simulator's package is imported here and not before."""
-    registered = SIMULATORS[name]
+    module, _, kind = SIMULATORS[name].partition(":")
     try:
-        module = importlib.import_module(registered.module or f".{name}", __name__)
+        simulator: Simulator = getattr(importlib.import_module(module), kind)(scene)
     except ModuleNotFoundError as error:
-        raise ImportError(registered.missing or str(error)) from error
-    simulator: Simulator = getattr(module, registered.simulator)(scene)
+        raise ImportError(MISSING.get(name, str(error))) from error
     return simulator

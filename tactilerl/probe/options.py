@@ -96,7 +96,7 @@ class GraspFlags:
         """That of scripted grasps."""
         return Perturbation(
             self.object, self.object_size, self.friction, self.start_offset, self.start_yaw,
-            self.closing or hands.registration(self.env).closing, self.joint_jitter,
+            self.closing or hands.usage(self.env).closing, self.joint_jitter,
         )  # fmt: skip
 
     def validate(self) -> None:
