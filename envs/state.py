@@ -54,15 +54,15 @@ class Shape:
         np.maximum(beyond, 0.0, out=beyond)
         return np.einsum("...i,...i->...", beyond, beyond)
 
-    def half_height(self, rotation: Array) -> float:
-        """How far the shape reaches below its centre when turned by `rotation` (3, 3), m."""
+    def half_height(self, rotation: Array) -> Array:
+        """How far (...) the shape reaches below its centre when turned by `rotation` (..., 3, 3), m."""
         x, _, z = self.half_size
         if self.kind == "sphere":
-            return x
+            return np.full(rotation.shape[:-2], x)
         if self.kind == "cylinder":
-            upright = abs(rotation[2, 2])
-            return float(z * upright + x * math.sqrt(max(0.0, 1.0 - upright**2)))
-        return float(np.abs(rotation[2]) @ self.half_size)
+            upright = np.abs(rotation[..., 2, 2])
+            return np.asarray(z * upright + x * np.sqrt(np.maximum(0.0, 1.0 - upright**2)))
+        return np.asarray(np.abs(rotation[..., 2, :]) @ self.half_size)
 
 
 class Contacts(NamedTuple):
@@ -126,9 +126,9 @@ class State:
         return self.link_positions.take(at, axis=-2), self.link_rotations.take(at, axis=-3)
 
     @property
-    def clearance(self) -> float:
-        """Under the object's lowest point, m."""
-        return float(self.object_position[2] - self.shape.half_height(self.object_rotation))
+    def clearance(self) -> Array:
+        """(...) under the object's lowest point, m."""
+        return self.object_position[..., 2] - self.shape.half_height(self.object_rotation)
 
 
 @lru_cache(maxsize=1024)

@@ -209,7 +209,7 @@ class LiftAndHold(Task):
         if state.clearance > self.config.lift_clearance:
             is_held = self.hold.run(simulator, state)
             return self._achieved(state, "held" if is_held else "dropped"), True
-        was_off, self._is_off_ground = self._is_off_ground, state.clearance > OFF_GROUND
+        was_off, self._is_off_ground = self._is_off_ground, bool(state.clearance > OFF_GROUND)
         if is_last:  # the paper's time-out is a verdict too, with its -100
             return self._achieved(state, "timed_out"), True
         has_fallen = was_off and not self._is_off_ground

@@ -105,8 +105,8 @@ class Scene:
         """A state with where the palm point and the fingertips are, which follows from its links."""
         links, points = self._points
         positions, rotations = state.poses(links)
-        found = positions + np.matmul(rotations, points)[:, :, 0]
-        return replace(state, palm=found[0], fingertips=found[1:])
+        found = positions + np.matmul(rotations, points)[..., 0]
+        return replace(state, palm=found[..., 0, :], fingertips=found[..., 1:, :])
 
 
 @dataclass(frozen=True)

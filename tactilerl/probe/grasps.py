@@ -167,7 +167,7 @@ class PolicyGrasps:
                     self.policy.act(obs, deterministic=False, rng=rng)
                 )
                 is_done = terminated or truncated
-                is_lifted = is_lifted or terminated or base.state.clearance > LIFTED
+                is_lifted = is_lifted or terminated or bool(base.state.clearance > LIFTED)
                 if not is_lifted:
                     record = moment(base)
         except SimulationError:

@@ -195,13 +195,14 @@ def test_absolute_actions_are_the_papers_linear_map():
         assert target == pytest.approx((low + high) / 2 + value * (high - low) / 2)
 
 
-def test_action_zero_is_beyond_the_clip_of_large_actions():
-    """Actions are clipped, not rescaled."""
-    a, b = make(), make()
-    a.reset(seed=0), b.reset(seed=0)
-    assert np.array_equal(
-        a.step(np.full(23, 7.0))[0]["observation"], b.step(np.ones(23))[0]["observation"]
-    )
+def test_actions_are_clipped_and_not_rescaled():
+    seen = []
+    for size in (1.0, 7.0, 1e30):
+        env = make()
+        env.reset(seed=0)
+        seen.append(env.step(np.full(23, size))[0]["observation"])
+    assert np.array_equal(seen[0], seen[1])
+    assert np.array_equal(seen[0], seen[2])
 
 
 class TestRewards:
@@ -262,26 +263,15 @@ class TestRewards:
 
 
 class TestFaults:
-    @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-    def test_action_that_is_not_finite_is_refused(self, bad):
-        env = make()
-        env.reset(seed=0)
-        action = np.zeros(23)
-        action[4] = bad
-        with pytest.raises(ValueError, match="action: found"):
-            env.step(action)
-        env.step(np.zeros(23))
-
-    def test_action_of_another_shape_is_refused(self):
-        env = make()
-        env.reset(seed=0)
-        with pytest.raises(ValueError, match=r"action: found shape \(20,\)"):
-            env.step(np.zeros(20))
-
-    def test_huge_action_is_clipped(self):
-        env = make()
-        env.reset(seed=0)
-        assert np.isfinite(env.step(np.full(23, 1e30))[0]["observation"]).all()
+    def test_an_action_that_is_none_is_refused_and_the_episode_goes_on(self):
+        env, other = make(), make()
+        env.reset(seed=0), other.reset(seed=0)
+        wrong = [np.where(np.arange(23) == 4, bad, 0.0) for bad in (np.nan, np.inf, -np.inf)]
+        for action in (*wrong, np.zeros(20)):
+            with pytest.raises(ValueError, match="action: found"):
+                env.step(action)
+        after, expected = (each.step(np.zeros(23))[0]["observation"] for each in (env, other))
+        np.testing.assert_array_equal(after, expected)
 
     @pytest.mark.parametrize("poison", ["qpos", "qvel"])
     def test_nan_from_the_simulator_truncates_and_says_so(self, poison):
@@ -357,19 +347,12 @@ class TestFaults:
         assert "diverged" not in (env.reset(seed=1), env.step(np.zeros(23)))[1][-1]
 
     @pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
-    def test_an_episode_that_cannot_begin_is_one_clear_error(self, simulator):
+    def test_an_episode_that_cannot_begin_is_one_clear_error(self, simulator, monkeypatch):
         env = envs.make("mpl", simulator=simulator)
-        env.hand.start[env.hand.joints[5]] = np.nan
+        monkeypatch.setitem(env.hand.start, env.hand.joints[5], np.nan)
         with pytest.raises(SimulationError, match=r"an episode cannot begin: .* is not finite"):
             env.reset(seed=0)
         env.close()
-
-    def test_simulation_error_is_raised_by_the_simulator(self):
-        env = make()
-        env.reset(seed=0)
-        env.simulator.data.qpos[0] = np.nan
-        with pytest.raises(SimulationError):
-            env.simulator.step(np.zeros(23), 1)
 
     @pytest.mark.parametrize(
         "choices",
