@@ -299,7 +299,7 @@ class MujocoSimulator(Simulator):
         self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = camera.shadows
         scene = self._renderer.scene
         if scene.ngeom + len(spheres) > scene.maxgeom:
-            raise RuntimeError("too many taxels to draw")
+            raise RuntimeError("too many spheres to draw")
         for sphere in spheres:
             mujoco.mjv_initGeom(
                 scene.geoms[scene.ngeom], GEOM.mjGEOM_SPHERE, np.full(3, sphere.radius), sphere.centre,
