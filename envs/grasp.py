@@ -184,8 +184,7 @@ class GraspEnv(gym.Env[Any, Array]):
         super().reset(seed=seed)
         # To spawn draws nothing from the generator itself.
         observer_rng, goal_rng, object_rng = self.np_random.spawn(3)
-        self._item, self._steps = self._items.draw(object_rng), 0
-        item = self._item
+        self._item = item = self._items.draw(object_rng)
         start = self.task.start(self._jittered(item.shape), self.palm_skin, item.shape, goal_rng)
         self._observer.begin(observer_rng)
         try:
@@ -196,7 +195,7 @@ class GraspEnv(gym.Env[Any, Array]):
         except SimulationError as error:
             raise SimulationError(f"an episode cannot begin: {error}") from error
         achieved, desired = self.task.begin(self.state, goal_rng)
-        self._desired_goal = desired.astype(np.float32)
+        self._desired_goal, self._steps = desired.astype(np.float32), 0
         self.task.before_step(self.simulator, self._steps)
         self._obs = self._goal_obs(sensed, achieved)
         return self._obs, {"is_success": False, "object": item.describe()}
@@ -228,8 +227,8 @@ class GraspEnv(gym.Env[Any, Array]):
         try:
             self.task.before_step(self.simulator, self._steps)
             self.simulator.step(targets, self.config.n_substeps)
-            self._before, self.state = self.state, self.simulator.state()
-            self._require_whole()
+            before, self.state = self.state, self.simulator.state()
+            self._require_whole(before)
             sensed = self._sense(self.state)
             achieved, terminated = self.task.after_step(self.simulator, self.state, is_last)
         except SimulationError as error:
@@ -287,10 +286,10 @@ class GraspEnv(gym.Env[Any, Array]):
     def close(self) -> None:
         self.simulator.close()
 
-    def _require_whole(self) -> None:
+    def _require_whole(self, before: State) -> None:
         """SimulationError when an action moved the object too fast: the physics can break and stay
         finite, as fingers that overlap deeply shoot the object out."""
-        moved = self.state.object_position - self._before.object_position
+        moved = self.state.object_position - before.object_position
         speed = math.sqrt(moved @ moved) / self.config.control_dt
         if not speed < EJECTED:
             reason = f"the object moved at {speed:.3g} m/s: it was ejected or the physics broke"
