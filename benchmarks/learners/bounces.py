@@ -23,6 +23,7 @@ from benchmarks.printing import markdown
 from tactilerl import envs
 from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.envs.tasks import OUTCOMES
+from tactilerl.style import ROLES
 
 STEPS = 36_000
 PARTS = 10  # of a run
@@ -65,7 +66,9 @@ def show(content: dict[str, Any]) -> None:
     for name, found in content["runs"].items():
         episodes = [p["held"] + p["dropped"] + p["timed_out"] for p in found["parts"]]
         falls = [f"{p['falls'] / n:.2f}" for p, n in zip(found["parts"], episodes, strict=True)]
-        rows.append((name, *falls, f"{found['parts'][-1]['held'] / episodes[-1]:.2f}"))
+        touch, _, seed = name.split()
+        run = f"{ROLES[touch]}, seed {seed}"
+        rows.append((run, *falls, f"{found['parts'][-1]['held'] / episodes[-1]:.2f}"))
     tenths = " | ".join(map(str, range(1, PARTS + 1)))
     markdown(f"| run | {tenths} | held at the end |", rows)
 
