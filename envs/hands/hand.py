@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -193,6 +193,39 @@ class ClosingAction:
         return first, np.concatenate(self.groups), np.repeat(np.arange(len(sizes)), sizes)
 
 
+class Frame(NamedTuple):
+    """A body of the model, which may be part of a link: its place in that link's frame."""
+
+    link: str
+    turn: Array | None = None
+    """(3, 3)"""
+    place: Array | None = None
+    """(3,), m"""
+
+    def direction(self, vector: Any) -> Any:
+        """Of the link, from one of the body."""
+        return vector if self.turn is None else tuple((self.turn @ vector).tolist())
+
+    def point(self, point: Any) -> Any:
+        """Likewise."""
+        return point if self.turn is None else tuple((self.turn @ point + self.place).tolist())
+
+
+class Coupling(NamedTuple):
+    """A joint whose position is offset + ratio x that of its driver, rad or m."""
+
+    joint: str
+    driver: str
+    ratio: float
+    offset: float = 0.0
+    is_rigid: bool = False
+    """By an equality: it follows where its driver is. By a tendon it follows where that is to be."""
+
+    def at(self, driver: float) -> float:
+        """Its position where its driver is there."""
+        return self.ratio * driver + self.offset
+
+
 @dataclass(frozen=True)
 class ScriptedGrasp:
     """An open-loop grasp found by search."""
@@ -233,9 +266,8 @@ class Hand:
     pitch: Pitch
     action_map: LinearAction | ClosingAction
     action_names: tuple[str, ...]
-    couplings: tuple[tuple[str, str, float], ...] = ()
-    """(joint, actuated joint, ratio): the first moves with the second, by a tendon where there
-    are tendons."""
+    couplings: tuple[Coupling, ...] = ()
+    """Of joints that move with actuated ones."""
     first_joints: tuple[str, ...] = ()
     """The joint that stands for each digit in the observation term "finger_joints"."""
     start: dict[str, float] = field(default_factory=dict)
@@ -256,6 +288,12 @@ class Hand:
     groups: tuple[tuple[str, ...], ...] = ()
     """The actuators that close together, each in one group."""
     group_names: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    """What to know of it: what was left out or put in of its model, and what it cannot do."""
+    reach: float = 0.15
+    """How far its fingertips get from the palm's point, m."""
+    welded: dict[str, Frame] = field(default_factory=dict)
+    """Bodies of the model that are part of a link."""
     handed_beside: tuple[str, ...] = ()
     """Fingers at whose bases no object is handed over: it comes to the middle of the others'."""
 
@@ -266,7 +304,7 @@ class Hand:
         action, names = self.closing(np.zeros(0), np.zeros((0, 2)), CLOSING_STEP), self.group_names
         opened = action.open + start * (action.closed - action.open)
         pose = dict(zip(self.actuated, opened.tolist(), strict=True))
-        pose |= {joint: ratio * pose[driver] for joint, driver, ratio in self.couplings}
+        pose |= {coupling.joint: coupling.at(pose[coupling.driver]) for coupling in self.couplings}
         action = replace(action, open=opened)
         if actions == "grip":
             action = replace(action, groups=(np.concatenate(action.groups),))

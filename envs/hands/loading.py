@@ -17,7 +17,8 @@ from .. import toml_files
 from ..choices import require_one_of
 from ..state import Array
 from ..toml_files import interval, number, only, strings, table, vector
-from . import mounting, surfaces
+from ..state import Array
+from . import models, mounting, servos, surfaces
 from .hand import CLOSING_STEP, SLIDES, Hand, LinearAction, ScriptedGrasp
 from .mounting import Mount
 from .parts import Parts, posed
@@ -25,7 +26,19 @@ from .parts import Parts, posed
 KEYS = {
     *("model", "drop", "masses", "contacts", "palm", "palmar", "fingers", "palm_point", "palm_is_flat"),
     *("added_inertia", "observation", "first_joints", "handed_beside", "environment", "scene", "place"),
-    *("slides", "servos", "digits", "pitch", "couplings", "start", "start_closing", "opened", "closed"),
+    *(
+        "slides",
+        "servos",
+        "ranges",
+        "passive",
+        "digits",
+        "pitch",
+        "couplings",
+        "start",
+        "start_closing",
+        "opened",
+        "closed",
+    ),
     *("actions", "grasp"),
 }
 OBSERVATION = ("joint_positions", "joint_velocities", "object_position", "object_orientation")
@@ -72,7 +85,7 @@ def _hand(parts: Parts, name: str) -> Hand:
         pitch=surfaces.pitch(parts, sides),
         action_map=_joint_action(parts, grasps, at),
         action_names=actuators,
-        couplings=parts.follows,
+        couplings=tuple(coupling for coupling in parts.follows if coupling.driver in parts.driven),
         first_joints=_names(data, "first_joints", (), parts.joints),
         start={joint: angle for joint, angle in parts.start.items() if angle},
         observation=_names(data, "observation", OBSERVATION),
@@ -82,9 +95,40 @@ def _hand(parts: Parts, name: str) -> Hand:
         closed={parts.driven[joint]: angle for joint, angle in parts.closed.items()},
         groups=tuple(groups.values()),
         group_names=tuple(groups),
+        notes=_notes(parts),
+        reach=_reach(parts),
+        welded=parts.welded,
         handed_beside=_names(data, "handed_beside", (), tuple(parts.digits)),
     )
     return _with_actions(data, hand)
+
+
+def _notes(parts: Parts) -> tuple[str, ...]:
+    """What became of the model's servos and dummy links."""
+    found = []
+    if parts.replaced:
+        found.append(
+            f"its actuators ({_some(parts.replaced)}) are not all position servos of different joints: "
+            "the joints have the library's"
+        )
+    if parts.passive:
+        found.append(f"joints without servos: {_some(parts.passive)}")
+    return tuple(found)
+
+
+def _some(names: tuple[str, ...]) -> str:
+    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
+
+
+def _reach(parts: Parts) -> float:
+    """How far the fingertips get from the palm's point, open or closed, m; at least the usual."""
+    found = [Hand.reach]
+    for share in (0.0, 0.5, 1.0):
+        data = posed(parts.model, parts.start | parts.at(share))
+        turn = data.xmat[parts.palm].reshape(3, 3)
+        point = data.xpos[parts.palm] + turn @ np.array(parts.palm_point)
+        found += np.linalg.norm(parts.tips(parts.model, data) - point, axis=1).tolist()
+    return max(found)
 
 
 def _names(
@@ -101,7 +145,7 @@ def _require_still(hand: Hand, timestep: float) -> None:
     """ValueError for a model that does not hang still where it starts, its joints a little moved."""
     spec = hand.build()
     spec.option.timestep = timestep
-    model = mounting.compiled(spec)
+    model = models.compiled(spec)
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     data = mujoco.MjData(model)
     joints = [model.joint(name) for name in hand.joints]
@@ -110,7 +154,8 @@ def _require_still(hand: Hand, timestep: float) -> None:
     begin = np.clip(hand.start_positions() + nudge, low, high)
     where = [j.qposadr[0] for j in joints]
     data.qpos[where] = begin
-    data.ctrl[[model.actuator(name).id for name in hand.actuators]] = hand.start_targets()
+    actuators = [model.actuator(name).id for name in hand.actuators]
+    servos.hold(model, data, actuators, hand.start_targets())
     mujoco.mj_step(model, data, round(STILL / timestep))
     moved = np.nan_to_num(np.abs(data.qpos[where] - begin), nan=np.inf)
     worst = int(np.argmax(moved))
@@ -127,7 +172,9 @@ def _require_still(hand: Hand, timestep: float) -> None:
 def _hung(parts: Parts) -> tuple[Mount, Array]:
     """The model's mount, and where a point of the palm hangs at the start, m."""
     place = table(parts.data, "place", {"of", "at"})
-    of = np.array(vector(place.get("of", parts.palm_point), 3, "place.of", -FARTHEST, FARTHEST))
+    of = np.array(parts.palm_point)
+    if "of" in place:
+        of = np.array(parts.palm_frame.point(vector(place["of"], 3, "place.of", -FARTHEST, FARTHEST)))
     data = posed(parts.model, parts.start)
     root, palm = (data.xmat[body].reshape(3, 3) for body in (1, parts.palm))
     turn = mounting.turned(root.T @ palm, parts.palmar, parts.fingers)
@@ -155,7 +202,7 @@ def _above_the_object(parts: Parts, mount: Mount) -> Array:
     plane, box = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_BOX
     spec.worldbody.add_geom(type=plane, size=[1, 1, 0.1])
     spec.worldbody.add_geom(type=box, size=[room] * 3, pos=[0, 0, room], margin=CLEAR)
-    model = mounting.compiled(spec)
+    model = models.compiled(spec)
     halfway = parts.tips(model, posed(model, parts.start | parts.at(0.5)))
     at = -halfway.mean(axis=0) * [1.0, 1.0, 0.0]
     data = posed(model, parts.start)

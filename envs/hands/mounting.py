@@ -3,31 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from fnmatch import filter as filter_names
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..state import Array
-from .hand import SLIDES
+from . import models, servos
+from .hand import SLIDES, Coupling
+from .servos import LINEAR, SERVOS, SLIDE
 
-SLIDE = {"gain": 1000.0, "damping": 79.0, "force": 30.0}
-"""N/m, N s/m, N. Without a limit on its force the hand would be pressed into the ground."""
-SERVOS = {
-    "hinge": {"gain": 10.0, "damping": 0.5, "armature": 0.01, "limit": 1.0},
-    "slide": {"gain": 1000.0, "damping": 50.0, "armature": 0.1, "limit": 20.0},
-}
-"""Of joints whose model has no actuators: N m/rad, N m s/rad, kg m², N m; for slides N/m and so on."""
-HINGE, LINEAR = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
-# Of an element of MjSpec: where it stands, not what it is like.
-NOT_DEFAULTS = {"id", "signature", "parent", "frame", "compiler", "classname", "plugin", "alt", "name"}
+BASE = "base of all roots"
+FREE = mujoco.mjtJoint.mjJNT_FREE
+LOOPS = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
 PALM_DOWN = np.array([[0.0, 0.0, -1.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
 """Columns: where the palmar side, the fingers and their cross product point in the world."""
 
@@ -40,6 +33,16 @@ class Mount:
     palm: str
     drop: tuple[str, ...] = ()
     """Patterns of names of what is left out of the model: bodies, geoms, tendons, actuators, sites."""
+    fuses: bool = True
+    """Are bodies that are fixed to a link part of it?"""
+    keeps_servos: bool = True
+    """Those of the model, if it has some."""
+    couplings: tuple[Coupling, ...] = ()
+    """Those of the hand's file."""
+    passive: tuple[str, ...] = ()
+    """Joints that get no servo."""
+    ranges: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    """Of joints that have another than in the model, rad or m."""
     masses: dict[str, float] = field(default_factory=dict)
     """Of bodies that weigh something else than in the model, kg."""
     keeps_contacts: bool = False
@@ -72,33 +75,52 @@ class Mount:
         damping = [self.slides["damping"], 0, 0]
         for name, axis in zip(SLIDES, rotation, strict=True):
             root.add_joint(name=name, type=LINEAR, axis=axis, damping=damping)
-            _add_servo(spec, name, self.slides["gain"], self.slides["force"])
+            servos.add(spec, name, self.slides["gain"], self.slides["force"])
         for actuator in spec.actuators:
-            if finger_gain != 1.0 and self._is_finger(spec, actuator.target):
+            if finger_gain != 1.0 and self._is_finger(spec, next(iter(servos.arms(spec, actuator)))):
                 for figure in ("gainprm", "biasprm", "forcerange"):
                     setattr(actuator, figure, np.array(getattr(actuator, figure)) * finger_gain)
         return spec
 
     def bare(self, visual: bool = False) -> mujoco.MjSpec:
         """The model with its joints and actuators as they will be, where its file has it."""
-        spec = _read(self.model)
-        self._leave_out(spec)
-        roots = [body.name for body in spec.worldbody.bodies]
-        if len(roots) != 1:
-            found = f"found {len(roots)} bodies at its root ({', '.join(roots)})"
-            raise ValueError(f'model: {found}, allowed one; leave others out with drop = ["NAME"]')
-        if not visual:
-            spec.discard_visual()
-        for body in spec.bodies[1:]:
-            body.gravcomp = 1.0
-            body.mass = self.masses.get(body.name, body.mass)
+        spec = self.unfused(visual)
+        if self.fuses and fixed_bodies(spec):
+            for body in spec.bodies:
+                body.fuse = is_fixed(body)
+            with models.quiet():
+                spec.fuse_static()
         if not self.keeps_contacts:  # contype without conaffinity meets the object and the ground
             for pair in (*spec.pairs, *spec.excludes):
                 spec.delete(pair)
             for geom in spec.geoms:
                 geom.contype, geom.conaffinity = int(bool(geom.contype or geom.conaffinity)), 0
-        if not spec.actuators:
-            self._add_servos(spec)
+        self._couple(spec)
+        self._drive(spec)
+        return spec
+
+    def unfused(self, visual: bool = False) -> mujoco.MjSpec:
+        """The model without what is left out, its bodies carried, what is fixed to them not yet part of
+        them."""
+        spec = models.read(self.model)
+        self._leave_out(spec)
+        spec = _with_one_root(spec)
+        for joint in spec.worldbody.first_body().joints:
+            if joint.type == FREE:
+                spec.delete(joint)
+        if not visual:
+            spec.discard_visual()
+        for body in spec.bodies[1:]:
+            body.gravcomp = 1.0
+            body.mass = self.masses.get(body.name, body.mass)
+        if self.fuses:
+            for body in weightless(spec):
+                if list(body.bodies):
+                    body.mass, body.inertia = models.DUMMY["mass"], models.DUMMY["inertia"]
+                    body.explicitinertial = True
+        for joint in spec.joints:
+            if joint.name in self.ranges:
+                joint.range, joint.limited = self.ranges[joint.name], mujoco.mjtLimited.mjLIMITED_TRUE
         return spec
 
     def _leave_out(self, spec: mujoco.MjSpec) -> None:
@@ -117,25 +139,55 @@ class Mount:
                 spec.delete(element)
         used = {geom.meshname for geom in spec.geoms}
         meshes = [mesh for mesh in spec.meshes if mesh.name not in used]
-        joints = [joint for root in spec.worldbody.bodies for joint in root.joints]
-        free = [joint for joint in joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
-        for element in (*spec.sensors, *spec.lights, *spec.cameras, *spec.keys, *meshes, *free):
+        flat = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD
+        floors = [geom for geom in spec.worldbody.geoms if geom.type in flat]
+        alone = len(list(spec.worldbody.bodies)) == 1
+        floors += [geom for geom in spec.worldbody.geoms if alone and geom not in floors]
+        for element in (*spec.sensors, *spec.lights, *spec.cameras, *spec.keys, *meshes, *floors):
             spec.delete(element)
 
     def _is_left_out(self, element: Any) -> bool:
         is_named = any(fnmatchcase(element.name, pattern) for pattern in self.drop)
         return is_named and element.name != "world"
 
-    def _add_servos(self, spec: mujoco.MjSpec) -> None:
-        """For all joints but those that follow another."""
-        followers = {follower for follower, _, _ in followed(spec)}
+    def _couple(self, spec: mujoco.MjSpec) -> None:
+        """By an equality, what the file couples and neither a tendon nor an equality of the model does;
+        what follows another by one gets what a servo's joint has, or it yields under load."""
+        if not self.fuses:
+            return
+        tied = {part.target.name for tendon in spec.tendons for part in tendon.path
+                if part.type == mujoco.mjtWrap.mjWRAP_JOINT}  # fmt: skip
+        tied |= {coupling.joint for coupling in followed(spec)}
+        for coupling in self.couplings:
+            if coupling.joint not in tied:
+                law = [coupling.offset, coupling.ratio, *9 * [0.0]]
+                names = {"name1": coupling.joint, "name2": coupling.driver}
+                spec.add_equality(type=mujoco.mjtEq.mjEQ_JOINT, data=law, **names)
+        for coupling in followed(spec):
+            joint = spec.joint(coupling.joint)
+            servos.damp(joint, self._figures(joint))
+
+    def _drive(self, spec: mujoco.MjSpec) -> None:
+        """The model's servos in the units of their joints, or the library's on all joints but those
+        that follow another or are passive."""
+        if not self.keeps_servos:
+            for actuator in spec.actuators:
+                spec.delete(actuator)
+        for actuator in spec.actuators:
+            if self.fuses and servos.is_servo(spec, actuator):
+                servos.measure_in_joints(spec, actuator)
+        if spec.actuators:
+            return
+        followers = {coupling.joint for coupling in followed(spec)}
         for joint in spec.joints:
-            kind = "slide" if joint.type == LINEAR else "hinge"
-            figures = {**SERVOS[kind], **self.servos.get(kind, {})}
-            if joint.name not in followers:
-                joint.damping = np.maximum(joint.damping, [figures["damping"], 0, 0])
-                joint.armature = max(joint.armature, figures["armature"])
-                _add_servo(spec, joint.name, figures["gain"], figures["limit"])
+            if joint.name not in followers and joint.name not in self.passive:
+                figures = self._figures(joint)
+                servos.damp(joint, figures)
+                servos.add(spec, joint.name, figures["gain"], figures["limit"])
+
+    def _figures(self, joint: mujoco.MjsJoint) -> dict[str, float]:
+        kind = "slide" if joint.type == LINEAR else "hinge"
+        return {**SERVOS[kind], **self.servos.get(kind, {})}
 
     def _is_finger(self, spec: mujoco.MjSpec, joint: str) -> bool:
         """Does a joint move a part of the hand without moving the palm?"""
@@ -150,65 +202,69 @@ def _above(body: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:
         yield body
 
 
-def _read(path: Path) -> mujoco.MjSpec:
-    """A model's file, with nothing of it merged; ValueError in one line."""
-    included(path)
-    with quiet():
-        try:
-            spec = mujoco.MjSpec.from_file(str(path))
-        except ValueError as error:
-            raise ValueError(f"model {path}: {' '.join(str(error).split())}") from None
-    _forget_defaults(spec)
-    spec.compiler.fusestatic = False
-    spec.compiler.balanceinertia = path.suffix.lower() == ".urdf"
-    return spec
+def _with_one_root(spec: mujoco.MjSpec) -> mujoco.MjSpec:
+    """Several bodies at the root are on one rigid base; ValueError where they are none, or some move
+    freely."""
+    roots = list(spec.worldbody.bodies)
+    if len(roots) == 1:
+        return spec
+    if not roots or any(joint.type == FREE for root in roots for joint in root.joints):
+        found = f"found {len(roots)} bodies at its root ({', '.join(root.name for root in roots)})"
+        hint = 'or several that are fixed; leave others out with drop = ["NAME"]'
+        raise ValueError(f"model: {found}, allowed one, {hint}")
+    whole = mujoco.MjSpec()
+    base = whole.worldbody.add_body(name=BASE).add_frame()
+    folder = spec.modelfiledir
+    with models.quiet():  # names stay as they are
+        whole.attach(spec, prefix="", frame=base)
+    whole.modelfiledir, whole.meshdir, whole.texturedir = folder, spec.meshdir, spec.texturedir
+    whole.compiler.fusestatic = False
+    whole.compiler.balanceinertia = spec.compiler.balanceinertia
+    return whole
 
 
-def included(path: Path) -> list[Path]:
-    """A model's file and those that it includes; FileNotFoundError for what is no file, such as a pipe
-    that never ends."""
-    found = [path]
-    for each in found:  # grows: a file that is included may include others
-        if not each.is_file():
-            raise FileNotFoundError(f"model {str(each)!r} does not exist")
-        with suppress(ElementTree.ParseError, UnicodeDecodeError):  # MuJoCo says it better
-            elements = ElementTree.parse(each).iter("include")
-            more = [path.parent / element.attrib.get("file", "") for element in elements]
-            found += [other for other in dict.fromkeys(more) if other not in found]
-    return found
+def chain(body: mujoco.MjsBody) -> set[str]:
+    """A body and what it hangs on, without the world."""
+    return {each.name for each in (body, *_above(body))} - {"world"}
 
 
-def assets(path: Path, spec: mujoco.MjSpec) -> list[Path]:
-    """The files of a model's meshes, textures and height fields; ValueError for what is none."""
-    folders = {"meshes": spec.meshdir, "hfields": spec.meshdir, "textures": spec.texturedir}
+def loops(spec: mujoco.MjSpec) -> list[set[str]]:
+    """The bodies of each loop that an equality of the model closes."""
     found = []
-    for kind, folder in folders.items():
-        found += [path.parent / folder / each.file for each in getattr(spec, kind) if each.file]
-    for file in found:
-        if not file.is_file():
-            raise ValueError(f"model: found no file {str(file)!r}")
+    for equality in spec.equalities:
+        if equality.type in LOOPS and equality.active and equality.name2:
+            ends = equality.name1, equality.name2
+            if equality.objtype == mujoco.mjtObj.mjOBJ_SITE:
+                ends = tuple(spec.site(name).parent.name for name in ends)
+            first, second = (chain(spec.body(name)) if name != "world" else set() for name in ends)
+            found.append(first ^ second)
     return found
 
 
-@contextmanager
-def quiet() -> Iterator[None]:
-    """MuJoCo's warnings are not written to the terminal, nor to a log where it runs."""
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda _: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(before)
+def in_loops(spec: mujoco.MjSpec) -> list[str]:
+    """The joints of those bodies."""
+    bodies = set().union(*loops(spec))
+    return [joint.name for joint in spec.joints if joint.parent.name in bodies]
 
 
-def _forget_defaults(spec: mujoco.MjSpec) -> None:
-    """What is added from here on is as MuJoCo has it: the file's own elements have their values."""
-    fresh = mujoco.MjSpec()
-    for kind in ("geom", "joint", "actuator"):
-        own, usual = getattr(spec.default, kind), getattr(fresh.default, kind)
-        for name in set(dir(usual)) - NOT_DEFAULTS:
-            if not name.startswith(("_", "set_")):
-                setattr(own, name, getattr(usual, name))
+def is_fixed(body: mujoco.MjsBody) -> bool:
+    """To another body, that is: not at the root, and without joints."""
+    return body.name != "world" and body.parent.name != "world" and not list(body.joints)
+
+
+def fixed_bodies(spec: mujoco.MjSpec) -> list[str]:
+    """Names of those."""
+    return [body.name for body in spec.bodies if is_fixed(body)]
+
+
+def weightless(spec: mujoco.MjSpec) -> list[mujoco.MjsBody]:
+    """Bodies on joints that have neither a mass nor, they or what is fixed to them, a shape."""
+
+    def weighs(body: mujoco.MjsBody) -> bool:
+        fixed = (weighs(child) for child in body.bodies if not list(child.joints))
+        return bool(body.mass > 0 or list(body.geoms) or any(fixed))
+
+    return [body for body in spec.bodies[1:] if list(body.joints) and not weighs(body)]
 
 
 def _quaternion(rotation: Array) -> Array:
@@ -217,34 +273,18 @@ def _quaternion(rotation: Array) -> Array:
     return np.array([np.cos(angle / 2), *(np.sin(angle / 2) * np.round(turn / max(angle, 1e-9), 12))])
 
 
-def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """A model; ValueError in one line where it is wrong, or a mesh of it cannot be found."""
-    with quiet():
-        try:
-            return spec.compile()
-        except ValueError as error:
-            raise ValueError(f"model: {' '.join(str(error).split())}") from None
-
-
-def followed(spec: mujoco.MjSpec) -> Iterator[tuple[str, str, float]]:
-    """(joint, joint that it follows, ratio) where an equality of the model couples them."""
+def followed(spec: mujoco.MjSpec) -> Iterator[Coupling]:
+    """Where an equality of the model couples two joints; ValueError where not by a straight line."""
     for equality in spec.equalities:
-        if equality.type == mujoco.mjtEq.mjEQ_JOINT and equality.name2:
-            yield equality.name1, equality.name2, float(equality.data[1])
-
-
-def _add_servo(spec: mujoco.MjSpec, joint: str, gain: float, limit: float) -> None:
-    """An actuator of the joint's name: force = gain x (target - position), at most `limit`."""
-    servo = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    servo.forcelimited, servo.forcerange = True, [-limit, limit]
-    servo.set_to_position(kp=gain)
-
-
-def is_servo(actuator: mujoco.MjsActuator) -> bool:
-    """Does it pull a joint towards the position that is its control?"""
-    is_affine = actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE
-    on_joint = actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT
-    return bool(is_affine and on_joint and actuator.gainprm[0] > 0 > actuator.biasprm[1])
+        if equality.type != mujoco.mjtEq.mjEQ_JOINT or not equality.name2 or not equality.active:
+            continue
+        offset, ratio, *higher = (float(value) for value in equality.data[:5])
+        if any(higher):
+            found = f"found {equality.name1!r} coupled to {equality.name2!r} by {higher}"
+            raise ValueError(f"model: {found} beyond a straight line, allowed 0")
+        first, second = (spec.joint(name).ref for name in (equality.name1, equality.name2))
+        offset += float(first - ratio * second)
+        yield Coupling(equality.name1, equality.name2, ratio, offset, is_rigid=True)
 
 
 def turned(palm_in_root: Array, palmar: Array, fingers: Array) -> Array:

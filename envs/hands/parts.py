@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import filter as matching
 from functools import cached_property
 from importlib.util import find_spec
@@ -15,10 +16,13 @@ import numpy as np
 
 from ..choices import require_one_of
 from ..state import Array
-from ..toml_files import number, only, strings, table, vector
-from . import mounting
+from ..toml_files import interval, number, only, strings, table, vector
+from . import models, mounting, servos
+from .hand import Coupling, Frame
 from .mounting import Mount
 
+FOLDER = Path(__file__).parent  # of the library's own hands
+SLACK = 1e-3  # rad or m that an angle may be beyond a joint's range
 Angles = dict[str, float]
 """By joint, rad or m."""
 
@@ -29,6 +33,8 @@ class Digit(NamedTuple):
     links: tuple[str, ...]
     tip: tuple[float, ...]
     """In the frame of the last link, m."""
+    sides: tuple[Array | None, ...]
+    """Palmar directions of the links, each in its frame, where the file has them."""
 
 
 @dataclass
@@ -40,117 +46,248 @@ class Parts:
 
     # -- the model ---------------------------------------------------------------------------
 
+    @property
+    def is_own(self) -> bool:
+        """Is it anybody's own hand? The library's are as they have always been."""
+        return self.folder != FOLDER
+
     @cached_property
-    def mount(self) -> Mount:
-        """Of the model where its file has it."""
+    def asked(self) -> Mount:
+        """What the file says of the model."""
         data = self.data
         contacts = data.get("contacts", "others")
         require_one_of(("others", "model"), contacts, "contacts")
-        slides = table(data, "slides", {*mounting.SLIDE, "centre", "half_range", "step", "limits"})
-        servos = table(data, "servos", set(mounting.SERVOS))
-        for kind in servos:
-            only(table(servos, kind), set(mounting.SERVOS[kind]), f"servos.{kind}")
+        slides = table(data, "slides", {*servos.SLIDE, "centre", "half_range", "step", "limits"})
+        figures = table(data, "servos", set(servos.SERVOS))
+        for kind in figures:
+            only(table(figures, kind), set(servos.SERVOS[kind]), f"servos.{kind}")
         return Mount(
             model=_model_file(data.get("model"), self.folder),
             palm=str(data.get("palm")),
+            fuses=self.is_own,
             drop=strings(data["drop"], "drop") if "drop" in data else (),
             masses=numbers(table(data, "masses"), "masses"),
             keeps_contacts=contacts == "model",
-            slides=numbers({k: slides.get(k, v) for k, v in mounting.SLIDE.items()}, "slides"),
-            servos={k: numbers(servos[k], f"servos.{k}") for k in servos},
+            slides=numbers({k: slides.get(k, v) for k, v in servos.SLIDE.items()}, "slides"),
+            servos={k: numbers(figures[k], f"servos.{k}") for k in figures},
+        )
+
+    @cached_property
+    def raw(self) -> mujoco.MjSpec:
+        """The model before bodies become part of others, without what no hand can have."""
+        spec = self.asked.unfused()
+        for body in self.asked.masses:
+            require_one_of([each.name for each in spec.bodies], body, "masses")
+        for joint in spec.joints:
+            of_body = f"a joint of body {joint.parent.name!r}"
+            if joint.type not in (servos.HINGE, servos.LINEAR):
+                kind = joint.type.name.removeprefix("mjJNT_").lower()
+                what = f"joint {joint.name!r}" if joint.name else of_body
+                raise ValueError(f"{what}: is a {kind} joint, allowed hinges and slides")
+            if not joint.name:
+                raise ValueError(f"{of_body}: has no name; give it one")
+        if empty := [body.name for body in mounting.weightless(spec)]:
+            drop = ", ".join(f'"{name}"' for name in empty)
+            raise ValueError(
+                f"model: found links without mass or shape; leave them out: drop = [{drop}]"
+            )
+        return spec
+
+    @cached_property
+    def mount(self) -> Mount:
+        """Of the model where its file has it."""
+        ranges = {
+            joint: interval(value, f"ranges.{pattern}")
+            for pattern, value in table(self.data, "ranges").items()
+            for joint in self.matching(pattern, "ranges")
+        }
+        return replace(
+            self.asked,
+            palm=self.palm_frame.link,
+            ranges=ranges,
+            couplings=self.own_couplings,
+            keeps_servos=not self.replaced,
+            passive=self.passive,
+        )
+
+    @cached_property
+    def replaced(self) -> tuple[str, ...]:
+        """The actuators of the model in whose place joints get the library's servos, because not all
+        of them are position servos, each of other joints."""
+        spec, driven, bad = self.raw, dict[str, str](), []
+        for actuator in spec.actuators:
+            arms = servos.arms(spec, actuator)
+            if not servos.is_servo(spec, actuator) or set(arms) & set(driven):
+                bad.append(actuator.name)
+            driven |= dict.fromkeys(arms, actuator.name)
+        if any(actuator.trntype == servos.TENDON for actuator in spec.actuators):
+            moved = {*driven, *(coupling.joint for coupling in mounting.followed(spec))}
+            bad += [joint for joint in self.angles(table(self.data, "closed"), "closed", False)
+                    if joint not in moved]  # fmt: skip
+        return tuple(actuator.name for actuator in spec.actuators) if bad and self.is_own else ()
+
+    @cached_property
+    def passive(self) -> tuple[str, ...]:
+        """Joints without servos: those that the file names, and those in closed loops that it does not
+        move."""
+        named = strings(self.data["passive"], "passive") if "passive" in self.data else ()
+        found = [joint for pattern in named for joint in self.matching(pattern, "passive")]
+        moved = {
+            joint
+            for key in ("opened", "closed", "start")
+            for joint in self.angles(table(self.data, key), key, False)
+        }
+        return tuple(
+            dict.fromkeys([*found, *(j for j in mounting.in_loops(self.raw) if j not in moved)])
         )
 
     @cached_property
     def spec(self) -> mujoco.MjSpec:
-        """The bare model, without what no hand can have."""
+        """The bare model."""
         spec = self.mount.bare()
-        for body in self.mount.masses:
-            require_one_of([each.name for each in spec.bodies], body, "masses")
-        for joint in spec.joints:
-            if not joint.name:
-                raise ValueError(f"a joint of body {joint.parent.name!r}: has no name; give it one")
-            if joint.type not in (mounting.HINGE, mounting.LINEAR):
-                raise ValueError(f"joint {joint.name!r}: is neither a hinge nor a slide")
         for actuator in spec.actuators:
-            if not mounting.is_servo(actuator):
-                hint = 'leave all out with drop = ["*NAME*"], and joints get servos'
-                found = "is no position servo of a joint"
-                raise ValueError(f"actuator {actuator.name!r}: {found}; {hint}")
+            if not servos.is_servo(spec, actuator):
+                raise ValueError(f"actuator {actuator.name!r}: is no position servo of a joint")
         return spec
 
     @cached_property
     def files(self) -> list[Path]:
         """Of the model."""
-        path = self.mount.model
-        return [*mounting.included(path), *mounting.assets(path, self.spec)]
+        path = self.asked.model
+        return [*models.included(path), *models.assets(path, self.raw)]
 
     @cached_property
     def model(self) -> mujoco.MjModel:
         """The same, compiled."""
-        assert self.files  # before MuJoCo opens them
-        model = mounting.compiled(self.spec)
-        for index in np.flatnonzero(model.jnt_limited == 0):
-            name = model.joint(index).name
-            raise ValueError(f"joint {name!r}: has no range; give it one in the model")
+        model = models.compiled(self.spec)
+        free = [
+            joint
+            for joint, actuator in self.driven.items()
+            if not (model.joint(joint).limited[0] or model.actuator(actuator).ctrllimited[0])
+        ]
+        if free:
+            more = "; so have " + ", ".join(free[1:]) if free[1:] else ""
+            hint = f'[ranges] "{free[0]}" = [low, high]'
+            raise ValueError(f"joint {free[0]!r}: has no range; give it one: {hint}{more}")
         return model
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
-        return tuple(self.model.joint(i).name for i in range(self.model.njnt))
+        return tuple(joint.name for joint in self.raw.joints)
 
     @cached_property
     def driven(self) -> dict[str, str]:
-        """Actuators by the joint that they drive."""
-        joints = (self.model.joint(self.model.actuator_trnid[i, 0]).name for i in range(self.model.nu))
-        return {joint: self.model.actuator(i).name for i, joint in enumerate(joints)}
+        """Actuators by the joint that they drive: of a tendon the first that follows no other."""
+        followers = {coupling.joint for coupling in mounting.followed(self.spec)}
+        found = {}
+        for actuator in self.spec.actuators:
+            arms = servos.arms(self.spec, actuator)
+            found[next((j for j in arms if j not in followers), next(iter(arms)))] = actuator.name
+        return found
 
     @cached_property
-    def follows(self) -> tuple[tuple[str, str, float], ...]:
-        """(joint, joint that it follows, ratio): of the file, then of the model's equalities."""
-        found = {}
+    def own_couplings(self) -> tuple[Coupling, ...]:
+        """Those of the file."""
+        found = []
         for joint, about in table(self.data, "couplings").items():
             where = f"couplings.{joint}"
-            table({where: about}, where, {"follows", "ratio"})
+            table({where: about}, where, {"follows", "ratio", "offset"})
             driver = str(about.get("follows"))
-            self.angles({joint: 0, driver: 0}, "couplings")
-            found[joint] = joint, driver, number(about.get("ratio"), f"{where}.ratio")
-        for coupling in mounting.followed(self.spec):
-            found.setdefault(coupling[0], coupling)
+            self.angles({joint: 0, driver: 0}, "couplings", False)
+            ratio, offset = (number(about.get(key, usual), f"{where}.{key}")
+                             for key, usual in (("ratio", None), ("offset", 0.0)))  # fmt: skip
+            found.append(Coupling(joint, driver, ratio, offset))
+        return tuple(found)
+
+    @cached_property
+    def follows(self) -> tuple[Coupling, ...]:
+        """Of joints that follow others, those of the file first: each by what moves them all."""
+        rigid = {coupling.joint: coupling for coupling in mounting.followed(self.spec)}
+        found = {each.joint: rigid.get(each.joint, each) for each in self.own_couplings}
+        for coupling in rigid.values():
+            found.setdefault(coupling.joint, coupling)
+        for driver, name in self.driven.items():
+            for joint in servos.arms(self.spec, self.spec.actuator(name)):
+                if joint != driver:
+                    found.setdefault(joint, Coupling(joint, driver, 1.0))
         for joint in found:
             chain = [joint]
             while chain[-1] in found:
-                chain.append(found[chain[-1]][1])
+                chain.append(found[chain[-1]].driver)
                 if chain[-1] in chain[:-1]:
                     raise ValueError(f"couplings: found a circle: {' follows '.join(chain)}")
-        return tuple(found.values())
+        return tuple(_whole(coupling, found) for coupling in found.values())
 
-    def body(self, name: Any, where: str) -> int:
-        """Its index; ValueError where there is none of that name."""
-        bodies = [self.model.body(i).name for i in range(1, self.model.nbody)]
+    def frame(self, name: Any, where: str) -> Frame:
+        """The link that a body is, or is part of; ValueError where there is none of that name."""
+        bodies = [body.name for body in self.raw.bodies[1:]]
         if name not in bodies:
             allowed = ", ".join(bodies)
             raise ValueError(f"{where}: found no body {name!r} in the model, allowed: {allowed}")
-        return 1 + bodies.index(name)
+        return self.welded.get(str(name), Frame(str(name)))
+
+    @cached_property
+    def welded(self) -> dict[str, Frame]:
+        """The bodies that are part of links."""
+        fixed = mounting.fixed_bodies(self.raw) if self.is_own else []
+        if not fixed:
+            return {}
+        data, found = posed(models.compiled(self.raw.copy()), {}), {}
+        for name in fixed:
+            body = self.raw.body(name)
+            while mounting.is_fixed(body):
+                body = body.parent
+            here, there = data.body(name), data.body(body.name)
+            turn = there.xmat.reshape(3, 3).T
+            own = turn @ here.xmat.reshape(3, 3)
+            found[name] = Frame(body.name, np.round(own, 12), turn @ (here.xpos - there.xpos))
+        return found
 
     # -- joint angles ------------------------------------------------------------------------
 
-    def angles(self, values: dict[str, Any], where: str) -> Angles:
-        """Those of a table, in order: keys are joints or patterns of them."""
+    def matching(self, pattern: str, where: str) -> list[str]:
+        """The joints of that name, or pattern; ValueError where there is none."""
+        joints = [pattern] if pattern in self.joints else matching(self.joints, str(pattern))
+        if not joints:
+            allowed = ", ".join(self.joints)
+            raise ValueError(f"{where}: found no joint {pattern!r} in the model, allowed: {allowed}")
+        return joints
+
+    def angles(self, values: dict[str, Any], where: str, ranged: bool = True) -> Angles:
+        """Those of a table, in order: keys are joints or patterns of them. ValueError for what is not
+        in a joint's range, where it is to be `ranged`."""
         found: Angles = {}
         for pattern, value in values.items():
-            joints = [pattern] if pattern in self.joints else matching(self.joints, str(pattern))
-            if not joints:
-                found_no = f"found no joint {pattern!r} in the model"
-                raise ValueError(f"{where}: {found_no}, allowed: {', '.join(self.joints)}")
+            joints = self.matching(pattern, where)
             found |= dict.fromkeys(joints, number(value, f"{where}.{pattern}"))
+        for joint, angle in found.items() if ranged and self.is_own else ():
+            low, high = self.range_of(joint)
+            if not low - SLACK <= angle <= high + SLACK:
+                allowed = f"allowed {low:.4g} to {high:.4g}, the joint's range"
+                raise ValueError(f"{where}.{joint}: found {angle:g}, {allowed}")
         return found
+
+    def range_of(self, joint: str) -> tuple[float, float]:
+        """Of a joint, in rad or m, infinite where it has none."""
+        found = self.model.joint(joint)
+        low, high = found.range.tolist() if found.limited[0] else (-math.inf, math.inf)
+        return low, high
+
+    def inside(self, joint: str, angle: float = 0.0) -> float:
+        """The angle nearest to this one that the joint can have."""
+        low, high = self.range_of(joint)
+        return min(max(angle, low), high) if self.is_own else angle
 
     @cached_property
     def closed(self) -> Angles:
         closed = self.angles(table(self.data, "closed"), "closed")
-        for joint in closed:
-            if joint not in self.driven:
-                raise ValueError(f"closed.{joint}: found a joint without an actuator")
+        idle = [joint for joint in closed if joint not in self.driven]
+        if idle:
+            hint = "leave it out"
+            if self.driven and not any(joint == each.joint for joint in idle for each in self.follows):
+                names = ", ".join(f'"{name}"' for name in self.driven.values())
+                hint = f"add the missing ones, or give all joints the library's: drop = [{names}]"
+            raise ValueError(f"closed.{idle[0]}: found a joint without an actuator; {hint}")
         return closed
 
     @cached_property
@@ -160,12 +297,12 @@ class Parts:
         for joint in opened:
             if joint not in self.closed:
                 raise ValueError(f"opened.{joint}: found it without a value in [closed]")
-        return dict.fromkeys(self.closed, 0.0) | opened
+        return {joint: self.inside(joint) for joint in self.closed} | opened
 
     def way(self, joint: str) -> float:
         """How far it goes from open to closed, by itself or following another, rad."""
         own = self.closed.get(joint, 0.0) - self.opened.get(joint, 0.0)
-        return own or sum(ratio * self.way(driver) for j, driver, ratio in self.follows if j == joint)
+        return own or sum(c.ratio * self.way(c.driver) for c in self.follows if c.joint == joint)
 
     def at(self, share: float) -> Angles:
         """A share of the way from open to closed."""
@@ -182,7 +319,9 @@ class Parts:
             for digit in self.digits:
                 some = self.at(number(shares.get(digit, 0.0), f"start_closing.{digit}"))
                 angles |= {joint: some[joint] for joint in self.closing_of(digit)}
-        return angles | {j: ratio * angles.get(driver, 0.0) for j, driver, ratio in self.follows}
+        if self.is_own:
+            angles = {joint: self.inside(joint) for joint in self.joints} | angles
+        return angles | {c.joint: c.at(angles.get(c.driver, 0.0)) for c in self.follows}
 
     # -- digits and palm ---------------------------------------------------------------------
 
@@ -192,24 +331,27 @@ class Parts:
         for name, about in table(self.data, "digits").items():
             where = f"digits.{name}"
             table({where: about}, where, {"links", "tip", "palmar", "base", "base_link"})
-            links = strings(about.get("links"), f"{where}.links")
-            for link in links:
-                self.body(link, where)
-                others = (other for other, digit in found.items() if link in digit.links)
+            bodies = strings(about.get("links"), f"{where}.links")
+            frames = [self.frame(body, where) for body in bodies]
+            sides: dict[str, Array | None] = {}
+            for frame, side in zip(
+                frames, _sides(about.get("palmar"), len(bodies), where), strict=True
+            ):
+                sides.setdefault(frame.link, None if side is None else np.array(frame.direction(side)))
+                others = (other for other, digit in found.items() if frame.link in digit.links)
                 if other := next(others, None):
-                    raise ValueError(f"{where}.links: found {link!r}, which is a link of {other}")
-            found[name] = Digit(links, vector(about.get("tip"), 3, f"{where}.tip"))
+                    raise ValueError(f"{where}.links: found {frame.link!r}, which is a link of {other}")
+            tip = frames[-1].point(vector(about.get("tip"), 3, f"{where}.tip"))
+            found[name] = Digit(tuple(sides), tip, tuple(sides.values()))
         if not found:
             raise ValueError("digits: found none, expected a table with one or more")
         return found
 
     def closing_of(self, digit: str) -> list[str]:
-        """The joints of [closed] that move a digit."""
-        chain, body = set(), self.model.body(self.digits[digit].links[-1]).id
-        while body > 0:
-            chain.add(body)
-            body = self.model.body_parentid[body]
-        return [joint for joint in self.closed if self.model.joint(joint).bodyid[0] in chain]
+        """The joints of [closed] that move a digit, through closed loops too."""
+        chain = mounting.chain(self.spec.body(self.digits[digit].links[-1]))
+        chain |= {body for loop in mounting.loops(self.spec) if chain & loop for body in loop}
+        return [joint for joint in self.closed if self.spec.joint(joint).parent.name in chain]
 
     def tips(self, model: mujoco.MjModel, data: mujoco.MjData) -> Array:
         """(n_digits, 3) in a posed model, m."""
@@ -219,26 +361,55 @@ class Parts:
         return np.asarray(data.xpos[bodies] + turned)
 
     @cached_property
+    def palm_frame(self) -> Frame:
+        return self.frame(self.data.get("palm"), "palm")
+
+    @cached_property
     def palm(self) -> int:
-        return self.body(self.data.get("palm"), "palm")
+        return int(self.model.body(self.palm_frame.link).id)
 
     @cached_property
     def palm_point(self) -> tuple[float, ...]:
         """In its frame, m."""
-        return vector(self.data.get("palm_point"), 3, "palm_point")
+        found: tuple[float, ...] = self.palm_frame.point(
+            vector(self.data.get("palm_point"), 3, "palm_point")
+        )
+        return found
 
     @cached_property
     def palmar(self) -> Array:
         """Unit vector (3,) out of the palm, in its frame."""
-        return unit(vector(self.data.get("palmar"), 3, "palmar"), "palmar")
+        palmar = self.palm_frame.direction(vector(self.data.get("palmar"), 3, "palmar"))
+        return unit(palmar, "palmar")
 
     @cached_property
     def fingers(self) -> Array:
         """Unit vector (3,) from the palm towards the fingers, in its frame."""
-        fingers = unit(vector(self.data.get("fingers"), 3, "fingers"), "fingers")
+        fingers = self.palm_frame.direction(vector(self.data.get("fingers"), 3, "fingers"))
+        fingers = unit(fingers, "fingers")
         if abs(self.palmar @ fingers) > 0.9:
             raise ValueError("fingers: found the direction of palmar, expected one along the palm")
         return beside(fingers, self.palmar)
+
+
+def _whole(coupling: Coupling, of: Mapping[str, Coupling]) -> Coupling:
+    """By the last of those that follow each other."""
+    while beyond := of.get(coupling.driver):
+        ratio, offset = coupling.ratio * beyond.ratio, coupling.at(beyond.offset)
+        rigid = coupling.is_rigid and beyond.is_rigid
+        coupling = Coupling(coupling.joint, beyond.driver, ratio, offset, rigid)
+    return coupling
+
+
+def _sides(value: Any, n: int, where: str) -> list[Array | None]:
+    """Palmar directions of `n` links: none, one for all, or one for each."""
+    where = f"{where}.palmar"
+    if value is None:
+        return [None] * n
+    each = value if isinstance(value, list) and value and isinstance(value[0], list) else [value] * n
+    if len(each) != n:
+        raise ValueError(f"{where}: found {len(each)} directions, expected one, or one for each link")
+    return [unit(vector(one, 3, where), where) for one in each]
 
 
 def posed(model: mujoco.MjModel, angles: Mapping[str, float]) -> mujoco.MjData:

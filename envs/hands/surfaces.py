@@ -10,11 +10,12 @@ import numpy as np
 
 from ..state import Array
 from ..toml_files import number, table, vector
-from . import mounting
+from . import servos
 from .hand import SEGMENTS, Pitch, Surface
 from .parts import Parts, beside, numbers, posed, unit
 from .skins import Distances, Geom, geoms_of, meet
 
+PARALLEL = 0.99  # cosine
 BEYOND = 0.01  # m that a fingertip may lie off the shapes of its link
 
 
@@ -23,9 +24,7 @@ def of(parts: Parts) -> tuple[Surface, ...]:
     open_hand, found = posed(parts.model, parts.opened), []
     shift = number(table(parts.data, "pitch").get("distal_shift", 0.0), "pitch.distal_shift")
     tips = dict(zip(parts.digits, parts.tips(parts.model, open_hand), strict=True))
-    for digit, (links, tip) in parts.digits.items():
-        about = parts.data["digits"][digit]
-        sides = _sides(about.get("palmar"), len(links), f"digits.{digit}.palmar")
+    for digit, (links, tip, sides) in parts.digits.items():
         for count, (link, segment) in enumerate(zip(links, _segments(len(links)), strict=True)):
             body = parts.model.body(link).id
             away = tips[digit] - open_hand.xpos[body]
@@ -36,7 +35,7 @@ def of(parts: Parts) -> tuple[Surface, ...]:
         found[-1] = replace(found[-1], centre=tuple(centre))
         _require_on_link(parts, digit, links[-1], tip)
     bases = {digit: about for digit, about in parts.data["digits"].items() if "base" in about}
-    for digit, about in bases.items() or [("palm", {"base": parts.palm_point})]:
+    for digit, about in bases.items() or [("palm", {})]:
         found.append(_palm_side(parts, digit, about))
     return tuple(found)
 
@@ -63,30 +62,37 @@ def _segments(n: int) -> tuple[str, ...]:
     return {1: SEGMENTS[2:], 2: SEGMENTS[::2]}.get(n, (SEGMENTS[0], *between, SEGMENTS[2]))
 
 
-def _sides(value: Any, n: int, where: str) -> list[Array | None]:
-    """Palmar directions of `n` links: none, one for all, or one for each."""
-    if value is None:
-        return [None] * n
-    each = value if isinstance(value, list) and value and isinstance(value[0], list) else [value] * n
-    if len(each) != n:
-        raise ValueError(f"{where}: found {len(each)} directions, expected one, or one for each link")
-    return [unit(vector(one, 3, where), where) for one in each]
-
-
 def _flexion(parts: Parts, links: tuple[str, ...], data: mujoco.MjData) -> list[Array]:
-    """About what the first of these links and those beyond it turn when the hand closes: unit vectors
-    (3,) in the frame of the first."""
-    model, found = parts.model, []
-    own = data.xmat[model.body(links[0]).id].reshape(3, 3)
-    for link in links:
-        body, turn = model.body(link), np.eye(3)
-        if link != links[0]:
-            turn = np.round(own.T @ data.xmat[body.id].reshape(3, 3), 12)
-        for joint in range(body.jntadr[0], body.jntadr[0] + body.jntnum[0]):
-            way = parts.way(model.joint(joint).name)
-            if way and model.jnt_type[joint] == int(mounting.HINGE):
-                found.append(np.sign(way) * turn @ model.jnt_axis[joint])
+    """About what the first of these links and those beyond it turn when the hand closes, then about
+    what turns them: unit vectors (3,) in the frame of the first."""
+    found = [axis for link in links for axis in _moves(parts, links[0], link, data, servos.HINGE)]
+    return found + _above(parts, links[0], data, servos.HINGE)
+
+
+def _above(parts: Parts, link: str, data: mujoco.MjData, kind: Any) -> list[Array]:
+    """The axes of joints of a kind that carry a link, the nearest first."""
+    body, found = parts.spec.body(link).parent, []
+    while parts.is_own and body.name != "world":
+        found += _moves(parts, link, body.name, data, kind)
+        body = body.parent
     return found
+
+
+def _moves(parts: Parts, own: str, link: str, data: mujoco.MjData, kind: Any) -> list[Array]:
+    """The axes of a link's joints of a kind that move when the hand closes, signed: unit vectors (3,)
+    in the frame of the link `own`."""
+    model, body = parts.model, parts.model.body(link)
+    here, turn = data.xmat[model.body(own).id].reshape(3, 3), np.eye(3)
+    if link != own:
+        turn = np.round(here.T @ data.xmat[body.id].reshape(3, 3), 12)
+    joints = range(body.jntadr[0], body.jntadr[0] + body.jntnum[0])
+    chosen = [joint for joint in joints if model.jnt_type[joint] == int(kind)]
+    ways = [parts.way(model.joint(joint).name) for joint in chosen]
+    return [
+        np.sign(way) * turn @ model.jnt_axis[joint]
+        for joint, way in zip(chosen, ways, strict=True)
+        if way
+    ]
 
 
 def _segment(
@@ -102,11 +108,19 @@ def _segment(
     along = towards if ends is None else unit(ends[1] - ends[0], link)
     if side is None:
         turning = next((axis for axis in flexion if np.linalg.norm(np.cross(axis, along)) > 0.5), None)
-        if turning is None:
+        if turning is not None:
+            along = beside(along, turning) if ends is None else along
+            side = unit(np.cross(turning, along), link)
+    if side is None:  # what slides goes there
+        data = posed(parts.model, parts.opened)
+        slides = _moves(parts, link, link, data, servos.LINEAR) + _above(
+            parts, link, data, servos.LINEAR
+        )
+        if not slides:
             hint = "say which side of it is palmar: palmar = [x, y, z]"
             raise ValueError(f"digits.{digit}: nothing in [closed] bends {link!r}; {hint}")
-        along = beside(along, turning) if ends is None else along
-        side = unit(np.cross(turning, along), link)
+        side = slides[0]
+        along = along if abs(side @ along) < PARALLEL else np.cross(side, np.roll(side, 1))
     if ends is None:
         axes: dict[str, Any] = {"along": tuple(beside(along, side)), "palmar": tuple(side)}
         return _around(Surface(digit, segment, link, (0.0, 0.0, 0.0), **axes, geoms=geoms))
@@ -137,9 +151,13 @@ def _bone(parts: Parts, link: str, capsule: Geom) -> Array:
 
 def _palm_side(parts: Parts, digit: str, about: dict[str, Any]) -> Surface:
     """The palm at a place: a plane where it is said to be flat, else whatever is there."""
-    link = str(about.get("base_link", parts.model.body(parts.palm).name))
-    body = parts.body(link, f"digits.{digit}.base_link")
-    base = vector(about["base"], 3, f"digits.{digit}.base")
+    frame = parts.palm_frame
+    if "base_link" in about:
+        frame = parts.frame(about["base_link"], f"digits.{digit}.base_link")
+    link, body = frame.link, parts.model.body(frame.link).id
+    base = parts.palm_point
+    if "base" in about:
+        base = frame.point(vector(about["base"], 3, f"digits.{digit}.base"))
     data = posed(parts.model, {})
     here, there = (data.xmat[b].reshape(3, 3) for b in (body, parts.palm))
     turn = np.round(here.T @ there, 12)

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 import mujoco
 import numpy as np
 
+from ..hands.servos import hold
 from ..state import Array, Contacts, Shape, State
 from . import Camera, Giver, Scene, Sensor, SimulationError, Simulator, Sphere, joint_limits
 
@@ -140,6 +141,7 @@ class MujocoSimulator(Simulator):
         self._qpos = np.array([joint.qposadr[0] for joint in joints])
         self._qvel = np.array([joint.dofadr[0] for joint in joints])
         self._ctrl = np.array([model.actuator(name).id for name in hand.actuators])
+        self._actuated = [hand.joints.index(joint) for joint in hand.actuated]
         free = model.joint(OBJECT)
         self._object_qpos = slice(int(free.qposadr[0]), int(free.qposadr[0]) + 7)
         self._object_qvel = int(free.dofadr[0])
@@ -187,6 +189,8 @@ class MujocoSimulator(Simulator):
         mujoco.mj_resetData(self.model, self.data)
         self.let_go()
         turn = np.array([np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
+        held = joint_positions[self._actuated]
+        hold(self.model, self.data, self._ctrl.tolist(), held)
         with self._checked():
             self.place(joint_positions, object_position, turn)
 

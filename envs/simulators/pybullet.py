@@ -48,6 +48,7 @@ GRAVITY = 9.81
 ENGINE = {"numSolverIterations": 50, "deterministicOverlappingPairs": 1}
 LOADING = pybullet.URDF_USE_INERTIA_FROM_FILE
 TINY = 1e-9
+RIGID = 100.0  # how much more force than its driver's motor has what follows by an equality
 JOINT_DAMPING = 0.01  # N m s/rad
 SPINNING_FRICTION = 0.005  # m, of the object's contacts
 FRICTION_ANCHOR = 1  # contacts remember where they stick; without, held objects creep
@@ -142,17 +143,28 @@ class PyBulletSimulator(Simulator):
         limits, gains = [], []
         for actuator, joint in zip(hand.actuators, hand.actuated, strict=True):
             servo, moved = model.actuator(actuator), model.joint(joint)
+            arm = float(
+                servo.gainprm[0] / -servo.biasprm[1]
+            )  # force on the joint by force of the servo
             damping = model.dof_damping[moved.dofadr[0]] - servo.biasprm[2]
             unlimited = servo.gainprm[0] * np.ptp(moved.range)
-            limits.append(float(servo.forcerange[1] if servo.forcelimited[0] else unlimited))
-            gains.append(min(1.0, float(servo.gainprm[0] / max(damping, TINY)) * self.scene.timestep))
-        self._drivers = [hand.actuated.index(driver) for _, driver, _ in hand.couplings]
-        self._ratios = np.array([ratio for _, _, ratio in hand.couplings])
-        joints = [*hand.actuated, *(joint for joint, _, _ in hand.couplings)]
-        motors = [self._joint_index[joint] for joint in joints]
+            limits.append(float(servo.forcerange[1] if servo.forcelimited[0] else unlimited) * arm)
+            stiffness = servo.gainprm[0] * arm
+            gains.append(min(1.0, float(stiffness / max(damping, TINY)) * self.scene.timestep))
+        self._drivers = [hand.actuated.index(each.driver) for each in hand.couplings]
+        self._ratios = np.array([each.ratio for each in hand.couplings])
+        self._offsets = np.array([each.offset for each in hand.couplings])
+        motors = [self._joint_index[joint] for joint in hand.actuated]
+        rigid = [k for k, each in enumerate(hand.couplings) if each.is_rigid]
+        self._rigid = np.array(rigid, int)
+        followers = [self._joint_index[each.joint] for each in hand.couplings]
+        self._followers = [followers[k] for k in rigid]
+        self._leaders = [motors[self._drivers[k]] for k in rigid]
         for figures in (gains, limits):
             figures += [figures[driver] for driver in self._drivers]
-        return motors, gains, limits
+        for k in rigid:  # what follows by an equality does not yield
+            gains[len(motors) + k], limits[len(motors) + k] = 1.0, RIGID * limits[len(motors) + k]
+        return [*motors, *followers], gains, limits
 
     # -- running -----------------------------------------------------------------------------
 
@@ -188,17 +200,33 @@ class PyBulletSimulator(Simulator):
             raise SimulationError("PyBullet's state is not finite")
 
     def _step(self, joint_targets: Array, n_substeps: int) -> None:
-        bullet, coupled = self._bullet, self._ratios * joint_targets[self._drivers]
+        bullet = self._bullet
+        coupled = self._ratios * joint_targets[self._drivers] + self._offsets
         bullet.setJointMotorControlArray(
             self.hand, self._motors, pybullet.POSITION_CONTROL,
             targetPositions=[*joint_targets.tolist(), *coupled.tolist()],
             positionGains=self._gains, forces=self._forces,
         )  # fmt: skip
         for _ in range(n_substeps):  # external forces last one step
+            if self._followers:
+                self._lead()
             position, _ = bullet.getBasePositionAndOrientation(self.object)
             force = self._weight if self._rest is None else self._pull(np.array(position))
             bullet.applyExternalForce(self.object, -1, force, position, pybullet.WORLD_FRAME)
             bullet.stepSimulation()
+
+    def _lead(self) -> None:
+        """Have what follows by an equality go where its driver goes."""
+        states = self._bullet.getJointStates(self.hand, self._leaders)
+        places, speeds = (np.array([state[k] for state in states]) for k in (0, 1))
+        ratios, first = self._ratios[self._rigid], len(self.scene.hand.actuated)
+        chosen = first + self._rigid
+        self._bullet.setJointMotorControlArray(
+            self.hand, self._followers, pybullet.POSITION_CONTROL,
+            targetPositions=(ratios * places + self._offsets[self._rigid]).tolist(),
+            targetVelocities=(ratios * speeds).tolist(), positionGains=np.ones(len(chosen)).tolist(),
+            forces=[self._forces[k] for k in chosen],
+        )  # fmt: skip
 
     def _pull(self, position: Array) -> Array:
         """The giver's force (3,) on the object, N, whose weight is carried; the spring's rest point

@@ -23,6 +23,7 @@ from ..state import Array
 WORLD = "world"
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _JOINTS = {_HINGE: "revolute", _SLIDE: "prismatic"}
+_LOOPS = [int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)]
 _UNLIMITED = 1e9
 BULLETS_SKIN = 1e-3  # m: by so much Bullet makes convex hulls from URDF thicker
 
@@ -30,6 +31,11 @@ BULLETS_SKIN = 1e-3  # m: by so much Bullet makes convex hulls from URDF thicker
 def from_model(model: mujoco.MjModel, folder: Path) -> str:
     """The text, with the convex hulls of meshes as files in `folder`; ValueError when the model has a
     joint or a shape that URDF has not."""
+    if loops := np.isin(model.eq_type, _LOOPS).sum():
+        raise ValueError(
+            f"simulator: found 'pybullet' with {loops} closed loops in the hand's model, allowed for "
+            "PyBullet: none"
+        )
     robot = Element("robot", name="hand")
     _link(robot, WORLD, 0.0, np.zeros(3))
     for body in range(1, model.nbody):
