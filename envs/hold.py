@@ -25,7 +25,7 @@ from .state import Array, State
 
 Verdict = Literal["full", "settled"]
 RAISE_SPEED = 0.3  # m/s
-OUT_OF_REACH = 0.25  # m from the palm; the longest finger reaches 0.15 m
+OUT_OF_REACH = 0.25  # m from the palm; the longest finger of the library's hands reaches 0.15 m
 CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
 CLEAR = 0.01  # m under the object: nothing but the hand holds it
 LOOK_STEPS = 25  # of the set-up's own timestep, whatever timestep it is run with
@@ -42,6 +42,8 @@ class HoldTest:
     verdict: Verdict = "full"
     height: float = 1.0
     """Height of the palm, m."""
+    out_of_reach: float = OUT_OF_REACH
+    """An object further than this from the palm is in free fall, m."""
     creep: float = 20.0
     """"settled": by how much creep is sped up and time compressed. What this and the next two cost
     is measured by ``python -m benchmarks hold_verdict --early creep=40`` and so on."""
@@ -72,7 +74,7 @@ class HoldTest:
                 simulator.step(targets, n_substeps)
                 state, before = simulator.state(), corners
                 corners, n_looks, is_at_top = _corners(state), n_looks + 1, bool(targets[2] == top)
-                if not np.linalg.norm(_in_hand(state)) <= OUT_OF_REACH:
+                if not np.linalg.norm(_in_hand(state)) <= self.out_of_reach:
                     return False
                 if is_at_top and not left:
                     return True

@@ -14,11 +14,13 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
 import numpy as np
 
 from .hands import Hand
-from .hold import LOOK_STEPS, HoldTest, Verdict
+from .hold import LOOK_STEPS, OUT_OF_REACH, HoldTest, Verdict
 from .objects import bounds, require_ends
 from .simulators import Giver, Simulator
 from .state import Array, Shape, State
 from .typed import allow_only_with
+
+BEYOND_REACH, BEYOND_FALLEN = 0.08, 0.03  # m beyond where fingertips get: lost, and missed
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,12 @@ class Task(Protocol):
         """As configured, for a hand whose own timestep is that, s, and a scene whose first object has
         this shape."""
         self.config, self.first = config, first
-        self.hold = HoldTest(config.hold_seconds, LOOK_STEPS * own_timestep, config.hold_verdict)
+        self.hold = HoldTest(
+            config.hold_seconds,
+            LOOK_STEPS * own_timestep,
+            config.hold_verdict,
+            out_of_reach=max(OUT_OF_REACH, hand.reach + BEYOND_REACH),
+        )
 
     def start(self, usual: Start, palm: Array, shape: Shape, rng: np.random.Generator) -> Start:
         """How an episode begins: usually with the hand open above an object on the ground, both a
@@ -256,8 +263,8 @@ class Handover(Task):
     """Actions from setting off to letting go."""
     settles: ClassVar[int] = 8
     """Actions from letting go to the hold test."""
-    fallen: ClassVar[float] = 0.2
-    """m from the palm: it was missed."""
+    fallen: float = 0.2
+    """m from the palm, or more where fingertips get further: it was missed."""
 
     @classmethod
     def validate(cls, config: TaskConfig) -> None:
@@ -269,6 +276,10 @@ class Handover(Task):
         if config.control_dt < fastest:
             found_dt = f"control_dt: found {config.control_dt} s, allowed {fastest:.3f} s or more in a"
             raise ValueError(f"{found_dt} handover: the object would not arrive")
+
+    def __init__(self, config: TaskConfig, hand: Hand, own_timestep: float, first: Shape) -> None:
+        super().__init__(config, hand, own_timestep, first)
+        self.fallen = max(self.fallen, hand.reach + BEYOND_FALLEN)
 
     def start(self, usual: Start, palm: Array, shape: Shape, rng: np.random.Generator) -> Start:
         x, y, _ = usual.position  # fingers point along -y

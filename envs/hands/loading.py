@@ -17,8 +17,7 @@ from .. import toml_files
 from ..choices import require_one_of
 from ..state import Array
 from ..toml_files import interval, number, only, strings, table, vector
-from ..state import Array
-from . import models, mounting, servos, surfaces
+from . import checks, models, mounting, surfaces
 from .hand import CLOSING_STEP, SLIDES, Hand, LinearAction, ScriptedGrasp
 from .mounting import Mount
 from .parts import Parts, posed
@@ -49,7 +48,6 @@ CLEAR, STEP, HIGHEST = 0.008, 0.002, 0.5  # m: around the hand at the start; of 
 FARTHEST = 1.0  # m of anything from the palm or the object
 NANO = 9  # decimals of m that count of a place
 TIMESTEP = 0.004  # s, of scenes that say nothing else
-NUDGE, STILL, MOST_MOVED = 0.02, 0.4, 0.2  # rad, s, rad: of a hand that should hang still
 
 
 def load(path: Path) -> Hand:
@@ -58,10 +56,14 @@ def load(path: Path) -> Hand:
     with toml_files.blamed(f"hand file {path}"):
         data = toml_files.read(path, "hand file")
         only(data, KEYS, "the file")
-        hand = _hand(Parts(data, path.parent), path.stem)
-        if path.parent != Path(__file__).parent:
-            timestep = table(data, "scene").get("timestep", TIMESTEP)
-            _require_still(hand, number(timestep, "scene.timestep", 1e-5, 1.0))
+        parts = Parts(data, path.parent)
+        hand = _hand(parts, path.stem)
+        if parts.is_own:
+            timestep = number(
+                table(data, "scene").get("timestep", TIMESTEP), "scene.timestep", 1e-5, 1.0
+            )
+            with models.quiet():
+                hand = replace(hand, notes=hand.notes + checks.examine(hand, parts, timestep))
         return hand
 
 
@@ -121,10 +123,12 @@ def _some(names: tuple[str, ...]) -> str:
 
 
 def _reach(parts: Parts) -> float:
-    """How far the fingertips get from the palm's point, open or closed, m; at least the usual."""
+    """How far the fingertips get from the palm's point, open or closed, m; at least the usual, which
+    is that of the library's hands."""
     found = [Hand.reach]
-    for share in (0.0, 0.5, 1.0):
-        data = posed(parts.model, parts.start | parts.at(share))
+    for share in (0.0, 0.5, 1.0) if parts.is_own else ():
+        angles = parts.start | parts.at(share)
+        data = posed(parts.model, angles | parts.followed(angles))
         turn = data.xmat[parts.palm].reshape(3, 3)
         point = data.xpos[parts.palm] + turn @ np.array(parts.palm_point)
         found += np.linalg.norm(parts.tips(parts.model, data) - point, axis=1).tolist()
@@ -139,31 +143,6 @@ def _names(
     for name in found if known else ():
         require_one_of(known, name, key)
     return found
-
-
-def _require_still(hand: Hand, timestep: float) -> None:
-    """ValueError for a model that does not hang still where it starts, its joints a little moved."""
-    spec = hand.build()
-    spec.option.timestep = timestep
-    model = models.compiled(spec)
-    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    data = mujoco.MjData(model)
-    joints = [model.joint(name) for name in hand.joints]
-    low, high = np.array([j.range if j.limited[0] else (-1.0, 1.0) for j in joints]).T
-    nudge = np.where(np.isin(hand.joints, SLIDES), 0.0, NUDGE)
-    begin = np.clip(hand.start_positions() + nudge, low, high)
-    where = [j.qposadr[0] for j in joints]
-    data.qpos[where] = begin
-    actuators = [model.actuator(name).id for name in hand.actuators]
-    servos.hold(model, data, actuators, hand.start_targets())
-    mujoco.mj_step(model, data, round(STILL / timestep))
-    moved = np.nan_to_num(np.abs(data.qpos[where] - begin), nan=np.inf)
-    worst = int(np.argmax(moved))
-    if moved[worst] > MOST_MOVED:
-        raise ValueError(
-            f"model: does not hang still: joint {hand.joints[worst]!r} moves by {moved[worst]:.2g} "
-            f"within {STILL:g} s; look at its servo's gain and damping, or at what it touches"
-        )
 
 
 # -- where it hangs --------------------------------------------------------------------------
@@ -252,7 +231,11 @@ def _groups(parts: Parts) -> dict[str, tuple[str, ...]]:
     for group in groups:
         for digit in group:
             require_one_of(parts.digits, digit, "actions.groups")
-        members = [parts.driven[joint] for digit in group for joint in parts.closing_of(digit)]
+        joints = [joint for digit in group for joint in parts.closing_of(digit)]
+        members = [parts.driven[joint] for joint in joints]
+        if members and not any(map(parts.way, joints)):
+            found_no = "found none of its joints that [opened] and [closed] move"
+            raise ValueError(f"digits.{group[0]}: {found_no}")
         if members:
             found["closing of " + " and ".join(group)] = tuple(members)
     return found

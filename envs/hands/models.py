@@ -140,7 +140,9 @@ def _urdf(path: Path) -> str:
                 f"model {path}: found {what}: {', '.join([*dict.fromkeys(names)][:3])}{more}"
             )
     extension = ElementTree.SubElement(robot, "mujoco")
-    ElementTree.SubElement(extension, "compiler", strippath="false", fusestatic="false")
+    ElementTree.SubElement(
+        extension, "compiler", strippath="false", fusestatic="false", discardvisual="false"
+    )
     return ElementTree.tostring(robot, encoding="unicode")
 
 

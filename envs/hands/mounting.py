@@ -160,9 +160,11 @@ class Mount:
         tied |= {coupling.joint for coupling in followed(spec)}
         for coupling in self.couplings:
             if coupling.joint not in tied:
-                law = [coupling.offset, coupling.ratio, *9 * [0.0]]
-                names = {"name1": coupling.joint, "name2": coupling.driver}
-                spec.add_equality(type=mujoco.mjtEq.mjEQ_JOINT, data=law, **names)
+                equality = spec.add_equality(type=mujoco.mjtEq.mjEQ_JOINT)
+                equality.name1, equality.name2 = coupling.joint, coupling.driver
+                law = np.zeros(len(equality.data))
+                law[:2] = coupling.offset, coupling.ratio
+                equality.data = law
         for coupling in followed(spec):
             joint = spec.joint(coupling.joint)
             servos.damp(joint, self._figures(joint))

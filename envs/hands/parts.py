@@ -321,7 +321,11 @@ class Parts:
                 angles |= {joint: some[joint] for joint in self.closing_of(digit)}
         if self.is_own:
             angles = {joint: self.inside(joint) for joint in self.joints} | angles
-        return angles | {c.joint: c.at(angles.get(c.driver, 0.0)) for c in self.follows}
+        return angles | self.followed(angles)
+
+    def followed(self, angles: Angles) -> Angles:
+        """Where the joints are that follow others, which are at these angles."""
+        return {c.joint: c.at(angles.get(c.driver, 0.0)) for c in self.follows}
 
     # -- digits and palm ---------------------------------------------------------------------
 

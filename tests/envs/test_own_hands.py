@@ -69,7 +69,7 @@ WRONG = [
     ("toml", "[digits]", "[scene]\ntimestep = 0\n[digits]", "timestep: found 0"),
     ("toml", "[opened]", "[slides]\nhalf_range = [0, 0, -1]\n[opened]", "slides.half_range: found [0"),
     ("toml", "[opened]", "[environment]\nclosing = [5, -5]\n[opened]", "closing: found [5, -5]"),
-    ("toml", "[opened]", "[environment]\nclosing = [1, 0.5]\n[opened]", "expected [low, high]"),
+    ("toml", "[opened]", "[environment]\nclosing = [1, 0.5]\n[opened]", "the lower end first"),
     ("toml", "[digits]", "[masses]\nlef_1 = 0.1\n[digits]", "masses: found 'lef_1', allowed: "),
     ("toml", "[digits]", "[start_closing]\nlfet = 0.2\n[digits]", "start_closing: unknown key 'lfet'"),
     ("toml", "[digits]", "[pitch.rows]\nmidle = 0.01\n[digits]", "rows: unknown key 'midle'"),
@@ -149,16 +149,16 @@ class TestHand:
         with pytest.raises(ValueError, match="left_knuckle: found a joint without an actuator"):
             hands.get(path)
         motor = position.replace("position", "motor").replace(" kp='3'", "")
-        with pytest.raises(ValueError, match="'own': is no position servo of a joint; leave all out"):
-            hands.get(own(position, motor, "gripper.xml"))
-        assert len(hands.get(own("palm = ", 'drop = ["own"]\npalm = ')).actuated) == 9
+        hand = hands.get(own(position, motor, "gripper.xml"))
+        assert len(hand.actuated) == 9
+        assert "(own) are not all position servos" in hand.notes[0]
 
     def test_joints_that_follow_others_get_no_servo(self, own):
         joint = "<joint joint1='left_tip' joint2='left_knuckle' polycoef='0 0.5 0 0 0'/>"
         own("  <worldbody>", f"  <equality>{joint}</equality><worldbody>", "gripper.xml")
         closed = '"[rb]*_tip" = 0.4'
         hand = hands.get(own('"*_tip" = 0.4', closed))
-        assert hand.couplings == (("left_tip", "left_knuckle", 0.5),)
+        assert hand.couplings == (("left_tip", "left_knuckle", 0.5, 0.0, True),)
         assert "left_tip" not in hand.actuated
 
     @pytest.mark.parametrize(("file", "old", "new", "complaint"), WRONG)

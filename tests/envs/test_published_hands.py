@@ -1,0 +1,375 @@
+"""What models of published hands are like, each trait in a small hand of two fingers."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactilerl.envs import hands, scripted
+from tactilerl.envs.grasp import GraspEnv, setup
+from tactilerl.envs.hands import loading, models, sandbox
+
+TIP = '<geom type="capsule" size="0.008" fromto="0 0 0 0.03 0 0"/>'
+FINGER = """<body name="{n}_1" pos="{x} 0 -0.02" euler="0 1.5708 0">
+<joint name="{n}_a" axis="0 {s} 0" range="0 1.5" armature="0.005" damping="0.3"/>
+<geom type="capsule" size="0.008" fromto="0 0 0 0.05 0 0"/>
+<body name="{n}_2" pos="0.05 0 0"><joint name="{n}_b" axis="0 {s} 0" range="0 1.5" armature="0.005"
+damping="0.3"/>{tip}</body></body>
+"""
+FINGERS = FINGER.format(n="l", x=-0.05, s=-1, tip=TIP) + FINGER.format(n="r", x=0.05, s=1, tip=TIP)
+PALM = '<geom type="box" size="0.06 0.03 0.015"/>'
+MODEL = f"""<mujoco><compiler angle="radian"/><worldbody>
+<body name="palm" pos="0 0 0.3">{PALM}{FINGERS}</body></worldbody></mujoco>"""
+TOML = """model = "hand.xml"
+palm = "palm"
+palmar = [0, 0, -1]
+fingers = [0, 1, 0]
+palm_point = [0, 0, -0.015]
+[digits]
+thumb = { links = ["l_1", "l_2"], tip = [0.038, 0, 0] }
+index = { links = ["r_1", "r_2"], tip = [0.038, 0, 0] }
+[closed]
+"?_a" = 0.6
+"?_b" = 0.3
+[[grasp]]
+object_size = 0.05
+slides = [0, 0, 0]
+closing = 1.0
+"""
+FOLLOWERS = TOML.replace('"?_b" = 0.3\n', "")
+
+
+def actuators(*each):
+    return f"<actuator>{''.join(each)}</actuator></mujoco>"
+
+
+def coupled(law):
+    each = (f'<joint joint1="{n}_b" joint2="{n}_a" polycoef="{law} 0 0 0"/>' for n in "lr")
+    return MODEL.replace("</mujoco>", f"<equality>{''.join(each)}</equality></mujoco>")
+
+
+ALL = [f'<position name="{j}" joint="{j}" kp="5"/>' for j in ("l_a", "l_b", "r_a", "r_b")]
+
+
+@pytest.fixture
+def made(tmp_path, monkeypatch):
+    """made(model, toml, name) is the path of a hand's file beside its model."""
+    monkeypatch.setattr(sandbox, "load", loading.load)
+
+    def make(model=MODEL, toml=TOML, name="hand.xml"):
+        (tmp_path / name).write_text(model)
+        (tmp_path / "hand.toml").write_text(toml.replace("hand.xml", name))
+        return str(tmp_path / "hand.toml")
+
+    return make
+
+
+def at_start(path, simulator="mujoco", steps=5):
+    """The joints' positions by name, some control steps after the start."""
+    env = GraspEnv(path, setup(path, simulator=simulator, layout="5"))
+    env.reset(seed=0)
+    for _ in range(steps):
+        env.step_to(env.hand.start_targets())
+    found = dict(zip(env.hand.joints, env.simulator.state().joint_positions.tolist(), strict=True))
+    env.close()
+    return found
+
+
+class TestCouplings:
+    @pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
+    @pytest.mark.parametrize("from_file", [False, True])
+    def test_an_offset_is_kept_at_the_start_and_held(self, made, simulator, from_file):
+        if from_file:
+            rows = (f"{n}_b = {{follows = '{n}_a', ratio = 0.5, offset = 0.4}}\n" for n in "lr")
+            path = made(
+                toml=FOLLOWERS.replace("[[grasp]]", "[couplings]\n" + "".join(rows) + "[[grasp]]")
+            )
+        else:
+            path = made(coupled("0.4 0.5"), FOLLOWERS)
+        hand = hands.get(path)
+        assert hand.couplings[0][:4] == ("l_b", "l_a", 0.5, 0.4)
+        assert hand.start["l_b"] == 0.4
+        assert "l_b" not in hand.actuated
+        assert at_start(path, simulator)["l_b"] == pytest.approx(0.4, abs=0.02)
+
+    @pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
+    def test_followers_follow_their_driver_under_load(self, made, simulator):
+        path = made(coupled("0.3 0.8"), FOLLOWERS)
+        env = GraspEnv(path, setup(path, simulator=simulator, layout="5"))
+        *_, targets = scripted.legs(env, scripted.grasp_for(env), 0.05)[1]
+        env.reset(seed=0)
+        for _ in range(8):
+            env.step_to(targets)
+        found = dict(zip(env.hand.joints, env.simulator.state().joint_positions.tolist(), strict=True))
+        env.close()
+        assert abs(found["l_a"] - 0.6) > 0.05  # something holds it up
+        for n in "lr":
+            assert found[f"{n}_b"] == pytest.approx(0.3 + 0.8 * found[f"{n}_a"], abs=0.02)
+
+    def test_curves_are_refused_by_name(self, made):
+        model = coupled("0 1").replace("0 1 0 0 0", "0 1 0.2 0 0")
+        with pytest.raises(
+            ValueError, match=r"'l_b' coupled to 'l_a' by \[0.2, 0.0, 0.0\] beyond a str"
+        ):
+            hands.get(made(model, FOLLOWERS))
+
+    def test_followers_of_followers_follow_the_first(self, made):
+        more = '<joint joint1="r_a" joint2="l_b" polycoef="0.1 2 0 0 0"/></equality>'
+        toml = FOLLOWERS.replace('"?_a"', "l_a")
+        hand = hands.get(made(coupled("0.3 0.5").replace("</equality>", more), toml))
+        assert {each.driver for each in hand.couplings} == {"l_a"}
+        law = {each.joint: (each.ratio, each.offset) for each in hand.couplings}
+        assert law["r_a"] == (1.0, pytest.approx(0.7))
+        assert law["r_b"] == (0.5, pytest.approx(0.65))
+
+
+SERVOS = {
+    "gear": '<position name="l_a" joint="l_a" kp="5" gear="2"/>',
+    "activation": '<position name="l_a" joint="l_a" kp="5" timeconst="0.5"/>',
+    "delay": '<position name="l_a" joint="l_a" kp="5" delay="0.2" nsample="60"/>',
+    "own units": '<general name="l_a" joint="l_a" biastype="affine" gainprm="0.02" biasprm="0 -5 0" '
+    'ctrlrange="0 255"/>',
+}
+
+
+class TestServos:
+    @pytest.mark.parametrize("kind", SERVOS)
+    def test_a_target_is_where_the_joint_goes_and_is_held_from_the_start(self, made, kind):
+        model = MODEL.replace("</mujoco>", actuators(SERVOS[kind], *ALL[1:]))
+        toml = TOML.replace("[closed]", '[opened]\n"?_a" = 0.4\n[closed]')
+        path = made(model, toml)
+        assert not hands.get(path).notes
+        for steps in (1, 6):
+            assert at_start(path, steps=steps)["l_a"] == pytest.approx(0.4, abs=0.025), steps
+
+    def test_a_servo_on_a_tendon_is_one_action_of_its_joints(self, made):
+        tendon = (
+            '<tendon><fixed name="t"><joint joint="l_a" coef="1"/><joint joint="l_b" coef="1"/></fixed>'
+        )
+        servo = '</tendon><actuator><position name="t" tendon="t" kp="5" ctrlrange="0 3"/>'
+        model = MODEL.replace("</mujoco>", tendon + servo + "".join(ALL[2:]) + "</actuator></mujoco>")
+        path = made(
+            model, TOML.replace('"?_b"', "r_b").replace("[closed]", "[opened]\nl_a = 0.3\n[closed]")
+        )
+        hand = hands.get(path)
+        assert hand.actuated[3] == "l_a"
+        assert hand.couplings == (("l_b", "l_a", 1.0, 0.0, False),)
+        assert hand.action_map.centre[3] + hand.action_map.half_range[3] == pytest.approx(1.5)
+        found = at_start(path)
+        assert found["l_a"] + found["l_b"] == pytest.approx(0.6, abs=0.02)
+
+    @pytest.mark.parametrize(
+        "more",
+        [
+            ['<motor name="m" joint="l_a"/>'],
+            [*ALL, '<position name="m" joint="l_a" kp="1"/>'],
+            [*ALL[1:], '<pid name="m" joint="l_a" kp="1" ki="1"/>'],
+            [*ALL[1:], '<intvelocity name="m" joint="l_a" kp="1" actrange="0 1"/>'],
+        ],
+    )
+    def test_what_is_no_set_of_position_servos_is_replaced_with_a_note(self, made, more):
+        hand = hands.get(made(MODEL.replace("</mujoco>", actuators(*more))))
+        assert len(hand.actuated) == 7
+        assert "the joints have the library's" in hand.notes[0]
+
+    def test_missing_servos_are_named(self, made):
+        with pytest.raises(ValueError, match=r'closed.l_b: .* drop = \["r_a"\]'):
+            hands.get(
+                made(MODEL.replace("</mujoco>", actuators(ALL[2])), TOML.replace('"?_a" = 0.6\n', ""))
+            )
+
+    def test_weak_servos_are_named(self, made):
+        weak = [servo.replace('"5"', '"0.05"') for servo in ALL]
+        (note,) = hands.get(made(MODEL.replace("</mujoco>", actuators(*weak)))).notes
+        assert "4 of 4 servos are weak" in note
+        assert not hands.get(made(MODEL.replace("</mujoco>", actuators(*ALL)))).notes
+
+    def test_a_joint_of_a_closed_loop_is_passive(self, made):
+        shape = '<geom type="capsule" size="0.004" fromto="0 0 0 0.05 0 0"/>'
+        joint = f'<joint name="bar" axis="0 1 0" range="-2 2"/>{shape}</body>'
+        bar = f'<body name="bar" pos="0.05 0.02 -0.02" euler="0 1.5708 0">{joint}'
+        loop = '<equality><connect body1="bar" body2="r_1" anchor="0.05 0 0"/></equality></mujoco>'
+        model = MODEL.replace(PALM, PALM + bar).replace("</mujoco>", loop)
+        hand = hands.get(made(model))
+        assert "bar" not in hand.actuated
+        assert "bar" in hand.notes[0]
+        hand = hands.get(made(toml='passive = ["r_b"]\n' + TOML.replace('"?_b"', "l_b")))
+        assert "r_b" not in hand.actuated
+
+
+class TestModels:
+    def test_what_is_fixed_to_a_link_is_the_link(self, made):
+        pad = f'<body name="{{n}}_tip" pos="0.01 0 0">{TIP}</body>'
+        box = '<geom type="box" size="0.005 0.008 0.006" pos="0.005 0 0"/>'
+        model = MODEL
+        for n in "lr":
+            at = model.index(TIP, model.index(f'name="{n}_b"'))
+            model = model[:at] + pad.format(n=n) + box + model[at + len(TIP) :]
+        for tip, link in (("[0.048, 0, 0]", "_2"), ("[0.038, 0, 0]", "_tip")):
+            hand = hands.get(made(model, TOML.replace('_2"', f'{link}"').replace("[0.038, 0, 0]", tip)))
+            assert hand.fingertips[0] == ("l_2", pytest.approx((0.048, 0, 0)))
+            assert len(hand.surfaces[1].geoms) == 2
+        assert hand.welded["l_tip"].link == "l_2"
+
+    def test_several_roots_are_one_rigid_base(self, made):
+        split = MODEL.replace(FINGERS, "").replace(
+            "</worldbody>", f'<body name="w" pos="0 0 0.3">{FINGERS}</body></worldbody>')  # fmt: skip
+        assert hands.get(made(split)).palm
+        ball = '<body name="ball"><freejoint/><geom size="0.1"/></body></worldbody>'
+        with pytest.raises(ValueError, match=r"found 2 bodies at its root \(palm, ball\)"):
+            hands.get(made(MODEL.replace("</worldbody>", ball)))
+
+    def test_a_models_own_floor_is_left_out(self, made):
+        floor = '<worldbody><geom name="floor" type="plane" size="1 1 .1" pos="0 0 0.08"/>'
+        hand = hands.get(made(MODEL.replace("<worldbody>", floor)))
+        assert all(geom.name != "floor" for geom in hand.build().geoms)
+
+    def test_a_palmar_side_follows_from_what_moves_the_link(self, made):
+        hand = hands.get(made(toml=FOLLOWERS))  # nothing in [closed] bends the last links
+        assert hand.surfaces[1].palmar == pytest.approx(hand.surfaces[0].palmar)
+        model = MODEL
+        for n, s in (("l", -1), ("r", 1)):
+            turns = f'name="{n}_a" axis="0 {s} 0" range="0 1.5"'
+            model = model.replace(turns, f'name="{n}_a" type="slide" axis="0 0 {-s}" range="0 0.03"')
+        hand = hands.get(made(model, FOLLOWERS.replace("0.6", "0.02")))
+        assert np.allclose(hand.surfaces[0].palmar, (0, 0, 1), atol=1e-4)  # the left slides towards it
+
+    def test_a_file_that_is_no_xml_by_name_is_read(self, made):
+        assert hands.get(made(name="hand.mjcf")).actuated == hands.get(made()).actuated
+
+    @pytest.mark.parametrize(
+        ("old", "new", "complaint"),
+        [
+            ("palmar = [0, 0, -1]", "palmar = [0, 0, 1]", r"did you mean \[0, 0, -1\]"),
+            ('"?_b" = 0.3', '"?_b" = 9.0', "closed.l_b: found 9, allowed 0 to 1.5"),
+            (
+                "[[grasp]]",
+                "[place]\nat = [0, 0, 0.03]\n[[grasp]]",
+                "the hand starts 6. mm in the ground",
+            ),
+            (
+                "[closed]",
+                '[opened]\n"l_a" = 0.6\nl_b = 0.3\n[closed]',
+                "digits.thumb: .*closed",
+            ),
+        ],
+    )
+    def test_nonsense_is_refused(self, made, old, new, complaint):
+        with pytest.raises(ValueError, match=complaint):
+            hands.get(made(toml=TOML.replace(old, new)))
+
+    def test_digits_side_by_side_do_not_pass_through_each_other(self, made):
+        beside = FINGER.format(n="m", x=0.05, s=1, tip=TIP).replace("0 -0.02", "0.004 -0.02")
+        toml = TOML.replace(
+            "[closed]", 'middle = { links = ["m_1", "m_2"], tip = [0.038, 0, 0] }\n[closed]'
+        )
+        with pytest.raises(ValueError, match=r"closed: ._. \(\w+\) is .* mm in ._. \(\w+\), allowed"):
+            hands.get(made(MODEL.replace(PALM, PALM + beside), toml))
+
+    def test_a_range_may_be_given(self, made):
+        model = MODEL.replace('name="l_a" axis="0 -1 0" range="0 1.5"', 'name="l_a" axis="0 -1 0"')
+        with pytest.raises(
+            ValueError, match=r"joint 'l_a': has no range; .*\[ranges\] \"l_a\" = \[low"
+        ):
+            hands.get(made(model))
+        path = made(model, TOML.replace("[closed]", "[ranges]\nl_a = [0, 1]\n[closed]"))
+        assert hands.get(path).action_map.centre[3] == 0.5
+
+    def test_a_ball_joint_is_named(self, made):
+        ball = '<body name="pad"><joint type="ball"/><geom size=".005"/></body>'
+        with pytest.raises(ValueError, match="a joint of body 'pad': is a ball joint, allowed hinges"):
+            hands.get(made(MODEL.replace(PALM, PALM + ball)))
+
+    def test_links_without_mass_are_all_named(self, made):
+        empty = "".join(f'<body name="e{i}"><joint name="e{i}"/></body>' for i in range(2))
+        with pytest.raises(ValueError, match=r'leave them out: drop = \["e0", "e1"\]'):
+            hands.get(made(MODEL.replace(PALM, PALM + empty)))
+
+
+LINK = """<link name="{n}">
+<inertial><mass value="0.02"/>
+<inertia ixx="1e-5" iyy="1e-5" izz="1e-5" ixy="0" ixz="0" iyz="0"/></inertial>
+<visual><geometry><mesh filename="no.dae"/></geometry></visual>
+<collision><origin xyz="0.025 0 0" rpy="0 1.5708 0"/><geometry>{shape}</geometry></collision></link>"""
+JOINT = """<joint name="{n}_{j}" type="{kind}"><parent link="{up}"/><child link="{n}_{down}"/>
+<origin xyz="{xyz}" rpy="0 {turn} 0"/><axis xyz="0 {s} 0"/>
+<limit lower="0" upper="1.5" effort="1" velocity="1"/>{mimic}</joint>"""
+BASE = (
+    '<link name="base"/><joint name="f" type="fixed"><parent link="base"/><child link="palm"/></joint>'
+)
+
+
+def urdf(shape='<cylinder radius="0.008" length="0.05"/>', mimic="", kind="revolute", middle=""):
+    base = LINK.format(n="palm", shape='<box size="0.12 0.06 0.03"/>').replace('rpy="0 1.5708 0"', "")
+    parts = [BASE]
+    for n, s in (("l", -1), ("r", 1)):
+        first = {"up": "palm", "xyz": f"{0.05 * s} 0 -0.02", "turn": 1.5708}
+        parts += [LINK.format(n=f"{n}_{k}", shape=shape) for k in (1, 2)]
+        parts.append(JOINT.format(n=n, j="a", kind="revolute", down=1, s=s, mimic="", **first))
+        more = {"up": f"{n}_1", "xyz": "0.05 0 0", "turn": 0, "mimic": mimic.format(n=n)}
+        parts.append(JOINT.format(n=n, j="b", kind=kind, down=2, s=s, **more))
+    return f'<robot name="t">{base.replace("0.025 0 0", "0 0 0")}{"".join(parts)}</robot>'
+
+
+URDF = TOML.replace("0.038", "0.05")
+
+
+class TestUrdf:
+    @pytest.mark.parametrize("place", ["package://toy/meshes/bone.obj", "meshes/bone.obj", "bone.obj"])
+    def test_meshes_are_found(self, made, tmp_path, place):
+        """In the folder of the package that the URDF is in, beside it, or under its meshdir."""
+        path = made(urdf(f'<mesh filename="{place}"/>'), URDF, "hand.urdf")
+        folder = tmp_path / Path(place.removeprefix("package://toy/")).parent
+        folder.mkdir(exist_ok=True)
+        corners = [(x, y, z) for x in (-8, 8) for y in (-8, 8) for z in (-25, 25)]
+        lines = [f"v {x / 1e3} {y / 1e3} {z / 1e3}" for x, y, z in corners]
+        lines += ["f 1 2 4", "f 1 4 3", "f 5 7 8", "f 5 8 6", "f 1 5 6", "f 1 6 2"]
+        lines += ["f 3 4 8", "f 3 8 7", "f 1 3 7", "f 1 7 5", "f 2 6 8", "f 2 8 4"]
+        (folder / "bone.obj").write_text("\n".join(lines) + "\n")
+        hand = hands.get(path)
+        assert hand.surfaces[0].geoms[0].kind == "mesh"
+        assert folder / "bone.obj" in hand.build.files
+
+    @pytest.mark.parametrize(
+        ("model", "complaint"),
+        [
+            (urdf('<mesh filename="a/bone.dae"/>'), "neither STL nor OBJ; convert them: a/bone.dae"),
+            (
+                urdf('<mesh filename="package://no/bone.stl"/>'),
+                "no files for these meshes: package://no",
+            ),
+            (urdf(kind="continuous"), r"joint 'l_b': has no range; .*; so have r_b"),
+        ],
+    )
+    def test_what_is_missing_is_said(self, made, model, complaint):
+        with pytest.raises(ValueError, match=complaint):
+            hands.get(made(model, URDF, "hand.urdf"))
+
+    def test_a_mimic_has_its_offset(self, made):
+        mimic = '<mimic joint="{n}_a" multiplier="0.5" offset="0.7"/>'
+        hand = hands.get(made(urdf(mimic=mimic), FOLLOWERS.replace("0.038", "0.05"), "hand.urdf"))
+        assert hand.couplings[0] == ("l_b", "l_a", 0.5, 0.7, True)
+        assert hand.palm == "base"  # of which the link called palm is a part
+
+    def test_nothing_is_printed(self, made, capfd, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)
+        path = made(urdf(), URDF, "hand.urdf")
+        models.compiled(hands.get(path).build())
+        assert capfd.readouterr() == ("", "")
+        assert not Path("MUJOCO_LOG.TXT").exists()
+
+
+def test_thresholds_grow_with_the_hand(made):
+    """An object that long fingers still hold has not fallen."""
+    model = MODEL.replace("0 0 0 0.05 0 0", "0 0 0 0.15 0 0").replace(
+        'pos="0.05 0 0"', 'pos="0.15 0 0"'
+    )
+    model = model.replace("0 0 0 0.03 0 0", "0 0 0 0.13 0 0")
+    path = made(model, TOML.replace("0.038", "0.138").replace("0.6", "0.3"))
+    assert hands.get(path).reach == pytest.approx(math.hypot(0.29, 0.05), abs=0.02)
+    assert hands.get("shadow").reach == 0.15
+    env = GraspEnv(path, setup(path, task="handover", layout="5"))
+    assert env.task.fallen > 0.3
+    assert env.task.hold.out_of_reach > 0.3
+    env.close()
