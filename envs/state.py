@@ -122,7 +122,7 @@ class State:
     def poses(self, links: tuple[str, ...]) -> tuple[Array, Array]:
         """Positions (..., k, 3) and rotations (..., k, 3, 3) of some links; ValueError for a name that
         none has."""
-        at = _places(self.links, links)
+        at = places(self.links, links)
         return self.link_positions.take(at, axis=-2), self.link_rotations.take(at, axis=-3)
 
     @property
@@ -132,5 +132,6 @@ class State:
 
 
 @lru_cache(maxsize=1024)
-def _places(links: tuple[str, ...], some: tuple[str, ...]) -> Array:
+def places(links: tuple[str, ...], some: tuple[str, ...]) -> Array:
+    """Where some links are among all; ValueError for a name that none has."""
     return np.array([links.index(link) for link in some], int)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 
 from ..hands import Hand
-from ..state import Array, Shape, State
+from ..state import Array, Shape, State, places
 
 if TYPE_CHECKING:
     import mujoco
@@ -101,12 +101,12 @@ class Scene:
         links, points = zip(palm, *self.hand.fingertips, strict=True)
         return links, np.array(points)[:, :, None]
 
-    def with_points(self, state: State) -> State:
-        """A state with where the palm point and the fingertips are, which follows from its links."""
-        links, points = self._points
-        positions, rotations = state.poses(links)
-        found = positions + np.matmul(rotations, points)[..., 0]
-        return replace(state, palm=found[..., 0, :], fingertips=found[..., 1:, :])
+    def points(self, links: tuple[str, ...], positions: Array, rotations: Array) -> dict[str, Array]:
+        """Palm point (3,) and fingertips (n_digits, 3) of a state with these links."""
+        some, points = self._points
+        at = places(links, some)
+        found = positions[at] + np.matmul(rotations[at], points)[:, :, 0]
+        return {"palm": found[0], "fingertips": found[1:]}
 
 
 @dataclass(frozen=True)

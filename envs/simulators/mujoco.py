@@ -153,9 +153,8 @@ class MujocoSimulator(Simulator):
         self._targets = hand.start_targets()
         self._bodies = np.array([b for b in range(1, model.nbody) if b != self._object_body])
         self._links = tuple(model.body(body).name for body in self._bodies)
-        self._link_of_geom = np.full(model.ngeom, -1)
-        for link, body in enumerate(self._bodies):
-            self._link_of_geom[model.geom_bodyid == body] = link
+        link_of_body = {body: link for link, body in enumerate(self._bodies.tolist())}
+        self._link_of_geom = [link_of_body.get(body, -1) for body in model.geom_bodyid.tolist()]
 
     @property
     def warnings(self) -> int:
@@ -252,36 +251,38 @@ class MujocoSimulator(Simulator):
     def state(self) -> State:
         data, body, start = self.data, self._object_body, self._object_qvel
         rotation = data.xmat[body].reshape(3, 3).copy()
-        return self.scene.with_points(
-            State(
-                shape=self.scene.shape,
-                object_position=data.xpos[body].copy(),
-                object_rotation=rotation,
-                object_orientation=data.xquat[body].copy(),
-                object_velocity=data.qvel[start : start + 3].copy(),
-                object_angular_velocity=rotation @ data.qvel[start + 3 : start + 6],
-                links=self._links,
-                link_positions=data.xpos.take(self._bodies, axis=0),
-                link_rotations=data.xmat.take(self._bodies, axis=0).reshape(-1, 3, 3),
-                joint_positions=data.qpos.take(self._qpos),
-                joint_velocities=data.qvel.take(self._qvel),
-                targets=self._targets,
-                contacts=self._contacts(),
-                sensors=data.sensordata > 0.0,
-            )
+        positions = data.xpos.take(self._bodies, axis=0)
+        rotations = data.xmat.take(self._bodies, axis=0).reshape(-1, 3, 3)
+        return State(
+            shape=self.scene.shape,
+            object_position=data.xpos[body].copy(),
+            object_rotation=rotation,
+            object_orientation=data.xquat[body].copy(),
+            object_velocity=data.qvel[start : start + 3].copy(),
+            object_angular_velocity=rotation @ data.qvel[start + 3 : start + 6],
+            links=self._links,
+            link_positions=positions,
+            link_rotations=rotations,
+            joint_positions=data.qpos.take(self._qpos),
+            joint_velocities=data.qvel.take(self._qvel),
+            targets=self._targets,
+            contacts=self._contacts(),
+            sensors=data.sensordata > 0.0,
+            **self.scene.points(self._links, positions, rotations),
         )
 
     def _contacts(self) -> Contacts:
-        pairs, force = self.data.contact.geom.reshape(-1, 2), np.zeros(6)
-        links = self._link_of_geom[pairs].max(axis=1)  # -1 of the object and the ground
-        found = []
-        for index in np.flatnonzero((pairs == self._object_geom).any(axis=1) & (links >= 0)):
-            mujoco.mj_contactForce(self.model, self.data, index, force)
-            if force[0] > 0.0:
-                found.append((index, force[0]))
-        where = np.array([index for index, _ in found], int)
-        forces = np.array([normal for _, normal in found])
-        return Contacts(self.data.contact.pos.reshape(-1, 3)[where], links[where], forces)
+        thing, force, where, links, forces = self._object_geom, np.zeros(6), [], [], []
+        for index, pair in enumerate(self.data.contact.geom.tolist()):
+            link = self._link_of_geom[pair[0] if pair[1] == thing else pair[1]]
+            if thing in pair and link >= 0:
+                mujoco.mj_contactForce(self.model, self.data, index, force)
+                if force[0] > 0.0:
+                    where.append(index)
+                    links.append(link)
+                    forces.append(force[0])
+        points = self.data.contact.pos.reshape(-1, 3)[where] if where else np.zeros((0, 3))
+        return Contacts(points, np.array(links, int), np.array(forces))
 
     def render(self, camera: Camera, spheres: Sequence[Sphere] = ()) -> Array:
         if self._renderer is None:

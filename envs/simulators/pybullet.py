@@ -15,7 +15,6 @@ import tempfile
 import weakref
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import replace
 from functools import partial
 from inspect import isbuiltin
 from pathlib import Path
@@ -26,7 +25,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..state import Array, Contacts, Shape, State
+from ..state import Array, Contacts, Shape, State, places
 from . import Camera, Scene, SimulationError, Simulator, Sphere, joint_limits, urdf
 from .mujoco import MujocoSimulator
 
@@ -257,41 +256,46 @@ class PyBulletSimulator(Simulator):
         position, xyzw = bullet.getBasePositionAndOrientation(self.object)
         velocity, spin = bullet.getBaseVelocity(self.object)
         poses = bullet.getLinkStates(self.hand, self._indices, computeForwardKinematics=True)
-        positions, velocities = np.array(self._joint_states()).T
-        return self.scene.with_points(
-            self._felt(
-                State(
-                    shape=self.scene.shape,
-                    object_position=np.array(position),
-                    object_rotation=np.array(pybullet.getMatrixFromQuaternion(xyzw)).reshape(3, 3),
-                    object_orientation=np.array([xyzw[3], *xyzw[:3]]),
-                    object_velocity=np.array(velocity),
-                    object_angular_velocity=np.array(spin),
-                    links=self._names,
-                    link_positions=np.array([pose[4] for pose in poses]),
-                    link_rotations=Rotation.from_quat([pose[5] for pose in poses]).as_matrix(),
-                    joint_positions=positions,
-                    joint_velocities=velocities,
-                    targets=self._targets,
-                )
-            )
+        positions = np.array([pose[4] for pose in poses])
+        rotations = Rotation.from_quat([pose[5] for pose in poses]).as_matrix()
+        angles, speeds = np.array(self._joint_states()).T
+        pressing = self._contacts()
+        return State(
+            shape=self.scene.shape,
+            object_position=np.array(position),
+            object_rotation=np.array(pybullet.getMatrixFromQuaternion(xyzw)).reshape(3, 3),
+            object_orientation=np.array([xyzw[3], *xyzw[:3]]),
+            object_velocity=np.array(velocity),
+            object_angular_velocity=np.array(spin),
+            links=self._names,
+            link_positions=positions,
+            link_rotations=rotations,
+            joint_positions=angles,
+            joint_velocities=speeds,
+            targets=self._targets,
+            contacts=pressing,
+            sensors=self._sensed(pressing.points, positions, rotations),
+            **self.scene.points(self._names, positions, rotations),
         )
 
-    def _felt(self, state: State) -> State:
-        """With contacts; a sensor is on when one with the object that carries force lies in it."""
+    def _contacts(self) -> Contacts:
         found = self._bullet.getContactPoints(self.hand, self.object)
         pressing = [contact for contact in found if contact[9] > 0.0]
-        points = np.array([contact[5] for contact in pressing]).reshape(-1, 3)
-        links = np.array([self._link_of_index[contact[3]] for contact in pressing], int)
-        contacts = Contacts(points, links, np.array([contact[9] for contact in pressing]))
+        return Contacts(
+            np.array([contact[5] for contact in pressing]).reshape(-1, 3),
+            np.array([self._link_of_index[contact[3]] for contact in pressing], int),
+            np.array([contact[9] for contact in pressing]),
+        )
+
+    def _sensed(self, points: Array, positions: Array, rotations: Array) -> Array:
+        """bool (n,): does a contact with the object that carries force lie in a sensor?"""
         if not self.scene.sensors:
-            return replace(state, contacts=contacts)
+            return np.zeros(0, bool)
         names, centres, radii = zip(*self.scene.sensors, strict=True)
-        positions, rotations = state.poses(names)
-        centres = positions + np.einsum("nij,nj->ni", rotations, np.array(centres))
+        at = places(self._names, names)
+        centres = positions[at] + np.einsum("nij,nj->ni", rotations[at], np.array(centres))
         gaps = np.square(points[None] - centres[:, None]).sum(axis=2)
-        is_on = (gaps <= np.square(radii)[:, None]).any(axis=1)
-        return replace(state, contacts=contacts, sensors=is_on)
+        return (gaps <= np.square(radii)[:, None]).any(axis=1)
 
     def render(self, camera: Camera, spheres: Sequence[Sphere] = ()) -> Array:
         """Drawn by MuJoCo's renderer: one look for both simulators."""
