@@ -233,7 +233,7 @@ class Parts:
         if not fixed:
             return {}
         data, found = posed(models.compiled(self.raw.copy()), {}), {}
-        for name in fixed:
+        for name in filter(None, fixed):  # nobody can mean what has no name
             body = self.raw.body(name)
             while mounting.is_fixed(body):
                 body = body.parent

@@ -153,6 +153,15 @@ class TestHand:
         assert len(hand.actuated) == 9
         assert "(own) are not all position servos" in hand.notes[0]
 
+    @pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
+    def test_parts_of_links_need_no_names(self, own, simulator):
+        part = "<body><geom type='sphere' size='0.003' mass='0.001'/></body>"
+        own('<body name="left_1"', f'{2 * part}<body name="left_1"', "gripper.xml")
+        env = GraspEnv(own(), setup(own(), simulator=simulator))
+        env.reset(seed=0)
+        assert "diverged" not in env.step(np.zeros(env.action_space.shape))[-1]
+        env.close()
+
     def test_joints_that_follow_others_get_no_servo(self, own):
         joint = "<joint joint1='left_tip' joint2='left_knuckle' polycoef='0 0.5 0 0 0'/>"
         own("  <worldbody>", f"  <equality>{joint}</equality><worldbody>", "gripper.xml")
