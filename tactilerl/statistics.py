@@ -11,7 +11,6 @@ sort the runs once and count how often each of them was drawn.
 
 from __future__ import annotations
 
-import bisect
 import math
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
@@ -325,58 +324,3 @@ def holm(p_values: Sequence[float]) -> Array:
     factors = np.arange(len(order), 0, -1)
     corrected[order] = np.minimum(1.0, np.maximum.accumulate(factors * corrected[order]))
     return corrected
-
-
-# -- how many runs ----------------------------------------------------------------------------
-
-
-def power_of_t_test(effect: float, sd: float, n: int, alpha: float, in_pairs: bool) -> float:
-    """Power of a two-sided t test to find `effect`: `n` pairs whose differences spread by `sd`, or two
-    groups of `n` runs that do."""
-    if sd == 0:
-        return 1.0 if effect else alpha
-    freedom, size = (n - 1, n) if in_pairs else (2 * n - 2, n / 2)
-    shift, critical = abs(effect) / sd * math.sqrt(size), scipy.stats.t.isf(alpha / 2, freedom)
-    above = scipy.stats.nct.sf(critical, freedom, shift)
-    below = scipy.stats.nct.cdf(-critical, freedom, shift)
-    return float(np.nan_to_num(above, nan=1.0) + np.nan_to_num(below))  # NaN: too close to 1 and to 0
-
-
-def runs_needed(
-    effect: float, sd: float, power: float, alpha: float, in_pairs: bool, most: int = 100_000
-) -> int | None:
-    """Pairs, or runs per group, for a t test to find `effect` with `power`, and not fewer pairs than
-    a sign-flip test needs to fall below `alpha`; None where `most` do not suffice."""
-    least = math.ceil(1 - math.log2(alpha)) if in_pairs else 2
-    found = bisect.bisect_left(
-        range(most + 1), power, least, key=lambda n: power_of_t_test(effect, sd, n, alpha, in_pairs)
-    )
-    return found if found <= most else None
-
-
-def sd_interval(sd: float, freedom: int) -> tuple[float, float]:
-    """Interval of the standard deviation of normal samples (chi-squared)."""
-    tail = (1 - CONFIDENCE) / 2
-    low, high = (sd * math.sqrt(freedom / scipy.stats.chi2.isf(t, freedom)) for t in (tail, 1 - tail))
-    return low, high
-
-
-def simulated_power(
-    rng: np.random.Generator,
-    differences: Array,
-    effect: float,
-    n_pairs: int,
-    alpha: float,
-    n_studies: int = 400,
-    n_resamples: int = 999,
-) -> float:
-    """How often the sign-flip test would find `effect` in studies of `n_pairs` pairs spread like a
-    pilot's `differences` (pairs,), given as deviations from their mean.
-
-    Deviations from the mean of n are too small by a factor of sqrt(1 - 1/n): they are stretched.
-    """
-    spread = differences / math.sqrt(max(1 - 1 / len(differences), 0.5))
-    signs = sign_flips(n_pairs, rng, n_resamples)
-    drawn = rng.choice(spread, (n_pairs, n_studies)) + effect
-    gaps = np.abs(signs @ drawn)
-    return float(np.mean(np.mean(gaps >= gaps[0] - 1e-12, axis=0) <= alpha))

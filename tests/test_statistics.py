@@ -7,7 +7,6 @@ import pytest
 from numpy.testing import assert_allclose
 from rliable import library, metrics
 from scipy import stats
-from statsmodels.stats.power import TTestIndPower, TTestPower
 
 from tactilerl import statistics as s
 
@@ -273,41 +272,3 @@ class TestLooks:
             stopped += found[-1].p_value <= looks[len(found) - 1][1]
         assert 0.02 < stopped / 400 < 0.085
 
-
-class TestPower:
-    @pytest.mark.parametrize("in_pairs", [True, False])
-    def test_runs_needed_reach_the_power_and_one_fewer_does_not(self, in_pairs):
-        n = s.runs_needed(0.05, 0.06, 0.8, 0.05, in_pairs)
-        powers = [s.power_of_t_test(0.05, 0.06, k, 0.05, in_pairs) for k in (n, n - 1)]
-        assert powers[0] >= 0.8 > powers[1]
-        assert n == (14 if in_pairs else 24)  # Cohen's tables for d = 0.83: 24 to 26
-
-    @pytest.mark.parametrize(("kind", "in_pairs"), [(TTestPower, True), (TTestIndPower, False)])
-    def test_power_is_statsmodels(self, kind, in_pairs):
-        ours = s.power_of_t_test(0.1, 0.15, 10, 0.05, in_pairs)
-        assert ours == pytest.approx(kind().power(0.1 / 0.15, 10, 0.05))
-
-    def test_where_a_tail_is_too_small_to_be_computed(self):
-        """scipy's noncentral t is NaN there, which counted as power enough."""
-        assert s.runs_needed(0.1, 0.15, 0.99, 0.001, True) == 77
-        assert s.power_of_t_test(0.1, 0.15, 76, 0.001, True) < 0.99
-
-    def test_more_than_anybody_can_run_and_fewer_than_a_test_can_use(self):
-        assert s.runs_needed(1e-6, 1.0, 0.8, 0.05, True) is None
-        assert s.runs_needed(0.05, 0.0, 0.8, 0.05, False) == 2
-        assert s.runs_needed(0.05, 0.0, 0.8, 0.05, True) == 6  # five signs alike: 0.0625
-        assert s.sign_flip_p(np.ones(6), np.random.default_rng()) <= 0.05
-
-    def test_interval_of_a_spread_contains_it_as_often_as_it_says(self, rng):
-        spreads = rng.normal(0, 0.3, (1000, 6)).std(axis=1, ddof=1)
-        bounds = np.array([s.sd_interval(sd, 5) for sd in spreads])
-        assert np.mean((bounds[:, 0] <= 0.3) & (bounds[:, 1] >= 0.3)) == pytest.approx(0.95, abs=0.03)
-
-    def test_power_by_simulation(self, rng):
-        differences = rng.normal(0, 0.05, 200)
-        sure = s.simulated_power(rng, differences, 0.3, 6, 0.05, 50, 199)
-        none = s.simulated_power(rng, differences, 0.0, 8, 0.05, 400, 199)
-        three = s.simulated_power(rng, differences, 0.3, 3, 0.05, 20, 199)
-        assert sure == 1
-        assert none < 0.09
-        assert three == 0  # three pairs cannot be told apart at 0.05

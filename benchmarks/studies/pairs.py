@@ -19,7 +19,7 @@ from tactilerl import statistics
 from tactilerl.statistics import final_rate
 from tactilerl.study import records
 from tactilerl.study.grid import SCORES, Setup
-from tactilerl.study.planning import spread
+from tactilerl.study.planning import runs_needed, spread
 from tactilerl.study.records import Record
 from tactilerl.study.verdicts import BySeed, both_arms, in_pairs, runs_of
 
@@ -58,8 +58,8 @@ def row(study: str, setup: str, score: str, of_cells: list[Cell]) -> dict[str, A
         correlation, sd, sd_arm = spread(some)
         found[name] = {
             "correlation": None if np.isnan(correlation) else correlation,
-            "runs_unpaired": statistics.runs_needed(EFFECT, sd_arm, POWER, ALPHA, in_pairs=False),
-            "pairs": statistics.runs_needed(EFFECT, sd, POWER, ALPHA, in_pairs=True),
+            "runs_unpaired": runs_needed(EFFECT, sd_arm, POWER, ALPHA, in_pairs=False),
+            "pairs": runs_needed(EFFECT, sd, POWER, ALPHA, in_pairs=True),
         }
     return found
 

@@ -1,19 +1,21 @@
-"""How many pairs of runs does an effect need? From the spread of a pilot's pairs."""
+"""How many pairs of runs does an effect need? From the spread of a pilot's pairs, by statsmodels."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.stats
+from statsmodels.stats.power import TTestIndPower, TTestPower
 
-from .. import statistics
-from ..statistics import Array
+from ..statistics import CONFIDENCE, FEWEST_PAIRS, Array
 from .grid import SCORES, Setup, Study
 from .records import Record
-from .verdicts import SEED, Pairs, both_arms, in_pairs
+from .verdicts import Pairs, both_arms, in_pairs
 
-AT = (10, 20)  # pairs
+MOST = 100_000  # runs; more are none that anybody could train
 SHARES = (3 / 8, 9 / 16, 3 / 4, 1)  # of the pairs, at which to look: 6, 9, 12 and 16 of 16
 
 
@@ -37,10 +39,6 @@ class Need:
     """Of `needed`: for all that the pilot's few pairs can say of their spread."""
     needed_holm: int | None
     """Pairs where every cell of the set-up is to stand: at alpha / cells."""
-    power: dict[int, float]
-    """Of a t test in pairs at `alpha`, by pairs."""
-    simulated: float
-    """Of the sign-flip test with `needed` pairs (10 where nobody can say how many)."""
 
 
 def plan(
@@ -57,6 +55,24 @@ def plan(
     return needs
 
 
+def _need(
+    setup: Setup, score: str, cells: Sequence[Pairs], effect: float, power: float, alpha: float
+) -> Need:
+    correlation, sd, sd_arm = spread([(one.treatment, one.control) for one in cells])
+    n_pairs, tail = sum(map(len, cells)), (1 - CONFIDENCE) / 2
+    freedom = n_pairs - len(cells)
+    low, high = (sd * math.sqrt(freedom / scipy.stats.chi2.isf(t, freedom)) for t in (tail, 1 - tail))
+
+    def pairs_for(sd: float, level: float = alpha) -> int | None:
+        return runs_needed(effect, sd, power, level)
+
+    unpaired = runs_needed(effect, sd_arm, power, alpha, in_pairs=False)
+    return Need(
+        setup.name, score, n_pairs, correlation, sd, unpaired, pairs_for(sd),
+        (pairs_for(low), pairs_for(high)), pairs_for(sd, alpha / len(setup.cells)),
+    )  # fmt: skip
+
+
 def spread(cells: Sequence[tuple[Array, Array]]) -> tuple[float, float, float]:
     """Correlation within pairs, standard deviation of their differences and of the runs of an arm;
     of (treatment, control), both (pairs,), of each cell, about the cell's own means."""
@@ -68,38 +84,31 @@ def spread(cells: Sequence[tuple[Array, Array]]) -> tuple[float, float, float]:
     return product / size if size else np.nan, sd, ((squares + float(b @ b)) / (2 * freedom)) ** 0.5
 
 
-def _need(
-    setup: Setup, score: str, cells: Sequence[Pairs], effect: float, power: float, alpha: float
-) -> Need:
-    n_pairs = sum(map(len, cells))
-    correlation, sd, sd_arm = spread([(one.treatment, one.control) for one in cells])
-
-    def pairs_for(sd: float, level: float = alpha) -> int | None:
-        return statistics.runs_needed(effect, sd, power, level, in_pairs=True)
-
-    low, high = statistics.sd_interval(sd, n_pairs - len(cells))
-    needed = pairs_for(sd)
-    deviations = np.concatenate([d - d.mean() for d in (one.treatment - one.control for one in cells)])
-    rng = np.random.default_rng(SEED)
-    n = needed if needed and needed <= 200 else 10
-    return Need(
-        setup.name, score, n_pairs, correlation, sd,
-        statistics.runs_needed(effect, sd_arm, power, alpha, in_pairs=False),
-        needed, (pairs_for(low), pairs_for(high)), pairs_for(sd, alpha / len(setup.cells)),
-        {at: statistics.power_of_t_test(effect, sd, at, alpha, in_pairs=True) for at in AT},
-        statistics.simulated_power(rng, deviations, effect, n, alpha),
-    )  # fmt: skip
+def runs_needed(
+    effect: float, sd: float, power: float, alpha: float, in_pairs: bool = True
+) -> int | None:
+    """Pairs, or runs per group, for a t test to find `effect` with `power`, and not fewer pairs than
+    a sign-flip test needs to fall below `alpha`; None where `MOST` do not suffice."""
+    least = math.ceil(1 - math.log2(alpha)) if in_pairs else 2
+    test, size = (TTestPower() if in_pairs else TTestIndPower()), effect / max(sd, 1e-9)
+    level = {"alpha": alpha / 2, "alternative": "larger"}  # the other tail is nothing, or NaN
+    if not test.power(size, least, **level) < power:  # NaN: too close to 1
+        return least
+    if test.power(size, MOST, **level) < power:
+        return None
+    return math.ceil(float(test.solve_power(size, power=power, **level)) - 1e-9)
 
 
 def best(needs: Sequence[Need]) -> dict[str, Need]:
     """By set-up, the score that needs the fewest pairs."""
-    known = [need for need in needs if need.needed]
-    return {
-        setup: min((n for n in known if n.setup == setup), key=lambda need: need.needed or 0)
-        for setup in dict.fromkeys(need.setup for need in known)
-    }
+    found: dict[str, Need] = {}
+    for need in needs:
+        known = found.get(need.setup)
+        if need.needed and (known is None or need.needed < (known.needed or 0)):
+            found[need.setup] = need
+    return found
 
 
 def looks(n_pairs: int) -> list[int]:
     """When to look at a study of `n_pairs` pairs."""
-    return sorted({max(statistics.FEWEST_PAIRS, round(share * n_pairs)) for share in SHARES})
+    return sorted({max(FEWEST_PAIRS, round(share * n_pairs)) for share in SHARES})

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from ..statistics import FEW_RUNS, FEWEST_PAIRS, Estimate
-from ..style import NAMES, arm
+from ..style import NAMES
 from .analysis import Analysis, Group, SetupResult
-from .grid import SCORES, Setup
+from .grid import Setup
 from .records import Record
 from .verdicts import LEAST_ROOM, Headroom, Verdict
 
@@ -19,6 +19,14 @@ STILL_RISING = 0.1  # final over converged rate
 MEASURES = {
     "success_rate": "success rate of the training episodes",
     "test_success_rate": "success rate of the tests",
+}
+MEANS = {"area": "mean success", "final": "final success", "converged": "converged success"}
+"""Scores as sentences have them."""
+ENDINGS = {
+    "": "the study goes on",
+    "difference": "stopped for a difference",
+    "no difference": "stopped, for a difference that matters is ruled out",
+    "last look": "all runs are done",
 }
 
 
@@ -35,19 +43,18 @@ def subject(one: SetupResult) -> str:
 
 def about(one: SetupResult, score: str) -> str:
     """What was compared, in a sentence or two."""
-    config = one.config
-    scene = config.get("scene") or {}
-    told = "" if scene.get("object_seen", "exact") == "exact" else f"object {scene['object_seen']}"
-    length = config.get("run", {}).get("total_timesteps")
+    scene = one.config.get("scene") or {}
+    seen = "" if scene.get("object_seen", "exact") == "exact" else f"object {scene['object_seen']}"
+    length = one.config.get("run", {}).get("total_timesteps")
     steps = f"{length:,} steps a run" if length else ""
-    parts = [part for part in (subject(one), scene.get("task"), told, steps) if part]
+    parts = [part for part in (subject(one), scene.get("task"), seen, steps) if part]
     said = f"{one.setup.name}: {', '.join(parts)}."
     if one.setup.compare is None:
         return said
-    names = [arm(one.setup.label(each)) for each in one.setup.arms[:2]]
+    first, second = map(one.setup.label, one.setup.arms[:2])
     return (
-        f"{said} Compares {names[0]} with {names[1]}, in pairs of the same seed, by {SCORES[score]} "
-        f"of the {MEASURES[one.setup.measure]}."
+        f"{said} Compares {first} with {second}, in pairs of runs with the same seed, by "
+        f"{MEANS[score]} ({MEASURES[one.setup.measure]})."
     )
 
 
@@ -79,64 +86,54 @@ def ranging(estimate: Estimate) -> str:
     return f"{signed(estimate.value)} ({signed(estimate.low)} to {signed(estimate.high)})"
 
 
-def answer(setup: Setup, verdict: Verdict) -> str:
-    """The primary comparison of a cell in one sentence, with its interval."""
-    treatment, control = map(setup.label, setup.arms[:2])
-    where = _place(setup, verdict.cell)
-    pairs, stage, missing = verdict.pairs, verdict.stage, verdict.n_seeds - len(verdict.pairs)
-    if not len(pairs):
+def answer(setup: Setup, verdict: Verdict, score: str) -> str:
+    """The primary comparison of a cell in a sentence or two, with its interval."""
+    where, found, stage = _place(setup, verdict.cell), verdict.pairs.difference, verdict.stage
+    missing = verdict.n_seeds - len(verdict.pairs)
+    if not len(verdict.pairs):
         return f"{where}: no seed has both runs yet."
-    found = pairs.difference
-    count = f"{len(pairs)} of {verdict.n_seeds} pairs" if missing else plural(len(pairs), "pair")
-    numbers = f"{treatment} − {control}: {ranging(found)}"
-    if stage is not None and not stage.look:
-        return f"{where}: {numbers} in {count}; the first look is still to come."
-    corrected = ", corrected" if len(setup.cells) > 1 or stage is not None else ""
-    p_value = verdict.pairs.p_value if verdict.valid_p == 1 else verdict.p_holm
-    p = "p < 0.001" if p_value < 0.001 else f"p = {p_value:.3f}"
-    numbers += f", {count}" if math.isnan(p_value) else f", {p}{corrected}, {count}"
-    look = "" if stage is None else f" Look {stage.look} of {stage.of}: {ENDINGS[stage.ending]}."
+    pairs = plural(len(verdict.pairs), "pair")
+    pairs = f"{len(verdict.pairs)} of {verdict.n_seeds} pairs" if missing else pairs
+    first, second = map(setup.label, setup.arms[:2])
+    gap = f"{first} − {second} in {MEANS[score]}: {ranging(found)}"
+    if stage and not stage.look:
+        return f"{where}: {gap}, {pairs}; the first look is still to come."
+    p = verdict.pairs.p_value if verdict.valid_p == 1 else verdict.p_holm
+    told = pairs if math.isnan(p) else f"p {'< 0.001' if p < 0.001 else f'= {p:.3f}'}, {pairs}"
+    look = f" Look {stage.look} of {stage.of}: {ENDINGS[stage.ending]}." if stage else ""
     if verdict.is_difference:
-        first, second = (treatment, control) if found.value > 0 else (control, treatment)
-        return f"{where}: {first} is ahead of {second} ({numbers}).{look}"
-    if stage is not None and not stage.ending:
-        return f"{where}: not decided yet ({numbers}).{look}"
-    if len(pairs) < FEWEST_PAIRS:
-        few = f"too few runs to detect a difference at {verdict.alpha:g}, which takes {FEWEST_PAIRS}"
-        return f"{where}: {few} pairs ({numbers}).{look}"
-    if found.low == found.high:  # as where no run learned anything
-        return f"{where}: no difference was detected, all pairs are alike ({numbers}).{look}"
-    bound = math.ceil(100 * max(-found.low, found.high)) / 100
-    return (
-        f"{where}: no difference was detected ({numbers}); a difference above {bound:.2f} can be "
-        f"ruled out.{look}"
-    )
+        is_higher, low, high = found.value > 0, *sorted(map(abs, found[1:]))
+        change = f"{'raised' if is_higher else 'lowered'} {MEANS[score]}"
+        numbers = f"{abs(found.value):.2f} ({low:.2f} to {high:.2f}; {told})"
+        other = "" if setup.is_touch else f" against {second}"
+        return f"{where}: {first[0].upper()}{first[1:]} {change} by {numbers}{other}.{look}"
+    if stage and not stage.ending:
+        said = "not decided yet"
+    elif len(verdict.pairs) < FEWEST_PAIRS:
+        said = f"too few runs to find a difference at {verdict.alpha:g}, which takes {FEWEST_PAIRS} pairs"
+    elif found.low == found.high:  # as where no run learned anything
+        said = "no difference was found, all pairs are alike"
+    else:
+        bound = math.ceil(100 * max(-found.low, found.high)) / 100
+        said = f"no difference was found, and one above {bound:.2f} is ruled out"
+    return f"{where}: {said} ({gap}; {told}).{look}"
 
 
 def _place(setup: Setup, cell: str) -> str:
     return setup.name if setup.cells == [cell] else f"{setup.name}, {cell}"
 
 
-ENDINGS = {
-    "": "the study goes on",
-    "difference": "stopped for a difference",
-    "no difference": "stopped, for a difference that matters is ruled out",
-    "last look": "all runs are done",
-}
-
-
 def room(setup: Setup, cell: str, found: Headroom) -> str:
     """What touch gives of what sight would give, or that the scene cannot tell."""
     where = _place(setup, cell)
-    sight = f"a control that sees the object is {ranging(found.room)} above one that does not"
+    sight = f"a hand without touch that sees the object is {ranging(found.room)} above one that does not"
     if not found.is_enough:
         return (
             f"{where}: this scene cannot tell what touch is worth: {sight}, and {LEAST_ROOM} is the "
             f"least ({found.n} seeds)."
         )
     value, low, high = (f"{x:.0%}" for x in found.share)
-    share = f"touch gives {value} ({low} to {high}) of what sight gives"
-    return f"{where}: {share}: {sight} ({found.n} seeds)."
+    return f"{where}: touch gives {value} ({low} to {high}) of what sight gives: {sight} ({found.n} seeds)."
 
 
 def answers(analysis: Analysis) -> list[str]:
@@ -144,43 +141,34 @@ def answers(analysis: Analysis) -> list[str]:
     said = []
     for one in analysis.setups:
         for cell, found in one.comparisons.items():
-            said.append(answer(one.setup, found.verdict))
+            said.append(answer(one.setup, found.verdict, analysis.study.primary.score))
             if found.headroom is not None:
                 said.append(room(one.setup, cell, found.headroom))
     return said
 
 
-def _still_rises(group: Group) -> bool:
-    """Does the converged rate miss what the runs can do at their end?"""
-    final, converged = (group.estimate("iqm", score).value for score in ("final", "converged"))
-    return final - converged > STILL_RISING
-
-
 def made_with(config: dict[str, Any]) -> set[tuple[str, str]]:
-    """(package, version) of all that a run was made with; several of one where it went on with
-    others."""
+    """(package, version) of all that could change what a run came to; several of one where it went on
+    with others. MPI does nothing for a single process, nor one simulator in a scene of the other."""
     made = config.get("provenance", [])
+    simulator = (config.get("scene") or {}).get("simulator")
+    idle = {"mujoco", "pybullet"} - {simulator} if simulator else set()
+    idle |= {"mpi4py"} if config.get("ranks", 1) == 1 else set()
     commits = {("commit", str(one["commit"])) for one in made}
-    return commits.union(*(one["versions"].items() for one in made))
-
-
-def needless(analysis: Analysis) -> set[str]:
-    """Runs left out, by name, because their comparison ended at an earlier look."""
-    return {
-        record.run.name
-        for one in analysis.setups
-        for record in one.records
-        if not record.has_ended and (found := one.comparisons.get(record.run.cell))
-        if found.verdict.stage and found.verdict.stage.ending
-    }
+    versions = commits.union(*(one["versions"].items() for one in made))
+    return {(name, version) for name, version in versions if name not in idle}
 
 
 def warnings(analysis: Analysis, few: int = FEW_RUNS) -> list[str]:
     """What a reader must know before he believes the numbers."""
-    found, unneeded = [], needless(analysis)
-    states = Counter(r.state for r in analysis.records if r.run.name not in unneeded)
-    unfinished = [f"{n} {state}" for state, n in sorted(states.items()) if state != "done"]
-    if unfinished:
+    found, states = [], Counter[str]()
+    for one in analysis.setups:
+        for record in one.records:
+            comparison = one.comparisons.get(record.run.cell)
+            stage = comparison.verdict.stage if comparison else None
+            if record.has_ended or not (stage and stage.ending):  # else nobody needs it any more
+                states[record.state] += 1
+    if unfinished := [f"{n} {state}" for state, n in sorted(states.items()) if state != "done"]:
         found.append(f"Of {len(analysis.records)} runs {', '.join(unfinished)}: they are in no figure.")
     groups = [group for one in analysis.setups for group in one.groups.values()]
     if (fewest := min(map(len, groups), default=few)) < few:
@@ -196,13 +184,21 @@ def warnings(analysis: Analysis, few: int = FEW_RUNS) -> list[str]:
     for one in analysis.setups:
         if not one.groups:
             found.append(f"{one.setup.name}: no finished run with a {one.setup.measure}.")
-    if len({frozenset(made_with(one.config)) for one in analysis.records if one.config}) > 1:
-        found.append("The runs were made with different versions or commits: see Versions.")
-    diverged = [
-        r.run.name
-        for r in analysis.records
-        if sum(np.nansum(r.column(c)) for c in ("diverged", "test_diverged")) > 0
-    ]
+    for one in analysis.setups:
+        if len({frozenset(made_with(record.config)) for record in one.records if record.config}) > 1:
+            found.append(
+                f"{one.setup.name}: versions or commits differ between runs, and could change results: "
+                "see Versions."
+            )
+    diverged = sum(
+        sum(np.nansum(r.column(c)) for c in ("diverged", "test_diverged")) > 0 for r in analysis.records
+    )
     if diverged:
-        found.append(f"Episodes diverged in {plural(len(diverged), 'run')}: see Runs.")
+        found.append(f"Episodes diverged in {plural(diverged, 'run')}: see Runs.")
     return found
+
+
+def _still_rises(group: Group) -> bool:
+    """Does the converged rate miss what the runs can do at their end?"""
+    final, converged = (group.estimate("iqm", score).value for score in ("final", "converged"))
+    return final - converged > STILL_RISING

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,13 +15,13 @@ from .. import statistics
 from ..errors import InputError
 from ..runs import config as configuration
 from ..statistics import Array, Estimate
-from .analysis import Analysis, Group, SetupResult
+from .analysis import Analysis, SetupResult
 from .grid import SCORES
-from .summary import ENDINGS, made_with, subject
+from .summary import ENDINGS, MEANS, made_with, subject
 from .verdicts import THRESHOLDS
 
 UNTOLD = ("seed", "out", "workers", "threads", "tensorboard", "device", "algo", "env")
-HEADINGS = {name: score.capitalize() for name, score in SCORES.items()}
+SETTING = "Setting"
 Row = dict[str, str]
 """A cell by the heading of its column."""
 
@@ -35,22 +35,29 @@ class Table:
     title: str
     rows: list[Row]
     note: str = ""
+    brief: Sequence[str] = ()
+    """The columns of a narrow table in LaTeX beside the whole one."""
 
     @property
     def frame(self) -> pd.DataFrame:
-        """Rows under headings."""
-        return pd.DataFrame(self.rows).fillna("–")
+        """Rows under headings; without a setting where there is only one."""
+        frame = pd.DataFrame(self.rows).fillna("–")
+        return frame.drop(columns=SETTING) if {*frame.get(SETTING, ())} == {"all"} else frame
 
     def formats(self) -> dict[str, bytes]:
         """The table in each format, by the ending of its file."""
-        styles = (("md", "pipe"), ("tex", "latex_booktabs"))
-        made = {
-            ending: self.frame.to_markdown(index=False, tablefmt=style, disable_numparse=True) + "\n"
-            for ending, style in styles
-        }
-        made["csv"] = self.frame.to_csv(index=False, lineterminator="\n")
-        made["md"] = "\n\n".join(filter(None, [f"**{self.title}**", self.note, made["md"]]))
+        frame = self.frame
+        parts = [f"**{self.title}**", self.note, _text(frame, "pipe")]
+        made = {"md": "\n\n".join(filter(None, parts)), "tex": _text(frame, "latex_booktabs")}
+        if self.brief:
+            columns = [name for name in self.brief if name in frame]
+            made["brief.tex"] = _text(frame[columns], "latex_booktabs")
+        made["csv"] = frame.to_csv(index=False, lineterminator="\n")
         return {ending: text.encode() for ending, text in made.items()}
+
+
+def _text(frame: pd.DataFrame, style: str) -> str:
+    return str(frame.to_markdown(index=False, tablefmt=style, disable_numparse=True)) + "\n"
 
 
 def number(value: float, digits: int = 2) -> str:
@@ -74,20 +81,20 @@ def p_value(value: float) -> str:
 def comparisons(one: SetupResult, score: str) -> Table:
     """Treatment against control in every cell, in pairs of runs of the same seed."""
     treatment, control = map(one.setup.label, one.setup.arms[:2])
-    rows, note = [], (
+    rows, heading = [], MEANS[score].capitalize()
+    note = (
         f"Mean of {treatment} minus {control} in runs of the same seed, with a 95 % bootstrap interval "
-        "over pairs. p: sign-flip test; Holm over the rows. The first score is the one that the study "
-        "is judged by; the others are for comparison and not corrected."
+        f"over pairs. The study is judged by {MEANS[score]}. p is that of a sign-flip test, corrected "
+        "for all rows (Holm). The other scores are for comparison."
     )  # fmt: skip
     for cell, found in one.comparisons.items():
         verdict, room = found.verdict, found.headroom
-        row = {"Config.": cell, "Pairs": f"{len(verdict.pairs)} of {verdict.n_seeds}"}
-        row[HEADINGS[score]] = shown(verdict.pairs.difference, 3)
-        row |= {"p": p_value(verdict.pairs.p_value), "p, Holm": p_value(verdict.p_holm)}
+        row = {SETTING: cell, "Pairs": f"{len(verdict.pairs)} of {verdict.n_seeds}"}
+        row |= {heading: shown(verdict.pairs.difference, 3), "p": p_value(verdict.p_holm)}
         if stage := verdict.stage:
             row["Look"] = f"{stage.look} of {stage.of}: {ENDINGS[stage.ending]}"
         for name, pairs in found.secondary.items():
-            row |= {HEADINGS[name]: shown(pairs.difference, 3), f"p, {name}": p_value(pairs.p_value)}
+            row[MEANS[name].capitalize()] = shown(pairs.difference, 3)
         if room:
             row["Sight gives"] = shown(room.room)
             row["Touch, share of it"] = shown(room.share) if room.is_enough else "cannot tell"
@@ -98,13 +105,7 @@ def comparisons(one: SetupResult, score: str) -> Table:
             "looks; the other scores are of all runs."
         )
     title = f"{treatment} − {control} in pairs: {subject(one)}"
-    return Table(f"{one.setup.name}_comparisons", title, rows, note)
-
-
-def groups(one: SetupResult) -> Iterator[tuple[Row, Group]]:
-    """How a row of each group begins, and the group."""
-    for (cell, arm), group in one.groups.items():
-        yield {"Config.": cell, "Type": one.setup.label(arm), "Runs": str(len(group))}, group
+    return Table(f"{one.setup.name}_comparisons", title, rows, note, (SETTING, "Pairs", heading, "p"))
 
 
 def median_steps(steps: Array) -> str:
@@ -117,17 +118,18 @@ def median_steps(steps: Array) -> str:
 def measures(one: SetupResult, score: str) -> Table:
     """What else a learning curve says: means with intervals, and steps to two thresholds."""
     rows = []
-    for row, group in groups(one):
+    for (cell, arm), group in one.groups.items():
+        row = {SETTING: cell, "Arm": one.setup.label(arm), "Runs": str(len(group))}
         for name in dict.fromkeys([score, *SCORES]):
-            row[HEADINGS[name]] = shown(statistics.mean(group.scores[name], group.counts))
+            row[MEANS[name].capitalize()] = shown(statistics.mean(group.scores[name], group.counts))
         for threshold in THRESHOLDS:
             steps = median_steps(group.scores[f"steps to {threshold:g}"])
             row[f"Steps to {threshold:g} (median; reached by)"] = steps
         rows.append(row)
     note = (
-        "Mean of the runs with 95 % interval. Area: mean success over the run; final: over its last "
-        "tenth; converged: the level where a run spends most of its epochs. Steps are those of the "
-        "first epoch at or above the threshold."
+        "Mean of the runs with 95 % interval. Mean success: over the run; final: over its last tenth; "
+        "converged: the level where a run spends most of its epochs. Steps are those of the first "
+        "epoch at or above the threshold."
     )
     return Table(f"{one.setup.name}_measures", f"Each arm: {subject(one)}", rows, note)
 
@@ -172,13 +174,21 @@ def _differences(config: dict[str, Any]) -> Iterator[tuple[str, str, str]]:
     for part in ("run", "scene", "learner"):
         for flag, mine in (config.get(part) or {}).items():
             default = (defaults[part] or {}).get(flag)
-            default = list(default) if isinstance(default, tuple) else default
-            if mine != default:
-                yield flag, str(mine), str(default)
+            if mine != (list(default) if isinstance(default, tuple) else default):
+                yield flag, in_words(mine), in_words(default)
+
+
+def in_words(value: Any) -> str:
+    """A setting as people write it."""
+    if isinstance(value, list | tuple):
+        return ", ".join(map(in_words, value)) or "none"
+    if value is None or isinstance(value, bool):
+        return {None: "none", True: "yes", False: "no"}[value]
+    return str(value).replace("..", " to ").replace("_", " ")
 
 
 def versions(analysis: Analysis) -> Table:
-    """Software that the runs were made with, and by how many runs."""
+    """Software that could change the runs' results, and by how many runs it was used."""
     found = Counter(one for record in analysis.records for one in made_with(record.config or {}))
     rows = [{"Package": p, "Version": v, "Runs": str(n)} for (p, v), n in sorted(found.items())]
     return Table("versions", "Versions", rows)
@@ -186,20 +196,18 @@ def versions(analysis: Analysis) -> Table:
 
 def runs(analysis: Analysis) -> Table:
     """Every run: its seed, how it ended and what it reached."""
-    setups = {one.setup.name: one for one in analysis.setups}
-    rows = []
+    setups, rows = {one.setup.name: one for one in analysis.setups}, []
     for record in analysis.records:
         run, one, steps = record.run, setups[record.run.setup], record.column("env_steps")
         group = one.groups.get((run.cell, run.arm))
-        at = group.seeds.index(run.seed) if group and run.seed in group.seeds else None
+        is_in = group is not None and run.seed in group.seeds
         diverged = sum(np.nansum(record.column(name)) for name in ("diverged", "test_diverged"))
-        row = {"Set-up": run.setup, "Config.": run.cell, "Type": one.setup.label(run.arm)}
+        row = {"Set-up": run.setup, SETTING: run.cell, "Arm": one.setup.label(run.arm)}
         row |= {"Seed": str(run.seed), "State": record.state, "Epochs": str(len(record.rows))}
         row["Steps"] = f"{steps[-1]:.0f}" if len(steps) else "0"
         for name in SCORES:
-            row[name.capitalize()] = number(
-                group.scores[name][at] if group and at is not None else math.nan
-            )
+            reached = group.scores[name][group.seeds.index(run.seed)] if group and is_in else math.nan
+            row[MEANS[name].capitalize()] = number(reached)
         rows.append(row | {"Diverged episodes": f"{diverged:.0f}", "Why it failed": record.reason})
     said = [f"{name}: {one.setup.measure}" for name, one in setups.items()]
     return Table("runs", "Runs", rows, f"Rates: {'; '.join(said)}.")

@@ -418,7 +418,7 @@ class TestPlan:
         sd = np.sqrt(np.mean([gap.var(ddof=1) for gap in gaps]))
         assert needs[0]["pairs"] == 12
         assert needs[0]["sd"] == pytest.approx(sd)
-        assert needs[0]["needed"] == statistics.runs_needed(0.1, sd, 0.8, 0.05, in_pairs=True)
+        assert needs[0]["needed"] == planning.runs_needed(0.1, sd, 0.8, 0.05)
         assert needs[0]["interval"][0] <= needs[0]["needed"] <= needs[0]["interval"][1]
         assert needs[0]["needed"] <= needs[0]["needed_holm"]
 
@@ -428,6 +428,20 @@ class TestPlan:
         assert best.needed == min(need.needed for need in needs if need.setup == "mujoco")
         assert main(["study", "plan", str(folder.path), "--effect", "0.05"]) == 0
         assert f"mujoco: {best.score} needs the fewest pairs" in capsys.readouterr().out
+
+    @pytest.mark.parametrize(
+        ("case", "n"),
+        [
+            ((0.05, 0.06, 0.8, 0.05), 14),
+            ((0.05, 0.06, 0.8, 0.05, False), 24),  # Cohen's tables for d = 0.83: 24 to 26
+            ((0.1, 0.15, 0.99, 0.001), 77),  # where scipy's noncentral t is NaN in one tail
+            ((1e-6, 1.0, 0.8, 0.05), None),
+            ((0.05, 0.0, 0.8, 0.05, False), 2),
+            ((0.05, 0.0, 0.8, 0.05), 6),  # five signs alike: 0.0625
+        ],
+    )
+    def test_runs_that_a_t_test_needs(self, case, n):
+        assert planning.runs_needed(*case) == n
 
     def test_looks_are_at_growing_numbers_of_pairs_up_to_all(self):
         assert planning.looks(16) == [6, 9, 12, 16]
