@@ -38,8 +38,3 @@ STYLE: dict[Any, Any] = {  # with it the same input gives the same bytes
 DPI = 180
 HEAD: dict[str, Any] = {"x": 0.01, "ha": "left", "fontweight": "bold", "wrap": True}
 """Of a figure's title: hand, simulator, learner and length."""
-
-
-def arm(name: str) -> str:
-    """An arm as legends call it: `main (touch)`; one that is no run type as it is."""
-    return f"{name} ({ROLES[name]})" if name in ROLES else name

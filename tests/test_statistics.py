@@ -271,4 +271,3 @@ class TestLooks:
             found = s.sequential_sign_flips(rng.standard_t(3, n), looks, n, rng, 4000)
             stopped += found[-1].p_value <= looks[len(found) - 1][1]
         assert 0.02 < stopped / 400 < 0.085
-

@@ -15,7 +15,6 @@ import numpy as np
 
 from benchmarks.command import parser, write
 from benchmarks.printing import markdown
-from tactilerl import statistics
 from tactilerl.statistics import final_rate
 from tactilerl.study import records
 from tactilerl.study.grid import SCORES, Setup

@@ -305,7 +305,7 @@ def _curves(axes: Axes, study: Study, found: list[Record]) -> None:
         steps = np.linspace(max(x[0] for x, _ in runs), min(x[-1] for x, _ in runs), 60)
         curves = np.array([np.interp(steps, *run) for run in runs])
         axes.plot(steps, curves.T, color=COLOURS[run_type], lw=0.8, alpha=0.6)
-        label = f"{style.arm(run_type)}, mean of {len(runs)} runs"
+        label = f"{style.ROLES[run_type]}, mean of {len(runs)} runs"
         axes.plot(steps, curves.mean(axis=0), color=COLOURS[run_type], lw=2.5, label=label)
     axes.plot([], [], color=style.INK, lw=0.8, alpha=0.7, label="a run")
     axes.set(title="Handover to the palm", xlabel="environment steps", ylabel="success rate")
@@ -318,7 +318,7 @@ def _layouts(axes: Axes, study: Study, found: list[Record]) -> None:
     (setup,) = study.setups
     labels = [label(cell).removeprefix("layout ").replace("of the ", "") for cell in setup.cells]
     for arm, (run_type, aside) in enumerate(zip(setup.arms, (-0.13, 0.13), strict=True)):
-        colour, named = COLOURS[run_type], style.arm(run_type)
+        colour, named = COLOURS[run_type], style.ROLES[run_type]
         for place, cell in enumerate(setup.cells):
             rates = list(verdicts.both_arms(found, setup, cell, "final")[arm].values())
             x, is_first = place + aside, place == 0

@@ -6,8 +6,9 @@ import dataclasses
 import json
 import os
 import shlex
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -20,7 +21,7 @@ from rich.table import Table
 from ..errors import InputError
 from ..runs.cores import free_cores
 from ..runs.files import pasted
-from ..study import check, comparing, engine, grid, looks, planning, progress, records
+from ..study import check, comparing, engine, grid, looks, progress, records
 from ..study.records import Record, StudyFiles
 from ..study.runner import Job
 from ..terminal import flags
@@ -89,6 +90,16 @@ class Run:
             console.print(f"{busy} runs are trained by another `study run`")
         console.print(f"  tactilerl study report {pasted(files.path)}")
         return 1 if failures else 0
+
+
+@contextmanager
+def _extra(part: str) -> Iterator[None]:
+    """InputError where a package of the extra `study` is missing."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        needed = f"study {part} needs {error.name}, which is not installed"
+        raise InputError(f"{needed}: pip install 'tactilerl[study]'") from error
 
 
 def _forget_failures(files: StudyFiles, found: dict[str, Record]) -> None:
@@ -183,6 +194,8 @@ class Plan:
 
     def __call__(self) -> None:
         """`tactilerl study plan FOLDER`"""
+        with _extra("plan"):
+            from ..study import planning
         for name in ("effect", "power", "alpha"):
             if not 0 < getattr(self, name) < 1:
                 raise InputError(f"--{name}: found {getattr(self, name)}, allowed between 0 and 1")
@@ -197,19 +210,17 @@ class Plan:
         title = f"Pairs of runs for a difference of {self.effect:g} with power {self.power:g}"
         caption = (
             "n: pairs so far; r: correlation within seeds; sd: of their differences\n"
-            "alone: unpaired runs per arm; 95 %: interval of pairs; at N: power of N pairs\n"
+            "alone: unpaired runs per arm; 95 %: interval of pairs\n"
             "Holm: pairs, corrected for all cells"
         )
         table = Table(title=title, caption=caption, box=box.SIMPLE_HEAD, padding=0, show_edge=False)
-        columns = ("set-up", "score", "n", "r", "sd", "alone", "pairs", "95 %", "Holm")
-        for column in (*columns, *(f"at {n}" for n in needs[0].power)):
+        for column in ("set-up", "score", "n", "r", "sd", "alone", "pairs", "95 %", "Holm"):
             table.add_column(column, no_wrap=True)
         for need in needs:
             counts = need.unpaired, need.needed, *need.interval, need.needed_holm
             alone, pairs, low, high, holm = (str(n) if n else "–" for n in counts)
             row = [need.setup, need.score, str(need.pairs), f"{need.correlation:.2f}", f"{need.sd:.2f}"]
-            powers = [f"{power:.2f}" for power in need.power.values()]
-            table.add_row(*row, alone, pairs, f"{low}–{high}", holm, *powers)
+            table.add_row(*row, alone, pairs, f"{low}–{high}", holm)
         console.print(table)
         for name, need in planning.best(needs).items():
             assert need.needed is not None
@@ -290,11 +301,8 @@ class Report:
 
     def __call__(self) -> None:
         """`tactilerl study report FOLDER`"""
-        try:
+        with _extra("report"):
             from ..study import analysis, report, summary
-        except ModuleNotFoundError as error:
-            needed = f"study report needs {error.name}, which is not installed"
-            raise InputError(f"{needed}: pip install 'tactilerl[study]'") from error
         found = analysis.analyse(*records.load(records.require_study(self.study)), self.resamples)
         out = self.out or (self.study if os.path.isdir(self.study) else self.study.parent) / "report"
         try:

@@ -14,10 +14,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..statistics import Estimate
-from ..style import ARMS, DPI, FAINT, HEAD, INK, STYLE, arm
+from ..style import ARMS, DPI, FAINT, HEAD, INK, STYLE
 from .analysis import SetupResult
-from .grid import SCORES
-from .summary import subject
+from .summary import MEANS, subject
 
 LEGEND = 2.4  # inches for an entry of the legend
 Draw = Callable[[Axes], None]
@@ -73,7 +72,7 @@ def setting(one: SetupResult) -> str:
 
 def label_of(text: str) -> str:
     """Of a cell or an arm; the only one there is needs none."""
-    return "" if text == "all" else arm(text)
+    return "" if text == "all" else text
 
 
 def arm_colours(one: SetupResult) -> dict[str, str]:
@@ -84,8 +83,8 @@ def arm_colours(one: SetupResult) -> dict[str, str]:
 def differences(one: SetupResult, score: str) -> Picture:
     """Every pair's difference by the primary score, and their means with intervals."""
     treatment, control = map(one.setup.label, one.setup.arms[:2])
-    label = f"{SCORES[score]}: {treatment} − {control}"
-    title = f"{treatment} − {control}, {SCORES[score]}: each pair, mean and 95 % interval"
+    label = f"{MEANS[score]}: {treatment} − {control}"
+    title = f"{treatment} − {control}, {MEANS[score]}: each pair, mean and 95 % interval"
     panels = [("", partial(_differences_of, one, label))]
     size = 6.4, 1.5 + 0.45 * len(one.comparisons)
     return Picture(f"{one.setup.name}_differences", title, setting(one), panels, size)

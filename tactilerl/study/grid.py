@@ -40,6 +40,7 @@ from typing import Annotated, Any, Literal, TypeVar
 from ..envs.typed import require
 from ..errors import InputError
 from ..runs.files import MAX_JSON, content, damage_named, require_name
+from ..style import ROLES
 
 MEASURES = ("success_rate", "test_success_rate")  # columns of progress.csv that are shares
 KEYS = ("name", "measure", "compare", "primary", "looks", "grid", "setups")
@@ -126,10 +127,15 @@ class Setup:
         rest = [text(value) for value in self.grid[self.compare.flag] if text(value) not in first]
         return first + rest
 
+    @property
+    def is_touch(self) -> bool:
+        """Are hands with touch compared with hands without?"""
+        return self.compare is not None and self.compare.flag == "run_type"
+
     def label(self, arm: str) -> str:
-        """What an arm is called wherever it is shown: `main`, `polyak 0.9`."""
-        if self.compare is None or self.compare.flag == "run_type":
-            return arm or "all"
+        """What an arm is called wherever it is shown: `touch`, `polyak 0.9`."""
+        if self.compare is None or self.is_touch:
+            return ROLES.get(arm, arm or "all")
         return f"{self.compare.flag.replace('_', ' ')} {arm}"
 
     def runs(self, seed: int) -> Iterator[Run]:

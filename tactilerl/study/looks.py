@@ -58,7 +58,8 @@ def judge(study: Study, found: Sequence[Record]) -> Found:
 
 def answers(study: Study, found: Found) -> list[str]:
     """A sentence for each comparison."""
-    return [summary.answer(one, v) for one in study.setups for v in found[one.name].values()]
+    score = study.primary.score
+    return [summary.answer(one, v, score) for one in study.setups for v in found[one.name].values()]
 
 
 def have_ended(found: Found) -> bool:

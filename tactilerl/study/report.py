@@ -1,4 +1,4 @@
-"""report.html and the same as files: tables (Markdown, CSV, LaTeX) and figures (PNG, SVG).
+"""report.html and the same as files: tables (Markdown, CSV, LaTeX), figures (PNG, SVG) and scores.
 
 The same records give the same bytes: no file holds a date or a path.
 """
@@ -13,7 +13,7 @@ import jinja2
 
 from ..runs.files import content as read
 from ..runs.files import own_folder, replacing, require_ours
-from . import figures, summary, tables
+from . import export, figures, summary, tables
 from .analysis import Analysis
 from .figures import Picture
 from .tables import Table
@@ -43,10 +43,13 @@ def write(analysis: Analysis, folder: Path) -> Path:
         formats = part.formats()
         beside |= {place.with_name(f"{part.name}.{ending}"): it for ending, it in formats.items()}
         images[part.name] = b64encode(formats.get("svg", b"")).decode()
+    beside |= {folder / "scores.csv": export.scores(analysis)}
+    beside |= {folder / "scores.npz": export.arrays(analysis)}
     is_new = not page.exists()
     folder.mkdir(parents=True, exist_ok=True)
     for path in beside:
-        own_folder(path.parent)
+        if path.parent != folder:
+            own_folder(path.parent)
         require_ours(path, (lambda _: False) if is_new else None)
     for path, content in {page: _page(analysis, made, images).encode(), **beside}.items():
         with replacing(path) as file:

@@ -102,15 +102,19 @@ def answer(setup: Setup, verdict: Verdict, score: str) -> str:
     told = pairs if math.isnan(p) else f"p {'< 0.001' if p < 0.001 else f'= {p:.3f}'}, {pairs}"
     look = f" Look {stage.look} of {stage.of}: {ENDINGS[stage.ending]}." if stage else ""
     if verdict.is_difference:
-        is_higher, low, high = found.value > 0, *sorted(map(abs, found[1:]))
+        is_higher = found.value > 0
+        bounds = found[1:] if is_higher else (-found.high, -found.low)
+        low, high = (f"{bound:.2f}".replace("-", "−") for bound in bounds)
         change = f"{'raised' if is_higher else 'lowered'} {MEANS[score]}"
-        numbers = f"{abs(found.value):.2f} ({low:.2f} to {high:.2f}; {told})"
+        numbers = f"{abs(found.value):.2f} ({low} to {high}; {told})"
         other = "" if setup.is_touch else f" against {second}"
         return f"{where}: {first[0].upper()}{first[1:]} {change} by {numbers}{other}.{look}"
     if stage and not stage.ending:
         said = "not decided yet"
     elif len(verdict.pairs) < FEWEST_PAIRS:
-        said = f"too few runs to find a difference at {verdict.alpha:g}, which takes {FEWEST_PAIRS} pairs"
+        said = (
+            f"too few runs to find a difference at {verdict.alpha:g}, which takes {FEWEST_PAIRS} pairs"
+        )
     elif found.low == found.high:  # as where no run learned anything
         said = "no difference was found, all pairs are alike"
     else:
@@ -126,14 +130,15 @@ def _place(setup: Setup, cell: str) -> str:
 def room(setup: Setup, cell: str, found: Headroom) -> str:
     """What touch gives of what sight would give, or that the scene cannot tell."""
     where = _place(setup, cell)
-    sight = f"a hand without touch that sees the object is {ranging(found.room)} above one that does not"
+    sight = f"without touch, seeing the object makes a difference of {ranging(found.room)}"
     if not found.is_enough:
         return (
             f"{where}: this scene cannot tell what touch is worth: {sight}, and {LEAST_ROOM} is the "
             f"least ({found.n} seeds)."
         )
     value, low, high = (f"{x:.0%}" for x in found.share)
-    return f"{where}: touch gives {value} ({low} to {high}) of what sight gives: {sight} ({found.n} seeds)."
+    share = f"touch gives {value} ({low} to {high}) of what sight gives"
+    return f"{where}: {share}; {sight} ({found.n} seeds)."
 
 
 def answers(analysis: Analysis) -> list[str]:

@@ -40,9 +40,9 @@ class Table:
 
     @property
     def frame(self) -> pd.DataFrame:
-        """Rows under headings; without a setting where there is only one."""
+        """Rows under headings; without settings or arms where there is only one."""
         frame = pd.DataFrame(self.rows).fillna("–")
-        return frame.drop(columns=SETTING) if {*frame.get(SETTING, ())} == {"all"} else frame
+        return frame.drop(columns=[n for n in (SETTING, "Arm") if {*frame.get(n, ())} == {"all"}])
 
     def formats(self) -> dict[str, bytes]:
         """The table in each format, by the ending of its file."""

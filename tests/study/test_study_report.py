@@ -13,11 +13,12 @@ import tarfile
 from pathlib import Path
 
 import numpy as np
+import pandas
 import pytest
 from one_line import fails_with
+from rliable import library, metrics
 from study_records import fail, interrupt, make_study
 
-from tactilerl import statistics
 from tactilerl import study as package
 from tactilerl.commands.cli import main
 from tactilerl.study import analysis, figures, planning, records, report, summary, tables, verdicts
@@ -114,7 +115,7 @@ class TestNumbers:
         expected = list(verdicts.scored("converged", *arms)[0].values())
         assert group.seeds == [0, 1, 2, 3]
         np.testing.assert_allclose(group.scores["converged"], expected)
-        row = next(r for r in rows(result, "mujoco_measures") if r[:2] == ["layout 2", "main"])
+        row = next(r for r in rows(result, "mujoco_measures") if r[:2] == ["layout 2", "touch"])
         assert row[2] == "4"
         assert row[5].startswith(f"{np.mean(expected):.2f} [")
 
@@ -214,10 +215,10 @@ class TestWarnings:
         assert main(["study", "report", str(folder.path), "--resamples", "100"]) == 0
         out = capsys.readouterr().out
         assert "Of 24 runs 1 failed, 2 interrupted" in out
-        assert "different versions" in out
+        assert "pybullet: versions or commits differ" in out
         assert "diverged in 1 run" in out
         rows = (folder.path / "report/tables/runs.csv").read_text().splitlines()
-        assert rows[1].startswith("pybullet,layout 1,main,0,failed")
+        assert rows[1].startswith("pybullet,layout 1,touch,0,failed")
         assert rows[1].endswith("diverged: a reward is nan")
         assert "interrupted" in rows[2]
         assert "config.json: damaged" in rows[5]
@@ -493,3 +494,56 @@ def test_committed_reports_come_out_of_their_data(tmp_path, name):
     found = analysis.analyse(*records.load(ROOT / f"docs/data/{name}.tar.gz"))
     page = report.write(found, tmp_path).read_bytes()
     assert page == (ROOT / f"docs/reports/{name}.html").read_bytes()
+
+
+class TestForReadersAndPrograms:
+    def test_answers_are_sentences_and_p_is_corrected_once(self, folder, capsys, written):
+        assert main(["study", "status", str(folder.path)]) == 0
+        assert "layout 1: " in (out := capsys.readouterr().out)
+        assert "too few runs to find a difference at 0.05" in out
+        table = (written.parent / "tables/pybullet_comparisons.csv").read_text().splitlines()
+        assert table[0].startswith("Setting,Pairs,Mean success,p,")
+        assert table[0].count(",p") == 1
+        brief = (written.parent / "tables/pybullet_comparisons.brief.tex").read_text()
+        assert brief.splitlines()[0] == r"\begin{tabular}{llll}"
+
+    def test_a_single_setting_has_no_column(self):
+        table = tables.Table("x", "x", [{"Setting": "all", "Arm": "all", "n": "1"}])
+        assert list(table.frame) == ["n"]
+
+    @pytest.mark.parametrize(
+        ("value", "words"),
+        [(["0.04..0.05"], "0.04 to 0.05"), ((64, 64), "64, 64"), (None, "none"), (True, "yes")],
+    )
+    def test_settings_are_written_for_people(self, value, words):
+        assert tables.in_words(value) == words
+
+    def test_versions_that_cannot_change_a_result_are_no_difference(self):
+        made = {"commit": "a", "versions": {"torch": "2", "mpi4py": "4", "pybullet": "3"}}
+        config = {"ranks": 1, "scene": {"simulator": "mujoco"}, "provenance": [made]}
+        assert summary.made_with(config) == {("commit", "a"), ("torch", "2")}
+        assert ("mpi4py", "4") in summary.made_with({**config, "ranks": 2})
+        assert ("pybullet", "3") in summary.made_with({**config, "scene": None})
+
+    def test_scores_are_exact_and_in_columns(self, result, written):
+        found = pandas.read_csv(written.parent / "scores.csv", float_precision="round_trip")
+        one = result.setups[0]
+        group = one.groups["layout 2", "main"]
+        row = found.query("setup == 'pybullet' and setting == 'layout 2' and score == 'area'")
+        arm, gap = (row[row.arm == name].iloc[0] for name in ("touch", "touch − no touch"))
+        assert arm.estimate == group.scores["area"].mean()
+        expected = one.comparisons["layout 2"].verdict
+        assert (gap.estimate, gap.low, gap.high) == tuple(expected.pairs.difference)
+        assert (gap.n, gap.p_holm) == (4, expected.p_holm)
+
+    def test_rliable_takes_the_arrays(self, written):
+        found = dict(np.load(written.parent / "scores.npz"))
+        assert {name: table.shape for name, table in found.items()} == {
+            f"{setup}, {arm}": (4, 3)
+            for setup in ("pybullet", "mujoco")
+            for arm in ("touch", "no touch")
+        }
+        scores, intervals = library.get_interval_estimates(
+            found, lambda table: np.array([metrics.aggregate_iqm(table)]), reps=50
+        )
+        assert scores.keys() == intervals.keys() == found.keys()

@@ -444,7 +444,7 @@ def test_a_report_of_a_real_study(undisturbed, tmp_path):
     text = report.write(result, tmp_path / "report").read_text()
     assert "2 of 2 runs are done" in text
     assert "polyak 0.95 − polyak 0.9 in pairs: point-reach, DDPG+HER" in text
-    assert "too few runs to detect a difference" in text
+    assert "too few runs to find a difference" in text
 
 
 class TestAfterAnUpgrade:

@@ -1,5 +1,6 @@
 """What a study says of its primary comparisons: looks, what sight leaves to touch, other parts."""
 
+import dataclasses
 import json
 import shutil
 
@@ -101,7 +102,8 @@ class TestStudyWithLooks:
         assert len(found["layout 2"].pairs) == 9
         assert found["layout 2"].p_holm == pytest.approx(3 * found["layout 2"].pairs.p_value)
         assert len(endings) == sum(map(len, batches)) < len(jobs)
-        assert any("layout 2: main is ahead of control" in one and "Look 2 of 3" in one for one in said)
+        told = [one for one in said if "layout 2: Touch raised mean success by 0." in one]
+        assert any("Look 2 of 3" in one for one in told)
 
         capsys.readouterr()
         assert main(["study", "status", str(folder.path)]) == 0
@@ -120,7 +122,7 @@ class TestStudyWithLooks:
         assert found.stage.look == 0
         assert np.isnan(found.pairs.p_value)
         setup = folder.study().setups[0]
-        assert "the first look is still to come" in summary.answer(setup, found)
+        assert "the first look is still to come" in summary.answer(setup, found, "area")
 
     def test_runs_beyond_the_look_that_ended_it_do_not_count(self, tmp_path):
         folder = make_study(tmp_path / "s", LOOKS, n_seeds=12)
@@ -178,7 +180,7 @@ class TestCompare:
     def test_two_cells_of_one_study_in_pairs(self, folder, capsys):
         found = self.compare(capsys, f"{folder.path}:layout 2", f"{folder.path}:layout 5")
         assert [row["place"] for row in found["rows"]] == [
-            "pybullet main", "pybullet control", "mujoco main", "mujoco control"
+            "pybullet touch", "pybullet no touch", "mujoco touch", "mujoco no touch"
         ]  # fmt: skip
         assert found["differing"] == ["layout 2 − 5"]
         assert found["rows"][0]["pairs"] == 4
@@ -188,7 +190,7 @@ class TestCompare:
 
     def test_two_studies_with_some_common_seeds(self, folder, tmp_path, capsys):
         other = make_study(tmp_path / "other", PAPER_LIKE.replace('"0-{last}"', '"2-7"'))
-        names = "pybullet,layout 2,main"
+        names = "pybullet,layout 2,touch"
         row = self.compare(capsys, f"{folder.path}:{names}", f"{other.path}:{names}")["rows"][0]
         assert (row["runs"], row["pairs"]) == ([4, 6], 2)
 
@@ -204,7 +206,7 @@ class TestCompare:
 
     def test_one_pair_has_no_p(self, folder, tmp_path, capsys):
         other = make_study(tmp_path / "other", PAPER_LIKE.replace('"0-{last}"', "[3]"))
-        names = "pybullet,layout 2,main"
+        names = "pybullet,layout 2,touch"
         row = self.compare(capsys, f"{folder.path}:{names}", f"{other.path}:{names}")["rows"][0]
         assert (row["pairs"], row["p"]) == (1, None)
 
@@ -231,6 +233,9 @@ class TestCompare:
 
 
 class TestErrorsOfLooks:
+    arms = Compare("run_type", "main", "control")
+    setup = Setup("one", {}, {"run_type": ["main", "control"]}, [0], arms, "success_rate")
+
     def verdict(self, ending, p, p_holm=1.0):
         pairs = verdicts.Pairs(list(range(9)), np.ones(9), np.zeros(9), verdicts.Estimate(0.1, 0, 1), p)
         return verdicts.Verdict("all", pairs, 12, verdicts.Stage(2, 3, ending), p_holm)
@@ -247,18 +252,24 @@ class TestErrorsOfLooks:
         assert self.verdict("last look", 0.02, 0.04).is_difference
 
     @pytest.mark.parametrize(
-        ("ending", "words"), [("", "not decided yet"), ("no difference", "no difference was detected")]
+        ("gap", "words"),
+        [
+            ((0.1, 0.02, 0.2), "Touch raised mean success by 0.10 (0.02 to 0.20;"),
+            ((0.1, -0.02, 0.2), "Touch raised mean success by 0.10 (−0.02 to 0.20;"),
+            ((-0.1, -0.2, 0.01), "Touch lowered mean success by 0.10 (−0.01 to 0.20;"),
+        ],
+    )
+    def test_a_difference_is_told_with_the_signs_of_its_bounds(self, gap, words):
+        verdict = self.verdict("last look", 0.02, 0.04)
+        pairs = dataclasses.replace(verdict.pairs, difference=verdicts.Estimate(*gap))
+        verdict = dataclasses.replace(verdict, pairs=pairs)
+        assert words in summary.answer(self.setup, verdict, "area")
+
+    @pytest.mark.parametrize(
+        ("ending", "words"), [("", "not decided yet"), ("no difference", "no difference was found")]
     )
     def test_a_look_that_decides_nothing_says_so(self, ending, words):
-        setup = Setup(
-            "one",
-            {},
-            {"run_type": ["main", "control"]},
-            [0],
-            Compare("run_type", "main", "control"),
-            "success_rate",
-        )
-        assert words in summary.answer(setup, self.verdict(ending, 0.02))
+        assert words in summary.answer(self.setup, self.verdict(ending, 0.02), "area")
 
 
 class TestCommonRange:
@@ -302,7 +313,7 @@ class TestCommonRange:
                 path.write_text(path.read_text() + "26,36000,0.0,0.0,0.0,100.0\n")
         study, found = records.load(folder.path)
         found = verdicts.judge(study, study.setups[0], found)["layout 2"].pairs.difference
-        parts = [f"{folder.path}:pybullet,layout 2,{arm}" for arm in ("main", "control")]
+        parts = [f"{folder.path}:pybullet,layout 2,{arm}" for arm in ("touch", "no touch")]
         assert main(["study", "compare", *parts, "--json"]) == 0
         (row,) = json.loads(capsys.readouterr().out)["rows"]
         assert [row[name] for name in ("value", "low", "high")] == pytest.approx(list(found))
