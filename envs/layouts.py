@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby, product
@@ -135,6 +136,10 @@ class Layout:
             raise ValueError(f"layout {self.name!r} puts no taxel on the {hand.name} hand")
         return Taxels.of(*zip(*placed, strict=True))
 
+    def __str__(self) -> str:
+        """What stands for it in a configuration, where a name or a path usually does."""
+        return self.toml()
+
     def toml(self) -> str:
         """The text of a layout file, exact to the last digit."""
         lines = [f"description = {json.dumps(self.description, ensure_ascii=False)}"]
@@ -223,19 +228,27 @@ def names() -> tuple[str, ...]:
     return (*PAPER, *sorted(path.stem for path in NAMED.glob("*.toml")))
 
 
+def short(name: str) -> str:
+    """What a layout is called where there is little room."""
+    return "own" if "\n" in name else Path(name).stem
+
+
 def is_file(name: str) -> bool:
     """Is it the path of a file?"""
-    return Path(name).suffix in (".toml", *taxel_files.READERS)
+    return "\n" not in name and Path(name).suffix in (".toml", *taxel_files.READERS)
 
 
 def load(name: str) -> Layout:
     """A layout by number, by name, or from a file: TOML, or points in another format
-    (`taxel_files.READERS`).
+    (`taxel_files.READERS`); or from the text of a TOML file.
 
     Raises ValueError naming what is wrong with the file, and FileNotFoundError.
     """
     if name in PAPER:
         return PAPER[name]
+    if "\n" in name:
+        with toml_files.blamed("layout"):
+            return parse(tomllib.loads(name), Path("own"))
     path = Path(name)
     if path.suffix in taxel_files.READERS:
         return Layout(path.stem, f"points of {name}", (), taxel_files.read(path))

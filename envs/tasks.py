@@ -265,6 +265,8 @@ class Handover(Task):
     """Actions from letting go to the hold test."""
     fallen: float = 0.2
     """m from the palm, or more where fingertips get further: it was missed."""
+    sets_off: int
+    """Before which action the giver does so in this episode."""
 
     @classmethod
     def validate(cls, config: TaskConfig) -> None:
@@ -289,7 +291,7 @@ class Handover(Task):
         return usual._replace(position=palm + np.array(under))
 
     def begin(self, state: State, rng: np.random.Generator) -> tuple[Array, Array]:
-        self._sets_off = int(rng.integers(*self.waits, endpoint=True))
+        self.sets_off = int(rng.integers(*self.waits, endpoint=True))
         self._wait = state.object_position
         return _outcome("undecided"), self.only_goal
 
@@ -297,13 +299,13 @@ class Handover(Task):
         self._step = step
         if step == 0:
             simulator.carry(self._wait)
-        elif step == self._sets_off:
+        elif step == self.sets_off:
             simulator.carry(self._wait + np.array([0.0, 0.0, self.below + self.beyond]))
-        elif step == self._sets_off + self.stays:
+        elif step == self.sets_off + self.stays:
             simulator.let_go()
 
     def after_step(self, simulator: Simulator, state: State, is_last: bool) -> tuple[Array, bool]:
-        since = self._step - self._sets_off - self.stays
+        since = self._step - self.sets_off - self.stays
         if since >= 0 and _distance(state.palm, state.object_position) > self.fallen:
             return _outcome("missed"), True
         if since >= self.settles:

@@ -16,11 +16,11 @@ TYPE_CHECKING = False  # as in registration.py
 if TYPE_CHECKING:
     from typing import Any
 
-    from .api import DDPGHER, PPO, evaluate, train
+    from .api import DDPGHER, PPO, design, evaluate, train
     from .envs import make
     from .runs.policies import load_policy
 
-__all__ = ["DDPGHER", "PPO", "evaluate", "load_policy", "make", "train"]
+__all__ = ["DDPGHER", "PPO", "design", "evaluate", "load_policy", "make", "train"]
 
 # No module of this package may have one of these names: importing it would hide the function.
 _WHERE = {"make": "envs", "load_policy": "runs.policies"}

@@ -31,9 +31,11 @@ from .algos.policy import Elsewhere, Policy
 from .algos.spaces import Spaces
 from .envs import typed, vector
 from .envs.choices import require_known
+from .envs.layouts import Layout
 from .errors import PEERS
 from .runs import config, evaluation, policies, training
 from .runs.config import RunOptions
+from .runs.cores import free_cores
 from .runs.files import as_path
 from .runs.run_dir import resolve
 from .terminal.progress_bar import ProgressBar
@@ -202,6 +204,25 @@ def evaluate(
         policy.require_spaces(Spaces(played_in.observation_space, played_in.action_space))
         played = played_in.play(evaluation.task(policy, stochastic), range(episodes))
         return evaluation.summarise([evaluation.row(episode) for episode in played])
+
+
+def design(*, taxels: int | str = 4, workers: int | None = None, **flags: Any) -> Layout:
+    """Choose where a hand's taxels go, as ``tactilerl design`` does; a layout for ``make(layout=...)``.
+
+    Flags of the command are keywords, as in ``design(scene="handover", taxels=1, only=("palm",))``. Of
+    a range of numbers it is the layout with the most taxels. Raises ValueError, in one line, for an
+    invalid flag, where no taxel feels anything in time, and where touch cannot help.
+    """
+    from .probe import design as designing
+
+    wanted = typed.names(designing.DesignFlags)
+    require_known(flags, wanted)
+    listed = {name: (flags[name],) for name in ("scene",) if isinstance(flags.get(name), str)}
+    chosen = {**flags, **listed, "taxels": str(taxels), "workers": workers}
+    read = typed.replace(designing.DesignFlags(), chosen)
+    read.validate()
+    found = designing.design(read, workers or free_cores())
+    return found.layout(max(found.chosen))
 
 
 def train(

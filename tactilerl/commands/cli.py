@@ -18,6 +18,7 @@ COMMANDS = {  # each a module here with `main(args)`, imported when it runs; wha
     "train": "train a policy (start here)",
     "evaluate": "success rate of a trained run, with confidence intervals",
     "env": "describe an environment: its observations, actions and taxels",
+    "design": "where a hand's few taxels should go, before training",
     "doctor": "check which taxels fire during scripted grasps",
     "probe": "how well a layout's readings predict whether a grasp holds",
     "gate": "whether touch can make a difference in a scene, before training",

@@ -56,4 +56,8 @@ def layout_notes(name: str, layout: str) -> list[str]:
         "beyond the end of their segment: {}": hand_map.beyond(hand, placed),
         "further from the skin of their link than they reach: {}": hand_map.off_skin(hand, placed),
     }
-    return [f"layout {layout}: {text.format(', '.join(it))}" for text, it in found.items() if it]
+    return [
+        f"layout {layouts.short(layout)}: {text.format(', '.join(it))}"
+        for text, it in found.items()
+        if it
+    ]

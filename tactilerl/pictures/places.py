@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..envs.hands import Hand, Surface
-from ..envs.layouts import Layout, Patch, Taxels, mm
+from ..envs.layouts import Layout, Patch, Taxels, load, mm
 
 
 @dataclass(frozen=True, order=True)
@@ -32,15 +32,26 @@ def of(taxels: Taxels) -> list[Place]:
     ]
 
 
+def skin(name: str, hand: Hand) -> Taxels:
+    """A layout's taxels, or those of a dense skin such as "2mm"; ValueError and FileNotFoundError where
+    there is none."""
+    if "\n" in name or not name.endswith("mm"):
+        return load(name).place(hand)
+    try:
+        spacing = float(name[:-2])
+    except ValueError:
+        raise ValueError(f"skin: found {name!r}, allowed a layout, or a spacing such as 2mm") from None
+    return dense_skin(hand, 1e-3 * spacing).place(hand)
+
+
 def dense_skin(hand: Hand, spacing: float) -> Layout:
-    """A grid of `spacing` m over the whole palmar side of every segment, and the paper's taxels on
-    a flat palm; all of the radius of the hand's own. ValueError for a spacing that is none."""
+    """A grid of `spacing` m over the whole palmar side of every segment and of a flat palm around the
+    bases of the fingers; all of the radius of the hand's own. ValueError for a spacing that is none."""
     if not 0.0005 <= spacing <= 0.05:
         raise ValueError(f"skin: found {1e3 * spacing:g} mm, allowed from 0.5 to 50 mm")
     patches, radius = [], hand.pitch.radius
     for surface in hand.surfaces:
-        is_flat = surface.bone is None and not surface.geoms
-        offsets = ((0.0, 0.0),) if is_flat else _grid(surface, spacing, radius)
+        offsets = _grid(surface, spacing, radius)
         patches.append(Patch((surface.digit,), (surface.segment,), offsets, radius))
     return Layout(f"{1e3 * spacing:g}mm", f"a taxel every {1e3 * spacing:g} mm", tuple(patches))
 

@@ -39,7 +39,8 @@ def draw(result: dict[str, Any], hand: Hand, out: Path) -> None:
             figure.savefig(out / f"{name}.{suffix}", dpi=DPI, metadata=metadata)
 
 
-def _figure(width: float, height: float, columns: int = 1) -> tuple[Figure, Any]:
+def new_figure(width: float, height: float, columns: int = 1) -> tuple[Figure, Any]:
+    """A figure of so many inches, and its axes in a row."""
     figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.subplots(1, columns, squeeze=False, sharey=True)[0]
 
@@ -48,7 +49,7 @@ def _gains(result: dict[str, Any]) -> Any:
     """Gain in AUC of each layout at each joint noise."""
     told = ("joints+taxels", "joints+sight")
     rows = [row for row in result["table"] if row["metric"] == "auc" and row["told"] in told]
-    figure, (axes,) = _figure(6, 3.4)
+    figure, (axes,) = new_figure(6, 3.4)
     for place, noise in enumerate(result["asking"]["joint_noise"]):
         some = [row for row in rows if row["joint_noise"] == noise]
         labels = [Path(row["layout"]).stem if row["layout"] else "sight" for row in some]
@@ -78,7 +79,7 @@ def _learning(result: dict[str, Any]) -> Any:
     """Gain against the number of grasps, a panel for each noise."""
     rows = result["learning_curve"]
     noises = result["asking"]["joint_noise"]
-    figure, panels = _figure(4 * len(noises), 3.4, len(noises))
+    figure, panels = new_figure(4 * len(noises), 3.4, len(noises))
     for noise, axes in zip(noises, panels, strict=True):
         for layout in dict.fromkeys(row["layout"] for row in rows):
             some = [r for r in rows if r["layout"] == layout and r["joint_noise"] == noise]
@@ -100,7 +101,7 @@ def _band(axes: Any, along: str, rows: Rows, alpha: float, **style: Any) -> None
 
 
 def _selection(result: dict[str, Any]) -> Any:
-    figure, (axes,) = _figure(6, 3.6)
+    figure, (axes,) = new_figure(6, 3.6)
     selection = result["selection"]
     draw_selection(axes, selection)
     noise = f"joint noise {selection['joint_noise']:g} rad"
@@ -133,20 +134,27 @@ def draw_selection(axes: Any, selection: dict[str, Any]) -> None:
 def hand_map(hand: Hand, places: Sequence[Place], title: str, worth: np.ndarray | None = None) -> Any:
     """The palmar side unrolled: a column a digit, fingertips up; taxels coloured by `worth` (n,),
     bits, or in their order."""
-    figure, (axes,) = _figure(6, 5.4)
+    figure, axes = draw_hand(hand)
     drawn = panels(hand)
-    for x, y, half_width, low, high in drawn:
-        corner, size = (x - half_width, y + low), (2 * half_width, high - low)
-        style = f"round,pad={EDGE},rounding_size={ROUND * half_width + EDGE}"
-        axes.add_patch(FancyBboxPatch(corner, *size, style, facecolor="0.95", edgecolor="0.6"))
     points = np.array([point(place, drawn) for place in places]).reshape(-1, 2)
     colour = np.arange(1, len(places) + 1) if worth is None else worth
     dots = axes.scatter(*points.T, c=colour, s=14, cmap="viridis_r" if worth is None else "inferno")
     figure.colorbar(dots, label="order of choice" if worth is None else "bits per grasp", shrink=0.7)
-    for text, x, y in labels(hand, drawn):
+    figure.suptitle(title, **HEAD)
+    return figure
+
+
+def draw_hand(hand: Hand) -> tuple[Figure, Any]:
+    """A figure with the palmar side unrolled, and its axes."""
+    drawn, (axes,) = new_figure(6, 5.4)
+    for panel in panels(hand):
+        x, y, half_width, low, high = panel
+        corner, size = (x - half_width, y + low), (2 * half_width, high - low)
+        style = f"round,pad={EDGE},rounding_size={ROUND * half_width + EDGE}"
+        axes.add_patch(FancyBboxPatch(corner, *size, style, facecolor="0.95", edgecolor="0.6"))
+    for text, x, y in labels(hand, panels(hand)):
         axes.text(x, y, text, ha="center", va="baseline")
     axes.set_aspect("equal")
     axes.axis("off")
     axes.autoscale_view()
-    figure.suptitle(title, **HEAD)
-    return figure
+    return drawn, axes

@@ -84,7 +84,7 @@ class TestEpisode:
     def test_waits_arrives_and_falls(self, hand, simulator):
         env = make(hand, simulator)
         found = heights(env)
-        sets_off = env.task._sets_off
+        sets_off = env.task.sets_off
         np.testing.assert_allclose(found[: sets_off - 1], -env.task.below, atol=1e-3)
         held_up = found[sets_off + 5 : sets_off + env.task.stays - 1]
         assert np.abs(held_up).max() < 0.01
@@ -96,14 +96,14 @@ class TestEpisode:
         env = make(**STILL)
         env.reset(seed=0)
         positions, felt = [], []
-        for _ in range(env.task._sets_off + env.task.stays - 1):
+        for _ in range(env.task.sets_off + env.task.stays - 1):
             env.step(np.zeros(1))
             positions.append(env.simulator.state().joint_positions.copy())
             felt.append(int(env.taxel_readings().sum()))
-        before, after = positions[env.task._sets_off - 2], positions[-1]
+        before, after = positions[env.task.sets_off - 2], positions[-1]
         assert np.abs(after - before)[:3].max() < 1e-3  # m, of the slides
         assert np.abs(after - before)[3:].max() < 0.01  # rad
-        assert felt[env.task._sets_off - 2] == 0
+        assert felt[env.task.sets_off - 2] == 0
         assert felt[-1] > 0
         env.close()
 
@@ -111,7 +111,7 @@ class TestEpisode:
         both = make(), make(run_type="control")
         drawn = []
         for seed in range(200):
-            a, b = (env.reset(seed=seed) and env.task._sets_off for env in both)
+            a, b = (env.reset(seed=seed) and env.task.sets_off for env in both)
             assert a == b
             drawn.append(a)
         assert (min(drawn), max(drawn)) == tasks.Handover.waits

@@ -81,7 +81,7 @@ class TestReflexes:
         env.step_to = lambda targets: (steps.append(targets.copy()), step_to(targets))[1]
         assert Reflex("touch", 1, 1.0).play(env, 2)
         went = next(i for i, targets in enumerate(steps) if not np.array_equal(targets, steps[0]))
-        assert env.task._sets_off < went < env.task._sets_off + env.task.stays
+        assert env.task.sets_off < went < env.task.sets_off + env.task.stays
         env.close()
 
     def test_without_taxels_on_the_palm_touch_feels_nothing(self):

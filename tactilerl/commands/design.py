@@ -1,0 +1,146 @@
+"""`tactilerl design`: which few taxels should a hand have?"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from ..envs import layouts
+from ..errors import input_errors
+from ..probe import design, design_files
+from ..probe.design import Design, DesignFlags
+from ..runs.cores import free_cores
+from ..runs.files import pasted
+from ..terminal import flags
+from ..terminal.console import console
+from ..terminal.help import About
+
+ABOUT = About(
+    "Where should a hand's few taxels go? Plays each start of a scene once with a dense skin, chooses "
+    "the taxels by which most starts succeed, and judges them on other starts, without training.",
+    first=("scene", "env", "simulator", "taxels", "skin", "radius", "only", "leave_out", "keep",
+           "redundancy", "taxel_dead", "false_on", "starts", "test_starts", "seed", "out", "json"),
+    examples=(
+        "tactilerl design --scene handover_anywhere --taxels 4 --out four.toml",
+        "tactilerl design --scene handover --scene handover_fingers --taxels 1..12 --redundancy 2 "
+        "--only palm proximal middle --out my_design",
+    ),
+)  # fmt: skip
+
+
+ABOUT_TASK = {
+    "timing": (
+        "when to close is the question, so taxels are chosen by the success of a hand that closes at "
+        "the first touch",
+        "success",
+    ),
+    "information": (
+        "whether a grasp will hold is the question, so taxels are chosen by how much they tell of that",
+        "gain in AUC",
+    ),
+}
+EXACT = 1e-3  # of a bound: less than a start
+
+
+@dataclass(frozen=True)
+class Flags(DesignFlags):
+    """All flags of `tactilerl design`."""
+
+    out: Path | None = None
+    """Where the layout goes: FILE.toml, or a folder for the layouts of all numbers, figures, JSON."""
+    json: bool = False
+    """Print JSON instead of a table."""
+
+
+def main(args: list[str]) -> int:
+    """`tactilerl design --scene handover --taxels 1`"""
+    read = flags.parse(Flags, _gathered(args), "tactilerl design", ABOUT)
+    with input_errors():
+        read.validate()
+        design_files.require(read.out, read.numbers)
+        workers = read.workers or free_cores()
+        screen = Console(stderr=True, quiet=read.json)
+        with Progress(console=screen, transient=True, disable=not screen.is_terminal) as progress:
+            task = progress.add_task("playing starts", total=None)
+            show = lambda done, of: progress.update(task, completed=done, total=of)  # noqa: E731
+            found = design.design(read, workers, show)
+        written = design_files.write(found, read.out)
+    if read.json:
+        print(json.dumps(found.result))
+        return 0
+    _print(found)
+    for path in written:
+        hint = f"    tactilerl train --scene {found.result['scenes'][0]} --layout {pasted(path)}"
+        console.print(f"{path}{hint if path.suffix == '.toml' else ''}")
+    return 0
+
+
+LISTS = ("--scene", "--only", "--not", "--beside", "--weights")
+
+
+def _gathered(args: Sequence[str]) -> list[str]:
+    """--scene A --scene B is --scene A B; commas are as good as spaces."""
+    rest: list[str] = []
+    lists: dict[str, list[str]] = {}
+    current = rest
+    for arg in args:
+        name, _, value = arg.partition("=")
+        if name in LISTS:
+            current = lists.setdefault(name, [])
+            arg = value
+        elif arg.startswith("--"):
+            current = rest
+        current += [arg] if current is rest else [part for part in arg.split(",") if part]
+    return [*rest, *(part for name, values in lists.items() for part in (name, *values))]
+
+
+def _print(found: Design) -> None:
+    """The table, and how far it can be trusted."""
+    result = found.result
+    question, measure = ABOUT_TASK[result["question"]]
+    console.print(f"{', '.join(result['scenes'])}: {question}")
+    asked = result["asking"]
+    console.print(
+        f"{result['candidates']} candidates; chosen from {asked['starts']} starts of each scene, "
+        f"judged on {asked['test_starts']} others"
+    )
+    if result["early"]:
+        console.print(f"left out, since they fire before anything comes: {', '.join(result['early'])}")
+    table = Table("taxels", "which", measure, "95 % interval", "felt")
+    if result["beside"] is not None:
+        table.add_column(f"more than layout {layouts.short(result['beside'])}")
+    for row in result["rows"]:
+        low, high = row.get("success_interval", ("", ""))
+        cells = [str(row["taxels"]), _which(row), f"{row['success']:.2f}"]
+        cells += [f"{low:.2f} – {high:.2f}" if low != "" else "", f"{row['felt']:.2f}"]
+        if "difference" in row:
+            cells.append("{:+.2f} ({:+.2f} to {:+.2f})".format(*row["difference"]["success"]))
+        table.add_row(*cells)
+    console.print(table)
+    if result["hopeless"]:
+        console.print(f"{result['hopeless']:.2f} of the starts fail whenever the hand closes")
+    for row in result["rows"]:
+        if row["layout"] == "chosen":
+            console.print(_bound(row))
+
+
+def _which(row: dict[str, Any]) -> str:
+    named = {"chosen": "chosen", "random": "random sets, mean", "whole skin": "all candidates"}
+    return named.get(row["layout"], f"layout {layouts.short(row['layout'])}")
+
+
+def _bound(row: dict[str, Any]) -> str:
+    """How good a set of as many could be."""
+    told = f"{row['taxels']} chosen: {row['chosen_from']:.3f} of the starts they were chosen from"
+    if row["bound"] is None:
+        return f"{told}, by greedy search with swaps"
+    if row["bound"] - row["chosen_from"] < EXACT:
+        return f"{told}; no set of as many has more"
+    return f"{told}, by greedy search with swaps; none has more than {row['bound']:.3f}"

@@ -1,0 +1,82 @@
+"""What a design leaves: layout files, and in a folder its figures and JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+
+from ..envs import toml_files
+from ..errors import InputError
+from ..runs.files import is_picture, locked, read_json, replacing, require_ours
+from .design import MADE, Design
+
+
+def is_layout(path: Path) -> bool:
+    """Is the layout file one that was designed?"""
+    return MADE in str(toml_files.read(path, "layout file").get("description"))
+
+
+def is_result(path: Path) -> bool:
+    """Is the JSON file one of a design?"""
+    return MADE in read_json(path).get("about", "")
+
+
+def require(out: Path | None, numbers: Sequence[int]) -> None:
+    """InputError where nothing can be written to `out`, before minutes of playing."""
+    if out is None:
+        return
+    if out.suffix == ".toml":
+        if len(numbers) > 1:
+            raise InputError(
+                f"--out: found {str(out)!r}, allowed a folder for several numbers of taxels"
+            )
+        require_ours(out, is_layout)
+        if not out.parent.is_dir():
+            raise InputError(f"cannot write {str(out)!r}: there is no folder {str(out.parent)!r}")
+    elif out.suffix:
+        raise InputError(f"--out: found {str(out)!r}, allowed FILE.toml or a folder")
+    elif find_spec("matplotlib") is None:
+        raise InputError(
+            "design: found no matplotlib; install the extra: pip install 'tactilerl[plots]'"
+        )
+    elif out.is_dir():
+        require_ours(out / "design.json", is_result)
+    elif out.exists() or out.is_symlink():
+        raise InputError(f"--out: found {str(out)!r}, which is no folder")
+
+
+def write(found: Design, out: Path | None) -> list[Path]:
+    """The layout, or all of it; which files were written."""
+    if out is None:
+        return []
+    if out.suffix == ".toml":
+        (n,) = found.chosen
+        _layout(found, n, out)
+        return [out]
+    from . import design_figures
+
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"cannot make the folder {str(out)!r}: {error.strerror}") from error
+    with locked(out):
+        files = [out / f"design_{n}.toml" for n in found.chosen]
+        for n, path in zip(found.chosen, files, strict=True):
+            _layout(found, n, path)
+        with replacing(out / "design.json", is_result) as file:
+            about = {"about": f"taxels {MADE}", **found.result}
+            file.write((json.dumps(about, indent=1) + "\n").encode())
+        files.append(out / "design.json")
+        for name, figure in design_figures.draw(found).items():
+            for suffix in design_figures.KINDS:
+                files.append(out / f"{name}.{suffix}")
+                with replacing(files[-1], is_picture) as file:
+                    design_figures.save(figure, file, suffix)
+    return files
+
+
+def _layout(found: Design, n: int, path: Path) -> None:
+    with replacing(path, is_layout) as file:
+        file.write(found.layout(n).toml().encode())

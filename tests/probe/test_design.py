@@ -1,0 +1,169 @@
+"""Design: the best taxels of recorded starts, judged on others; what it writes, and what it refuses."""
+
+import itertools
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from one_line import fails_with
+
+import tactilerl
+from tactilerl.commands.cli import main
+from tactilerl.envs import hands, layouts
+from tactilerl.probe import cover
+from tactilerl.probe.cover import NEVER, Aim, Starts
+from tactilerl.probe.design import DesignFlags, candidates
+
+FEW = ["--starts", "4", "--test-starts", "4", "--workers", "1", "--seed", "7", "--beside", "2"]
+FEW += ["--skin", "8mm"]
+
+
+def some(rng, n=12, m=8):
+    """Starts in which closing succeeds at some moments and not at others, without any order."""
+    fires = np.where(rng.random((n, m)) < 0.4, rng.integers(10, 16, (n, m)), NEVER).astype(np.uint8)
+    succeeds = np.zeros((n, NEVER + 1), bool)
+    succeeds[:, 5:16] = rng.random((n, 11)) < 0.7
+    return Starts(fires, succeeds, np.full(n, 1 / n))
+
+
+class TestCover:
+    @pytest.mark.parametrize("redundancy", [1, 2])
+    def test_no_other_set_is_better(self, redundancy):
+        rng, aim = np.random.default_rng(0), Aim(redundancy)
+        for _ in range(15):
+            starts = some(rng)
+            best = max(cover.value(starts, x, aim) for x in itertools.combinations(range(8), 3))
+            found = cover.choose(starts, 3, aim)
+            assert found.value == pytest.approx(best)
+            assert found.bound == pytest.approx(best)
+            assert found.value == pytest.approx(cover.value(starts, found.taxels, aim))
+
+    def test_what_fires_too_early_spoils_a_start(self):
+        succeeds = np.zeros((1, NEVER + 1), bool)
+        succeeds[0, 20] = True
+        starts = Starts(np.array([[20, 8]], np.uint8), succeeds, np.ones(1))
+        assert cover.value(starts, [0]) == 1.0
+        assert cover.value(starts, [0, 1]) == 0.0
+        assert cover.choose(starts, 2).value == 0.0
+
+    def test_redundancy_stands_any_dead_taxel(self):
+        starts = some(np.random.default_rng(1))
+        for chosen in itertools.combinations(range(8), 3):
+            dead = [cover.scores(starts, np.array([left]), Aim())[:, 0]
+                    for left in itertools.combinations(chosen, 2)]  # fmt: skip
+            alive = cover.scores(starts, np.array([chosen]), Aim())[:, 0]
+            expected = starts.weights @ np.min([alive, *dead], axis=0)
+            assert cover.value(starts, chosen, Aim(2)) == pytest.approx(expected)
+
+    def test_faults_enter_by_their_probabilities(self):
+        rng, aim, chosen, n = np.random.default_rng(2), Aim(1, 0.2, 0.05), [0, 1, 2], 20_000
+        starts = some(rng, 5)
+        expected = cover.scores(starts, np.array([chosen]), aim)[:, 0]
+        fires = np.minimum(rng.geometric(0.05, (n, 1, 3)) - 1, starts.fires[:, chosen].astype(int))
+        first = np.where(rng.random((n, 1, 3)) < 0.2, NEVER, fires).min(axis=2)
+        played = starts.succeeds[np.arange(5), np.minimum(first, NEVER)].mean(axis=0)
+        np.testing.assert_allclose(played, expected, atol=0.015)
+
+    def test_what_the_hand_has_stays(self):
+        starts = some(np.random.default_rng(3))
+        found = cover.choose(starts, 3, kept=[5])
+        best = max(
+            cover.value(starts, [5, *x]) for x in itertools.combinations([0, 1, 2, 3, 4, 6, 7], 2)
+        )
+        assert 5 in found.taxels
+        assert found.value == pytest.approx(best)
+
+
+class TestCandidates:
+    def test_only_some_digits_and_segments(self):
+        hand = hands.get("mpl")
+
+        def where(**choices):
+            taxels = candidates(DesignFlags(**choices), hand)
+            return {(hand.surfaces[i].digit, hand.surfaces[i].segment) for i in taxels.surfaces}
+
+        assert where(only=("index.distal",)) == {("index", "distal")}
+        assert {digit for digit, _ in where(only=("index",))} == {"index"}
+        assert {segment for _, segment in where(only=("palm", "middle"))} == {"palm", "middle"}
+        assert not {"thumb", "palm"} & {
+            name for at in where(leave_out=("thumb", "palm")) for name in at
+        }
+
+    def test_a_radius_of_ones_own(self):
+        taxels = candidates(DesignFlags(radius=4.0, skin="6"), hands.get("mpl"))
+        assert len(taxels) == 19
+        assert set(taxels.radii) == {4e-3}
+
+
+@pytest.mark.usefixtures("in_tmp")
+class TestCommand:
+    def test_writes_layouts_figures_and_the_same_bytes_again(self, capsys):
+        args = ["design", "--scene", "handover", "--taxels", "1..2", *FEW]
+        for out in ("a", "b"):
+            assert main([*args, "--out", out]) == 0
+        said = capsys.readouterr().out
+        assert "when to close is the question" in said
+        assert "tactilerl train --scene handover --layout a/design_1.toml" in said
+        names = {path.name for path in Path("a").iterdir() if path.name != ".lock"}
+        assert names == {"design.json", "design_1.toml", "design_2.toml", "hand.png", "hand.svg",
+                         "curve.png", "curve.svg"}  # fmt: skip
+        for name in names:
+            assert Path("a", name).read_bytes() == Path("b", name).read_bytes(), name
+        result = json.loads(Path("a/design.json").read_text())
+        rows = {(row["layout"], row["taxels"]): row for row in result["rows"]}
+        assert rows["whole skin", result["candidates"]]["success"] == 1.0
+        assert rows["chosen", 2]["success"] >= 0.5 > rows["random", 2]["success"]
+        assert main(["gate", "--scene", "handover", "--layout", "a/design_1.toml", "--starts", "4",
+                     "--search", "1", "--workers", "1"]) == 0  # fmt: skip
+
+    def test_from_python(self):
+        layout = tactilerl.design(
+            scene="handover", taxels=2, starts=4, test_starts=4, skin="8mm", beside=(), workers=1
+        )
+        assert isinstance(layout, layouts.Layout)
+        env = tactilerl.make(scene="handover", layout=layout)
+        assert len(env.unwrapped.taxels) == 2
+        env.close()
+
+    @pytest.mark.parametrize(
+        ("args", "named"),
+        [
+            (["--taxels", "0"], "taxels: found '0'"),
+            (["--taxels", "2..x"], "taxels: found '2..x'"),
+            (["--taxels", "3..2"], "taxels: found '3..2'"),
+            (["--taxels", "1e9"], "taxels: found '1e9'"),
+            (["--taxels", "99", "--skin", "5"], "taxels: found 99, allowed up to the 19 that may be"),
+            (["--only", "toe"], "toe: unknown"),
+            (["--only", "index", "--not", "index"], "only: found 'index --not index', which leaves no"),
+            (["--skin", "xmm"], "skin: found 'xmm'"),
+            (["--skin", "9"], "unknown layout '9'"),
+            (["--beside", "9"], "unknown layout '9'"),
+            (["--keep", "gone.toml"], "gone.toml"),
+            (["--scene", "foot"], "scene: found 'foot'"),
+            (["--scene", "handover", "handover"], "scene: found ['handover', 'handover']"),
+            (["--scene", "handover", "--scene", "dark_mpl"], "scene: found handovers beside other"),
+            (["--weights", "1", "2"], "weights: found 2"),
+            (["--env", "foot"], "env: found 'foot'"),
+            (["--simulator", "foot"], "simulator: found 'foot'"),
+            (["--redundancy", "2", "--taxel-dead", "0.1"], "redundancy: found"),
+            (["--taxels", "1..2", "--out", "x.toml"], "--out: found 'x.toml'"),
+            (["--out", "x.png"], "--out: found 'x.png'"),
+            (["--out", "mine.toml"], "another file is there"),
+            (["--out", "gone/x.toml"], "gone/x.toml"),
+            (["--scene", "handover_fingers", "--only", "palm", "--skin", "8mm", "--starts", "3"],
+             "no taxel feels any start in time; arrivals meet "),
+        ],
+    )  # fmt: skip
+    def test_what_cannot_be_is_one_line(self, args, named, capsys):
+        mine = 'description = "My own."\n[[patch]]\noffsets_mm = [[0, 0]]\nradius_mm = 2\n'
+        Path("mine.toml").write_text(mine)
+        fails_with(capsys, ["design", "--test-starts", "2", "--workers", "1", *args], named)
+        assert Path("mine.toml").read_text() == mine
+        assert [*Path().iterdir()] == [Path("mine.toml")]
+
+    def test_a_scene_that_touch_cannot_help(self, capsys):
+        Path("seen.toml").write_text(
+            'base = "handover"\n[scene]\nobject_seen = "noisy"\nsight_noise = [0.001, 0.001]\n'
+        )
+        fails_with(capsys, ["design", "--scene", "seen.toml", *FEW], "scene: touch cannot help here")
