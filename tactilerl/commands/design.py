@@ -6,8 +6,9 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import tyro
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
@@ -53,6 +54,8 @@ EXACT = 1e-3  # of a bound: less than a start
 class Flags(DesignFlags):
     """All flags of `tactilerl design`."""
 
+    leave_out: Annotated[tuple[str, ...], tyro.conf.arg(name="not")] = ()
+    """Not on these segments or digits, named likewise."""
     out: Path | None = None
     """Where the layout goes: FILE.toml, or a folder for the layouts of all numbers, figures, JSON."""
     json: bool = False

@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass, replace
 from typing import Annotated, Any
 
 import numpy as np
-import tyro
 
 from .. import statistics
 from ..envs import hands, layouts, scenes, tasks, typed
@@ -50,7 +49,7 @@ class DesignFlags:
     """Radius of the taxels, mm; default: the hand's own, or that of the layout."""
     only: tuple[str, ...] = ()
     """Only on these segments, digits, or segments of digits, such as palm distal index.middle."""
-    leave_out: Annotated[tuple[str, ...], tyro.conf.arg(name="not")] = ()
+    leave_out: tuple[str, ...] = ()
     """Not on these, named likewise."""
     keep: str = ""
     """A layout whose taxels the hand has already; they count."""
