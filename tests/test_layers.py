@@ -22,6 +22,7 @@ ALLOWED = {
     "dask_jobqueue": ("tactilerl/study/engine.py",),
     "matplotlib": (
         "benchmarks/",
+        "tactilerl/probe/design_figures.py",
         "tactilerl/probe/figures.py",
         "tactilerl/study/figures.py",
         "tactilerl/runs/sweep.py",
