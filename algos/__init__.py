@@ -16,18 +16,16 @@ if TYPE_CHECKING:
     from .policy import Policy
     from .replay import Replay
 
-IsWanted = Callable[[], bool]
 T = TypeVar("T")
-Job = Callable[[gym.Env[Any, Any], int, IsWanted], T]
 # Of hyperparameters, with their ranges; float32 has room for 1e30.
-Positive = Annotated[float, "(0, 1e30]"]
+Positive32 = Annotated[float, "(0, 1e30]"]
 NotNegative = Annotated[float, "[0, inf)"]
-Share = Annotated[float, "[0, 1]"]
+Fraction = Annotated[float, "[0, 1]"]
 Count = Annotated[int, "[1, inf)"]
 
 
 @dataclass(frozen=True)
-class Registration:
+class LearnerSpec:
     """A learner that can be asked for by name."""
 
     config: str
@@ -43,9 +41,9 @@ class Registration:
 
 
 ALGORITHMS = {
-    "ppo": Registration("PPOConfig", "PPO", 500_000, "lift-and-hold"),
+    "ppo": LearnerSpec("PPOConfig", "PPO", 500_000, "lift-and-hold"),
     # 19 workers took 5,000,000 steps each.
-    "ddpg_her": Registration("DDPGHERConfig", "DDPGHER", 19 * 5_000_000, "reach-goal"),
+    "ddpg_her": LearnerSpec("DDPGHERConfig", "DDPGHER", 19 * 5_000_000, "reach-goal"),
 }
 
 
@@ -74,7 +72,9 @@ class Workers(Protocol):
     def compute_reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """A goal environment's rewards (n,) of goals (n, goal_size)."""
 
-    def play(self, job: Job[T], numbers: Iterable[int]) -> Iterator[T]:
+    def play(
+        self, job: Callable[[gym.Env[Any, Any], int, Callable[[], bool]], T], numbers: Iterable[int]
+    ) -> Iterator[T]:
         """`job(env, number, is_wanted)` for `numbers`, in order; who has enough stops iterating."""
 
 

@@ -1,9 +1,9 @@
 """Deep deterministic policy gradient (Lillicrap et al. 2016) with hindsight experience replay.
 
-Read from top to bottom: the choices, what the critic should say, the learner. The order of operations
-is OpenAI baselines' (baselines/her), which the paper used through Melnik et al. 2021: an epoch
-is `n_cycles` times {episodes, normaliser, `n_batches` updates, one step of the target
-networks}, then test episodes without noise.
+Read from top to bottom: the choices, what it computes, the learner. The order of operations is OpenAI
+baselines' (baselines/her), which the paper used through Melnik et al. 2021: an epoch is `n_cycles`
+times {episodes, normaliser, `n_batches` updates, one step of the target networks}, then test episodes
+without noise.
 """
 
 from __future__ import annotations
@@ -13,20 +13,21 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from . import Array, Count, DivergenceError, NotNegative, Positive, Share, Workers, rollout, state
-from .mpi import Communicator, same_on_all_ranks
-from .networks import MLP, FlatAdam, flatten, require_finite, require_hidden
-from .policy import GoalObs, GoalStats, Policy, explore, flat_stats, new_actor, on_cpu
-from .replay import Batch, Replay
+from . import Array, Count, Fraction, NotNegative, Positive32, Workers, rollout, state
+from .learner import Learner
+from .mpi import Communicator
+from .networks import MLP, FlatAdam, flatten, require_hidden
+from .normalizer import Normalizer, Scaling
+from .policy import Policy, flat_stats, new_actor, on_cpu
+from .replay import Batch, GoalObs, Replay
 from .rollout import PlayEpisode, play_episodes, summary
-from .side_by_side import SideBySide, may_share
-from .spaces import Spaces, action_size, flat_size, goal_size, has_single_goal, n_boolean
+from .spaces import PRIVILEGED, Spaces, action_size, flat_size, goal_size, n_boolean
 
 CHECK_EVERY = 100  # updates between two looks at whether the ranks' parameters are equal
 REPLAY_P = 0.8  # paper
@@ -38,9 +39,9 @@ class DDPGHERConfig:
 
     hidden: tuple[int, ...] = (256, 256, 256)
     """Units of each hidden layer, actor and critic alike."""
-    actor_lr: Positive = 1e-3
+    actor_lr: Positive32 = 1e-3
     """Adam step size of the actor."""
-    critic_lr: Positive = 1e-3
+    critic_lr: Positive32 = 1e-3
     """Adam step size of the critic."""
     buffer_size: Count = 1_000_000
     """Transitions in the replay buffer of each process."""
@@ -50,15 +51,15 @@ class DDPGHERConfig:
     """Decay --noise-eps and --random-eps linearly to zero over the run."""
     anneal_action_l2: bool = False
     """Decay --action-l2 linearly to zero over the run."""
-    polyak: Share = 0.95
+    polyak: Fraction = 0.95
     """Weight of the old target network in its updates, one per cycle; tau elsewhere is 1 - polyak."""
     gamma: Annotated[float, "[0, 1)"] | None = None
     """Discount factor; default: 1 - 1/T, where T is the length of an episode (source)."""
     action_l2: NotNegative = 1.0
     """Weight of the mean squared action in the actor's loss."""
-    clip_obs: Positive = 200.0
+    clip_obs: Positive32 = 200.0
     """Bound on observations and goals before they are normalised."""
-    norm_clip: Positive = 5.0
+    norm_clip: Positive32 = 5.0
     """Bound on observations and goals after they are normalised."""
     batch_size: Count = 256
     """Transitions per update, in each process."""
@@ -70,11 +71,11 @@ class DDPGHERConfig:
     """Updates per cycle."""
     n_test_rollouts: Annotated[int, "[0, inf)"] = 10
     """Test episodes per epoch, in each process, as a multiple of --n-rollouts."""
-    random_eps: Share = 0.3
+    random_eps: Fraction = 0.3
     """Probability of a uniformly random action."""
     noise_eps: NotNegative = 0.2
     """Standard deviation of the noise on other actions, relative to half the action range."""
-    replay_p: Share | None = None
+    replay_p: Fraction | None = None
     """Probability that a sampled transition is relabelled (HER); default: 0.8 (paper), or 0 if the task
     has a single goal."""
     reduction: Literal["sum", "mean"] = "sum"
@@ -125,19 +126,69 @@ def largest_return(rewards: Sequence[float], gamma: float) -> float:
     return largest
 
 
+def explore(actions: Array, rng: np.random.Generator, noise_eps: float, random_eps: float) -> Array:
+    """Noisy copies of actions (n, d) in [-1, 1]; whole rows are random with `random_eps`."""
+    noisy = actions + np.float32(noise_eps) * rng.standard_normal(actions.shape, dtype=np.float32)
+    noisy = np.clip(noisy, -1.0, 1.0)
+    is_random = rng.random(actions.shape[:-1])[..., None] < random_eps
+    return np.where(is_random, rng.uniform(-1.0, 1.0, actions.shape).astype(np.float32), noisy)
+
+
+@dataclass(frozen=True)
+class GoalInputs:
+    """The actor's input: observation and goal, cut and normalised."""
+
+    obs_scaling: Scaling
+    goal_scaling: Scaling
+    limit: float
+
+    def read(self, obs: Any) -> GoalObs:
+        return GoalObs(*(np.array(obs[key], np.float32).ravel() for key in GoalObs._fields))
+
+    def stack(self, views: Sequence[GoalObs]) -> Tensor:
+        obs, _, goals = (torch.from_numpy(np.stack(part)) for part in zip(*views, strict=True))
+        return self(obs, goals)
+
+    def __call__(self, obs: Tensor, goals: Tensor) -> Tensor:
+        """Of observations (n, obs) and goals (n, goal): (n, obs + goal)."""
+        parts = (self.obs_scaling, obs), (self.goal_scaling, goals)
+        return torch.cat([scale(part.clamp(-self.limit, self.limit)) for scale, part in parts], dim=1)
+
+
+class GoalStats(NamedTuple):
+    """Moments of what a goal environment's observations are made of."""
+
+    obs: Normalizer
+    goal: Normalizer
+
+    @classmethod
+    def of(cls, spaces: Spaces, clip: float, comm: Communicator) -> GoalStats:
+        """Before anything was seen; normalised values will be cut at ±`clip`."""
+        n_goal, n_obs = goal_size(spaces.observation), flat_size(spaces.observation)
+        return cls(*(Normalizer(n, comm, clip) for n in (n_obs - n_goal, n_goal)))
+
+    def inputs(self, limit: float) -> GoalInputs:
+        """Of networks, as of now."""
+        return GoalInputs(self.obs.scaling(), self.goal.scaling(), limit)
+
+
 def _policy(
-    config: DDPGHERConfig, spaces: Spaces, actor: MLP, stats: GoalStats, share: float = 1.0
+    config: DDPGHERConfig, spaces: Spaces, actor: MLP, stats: GoalStats, noise_factor: float = 1.0
 ) -> Policy:
-    """`share` of the noise is left."""
-    noise = partial(explore, noise_eps=share * config.noise_eps, random_eps=share * config.random_eps)
+    """With that fraction of the noise."""
+    noise = partial(
+        explore,
+        noise_eps=noise_factor * config.noise_eps,
+        random_eps=noise_factor * config.random_eps,
+    )
     return Policy(on_cpu(actor), stats.inputs(config.clip_obs), noise, spaces)
 
 
-class DDPGHER(state.Saved):
+class DDPGHER(Learner):
     """Actor, critic, their targets and the replay; the interface is `algos.Algorithm`."""
 
     policy_parts = ("actor", "obs_stats", "goal_stats")
-    saved = (*policy_parts, "critic", "target_actor", "target_critic", "adam", "truth_stats")
+    saved = (*policy_parts, "critic", "target_actor", "target_critic", "adam", "privileged_stats")
     counters = ("env_steps", "updates", "cycles", "worst", "best", "reward_scale")
 
     def __init__(
@@ -146,42 +197,42 @@ class DDPGHER(state.Saved):
         workers: Workers,
         comm: Communicator,
         seed: int,
-        total_timesteps: int,
-        device: str = "cpu",
-        cores: int = 1,
+        *run: Any,
+        **more: Any,
     ) -> None:
-        config.validate()
-        self.workers, self.comm, self.device = workers, comm, torch.device(device)
-        self.spaces = Spaces(workers.observation_space, workers.action_space)
+        super().__init__(config, workers, comm, seed, *run, **more)
         space, n_actions = self.spaces.observation, action_size(self.spaces.action)
-        n_goal, n_truth = goal_size(space), flat_size(self.spaces.truth)
-        self._n_obs = n_obs = flat_size(space)
+        n_goal, n_privileged = goal_size(space), flat_size(self.spaces.privileged)
         if not (steps := workers.max_episode_steps):
             raise ValueError("max_episode_steps: found none, allowed environments with a limit")
         self.gamma = 1.0 - 1.0 / steps if config.gamma is None else config.gamma
-        her = 0.0 if has_single_goal(space) else REPLAY_P
+        goals: Any = space["desired_goal"]  # type: ignore[index]
+        her = (
+            0.0 if np.array_equal(goals.low, goals.high) else REPLAY_P
+        )  # one goal is its own hindsight
         self.replay_p = her if config.replay_p is None else config.replay_p
         self.config = dataclasses.replace(config, gamma=self.gamma, replay_p=self.replay_p)
-        self.total_timesteps, self.seed = total_timesteps, seed
         weights = torch.Generator().manual_seed(seed)
         self.actor = new_actor(config.hidden, self.spaces, weights).to(self.device)
-        judged, seen = n_obs + n_truth + n_actions, self.spaces.inputs("truth", "action")
-        self.critic = MLP((judged, *config.hidden, 1), weights, inputs=seen).to(self.device)
+        n_inputs, names = (
+            self._n_obs + n_privileged + n_actions,
+            self.spaces.inputs(PRIVILEGED, "action"),
+        )
+        self.critic = MLP((n_inputs, *config.hidden, 1), weights, inputs=names).to(self.device)
         self.target_actor, self.target_critic = copy.deepcopy((self.actor, self.critic))
         self.adam = FlatAdam((self.actor, config.actor_lr), (self.critic, config.critic_lr))
         self._target_vector = flatten(self.target_actor, self.target_critic).requires_grad_(False)
-        self.comm.broadcast_(self.adam.vector)
-        self.comm.broadcast_(self._target_vector)
+        comm.broadcast_(self.adam.vector)
+        comm.broadcast_(self._target_vector)
         self.stats = GoalStats.of(self.spaces, config.norm_clip, comm)
         self.obs_stats, self.goal_stats = self.stats
-        self.truth_stats = flat_stats(self.spaces.truth, config.norm_clip, comm)
-        sizes, rewards = (n_obs - n_goal, n_goal, n_actions, n_truth), workers.compute_reward
+        self.privileged_stats = flat_stats(self.spaces.privileged, config.norm_clip, comm)
+        sizes, rewards = (self._n_obs - n_goal, n_goal, n_actions, n_privileged), workers.compute_reward
         rng = np.random.default_rng([seed, comm.rank, rollout.LEARN])
         self.replay = Replay(config.buffer_size, steps, sizes, n_boolean(space), rewards, rng)
-        self._both = SideBySide(may_share(cores, comm, self.device))
         self._penalty = config.action_l2
         self.cycles_per_epoch = config.n_cycles
-        self.env_steps = self.updates = self.cycles = 0
+        self.updates = self.cycles = 0
         # All rewards so far lie from -worst to best, in the source from the start from -1 to 0.
         self.worst = self.reward_scale = 0.0 if config.normalise_rewards else 1.0
         self.best = self._largest = 0.0  # the largest return is that of the last episodes
@@ -200,15 +251,11 @@ class DDPGHER(state.Saved):
             f"{config.buffer_size:,} transitions: {replay.nbytes / 1e9:.2f} GB in each when full"
         )
 
-    def _share(self, anneals: bool) -> float:
-        """Of what falls to zero over the run, how much is left? All of what does not."""
-        return max(0.0, 1.0 - self.env_steps / self.total_timesteps) if anneals else 1.0
-
     # -- acting and collecting ---------------------------------------------------------------
 
     def policy(self) -> Policy:
-        share = self._share(self.config.anneal_noise)
-        return _policy(self.config, self.spaces, self.actor, self.stats, share)
+        noise_factor = self.progress_remaining if self.config.anneal_noise else 1.0
+        return _policy(self.config, self.spaces, self.actor, self.stats, noise_factor)
 
     def _player(self, purpose: int) -> PlayEpisode[GoalObs]:
         """Plays episodes of this rank's own."""
@@ -219,26 +266,29 @@ class DDPGHER(state.Saved):
         """One cycle's episodes: into the replay, and relabelled into the normaliser."""
         config, key = self.config, [self.seed, self.comm.rank, rollout.LEARN, self.cycles]
         self.replay.rng = np.random.default_rng(key)  # whatever came before
-        self.adam.share = self._share(config.anneal_lr)
-        self._penalty = config.action_l2 * self._share(config.anneal_action_l2)
+        remaining = self.progress_remaining
+        self.adam.scale_lr(remaining if config.anneal_lr else 1.0)
+        self._penalty = config.action_l2 * (remaining if config.anneal_action_l2 else 1.0)
         episodes = play_episodes(self.workers, self._player(rollout.TRAIN), config.n_rollouts)
         self.cycles += 1
-        seen = summary(episodes, self.comm)
-        self.env_steps += int(seen.pop("steps"))
+        stats = summary(episodes, self.comm)
+        self.env_steps += int(stats.pop("steps"))
         usable = [episode for episode in episodes if len(episode)]
         self._largest = max(largest_return(episode.rewards, self.gamma) for episode in usable)
         slots = self.replay.store(usable)
         batch = self.replay.sample(sum(map(len, usable)), self.replay_p, slots)
-        for name in ("obs", "goal", "truth"):
+        for name in ("obs", "goal", "privileged"):
             values = getattr(batch, name).clip(-config.clip_obs, config.clip_obs)
             getattr(self, f"{name}_stats").update(values)
-        return seen
+        return stats
 
     def test(self) -> dict[str, float]:
         if not (n := self.config.n_test_rollouts * self.config.n_rollouts):
             return {}
-        seen = summary([*self.workers.play(self._player(rollout.TEST), range(n))], self.comm)
-        return {f"test_{name}": seen[name] for name in ("success_rate", "mean_return", *rollout.FAULTS)}
+        stats = summary([*self.workers.play(self._player(rollout.TEST), range(n))], self.comm)
+        return {
+            f"test_{name}": stats[name] for name in ("success_rate", "mean_return", *rollout.FAULTS)
+        }
 
     # -- learning ----------------------------------------------------------------------------
 
@@ -250,23 +300,24 @@ class DDPGHER(state.Saved):
         """
         config = self.config
         drawn = self.replay.sample(config.n_batches * config.batch_size, self.replay_p)
-        self._see_rewards(drawn.reward)
+        self._update_reward_scale(drawn.reward)
         sums = torch.zeros(3, device=self.device)
         parts = [torch.tensor_split(torch.from_numpy(part).to(self.device), 2) for part in drawn]
-        halves = self._both(*(partial(self._prepared, Batch(*h)) for h in zip(*parts, strict=True)))
-        prepared = map(torch.cat, zip(*halves, strict=True))
+        halves = [partial(self._prepared, Batch(*half)) for half in zip(*parts, strict=True)]
+        prepared = map(torch.cat, zip(*self.side_by_side(*halves), strict=True))
         for batch in zip(*(torch.split(part, config.batch_size) for part in prepared), strict=True):
             sums += self._minibatch(*batch)
         self._target_vector.lerp_(self.adam.vector.detach(), 1.0 - config.polyak)
-        self.updates += config.n_batches
-        self._check(sums)
-        n = config.n_batches
+        self.updates += (n := config.n_batches)
+        self._require_finite(sums, self.adam)
+        if self.updates % CHECK_EVERY < n:
+            self._require_same(self.adam.vector)
         critic_loss, actor_loss, value = (sums / n).tolist()
         learned = {"critic_loss": critic_loss, "actor_loss": actor_loss}
         return {**learned, "mean_q": value * (self.reward_scale or 1.0), "updates": n}
 
     @torch.no_grad()
-    def _see_rewards(self, drawn: Array) -> None:
+    def _update_reward_scale(self, drawn: Array) -> None:
         """Move the bounds of rewards to hold those that were drawn (n,), and the scale with them.
 
         A relabelled reward may exceed all returns that were lived. When the scale grows, the critics'
@@ -287,12 +338,13 @@ class DDPGHER(state.Saved):
 
     @torch.no_grad()
     def _prepared(self, batch: Batch[Tensor]) -> tuple[Tensor, Tensor, Tensor]:
-        """What is seen (n, obs + goal + truth), actions (n, d) and the critic's targets (n,)."""
+        """The critic's inputs but for actions (n, obs + goal + privileged), actions (n, d) and the
+        critic's targets (n,)."""
         config, limit = self.config, self.config.clip_obs
-        see, told = self.stats.inputs(limit), self.truth_stats.scaling()
+        scaled, scale_privileged = self.stats.inputs(limit), self.privileged_stats.scaling()
         inputs, next_inputs = (
-            torch.cat([see(obs, batch.goal), told(truth.clamp(-limit, limit))], dim=1)
-            for obs, truth in ((batch.obs, batch.truth), (batch.next_obs, batch.next_truth))
+            torch.cat([scaled(obs, batch.goal), scale_privileged(values.clamp(-limit, limit))], dim=1)
+            for obs, values in ((batch.obs, batch.privileged), (batch.next_obs, batch.next_privileged))
         )
         next_actions = self.target_actor(next_inputs[:, : self._n_obs])
         next_values = self.target_critic(torch.cat([next_inputs, next_actions], dim=1)).squeeze(-1)
@@ -304,39 +356,29 @@ class DDPGHER(state.Saved):
 
     def _minibatch(self, inputs: Tensor, actions: Tensor, target: Tensor) -> Tensor:
         """One step of both networks from the same parameters; critic's and actor's loss, mean Q."""
-        of_critic = partial(self._critic_gradient, inputs, actions, target)
-        losses = self._both(of_critic, partial(self._actor_gradient, inputs))
+        self.adam.gradient.zero_()
+        losses = self.side_by_side(
+            partial(self._critic_gradient, inputs, actions, target),
+            partial(self._actor_gradient, inputs),
+        )
         self.adam.reduce(self.comm, self.config.reduction)
         self.adam.step()
         return torch.cat(losses)
 
-    @torch.no_grad()
     def _critic_gradient(self, inputs: Tensor, actions: Tensor, target: Tensor) -> Tensor:
         """Write it; the critic's loss (1,)."""
-        judged = self.critic.run(torch.cat([inputs, actions], dim=1))
-        error = judged[-1] - target[:, None]
-        self.critic.backward(judged, error * (2 / len(error)))
-        return error.square().mean(dim=0)
+        values = self.critic(torch.cat([inputs, actions], dim=1)).squeeze(-1)
+        loss = (values - target).square().mean()
+        loss.backward(inputs=list(self.critic.parameters()))
+        return loss.detach()[None]
 
-    @torch.no_grad()
     def _actor_gradient(self, inputs: Tensor) -> Tensor:
         """Write it; the actor's loss and the mean Q of what it would do (2,)."""
-        seen = self.actor.run(inputs[:, : self._n_obs])
-        own, (n, n_seen) = seen[-1], inputs.shape
-        judged = self.critic.run(torch.cat([inputs, own], dim=1))
-        by_layer = self.critic.deltas(judged, torch.full_like(judged[-1], -1 / n))
-        by_own = by_layer[0] @ self.critic.linears[0].weight[:, n_seen:]
-        penalty = self._penalty
-        value = judged[-1].mean()
-        self.actor.backward(seen, by_own + 2 * penalty / own.numel() * own)
-        return torch.stack([penalty * own.square().mean() - value, value])
-
-    def _check(self, sums: Tensor) -> None:
-        """Stop with DivergenceError when something broke or the ranks have parted."""
-        require_finite([self.adam], sums, self.env_steps)
-        is_due = self.updates % CHECK_EVERY < self.config.n_batches
-        if is_due and not same_on_all_ranks(self.comm, self.adam.vector):
-            raise DivergenceError("the ranks' parameters differ")
+        actions = self.actor(inputs[:, : self._n_obs])
+        value = self.critic(torch.cat([inputs, actions], dim=1)).mean()
+        loss = self._penalty * actions.square().mean() - value
+        loss.backward(inputs=list(self.actor.parameters()))  # and not the critic's
+        return torch.stack([loss, value]).detach()
 
     # -- saving ------------------------------------------------------------------------------
 

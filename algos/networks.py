@@ -11,21 +11,17 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
 from typing import Any, Literal
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
-from torch.optim.adam import adam
 
-from . import DivergenceError
 from .mpi import Communicator
 
 Precision = Literal["float32", "bfloat16"]
 MOST_UNITS, MOST_WEIGHTS = 100_000, 10**8  # of hidden layers: more is a slip, and takes all memory
-FUSED_ADAM: Any = getattr(torch, "_fused_adam_", None)
 
 
 @contextmanager
@@ -84,43 +80,6 @@ class MLP(nn.Sequential):
         super().__init__(*layers)
         self._shape = tuple(sizes), tanh
         self.linears = [layer for layer in layers if isinstance(layer, nn.Linear)]
-
-    # -- learning, by hand: small batches leave autograd's bookkeeping no time to hide in --------
-
-    @torch.no_grad()
-    def run(self, inputs: Tensor) -> list[Tensor]:
-        """What each linear layer sees (n, size), the inputs first, and the outputs (n, sizes[-1])."""
-        (*_, last), (_, tanh), values = self.linears, self._shape, [inputs]
-        for linear in self.linears:
-            values.append(functional.linear(values[-1], linear.weight, linear.bias))
-            if linear is not last:
-                values[-1].relu_()
-            elif tanh:
-                values[-1].tanh_()
-        return values
-
-    @torch.no_grad()
-    def deltas(self, values: Sequence[Tensor], gradient: Tensor) -> list[Tensor]:
-        """Gradients (n, size) of a loss by what each linear layer gives, before its ReLU or Tanh.
-
-        `values` are what `run` returned, `gradient` (n, sizes[-1]) is the loss's by the outputs.
-        """
-        _, tanh = self._shape
-        found = [gradient * (1.0 - values[-1].square()) if tanh else gradient]
-        for linear, hidden in zip(self.linears[:0:-1], values[-2:0:-1], strict=True):
-            delta = found[-1] @ linear.weight
-            torch.ops.aten.threshold_backward(delta, hidden, 0.0, grad_input=delta)  # ReLU's, in place
-            found.append(delta)
-        return found[::-1]
-
-    @torch.no_grad()
-    def backward(self, values: Sequence[Tensor], gradient: Tensor) -> None:
-        """Write a loss's gradient by the parameters into their `grad`; arguments as of `deltas`."""
-        deltas = self.deltas(values, gradient)
-        for linear, inputs, delta in zip(self.linears, values[:-1], deltas, strict=True):
-            weight, bias = linear.weight.grad, linear.bias.grad
-            torch.mm(delta.t(), inputs, out=weight)
-            torch.sum(delta, dim=0, out=bias)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickles as sizes and numbers: the parameters may be views of much more."""
@@ -216,20 +175,6 @@ def flatten(*modules: nn.Module) -> nn.Parameter:
     return vector
 
 
-def _fused_adam(
-    lr: float, vector: Tensor, gradient: Tensor, mean: Tensor, square: Tensor, steps: Tensor
-) -> None:
-    """The kernel of torch.optim.Adam(fused=True); where PyTorch hides it elsewhere, by its public
-    function, which counts the steps itself and takes longer."""
-    run, counts = FUSED_ADAM, [steps]
-    if run is None:
-        run, counts = partial(adam, fused=True), [steps - 1]
-    run(
-        [vector], [gradient], [mean], [square], [], counts, lr=lr, beta1=0.9, beta2=0.999,
-        weight_decay=0.0, eps=1e-8, amsgrad=False, maximize=False,
-    )  # fmt: skip
-
-
 class FlatAdam:
     """Adam (Kingma & Ba 2014) on all parameters of modules as one vector.
 
@@ -242,12 +187,25 @@ class FlatAdam:
         self.gradient = self.vector.grad
         self._moments = {name: torch.zeros_like(self.vector.data) for name in ("exp_avg", "exp_avg_sq")}
         self._steps = torch.zeros(len(modules), device=self.vector.device)
-        self._lrs = [lr for _, lr in modules]
-        self.share = 1.0  # of the step sizes, where they fall over a run
+        self._lrs, self.lr_factor = [lr for _, lr in modules], 1.0
         sizes = [sum(p.numel() for p in module.parameters()) for module, _ in modules]
         whole = (self.vector.data, self.gradient, *self._moments.values())
-        parts = (*(torch.split(values, sizes) for values in whole), self._steps.unbind())
-        self._parts: list[Any] = list(zip(*parts, strict=True))
+        parameters, states = [], []
+        for values, gradient, mean, square, step in zip(
+            *(torch.split(tensor, sizes) for tensor in whole), self._steps.unbind(), strict=True
+        ):
+            parameters.append(nn.Parameter(values))
+            parameters[-1].grad = gradient
+            states.append({"step": step, "exp_avg": mean, "exp_avg_sq": square})
+        groups = [{"params": [p], "lr": lr} for p, lr in zip(parameters, self._lrs, strict=True)]
+        self._adam = torch.optim.Adam(groups, fused=self.vector.device.type in ("cpu", "cuda"))
+        self._adam.state.update(zip(parameters, states, strict=True))
+
+    def scale_lr(self, lr_factor: float) -> None:
+        """From here on each step size is this fraction of what it was at the start."""
+        self.lr_factor = lr_factor
+        for group, lr in zip(self._adam.param_groups, self._lrs, strict=True):
+            group["lr"] = lr_factor * lr
 
     def reduce(self, comm: Communicator, how: Literal["mean", "sum"] = "sum") -> None:
         """Replace the gradient by its sum or mean over ranks: one message."""
@@ -263,11 +221,9 @@ class FlatAdam:
 
     def step(self) -> None:
         """One step along the gradient."""
-        self._steps += 1
         # Moments of units that are never active fade until they are denormal, and slow: zero then.
         with _denormals_flushed():  # whoever steps physics must not notice
-            for parts, lr in zip(self._parts, self._lrs, strict=True):
-                _fused_adam(self.share * lr, *parts)
+            self._adam.step()
 
     def state_dict(self) -> dict[str, Any]:
         """Moments (n,) and steps (modules,). The parameters belong to the modules, step sizes and
@@ -277,12 +233,3 @@ class FlatAdam:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         for name, values in self.state_dict().items():
             values.copy_(state[name])
-
-
-def require_finite(adams: Sequence[FlatAdam], losses: Tensor, env_steps: int) -> None:
-    """DivergenceError, rather than going on from losses or parameters that are not finite."""
-    if not all(torch.isfinite(values).all() for values in (losses, *(adam.vector for adam in adams))):
-        raise DivergenceError(
-            f"a loss or a parameter is not finite after {env_steps} steps "
-            f"(losses {[f'{x:.3g}' for x in losses.tolist()]})"
-        )

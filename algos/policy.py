@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, Protocol
 
 import gymnasium as gym
 import numpy as np
@@ -20,40 +20,27 @@ from .spaces import (
     Spaces,
     action_bounds,
     action_size,
-    flat_observation,
     flat_size,
-    goal_size,
     may_be_boolean,
 )
 
-LARGEST = float(np.finfo(np.float32).max)
-Noise = Callable[[Array, Tensor, np.random.Generator], Array]
-"""(actions (n, d) in [-1, 1], what the network saw (n, size), rng) -> noisy ones, perhaps beyond."""
-
-
-def explore(
-    actions: Array, seen: Tensor, rng: np.random.Generator, noise_eps: float, random_eps: float
-) -> Array:
-    """Noisy copies of actions (n, d) in [-1, 1]; whole rows are random with `random_eps`."""
-    noisy = actions + np.float32(noise_eps) * rng.standard_normal(actions.shape, dtype=np.float32)
-    noisy = np.clip(noisy, -1.0, 1.0)
-    is_random = rng.random(actions.shape[:-1])[..., None] < random_eps
-    return np.where(is_random, rng.uniform(-1.0, 1.0, actions.shape).astype(np.float32), noisy)
+FLOAT32_MAX = float(np.finfo(np.float32).max)
+Noise = Callable[[Array, np.random.Generator], Array]
+"""(actions (n, d) in [-1, 1], rng) -> noisy ones, perhaps beyond."""
 
 
 @dataclass(frozen=True)
 class FlatInputs:
-    """A network is shown the observation, flat; a goal environment's with its desired goal. As it is,
-    or scaled."""
+    """The observation, flat; a goal environment's with its desired goal. As it is, or scaled."""
 
     scaling: Scaling | None = None
 
     def read(self, obs: Any) -> Array:
-        """What is kept of one observation to learn from; a copy: environments reuse buffers."""
-        return flat_observation(obs)
+        if isinstance(obs, dict):
+            obs = np.concatenate([np.ravel(obs["observation"]), np.ravel(obs["desired_goal"])])
+        return np.array(obs, np.float32).ravel()
 
     def stack(self, views: Sequence[Array]) -> Tensor:
-        """What the network sees (n, size) of n such."""
         flat = torch.from_numpy(np.stack(views))
         return flat if self.scaling is None else self.scaling(flat)
 
@@ -64,66 +51,14 @@ def flat_stats(space: gym.Space[Any], clip: float, comm: Communicator | None = N
     return Normalizer(len(as_is), comm or Communicator(), clip, as_is)
 
 
-class GoalObs(NamedTuple):
-    """What a goal environment returns, flat float32 copies."""
+class Inputs(Protocol):
+    """What a network is given of the observations."""
 
-    observation: Array
-    achieved_goal: Array
-    desired_goal: Array
+    def read(self, obs: Any) -> Any:
+        """What is kept of one observation to learn from; a copy: environments reuse buffers."""
 
-
-@dataclass(frozen=True)
-class GoalInputs:
-    """What both networks see: observation and goal, cut and normalised."""
-
-    obs_scaling: Scaling
-    goal_scaling: Scaling
-    limit: float
-
-    def read(self, obs: Any) -> GoalObs:
-        return GoalObs(*(np.array(obs[key], np.float32).ravel() for key in GoalObs._fields))
-
-    def stack(self, views: Sequence[GoalObs]) -> Tensor:
-        obs, _, goals = (torch.from_numpy(np.stack(part)) for part in zip(*views, strict=True))
-        return self(obs, goals)
-
-    def __call__(self, obs: Tensor, goals: Tensor) -> Tensor:
-        """Of observations (n, obs) and goals (n, goal): (n, obs + goal)."""
-        parts = (self.obs_scaling, obs), (self.goal_scaling, goals)
-        return torch.cat([scale(part.clamp(-self.limit, self.limit)) for scale, part in parts], dim=1)
-
-
-Inputs = FlatInputs | GoalInputs
-
-
-class GoalStats(NamedTuple):
-    """Moments of what a goal environment's observations are made of."""
-
-    obs: Normalizer
-    goal: Normalizer
-
-    @classmethod
-    def of(cls, spaces: Spaces, clip: float, comm: Communicator) -> GoalStats:
-        """Before anything was seen; normalised values will be cut at ±`clip`."""
-        n_goal, n_seen = goal_size(spaces.observation), flat_size(spaces.observation)
-        return cls(*(Normalizer(n, comm, clip) for n in (n_seen - n_goal, n_goal)))
-
-    def inputs(self, limit: float) -> GoalInputs:
-        """What networks see as of now."""
-        return GoalInputs(self.obs.scaling(), self.goal.scaling(), limit)
-
-
-class Elsewhere:
-    """A name that other libraries have: using it says what ours is."""
-
-    def __init__(self, ours: str) -> None:
-        self.ours = ours
-
-    def __set_name__(self, _: type, name: str) -> None:
-        self.name = name
-
-    def __get__(self, _: object, owner: type) -> NoReturn:
-        raise AttributeError(f"{owner.__name__} has no {self.name}; {self.ours}")
+    def stack(self, views: Sequence[Any]) -> Tensor:
+        """The network's input (n, size) for n of these."""
 
 
 class Policy:
@@ -131,8 +66,6 @@ class Policy:
 
     It has no random state of its own: who asks for exploration brings a generator.
     """
-
-    predict = Elsewhere("act(obs) returns the actions")
 
     def __init__(self, network: MLP, inputs: Inputs, noise: Noise, spaces: Spaces):
         self.network, self.inputs, self.noise = network, inputs, noise
@@ -157,7 +90,7 @@ class Policy:
         n = self._batch_size(obs)
         for key in self.shapes:
             values = np.asarray(obs[key] if key else obs)
-            if values.dtype.kind not in "bifu" or not (np.abs(values) < LARGEST).all():
+            if values.dtype.kind not in "bifu" or not (np.abs(values) < FLOAT32_MAX).all():
                 found = f"not finite, not real or beyond float32 ({values.dtype})"
                 raise ValueError(f"obs: {found}, allowed finite numbers")
         if n == 0:
@@ -190,7 +123,7 @@ class Policy:
     def require_spaces(self, spaces: Spaces) -> None:
         """ValueError unless observations and actions have the shapes that the policy knows."""
         for name, found, known in (
-            ("observations", _said(spaces.shapes), _said(self.shapes)),
+            ("observations", _shown(spaces.shapes), _shown(self.shapes)),
             ("actions", str(spaces.action.shape), str(self._low.shape)),
         ):
             if found != known:
@@ -203,11 +136,10 @@ class Policy:
 
     @torch.inference_mode()
     def _actions(self, views: Sequence[Any], rng: np.random.Generator | None) -> Array:
-        seen = self.inputs.stack(views)
-        actions: Array = self.network(seen).numpy()
+        actions: Array = self.network(self.inputs.stack(views)).numpy()
         if not np.isfinite(actions).all():
             raise ValueError("policy: its action is not finite: the network's weights are damaged")
-        return actions if rng is None else self.noise(actions, seen, rng)
+        return actions if rng is None else self.noise(actions, rng)
 
     def _batch_size(self, obs: Any) -> int | None:
         """Observations in a batch; None for one observation by itself."""
@@ -225,11 +157,11 @@ class Policy:
         if {key: shape[1:] for key, shape in found.items()} == self.shapes and len(sizes) == 1:
             return sizes.pop()[0]
         raise ValueError(
-            f"obs: found shape {_said(found)}, expected {_said(self.shapes)}, or a batch of such"
+            f"obs: found shape {_shown(found)}, expected {_shown(self.shapes)}, or a batch of such"
         )
 
 
-def _said(shapes: dict[str, tuple[int, ...]]) -> str:
+def _shown(shapes: dict[str, tuple[int, ...]]) -> str:
     return str(shapes.get("", shapes))
 
 

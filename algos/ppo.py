@@ -1,32 +1,34 @@
 """Proximal policy optimisation (Schulman et al. 2017), as the paper uses it.
 
-Read from top to bottom: the choices, the learner. The source of what the paper leaves open is
-PPO-for-Beginners (yu2023ppo in the paper): whole episodes, GAE with returns = advantage + value,
-advantages normalised over the batch, separate Adams.
+Read from top to bottom: the choices, what it computes, the learner. The source of what the paper
+leaves open is PPO-for-Beginners (yu2023ppo in the paper): whole episodes, GAE with returns =
+advantage + value, advantages normalised over the batch, separate Adams.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from . import Array, Count, DivergenceError, Positive, Share, Workers, rollout, state
-from .mpi import Communicator, same_on_all_ranks
-from .networks import MLP, FlatAdam, require_finite, require_hidden, start_orthogonal
+from . import Array, Count, Fraction, Positive32, Workers, rollout, state
+from .learner import Learner
+from .mpi import Communicator
+from .networks import MLP, FlatAdam, require_hidden, start_orthogonal
 from .normalizer import Normalizer
 from .policy import FlatInputs, Policy, flat_stats, new_actor, on_cpu
-from .policy_gradient import Spread, Transitions, gae, gaussian, normalise, surrogate
 from .rollout import Episode, PlayEpisode, finite, play_steps, require_transitions, summary
-from .side_by_side import SideBySide, each, may_share
-from .spaces import Spaces, action_size, flat_size
+from .spaces import PRIVILEGED, Spaces, action_size, flat_size
 
 ACTOR_GAIN = 0.01  # of the last layer when weights start orthogonal
 OBS_CLIP = 5.0  # normalised observations are cut there, as DDPG+HER's are
+MAX_LOG_RATIO = 20.0  # exp(20) = 5e8: far outside any clip range, far inside float32
 
 
 @dataclass(frozen=True)
@@ -35,17 +37,17 @@ class PPOConfig:
 
     hidden: tuple[int, ...] = (256, 256, 256)
     """Units of each hidden layer, actor and critic alike."""
-    actor_lr: Positive = 3e-4
+    actor_lr: Positive32 = 3e-4
     """Adam step size of the actor."""
-    critic_lr: Positive = 1e-3
+    critic_lr: Positive32 = 1e-3
     """Adam step size of the critic."""
-    action_variance: Positive = 0.05
+    action_variance: Positive32 = 0.05
     """Variance of the Gaussian policy in every action dimension, in units where the bounds are ±1."""
-    gamma: Share = 0.99
+    gamma: Fraction = 0.99
     """Discount factor."""
-    gae_lambda: Share = 0.97
+    gae_lambda: Fraction = 0.97
     """Lambda of generalised advantage estimation."""
-    clip_range: Positive = 0.2
+    clip_range: Positive32 = 0.2
     """Clip range of the probability ratio."""
     steps_per_epoch: Count = 1000
     """Least number of environment steps per epoch, over all processes; episodes are played to
@@ -57,12 +59,12 @@ class PPOConfig:
     "minibatch size: 6"; its source uses 6 as their number."""
     minibatch_size: Count | None = None
     """Transitions per minibatch, instead of --n-minibatches. Also --batch-size."""
-    max_grad_norm: Positive = 0.5
+    max_grad_norm: Positive32 = 0.5
     """Largest norm of the gradient, clipped separately for actor and critic."""
     exploration: Literal["fixed", "annealed", "learned"] = "fixed"
     """Variance of the policy. fixed: --action-variance; annealed: linear over the run, from there to
     --final-variance; learned: one per action dimension, starting there."""
-    final_variance: Positive | None = None
+    final_variance: Positive32 | None = None
     """With --exploration annealed: the last variance; default: a tenth of --action-variance."""
     orthogonal_init: bool = False
     """Orthogonal initial weights, with an actor whose last layer is near zero; otherwise they are
@@ -75,7 +77,7 @@ class PPOConfig:
     observation; terminal: the return ends. In the paper's task a time-out is a failure, with -100."""
     anneal_lr: bool = False
     """Decay both step sizes linearly to zero over the run (in the source, not in the paper)."""
-    target_kl: Positive | None = None
+    target_kl: Positive32 | None = None
     """Stop an epoch's passes when the KL divergence from the old policy exceeds this (in the source,
     not in the paper)."""
 
@@ -104,67 +106,156 @@ class PPOConfig:
         return min(self.n_minibatches or 6, n)
 
 
+def gae(rewards: Array, values: Array, last_value: float, gamma: float, lam: float) -> Array:
+    """Generalised advantages (n,) of one episode, float64 (Schulman et al. 2016, eq. 16).
+
+    `values` (n,) are the critic's at each step, `last_value` the one after the last step:
+    0 where nothing follows.
+    """
+    next_values = np.append(values[1:], last_value)
+    deltas = (rewards + gamma * next_values - values).tolist()
+    advantages = np.empty(len(deltas))
+    running = 0.0
+    for t in range(len(deltas) - 1, -1, -1):
+        running = deltas[t] + gamma * lam * running
+        advantages[t] = running
+    return advantages
+
+
+def normalise(advantages: Array) -> Array:
+    """Advantages (n,) with mean 0 and standard deviation 1; zeros where all are alike."""
+    centred = advantages - advantages.mean()
+    std = np.sqrt(np.square(centred).mean())
+    return centred / std if std > 1e-10 * np.abs(advantages).max() else np.zeros_like(centred)
+
+
+class Gaussian(nn.Module):
+    """Independent normal actions, in units where the bounds are ±1. Their standard deviations are
+    sqrt(variance) · exp(log_std)."""
+
+    def __init__(self, n_actions: int, variance: float) -> None:
+        super().__init__()
+        self.variance, self.log_std = variance, nn.Parameter(torch.zeros(n_actions))
+
+    def set_variance(self, variance: float) -> None:
+        """The same for all dimensions."""
+        self.log_std.data.fill_(0.5 * math.log(variance / self.variance))
+
+    def std(self) -> Array:
+        """float32 (d,)."""
+        relative: Array = self.log_std.detach().cpu().exp().numpy()
+        return np.float32(self.variance**0.5) * relative
+
+    def log_prob(self, actions: Tensor, mean: Tensor) -> Tensor:
+        """Log density (n,) of actions (n, d)."""
+        residual = (actions - mean) / self.log_std.exp()
+        constant = mean.shape[-1] * math.log(2 * math.pi * self.variance)
+        squared = residual.square().sum(dim=-1) / self.variance
+        return -0.5 * (squared + constant) - self.log_std.sum()
+
+
+def gaussian_noise(actions: Array, rng: np.random.Generator, std: Array) -> Array:
+    """Actions (n, d) with independent normal noise of standard deviations `std` (d,), float32."""
+    return actions + std * rng.standard_normal(actions.shape, dtype=np.float32)
+
+
+class Surrogate(NamedTuple):
+    """The clipped surrogate objective, negated, of each transition (n,), and what is told of it."""
+
+    loss: Tensor
+    kl: Tensor
+    """Unbiased estimate of the KL divergence from the old policy."""
+    is_clipped: Tensor
+    """Is the ratio outside the clip range?"""
+
+
+def surrogate(log_ratio: Tensor, advantages: Tensor, clip_range: float) -> Surrogate:
+    """Schulman et al. 2017, eq. 7, from log ratios and advantages (n,).
+
+    Log ratios are cut at ±20 first: no minimum changes, and an overflow cannot happen.
+    """
+    ratio = log_ratio.clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO).exp()
+    clipped = ratio.clamp(1 - clip_range, 1 + clip_range)
+    loss = -torch.minimum(ratio * advantages, clipped * advantages)
+    return Surrogate(loss, (ratio - 1 - log_ratio).detach(), clipped != ratio)
+
+
+class Transitions(NamedTuple):
+    """What is learned from, as tensors with a leading axis (n, ...)."""
+
+    obs: Tensor
+    """The critic's, which begins with the actor's."""
+    actions: Tensor
+    log_prob: Tensor
+    """Of the actions, when they were taken."""
+    advantages: Tensor
+    returns: Tensor
+
+    def minibatches(self, order: Tensor, n: int) -> list[Transitions]:
+        """All of it in another order (n,), cut into `n` parts as equal as can be."""
+        parts = (torch.tensor_split(values[order], n) for values in self)
+        return [Transitions(*part) for part in zip(*parts, strict=True)]
+
+    def own_rows(self, comm: Communicator) -> Transitions:
+        """Those that this rank computes."""
+        return Transitions(*(torch.tensor_split(values, comm.size)[comm.rank] for values in self))
+
+
 def _parts(
     config: PPOConfig, spaces: Spaces, weights: torch.Generator
-) -> tuple[MLP, Spread, Normalizer]:
+) -> tuple[MLP, Gaussian, Normalizer]:
     """What a policy is made of, before anything was learned; the same on all ranks."""
-    spread = Spread(action_size(spaces.action), config.action_variance)
+    gaussian = Gaussian(action_size(spaces.action), config.action_variance)
     actor = new_actor(config.hidden, spaces, weights)
-    return actor, spread, flat_stats(spaces.observation, OBS_CLIP)
+    return actor, gaussian, flat_stats(spaces.observation, OBS_CLIP)
 
 
 def _inputs(config: PPOConfig, stats: Normalizer) -> FlatInputs:
     return FlatInputs(stats.scaling() if config.normalise_obs else None)
 
 
-def _policy(config: PPOConfig, spaces: Spaces, actor: MLP, spread: Spread, stats: Normalizer) -> Policy:
-    noise = partial(gaussian, std=spread.std())
+def _policy(
+    config: PPOConfig, spaces: Spaces, actor: MLP, gaussian: Gaussian, stats: Normalizer
+) -> Policy:
+    noise = partial(gaussian_noise, std=gaussian.std())
     return Policy(on_cpu(actor), _inputs(config, stats), noise, spaces)
 
 
-class PPO(state.Saved):
+def _improved(improve: Callable[[Transitions], Tensor], minibatches: list[Transitions]) -> Tensor:
+    """What is said of one step after another, stacked."""
+    return torch.stack([improve(minibatch) for minibatch in minibatches])
+
+
+class PPO(Learner):
     """Actor, critic and the batch of the current epoch; the interface is `algos.Algorithm`."""
 
-    policy_parts = ("actor", "spread", "obs_stats")
-    saved = (*policy_parts, "truth_stats", "critic", "actor_adam", "critic_adam")
+    policy_parts = ("actor", "gaussian", "obs_stats")
+    saved = (*policy_parts, "privileged_stats", "critic", "actor_adam", "critic_adam")
     counters = ("env_steps", "epochs")
     cycles_per_epoch = 1
 
     def __init__(
-        self,
-        config: PPOConfig,
-        workers: Workers,
-        comm: Communicator,
-        seed: int,
-        total_timesteps: int,
-        device: str = "cpu",
-        cores: int = 1,
+        self, config: PPOConfig, workers: Workers, comm: Communicator, seed: int, *run: Any, **more: Any
     ) -> None:
-        config.validate()
-        self.config, self.workers, self.comm = config, workers, comm
-        self.total_timesteps, self.device = total_timesteps, torch.device(device)
-        self.seed = seed
-        self.spaces = Spaces(workers.observation_space, workers.action_space)
+        super().__init__(config, workers, comm, seed, *run, **more)
         weights = torch.Generator().manual_seed(seed)
-        self.actor, self.spread, self.obs_stats = _parts(config, self.spaces, weights)
-        self.truth_stats = flat_stats(self.spaces.truth, OBS_CLIP)
-        self._n_obs = flat_size(self.spaces.observation)
-        n_seen, seen = self._n_obs + flat_size(self.spaces.truth), self.spaces.inputs("truth")
-        self.critic = MLP((n_seen, *config.hidden, 1), weights, inputs=seen)
+        self.actor, self.gaussian, self.obs_stats = _parts(config, self.spaces, weights)
+        self.privileged_stats = flat_stats(self.spaces.privileged, OBS_CLIP)
+        n_inputs = self._n_obs + flat_size(self.spaces.privileged)
+        names = self.spaces.inputs(PRIVILEGED)
+        self.critic = MLP((n_inputs, *config.hidden, 1), weights, inputs=names)
         if config.orthogonal_init:
             start_orthogonal(self.actor, ACTOR_GAIN, weights, self.spaces.inputs())
-            start_orthogonal(self.critic, 1.0, weights, seen)
-        for network in (self.actor, self.spread, self.critic):
+            start_orthogonal(self.critic, 1.0, weights, names)
+        for network in (self.actor, self.gaussian, self.critic):
             network.to(self.device)
-        self._both = SideBySide(may_share(cores, comm, self.device))
-        learned = [self.actor, *([self.spread] if config.exploration == "learned" else [])]
+        self.gaussian.requires_grad_(config.exploration == "learned")
+        learned = [self.actor, *([self.gaussian] if config.exploration == "learned" else [])]
         self.actor_adam = FlatAdam(*((part, config.actor_lr) for part in learned))
         self.critic_adam = FlatAdam((self.critic, config.critic_lr))
         comm.broadcast_(self.actor_adam.vector)
         comm.broadcast_(self.critic_adam.vector)
-        self.env_steps = self.epochs = 0
-        self._ahead = 1.0  # share of the run that lay ahead when the epoch began
-        self._episodes: list[Episode[Array]] = []
+        self.epochs, self._episodes = 0, list[Episode[Array]]()
 
     def describe(self) -> str:
         config = self.config
@@ -177,69 +268,97 @@ class PPO(state.Saved):
     # -- acting and collecting ---------------------------------------------------------------
 
     def policy(self) -> Policy:
-        return _policy(self.config, self.spaces, self.actor, self.spread, self.obs_stats)
+        return _policy(self.config, self.spaces, self.actor, self.gaussian, self.obs_stats)
 
     def collect(self) -> dict[str, float]:
         """Whole episodes, until `steps_per_epoch` are there: the same ones on all ranks."""
-        config = self.config
-        self._ahead = left = max(0.0, 1.0 - self.env_steps / self.total_timesteps)
+        config, remaining = self.config, self.progress_remaining
+        if config.anneal_lr:
+            self.actor_adam.scale_lr(remaining)
+            self.critic_adam.scale_lr(remaining)
         if config.exploration == "annealed":
             start = config.action_variance
-            self.spread.set(left * start + (1.0 - left) * (config.final_variance or start / 10))
+            last = config.final_variance or start / 10
+            self.gaussian.set_variance(remaining * start + (1.0 - remaining) * last)
         job = PlayEpisode[Array](self.policy(), (self.seed, 0, rollout.TRAIN, self.epochs))
         episodes = play_steps(self.workers, job, config.steps_per_epoch, self.comm)
         self._episodes = require_transitions(episodes)
         self.epochs += 1
-        seen = summary(episodes)
-        self.env_steps += int(seen.pop("steps"))
-        return seen
+        stats = summary(episodes)
+        self.env_steps += int(stats.pop("steps"))
+        return stats
 
     # -- learning ----------------------------------------------------------------------------
 
     def update(self) -> dict[str, float]:
-        """`n_passes` over the batch in shuffled minibatches; each rank computes its share of each."""
-        config = self.config
-        if config.anneal_lr:
-            self.actor_adam.share = self.critic_adam.share = self._ahead
-        batch = self._batch()
-        n, n_minibatches = len(batch.seen), config.minibatches(len(batch.seen))
+        """`n_passes` over the batch in shuffled minibatches; each rank computes its rows of each."""
+        config, batch = self.config, self._batch()
+        n, n_minibatches = len(batch.obs), config.minibatches(len(batch.obs))
         rng = np.random.default_rng([self.seed, 0, rollout.LEARN, self.epochs])  # the same on all ranks
         sums, n_updates = torch.zeros(4, device=self.device), 0
         for _ in range(config.n_passes):
             order = torch.from_numpy(rng.random(n).argsort()).to(self.device)
             minibatches = batch.minibatches(order, n_minibatches)
-            value_losses, others = self._both(
-                partial(each, self._improve_critic, minibatches),
-                partial(each, self._improve_actor, minibatches),
+            halves = self.side_by_side(
+                partial(_improved, self._improve_actor, minibatches),
+                partial(_improved, self._improve_critic, minibatches),
             )
-            stats = torch.cat([others, value_losses], dim=1)
+            stats = torch.cat(halves, dim=1)
             sums += stats.sum(dim=0)
             n_updates += n_minibatches
             if config.target_kl is not None and self._total(stats[-1])[1] > config.target_kl:
                 break
         means = self._total(sums / n_updates)
-        self._check(torch.from_numpy(means))
+        self._require_finite(torch.from_numpy(means), self.actor_adam, self.critic_adam)
+        obs_mean = torch.from_numpy(self.obs_stats.mean)
+        self._require_same(self.actor_adam.vector, self.critic_adam.vector, obs_mean)
         if config.normalise_obs:
             self.obs_stats.update(np.concatenate([np.stack(e.obs) for e in self._episodes]))
-            self.truth_stats.update(np.concatenate([np.stack(e.truth) for e in self._episodes]))
+            privileged = np.concatenate([np.stack(e.privileged) for e in self._episodes])
+            self.privileged_stats.update(privileged)
         policy_loss, kl, clipped, value_loss = means.tolist()
         learned = {"policy_loss": policy_loss, "value_loss": value_loss, "kl": kl}
-        std = float(self.spread.std().mean())
+        std = float(self.gaussian.std().mean())
         return {**learned, "clip_fraction": clipped, "action_std": std, "updates": n_updates}
 
     def _total(self, stats: Tensor) -> Array:
-        """The shares of all ranks together."""
+        """The sums over all ranks."""
         return self.comm.sum(stats.double().cpu().numpy())
+
+    def _improve_actor(self, minibatch: Transitions) -> Tensor:
+        """One step along the gradient of the whole minibatch; this rank's part of policy loss, KL
+        estimate and clipped fraction."""
+        n, own = len(minibatch.obs), minibatch.own_rows(self.comm)
+        log_prob = self.gaussian.log_prob(own.actions, self.actor(own.obs[:, : self._n_obs]))
+        found = surrogate(log_prob - own.log_prob, own.advantages, self.config.clip_range)
+        self._step(self.actor_adam, found.loss.sum() / n)
+        return torch.stack([found.loss.detach(), found.kl, found.is_clipped]).sum(dim=1) / n
+
+    def _improve_critic(self, minibatch: Transitions) -> Tensor:
+        """Likewise; this rank's part of the value loss."""
+        n, own = len(minibatch.obs), minibatch.own_rows(self.comm)
+        loss = (self.critic(own.obs).squeeze(-1) - own.returns).square().sum() / n
+        self._step(self.critic_adam, loss)
+        return loss.detach()[None]
+
+    def _step(self, adam: FlatAdam, loss: Tensor) -> None:
+        adam.gradient.zero_()
+        loss.backward()  # type: ignore[no-untyped-call]
+        adam.reduce(self.comm)
+        adam.clip(self.config.max_grad_norm)
+        adam.step()
 
     @torch.no_grad()
     def _batch(self) -> Transitions:
         """The epoch as tensors."""
         config, episodes = self.config, self._episodes
-        views = [obs for episode in episodes for obs in episode.obs]
-        seen = _inputs(config, self.obs_stats).stack(views)
-        told = _inputs(config, self.truth_stats).stack([t for e in episodes for t in e.truth])
-        all_seen = torch.cat([seen, told], dim=1).to(self.device)
-        all_values = self.critic(all_seen).squeeze(-1).double().cpu().numpy()
+        parts = (
+            (self.obs_stats, [obs for e in episodes for obs in e.obs]),
+            (self.privileged_stats, [values for e in episodes for values in e.privileged]),
+        )
+        all_obs = torch.cat([_inputs(config, stats).stack(views) for stats, views in parts], dim=1)
+        all_obs = all_obs.to(self.device)
+        all_values = self.critic(all_obs).squeeze(-1).double().cpu().numpy()
         is_last = np.concatenate([[False] * len(e) + [True] for e in episodes])
         by_episode = np.split(all_values, np.flatnonzero(is_last)[:-1] + 1)
         advantages = []
@@ -248,55 +367,19 @@ class PPO(state.Saved):
             advantages.append(gae(rewards, values[:-1], last, config.gamma, config.gae_lambda))
         advantage = np.concatenate(advantages)
         returns = finite(advantage + all_values[~is_last], "a return")
-        seen = all_seen[torch.from_numpy(~is_last).to(self.device)]
+        obs = all_obs[torch.from_numpy(~is_last).to(self.device)]
         taken = np.concatenate([np.stack(episode.actions) for episode in episodes])
         actions, normalised, target = (
             torch.from_numpy(values.astype(np.float32)).to(self.device)
             for values in (taken, normalise(advantage), returns)
         )
-        away = self.spread.away(actions, self.actor(seen[:, : self._n_obs]))
-        return Transitions(seen, actions, self.spread.log_prob(away), normalised, target)
+        log_prob = self.gaussian.log_prob(actions, self.actor(obs[:, : self._n_obs]))
+        return Transitions(obs, actions, log_prob, normalised, target)
 
     def _goes_on(self, episode: Episode[Array]) -> bool:
         """Would more have followed its last transition? What diverged did not end by itself."""
         is_bootstrapped = self.config.truncation == "bootstrap" and not episode.terminated
         return bool(episode.faults["diverged"]) or is_bootstrapped
-
-    @torch.no_grad()
-    def _improve_actor(self, minibatch: Transitions) -> Tensor:
-        """One step along the gradient of the whole minibatch; this rank's shares of policy loss, KL
-        estimate and clipped share."""
-        n, own = len(minibatch.seen), minibatch.share(self.comm.rank, self.comm.size)
-        acted = self.actor.run(own.seen[:, : self._n_obs])
-        away = self.spread.away(own.actions, acted[-1])
-        log_ratio = self.spread.log_prob(away) - own.log_prob
-        loss, slope, kl, is_clipped = surrogate(log_ratio, own.advantages, self.config.clip_range)
-        self.actor.backward(acted, self.spread.backward(away, slope, n))
-        self._step(self.actor_adam)
-        return torch.stack([loss, kl, is_clipped]).sum(dim=1) / n
-
-    @torch.no_grad()
-    def _improve_critic(self, minibatch: Transitions) -> Tensor:
-        """Likewise; this rank's share of the value loss."""
-        n, own = len(minibatch.seen), minibatch.share(self.comm.rank, self.comm.size)
-        judged = self.critic.run(own.seen)
-        error = judged[-1] - own.returns[:, None]
-        self.critic.backward(judged, error * (2 / n))
-        self._step(self.critic_adam)
-        return error.square().sum(dim=0) / n
-
-    def _step(self, adam: FlatAdam) -> None:
-        adam.reduce(self.comm)
-        adam.clip(self.config.max_grad_norm)
-        adam.step()
-
-    def _check(self, sums: Tensor) -> None:
-        """Stop with DivergenceError when something broke or the ranks have parted."""
-        require_finite([self.actor_adam, self.critic_adam], sums, self.env_steps)
-        mean = torch.from_numpy(self.obs_stats.mean)
-        shared = (self.actor_adam.vector, self.critic_adam.vector, mean)
-        if not all(same_on_all_ranks(self.comm, own) for own in shared):
-            raise DivergenceError("the ranks' parameters differ")
 
     # -- saving ------------------------------------------------------------------------------
 

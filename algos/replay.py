@@ -6,14 +6,22 @@ from collections.abc import Callable, Sequence
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
+import psutil
 import torch
 
-from . import Array, memory
-from .policy import GoalObs
+from . import Array
 from .rollout import Episode
 
 Reward = Callable[[Array, Array], Array]
 Values = TypeVar("Values")
+
+
+class GoalObs(NamedTuple):
+    """What a goal environment returns, flat float32 copies."""
+
+    observation: Array
+    achieved_goal: Array
+    desired_goal: Array
 
 
 class Batch(NamedTuple, Generic[Values]):
@@ -26,9 +34,9 @@ class Batch(NamedTuple, Generic[Values]):
     reward: Values
     """(n,)"""
     next_obs: Values
-    truth: Values
+    privileged: Values
     """What critics see besides, (n, size), of this step."""
-    next_truth: Values
+    next_privileged: Values
     terminal: Values
     """(n,) 1 where the episode was terminated by this transition, else 0."""
 
@@ -64,7 +72,7 @@ class Replay:
         reward: Reward,
         rng: np.random.Generator,
     ) -> None:
-        """`capacity` in transitions; `sizes` of observation, goal, action and truth.
+        """`capacity` in transitions; `sizes` of observation, goal, action and privileged.
 
         Raises ValueError when not a single episode has room.
         """
@@ -92,7 +100,7 @@ class Replay:
 
     def require_memory(self, n_buffers: int = 1) -> None:
         """ValueError when there is not as much memory as `n_buffers` like this one take."""
-        available = memory.available()
+        available = psutil.virtual_memory().available
         if self.nbytes * n_buffers > available:
             raise ValueError(
                 f"buffer_size: found {self.n_slots * self.max_steps:,} transitions, which take "
@@ -115,7 +123,7 @@ class Replay:
     def _shapes(self, n_boolean: int | None = None) -> dict[str, tuple[tuple[int, int], type]]:
         """Shape and type of every column; a row is one step of one slot."""
         n_boolean = self.n_boolean if n_boolean is None else n_boolean
-        n_obs, n_goal, n_action, n_truth = self.sizes
+        n_obs, n_goal, n_action, n_privileged = self.sizes
         rows = self.n_slots * self._rows
         return {
             "obs": ((rows, n_obs - n_boolean), np.float32),
@@ -123,7 +131,7 @@ class Replay:
             "achieved": ((rows, n_goal), np.float32),
             "desired": ((rows, n_goal), np.float32),
             "action": ((rows, n_action), np.float32),
-            "truth": ((rows, n_truth), np.float32),
+            "privileged": ((rows, n_privileged), np.float32),
             "terminal": ((rows, 1), np.uint8),
         }
 
@@ -159,7 +167,7 @@ class Replay:
             "achieved": achieved,
             "desired": desired,
             "action": action,
-            "truth": np.stack(episode.truth),
+            "privileged": np.stack(episode.privileged),
             "terminal": terminal,
         }
 
@@ -201,8 +209,8 @@ class Replay:
             action=self._columns["action"][row],
             reward=np.asarray(reward, np.float32),
             next_obs=self._observations(row + 1),
-            truth=self._columns["truth"][row],
-            next_truth=self._columns["truth"][row + 1],
+            privileged=self._columns["privileged"][row],
+            next_privileged=self._columns["privileged"][row + 1],
             terminal=self._columns["terminal"][row, 0].astype(np.float32),
         )
 

@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeVar
 
 import gymnasium as gym
 import numpy as np
 
-from . import Array, DivergenceError, IsWanted, UnfitError, Workers
+from . import Array, DivergenceError, UnfitError, Workers
 from .mpi import Communicator
-from .policy import LARGEST, Policy
-from .spaces import TRUTH
+from .policy import FLOAT32_MAX, Policy
+from .spaces import PRIVILEGED
 
 Obs = TypeVar("Obs")
 FAULTS = ("diverged", "warnings")  # what `info` may say of a step, and is counted
@@ -46,14 +46,15 @@ class Episode(Generic[Obs]):
     faults: dict[str, int] = field(default_factory=lambda: dict.fromkeys(FAULTS, 0))
     info: dict[str, Any] = field(default_factory=dict)
     """What the environment said with the last step."""
-    truth: list[Array] = field(default_factory=list)
+    privileged: list[Array] = field(default_factory=list)
     """What critics see besides, of every observation; each of no size where there is nothing."""
 
     def add(self, policy: Policy, obs: Any) -> None:
         """What is kept of the next observation; DivergenceError where it is not finite."""
         self.obs.append(finite(policy.read(obs), "an observation"))
-        truth = obs.get(TRUTH, ()) if isinstance(obs, dict) else ()
-        self.truth.append(finite(np.array(truth, np.float32).ravel(), "the truth"))
+        privileged = obs.get(PRIVILEGED, ()) if isinstance(obs, dict) else ()
+        values = np.array(privileged, np.float32).ravel()
+        self.privileged.append(finite(values, f"the observation {PRIVILEGED!r}"))
 
     def __len__(self) -> int:
         """Transitions."""
@@ -90,7 +91,9 @@ class PlayEpisode(Generic[Obs]):
     tally: Tally | None = None
     """Where to note steps as they are taken, and to see whether more are wanted."""
 
-    def __call__(self, env: gym.Env[Any, Any], number: int, is_wanted: IsWanted) -> Episode[Obs]:
+    def __call__(
+        self, env: gym.Env[Any, Any], number: int, is_wanted: Callable[[], bool]
+    ) -> Episode[Obs]:
         """The episode; cut short when it is not wanted any more. One that cannot begin, because the
         reset raises a FloatingPointError, has no step and counts as diverged.
 
@@ -232,8 +235,8 @@ def require_transitions(episodes: list[Episode[Any]]) -> list[Episode[Any]]:
 def finite(values: Any, what: str) -> Any:
     """`values`, an array or a tuple of arrays; DivergenceError unless all are finite in float32."""
     parts = values if isinstance(values, tuple) else (values,)
-    if not all((np.abs(part) <= LARGEST).all() for part in parts):
+    if not all((np.abs(part) <= FLOAT32_MAX).all() for part in parts):
         flat = np.concatenate([np.ravel(part) for part in parts])
-        which = f" (entry {np.argmin(np.abs(flat) <= LARGEST)})" if flat.size > 1 else ""
+        which = f" (entry {np.argmin(np.abs(flat) <= FLOAT32_MAX)})" if flat.size > 1 else ""
         raise DivergenceError(f"{what} of the environment is not finite in float32{which}")
     return values

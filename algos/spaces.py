@@ -12,8 +12,8 @@ import numpy as np
 Array = np.ndarray
 GOAL_KEYS = ("observation", "achieved_goal", "desired_goal")
 GOAL_DICT = "Dict with observation, achieved_goal and desired_goal"
-TRUTH = "truth"  # of a Dict: what a critic may see besides, and no policy
-LARGEST = 10**7  # entries of an observation or an action: more is a damaged file
+PRIVILEGED = "truth"  # key of a Dict: what a critic may see besides, and no policy
+MAX_ENTRIES = 10**7  # of an observation or an action: more is a damaged file
 
 
 class Spaces(NamedTuple):
@@ -31,23 +31,23 @@ class Spaces(NamedTuple):
         return {"": tuple(space.shape or ())}
 
     @property
-    def truth(self) -> gym.spaces.Box:
+    def privileged(self) -> gym.spaces.Box:
         """What critics see besides observation and goal; of no size where there is nothing."""
         nothing = gym.spaces.Box(0.0, 0.0, (0,))
         is_dict = isinstance(self.observation, gym.spaces.Dict)
-        found = self.observation.get(TRUTH, nothing) if is_dict else nothing  # type: ignore[attr-defined]
+        found = self.observation.get(PRIVILEGED, nothing) if is_dict else nothing  # type: ignore[attr-defined]
         if not isinstance(found, gym.spaces.Box):
-            raise ValueError(f"observation space: found {found} for {TRUTH!r}, allowed a Box")
+            raise ValueError(f"observation space: found {found} for {PRIVILEGED!r}, allowed a Box")
         return found
 
     def inputs(self, *more: str) -> list[str] | None:
-        """What the entries of a flat observation are, and behind them those of `more` (truth, action).
+        """Names of the entries of a flat observation, then of `more` (`PRIVILEGED`, "action").
 
-        A Box says so with its attribute `names`; entries of others go by their numbers. None where
-        none does.
+        A Box has them in its attribute `names`; entries of others go by their numbers. None where
+        none has any.
         """
         parts: dict[str, Any] = flat_parts(self.observation)
-        parts |= {key: {TRUTH: self.truth, "action": self.action}[key] for key in more}
+        parts |= {key: {PRIVILEGED: self.privileged, "action": self.action}[key] for key in more}
         if not any(hasattr(box, "names") for box in parts.values()):
             return None
         return [
@@ -86,19 +86,9 @@ class Spaces(NamedTuple):
 
 
 def _box(low: Any, high: Any, shape: Any, dtype: Any) -> gym.spaces.Box:
-    if not all(isinstance(n, int) and n >= 0 for n in shape) or math.prod(shape) > LARGEST:
+    if not all(isinstance(n, int) and n >= 0 for n in shape) or math.prod(shape) > MAX_ENTRIES:
         raise ValueError(f"spaces: found the shape {str(shape)[:50]}")
     return gym.spaces.Box(low, high, tuple(shape), dtype)
-
-
-def flat_observation(obs: Any) -> Array:
-    """What a policy sees, float32 (n,): a goal environment's observation and desired goal.
-
-    Always a copy: an environment may reuse its buffer.
-    """
-    if isinstance(obs, dict):
-        obs = np.concatenate([np.ravel(obs["observation"]), np.ravel(obs["desired_goal"])])
-    return np.array(obs, np.float32).ravel()
 
 
 def action_bounds(space: gym.Space[Any]) -> tuple[Array, Array]:
@@ -114,7 +104,7 @@ def action_size(space: gym.Space[Any]) -> int:
 
 
 def flat_parts(space: gym.Space[Any]) -> dict[str, gym.spaces.Box]:
-    """What `flat_observation` is made of, by name; ValueError for spaces no algorithm here can read."""
+    """What a flat observation is made of, by name; ValueError for spaces no algorithm here can read."""
     parts: dict[str, Any] = {"observation": space}
     if isinstance(space, gym.spaces.Dict) and {"observation", "desired_goal"} <= set(space.spaces):
         parts = {key: space[key] for key in ("observation", "desired_goal")}
@@ -125,7 +115,7 @@ def flat_parts(space: gym.Space[Any]) -> dict[str, gym.spaces.Box]:
 
 
 def flat_size(space: gym.Space[Any]) -> int:
-    """Length of `flat_observation`; ValueError as of `flat_parts`."""
+    """Length of a flat observation; ValueError as of `flat_parts`."""
     return sum(math.prod(part.shape) for part in flat_parts(space).values())
 
 
@@ -138,13 +128,8 @@ def goal_size(space: gym.Space[Any]) -> int:
     raise ValueError(f"observation space: found {space}, allowed a goal environment's: {GOAL_DICT}")
 
 
-def has_single_goal(space: Any) -> bool:
-    """Does a goal environment's space of desired goals hold one goal only?"""
-    return np.array_equal(space["desired_goal"].low, space["desired_goal"].high)
-
-
 def may_be_boolean(space: gym.Space[Any]) -> Array:
-    """Which entries (n,) of `flat_observation` lie between 0 and 1, and so may be Boolean?"""
+    """Which entries (n,) of a flat observation lie between 0 and 1, and so may be Boolean?"""
     parts = flat_parts(space).values()
     return np.concatenate([np.ravel((part.low == 0.0) & (part.high == 1.0)) for part in parts])
 

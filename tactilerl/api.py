@@ -27,7 +27,7 @@ from . import envs
 from .algos import mpi, recipes
 from .algos.mpi import Communicator
 from .algos.networks import Precision
-from .algos.policy import Elsewhere, Policy
+from .algos.policy import Policy
 from .algos.spaces import Spaces
 from .envs import typed, vector
 from .envs.choices import require_known
@@ -49,8 +49,6 @@ class Learner:
     """What `PPO` and `DDPGHER` have in common."""
 
     algo: ClassVar[str]
-    predict = Elsewhere("act(obs) returns the actions")
-    load = Elsewhere("load_policy(path) reads what save wrote, train(resume=...) continues a run")
 
     def __init__(
         self,

@@ -133,7 +133,7 @@ def test_no_file_is_called_utils():
 
 @pytest.mark.parametrize("name", ["ppo.py", "ddpg_her.py"])
 def test_an_algorithm_is_readable_in_one_sitting(name):
-    assert len((ROOT / "algos" / name).read_text().splitlines()) <= 350
+    assert len((ROOT / "algos" / name).read_text().splitlines()) <= 400
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ HAND = Path(__file__).parent / "hands"
 
 @pytest.fixture(autouse=True)
 def _registered(monkeypatch, in_tmp):
-    brave = algos.Registration("BraveConfig", "Brave", 500, "reach-goal", module="tests.outside")
+    brave = algos.LearnerSpec("BraveConfig", "Brave", 500, "reach-goal", module="tests.outside")
     monkeypatch.setitem(simulators.SIMULATORS, "saturn", "tests.outside:Saturn")
     monkeypatch.setitem(tasks.TASKS, "nudge", outside.Nudge)
     monkeypatch.setitem(algos.ALGORITHMS, "brave", brave)

@@ -36,7 +36,7 @@ def peak() -> int:
 
 def synthetic(replay: Replay, rng: np.random.Generator) -> Episode[GoalObs]:
     """An episode of full length, random numbers and bits."""
-    n_obs, n_goal, n_action, n_truth = replay.sizes
+    n_obs, n_goal, n_action, n_privileged = replay.sizes
     rows = replay.max_steps + 1
     obs = rng.standard_normal((rows, n_obs), np.float32)
     if replay.n_boolean:
@@ -45,7 +45,9 @@ def synthetic(replay: Replay, rng: np.random.Generator) -> Episode[GoalObs]:
     actions = rng.standard_normal((rows - 1, n_action), np.float32)
     desired = np.zeros(n_goal, np.float32)
     seen = [GoalObs(o, a, desired) for o, a in zip(obs, achieved, strict=True)]
-    return Episode(seen, list(actions), [-1.0] * len(actions), truth=[np.zeros(n_truth)] * len(seen))
+    return Episode(
+        seen, list(actions), [-1.0] * len(actions), privileged=[np.zeros(n_privileged)] * len(seen)
+    )
 
 
 def measure() -> None:

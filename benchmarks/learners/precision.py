@@ -45,7 +45,7 @@ def ppo(seed: int) -> Updates:
     batch, rng = learner._batch(), np.random.default_rng(seed)
     minibatches: list[tuple[torch.Tensor, ...]] = []
     while len(minibatches) < UPDATES:
-        minibatches += batch.minibatches(torch.from_numpy(rng.permutation(len(batch.seen))), 6)
+        minibatches += batch.minibatches(torch.from_numpy(rng.permutation(len(batch.obs))), 6)
     return learner, minibatches[:UPDATES]
 
 

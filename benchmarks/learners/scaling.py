@@ -94,7 +94,7 @@ def updates() -> dict[str, Any]:
         ppo = fed(PPO, PPOConfig(n_passes=8, steps_per_epoch=1000), 94, 7)
         ddpg_her = fed(DDPGHER, DDPGHERConfig(n_rollouts=50), 197, 23)
         for contenders, learner in zip(contests.values(), (ppo, ddpg_her), strict=True):
-            learner._both = SideBySide(at_once)
+            learner.side_by_side = SideBySide(at_once)
             contenders.append(partial(n_updates, learner))
     return on_two_cores(contests)
 

@@ -12,10 +12,9 @@ import pytest
 import torch
 
 from tactilerl.algos import DivergenceError, recipes
-from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig, largest_return, targets
+from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig, explore, largest_return, targets
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.networks import FlatAdam
-from tactilerl.algos.policy import explore
 from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.envs import typed, vector
 
@@ -69,13 +68,13 @@ class GoalEnv(gym.Env):
 class Unsteady(GoalEnv):
     """Some of its episodes cannot begin, by their seeds."""
 
-    def __init__(self, share):
+    def __init__(self, failing):
         super().__init__()
-        self.share, self.failed = share, 0
+        self.failing, self.failed = failing, 0
 
     def reset(self, *, seed=None, options=None):
         obs, info = super().reset(seed=seed)
-        if self.np_random.random() < self.share:
+        if self.np_random.random() < self.failing:
             self.failed += 1
             raise FloatingPointError("it exploded")
         return obs, info
@@ -203,7 +202,7 @@ class TestUnitOfRewards:
         inputs, before = torch.ones(5, 9), learner.reward_scale
         critics = learner.critic, learner.target_critic
         said = [before * critic(inputs) for critic in critics]
-        learner._see_rewards(np.float32([100.0]))
+        learner._update_reward_scale(np.float32([100.0]))
         assert learner.reward_scale > 2 * before
         for critic, values in zip(critics, said, strict=True):
             torch.testing.assert_close(learner.reward_scale * critic(inputs), values)
@@ -211,7 +210,7 @@ class TestUnitOfRewards:
     def test_the_largest_return_of_any_rank_counts(self):
         learner = make(normalise_rewards=True)
         learner.comm.all_gather = lambda found: [found, (0.0, 0.0, 50.0)]
-        learner._see_rewards(np.zeros(1, np.float32))
+        learner._update_reward_scale(np.zeros(1, np.float32))
         of_ones = sum(0.8**t for t in range(5))
         assert learner.reward_scale == pytest.approx(50 / of_ones)
 
@@ -228,7 +227,7 @@ class TestRecipes:
     def test_steady_learns(self):
         config = dataclasses.asdict(recipes.recipe("ddpg_her", "steady")) | SMALL
         learner = trained(2, make(**config))
-        assert learner.adam.share < 1.0
+        assert learner.adam.lr_factor < 1.0
         assert learner.policy().noise.keywords["random_eps"] < DDPGHERConfig().random_eps
         assert learner.config.polyak < DDPGHERConfig().polyak
 
@@ -240,13 +239,13 @@ class TestStepSizes:
         for _ in range(12):
             before = learner.adam.vector.detach().clone()
             trained(1, learner)
-            shares.append(learner.adam.share)
+            shares.append(learner.adam.lr_factor)
         np.testing.assert_allclose(shares, np.clip(1 - np.arange(12) / 10, 0, 1))  # 2 episodes of 5
         assert torch.equal(learner.adam.vector, before)
 
     def test_are_the_same_throughout_in_the_paper(self):
         assert not make().config.anneals
-        assert trained(3).adam.share == 1.0
+        assert trained(3).adam.lr_factor == 1.0
 
 
 class TestFallsOverTheRun:
@@ -268,7 +267,7 @@ class TestFallsOverTheRun:
         assert learner.config.anneals == anneals
         for cycles, share in ((1, 1.0), (4, 0.6), (5, 0.1), (1, 0.0)):
             inputs = torch.ones(8, trained(cycles, learner).actor.linears[0].in_features)
-            assert learner.adam.share == pytest.approx(share if anneals else 1.0)
+            assert learner.adam.lr_factor == pytest.approx(share if anneals else 1.0)
             loss, value = learner._actor_gradient(inputs)
             with torch.no_grad():
                 penalty = learner.actor(inputs).square().mean()
@@ -280,7 +279,7 @@ class TestExploration:
     def test_rows_are_random_or_noisy(self):
         rng = np.random.default_rng(0)
         base = np.full((20_000, 4), 0.1, np.float32)
-        got = explore(base, None, rng, 0.2, 0.3)
+        got = explore(base, rng, 0.2, 0.3)
         assert np.abs(got).max() <= 1.0
         # 30 % uniform with standard deviation 1/sqrt(3), 70 % Gaussian with .2
         assert got.mean() == pytest.approx(0.7 * 0.1, abs=0.01)
@@ -292,7 +291,7 @@ class TestExploration:
 
     def test_none(self):
         base = np.random.default_rng(0).uniform(-1, 1, (5, 2)).astype(np.float32)
-        np.testing.assert_array_equal(explore(base, None, np.random.default_rng(0), 0.0, 0.0), base)
+        np.testing.assert_array_equal(explore(base, np.random.default_rng(0), 0.0, 0.0), base)
 
     def test_actions_reach_the_environment_in_its_own_range(self):
         learner = make(random_eps=1.0)
@@ -480,11 +479,11 @@ class TestTruth:
     def test_what_it_says_depends_on_it_cut_and_normalised(self):
         learner = trained(learner=make(Told(GoalEnv()), clip_obs=50.0))
         batch = learner.replay.sample(64, 0.8)
-        assert np.abs(batch.truth).max() > 50
-        assert np.abs(batch.next_truth).max() > 50
+        assert np.abs(batch.privileged).max() > 50
+        assert np.abs(batch.next_privileged).max() > 50
         inputs, actions, _target = learner._prepared(type(batch)(*map(torch.from_numpy, batch)))
         assert 0.5 < inputs[:, -5:].std() < 2
-        assert np.abs(learner.truth_stats.mean).max() < 50
+        assert np.abs(learner.privileged_stats.mean).max() < 50
         other = inputs.clone()
         other[:, -5:] = 0
         critic = learner.critic
@@ -499,7 +498,7 @@ class TestTruth:
         again.replay.add_experience(half.replay.new_experience(everything=True))
         trained(2, again)
         assert torch.equal(once.adam.vector, again.adam.vector)
-        assert np.array_equal(once.truth_stats.mean, again.truth_stats.mean)
+        assert np.array_equal(once.privileged_stats.mean, again.privileged_stats.mean)
 
     def test_a_truth_of_another_kind_is_refused(self):
         with pytest.raises(ValueError, match=r"found Discrete\(3\) for 'truth', allowed a Box"):

@@ -1,4 +1,4 @@
-"""Networks' own backward pass against autograd, the optimiser, and products in bfloat16."""
+"""Networks, the optimiser on one vector, and products in bfloat16."""
 
 import copy
 import dataclasses
@@ -23,27 +23,6 @@ def random(*shape, seed=0):
     return torch.randn(*shape, generator=torch.Generator().manual_seed(seed))
 
 
-@pytest.mark.parametrize("tanh", [False, True])
-def test_run_and_backward_are_those_of_autograd(tanh):
-    network = MLP((5, 32, 16, 3), torch.Generator().manual_seed(0), tanh)
-    adam = FlatAdam((network, 1e-3))
-    inputs, weights = random(20, 5), random(20, 3, seed=1)
-    outputs = network(inputs)
-    expected = torch.autograd.grad((outputs * weights).sum(), list(network.parameters()))
-    values = network.run(inputs)
-    torch.testing.assert_close(values[-1], outputs)
-    network.backward(values, weights)
-    torch.testing.assert_close(adam.gradient, torch.cat([g.reshape(-1) for g in expected]))
-
-
-def test_the_first_delta_leads_to_the_inputs():
-    network = MLP((5, 16, 1), torch.Generator().manual_seed(0))
-    inputs = random(20, 5).requires_grad_()
-    (expected,) = torch.autograd.grad(network(inputs).sum(), inputs)
-    deltas = network.deltas(network.run(inputs.detach()), torch.ones(20, 1))
-    torch.testing.assert_close(deltas[0] @ network[0].weight, expected)
-
-
 def test_adam_is_that_of_torch():
     network, twin = (MLP((5, 16, 3), torch.Generator().manual_seed(0)) for _ in range(2))
     adam, reference = FlatAdam((network, 1e-2)), torch.optim.Adam(twin.parameters(), 1e-2)
@@ -55,19 +34,6 @@ def test_adam_is_that_of_torch():
         reference.step()
     for parameter, same in zip(network.parameters(), twin.parameters(), strict=True):
         torch.testing.assert_close(parameter, same)
-
-
-def test_without_the_kernel_steps_are_the_same(monkeypatch):
-    """PyTorch's public function finds it where this library no longer does."""
-    found = []
-    for kernel in (networks.FUSED_ADAM, None):
-        monkeypatch.setattr(networks, "FUSED_ADAM", kernel)
-        adam = FlatAdam((MLP((5, 16, 3), torch.Generator().manual_seed(0)), 1e-2))
-        for seed in range(3):
-            adam.gradient.copy_(random(*adam.gradient.shape, seed=seed))
-            adam.step()
-        found.append((adam.vector, *adam.state_dict().values()))
-    assert all(map(torch.equal, *found))
 
 
 def test_a_pytorch_that_does_not_tell_has_no_bfloat16(monkeypatch):

@@ -16,8 +16,7 @@ from states import flat
 from tactilerl.algos import DivergenceError, UnfitError, recipes
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.policy import Policy
-from tactilerl.algos.policy_gradient import Spread, gae, normalise, surrogate
-from tactilerl.algos.ppo import PPO, PPOConfig
+from tactilerl.algos.ppo import PPO, Gaussian, PPOConfig, gae, normalise, surrogate
 from tactilerl.algos.rollout import TRAIN, PlayEpisode, play_steps
 from tactilerl.algos.spaces import Spaces
 from tactilerl.envs import typed, vector
@@ -85,23 +84,16 @@ class TestGAE:
 class TestDensityAndLoss:
     def test_log_prob_of_a_standard_case(self):
         # variance 1/4, distances (1/2, 1): -(1/4 + 1) / (2/4) - 2/2 * log(2 pi / 4)
-        got = Spread(2, 0.25).log_prob(torch.tensor([[0.5, 1.0]]))
+        got = Gaussian(2, 0.25).log_prob(torch.tensor([[0.5, 1.0]]), torch.zeros(1, 2))
         assert got.item() == pytest.approx(-2.5 - math.log(math.pi / 2), rel=1e-6)
 
-    def test_density_and_its_gradients_agree_with_torch(self):
+    def test_density_agrees_with_torch(self):
         draw = partial(torch.randn, generator=torch.Generator().manual_seed(0))
         x, mean = draw(2, 10, 23)
-        slope, spread = draw(10), Spread(23, 0.05)
-        spread.log.data.copy_(0.3 * draw(23))
-        mean.requires_grad_()
-        normal = torch.distributions.Normal(mean, math.sqrt(0.05) * spread.log.exp())
-        reference = normal.log_prob(x).sum(-1)
-        away = spread.away(x, mean).detach()
-        torch.testing.assert_close(spread.log_prob(away), reference)
-        (slope * reference).sum().backward()
-        by_log = spread.log.grad.clone()
-        torch.testing.assert_close(spread.backward(away, slope, 1), mean.grad)
-        torch.testing.assert_close(spread.log.grad, by_log, rtol=1e-4, atol=1e-4)
+        gaussian = Gaussian(23, 0.05)
+        gaussian.log_std.data.copy_(0.3 * draw(23))
+        normal = torch.distributions.Normal(mean, math.sqrt(0.05) * gaussian.log_std.exp())
+        torch.testing.assert_close(gaussian.log_prob(x, mean), normal.log_prob(x).sum(-1))
 
     def test_clipped_loss_case_by_case(self):
         # ratios 1.5, 1.5, 0.5, 0.5 and advantages 1, -1, 1, -1 at clip 0.2:
@@ -112,23 +104,20 @@ class TestDensityAndLoss:
         assert got.is_clipped.tolist() == [True] * 4
 
     def test_gradient_is_zero_where_the_clip_binds(self):
-        log_ratio = torch.tensor([0.5, -0.5, 0.5, -0.5])
-        slope = surrogate(log_ratio, torch.tensor([1.0, -1.0, -1.0, 1.0]), 0.2).slope
-        assert (slope != 0).tolist() == [False, False, True, True]
-
-    def test_slope_is_the_gradient_of_the_loss(self):
-        log_ratio, advantages = torch.randn(2, 1000, generator=torch.Generator().manual_seed(0))
-        log_ratio.requires_grad_()
-        got = surrogate(log_ratio, advantages, 0.2)
-        got.loss.sum().backward()
-        assert torch.equal(got.slope, log_ratio.grad)
+        log_ratio = torch.tensor([0.5, -0.5, 0.5, -0.5, 0.1], requires_grad=True)
+        advantages = torch.tensor([1.0, -1.0, -1.0, 1.0, 2.0])
+        surrogate(log_ratio, advantages, 0.2).loss.sum().backward()
+        slopes = -advantages * log_ratio.detach().exp()
+        torch.testing.assert_close(log_ratio.grad, torch.tensor([0.0, 0.0, *slopes[2:]]))
 
     @pytest.mark.parametrize("gap", [1e3, -1e3])
     @pytest.mark.parametrize("advantage", [1.0, -1.0])
     def test_overflowing_ratio_stays_finite(self, gap, advantage):
-        loss, slope, kl, _ = surrogate(torch.tensor([gap]), torch.tensor([advantage]), 0.2)
+        log_ratio = torch.tensor([gap], requires_grad=True)
+        loss, kl, _ = surrogate(log_ratio, torch.tensor([advantage]), 0.2)
+        loss.backward()
         assert torch.isfinite(loss)
-        assert slope == 0.0
+        assert log_ratio.grad == 0.0
         assert torch.isfinite(kl)
 
 
@@ -262,8 +251,8 @@ class TestLearning:
         for policy in (resumed.policy(), saved):
             assert (policy.act(obs, False, noise(0)) == whole.policy().act(obs, False, noise(0))).all()
 
-    def test_a_learned_spread_follows_its_gradient_and_a_fixed_one_stays(self):
-        def spread(**choices):
+    def test_a_learned_std_follows_its_gradient_and_a_fixed_one_stays(self):
+        def log_std(**choices):
             ppo = make_ppo(scripted(), n_passes=1, n_minibatches=1, **choices)
             ppo.collect()
             obs, actions, old, advantages, _ = ppo._batch()
@@ -272,12 +261,12 @@ class TestLearning:
             density = torch.distributions.Normal(ppo.actor(obs).detach(), std).log_prob(actions)
             (-(density.sum(-1) - old).exp() * advantages).mean().backward()
             ppo.update()
-            return ppo.spread.log.detach(), log.grad
+            return ppo.gaussian.log_std.detach(), log.grad
 
-        learned, gradient = spread(exploration="learned")
+        learned, gradient = log_std(exploration="learned")
         assert torch.equal(learned.sign(), -gradient.sign())  # Adam's first step is its step size
         torch.testing.assert_close(learned.abs(), torch.full_like(learned, 3e-4))
-        assert not spread()[0].any()
+        assert not log_std()[0].any()
 
     def test_annealed_variance_falls_to_its_end(self):
         ppo = make_ppo(scripted(), exploration="annealed", action_variance=0.04, final_variance=0.01)
@@ -285,7 +274,7 @@ class TestLearning:
         for env_steps in (0, 500, 1000, 2000):
             ppo.env_steps = env_steps
             ppo.collect()
-            found.append(0.04 * float(ppo.spread.log.detach().exp()[0]) ** 2)
+            found.append(0.04 * float(ppo.gaussian.log_std.detach().exp()[0]) ** 2)
         assert found == pytest.approx([0.04, 0.025, 0.01, 0.01])
 
     def test_orthogonal_weights_start_a_policy_that_is_the_same_everywhere(self):
@@ -329,19 +318,19 @@ class TestLearning:
         assert np.array_equal(again.act(rare), ppo.policy().act(rare))
 
     def test_what_acts_is_what_learns(self):
-        """Old log-probabilities are those of the noise that was drawn, in units of the spread."""
+        """Old log-probabilities are those of the noise that was drawn."""
         ppo = make_ppo(scripted(), **STEADY)
         for _ in range(2):
             ppo.collect()
             ppo.update()
         ppo.collect()
         obs, actions, old, *_ = ppo._batch()
-        std = torch.from_numpy(ppo.spread.std())
+        std = torch.from_numpy(ppo.gaussian.std())
         noise = ((actions - ppo.actor(obs)) / std)[: len(ppo._episodes[0])].detach()
         episode = ppo._episodes[0]
         means = [ppo.policy().choose(view) for view in episode.obs[:-1]]
-        away = (np.stack(episode.actions) - np.stack(means)) / ppo.spread.std()
-        np.testing.assert_allclose(noise, away, atol=1e-5)
+        residual = (np.stack(episode.actions) - np.stack(means)) / ppo.gaussian.std()
+        np.testing.assert_allclose(noise, residual, atol=1e-5)
         log_prob = torch.distributions.Normal(0.0, 1.0).log_prob(noise) - std.log()
         torch.testing.assert_close(log_prob.sum(-1), old[: len(noise)], atol=1e-4, rtol=1e-4)
 
@@ -359,9 +348,9 @@ class TestLearning:
             ppo.collect()
             before = ppo.actor_adam.vector.clone()
             ppo.update()
-            found.append((ppo.actor_adam.share, bool((ppo.actor_adam.vector != before).any())))
-        shares, moved = zip(*found, strict=True)
-        assert shares == pytest.approx([1.0, 0.4, 0.001, 0.0])
+            found.append((ppo.actor_adam.lr_factor, bool((ppo.actor_adam.vector != before).any())))
+        factors, moved = zip(*found, strict=True)
+        assert factors == pytest.approx([1.0, 0.4, 0.001, 0.0])
         assert moved == (True, True, True, False)
 
     def test_a_critic_may_see_what_the_policy_does_not(self):
@@ -397,8 +386,8 @@ class TestLearning:
         assert np.array_equal(blind.act(seen), ppo.policy().act(seen))
 
     @pytest.mark.parametrize("exploration", ["fixed", "learned"])
-    def test_a_rank_takes_its_share_of_every_minibatch(self, exploration):
-        """The gradients of all shares add up to that of the whole."""
+    def test_a_rank_takes_its_rows_of_every_minibatch(self, exploration):
+        """The gradients of all rows add up to that of the whole."""
         choices = dict(n_passes=1, n_minibatches=1, max_grad_norm=1e9, exploration=exploration)
         whole = make_ppo(scripted(), **choices)
         whole.collect()

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tactilerl.algos.policy import GoalInputs, GoalObs
-from tactilerl.algos.replay import Replay, future_goal_steps
+from tactilerl.algos.ddpg_her import GoalInputs
+from tactilerl.algos.replay import GoalObs, Replay, future_goal_steps
 from tactilerl.algos.rollout import Episode
 
 MAX_STEPS = 8
@@ -27,7 +27,7 @@ def episode(number, length=MAX_STEPS, terminated=False):
         actions,
         [0.0] * length,
         terminated,
-        truth=[np.array([number * 100.0 + t]) for t in range(length + 1)],
+        privileged=[np.array([number * 100.0 + t]) for t in range(length + 1)],
     )
 
 
@@ -101,8 +101,8 @@ class TestRelabelling:
     def test_what_critics_see_is_that_of_both_steps_whatever_the_goal(self):
         batch = filled([1, 2]).sample(1000, 0.8)
         step = batch.obs[:, 0] * 100 + batch.obs[:, 1]
-        np.testing.assert_array_equal(batch.truth[:, 0], step)
-        np.testing.assert_array_equal(batch.next_truth[:, 0], step + 1)
+        np.testing.assert_array_equal(batch.privileged[:, 0], step)
+        np.testing.assert_array_equal(batch.next_privileged[:, 0], step + 1)
 
     def test_pure_in_its_generator(self):
         t, lengths = np.array([0, 3, 7]), np.array([8, 8, 8])

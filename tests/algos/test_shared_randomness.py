@@ -164,9 +164,9 @@ def test_layouts_of_other_sizes_share_what_does_not_depend_on_taxels():
 def test_names_of_what_critics_are_told():
     env = envs.make("shadow", layout="5", run_type="main", critic_sees="truth")
     spaces = Spaces(env.observation_space, env.action_space)
-    names = spaces.inputs("truth", "action")
+    names = spaces.inputs("privileged", "action")
     env.close()
     assert len(set(names)) == len(names)
-    assert len(names) == len(spaces.inputs()) + spaces.truth.shape[0] + env.action_space.shape[0]
+    assert len(names) == len(spaces.inputs()) + spaces.privileged.shape[0] + env.action_space.shape[0]
     assert any(name.startswith("truth position of") for name in names)
     assert Spaces(gym.spaces.Box(-1, 1, (3,)), env.action_space).inputs() is None

@@ -11,7 +11,7 @@ from tactilerl import envs
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
-from tactilerl.algos.side_by_side import SideBySide, may_share
+from tactilerl.algos.side_by_side import SideBySide
 from tactilerl.envs import vector
 from tactilerl.runs import training
 from tactilerl.runs.config import defaults
@@ -45,27 +45,21 @@ def test_a_thread_computes_with_as_many_threads_as_the_caller():
     torch.set_num_threads(before)
 
 
-def test_only_where_there_are_cores_for_it():
-    ranks = Communicator()
-    ranks.size = 2
-    cpu = torch.device("cpu")
-    assert may_share(2, Communicator(), cpu)
-    assert not may_share(1, Communicator(), cpu)
-    assert not may_share(2, ranks, cpu)
-    assert not may_share(2, Communicator(), torch.device("meta"))
-
-
 @pytest.mark.parametrize("algo", ["ppo", "ddpg_her"])
 @pytest.mark.parametrize(("asked", "free", "two"), [(None, 2, True), (None, 1, False), (1, 2, False)])
+@pytest.mark.parametrize("ranks", [1, 2])
 def test_a_toy_is_played_on_one_core_and_learned_from_on_those_that_are_allowed(
-    monkeypatch, algo, asked, free, two
+    monkeypatch, algo, asked, free, two, ranks
 ):
+    """But on one in each of several processes."""
     monkeypatch.setattr(training, "free_cores", lambda comm=None: free)
     config = defaults(algo, "point-reach").choose({"workers": asked, "hidden": (8,)})
-    learner, workers = training.make_algorithm(config, Communicator())
+    comm = Communicator()
+    comm.size = ranks
+    learner, workers = training.make_algorithm(config, comm)
     with closing(workers):
         assert len(workers) == 1
-        assert (learner._both._other is not None) == two
+        assert (learner.side_by_side._other is not None) == (two and ranks == 1)
 
 
 PPO_SMALL = PPOConfig(hidden=(32, 32), steps_per_epoch=100, n_passes=4, target_kl=0.05)
@@ -79,7 +73,7 @@ def test_the_same_bits(learner, config, env):
     found = []
     for together in (False, True):
         one = learner(config, vector.start(lambda: envs.make(env)), Communicator(), 0, 1000)
-        one._both = SideBySide(together)
+        one.side_by_side = SideBySide(together)
         learned = []
         for _ in range(3):
             one.collect()

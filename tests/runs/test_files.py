@@ -21,7 +21,6 @@ import pytest
 import torch
 from one_line import fails_with
 
-from tactilerl.algos import memory
 from tactilerl.commands.cli import main
 from tactilerl.errors import BUSY, InputError
 from tactilerl.runs import files, provenance, sealed
@@ -533,20 +532,3 @@ class TestLimits:
         monkeypatch.setattr(os, "sched_getaffinity", lambda process: range(8))
         self.tree(tmp_path, group, files)
         assert free_cores(root=tmp_path) == cores
-
-    def test_version_2(self, tmp_path):
-        files = {"a/b/memory.max": "max", "a/b/memory.current": "5", "a/b/memory.stat": "anon 5"}
-        files |= {"a/memory.max": "1000", "a/memory.current": "700"}
-        files |= {"a/memory.stat": "anon 400\ninactive_file 300\n"}
-        self.tree(tmp_path, "0::/a/b\n", files)
-        assert memory.available(tmp_path) == 600
-
-    def test_version_1_in_a_container(self, tmp_path):
-        """The group has a name outside of the container, and is the top inside of it."""
-        files = {"memory/memory.limit_in_bytes": "1000", "memory/memory.usage_in_bytes": "900"}
-        files |= {"memory/memory.stat": "inactive_file 1\ntotal_inactive_file 50\n"}
-        self.tree(tmp_path, "5:cpu:/docker/x\n4:memory:/docker/x\n", files)
-        assert memory.available(tmp_path) == 150
-
-    def test_no_groups(self, tmp_path):
-        assert memory.available(tmp_path) > 10**6
