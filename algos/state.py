@@ -1,8 +1,8 @@
 """What a learner's checkpoint holds: the states of its parts and its counters. Random numbers follow
 from the seed and the counters.
 
-Files of states have checksums, so what is in them was written by a learner, and may only be another's or
-of another version.
+Files of states have checksums, so what is in them was written by a learner, and may only be another's
+or of another version.
 """
 
 from __future__ import annotations

@@ -107,7 +107,7 @@ class Learner:
         callback: Callback | None = None,
         **unknown: Any,
     ) -> Learner:
-        """Learn for `total_timesteps` environment steps, and to the end of the epoch that reaches
+        """Learn for `total_timesteps` environment steps, and to the end of the cycle that reaches
         them. Call it again to go on, for `total_timesteps` more; what is annealed ends with this call.
         Returns the learner.
 

@@ -1,17 +1,22 @@
 """Does a run of a collected study come out again, bit for bit? Trains it and compares every epoch.
 
-    python -m benchmarks reproduce docs/data/handover.tar.gz handover_layout-2_run_type-main_s0
+    python -m benchmarks reproduce --by-hand docs/data/handover.tar.gz \\
+        handover_layout-2_run_type-main_s0
 
-The same bits need the same machine and versions, so both versions are printed. Exit code 1 where an
+The same bits need the same machine and versions, so both versions are printed. Learners before 0.4.0
+had gradients by hand, which round differently: for their runs give --by-hand. Exit code 1 where an
 epoch differs.
 """
 
 from __future__ import annotations
 
 import argparse
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
+from benchmarks.command import ROOT
 from tactilerl.envs.choices import nearest
 from tactilerl.errors import InputError
 from tactilerl.runs.progress_csv import TIMES
@@ -38,6 +43,7 @@ def main() -> int:
     flags = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     flags.add_argument("study", type=Path, help="a collected file, or a study's folder")
     flags.add_argument("run", help="name of a run in it, such as handover_layout-2_run_type-main_s0")
+    flags.add_argument("--by-hand", action="store_true", help="with the gradients before 0.4.0")
     options = flags.parse_args()
     found = {one.run.name: one for one in records.load(options.study)[1] if one.state == "done"}
     if options.run not in found:
@@ -49,9 +55,12 @@ def main() -> int:
         files = records.StudyFiles(Path(folder))
         (files.path / records.RUNS).mkdir()
         job = runner.Job(files.path, before.run, config.get("ranks", 1))
-        if (ending := runner.run_job(job)) != "done":
-            log = files.beside(before.run, "log").read_text(encoding="utf-8")
-            flags.exit(1, f"{ending}\n{log}")
+        program = "benchmarks.learners.by_hand" if options.by_hand else "tactilerl"
+        done = subprocess.run(
+            job.command(sys.executable, "-m", program), cwd=ROOT, stdout=subprocess.DEVNULL
+        )
+        if done.returncode:  # it has said why
+            return done.returncode
         after = files.record(before.run)
     now = after.config or {}
     for when, record in (("before", config), ("now", now)):

@@ -167,10 +167,13 @@ def epochs(learner: algos.Algorithm, matmul: Precision, epoch: int = 0) -> Itera
 
 
 def _epoch(learner: algos.Algorithm, matmul: Precision) -> dict[str, Any]:
-    """One epoch: as many cycles as the algorithm's epochs have, then its test."""
-    before, seen, learned, times = learner.env_steps, [], [], [time.perf_counter()]
-    for _ in range(learner.cycles_per_epoch):
-        seen.append(learner.collect())
+    """One epoch: as many cycles as the algorithm's epochs have, but none beyond the run's length, for
+    what falls over a run is zero there; then its test."""
+    before, collected, learned, times = learner.env_steps, [], [], [time.perf_counter()]
+    while len(collected) < learner.cycles_per_epoch and (
+        learner.env_steps < learner.total_timesteps or not collected
+    ):
+        collected.append(learner.collect())
         times.append(time.perf_counter())
         with matrix_products(matmul):
             learned.append(learner.update())
@@ -179,7 +182,7 @@ def _epoch(learner: algos.Algorithm, matmul: Precision) -> dict[str, Any]:
     spent = np.diff(times)
     return {
         "env_steps": learner.env_steps,
-        **_merged(seen, [row["episodes"] for row in seen]),
+        **_merged(collected, [row["episodes"] for row in collected]),
         **_merged(learned),
         **test,
         "collect_s": round(float(spent[::2].sum()), 4),

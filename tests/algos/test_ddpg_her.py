@@ -17,6 +17,7 @@ from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.networks import FlatAdam
 from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.envs import typed, vector
+from tactilerl.runs import training
 
 
 class GoalEnv(gym.Env):
@@ -273,6 +274,15 @@ class TestFallsOverTheRun:
                 penalty = learner.actor(inputs).square().mean()
             share = share if anneals else 1.0
             torch.testing.assert_close(loss + value, share * 0.3 * penalty)
+
+    def test_ends_where_the_run_ends(self):
+        """Short episodes make short cycles; the last epoch has no more of them than the run has steps."""
+        env = GoalEnv(length=2, terminated=True)
+        learner = make(env, anneal_lr=True, n_cycles=50, n_test_rollouts=0)
+        rows = list(training.epochs(learner, "float32"))
+        assert learner.env_steps == rows[-1]["env_steps"] == learner.total_timesteps == 100
+        assert learner.adam.lr_factor == pytest.approx(0.04)
+        assert rows[-1]["updates"] == 25 * learner.config.n_batches
 
 
 class TestExploration:

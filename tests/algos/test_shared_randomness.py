@@ -164,7 +164,7 @@ def test_layouts_of_other_sizes_share_what_does_not_depend_on_taxels():
 def test_names_of_what_critics_are_told():
     env = envs.make("shadow", layout="5", run_type="main", critic_sees="truth")
     spaces = Spaces(env.observation_space, env.action_space)
-    names = spaces.inputs("privileged", "action")
+    names = spaces.inputs("truth", "action")
     env.close()
     assert len(set(names)) == len(names)
     assert len(names) == len(spaces.inputs()) + spaces.privileged.shape[0] + env.action_space.shape[0]
