@@ -276,7 +276,7 @@ class TestFallsOverTheRun:
             torch.testing.assert_close(loss + value, share * 0.3 * penalty)
 
     def test_ends_where_the_run_ends(self):
-        """Short episodes make short cycles; the last epoch has no more of them than the run has steps."""
+        """Short episodes make short cycles: the last epoch has as many as the run has steps for."""
         env = GoalEnv(length=2, terminated=True)
         learner = make(env, anneal_lr=True, n_cycles=50, n_test_rollouts=0)
         rows = list(training.epochs(learner, "float32"))
