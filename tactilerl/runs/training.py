@@ -169,7 +169,9 @@ def epochs(learner: algos.Algorithm, matmul: Precision, epoch: int = 0) -> Itera
 def _epoch(learner: algos.Algorithm, matmul: Precision) -> dict[str, Any]:
     """One epoch: as many cycles as the algorithm's epochs have, but none beyond the run's length, for
     what falls over a run is zero there; then its test."""
-    before, collected, learned, times = learner.env_steps, [], [], [time.perf_counter()]
+    before, times = learner.env_steps, [time.perf_counter()]
+    collected: list[dict[str, float]] = []
+    learned: list[dict[str, float]] = []
     while len(collected) < learner.cycles_per_epoch and (
         learner.env_steps < learner.total_timesteps or not collected
     ):
