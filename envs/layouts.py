@@ -12,6 +12,7 @@ import os
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import groupby, product
 from pathlib import Path
 from typing import Any
@@ -31,54 +32,49 @@ NAMED = Path(__file__).with_name("layout_files")
 
 @dataclass(frozen=True)
 class Taxels:
-    """Taxels on one hand, and where each comes from. `links` holds each body once; `link_index` maps
-    taxels to it."""
+    """Taxels on one hand, and where each is on it."""
 
-    links: tuple[str, ...]
-    link_index: Array
-    """(n,) int."""
-    positions: Array
-    """(n, 3), link frame, m."""
-    radii: Array
-    """(n,), m."""
-    names: tuple[str, ...]
-    normals: Array
-    """(n, 3) outward, link frame."""
+    points: tuple[Point, ...]
     surfaces: Array
     """(n,) int, of the hand's surfaces."""
     offsets: Array
     """(n, 3), m: row and column on that surface, and 0; of points the height over its middle, not 0."""
 
     def __len__(self) -> int:
-        return len(self.names)
+        return len(self.points)
 
-    @classmethod
-    def of(cls, points: Sequence[Point], surfaces: Any, offsets: Any) -> Taxels:
-        """From points on links, and where each is on the hand's surfaces."""
-        links = tuple(dict.fromkeys(point.link for point in points))
-        return cls(
-            links,
-            np.array([links.index(point.link) for point in points], int),
-            np.array([point.position for point in points]),
-            np.array([point.radius for point in points]),
-            tuple(point.name for point in points),
-            np.array([point.normal for point in points]),
-            np.array(surfaces),
-            np.array(offsets),
-        )
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        return tuple(point.name for point in self.points)
+
+    @cached_property
+    def links(self) -> tuple[str, ...]:
+        """The bodies that carry them, each once."""
+        return tuple(dict.fromkeys(point.link for point in self.points))
+
+    @cached_property
+    def link_index(self) -> Array:
+        """(n,) int, of `links`."""
+        return np.array([self.links.index(point.link) for point in self.points], int)
+
+    @cached_property
+    def positions(self) -> Array:
+        """(n, 3), link frame, m."""
+        return np.array([point.position for point in self.points])
+
+    @cached_property
+    def normals(self) -> Array:
+        """(n, 3) outward, link frame."""
+        return np.array([point.normal for point in self.points])
+
+    @cached_property
+    def radii(self) -> Array:
+        """(n,), m."""
+        return np.array([point.radius for point in self.points])
 
     def take(self, chosen: Sequence[int]) -> Taxels:
-        index, points = list(chosen), self.points()
-        return Taxels.of([points[i] for i in index], self.surfaces[index], self.offsets[index])
-
-    def points(self) -> list[Point]:
-        """Each as a point on its link."""
-        places = zip(self.link_index.tolist(), self.positions, self.normals, self.radii, self.names,
-                     strict=True)  # fmt: skip
-        return [
-            Point(self.links[link], tuple(at.tolist()), tuple(out.tolist()), float(radius), name)
-            for link, at, out, radius, name in places
-        ]
+        some = [*chosen]
+        return Taxels(tuple(self.points[i] for i in some), self.surfaces[some], self.offsets[some])
 
 
 @dataclass(frozen=True)
@@ -134,7 +130,8 @@ class Layout:
         placed += [(point, *_on_surface(point, hand)) for point in self.taxels]
         if not placed:
             raise ValueError(f"layout {self.name!r} puts no taxel on the {hand.name} hand")
-        return Taxels.of(*zip(*placed, strict=True))
+        points, surfaces, offsets = zip(*placed, strict=True)
+        return Taxels(points, np.array(surfaces), np.array(offsets))
 
     def __str__(self) -> str:
         """What stands for it in a configuration, where a name or a path usually does."""
@@ -283,7 +280,7 @@ def parse(data: dict[str, Any], path: Path) -> Layout:
 def of_taxels(taxels: Taxels, hand: Hand, description: str) -> Layout:
     """The layout with these taxels: in patches those that lie on grids, the others as points."""
     on_grid, points = [], []
-    for index, point in enumerate(taxels.points()):
+    for index, point in enumerate(taxels.points):
         row, column, height = (mm(value) for value in taxels.offsets[index])
         if height:
             points.append(point)

@@ -51,11 +51,11 @@ def _export(path: Path, taxels: Taxels | None) -> None:
     if path.suffix not in WRITERS:
         allowed = ", ".join(WRITERS)
         raise InputError(f"--export: found {path.name!r}, allowed names that end in {allowed}")
-    files = {path: taxels.points()}
+    files = {path: [*taxels.points]}
     if path.suffix == ".npz" and len(taxels.links) > 1:  # a pattern is of one link
         files = {
             path.with_stem(f"{path.stem}_{re.sub('[^a-zA-Z0-9_.-]', '_', link)}"): [
-                point for point in taxels.points() if point.link == link
+                point for point in taxels.points if point.link == link
             ]
             for link in taxels.links
         }

@@ -94,7 +94,7 @@ def beyond(hand: Hand, taxels: Taxels) -> list[str]:
 def off_skin(hand: Hand, taxels: Taxels) -> list[str]:
     """Names of taxels, given as points, whose sphere does not reach the skin of their link."""
     found = []
-    offsets = zip(taxels.points(), taxels.surfaces.tolist(), taxels.offsets, strict=True)
+    offsets = zip(taxels.points, taxels.surfaces.tolist(), taxels.offsets, strict=True)
     for taxel, index, (_, _, height) in offsets:
         away = _from_skin(hand.surfaces[index], np.array(taxel.position), float(height))
         if height and away > taxel.radius:

@@ -287,7 +287,7 @@ class TestTaxelFiles:
     @pytest.mark.parametrize("suffix", [".json", ".csv", ".toml"])
     def test_what_is_written_is_read_again(self, tmp_path, suffix):
         path = tmp_path / f"points{suffix}"
-        path.write_bytes(taxel_files.WRITERS[suffix](self.taxels.points()))
+        path.write_bytes(taxel_files.WRITERS[suffix](self.taxels.points))
         again = layouts.load(str(path)).place(hands.get(GRIPPER))
         order = [
             int(np.argmin(np.linalg.norm(again.positions - p, axis=1) + (again.link_index != i)))
@@ -301,7 +301,7 @@ class TestTaxelFiles:
 
     def test_points_keep_their_place_through_a_layout_of_their_own(self):
         hand = hands.get(GRIPPER)
-        points = layouts.Layout("points", "", (), tuple(self.taxels.points()))
+        points = layouts.Layout("points", "", (), tuple(self.taxels.points))
         placed = points.place(hand)
         assert placed.names == self.taxels.names
         assert len(set(places.of(placed))) == len(placed)
@@ -357,12 +357,12 @@ class TestTaxelFiles:
 
     def test_points_off_the_skin_are_named(self):
         hand = hands.get(GRIPPER)
-        points = [point._replace(name=f"{i}") for i, point in enumerate(self.taxels.points())]
+        points = [point._replace(name=f"{i}") for i, point in enumerate(self.taxels.points)]
         far = points[0]._replace(position=(0.02, 0.0, -0.02))
         layout = layouts.Layout("far", "", (), (far, *points[1:]))
         assert hand_map.off_skin(hand, layout.place(hand)) == ["0"]
         shadow = hands.get("shadow")
-        taxels = layouts.load("6").place(shadow).points()
+        taxels = layouts.load("6").place(shadow).points
         inside = taxels[0]._replace(position=(0.0, 0.0, 0.01), radius=0.001)
         layout = layouts.Layout("inside", "", (), (inside, *taxels[1:]))
         assert hand_map.off_skin(shadow, layout.place(shadow)) == [inside.name]
@@ -388,9 +388,7 @@ class TestCommands:
     def test_a_run_knows_its_hand_again(self, own, tmp_path, capsys):
         path, run = own(), str(tmp_path / "run")
         points = tmp_path / "points.csv"
-        points.write_bytes(
-            taxel_files.WRITERS[".csv"](layouts.load("5").place(hands.get(path)).points())
-        )
+        points.write_bytes(taxel_files.WRITERS[".csv"](layouts.load("5").place(hands.get(path)).points))
         flags = ["--env", path, "--layout", str(points), "--total-timesteps", "40"]
         flags += ["--steps-per-epoch", "20", "--max-episode-steps", "10", "--hold-seconds", "0.1"]
         assert main(["train", "--algo", "ppo", *flags, "--out", run]) == 0
@@ -440,7 +438,7 @@ class TestCommands:
     def test_the_probe_chooses_from_any_points(self, tmp_path, capsys):
         points = tmp_path / "points.json"
         hand = hands.get(GRIPPER)
-        points.write_bytes(taxel_files.WRITERS[".json"](layouts.load("1").place(hand).points()))
+        points.write_bytes(taxel_files.WRITERS[".json"](layouts.load("1").place(hand).points))
         asked = ["--joint-noise", "0.05", "--resamples", "100", "--shuffles", "2", "--folds", "2"]
         flags = ["--env", GRIPPER, "--grasps", "60", "--layout", "5", str(points)]
         flags += ["--skin", str(points), "--start-offset", "0.005"]

@@ -12,6 +12,7 @@ from tactilerl import envs
 from tactilerl.envs import hands, layouts, objects, scripted, touch
 from tactilerl.envs.hands import Surface
 from tactilerl.envs.state import Contacts, State
+from tactilerl.envs.taxel_files import Point
 
 
 def brute_force_distance(shape, point, n=60):
@@ -65,14 +66,12 @@ def taxels_on(surface, rows, radius=1.5e-3):
 
 def taxels_at(surfaces, places, radius=1.5e-3):
     """Taxels in the middle of surfaces, each at (index of the surface, m along)."""
-    found = [surfaces[index].place(row, 0.0) for index, row in places]
-    links = tuple(surface.link for surface in surfaces)
+    points = []
+    for index, row in places:
+        position, normal = (tuple(v.tolist()) for v in surfaces[index].place(row, 0.0))
+        points.append(Point(surfaces[index].link, position, normal, radius, ""))
     index = np.array([index for index, _ in places])
-    n = len(places)
-    return layouts.Taxels(
-        links, index, np.array([position for position, _ in found]), np.full(n, radius), ("",) * n,
-        np.array([normal for _, normal in found]), index, np.zeros((n, 3)),
-    )  # fmt: skip
+    return layouts.Taxels(tuple(points), index, np.zeros((len(places), 3)))
 
 
 def read(surface, rows, shape, position, rotation, radius=1.5e-3):
