@@ -172,7 +172,8 @@ def candidates(flags: DesignFlags, hand: Hand) -> Taxels:
     require_known((*flags.only, *flags.leave_out), set().union(*own))
     taxels = places.skin(flags.skin, hand)
     if flags.radius is not None:
-        taxels = replace(taxels, radii=np.full(len(taxels), 1e-3 * flags.radius))
+        resized = (point._replace(radius=1e-3 * flags.radius) for point in taxels.points)
+        taxels = replace(taxels, points=tuple(resized))
     is_allowed = [
         (not flags.only or not names.isdisjoint(flags.only)) and names.isdisjoint(flags.leave_out)
         for names in own
