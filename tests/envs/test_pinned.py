@@ -24,6 +24,12 @@ SCENES = [
     ("mpl", "mujoco", {"object_size": 0.06, "task": "reach-goal", "reward": "dense"}),
     ("shadow", "mujoco", {"touch": "contact", "run_type": "main", "layout": "6"}),
     ("mpl", "pybullet", {"object": "sphere", "touch": "contact", "layout": "1"}),
+    ("shadow", "mujoco", {"touch": "force", "history": 2, "observe_targets": True, "layout": "1"}),
+    (
+        "mpl",
+        "mujoco",
+        {"object_seen": "noisy", "joint_noise": 0.02, "taxel_delay": 1, "critic_sees": "truth"},
+    ),
 ]
 PINNED = [
     "1579f744550cd6c4",
@@ -40,6 +46,8 @@ PINNED = [
     "ad2e047a649db87f",
     "2132484c307f8b00",
     "af03d54bbf055119",
+    "118916f0cdf6e211",
+    "d8b6c4aa8a2400f6",
 ]
 
 
