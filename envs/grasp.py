@@ -164,19 +164,15 @@ class GraspEnv(gym.Env[Any, Array]):
         """Taxels lie between 0 and 1; a task with a single goal has it as its only one."""
         unbounded, goal = np.full(self.task.goal_size, np.inf), self.task.only_goal
         lowest, highest = (-unbounded, unbounded) if goal is None else (goal, goal)
-        more = {}
+        spaces: dict[str, gym.Space[Any]] = {
+            "observation": self._observer.space,
+            "achieved_goal": _float_box(-unbounded, unbounded),
+            "desired_goal": _float_box(lowest, highest),
+        }
         if self.config.critic_sees == "truth":
-            more["truth"] = observations.privileged_space(
-                self.hand, self.taxels.names, self._touch.is_boolean
-            )
-        return gym.spaces.Dict(
-            {
-                **more,
-                "observation": self._observer.space,
-                "achieved_goal": _float_box(-unbounded, unbounded),
-                "desired_goal": _float_box(lowest, highest),
-            }
-        )
+            names, is_boolean = self.taxels.names, self._touch.is_boolean
+            spaces["truth"] = observations.privileged_space(self.hand, names, is_boolean)
+        return gym.spaces.Dict(spaces)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -292,23 +288,22 @@ class GraspEnv(gym.Env[Any, Array]):
         moved = self.state.object_position - before.object_position
         speed = math.sqrt(moved @ moved) / self.config.control_dt
         if not speed < EJECTED:
-            reason = f"the object moved at {speed:.3g} m/s: it was ejected or the physics broke"
-            raise SimulationError(reason)
+            what = f"the object moved at {speed:.3g} m/s"
+            raise SimulationError(f"{what}: it was ejected or the physics broke")
 
     def _sense(self, state: State) -> dict[str, Array]:
         """What policy and critic are shown; SimulationError when the physics broke."""
         run_type, is_privileged = self.config.run_type, self.config.critic_sees == "truth"
-        felt = np.zeros(0)
+        felt = shown = np.zeros(len(self.taxels) if run_type == "control" else 0)
         if is_privileged or run_type == "main":
             felt = self._touch.read(state)
-        blind = np.zeros(len(self.taxels) if run_type == "control" else 0)
-        observation = self._observer.observe(state, felt if run_type == "main" else blind)
-        largest = np.abs(observation).max()
+        obs = {"observation": self._observer.observe(state, felt if run_type == "main" else shown)}
+        largest = np.abs(obs["observation"]).max()
         if not largest < LIMIT:
-            reason = f"an observation is as large as {largest}: the physics broke"
-            raise SimulationError(reason)
-        more = {"truth": observations.privileged(self.hand, state, felt)} if is_privileged else {}
-        return {**more, "observation": observation}
+            raise SimulationError(f"an observation is as large as {largest}: the physics broke")
+        if is_privileged:
+            obs["truth"] = observations.privileged(self.hand, state, felt)
+        return obs
 
     def _info(self, is_end: bool, **info: Any) -> dict[str, Any]:
         """With the warnings that no step has told of yet, including a reset's; at the end of an
