@@ -24,6 +24,7 @@ COMMANDS = (
     "train --scene handover --workers 1 --out OUT",
     f"evaluate {POLICY}",
     f"evaluate {POLICY} --sweep taxel-dead 0 0.5 0.9",
+    "design --scene handover_anywhere --taxels 4 --out OUT.toml",
     "gate --scene handover --starts 50 --search 5",
     "gate --scene handover",
     "doctor --env shadow",
@@ -48,7 +49,7 @@ def measure() -> dict[str, float]:
 
 def show(seconds: dict[str, float]) -> None:
     """One table."""
-    shown = (f"`tactilerl {command.removesuffix(' --out OUT')}`" for command in seconds)
+    shown = (f"`tactilerl {command.partition(' --out OUT')[0]}`" for command in seconds)
     rows = zip(shown, map(spoken, seconds.values()), strict=True)
     markdown("| command | time |", rows)
 
