@@ -66,8 +66,8 @@ $(BIN)/python tools/ship_policy.py build/policies/$(1) examples/policies/$(1)
 endef
 
 policies: $(TRAINING)
-	$(call POLICY,handover_touch,--scene handover --run-type main)
-	$(call POLICY,handover_blind,--scene handover --run-type control)
+	$(call POLICY,handover_touch,--scene handover --touch on)
+	$(call POLICY,handover_blind,--scene handover --touch off)
 	$(call POLICY,shadow_lift,--layout 4 --total-timesteps 36000 --hold-verdict settled)
 
 # 15 to 30 minutes on two cores; `make bench-peers` and so on for a part. `make bench OUT=docs/data`

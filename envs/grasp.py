@@ -14,6 +14,7 @@ from . import hands, layouts, objects, observations, simulators, tasks, toml_fil
 from .choices import require_known, require_one_of
 from .objects import ObjectConfig
 from .observations import ObservationConfig, Observer
+from .scenes import renamed
 from .simulators import SimulationError, Sphere
 from .state import Array, Shape, State
 from .tasks import TaskConfig
@@ -36,13 +37,13 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
     """Physics engine: mujoco or pybullet (extra: pybullet)."""
     layout: str = "2"
     """Where the taxels (touch sensors) are: 1 to 6 (paper, Fig. 2), a named design, or a .toml file."""
-    run_type: Literal["main", "control", "absent"] = "main"
+    touch: Literal["on", "off", "absent"] = "on"
     """on: taxels read contact; off: all read zero, the paper's control; absent: the observation has no
-    taxels. In files and Python: run_type main, control or absent."""
-    touch: str = "skin"
+    taxels."""
+    touch_rule: str = "skin"
     """When a taxel fires. skin: its sphere overlaps the object, which touches the skin there; contact:
     a contact point of the simulator lies in its sphere (paper); force: the taxel reads the normal
-    force, N. In files and Python: touch. See docs/concepts/touch.md."""
+    force, N. See docs/concepts/touch.md."""
     actions: Literal["all", "fingers", "grip"] = "all"
     """all: every joint and slide of the hand (paper); fingers: the slides stand still, and groups of
     fingers close and open; grip: one action closes and opens the whole hand."""
@@ -68,7 +69,7 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
     def validate(self) -> None:
         """Raise ValueError naming what is not there or does not go together; ranges are in types."""
         registered: dict[str, Any] = {
-            "simulator": simulators.SIMULATORS, "touch": touch.RULES, "task": tasks.TASKS
+            "simulator": simulators.SIMULATORS, "touch_rule": touch.RULES, "task": tasks.TASKS
         }  # fmt: skip
         for name, known in registered.items():
             require_one_of(known, getattr(self, name), name)
@@ -78,13 +79,13 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
             raise ValueError(f"control_dt: found {self.control_dt} s, allowed {allowed}")
         objects.validate(self)
         tasks.validate(self)
-        observations.validate(self, self.run_type, touch.RULES[self.touch].is_boolean)
+        observations.validate(self, self.touch, touch.RULES[self.touch_rule].is_boolean)
 
 
 def setup(hand: str, **choices: Any) -> GraspConfig:
     """The configuration of a hand's set-up, with some fields chosen otherwise; ValueError when there is
     no such field."""
-    usual, known = hands.usage(hand).scene, typed.names(GraspConfig)
+    usual, known = renamed(hands.usage(hand).scene), typed.names(GraspConfig)
     with toml_files.blamed(f"hand file {hands.file(hand)}: scene"):
         require_known(usual, known)
     require_known(choices, known)
@@ -121,7 +122,7 @@ class GraspEnv(gym.Env[Any, Array]):
         if config.actions != "all":
             self.hand = self.hand.closing_from(config.start_closing, config.actions)
         self.taxels = layouts.load(config.layout).place(self.hand)
-        self._touch = touch.RULES[config.touch](self.taxels, self.hand)
+        self._touch = touch.RULES[config.touch_rule](self.taxels, self.hand)
         self._points = touch.taxel_points(self.taxels)
         own_timestep = setup(hand).timestep
         self.task: tasks.Task = tasks.TASKS[config.task](config, self.hand, own_timestep, first.shape)
@@ -139,7 +140,7 @@ class GraspEnv(gym.Env[Any, Array]):
             visual=render_mode is not None,
         )
         self.simulator = simulators.make(config.simulator, scene)
-        names = () if config.run_type == "absent" else self.taxels.names
+        names = () if config.touch == "absent" else self.taxels.names
         is_boolean = self._touch.is_boolean
         self._observer = Observer(config, self.hand, names, is_boolean, config.control_dt, first.shape)
         self.simulator.reset(self.hand.start_positions(), np.array([0.0, 0.0, items.height / 2]), 0.0)
@@ -273,9 +274,9 @@ class GraspEnv(gym.Env[Any, Array]):
 
     def _drawn(self, state: State) -> Iterator[Sphere]:
         """The taxels."""
-        if (run_type := self.config.run_type) != "absent":
+        if (switch := self.config.touch) != "absent":
             centres, radii = self._points.world(state), self.taxels.radii
-            lit = self._touch.read(state) > 0 if run_type == "main" else np.zeros(len(radii), bool)
+            lit = self._touch.read(state) > 0 if switch == "on" else np.zeros(len(radii), bool)
             for centre, radius, on in zip(centres, radii, lit, strict=True):
                 yield Sphere(centre, radius * (LIT_SCALE if on else 1.0), LIT if on else DARK)
 
@@ -293,11 +294,11 @@ class GraspEnv(gym.Env[Any, Array]):
 
     def _sense(self, state: State) -> dict[str, Array]:
         """What policy and critic are shown; SimulationError when the physics broke."""
-        run_type, is_privileged = self.config.run_type, self.config.critic_sees == "truth"
-        felt = shown = np.zeros(len(self.taxels) if run_type == "control" else 0)
-        if is_privileged or run_type == "main":
+        switch, is_privileged = self.config.touch, self.config.critic_sees == "truth"
+        felt = shown = np.zeros(len(self.taxels) if switch == "off" else 0)
+        if is_privileged or switch == "on":
             felt = self._touch.read(state)
-        obs = {"observation": self._observer.observe(state, felt if run_type == "main" else shown)}
+        obs = {"observation": self._observer.observe(state, felt if switch == "on" else shown)}
         largest = np.abs(obs["observation"]).max()
         if not largest < LIMIT:
             raise SimulationError(f"an observation is as large as {largest}: the physics broke")

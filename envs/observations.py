@@ -83,16 +83,16 @@ class ObservationConfig(SensorConfig):
     contacts."""
 
 
-def validate(config: ObservationConfig, run_type: str, is_boolean: bool) -> None:
-    """ValueError naming the first field that does nothing in a run of this type."""
+def validate(config: ObservationConfig, touch: str, is_boolean: bool) -> None:
+    """ValueError naming the first field that does nothing with this `touch` or its rule."""
     validate_faults(config)
     if config.object_seen != "noisy":
         allow_only_with("object_seen noisy", config, "sight_noise", "sight_noise_kind")
-    if run_type != "main":
-        what = "run_type main (in others no taxel is read)"
+    if touch != "on":
+        what = "touch on (else no taxel is read)"
         allow_only_with(what, config, *vars(TaxelFaults()), "taxel_delay")
     if not is_boolean:
-        what = "Boolean taxels (touch skin or contact)"
+        what = "Boolean taxels (touch_rule skin or contact)"
         allow_only_with(what, config, "taxel_false_on", "taxel_stuck")
 
 

@@ -7,8 +7,12 @@ from typing import Any
 INK, FAINT = "#1b1f24", "#b0b0b1"
 ARMS = ("#e0a800", "#2b6cb0", "#8a5a9e", "#4d8f5b")  # treatment and control as in the paper
 OTHERS = ("#1f8a8a", "#b03020", "#6b7280", "#c2588b", "#7a6a1f", "#3f4f9e")  # what is no arm of a study
-ROLES = {"main": "touch", "control": "no touch", "absent": "no touch, and no inputs for it"}
-"""What the arms of `run_type` are."""
+ROLES = {
+    **dict.fromkeys(("on", "main"), "touch"),
+    **dict.fromkeys(("off", "control"), "no touch"),
+    "absent": "no touch, and no inputs for it",
+}
+"""What the arms of `touch` are, and of `run_type`, as studies called it up to 0.3.0."""
 NAMES = {
     "shadow": "Shadow Hand",
     "mpl": "MPL hand",

@@ -238,7 +238,7 @@ class TestTrain:
             (dict(gamma=2), "gamma: found 2, allowed from 0 to 1"),
             (dict(env="shadow", layout="44"), "unknown layout '44'"),
             (dict(algo="sac"), "unknown algorithm 'sac'; allowed: ppo, ddpg_her"),
-            (dict(env="shadow", run_type="x"), "run_type: found 'x'"),
+            (dict(env="shadow", touch="x"), "touch: found 'x'"),
             (dict(resume="nothing"), "'nothing' is not a run folder"),
         ],
     )
@@ -271,6 +271,7 @@ MISTAKES = [
     (lambda: tactilerl.PPO("lqr", seed=-1), "seed: found -1"),
     (lambda: tactilerl.PPO("lqr", threads=0), "threads: found 0"),
     (lambda: tactilerl.PPO("lqr", device="toaster"), "device: found 'toaster'"),
+    (lambda: tactilerl.PPO("MlpPolicy", "lqr"), "the environment alone; `hidden` sets"),
     (lambda: tactilerl.PPO("nope"), "unknown environment 'nope'"),
     *(
         (partial(use, 3), f"{name}: found 3, allowed")
@@ -454,11 +455,25 @@ before = set(sys.modules)
 import tactilerl
 
 new = set(sys.modules) - before
-assert new == {"tactilerl", "tactilerl.registration", "tactilerl.version"}, new
+assert new == {"tactilerl", "tactilerl.version"}, new
 tactilerl.make("lqr")
 assert "torch" not in sys.modules
 """
         )
+
+    @pytest.mark.parametrize(
+        ("imported", "name"),
+        [
+            ("import gymnasium, tactilerl", "tactilerl/LQR-v0"),
+            (
+                "import tactilerl, gymnasium; gymnasium.register_envs(tactilerl.envs)",
+                "tactilerl/LQR-v0",
+            ),
+            ("import gymnasium", "tactilerl.envs:tactilerl/LQR-v0"),
+        ],
+    )
+    def test_gymnasium_knows_our_environments(self, imported, name):
+        run_python(f"{imported}; gymnasium.make({name!r}).reset()")
 
     def test_no_module_hides_a_function(self):
         modules = {path.stem for path in (ROOT / "tactilerl").iterdir()}
@@ -534,8 +549,3 @@ class TestExamples:
         result = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=600)
         assert result.returncode == 0, result.stderr
         assert "tactilerl: error" not in result.stderr, result.stderr
-
-
-def test_a_network_of_stable_baselines3_is_refused():
-    with pytest.raises(ValueError, match="the environment alone; `hidden` sets"):
-        tactilerl.PPO("MlpPolicy", "lqr")

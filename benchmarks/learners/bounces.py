@@ -28,14 +28,14 @@ from tactilerl.style import ROLES
 STEPS = 36_000
 PARTS = 10  # of a run
 SCENE = {"simulator": "mujoco", "hold_verdict": "settled"}
-RUN_TYPES = ("main", "control")
+TOUCH = ("on", "off")
 
 
 class Falls(gym.Wrapper[Any, Any, Any, Any]):
     """Notes each step's outcome in `outcomes`, which all environments of a run share."""
 
-    def __init__(self, run_type: str, outcomes: list[float]) -> None:
-        super().__init__(envs.make("mpl", run_type=run_type, **SCENE))
+    def __init__(self, touch: str, outcomes: list[float]) -> None:
+        super().__init__(envs.make("mpl", touch=touch, **SCENE))
         self.outcomes = outcomes
 
     def step(self, action: Any) -> Any:
@@ -45,10 +45,10 @@ class Falls(gym.Wrapper[Any, Any, Any, Any]):
         return result
 
 
-def run(run_type: str, task: str, seed: int) -> dict[str, Any]:
+def run(touch: str, task: str, seed: int) -> dict[str, Any]:
     """Of each part of one run: episodes, successes, and falls back to the ground."""
     outcomes: list[float] = []
-    for _ in learn(PPO, PPOConfig(), partial(Falls, run_type, outcomes), seed, STEPS):
+    for _ in learn(PPO, PPOConfig(), partial(Falls, touch, outcomes), seed, STEPS):
         pass
     found = np.array(outcomes)
     names = {"falls": "fell_back", "held": "held", "dropped": "dropped", "timed_out": "timed_out"}
@@ -76,7 +76,7 @@ def show(content: dict[str, Any]) -> None:
 def main() -> None:
     """What is missing of all runs."""
     about = {"scene": SCENE, "steps": STEPS}
-    runs, _, out = run_contenders(__doc__, about, run, RUN_TYPES, ("mpl",), first_seed=0, jobs=1)
+    runs, _, out = run_contenders(__doc__, about, run, TOUCH, ("mpl",), first_seed=0, jobs=1)
     content = {**about, "runs": runs}
     show(content)
     write(out, content)

@@ -67,7 +67,7 @@ class Variant:
     """Fields of GraspConfig."""
 
 
-WITH_SENSORS = Variant(config={"touch": "contact"})
+WITH_SENSORS = Variant(config={"touch_rule": "contact"})
 IN_BULLET = {
     SHIPPED: Variant(),
     "with 139 taxels by the contact rule": WITH_SENSORS,

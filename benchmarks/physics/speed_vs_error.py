@@ -91,8 +91,8 @@ SETTINGS: dict[str, dict[str, Setting]] = {
         "pyramidal, impratio 1": Setting(options={"cone": CONE.mjCONE_PYRAMIDAL, "impratio": 1.0}),
         "contacts / 2 as slow": Setting(contact_time=1 / 2),
         "contacts x 2 as slow": Setting(contact_time=2),
-        "touch sensors": Setting(config={"touch": "contact"}),
-        "touch sensors, each substep": Setting(config={"touch": "contact"}, all_sensors=True),
+        "touch sensors": Setting(config={"touch_rule": "contact"}),
+        "touch sensors, each substep": Setting(config={"touch_rule": "contact"}, all_sensors=True),
     },
     "pybullet": {
         SHIPPED: Setting(),
@@ -111,7 +111,7 @@ SETTINGS: dict[str, dict[str, Setting]] = {
         "added inertia 1e-4": Setting(added_inertia=1e-4),
         "added inertia 1e-3": Setting(added_inertia=1e-3),
         "hand touches itself": Setting(self_contact=True),
-        "contact rule": Setting(config={"touch": "contact"}),
+        "contact rule": Setting(config={"touch_rule": "contact"}),
     },
 }
 

@@ -86,7 +86,7 @@ def probe() -> dict[str, Any]:
     """Seconds of one core to play grasps, and to ask one layout of them at one joint noise."""
     comm, flags = Communicator(), GraspFlags(env=GRIPPER, start_offset=0.005)
     config, drawn = setup(GRIPPER), flags.perturbation
-    settings = {"env": GRIPPER, "simulator": config.simulator, "touch": "skin", "seed": 0}
+    settings = {"env": GRIPPER, "simulator": config.simulator, "touch_rule": "skin", "seed": 0}
     start = partial(vector.start, partial(Scenes, GRIPPER, config, drawn.variants()), 1)
     result: dict[str, Any] = {"grasps": GRASPS}
     with tempfile.TemporaryDirectory() as folder, patch.object(run, "free_cores", lambda comm: 1):

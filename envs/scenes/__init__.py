@@ -7,6 +7,7 @@ scene's own hand: on another they grow with its fingers.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,19 @@ class NamedScene:
         return self.scene | {name: scaled(self.scene[name], factor) for name in self.scaled}
 
 
+def renamed(choices: Mapping[str, Any]) -> dict[str, Any]:
+    """Choices of a scene with the names that they have now.
+
+    Up to 0.3.0 `touch` was the rule, and `run_type` (main, control, absent) was what `touch` is now.
+    """
+    found = dict(choices)
+    if found.get("touch") in ("skin", "contact", "force"):
+        found["touch_rule"] = found.pop("touch")
+    if (run_type := found.pop("run_type", None)) is not None:
+        found["touch"] = {"main": "on", "control": "off"}.get(run_type, run_type)
+    return found
+
+
 def names() -> tuple[str, ...]:
     """Scenes that can be asked for by name."""
     return tuple(sorted(path.stem for path in FOLDER.glob(f"*{SUFFIX}")))
@@ -75,7 +89,7 @@ def load(name: str) -> NamedScene:
             base = load(value)
     env, lengths = data.get("env", base.env), tuple(data.get("scaled", base.scaled))
     with toml_files.blamed(f"scene file {path}"):
-        scene = {**base.on(env), **data.get("scene", {})}
+        scene = {**base.on(env), **renamed(data.get("scene", {}))}
         for name in lengths:
             require_one_of(sorted(LENGTHS & scene.keys()), name, "scaled")
     train = {**base.train, **data.get("train", {})}

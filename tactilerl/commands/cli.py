@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
-from ..errors import BAD_INPUT, BUSY, SAME, BusyError, InputError
+from ..errors import BAD_INPUT, BUSY, BusyError, InputError
 from ..version import __version__
 
 COMMANDS = {  # each a module here with `main(args)`, imported when it runs; what it does
@@ -115,11 +115,11 @@ def _say(what: str, error: BaseException, args: Sequence[str] = ()) -> None:
 
 
 def _as_typed(line: str, args: Sequence[str]) -> str:
-    """What is wrong with a field, named as the flag that set it: of train's n_passes, --n-epochs."""
+    """What is wrong with a field, named as the flag that set it."""
     field, colon, rest = line.partition(":")
     for arg in args:
         flag = arg.partition("=")[0]
         name = flag.removeprefix("--").replace("-", "_")
-        if flag != name and field.removeprefix("--").replace("-", "_") in (name, SAME.get(name)):
+        if flag != name and field.removeprefix("--").replace("-", "_") == name:
             return f"{flag}{colon}{rest}"
     return line

@@ -32,7 +32,7 @@ LEAST = 0.5  # of the time that an object must be up for a found grasp to be of 
 ABOUT = About(
     "Check which taxels fire. Plays scripted grasps and shows, for each layout, how many taxels fire "
     "while the object is held. The exit code is 1 if the taxels of a layout hardly ever fire.",
-    first=("layout", "touch", "simulator", "object", "object_size"),
+    first=("layout", "touch_rule", "simulator", "object", "object_size"),
     defaults={"layout": "each of 1 to 6"},
     examples=(
         "tactilerl doctor --env shadow",
@@ -61,7 +61,7 @@ class DoctorFlags:
     """Print JSON instead of a table."""
 
 
-USED = {"simulator", "layout", "touch", "timestep", "finger_gain"}
+USED = {"simulator", "layout", "touch_rule", "timestep", "finger_gain"}
 USED |= {field.name for field in dataclasses.fields(ObjectConfig)} - {"jitter"}
 
 
@@ -112,7 +112,7 @@ def main(args: list[str]) -> int:
     with input_errors():
         grasp = None if hands.get(name).grasps else _find_grasp(name, scene)
         if read.out is not None:
-            picture = dataclasses.replace(scene, layout=chosen or "1", run_type="main")
+            picture = dataclasses.replace(scene, layout=chosen or "1", touch="on")
             render.picture(name, picture, "grasp", Camera(), read.out, grasp)
         scenes = [dataclasses.replace(scene, layout=layout) for layout in names]
         figures = [
@@ -123,7 +123,7 @@ def main(args: list[str]) -> int:
     if read.json:
         print(json.dumps([dataclasses.asdict(f) for f in figures]))
         return code
-    table = Table(title=f"{name} in {scene.simulator}, rule {scene.touch}: taxels during the hold")
+    table = Table(title=f"{name} in {scene.simulator}, rule {scene.touch_rule}: taxels during the hold")
     for column in ("layout", "taxels", "held", "bits on", "steps with any", "never fired", ""):
         table.add_column(column, justify="right")
     for f in figures:

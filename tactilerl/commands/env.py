@@ -25,7 +25,7 @@ from .scene import layout_notes, read_scene
 ABOUT = About(
     "Describe an environment: what it is, its actions, observations and taxels. Without flags it also "
     "lists the named scenes.",
-    first=("layout", "run_type", "simulator", "task"),
+    first=("layout", "touch", "simulator", "task"),
     examples=("tactilerl env --scene handover", "tactilerl env --env shadow --layout 4 --describe"),
 )
 

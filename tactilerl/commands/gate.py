@@ -52,7 +52,7 @@ def main(args: list[str]) -> int:
     read, found = read_scene(GateFlags, args, "tactilerl gate", ABOUT)
     scene = require_scene(found, read.env)
     with input_errors():
-        if scene.run_type != "main":
+        if scene.touch != "on":
             raise InputError("--touch: leave it out; the gate always compares touch with no touch")
         typed.validate(scene)
     with Progress(console=console, transient=True) as progress, input_errors():

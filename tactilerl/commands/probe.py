@@ -109,8 +109,8 @@ OBJECT = {
 def _print(result: dict[str, Any], out: Path) -> None:
     """The table on the terminal, and how far it can be trusted."""
     console.print(
-        f"{result['env']} in {result['simulator']}, rule {result['touch']}: {result['grasps']} grasps, "
-        f"{100 * result['held']:.0f} % held"
+        f"{result['env']} in {result['simulator']}, rule {result['touch_rule']}: "
+        f"{result['grasps']} grasps, {100 * result['held']:.0f} % held"
     )
     for noise in result["asking"]["joint_noise"]:
         rows = [row for row in result["table"] if row["joint_noise"] == noise]

@@ -124,7 +124,7 @@ def _print_failures(found: Iterable[Record]) -> int:
 
 @dataclass(frozen=True)
 class Todo:
-    """Print a command for each run that is not done, for job arrays and the like."""
+    """Print a command for each run that is not done, for job arrays."""
 
     study: tyro.conf.Positional[Path]
     """Study file (TOML)."""

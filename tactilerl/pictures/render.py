@@ -60,7 +60,7 @@ class _View:
 
     def __init__(self, env: GraspEnv, camera: Camera, label: str = "") -> None:
         self._env, self._label = env, label
-        feels = env.config.run_type == "main"
+        feels = env.config.touch == "on"
         self._map = TaxelMap(env.hand, env.taxels, camera.height) if feels else None
 
     def picture(self, camera: Camera) -> np.ndarray:

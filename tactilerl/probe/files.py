@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..envs import hands, typed
+from ..envs.scenes import renamed
 from ..envs.state import KINDS
 from ..pictures.places import Place
 from ..runs.files import damage_named, read_arrays, replacing
@@ -44,7 +45,7 @@ def read(path: Path) -> Played:
     missing = f"grasps file {str(path)!r} does not exist"
     with damage_named(path, "not a whole file of grasps", missing):
         arrays = read_arrays(path)
-        about = json.loads(str(arrays.pop(SETTINGS)))
+        about = renamed(json.loads(str(arrays.pop(SETTINGS))))
         if about.pop("format") != FORMAT:
             raise ValueError("it has another format")
         places = tuple(typed.make(Place, place, "place") for place in about.pop("contact_places"))
@@ -55,7 +56,7 @@ def read(path: Path) -> Played:
 
 def _check(arrays: Measured, about: dict[str, Any], places: tuple[Place, ...]) -> None:
     """ValueError unless all is there, as one of our hands gives it, and of numbers that occur."""
-    for setting, kind in (("simulator", str), ("touch", str), ("seed", int)):
+    for setting, kind in (("simulator", str), ("touch_rule", str), ("seed", int)):
         typed.require_type(about.get(setting), kind, setting)
     hand = hands.get(about["env"])
     shapes = {"held": (), "broken": (), **shapes_of(hand), "contact": (len(places),)}

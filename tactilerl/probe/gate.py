@@ -58,7 +58,7 @@ def examine(
         sense, _ = SENSES[name]
         if name == "sight" and scene.object_seen in ("hidden", "exact"):
             continue  # nothing to go by, or what "sighted" is
-        own = scene if sense == "touch" else dataclasses.replace(scene, run_type="absent", **NO_FAULTS)
+        own = scene if sense == "touch" else dataclasses.replace(scene, touch="absent", **NO_FAULTS)
         if name == "sighted":
             exact: Any = {"object_seen": "exact", "sight_noise": None, "sight_noise_kind": "white"}
             own = dataclasses.replace(own, **exact)

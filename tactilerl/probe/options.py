@@ -47,7 +47,7 @@ class GraspFlags:
     """Number of grasps to simulate."""
     seed: Annotated[int, "[0, 4294967295]"] = 0
     """Random seed of grasps, folds, noise and bootstrap samples."""
-    touch: Literal["skin", "contact"] = "skin"
+    touch_rule: Literal["skin", "contact"] = "skin"
     """Touch rule. skin: any layout can be read afterwards; contact: the simulator's own contacts are
     recorded for the layouts of this call."""
     object: tuple[Kind, ...] = ("box",)

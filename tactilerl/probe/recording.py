@@ -47,7 +47,7 @@ class SkinnedEnv(GraspEnv):
     place, and differ in size."""
 
     def __init__(self, hand: str, config: GraspConfig, taxels: Taxels) -> None:
-        if config.touch == "contact":
+        if config.touch_rule == "contact":
             raise ValueError("touch: found contact, allowed rules that any taxel can be read by later")
         super().__init__(hand, config)
         self.taxels, self._touch = taxels, RULES[config.touch](taxels, self.hand)

@@ -55,7 +55,7 @@ def grasps(
         settings["hand"] = digest
     hand, spots = hands.get(settings["env"]), []
     _require_answerable(read.analysis, hand)
-    if config.touch == "contact":  # the simulator's own readings are recorded
+    if config.touch_rule == "contact":  # the simulator's own readings are recorded
         spots = places.of(layouts.load(config.layout).place(hand))
     path = _held(read.output.out or Path("probes") / name, comm, held) / "grasps.npz"
     workers = partial(start, read.output.workers or free_cores(comm))
@@ -98,12 +98,12 @@ def _scripted(grasps: GraspFlags, asking: AnalysisFlags, held: ExitStack) -> Pla
     simulator = grasps.simulator or setup(grasps.env).simulator
     hand, drawn = hands.get(grasps.env), grasps.perturbation
     require_grasps(hand)
-    config = setup(grasps.env, simulator=simulator, touch=grasps.touch)
+    config = setup(grasps.env, simulator=simulator, touch_rule=grasps.touch_rule)
     settings: dict[str, Any] = {
-        "env": grasps.env, "simulator": simulator, "touch": grasps.touch, "seed": grasps.seed,
+        "env": grasps.env, "simulator": simulator, "touch_rule": grasps.touch_rule, "seed": grasps.seed,
         "hold_verdict": grasps.hold_verdict, "perturbation": asdict(drawn),
     }  # fmt: skip
-    if grasps.touch == "contact":  # the simulator has to feel every taxel of all layouts
+    if grasps.touch_rule == "contact":  # the simulator has to feel every taxel of all layouts
         settings["layouts"] = [*asking.layout, *([asking.skin] if asking.select else [])]
         every = places.union([_layout(name, hand) for name in settings["layouts"]], hand)
         path = Path(held.enter_context(tempfile.TemporaryDirectory())) / "union.toml"
@@ -123,14 +123,14 @@ def _by_policy(grasps: GraspFlags, asking: AnalysisFlags, held: ExitStack) -> Pl
 
     assert grasps.policy is not None
     beside = "--policy, allowed without: a run has its own scene"
-    _require_usual(grasps, beside, "policy", "grasps", "seed", "touch")
+    _require_usual(grasps, beside, "policy", "grasps", "seed", "touch_rule")
     config, policy, epoch, env_steps = read_run(grasps.policy)
     env, scene, name = config.run.env, config.scene, grasps.policy.resolve().name
     if scene is None:
         raise InputError(f"--policy {grasps.policy}: found a run of {env}, allowed runs of "
                          f"{hands.allowed()}")  # fmt: skip
     settings = {
-        "env": env, "simulator": scene.simulator, "touch": grasps.touch, "seed": grasps.seed,
+        "env": env, "simulator": scene.simulator, "touch_rule": grasps.touch_rule, "seed": grasps.seed,
         "policy": name, "checkpoint": sealed.seal(RunDir(grasps.policy).checkpoint_file)[:16],
         "epoch": epoch, "env_steps": env_steps,
     }  # fmt: skip
@@ -165,7 +165,7 @@ def analyse(read: Options, played: files.Played, out: Path) -> dict[str, Any]:
 
     def feel(taxels: layouts.Taxels) -> Array:
         """Readings bool (n, taxels) by the touch rule of the grasps, with faults."""
-        rule = grasps.feel_contact if settings["touch"] == "contact" else grasps.feel
+        rule = grasps.feel_contact if settings["touch_rule"] == "contact" else grasps.feel
         rng = np.random.default_rng([settings["seed"], analysis.FAULTS])
         return with_faults(rule(taxels), read.fault, rng)
 
@@ -176,7 +176,7 @@ def analyse(read: Options, played: files.Played, out: Path) -> dict[str, Any]:
         samples = probe.answers(asked, probe.inputs())
         _write_gains(probe, samples, out)
         result = {
-            **{name: settings[name] for name in ("env", "simulator", "touch", "seed")},
+            **{name: settings[name] for name in ("env", "simulator", "touch_rule", "seed")},
             "playing": settings,
             "asking": asdict(asking),
             "faults": asdict(read.fault),

@@ -37,7 +37,7 @@ TRAIN = About(
     "Train a policy. The flags and their defaults depend on --scene, --algo and --env. "
     "Without --scene and --recipe, the defaults are the paper's.",
     first=(
-        "scene", "algo", "env", "layout", "run_type", "task", "recipe", "total_timesteps", "seed",
+        "scene", "algo", "env", "layout", "touch", "task", "recipe", "total_timesteps", "seed",
         "workers", "out", "resume",
     ),
     examples=(

@@ -19,7 +19,7 @@ from ..errors import InputError
 from . import sealed
 from .config import RunConfig
 from .files import damage_named, own_folder
-from .run_dir import FORMAT, RunDir
+from .run_dir import FORMAT, RunDir, with_new_names
 
 TYPES = {"format": int, "epoch": int, "config": str, "ranks": list, "experience": list, "spaces": str}
 PART = {"format": int, "epoch": int, "config": str, "rank": int, "experience": dict}
@@ -134,6 +134,6 @@ def read(run_dir: RunDir, config: RunConfig) -> dict[str, Any]:
             raise ValueError("experience of epochs that the run has not had")
         if parts != sorted(set(parts)):
             raise ValueError("experience of epochs that are not in order")
-        if difference := config.difference(json.loads(data["config"])):
+        if difference := config.difference(with_new_names(json.loads(data["config"]))):
             raise InputError(f"{path}: from another configuration than config.json ({difference})")
     return data

@@ -150,7 +150,8 @@ class RunConfig:
         env = hands.file(self.run.env).stem if hands.is_hand(self.run.env) else self.run.env
         parts = [self.run.algo, re.sub("[/:]", "-", env)]
         if self.scene is not None:
-            parts += [self.scene.task, f"layout{layouts.short(self.scene.layout)}", self.scene.run_type]
+            scene = self.scene
+            parts += [scene.task, f"layout{layouts.short(scene.layout)}", f"touch-{scene.touch}"]
         return "_".join([*parts, f"s{self.run.seed}"])
 
     def as_dict(self) -> dict[str, Any]:

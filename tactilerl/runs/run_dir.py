@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from ..algos import recipes
-from ..envs import hands, layouts
+from ..envs import hands, layouts, scenes
 from ..envs.typed import require_type
 from ..errors import InputError, input_errors
 from . import provenance
@@ -107,13 +107,12 @@ class RunDir:
             )
         missing = f"{str(self.path)!r} is not a run folder: no config.json in it"
         with damage_named(self.config_file, "not a run's configuration", missing):
-            data = read_json(self.config_file)
-            require_record(data)
-        return data
+            return as_record(read_json(self.config_file))
 
 
-def require_record(data: Any) -> None:
-    """ValueError unless these are the values of a config.json, of this version or another."""
+def as_record(data: Any) -> dict[str, Any]:
+    """The values of a config.json, of this version or another, by their names in this one; ValueError
+    where they are something else."""
     require_type(data, dict[str, Any], "record")
     if data.get("format") != FORMAT:
         raise ValueError(f"not of format {FORMAT}; continue runs of version 0.1 with that version")
@@ -123,6 +122,12 @@ def require_record(data: Any) -> None:
         require_type(data[name], kind, name)
     for name in ("algo", "env"):
         require_type(data["run"].get(name), str, name)
+    return with_new_names(data)
+
+
+def with_new_names(parts: dict[str, Any]) -> dict[str, Any]:
+    """The parts of a run, those of its scene by their names in this version."""
+    return parts | {"scene": parts["scene"] and scenes.renamed(parts["scene"])}
 
 
 def resolve(

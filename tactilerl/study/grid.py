@@ -4,11 +4,11 @@
     measure = "success_rate"
 
     [compare]
-    run_type = ["main", "control"]          # treatment, control
+    touch = ["on", "off"]                    # treatment, control
 
     [grid]
     layout = [2, 5]
-    run_type = ["main", "control"]
+    touch = ["on", "off"]
     seed = "0-9"
 
     [setups.pybullet]                        # flags of `tactilerl train`
@@ -37,6 +37,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
+from ..envs.scenes import renamed
 from ..envs.typed import require
 from ..errors import InputError
 from ..runs.files import MAX_JSON, content, damage_named, require_name
@@ -130,7 +131,7 @@ class Setup:
     @property
     def is_touch(self) -> bool:
         """Are hands with touch compared with hands without?"""
-        return self.compare is not None and self.compare.flag == "run_type"
+        return self.compare is not None and self.compare.flag in ("touch", "run_type")
 
     def label(self, arm: str) -> str:
         """What an arm is called wherever it is shown: `touch`, `polyak 0.9`."""
@@ -181,7 +182,7 @@ class Run:
     @property
     def arguments(self) -> list[str]:
         """The command line of `tactilerl train`, without where it is written; one core to itself."""
-        return ["--workers", "1", *to_arguments(self.flags), "--seed", str(self.seed)]
+        return ["--workers", "1", *to_arguments(renamed(self.flags)), "--seed", str(self.seed)]
 
 
 @dataclass(frozen=True)
@@ -385,7 +386,7 @@ def _compare(table: dict[str, Any], grid: dict[str, list[Any]]) -> Compare | Non
     if others or not isinstance(pair, list) or len(pair) != 2:
         raise InputError(
             f"compare: found {table!r}, expected one flag with [treatment, control], "
-            'such as run_type = ["main", "control"]'
+            'such as touch = ["on", "off"]'
         )
     flag = _flag(key, "compare")
     allowed = [text(value) for value in grid.get(flag, [])]

@@ -30,7 +30,7 @@ import numpy as np
 from ..errors import InputError
 from ..runs.files import LEFTOVER, MAX_JSON, content, damage_named, replacing, unzip, writable
 from ..runs.progress_csv import Row, whole
-from ..runs.run_dir import RunDir, require_record
+from ..runs.run_dir import RunDir, as_record
 from ..statistics import Array
 from .grid import Run, Study, from_dict, read
 
@@ -199,9 +199,9 @@ class StudyFiles:
 
 def _config(data: bytes) -> dict[str, Any]:
     config = json.loads(data[: MAX_JSON + 1])
-    require_record(config)
+    config = as_record(config)
     config["run"].pop("out", None)
-    return dict(config)
+    return config
 
 
 def _rows(data: bytes) -> tuple[list[Row], str]:

@@ -1,31 +1,22 @@
-"""What `--help` prints: the flags that matter first; with `--help-all` all of them, in groups."""
+"""What `--help` prints: the flags that matter, as tyro shows them; with `--help-all` all of them."""
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-import re
+import io
 import shutil
 import textwrap
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from types import NoneType
-from typing import Annotated, Any, Literal, NamedTuple, NoReturn, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, NamedTuple, NoReturn, get_args, get_origin, get_type_hints
 
 import docstring_parser
 import tyro
-from rich.panel import Panel
-from rich.text import Text
 
-from .console import console
+from ..envs import typed
 
-WIDTH = 78  # columns, at most
-LEFT = 25  # of these, for flags that are no longer
 SHORT, ALL = {"-h", "--help"}, "--help-all"
-SHOWN = {"run_type": "touch", "touch": "touch-rule"}
-"""Fields whose flags have other names."""
-SWITCH = {"on": "main", "off": "control", "absent": "absent"}
-"""What --touch takes -> the run type, as the paper calls it."""
-VALUES: dict[Any, str] = {str: "NAME", int: "INT", float: "FLOAT", Path: "PATH", float | str: "NUMBER"}
 
 
 class About(NamedTuple):
@@ -41,96 +32,70 @@ class About(NamedTuple):
 
 def show(kind: Any, default: Any, prog: str, about: About, everything: bool) -> NoReturn:
     """Print the flags of a dataclass; raises SystemExit."""
-    width = min(WIDTH, shutil.get_terminal_size().columns)
-    found = {name: rest for name, *rest in _fields(kind, default)}
-    first = [name for name in about.first if name in found]
-    is_short = not everything and 0 < len(first) < len(found)
-    options = [_row("-h, --help", "show this help message and exit", width)]
-    groups: dict[str, list[str]] = {"positional arguments": [], "options": options}
-    places = []
-    for name in dict.fromkeys([*first, *([] if is_short else found)]):
-        owner, hint, value, doc = found[name]
-        flag, words = _described(name, hint, value, doc, about.defaults.get(name, ""))
-        title = "options"
-        if not flag.startswith("-"):
-            title = "positional arguments"
-            places.append(flag)
-        elif owner is not None and name not in first:
-            title = re.sub("(Config|Options|Flags|s)$", "", owner.__name__)
-            title = re.sub("(?<=[a-z])(?=[A-Z])|(?=HER)", " ", title).lower() + " options"
-            intro = textwrap.fill((owner.__doc__ or "").partition("\n")[0], width - 4)
-            groups.setdefault(title, [intro, "─" * (width - 4)])
-        groups[title].append(_row(flag, words, width))
-    usage = f"usage: {' '.join([prog, '[OPTIONS]', *places])}"
-    print(textwrap.fill(about.text, width), usage, sep="\n\n", end="\n\n")
-    for title, rows in groups.items():
-        if rows:
-            text = Text("\n".join(rows))
-            console.print(Panel(text, title=title, title_align="left", width=width))
+    groups = list(_groups(kind, default, about.defaults))
+    every = {field[0]: field for _, fields in groups for field in fields}
+    first = [every[name] for name in dict.fromkeys(about.first) if name in every]
+    is_short = not everything and 0 < len(first) < len(every)
+    parts = [("", first)] if is_short else groups
+    shown: list[Any] = []
+    for title, fields in parts:
+        part = dataclasses.make_dataclass(title or "Flags", fields, kw_only=True)
+        shown += [(title, part)] if title else fields
+    options = dataclasses.make_dataclass("Options", shown, kw_only=True)
+    options.__doc__ = None
+    config = (tyro.conf.OmitArgPrefixes,)
+    said = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")
+    with contextlib.redirect_stdout(said), contextlib.suppress(SystemExit):
+        tyro.cli(options, args=["--help"], prog=prog, description="", config=config)
+    said.seek(0)
+    usage, _, flags = said.read().partition("\n")
+    for text in (about.text, usage):
+        print(textwrap.fill(text, shutil.get_terminal_size().columns), end="\n\n")
+    print(flags.strip())
     if about.examples:
         print("\n".join(["examples:", *(f"  {line}" for line in about.examples), ""]))
     if is_short:
-        print(f"{prog} {ALL} lists all {len(found)} flags.")
+        print(f"{prog} {ALL} lists all {len(every)} flags.")
     raise SystemExit(0)
-
-
-def _row(flag: str, words: str, width: int) -> str:
-    """A flag, and what it does to the right of it, or below where the flag is long."""
-    rest = " " * LEFT
-    begin = flag.ljust(LEFT) if len(flag) < LEFT - 1 else f"{flag}\n{rest}"
-    text = textwrap.fill(
-        words, width - 4, initial_indent=rest, subsequent_indent=rest, break_on_hyphens=False
-    )
-    return begin + text[LEFT:]
 
 
 def of_field(field: str) -> str:
     """The flag of a field."""
-    return f"--{SHOWN.get(field, field).replace('_', '-')}"
+    return f"--{field.replace('_', '-')}"
 
 
-def _fields(kind: Any, default: Any, is_part: bool = False) -> Iterator[tuple[str, Any, Any, Any, Any]]:
-    """(name, class that has it in a part, type, default, docstring) of each field of a dataclass and of
-    its parts."""
+METAVARS = {int: "INT", float: "FLOAT", str: "STR"}
+Shown = tuple[str, Any, Any]
+"""Name, annotated type and default of a field, as `make_dataclass` takes them."""
+
+
+def _groups(kind: Any, default: Any, usual: Mapping[str, str]) -> Iterator[tuple[str, list[Shown]]]:
+    """Fields of a dataclass, and of each of its parts under the name of its class."""
     hints = get_type_hints(kind, include_extras=True)
-    docs = {p.arg_name: (c, p.description) for c in kind.__mro__[-2::-1]
-            for p in docstring_parser.parse_from_object(c).params}  # fmt: skip
+    docs = {p.arg_name: p.description or "" for base in kind.__mro__[-2::-1]
+            for p in docstring_parser.parse_from_object(base).params}  # fmt: skip
+    own = []
     for field in dataclasses.fields(kind):
         hint, value = hints[field.name], getattr(default, field.name, field.default)
         if dataclasses.is_dataclass(hint):
-            yield from _fields(hint, value, is_part=True)
+            parts = list(_groups(hint, value, usual))
+            yield getattr(hint, "__name__", ""), [each for _, fields in parts for each in fields]
         else:
-            owner, doc = docs.get(field.name, (None, ""))
-            yield field.name, owner if is_part else None, hint, value, doc
+            own.append(_shown(field.name, hint, value, docs.get(field.name, ""), usual))
+    yield "", own
 
 
-def _described(name: str, hint: Any, value: Any, doc: str, usual: str) -> tuple[str, str]:
-    """A flag as it is written, and what it does."""
+def _shown(name: str, hint: Any, value: Any, doc: str, usual: Mapping[str, str]) -> Shown:
+    """A field as its flag is to be shown: its text in one paragraph, no default that says nothing."""
     base, *notes = get_args(hint) if get_origin(hint) is Annotated else (hint,)
     own: Any = next((note for note in notes if hasattr(note, "metavar")), tyro.conf.arg())
+    said = usual.get(name, "" if value is None or value is False else value)
+    said = " ".join(map(str, said)) if isinstance(said, tuple) else str(said)
+    hint_of_it = "(required)" if value is dataclasses.MISSING else f"(default: {said})" if said else ""
+    metavar = own.metavar or ("PATH" if name == "out" else None)
+    if NoneType in get_args(base):  # which nobody types
+        of_kind = [METAVARS[part] for part in METAVARS if part in typed.parts(base)]
+        metavar = metavar or next(iter(of_kind), None)
     words = " ".join((own.help or doc).split())
-    if tyro.conf.Positional in notes:
-        is_needed = value is dataclasses.MISSING
-        many = " ..." if get_origin(base) is tuple else ""
-        flag = name.upper() if is_needed else f"[{name.upper()}{many}]"
-        return flag, words + " (required)" * is_needed
-    if name == "run_type":
-        base, value = Literal[tuple(SWITCH)], {run: word for word, run in SWITCH.items()}[value]
-    flag = of_field(own.name or name)
-    if isinstance(value, bool):
-        flag, usual = f"{flag}, --no-{flag[2:]}" if value else flag, "on" * value
-    else:
-        flag += f" {own.metavar or ('PATH' if name == 'out' else _metavar(base))}"
-    if not usual and not isinstance(value, bool):
-        each = value if isinstance(value, tuple) else (value,)
-        usual = " ".join(f"{v:g}" if isinstance(v, float) else str(v) for v in each if v is not None)
-    return flag, f"{words} (default: {usual})" if usual else words
-
-
-def _metavar(hint: Any) -> str:
-    """What stands for a flag's value."""
-    if hint in VALUES or get_origin(hint) is Literal:
-        return VALUES.get(hint) or f"{{{','.join(get_args(hint))}}}"
-    parts = get_args(hint)[:1] if get_origin(hint) is Annotated else get_args(hint)
-    words = [_metavar(part) for part in parts if part not in (..., NoneType)]
-    return f"[{words[0]} ...]" if ... in parts else " ".join(words)
+    flag = tyro.conf.arg(name=own.name, metavar=metavar, help=words, help_behavior_hint=hint_of_it)
+    return name, Annotated[(base, *(note for note in notes if note is not own), flag)], value

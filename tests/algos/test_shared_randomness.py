@@ -145,7 +145,7 @@ def test_layouts_of_other_sizes_share_what_does_not_depend_on_taxels():
     """The names come with the environment's space."""
     found = {}
     for layout in ("1", "5"):
-        env = envs.make("shadow", layout=layout, run_type="main")
+        env = envs.make("shadow", layout=layout, touch="on")
         spaces = Spaces(env.observation_space, env.action_space)
         names = spaces.inputs()
         observed = [f"observation {name}" for name in env.observation_names()]
@@ -162,7 +162,7 @@ def test_layouts_of_other_sizes_share_what_does_not_depend_on_taxels():
 
 
 def test_names_of_what_critics_are_told():
-    env = envs.make("shadow", layout="5", run_type="main", critic_sees="truth")
+    env = envs.make("shadow", layout="5", touch="on", critic_sees="truth")
     spaces = Spaces(env.observation_space, env.action_space)
     names = spaces.inputs("truth", "action")
     env.close()

@@ -268,7 +268,7 @@ def test_grasps(here, tried, cases):
     touches = np.arange(40) % 2 == 0
     whole = synthetic(hands.get("shadow"), touches)
     whole["held"] = touches ^ (np.arange(40) // 2 % 10 == 0)
-    settings = {"env": "shadow", "simulator": "mujoco", "touch": "skin", "seed": 0}
+    settings = {"env": "shadow", "simulator": "mujoco", "touch_rule": "skin", "seed": 0}
     ask = ["probe", "--from", str(path), *ASKED, "--layout", "5"]
     grasps.write(path, grasps.Played(whole, settings, ()))
     good = path.read_bytes()

@@ -45,7 +45,7 @@ def test_every_flag_trains_resumes_and_is_evaluated(learner, env, simulator, cap
 @pytest.mark.parametrize("learner", [PPO, HER], ids=["ppo", "ddpg_her"])
 @pytest.mark.parametrize(("env", "simulator"), [("shadow", "pybullet"), ("mpl", "mujoco")])
 def test_forces_are_learned_from(learner, env, simulator):
-    scene = ["--env", env, "--simulator", simulator, *COMMON, "--touch", "force"]
+    scene = ["--env", env, "--simulator", simulator, *COMMON, "--touch-rule", "force"]
     scene += ["--object-seen", "hidden"]
     assert main(["train", *learner, *scene, "--total-timesteps", "12", "--out", "run"]) == 0
 
@@ -53,12 +53,12 @@ def test_forces_are_learned_from(learner, env, simulator):
 @pytest.mark.parametrize(
     ("flags", "named"),
     [
-        (["--run-type", "control", "--taxel-dead", "0.1"], "--taxel-dead: found 0.1, allowed only"),
+        (["--touch", "off", "--taxel-dead", "0.1"], "--taxel-dead: found 0.1, allowed only"),
         (["--sight-noise", "0.1", "0.1"], "--sight-noise: found (0.1, 0.1), allowed only with"),
         (["--object-size", "0.05..0.04"], "--object-size: found '0.05..0.04'"),
         (["--friction", "rough"], "friction: found 'rough'"),
-        (["--touch", "force", "--taxel-stuck", "0.1"], "--taxel-stuck: found 0.1"),
-        (["--touch-rule", "smell"], "touch: found 'smell', allowed: skin, contact, force"),
+        (["--touch-rule", "force", "--taxel-stuck", "0.1"], "--taxel-stuck: found 0.1"),
+        (["--touch-rule", "smell"], "touch-rule: found 'smell', allowed: skin, contact, force"),
         (["--task", "fly"], "task: found 'fly', allowed: lift-and-hold, reach-goal"),
         (["--history", "0"], "history: found 0"),
     ],

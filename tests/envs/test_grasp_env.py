@@ -43,11 +43,11 @@ def rollout(env, seed, n=30, scale=1.0):
 
 
 @pytest.mark.parametrize("task", TASKS)
-@pytest.mark.parametrize("touch", ["skin", "contact"])
+@pytest.mark.parametrize("rule", ["skin", "contact"])
 @pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
 @pytest.mark.parametrize("hand", ["shadow", "mpl"])
-def test_gymnasium_accepts_it(task, touch, simulator, hand):
-    env = envs.make(hand, hold_seconds=0.4, task=task, touch=touch, simulator=simulator)
+def test_gymnasium_accepts_it(task, rule, simulator, hand):
+    env = envs.make(hand, hold_seconds=0.4, task=task, touch_rule=rule, simulator=simulator)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.filterwarnings("ignore", message=".*(infinity|render|values are equal).*")
@@ -156,7 +156,7 @@ def test_observation_is_what_its_names_say():
 
 
 def test_run_types():
-    sizes = {kind: make(run_type=kind, layout="2") for kind in ("main", "control", "absent")}
+    sizes = {kind: make(touch=kind, layout="2") for kind in ("on", "off", "absent")}
     observed = {kind: env.reset(seed=3)[0]["observation"] for kind, env in sizes.items()}
     assert observed["main"].shape == observed["control"].shape
     assert len(observed["absent"]) == len(observed["main"]) - 79
@@ -173,11 +173,11 @@ def test_physics_does_not_depend_on_what_is_felt():
             env.step(rng.uniform(-1, 1, 23))
         return env.simulator.data.qpos.copy()
 
-    reference = trajectory(layout="1", run_type="absent")
+    reference = trajectory(layout="1", touch="absent")
     for choices in (
         dict(layout="1"),
-        dict(layout="6", run_type="control"),
-        dict(layout="1", touch="contact"),
+        dict(layout="6", touch="off"),
+        dict(layout="1", touch_rule="contact"),
         dict(layout="smarthand"),
     ):
         assert np.array_equal(reference, trajectory(**choices)), choices
@@ -317,11 +317,11 @@ class TestFaults:
         assert env.step(up)[-1]["warnings"] == fresh
         assert "warnings" not in env.step(up)[-1]
 
-    @pytest.mark.parametrize("touch", ["skin", "contact"])
+    @pytest.mark.parametrize("rule", ["skin", "contact"])
     def test_a_step_without_memory_is_divergence_and_the_next_episode_is_whole(
-        self, touch, little_memory
+        self, rule, little_memory
     ):
-        env, rng = make(touch=touch), np.random.default_rng(0)
+        env, rng = make(touch_rule=rule), np.random.default_rng(0)
         first, info = rollout(env, 5, 3, scale=0.1), {}
         while "mj_stackAlloc" not in info.get("error", ""):
             *_, done, info = env.step(rng.uniform(-1, 1, 23) - 2 * np.eye(23)[2])
@@ -369,7 +369,7 @@ class TestFaults:
             *({name: 1e300} for name in ("hold_seconds", "joint_noise", "slide_noise", "finger_gain")),
             *({name: 1e300} for name in ("timestep", "control_dt", "lift_clearance", "goal_height")),
             dict(max_episode_steps=10**9),
-            dict(run_type="half"),
+            dict(touch="half"),
             dict(task="fly"),
             dict(hold_verdict="maybe"),
         ],

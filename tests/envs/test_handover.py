@@ -108,7 +108,7 @@ class TestEpisode:
         env.close()
 
     def test_times_are_drawn_and_the_same_whatever_is_sensed(self):
-        both = make(), make(run_type="control")
+        both = make(), make(touch="off")
         drawn = []
         for seed in range(200):
             a, b = (env.reset(seed=seed) and env.task.sets_off for env in both)

@@ -47,13 +47,13 @@ class TestEach:
 
 
 def test_flags_change_what_a_scene_says(capsys):
-    args = ["train", "--scene", "handover", "--layout", "1", "--run-type", "control", *SHORT]
+    args = ["train", "--scene", "handover", "--layout", "1", "--touch", "off", *SHORT]
     assert main([*args, "--out", "run"]) == 0
     saved = json.loads(Path("run/config.json").read_text())
     assert saved["run"]["algo"] == "ppo"
     assert saved["run"]["env"] == "mpl"
     scene = saved["scene"]
-    assert (scene["task"], scene["layout"], scene["run_type"]) == ("handover", "1", "control")
+    assert (scene["task"], scene["layout"], scene["touch"]) == ("handover", "1", "off")
     assert saved["learner"]["orthogonal_init"] is True  # of the recipe
     capsys.readouterr()
     assert main(["evaluate", "run", "--episodes", "2", "--json", "--workers", "1"]) == 0
@@ -63,14 +63,14 @@ def test_flags_change_what_a_scene_says(capsys):
 
 def test_a_study_of_a_scene(trained_here):
     Path("s.toml").write_text(
-        'name = "s"\n[compare]\nrun_type = ["main", "control"]\n'
-        '[grid]\nrun_type = ["main", "control"]\nseed = 10000\n'
+        'name = "s"\n[compare]\ntouch = ["on", "off"]\n'
+        '[grid]\ntouch = ["on", "off"]\nseed = 10000\n'
         '[setups.a]\nscene = "handover"\nlayout = 6\n'
         "steps_per_epoch = 60\nn_passes = 1\ntotal_timesteps = 1\n"
     )
     assert main(["study", "run", "s.toml", "--out", "s", "--jobs", "1"]) == 0
     configs = [json.loads(path.read_text()) for path in Path("s/runs").glob("*/config.json")]
-    assert {config["scene"]["run_type"] for config in configs} == {"main", "control"}
+    assert {config["scene"]["touch"] for config in configs} == {"on", "off"}
     for config in configs:
         assert (config["scene"]["task"], config["scene"]["layout"]) == ("handover", "6")
         assert config["learner"]["orthogonal_init"] is True

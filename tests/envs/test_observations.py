@@ -231,10 +231,10 @@ class TestHistory:
         ({"history": 0}, "history: found 0, allowed from 1 to 100"),
         ({"hand_seed": -1}, "hand_seed: found -1"),
         (
-            {"run_type": "control", "taxel_dead": 0.1},
+            {"touch": "off", "taxel_dead": 0.1},
             "taxel_dead: found 0.1, allowed only with run",
         ),
-        ({"run_type": "absent", "taxel_delay": 1}, "taxel_delay: found 1, allowed only with run_type"),
+        ({"touch": "absent", "taxel_delay": 1}, "taxel_delay: found 1, allowed only with touch on"),
     ],
 )
 def test_what_cannot_be_is_named(choices, named):
@@ -263,9 +263,9 @@ class TestTargets:
 
 
 class TestTruth:
-    @pytest.mark.parametrize("run_type", ["main", "control"])
-    def test_is_there_whatever_is_hidden_from_the_policy(self, run_type):
-        choices = {"object_seen": "hidden", "joint_noise": 0.1, "run_type": run_type, "layout": "1"}
+    @pytest.mark.parametrize("touch", ["on", "off"])
+    def test_is_there_whatever_is_hidden_from_the_policy(self, touch):
+        choices = {"object_seen": "hidden", "joint_noise": 0.1, "touch": touch, "layout": "1"}
         env = make(critic_sees="truth", **choices)
         told, _, _ = episode(env)
         plain, _, _ = episode(make(**choices))

@@ -22,9 +22,9 @@ SCENES = [
     ("mpl", "mujoco", {"object": "cylinder", "object_size": (0.04, 0.05), "friction": 0.5}),
     ("shadow", "mujoco", {"object_size": (0.03, 0.04, 0.06), "object_density": 700.0}),
     ("mpl", "mujoco", {"object_size": 0.06, "task": "reach-goal", "reward": "dense"}),
-    ("shadow", "mujoco", {"touch": "contact", "run_type": "main", "layout": "6"}),
-    ("mpl", "pybullet", {"object": "sphere", "touch": "contact", "layout": "1"}),
-    ("shadow", "mujoco", {"touch": "force", "history": 2, "observe_targets": True, "layout": "1"}),
+    ("shadow", "mujoco", {"touch_rule": "contact", "touch": "on", "layout": "6"}),
+    ("mpl", "pybullet", {"object": "sphere", "touch_rule": "contact", "layout": "1"}),
+    ("shadow", "mujoco", {"touch_rule": "force", "history": 2, "observe_targets": True, "layout": "1"}),
     (
         "mpl",
         "mujoco",

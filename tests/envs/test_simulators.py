@@ -199,7 +199,7 @@ class TestPhysics:
         env.close()
 
     def test_contact_rule_in_pybullet_fires_only_at_contacts_with_the_object(self):
-        env = GraspEnv("mpl", setup("mpl", layout="1", touch="contact"))
+        env = GraspEnv("mpl", setup("mpl", layout="1", touch_rule="contact"))
         env.reset(seed=0)
         assert not env.taxel_readings().any()
         fired = []  # a contact is a point, and few points lie in a taxel

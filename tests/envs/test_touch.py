@@ -195,7 +195,8 @@ class TestForce:
     @pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
     def test_taxels_that_touch_share_the_forces_on_their_links(self, hand, simulator):
         env, skin = (
-            envs.make(hand, simulator=simulator, layout="1", touch=rule) for rule in ("force", "skin")
+            envs.make(hand, simulator=simulator, layout="1", touch_rule=rule)
+            for rule in ("force", "skin")
         )
         starts = scripted.perturbed_starts(env, 0, 1)
         n_felt = 0
@@ -214,7 +215,7 @@ class TestForce:
         env.close(), skin.close()
 
     def test_the_near_taxel_takes_more(self):
-        env = envs.make("shadow", simulator="mujoco", layout="2", touch="force")
+        env = envs.make("shadow", simulator="mujoco", layout="2", touch_rule="force")
         now, mine = env.simulator.state(), np.flatnonzero(env.taxels.link_index == 0)
         at = touch.taxel_points(env.taxels).world(now)[mine]
         link = now.links.index(env.taxels.links[0])
@@ -237,7 +238,7 @@ class TestForce:
         assert stronger == pytest.approx(2 * pressed, rel=0.35)
 
     def test_forces_have_no_upper_bound(self):
-        env = envs.make("mpl", simulator="mujoco", touch="force", layout="1")
+        env = envs.make("mpl", simulator="mujoco", touch_rule="force", layout="1")
         space = env.observation_space["observation"]
         assert np.isinf(space.high[-139:]).all()
         assert not space.low[-139:].any()
@@ -245,7 +246,7 @@ class TestForce:
     @pytest.mark.parametrize("fault", ["taxel_stuck", "taxel_false_on"])
     def test_a_force_has_no_on(self, fault):
         with pytest.raises(ValueError, match=f"{fault}: found 0.1, allowed only with Boolean taxels"):
-            envs.make("mpl", touch="force", **{fault: 0.1})
+            envs.make("mpl", touch_rule="force", **{fault: 0.1})
 
 
 def total_force(simulator="mujoco", **choices):

@@ -55,7 +55,7 @@ class TestReflexes:
         env.close()
 
     def test_a_blind_one_does_the_same_whatever_it_is_told(self, monkeypatch):
-        env = envs.make(scene="handover", run_type="absent")
+        env = envs.make(scene="handover", touch="absent")
         played = []
         step_to = env.step_to
 
@@ -123,7 +123,7 @@ def test_a_table_and_a_sentence(capsys):
         (["--search", "0"], "--search: found 0, allowed 1 or more"),
         (["--seed", "-1"], "--seed: found -1"),
         (["--env", "lqr"], "--env: found 'lqr'"),
-        (["--scene", "handover", "--run-type", "control"], "--touch: leave it out"),
+        (["--scene", "handover", "--touch", "off"], "--touch: leave it out"),
         (["--scene", "nowhere"], "scene: found 'nowhere'"),
     ],
 )

@@ -121,7 +121,7 @@ class TestReadings:
     @pytest.mark.parametrize("rule", ["skin", "contact"])
     def test_are_those_of_the_environment(self, rule):
         layout = "1"
-        env = GraspEnv("mpl", setup("mpl", simulator="mujoco", layout=layout, touch=rule))
+        env = GraspEnv("mpl", setup("mpl", simulator="mujoco", layout=layout, touch_rule=rule))
         hand = env.hand
         try:
             scenes = Scenes("mpl", env.config, [{}])
@@ -313,7 +313,7 @@ class TestMetrics:
 
 
 def write(path, records):
-    settings = {"env": "shadow", "simulator": "mujoco", "touch": "skin", "seed": 0}
+    settings = {"env": "shadow", "simulator": "mujoco", "touch_rule": "skin", "seed": 0}
     files.write(path, files.Played(records, settings, ()))
 
 
