@@ -50,7 +50,7 @@ class SkinnedEnv(GraspEnv):
         if config.touch_rule == "contact":
             raise ValueError("touch: found contact, allowed rules that any taxel can be read by later")
         super().__init__(hand, config)
-        self.taxels, self._touch = taxels, RULES[config.touch](taxels, self.hand)
+        self.taxels, self._touch = taxels, RULES[config.touch_rule](taxels, self.hand)
 
 
 @dataclass(frozen=True)
