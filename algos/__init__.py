@@ -5,16 +5,11 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Protocol, TypeVar, runtime_checkable
+from typing import Annotated, Any, Protocol, TypeVar
 
 import gymnasium as gym
 
 from .spaces import Array as Array
-from .spaces import Spaces
-
-if TYPE_CHECKING:
-    from .policy import Policy
-    from .replay import Replay
 
 T = TypeVar("T")
 # Of hyperparameters, with their ranges; float32 has room for 1e30.
@@ -78,72 +73,8 @@ class Workers(Protocol):
         """`job(env, number, is_wanted)` for `numbers`, in order; who has enough stops iterating."""
 
 
-class Algorithm(Protocol):
-    """What the training loop asks of a learner."""
-
-    env_steps: int
-    """Environment steps taken so far, on all ranks."""
-
-    total_timesteps: int
-    """Where to stop, on all ranks."""
-
-    cycles_per_epoch: int
-    """How often an epoch collects and updates."""
-
-    config: Any
-    """Hyperparameters, with those that the environment decides."""
-
-    policy_parts: tuple[str, ...]
-    """What of `state_dict` the policy is made of."""
-
-    spaces: Spaces
-    """Of the environments it plays in."""
-
-    def describe(self) -> str:
-        """What the configuration amounts to, in words."""
-
-    def collect(self) -> dict[str, float]:
-        """Gather experience for one cycle; what was seen."""
-
-    def update(self) -> dict[str, float]:
-        """Learn from it; losses and the like."""
-
-    def policy(self) -> Policy:
-        """What acts now; good until the next update."""
-
-    def state_dict(self) -> dict[str, Any]:
-        """Everything that the rest of the run depends on, except the experience."""
-
-    def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Go on exactly where `state_dict` was taken; ValueError, before anything is changed, when the
-        learner's own state is another kind."""
-
-    @staticmethod
-    def saved_policy(config: Any, spaces: Spaces, saved: dict[str, Any]) -> Policy:
-        """The policy in what `state_dict` returned, on the CPU and without a learner around it.
-
-        `config` are the learner's hyperparameters. ValueError when these do not go together.
-        """
-
-
-@runtime_checkable
-class OffPolicy(Algorithm, Protocol):
-    """A learner that remembers: what it plays is much noisier than what it learns, so that has to be
-    tested, and its memory has to fit, be saved, and hold what may be learned from again."""
-
-    replay: Replay
-    """Its memory."""
-
-    def check(self) -> None:
-        """Raise ValueError when memory is short or the environment's rewards do not fit; plays an
-        episode."""
-
-    def test(self) -> dict[str, float]:
-        """How good is it without exploration, at the end of an epoch? Empty where not asked."""
-
-
 def get(name: str) -> tuple[Any, Any]:
-    """(Config, Algorithm) by name; PyTorch is imported here and not before."""
+    """(hyperparameters, `Learner`) by name; PyTorch is imported here and not before."""
     if name not in ALGORITHMS:
         raise ValueError(f"unknown algorithm {name!r}; allowed: {', '.join(ALGORITHMS)}")
     registered = ALGORITHMS[name]

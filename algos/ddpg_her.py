@@ -19,8 +19,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from . import Array, Count, Fraction, NotNegative, Positive32, Workers, rollout, state
-from .learner import Learner
+from . import Array, Count, Fraction, NotNegative, Positive32, rollout
+from .learner import Learner, restore
 from .mpi import Communicator
 from .networks import MLP, FlatAdam, flatten, require_hidden
 from .normalizer import Normalizer, Scaling
@@ -185,22 +185,16 @@ def _policy(
 
 
 class DDPGHER(Learner):
-    """Actor, critic, their targets and the replay; the interface is `algos.Algorithm`."""
+    """Actor, critic, their targets and the replay; the interface is `Learner`'s."""
 
+    replay: Replay
     policy_parts = ("actor", "obs_stats", "goal_stats")
     saved = (*policy_parts, "critic", "target_actor", "target_critic", "adam", "privileged_stats")
     counters = ("env_steps", "updates", "cycles", "worst", "best", "reward_scale")
 
-    def __init__(
-        self,
-        config: DDPGHERConfig,
-        workers: Workers,
-        comm: Communicator,
-        seed: int,
-        *run: Any,
-        **more: Any,
-    ) -> None:
-        super().__init__(config, workers, comm, seed, *run, **more)
+    def build(self, weights: torch.Generator) -> None:
+        config: DDPGHERConfig = self.config
+        workers, comm, seed = self.workers, self.comm, self.seed
         space, n_actions = self.spaces.observation, action_size(self.spaces.action)
         n_goal, n_privileged = goal_size(space), flat_size(self.spaces.privileged)
         if not (steps := workers.max_episode_steps):
@@ -212,7 +206,6 @@ class DDPGHER(Learner):
         )  # one goal is its own hindsight
         self.replay_p = her if config.replay_p is None else config.replay_p
         self.config = dataclasses.replace(config, gamma=self.gamma, replay_p=self.replay_p)
-        weights = torch.Generator().manual_seed(seed)
         self.actor = new_actor(config.hidden, self.spaces, weights).to(self.device)
         n_inputs, names = (
             self._n_obs + n_privileged + n_actions,
@@ -386,5 +379,5 @@ class DDPGHER(Learner):
     def saved_policy(config: DDPGHERConfig, spaces: Spaces, saved: dict[str, Any]) -> Policy:
         actor = new_actor(config.hidden, spaces, torch.Generator())
         stats = GoalStats.of(spaces, config.norm_clip, Communicator())
-        state.restore_parts({"actor": actor, "obs_stats": stats.obs, "goal_stats": stats.goal}, saved)
+        restore({"actor": actor, "obs_stats": stats.obs, "goal_stats": stats.goal}, saved)
         return _policy(config, spaces, actor, stats)

@@ -1,8 +1,9 @@
-"""What both learners are made of, however they learn."""
+"""What the training loop asks of a learner, and what the learners here have in common."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -12,11 +13,27 @@ from .mpi import Communicator, same_on_all_ranks
 from .networks import FlatAdam
 from .side_by_side import SideBySide
 from .spaces import Spaces, flat_size
-from .state import Saved
+
+if TYPE_CHECKING:
+    from .policy import Policy
+
+NAMES_OF_0_3 = {"spread": "gaussian", "log": "log_std", "truth_stats": "privileged_stats"}
 
 
-class Learner(Saved):
-    """Who plays, who else learns, and how far the run is."""
+class Learner:
+    """A subclass says how it is built, collects, updates and acts. Random numbers follow from the seed
+    and the counters, so these and the states of its parts are all that a checkpoint needs."""
+
+    policy_parts: ClassVar[Sequence[str]]
+    """Attributes that its policy is made of."""
+    saved: ClassVar[Sequence[str]]
+    """Attributes that have states of their own, the policy's among them."""
+    counters: ClassVar[Sequence[str]]
+    """Attributes that are numbers."""
+    cycles_per_epoch = 1
+    """How often an epoch collects and updates."""
+    replay: Any = None
+    """The `Replay` of a learner that remembers."""
 
     def __init__(
         self,
@@ -28,15 +45,52 @@ class Learner(Saved):
         device: str = "cpu",
         cores: int = 1,
     ) -> None:
-        """ValueError where the hyperparameters or the spaces do not fit. On one of several ranks there
-        is one core, as messages are exchanged one after another."""
+        """For environments of `workers`, until `total_timesteps` over all ranks. ValueError where
+        hyperparameters or spaces do not fit. On one of several ranks there is one core, as messages
+        are exchanged one after another."""
         config.validate()
         self.config, self.workers, self.comm = config, workers, comm
         self.seed, self.total_timesteps, self.device = seed, total_timesteps, torch.device(device)
         self.spaces = Spaces(workers.observation_space, workers.action_space)
         self._n_obs = flat_size(self.spaces.observation)
         self.side_by_side = SideBySide(cores > 1 and comm.size == 1 and self.device.type == "cpu")
-        self.env_steps = 0
+        self.env_steps = 0  # so far, on all ranks
+        self.build(torch.Generator().manual_seed(seed))
+
+    def build(self, weights: torch.Generator) -> None:
+        """Networks, drawn from `weights`, optimisers and whatever else it has."""
+        raise NotImplementedError
+
+    def check(self) -> None:
+        """ValueError where rewards or this machine's memory do not fit; may play an episode."""
+
+    def describe(self) -> str:
+        """What the configuration amounts to, in words."""
+        raise NotImplementedError
+
+    def policy(self) -> Policy:
+        """What acts now; good until the next update."""
+        raise NotImplementedError
+
+    def collect(self) -> dict[str, float]:
+        """Gather experience for one cycle; counts and means of its episodes."""
+        raise NotImplementedError
+
+    def update(self) -> dict[str, float]:
+        """Learn from it; losses and the like."""
+        raise NotImplementedError
+
+    def test(self) -> dict[str, float]:
+        """How good it is without exploration, at the end of an epoch; empty where not asked."""
+        return {}
+
+    @staticmethod
+    def saved_policy(config: Any, spaces: Spaces, saved: dict[str, Any]) -> Policy:
+        """The policy in what `state_dict` returned, on the CPU and without a learner around it.
+
+        `config` are the learner's hyperparameters. ValueError when these do not go together.
+        """
+        raise NotImplementedError
 
     @property
     def progress_remaining(self) -> float:
@@ -55,3 +109,36 @@ class Learner(Saved):
         """DivergenceError where the ranks have parted."""
         if not all(same_on_all_ranks(self.comm, tensor) for tensor in tensors):
             raise DivergenceError("the ranks' parameters differ")
+
+    # -- saving ------------------------------------------------------------------------------
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that the rest of the run depends on, except what it remembers."""
+        states = {name: getattr(self, name).state_dict() for name in self.saved}
+        return states | {name: getattr(self, name) for name in self.counters}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on exactly where `state_dict` was taken. ValueError where it has other parts: files have
+        checksums, so a state may only be another learner's or version's."""
+        if self.state_dict().keys() != (state := with_current_names(state)).keys():
+            different = ", ".join(sorted(self.state_dict().keys() ^ state.keys()))
+            raise ValueError(f"state: {different}: missing, or unknown; finish a run with its version")
+        restore({name: getattr(self, name) for name in self.saved}, state)
+        for name in self.counters:
+            setattr(self, name, state[name])
+
+
+def restore(parts: Mapping[str, Any], state: dict[str, Any]) -> None:
+    """Put back parts, by name, of a learner's state; ValueError where one is missing."""
+    state = with_current_names(state)
+    if missing := parts.keys() - state.keys():
+        raise ValueError(f"state: {', '.join(sorted(missing))}: missing")
+    for name, part in parts.items():
+        part.load_state_dict(state[name])
+
+
+def with_current_names(state: Any) -> Any:
+    """A state that 0.3.0 may have written, all the way down."""
+    if not isinstance(state, dict):
+        return state
+    return {NAMES_OF_0_3.get(name, name): with_current_names(part) for name, part in state.items()}

@@ -17,8 +17,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from . import Array, Count, Fraction, Positive32, Workers, rollout, state
-from .learner import Learner
+from . import Array, Count, Fraction, Positive32, rollout
+from .learner import Learner, restore
 from .mpi import Communicator
 from .networks import MLP, FlatAdam, require_hidden, start_orthogonal
 from .normalizer import Normalizer
@@ -227,18 +227,14 @@ def _improved(improve: Callable[[Transitions], Tensor], minibatches: list[Transi
 
 
 class PPO(Learner):
-    """Actor, critic and the batch of the current epoch; the interface is `algos.Algorithm`."""
+    """Actor, critic and the batch of the current epoch; the interface is `Learner`'s."""
 
     policy_parts = ("actor", "gaussian", "obs_stats")
     saved = (*policy_parts, "privileged_stats", "critic", "actor_adam", "critic_adam")
     counters = ("env_steps", "epochs")
-    cycles_per_epoch = 1
 
-    def __init__(
-        self, config: PPOConfig, workers: Workers, comm: Communicator, seed: int, *run: Any, **more: Any
-    ) -> None:
-        super().__init__(config, workers, comm, seed, *run, **more)
-        weights = torch.Generator().manual_seed(seed)
+    def build(self, weights: torch.Generator) -> None:
+        config: PPOConfig = self.config
         self.actor, self.gaussian, self.obs_stats = _parts(config, self.spaces, weights)
         self.privileged_stats = flat_stats(self.spaces.privileged, OBS_CLIP)
         n_inputs = self._n_obs + flat_size(self.spaces.privileged)
@@ -253,8 +249,8 @@ class PPO(Learner):
         learned = [self.actor, *([self.gaussian] if config.exploration == "learned" else [])]
         self.actor_adam = FlatAdam(*((part, config.actor_lr) for part in learned))
         self.critic_adam = FlatAdam((self.critic, config.critic_lr))
-        comm.broadcast_(self.actor_adam.vector)
-        comm.broadcast_(self.critic_adam.vector)
+        self.comm.broadcast_(self.actor_adam.vector)
+        self.comm.broadcast_(self.critic_adam.vector)
         self.epochs, self._episodes = 0, list[Episode[Array]]()
 
     def describe(self) -> str:
@@ -386,5 +382,5 @@ class PPO(Learner):
     @staticmethod
     def saved_policy(config: PPOConfig, spaces: Spaces, saved: dict[str, Any]) -> Policy:
         parts = _parts(config, spaces, torch.Generator())
-        state.restore_parts(dict(zip(PPO.policy_parts, parts, strict=True)), saved)
+        restore(dict(zip(PPO.policy_parts, parts, strict=True)), saved)
         return _policy(config, spaces, *parts)

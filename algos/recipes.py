@@ -10,6 +10,12 @@ from .ddpg_her import DDPGHERConfig
 from .ppo import PPOConfig
 
 PAPER = "paper"  # every learner's own defaults
+# Hyperparameters that files of earlier versions lack.
+SINCE: dict[str, dict[str, Any]] = {
+    "ddpg_her": dict.fromkeys(
+        ("anneal_lr", "anneal_noise", "anneal_action_l2", "normalise_rewards"), False
+    ),
+}
 # For runs that learn faster, or keep what they learned: docs/concepts/learners.md.
 # A name keeps its values for good: study files and recorded runs mean them by it.
 STEADY = DDPGHERConfig(

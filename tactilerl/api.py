@@ -128,7 +128,7 @@ class Learner:
         learner.total_timesteps = learner.env_steps + total_timesteps
         with _threads(self._run.threads):
             if not self._epoch:
-                training.check(learner)
+                learner.check()
             shown = ProgressBar(learner, self._comm) if progress else nullcontext()
             with shown as report:
                 for row in training.epochs(learner, matmul, self._epoch):

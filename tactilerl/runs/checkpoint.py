@@ -13,7 +13,7 @@ from typing import Any
 
 import torch
 
-from ..algos import Algorithm, OffPolicy
+from ..algos.learner import Learner
 from ..algos.mpi import Communicator
 from ..errors import InputError
 from . import sealed
@@ -29,9 +29,9 @@ REWRITE = 2.0  # the parts are written anew as one when they take this many time
 class Checkpoint:
     """The state of one run on disk; rank 0 alone writes."""
 
-    def __init__(self, run_dir: RunDir, config: RunConfig, learner: Algorithm, comm: Communicator):
+    def __init__(self, run_dir: RunDir, config: RunConfig, learner: Learner, comm: Communicator):
         self.run_dir, self.config, self.learner, self.comm = run_dir, config, learner, comm
-        self._memory = learner.replay if isinstance(learner, OffPolicy) else None
+        self._memory = learner.replay
         self._about = {"format": FORMAT, "config": json.dumps(config.identity())}
         self._parts: list[int] = []  # epochs whose experience is on disk
 

@@ -221,7 +221,8 @@ def from_dict(data: dict[str, Any]) -> RunConfig:
         run = typed.make(RunOptions, data["run"], "run")
         config_type, _ = algos.get(run.algo)
         scene = None if data["scene"] is None else typed.make(GraspConfig, data["scene"], "scene")
-        config = RunConfig(run, scene, typed.make(config_type, data["learner"], "learner"))
+        learner = recipes.SINCE.get(run.algo, {}) | data["learner"]
+        config = RunConfig(run, scene, typed.make(config_type, learner, "learner"))
         config.validate()
         return config
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:

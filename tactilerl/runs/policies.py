@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from .. import algos
+from ..algos import recipes
 from ..algos.policy import Policy, network_sizes
 from ..algos.spaces import Spaces
 from ..envs import typed
@@ -19,12 +20,11 @@ from . import sealed
 from .files import as_path, damage_named
 
 if TYPE_CHECKING:
+    from ..algos.learner import Learner
     from .config import RunConfig
 
 FORMAT = 1  # of a policy's file
 FLOAT = 4  # bytes
-SINCE = dict.fromkeys(("anneal_lr", "anneal_noise", "anneal_action_l2"), False)
-"""Hyperparameters of DDPG+HER that policies of 0.2.0 lack."""
 TYPES = {"policy_format": int, "algo": str, "learner": str, "spaces": str, "state": dict}
 
 
@@ -50,7 +50,7 @@ def load_policy(path: str | Path) -> Policy:
     return read_run(path).policy if path.is_dir() else _read_file(path)
 
 
-def save_policy(path: str | Path, algo: str, learner: algos.Algorithm) -> None:
+def save_policy(path: str | Path, algo: str, learner: Learner) -> None:
     """Write the policy of a learner, whole or not at all; replaces another policy that is there.
 
     Raises ValueError when `path` is no place for a file, or holds another one; OSError when the disk is
@@ -78,7 +78,7 @@ def _read_file(path: Path) -> Policy:
     data = _fields(path)
     with damage_named(path):
         config_type, _ = algos.get(data["algo"])
-        told = (SINCE if data["algo"] == "ddpg_her" else {}) | json.loads(data["learner"])
+        told = recipes.SINCE.get(data["algo"], {}) | json.loads(data["learner"])
         config: Any = typed.make(config_type, told, "learner")
         config.validate()
         return _policy(path, data["algo"], config, Spaces.from_json(data["spaces"]), data["state"])

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from .. import algos
+from ..algos.learner import Learner
 from ..algos.mpi import Communicator
 from ..algos.networks import Precision, has_bfloat16, matrix_products
 from ..algos.rollout import FAULTS
@@ -30,7 +31,7 @@ from .run_dir import RunDir
 COUNTS = ("episodes", *FAULTS, "updates")  # columns of progress.csv that are sums
 
 
-def make_algorithm(config: RunConfig, comm: Communicator) -> tuple[algos.Algorithm, vector.Workers]:
+def make_algorithm(config: RunConfig, comm: Communicator) -> tuple[Learner, vector.Workers]:
     """The learner and its workers; InputError when they do not go together."""
     run = config.run
     with input_errors():
@@ -41,7 +42,7 @@ def make_algorithm(config: RunConfig, comm: Communicator) -> tuple[algos.Algorit
 
 def start_learner(
     run: RunOptions, hyperparameters: Any, start: Callable[[], vector.Workers], comm: Communicator
-) -> tuple[algos.Algorithm, vector.Workers]:
+) -> tuple[Learner, vector.Workers]:
     """The learner and the workers that `start` returns; ValueError when they do not go together."""
     _, algorithm = algos.get(run.algo)
     _require_device(run)
@@ -52,12 +53,6 @@ def start_learner(
         learner = algorithm(hyperparameters, workers, *options)
         started.pop_all()
     return learner, workers
-
-
-def check(learner: algos.Algorithm) -> None:
-    """ValueError when the environment or this machine is not fit for the learner."""
-    if isinstance(learner, algos.OffPolicy):
-        learner.check()
 
 
 def start_workers(config: RunConfig, comm: Communicator, n: int | None) -> vector.Workers:
@@ -89,7 +84,7 @@ def train(
         if config.run.tensorboard:
             require_tensorboard()
         with input_errors():
-            check(learner)
+            learner.check()
         with _writing(run_dir, config, comm):
             checkpoint = Checkpoint(run_dir, config, learner, comm)
             epoch = _begun(checkpoint, any_ranks)
@@ -158,7 +153,7 @@ def _begun(checkpoint: Checkpoint, any_ranks: bool) -> int:
     return epoch
 
 
-def epochs(learner: algos.Algorithm, matmul: Precision, epoch: int = 0) -> Iterator[dict[str, Any]]:
+def epochs(learner: Learner, matmul: Precision, epoch: int = 0) -> Iterator[dict[str, Any]]:
     """Learn until `total_timesteps`; yields each epoch's row of the progress table. `epoch` is how many
     there were before."""
     while learner.env_steps < learner.total_timesteps:
@@ -166,7 +161,7 @@ def epochs(learner: algos.Algorithm, matmul: Precision, epoch: int = 0) -> Itera
         yield {"epoch": epoch, **_epoch(learner, matmul)}
 
 
-def _epoch(learner: algos.Algorithm, matmul: Precision) -> dict[str, Any]:
+def _epoch(learner: Learner, matmul: Precision) -> dict[str, Any]:
     """One epoch: as many cycles as the algorithm's epochs have, but none beyond the run's length, for
     what falls over a run is zero there; then its test."""
     before, times = learner.env_steps, [time.perf_counter()]
@@ -180,7 +175,7 @@ def _epoch(learner: algos.Algorithm, matmul: Precision) -> dict[str, Any]:
         with matrix_products(matmul):
             learned.append(learner.update())
         times.append(time.perf_counter())
-    test = learner.test() if isinstance(learner, algos.OffPolicy) else {}
+    test = learner.test()
     spent = np.diff(times)
     return {
         "env_steps": learner.env_steps,

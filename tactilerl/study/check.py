@@ -10,7 +10,7 @@ from ..algos.mpi import Communicator
 from ..errors import InputError, input_errors
 from ..runs import arguments as train_flags
 from ..runs.config import RunConfig
-from ..runs.training import check, make_algorithm
+from ..runs.training import make_algorithm
 from .grid import Run
 from .records import Record
 
@@ -61,6 +61,6 @@ def start(records: Iterable[Record], configs: Mapping[str, RunConfig]) -> None:
             try:
                 learner, pool = make_algorithm(configs[run.name], Communicator())
                 with closing(pool), input_errors():
-                    check(learner)
+                    learner.check()
             except InputError as error:
                 raise InputError(f"run {run.name}: {error}") from error

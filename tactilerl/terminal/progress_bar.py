@@ -18,7 +18,7 @@ from rich.progress import (
 )
 from rich.table import Column
 
-from ..algos import Algorithm
+from ..algos.learner import Learner
 from ..algos.mpi import Communicator
 from ..algos.rollout import FAULTS
 from ..errors import InputError
@@ -32,7 +32,7 @@ SAID = {  # of a run that has had such faults
 class ProgressBar:
     """Shows each epoch; writes TensorBoard events to a folder when given one."""
 
-    def __init__(self, learner: Algorithm, comm: Communicator, events: Path | None = None) -> None:
+    def __init__(self, learner: Learner, comm: Communicator, events: Path | None = None) -> None:
         self.console = Console(quiet=comm.rank > 0, highlight=False, soft_wrap=True, markup=False)
         self.total = learner.total_timesteps
         self._first_step, self._started = learner.env_steps, time.perf_counter()

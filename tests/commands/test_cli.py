@@ -612,7 +612,8 @@ class TestBadInput:
         monkeypatch.setattr("tactilerl.envs.objects.FURTHEST", 1e300)
         assert main(["train", "--env", "shadow", *FAST, "--start-offset", "1e200"]) == 1
         err = capsys.readouterr().err
-        assert err.startswith("tactilerl: stopped: an episode cannot begin: ")
+        assert err.startswith("tactilerl: stopped: all of 120 episodes diverged at their first step or")
+        assert "an episode cannot begin: " in err
         assert err.count("\n") == 1
 
     def test_divergence_stops_with_the_last_checkpoint_kept(self, capsys):
