@@ -1,0 +1,144 @@
+"""Studies on engines other than this machine's cores: Dask's schedulers, and batch systems."""
+
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from one_line import fails_with
+from tiny_study import TINY, learned, write
+
+from tactilerl.commands.cli import main
+from tactilerl.study import records
+from tactilerl.study.engine import BATCH, Engine
+
+distributed = pytest.importorskip("distributed")
+LONG = TINY.replace("= 200", "= 6000")
+PATIENCE = 120  # s
+
+
+@pytest.fixture(scope="module")
+def on_local(tmp_path_factory):
+    """What the study comes to on this machine."""
+    path = tmp_path_factory.mktemp("local")
+    assert main(["study", "run", str(write(path, LONG)), "--out", str(path / "out"), "--jobs", "2"]) == 0
+    return learned(path / "out")
+
+
+def begun(folder, n=1):
+    """Wait until so many runs have made an epoch."""
+    until = time.monotonic() + PATIENCE
+    while sum(p.stat().st_size > 500 for p in folder.glob("runs/*/progress.csv")) < n:
+        assert time.monotonic() < until
+        time.sleep(0.02)
+
+
+def start(*command):
+    return subprocess.Popen(
+        [sys.executable, "-m", *command], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+
+
+def test_a_worker_that_is_killed_costs_no_bit(tmp_path, on_local):
+    with distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None) as cluster:
+        out, pids = tmp_path / "out", [worker.pid for worker in cluster.workers.values()]
+
+        def kill():
+            begun(out, 2)
+            os.kill(pids[0], signal.SIGKILL)
+
+        killer = threading.Thread(target=kill)
+        killer.start()
+        on = f"dask:{cluster.scheduler_address}"
+        assert main(["study", "run", str(write(tmp_path, LONG)), "--out", str(out), "--on", on]) == 0
+        killer.join()
+        assert pids[0] not in [worker.pid for worker in cluster.workers.values()]
+    assert learned(out) == on_local
+    logs = [path.read_text() for path in out.glob("runs/*.log")]
+    assert sum("resumed" in log for log in logs) == 1
+
+
+def test_a_scheduler_that_is_killed_costs_no_bit(tmp_path, on_local):
+    """It is started again, at the same place and with new workers, while `study run` waits."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    address, out = f"tcp://127.0.0.1:{port}", tmp_path / "out"
+
+    def cluster():
+        scheduler = ["distributed.cli.dask_scheduler", "--port", str(port), "--no-dashboard"]
+        worker = ["distributed.cli.dask_worker", address, "--nthreads", "2", "--no-dashboard"]
+        return [start(*scheduler, "--host", "127.0.0.1"), start(*worker)]
+
+    processes = cluster()
+    study = start(
+        "tactilerl", "study", "run", str(write(tmp_path, LONG)), "--out", str(out),
+        "--on", f"dask:{address}",
+    )  # fmt: skip
+    try:
+        begun(out, 2)
+        for process in processes:
+            process.kill()
+        processes = cluster()
+        assert study.wait(PATIENCE) == 0
+    finally:
+        for process in (study, *processes):
+            process.kill()
+    assert learned(out) == on_local
+
+
+def test_no_scheduler_there(tmp_path, capsys, monkeypatch):
+    import dask
+
+    with dask.config.set({"distributed.comm.timeouts.connect": "1s"}):
+        args = ["study", "run", write(tmp_path), "--on", "dask:tcp://127.0.0.1:9", "--out", tmp_path / "x"]
+        fails_with(capsys, args, "--on dask:tcp://127.0.0.1:9")
+    assert not (tmp_path / "x").exists()
+
+
+DIRECTIVES = {  # as the manual of each has them
+    "slurm": ["#SBATCH -n 1", "#SBATCH --cpus-per-task=2", "#SBATCH --mem=3G", "#SBATCH -t 02:00:00"],
+    "pbs": ["#PBS -l select=1:ncpus=2:mem=2862MB", "#PBS -l walltime=02:00:00"],
+    "lsf": ["#BSUB -n 2", '#BSUB -R "span[hosts=1]"', "#BSUB -W 02:00:00"],
+    "sge": ["#$ -l h_rt=02:00:00", "#$ -N dask-worker"],
+    "htcondor": ["RequestCpus = MY.DaskWorkerCores", "MY.DaskWorkerCores = 2", "Queue"],
+}
+
+
+@pytest.mark.parametrize("on", BATCH)
+def test_the_job_script_of_each_batch_system(on):
+    pytest.importorskip("dask_jobqueue")
+    with Engine(on, 3, 2, "02:00:00", "3GB").cluster() as cluster:
+        script = cluster.job_script()
+    for line in DIRECTIVES[on]:
+        assert line in script
+    assert "distributed.cli.dask_worker tcp://" in script
+    assert re.search(r"--nthreads 1\b", script.rpartition("--nthreads")[1] + script.rpartition("--nthreads")[2])
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (["--on", "moon"], ["'moon'", "slurm", "dask:ADDRESS"]),
+        (["--on", "slurm"], ["--jobs N"]),
+        (["--on", "mpi"], ["mpirun"]),
+        (["--on", "dask:tcp://x:1", "--jobs", "2"], ["--jobs"]),
+        (["--walltime", "1:00:00"], ["--walltime", "slurm"]),
+    ],
+)
+def test_flags_that_do_not_fit(tmp_path, capsys, flags, words):
+    fails_with(capsys, ["study", "run", write(tmp_path), "--out", tmp_path / "out", *flags], *words)
+
+
+@pytest.mark.skipif(shutil.which("sbatch") is not None, reason="a machine with Slurm")
+def test_a_batch_system_that_is_not_here(tmp_path, capsys):
+    pytest.importorskip("dask_jobqueue")
+    args = ["study", "run", write(tmp_path), "--on", "slurm", "--jobs", "1", "--out", tmp_path / "out"]
+    fails_with(capsys, args, "--on slurm", "sbatch")
