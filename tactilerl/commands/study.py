@@ -6,7 +6,8 @@ import dataclasses
 import json
 import os
 import shlex
-from collections.abc import Callable, Iterable, Iterator
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from rich import box
 from rich.table import Table
 
 from ..errors import InputError
+from ..runs.config import RunConfig
 from ..runs.cores import free_cores
 from ..runs.files import pasted
 from ..study import check, comparing, engine, grid, looks, progress, records
@@ -28,6 +30,8 @@ from ..terminal import flags
 from ..terminal.console import console
 from ..terminal.help import About
 from ..terminal.progress_bar import duration
+
+LONG = 6 * 3600  # s; a study that takes longer is asked for twice
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,10 @@ class Run:
     """Try failed runs again."""
     collected: tuple[Path, ...] = ()
     """Skip runs that are done in these folders or collected files of the study."""
+    trust: bool = False
+    """Allow importing modules that ids of environments in the study file name (module:id)."""
+    yes: bool = False
+    """Start without a question, however long it takes."""
 
     def __call__(self) -> int:
         """`tactilerl study run FILE`"""
@@ -67,10 +75,12 @@ class Run:
         done = {one.run.name for one in elsewhere if one.state == "done"}
         runs = [run for run in study.runs() if run.name not in done]
         console.print(f"{title}: checking {len(runs)} runs")
-        configs = check.configure(runs)
+        configs = check.configure(runs, self.trust)
         found = {run.name: files.record(run) for run in runs}
         check.require_same(found.values(), configs)
-        check.start(found.values(), configs)
+        seconds = check.start(found.values(), configs)
+        if not self._is_wanted(found.values(), configs, seconds, parallel()):
+            return 1
         files.create(study)
         if self.retry_failed:
             _forget_failures(files, found)
@@ -90,6 +100,28 @@ class Run:
             console.print(f"{busy} runs are trained by another `study run`")
         console.print(f"  tactilerl study report {pasted(files.path)}")
         return 1 if failures else 0
+
+    def _is_wanted(
+        self,
+        found: Iterable[Record],
+        configs: Mapping[str, RunConfig],
+        seconds: dict[str, float],
+        parallel: int,
+    ) -> bool:
+        """Say how many steps there are to do and about how long they take; ask where that is long."""
+        steps, left = 0.0, 0.0
+        for one in found:
+            if one.fraction and one.run.setup not in seconds:
+                seconds[one.run.setup] = one.seconds / int(one.rows[-1]["env_steps"])
+        for one in found:
+            if one.state != "done" and (not one.has_ended or self.retry_failed):
+                own = (1 - one.fraction) * configs[one.run.name].run.total_timesteps
+                steps, left = steps + own, left + own * seconds.get(one.run.setup, 0.0) / parallel
+        about = f"about {duration(left)} with {parallel} at a time"
+        console.print(f"{steps:,.0f} steps to do: {about}")
+        if left < LONG or self.yes or not sys.stdin.isatty():
+            return True
+        return input("Start? [y/N] ").strip().lower() in ("y", "yes")
 
 
 @contextmanager
@@ -296,7 +328,7 @@ class Report:
     """Folder of the study, or the file that `collect` wrote."""
     out: Path | None = None
     """Folder for the report; default: report/ beside the runs or the collected file."""
-    resamples: Annotated[int, "[100, inf)"] = 50_000
+    resamples: Annotated[int, "[100, 1e6]"] = 50_000
     """Resamples of every bootstrap and permutation test; fewer are faster and less exact."""
 
     def __call__(self) -> None:

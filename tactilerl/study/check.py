@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 from collections.abc import Iterable, Mapping
 from contextlib import closing
 
@@ -15,8 +16,9 @@ from .grid import Run
 from .records import Record
 
 
-def configure(runs: Iterable[Run]) -> dict[str, RunConfig]:
-    """The configuration of every run, by name; InputError naming the first invalid run.
+def configure(runs: Iterable[Run], trust: bool = True) -> dict[str, RunConfig]:
+    """The configuration of every run, by name; InputError naming the first invalid run, or one whose
+    environment imports a module where the study file is not to `trust`.
 
     Flags are read once for all runs that differ only in the seed.
     """
@@ -31,6 +33,11 @@ def configure(runs: Iterable[Run]) -> dict[str, RunConfig]:
             config = dataclasses.replace(config, run=dataclasses.replace(config.run, seed=run.seed))
             with input_errors():
                 config.validate()
+            module, colon, _ = config.run.env.partition(":")
+            if colon and not trust:
+                raise InputError(
+                    f"its environment imports the module {module!r}; if you trust it, give --trust"
+                )
         except InputError as error:
             raise InputError(f"run {run.name}: {error}") from error
         configs[run.name] = config
@@ -51,10 +58,13 @@ def require_same(records: Iterable[Record], configs: Mapping[str, RunConfig]) ->
                     )
 
 
-def start(records: Iterable[Record], configs: Mapping[str, RunConfig]) -> None:
+def start(records: Iterable[Record], configs: Mapping[str, RunConfig]) -> dict[str, float]:
     """Make the environment and the learner of every combination that has not begun yet, as `train`
-    would; InputError naming the first run for which that fails."""
-    tried = set()
+    would; InputError naming the first run for which that fails.
+
+    Returns the seconds of a step, by set-up: those of the first cycle of one such run.
+    """
+    tried, seconds = set(), dict[str, float]()
     for run in (record.run for record in records if record.state == "left"):
         if run.combination not in tried:
             tried.add(run.combination)
@@ -62,5 +72,12 @@ def start(records: Iterable[Record], configs: Mapping[str, RunConfig]) -> None:
                 learner, pool = make_algorithm(configs[run.name], Communicator())
                 with closing(pool), input_errors():
                     learner.check()
+                    if run.setup not in seconds:
+                        began = time.perf_counter()
+                        learner.collect()
+                        learner.update()
+                        spent = time.perf_counter() - began
+                        seconds[run.setup] = spent / max(1, learner.env_steps)
             except InputError as error:
                 raise InputError(f"run {run.name}: {error}") from error
+    return seconds

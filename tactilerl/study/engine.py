@@ -105,7 +105,8 @@ class Engine:
         if self.on == "htcondor":  # which has no limit of time
             options["disk"] = dask.config.get("jobqueue.htcondor.disk") or "1GB"
         elif self.walltime:
-            options["walltime"] = self.walltime
+            is_lsf = self.on == "lsf" and self.walltime.count(":") == 2  # which has no seconds
+            options["walltime"] = self.walltime.rpartition(":")[0] if is_lsf else self.walltime
         return getattr(dask_jobqueue, f"{BATCH[self.on]}Cluster")(**options)
 
 

@@ -456,6 +456,16 @@ class TestPlan:
         assert "converged" in shown
         fails_with(capsys, ["study", "plan", folder.path, "--power", "1"], "--power")
 
+    def test_a_wrong_flag_is_named_before_what_is_missing(self, capsys):
+        assert "STUDY" not in fails_with(capsys, ["study", "plan", "--nope"], "'--nope'")
+
+    def test_resamples_that_no_memory_holds(self, folder, capsys):
+        args = ["study", "report", folder.path, "--resamples", "999999999999"]
+        fails_with(capsys, args, "--resamples", "999999999999")
+
+    def test_an_empty_name_is_no_file(self, folder, capsys):
+        fails_with(capsys, ["study", "collect", folder.path, "--out", ""], "is a folder")
+
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")
 @pytest.mark.parametrize("width", [400, 1600])

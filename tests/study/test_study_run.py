@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import re
 import shlex
 import shutil
 import signal
@@ -151,6 +152,45 @@ class TestRun:
         assert learned(out) == learned(undisturbed)
 
 
+class TestBeforeItStarts:
+    def test_a_module_in_a_study_file_is_imported_for_who_trusts_it(
+        self, tmp_path, capsys, monkeypatch
+    ):
+        """As with the folder of a run."""
+        monkeypatch.syspath_prepend(tmp_path)
+        (tmp_path / "evil.py").write_text(f"open({str(tmp_path / 'pwned')!r}, 'w')")
+        text = 'name = "x"\n[setups.x]\nenv = "evil:x-v0"\n'
+        args = ["study", "run", write(tmp_path, text), "--out", tmp_path / "out"]
+        fails_with(capsys, args, "imports the module 'evil'", "--trust")
+        assert not (tmp_path / "pwned").exists()
+        fails_with(capsys, [*args, "--trust"], "x-v0")
+        assert (tmp_path / "pwned").exists()
+
+    @pytest.mark.parametrize(
+        ("is_terminal", "more", "says", "starts"),
+        [
+            (True, [], "y", True),
+            (True, [], "", False),
+            (True, ["--yes"], None, True),
+            (False, [], None, True),
+        ],
+    )
+    def test_long_studies_are_asked_for_at_a_terminal(
+        self, tmp_path, capsys, monkeypatch, is_terminal, more, says, starts
+    ):
+        text = TINY.replace("= 200", "= 100_000_000_000")
+        asked, started = [], []
+        monkeypatch.setattr("sys.stdin.isatty", lambda: is_terminal, raising=False)
+        monkeypatch.setattr("builtins.input", lambda text: asked.append(text) or says)
+        monkeypatch.setattr(engine, "run_all", lambda jobs, **options: started.extend(jobs) or {})
+        args = ["study", "run", str(write(tmp_path, text)), "--out", str(tmp_path / "out")]
+        assert main([*args, "--jobs", "2", *more]) == (0 if starts else 1)
+        found = re.search(r"200,000,000,000 steps to do: about (\d+):", capsys.readouterr().out)
+        assert int(found[1]) > 100
+        assert (len(asked), len(started)) == (says is not None, 2 * starts)
+        assert (tmp_path / "out").exists() == starts
+
+
 class TestFailures:
     @pytest.mark.slow
     def test_a_run_that_diverges_is_tried_twice_and_the_study_goes_on(
@@ -163,13 +203,14 @@ class TestFailures:
         text += 'hidden = [8]\ntotal_timesteps = 200\n[setups.y]\nenv = "lqr"\nsteps_per_epoch = 60\n'
         text += "n_passes = 1\nhidden = [8]\ntotal_timesteps = 60\n"
         out = tmp_path / "out"
-        assert main(["study", "run", str(write(tmp_path, text)), "--out", str(out), "--jobs", "1"]) == 1
+        run = ["study", "run", str(write(tmp_path, text)), "--out", str(out), "--jobs", "1", "--trust"]
+        assert main(run) == 1
         said = capsys.readouterr().out
         assert "failed: x_s0: stopped:" in said
         assert "[2/2] y_s0 done" in said
         log = (out / "runs" / "x_s0.log").read_text()
         assert log.count("tactilerl train:") == 2
-        assert main(["study", "run", str(write(tmp_path, text)), "--out", str(out)]) == 1
+        assert main(run) == 1
         assert "2 runs, 0 to do" in capsys.readouterr().out
 
     def test_damaged_run_folders_cost_a_line_each_and_nothing_is_lost(
