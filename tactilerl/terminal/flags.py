@@ -35,7 +35,12 @@ def parse(kind: type[T], args: Sequence[str], prog: str, about: help.About, defa
     except SystemExit as stop:
         if not stop.code:
             raise
-        raise InputError(f"{_reason(said.getvalue())}; see {prog} --help") from None
+        reason, names = _reason(said.getvalue()), {name.replace("_", "-") for name in known}
+        given = [arg.partition("=")[0] for arg in args if arg.startswith("--")]
+        wrong = [flag for flag in given if flag[2:].removeprefix("no-") not in names]
+        if wrong and reason.startswith("Missing"):  # something else, that is, than what is wrong
+            reason = f"found {wrong[0]!r}, {_hint(wrong[0], known)}"
+        raise InputError(f"{reason}; see {prog} --help") from None
     if unknown:
         reason = f"found {unknown[0]!r}, {_hint(unknown[0], known)}"
         raise InputError(f"{reason}{' See' if reason.endswith('?') else '; see'} {prog} --help")
