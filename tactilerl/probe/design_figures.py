@@ -77,10 +77,11 @@ def _curve(found: Design) -> Any:
                 name, (row["taxels"], row["success"]), xytext=(5, -3), textcoords="offset points"
             )
     axes.set_xscale("log")
+    axes.margins(x=0.15)  # for what stands beside the last dot
     axes.set_xticks(TICKS, [str(tick) for tick in TICKS])
     axes.minorticks_off()
     told = {"timing": "success in unseen starts", "information": "gain in AUC over joint angles"}
     axes.set(xlabel="number of taxels", ylabel=told[found.result["question"]])
-    axes.legend(loc="upper left")
+    axes.legend(loc="lower right")
     drawn.suptitle(_title(found), **HEAD)
     return drawn
