@@ -133,7 +133,8 @@ def _step(env: gym.Env[Any, Any], policy: Policy, action: Array, episode: Episod
     episode.info = info
     for fault in FAULTS:
         episode.faults[fault] += int(_number(info.get(fault, 0), fault))
-    episode.success = _number(info.get("is_success", math.nan), "is_success")
+    success = info.get("is_success", info.get("success", math.nan))
+    episode.success = _number(success, "is_success")
     if episode.success not in (0.0, 1.0) and not math.isnan(episode.success):
         raise UnfitError(f"env: found the is_success {episode.success:g}, allowed 0 or 1")
     episode.held = episode.held + 1 if episode.success == 1.0 else 0

@@ -93,9 +93,9 @@ def _box(low: Any, high: Any, shape: Any, dtype: Any) -> gym.spaces.Box:
 
 def action_bounds(space: gym.Space[Any]) -> tuple[Array, Array]:
     """(low, high) of an action space; ValueError when it is not a bounded Box."""
-    if isinstance(space, gym.spaces.Box) and space.is_bounded():
+    if isinstance(space, gym.spaces.Box) and space.is_bounded() and space.dtype.kind == "f":
         return space.low, space.high
-    raise ValueError(f"action space: found {space}, allowed Box with finite bounds")
+    raise ValueError(f"action space: found {space}, allowed Box of floats with finite bounds")
 
 
 def action_size(space: gym.Space[Any]) -> int:
@@ -110,7 +110,11 @@ def flat_parts(space: gym.Space[Any]) -> dict[str, gym.spaces.Box]:
         parts = {key: space[key] for key in ("observation", "desired_goal")}
     for part in parts.values():
         if not isinstance(part, gym.spaces.Box):
-            raise ValueError(f"observation space: found {part}, allowed Box, or {GOAL_DICT}")
+            hint = "; gymnasium.wrappers.FlattenObservation makes a Box"
+            raise ValueError(f"observation space: found {part}, allowed Box, or {GOAL_DICT}{hint}")
+        if part.dtype == np.uint8 and len(part.shape) == 3:
+            found = f"found images {part.shape}"
+            raise ValueError(f"observation space: {found}, allowed vectors; no learner here sees")
     return parts
 
 

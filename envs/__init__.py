@@ -18,9 +18,23 @@ from typing import Any
 import gymnasium as gym
 
 from . import hands, scenes, typed
-from .choices import nearest
+from .choices import nearest, require_known
 
 TOYS = {"lqr": "tactilerl/LQR-v0", "point-reach": "tactilerl/PointReach-v0"}
+
+
+def _require_keywords(choices: dict[str, Any]) -> None:
+    from .grasp import GraspConfig
+
+    try:
+        require_known(choices, known := typed.names(GraspConfig))
+    except ValueError as error:
+        unknown = next(name for name in choices if name not in known)
+        raise UnexpectedKeyword(f"{error} (got an unexpected keyword argument {unknown!r})") from None
+
+
+class UnexpectedKeyword(TypeError, ValueError):
+    """A keyword that no environment of that name takes: as Python says it, and one line."""
 
 
 def make(
@@ -54,6 +68,7 @@ def make(
     if hands.is_hand(name):
         from .grasp import GraspEnv, setup
 
+        _require_keywords(choices)
         return GraspEnv(name, setup(name, **choices), render_mode)
     if render_mode is not None:
         choices["render_mode"] = render_mode

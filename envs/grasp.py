@@ -210,6 +210,8 @@ class GraspEnv(gym.Env[Any, Array]):
         return tasks.Start(joints, position, yaw, self.hand.start_targets())
 
     def step(self, action: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
+        if not self._obs:
+            raise gym.error.ResetNeeded("step: found before the first reset")
         action = np.asarray(action, dtype=np.float64)
         if action.shape != self.action_space.shape:
             raise ValueError(f"action: found shape {action.shape}, allowed {self.action_space.shape}")

@@ -26,8 +26,10 @@ class LQREnv(gym.Env[Array, Array]):
     """Starts are uniform in the box ±start."""
     max_episode_steps = 60
     side_by_side = "in turn"
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}
 
-    def __init__(self) -> None:
+    def __init__(self, render_mode: str | None = None) -> None:
+        self.render_mode = render_mode
         self.observation_space = gym.spaces.Box(-np.inf, np.inf, (2,), np.float32)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (1,), np.float32)
 
@@ -45,6 +47,10 @@ class LQREnv(gym.Env[Array, Array]):
         self._steps += 1
         is_over = self._steps >= self.max_episode_steps
         return self._state.astype(np.float32), -float(cost), False, is_over, {}
+
+    def render(self) -> Array | None:
+        """The state in the plane of position and velocity, RGB uint8."""
+        return None if self.render_mode is None else _drawn(self._state)
 
     @classmethod
     def riccati(cls) -> list[tuple[Array, Array]]:
@@ -72,8 +78,10 @@ class PointReachEnv(gym.Env[Any, Array]):
     tolerance = 0.08
     max_episode_steps = 25
     side_by_side = "in turn"
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}
 
-    def __init__(self) -> None:
+    def __init__(self, render_mode: str | None = None) -> None:
+        self.render_mode = render_mode
         box = gym.spaces.Box(-np.inf, np.inf, (2,), np.float32)
         self.observation_space = gym.spaces.Dict(
             {"observation": box, "achieved_goal": box, "desired_goal": box}
@@ -95,6 +103,10 @@ class PointReachEnv(gym.Env[Any, Array]):
         reward = float(self.compute_reward(obs["achieved_goal"], obs["desired_goal"], {}))
         return obs, reward, False, self._steps >= self.max_episode_steps, {"is_success": reward == 0.0}
 
+    def render(self) -> Array | None:
+        """The point, and its goal in grey, RGB uint8."""
+        return None if self.render_mode is None else _drawn(self._goal, self._point)
+
     def compute_reward(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Array:
         """Rewards (...) of goals (..., 2)."""
         distance = np.linalg.norm(np.asarray(achieved_goal) - np.asarray(desired_goal), axis=-1)
@@ -103,3 +115,12 @@ class PointReachEnv(gym.Env[Any, Array]):
     def _obs(self) -> dict[str, Array]:
         point, goal = self._point.astype(np.float32), self._goal.astype(np.float32)
         return {"observation": point, "achieved_goal": point.copy(), "desired_goal": goal}
+
+
+def _drawn(*points: Array) -> Array:
+    """A picture (64, 64, 3) of points (2,) in the square from -1 to 1; the last is black."""
+    picture = np.full((64, 64, 3), 255, np.uint8)
+    for point, shade in zip(points[::-1], (0, 160), strict=False):
+        column, row = np.clip((np.array([1, -1]) * point + 1) * 32, 2, 61).astype(int)
+        picture[row - 2 : row + 3, column - 2 : column + 3] = shade
+    return picture

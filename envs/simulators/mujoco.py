@@ -121,6 +121,9 @@ def _add_touch_sensor(spec: mujoco.MjSpec, name: str, sensor: Sensor) -> None:
     spec.add_sensor(name=name, type=touch, objtype=site, objname=name)
 
 
+_failures: list[OSError] = []  # of drawing, in this process
+
+
 class MujocoSimulator(Simulator):
     """One scene."""
 
@@ -285,6 +288,8 @@ class MujocoSimulator(Simulator):
         return Contacts(points, np.array(links, int), np.array(forces))
 
     def render(self, camera: Camera, spheres: Sequence[Sphere] = ()) -> Array:
+        if _failures:  # a second attempt would end the process
+            raise _failures[0]
         if self._renderer is None:
             offscreen = self.model.vis.global_
             offscreen.offwidth, offscreen.offheight = camera.width, camera.height
@@ -292,10 +297,10 @@ class MujocoSimulator(Simulator):
                 with warnings.catch_warnings(action="ignore"):  # GLFW's, before the error says it
                     self._renderer = mujoco.Renderer(self.model, camera.height, camera.width)
             except (mujoco.FatalError, ImportError, AttributeError) as error:
-                raise OSError(
-                    "MuJoCo cannot draw here; without a display set MUJOCO_GL=egl or MUJOCO_GL=osmesa "
-                    f"({' '.join(str(error).split()).partition(', this most')[0]})"
-                ) from error
+                reason = " ".join(str(error).split()).partition(", this most")[0]
+                where = "without a display set MUJOCO_GL=egl or MUJOCO_GL=osmesa"
+                _failures.append(OSError(f"MuJoCo cannot draw here; {where} ({reason})"))
+                raise _failures[0] from error
         view = mujoco.MjvCamera()
         middle = (self.data.xpos[self._object_body] + self.state().palm) / 2
         view.lookat[:] = middle if camera.lookat is None else camera.lookat

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import torch
 
@@ -49,10 +51,24 @@ def start_learner(
     with ExitStack() as started:
         workers = started.enter_context(closing(start()))
         cores = run.workers or free_cores(comm)  # a toy is played on one and learned from on two
+        _warn_of_wrappers(workers.env)
         options = comm, run.seed, run.total_timesteps, run.device, cores
         learner = algorithm(hyperparameters, workers, *options)
         started.pop_all()
     return learner, workers
+
+
+def _warn_of_wrappers(env: Any) -> None:
+    """A warning where a wrapper's running statistics are of one process, and in no saved policy."""
+    while isinstance(env, gym.Wrapper):
+        if isinstance(env, gym.wrappers.NormalizeObservation | gym.wrappers.NormalizeReward):
+            kind = type(env).__name__
+            warnings.warn(
+                f"{kind} keeps statistics that no policy is saved with and that differ with the number "
+                "of workers, as results then do; use normalise_obs (--normalise-obs)",
+                stacklevel=2,
+            )
+        env = env.env
 
 
 def start_workers(config: RunConfig, comm: Communicator, n: int | None) -> vector.Workers:

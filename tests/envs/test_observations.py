@@ -232,7 +232,7 @@ class TestHistory:
         ({"hand_seed": -1}, "hand_seed: found -1"),
         (
             {"touch": "off", "taxel_dead": 0.1},
-            "taxel_dead: found 0.1, allowed only with run",
+            "taxel_dead: found 0.1, allowed only with touch",
         ),
         ({"touch": "absent", "taxel_delay": 1}, "taxel_delay: found 1, allowed only with touch on"),
     ],

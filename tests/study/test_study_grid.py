@@ -164,7 +164,7 @@ class TestBadFiles:
             ("polyak = [0.95, 0.9]", "polyak = [0.95, 0.8]", ["compare.polyak", "0.8"]),
             ("polyak = [0.95, 0.9]", "polyak = [0.9, 0.9]", ["compare.polyak", "treatment"]),
             ("polyak = [0.95, 0.9]", "layout = [1, 2]", ["compare.layout", "nothing"]),
-            ("polyak = [0.95, 0.9]", "polyak = 0.9", ["compare", "run_type"]),
+            ("polyak = [0.95, 0.9]", "polyak = 0.9", ["compare", "touch"]),
             ('algo = "ddpg_her"', 'algo = "sac"', ["sac", "ppo, ddpg_her"]),
             ('algo = "ddpg_her"', 'algo = "ddpg_her"\nseed = 3', ["setups.reach.seed", "grid"]),
             ('algo = "ddpg_her"', "polyak = 0.5", ["setups.reach.polyak", "allowed in one"]),
