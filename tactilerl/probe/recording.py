@@ -89,7 +89,7 @@ def record(
 ) -> Recording:
     """The starts that the seeds `numbers` draw in a scene. `every_moment`: closing is asked for after
     every number of actions, not only where a taxel fires first. `tick` is called after every start."""
-    blind: dict[str, Any] = {**NO_FAULTS, "run_type": "absent", "history": 1}
+    blind: dict[str, Any] = {**NO_FAULTS, "touch": "absent", "history": 1}
     make = partial(SkinnedEnv, hand, replace(scene, **blind), skin.taxels)
     found = []
     with closing(vector.start(make, workers)) as played_in:
