@@ -212,12 +212,13 @@ def design(*, taxels: int | str = 4, workers: int | None = None, **flags: Any) -
     invalid flag, where no taxel feels anything in time, and where touch cannot help.
     """
     from .probe import design as designing
+    from .probe.candidates import DesignFlags
 
-    wanted = typed.names(designing.DesignFlags)
+    wanted = typed.names(DesignFlags)
     require_known(flags, wanted)
     listed = {name: (flags[name],) for name in ("scene",) if isinstance(flags.get(name), str)}
     chosen = {**flags, **listed, "taxels": str(taxels), "workers": workers}
-    read = typed.replace(designing.DesignFlags(), chosen)
+    read = typed.replace(DesignFlags(), chosen)
     read.validate()
     found = designing.design(read, workers or free_cores())
     return found.layout(max(found.chosen))

@@ -27,5 +27,4 @@ def synthetic(hand, touches):
         "object_orientation": np.tile([1.0, 0, 0, 0], (n, 1)),
         "object_kind": np.zeros(n, int),
         "object_half_size": np.full((n, 3), 0.02),
-        "contact": np.zeros((n, 0), bool),
     }

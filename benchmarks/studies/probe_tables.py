@@ -4,7 +4,7 @@ against number of taxels.
     python -m benchmarks probe_tables probes/{shadow,mpl}_{mujoco,pybullet} \\
         --figure docs/images/probe_selection.png --out docs/data/probe.json
 
-Each folder is one that `tactilerl probe --select ... --out` wrote.
+Each folder is one that `tactilerl probe --select ... --out` of version 0.3.0 wrote.
 """
 
 from __future__ import annotations
@@ -13,17 +13,18 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from benchmarks.command import parser, write
 from benchmarks.printing import interval, markdown
-from tactilerl.probe.figures import CHOSEN, LAYOUT, draw_selection
-from tactilerl.style import DPI, HEAD, NAMES, STYLE
+from tactilerl.probe.figures import CHOSEN, TICKS
+from tactilerl.style import DPI, FAINT, HEAD, INK, NAMES, STYLE
 
 HANDS = {"shadow": "Shadow", "mpl": "MPL", "allegro": "Allegro"}
-MARKS = ((CHOSEN, "o", "-"), (LAYOUT, "s", ""))  # of the best taxels found, and of layouts
+MARKS = ((CHOSEN, "o", "-"), (INK, "s", ""))  # of the best taxels found, and of layouts
 Results = dict[str, dict[str, Any]]
 """probe.json by the pair's name."""
 
@@ -112,6 +113,29 @@ def figure(results: Results, path: Path) -> None:
         names = ["best taxels found, 95 % interval", "the paper's layouts 1 to 6, 95 % interval"]
         picture.legend([line, square], names, loc="outside lower center", ncols=2)
         picture.savefig(path, dpi=DPI, metadata={"Software": None})
+
+
+def draw_selection(axes: Any, selection: dict[str, Any]) -> None:
+    """Gain against the number of taxels: the best found, and the layouts as points."""
+    n, gain = ([row[key] for row in selection["curve"]] for key in ("taxels", "gain"))
+    axes.plot(n, gain, "o-", color=CHOSEN)
+    ends = np.array([row["gain_interval"] for row in selection["curve"]]).T
+    axes.fill_between(n, *ends, color=CHOSEN, alpha=0.15)
+    for row in selection["layouts"]:
+        ends = np.array(row["gain_interval"])[:, None]
+        at = row["taxels"], row["gain"]
+        axes.errorbar(*at, np.abs(ends - row["gain"]), fmt="s", color=INK, capsize=3)
+        beside = [one for one in selection["layouts"] if 0.7 < one["taxels"] / row["taxels"] < 1.4]
+        is_left = any(one["taxels"] > row["taxels"] for one in beside)
+        is_lower = any(one["gain"] > row["gain"] for one in beside)
+        axes.annotate(
+            Path(row["layout"]).stem, at, xytext=(-6 if is_left else 6, -9 if is_lower else 4),
+            textcoords="offset points", ha="right" if is_left else "left",
+        )  # fmt: skip
+    axes.axhline(0, color=FAINT, zorder=0)
+    axes.set_xscale("log")
+    axes.set_xticks(TICKS, [str(tick) for tick in TICKS])
+    axes.minorticks_off()
 
 
 def _question(row: dict[str, Any]) -> tuple[str, str, float]:

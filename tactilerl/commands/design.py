@@ -16,7 +16,7 @@ from rich.table import Table
 from ..envs import layouts
 from ..errors import input_errors
 from ..probe import design, design_files
-from ..probe.design import Design, DesignFlags
+from ..probe.candidates import Design, DesignFlags
 from ..runs.cores import free_cores
 from ..runs.files import pasted
 from ..terminal import flags
@@ -41,10 +41,12 @@ ABOUT_TASK = {
         "when to close is the question, so taxels are chosen by the success of a hand that closes at "
         "the first touch",
         "success",
+        "starts of each scene, judged on {test_starts} others",
     ),
     "information": (
         "whether a grasp will hold is the question, so taxels are chosen by how much they tell of that",
         "gain in AUC",
+        "grasps, each predicted from taxels that were chosen without it",
     ),
 }
 EXACT = 1e-3  # of a bound: less than a start
@@ -107,30 +109,33 @@ def _gathered(args: Sequence[str]) -> list[str]:
 def _print(found: Design) -> None:
     """The table, and how far it can be trusted."""
     result = found.result
-    question, measure = ABOUT_TASK[result["question"]]
+    question, measure, judged = ABOUT_TASK[result["question"]]
+    key = measure.split()[0]
     console.print(f"{', '.join(result['scenes'])}: {question}")
     asked = result["asking"]
     console.print(
-        f"{result['candidates']} candidates; chosen from {asked['starts']} starts of each scene, "
-        f"judged on {asked['test_starts']} others"
+        f"{result['candidates']} candidates; chosen from {asked['starts']} {judged.format(**asked)}"
     )
     if result["early"]:
         console.print(f"left out, since they fire before anything comes: {', '.join(result['early'])}")
-    table = Table("taxels", "which", measure, "95 % interval", "felt")
+    table = Table("taxels", "which", measure, "95 % interval")
+    if key == "success":
+        table.add_column("felt")
     if result["beside"] is not None:
         table.add_column(f"more than layout {layouts.short(result['beside'])}")
     for row in result["rows"]:
-        low, high = row.get("success_interval", ("", ""))
-        cells = [str(row["taxels"]), _which(row), f"{row['success']:.2f}"]
-        cells += [f"{low:.2f} – {high:.2f}" if low != "" else "", f"{row['felt']:.2f}"]
+        low, high = row.get(f"{key}_interval", ("", ""))
+        cells = [str(row["taxels"]), _which(row), f"{row[key]:.2f}"]
+        cells.append(f"{low:.2f} – {high:.2f}" if low != "" else "")
+        cells += [f"{row['felt']:.2f}"] if "felt" in row else []
         if "difference" in row:
-            cells.append("{:+.2f} ({:+.2f} to {:+.2f})".format(*row["difference"]["success"]))
+            cells.append("{:+.2f} ({:+.2f} to {:+.2f})".format(*row["difference"][key]))
         table.add_row(*cells)
     console.print(table)
-    if result["hopeless"]:
+    if result.get("hopeless"):
         console.print(f"{result['hopeless']:.2f} of the starts fail whenever the hand closes")
     for row in result["rows"]:
-        if row["layout"] == "chosen":
+        if "chosen_from" in row:
             console.print(_bound(row))
 
 

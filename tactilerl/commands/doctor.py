@@ -53,8 +53,6 @@ class DoctorFlags:
     """Length of each hold, s."""
     out: Path | None = None
     """Also write a picture of the grasp and its taxels to this file (extra: render)."""
-    compare: bool = False
-    """Also play the grasps in a second simulator and show how often the taxels agree."""
     verbose: bool = False
     """List all taxels that never fired."""
     json: bool = False
@@ -115,10 +113,7 @@ def main(args: list[str]) -> int:
             picture = dataclasses.replace(scene, layout=chosen or "1", touch="on")
             render.picture(name, picture, "grasp", Camera(), read.out, grasp)
         scenes = [dataclasses.replace(scene, layout=layout) for layout in names]
-        figures = [
-            doctor.examine(name, each, grasp, read.grasps, read.seconds, read.compare)
-            for each in scenes
-        ]
+        figures = [doctor.examine(name, each, grasp, read.grasps, read.seconds) for each in scenes]
     code = int(any(f.is_blind for f in figures))
     if read.json:
         print(json.dumps([dataclasses.asdict(f) for f in figures]))
@@ -132,9 +127,6 @@ def main(args: list[str]) -> int:
             *(f"{100 * f.share_any:.0f} %", str(len(f.never_fired)), "blind" if f.is_blind else "ok"),
         )
     console.print(table)
-    for f in figures if read.compare else ():
-        share = "nothing to compare" if f.agreement is None else f"{100 * f.agreement:.0f} %"
-        console.print(f"layout {f.layout}: of what fires in either simulator, fires in both: {share}")
     for f in figures:
         if read.verbose or 0 < len(f.never_fired) <= FEW:
             console.print(f"layout {f.layout} never fired: {', '.join(f.never_fired) or 'none'}")

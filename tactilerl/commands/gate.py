@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from functools import partial
 from typing import Annotated
 
 from rich.progress import Progress
 from rich.table import Table
 
-from ..envs import typed
+from ..envs import hands, layouts, typed
 from ..errors import InputError, input_errors
 from ..probe import gate
 from ..runs.config import WorkerCount
 from ..runs.cores import free_cores
+from ..terminal import flags
 from ..terminal.console import console
 from ..terminal.help import About
 from .scene import read_scene, require_scene
@@ -25,6 +27,7 @@ ABOUT = About(
     examples=(
         "tactilerl gate --scene handover",
         "tactilerl gate --scene handover --starts 50 --search 5",
+        "tactilerl gate --scene handover_anywhere --layout 1 3 my_layout.toml",
     ),
 )
 
@@ -49,27 +52,40 @@ class GateFlags:
 
 def main(args: list[str]) -> int:
     """`tactilerl gate --scene handover`"""
+    chosen, args = flags.several(args, "--layout")
     read, found = read_scene(GateFlags, args, "tactilerl gate", ABOUT)
     scene = require_scene(found, read.env)
     with input_errors():
         if scene.touch != "on":
             raise InputError("--touch: leave it out; the gate always compares touch with no touch")
-        typed.validate(scene)
+        beside = [dataclasses.replace(scene, layout=layout) for layout in chosen[1:]]
+        for each in (scene, *beside):
+            typed.validate(each)
+            layouts.load(each.layout).place(hands.get(read.env))
     with Progress(console=console, transient=True) as progress, input_errors():
         task = progress.add_task("trying reflexes", total=None)
-        rows = gate.examine(
-            read.env, scene, read.starts, read.search, read.seed,
-            read.workers or free_cores(), lambda: progress.advance(task),
+        examine = partial(
+            gate.examine, read.env, starts=read.starts, search=read.search, seed=read.seed,
+            workers=read.workers or free_cores(), tick=lambda: progress.advance(task),
         )  # fmt: skip
+        rows = examine(scene)
+        touch = {each.layout: examine(each, senses=["touch"])[0] for each in beside}
     sentence = gate.verdict(rows)
     if read.json:
-        print(json.dumps({"reflexes": [dataclasses.asdict(r) for r in rows], "verdict": sentence}))
+        more = {"layouts": {name: dataclasses.asdict(row) for name, row in touch.items()}}
+        result = {"reflexes": [dataclasses.asdict(r) for r in rows], "verdict": sentence}
+        print(json.dumps(result | (more if touch else {})))
         return 0
     table = Table("reflex", "switches when", "success", "95 % interval")
     for row in rows:
         low, high = row.interval
         _, about = gate.SENSES[row.name]
-        table.add_row(row.name, about, f"{row.rate:.2f}", f"{low:.2f} – {high:.2f}")
+        name = f"touch, layout {scene.layout}" if touch and row.name == "touch" else row.name
+        table.add_row(name, about, f"{row.rate:.2f}", f"{low:.2f} – {high:.2f}")
+        for layout, other in touch.items() if row.name == "touch" else ():
+            low, high = other.interval
+            name = f"touch, layout {layout}"
+            table.add_row(name, about, f"{other.rate:.2f}", f"{low:.2f} – {high:.2f}")
     console.print(table)
     console.print(sentence)
     return 0

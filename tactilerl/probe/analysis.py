@@ -25,8 +25,8 @@ from .readings import Grasps
 
 JOINTS, SIGHT = "joints", "joints+sight"
 TAXELS, BOTH, ALONE = "joints+taxels", "joints+taxels+sight", "taxels"
+IDLE = 10  # s: processes without work end, also those of a probe that was killed
 CONTROL = {TAXELS: JOINTS, BOTH: SIGHT, SIGHT: JOINTS}
-SHARES = (1 / 8, 1 / 4, 1 / 2)  # of the grasps, for the learning curve
 NOISE, FAULTS, BOOTSTRAP, SHUFFLE = range(4)  # each has random numbers of its own
 
 
@@ -112,25 +112,24 @@ class Probe:
 
     def will_it_hold(self, held: Array) -> Question:
         """The question whose answer is `held` (n,)."""
-        how: Any = {"kept": self.folds(held), "kind": self.choices.estimator}
-        predict = partial(estimators.probabilities, targets=held, **how)
+        predict = partial(estimators.probabilities, targets=held, kept=self.folds(held))
         return Question("hold", ("auc", "bits", "log_loss"), held, predict)
 
     def questions(self) -> list[Question]:
         """All that can be asked of these grasps."""
         grasps, asked = self.grasps, [self.will_it_hold(self.grasps.held)]
-        how: Any = {"kept": self.folds(grasps.held), "kind": self.choices.estimator}
+        kept = self.folds(grasps.held)
         place, (names, index) = grasps.object_in_hand()[0][:, :2], grasps.objects()
-        predict = partial(estimators.values, targets=place, **how)
+        predict = partial(estimators.values, targets=place, kept=kept)
         asked.append(Question("position", ("r2", "error_mm"), place, predict, of_the_blind=True))
         if self.choices.hold_out == "grasps" and len(names) > 1:
-            predict = partial(estimators.classes, targets=index, **how)
+            predict = partial(estimators.classes, targets=index, kept=kept)
             asked.append(Question("object", ("balanced_accuracy",), index, predict))
         yaw, parts = grasps.turn()
         if parts:
             truth = np.column_stack([yaw, np.full(len(yaw), 2 * math.pi / parts)])
             circle = np.column_stack([np.cos(parts * yaw), np.sin(parts * yaw)])
-            predict = partial(estimators.values, targets=circle, **how)
+            predict = partial(estimators.values, targets=circle, kept=kept)
             asked.append(Question("yaw", ("error_deg",), truth, predict, of_the_blind=True))
         return asked
 
@@ -145,7 +144,7 @@ class Probe:
             for question, given in itertools.product(asked, inputs)
             if not (question.of_the_blind and "sight" in given[1])
         ]
-        found = Parallel(self.jobs, prefer="processes")(
+        found = Parallel(self.jobs, backend="loky", idle_worker_timeout=IDLE)(
             delayed(answer)(question, self.features(*given), every) for question, given in pairs
         )
         return {
@@ -202,27 +201,6 @@ def differences(probe: Probe, asked: list[Question], samples: Samples) -> list[d
             told = metrics.estimate("difference", way)
             rows.append({**about, **told, "p": p, "p_holm": p_holm})
     return rows
-
-
-def learning_curve(probe: Probe, samples: Samples) -> list[dict[str, Any]]:
-    """Gain in AUC from the first part of the grasps, up to all of them, which are measured in
-    `samples`: were there enough?"""
-    measured = {}
-    for n in sorted({round(share * len(probe.grasps)) for share in SHARES}):
-        readings = {name: felt[:n] for name, felt in probe.readings.items()}
-        some = replace(probe, grasps=probe.grasps.first(n), readings=readings)
-        try:
-            asked = [some.will_it_hold(some.grasps.held)]
-        except ValueError:  # too few of one outcome for the folds
-            continue
-        measured[n] = some.answers(asked, [x for x in some.inputs() if x[1] in (JOINTS, TAXELS)])
-    measured[len(probe.grasps)] = samples
-    return [
-        {"grasps": n, "joint_noise": noise, "layout": layout}
-        | metrics.gain(hold_gain(found, noise, layout))
-        for n, found in measured.items()
-        for noise, layout in itertools.product(probe.choices.joint_noise, probe.readings)
-    ]
 
 
 def shuffled_gain(probe: Probe) -> dict[str, Any]:

@@ -112,8 +112,11 @@ def value(starts: Starts, taxels: Sequence[int], aim: Aim = FIRST) -> float:
     return float(starts.weights @ scores(starts, np.array([list(taxels)], int), aim)[:, 0])
 
 
-def greedy(starts: Starts, k: int, aim: Aim = FIRST, kept: Sequence[int] = ()) -> list[int]:
-    """`k` taxels one after another, then swaps as long as one gains something; those `kept` stay."""
+def greedy(
+    starts: Starts, k: int, aim: Aim = FIRST, kept: Sequence[int] = (), rounds: int = ROUNDS
+) -> list[int]:
+    """`k` taxels one after another, then up to `rounds` swaps as long as one gains something; those
+    `kept` stay."""
     chosen, every, ties = list(kept), np.arange(starts.fires.shape[1]), _breadth(starts)
 
     def best(rests: list[list[int]], redundancy: int) -> tuple[float, list[int]]:
@@ -124,7 +127,7 @@ def greedy(starts: Starts, k: int, aim: Aim = FIRST, kept: Sequence[int] = ()) -
 
     while len(chosen) < k:  # of several that must feel a start, the first alone gain nothing
         _, chosen = best([chosen], min(aim.redundancy, len(chosen) + 1))
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         rests = [[i for i in chosen if i != out] for out in chosen if out not in kept]
         found, swapped = best(rests, aim.redundancy) if rests else (0.0, chosen)
         if found <= value(starts, chosen, aim) + 1e-12:

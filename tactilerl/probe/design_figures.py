@@ -13,7 +13,7 @@ from ..pictures import places
 from ..pictures.hand_map import panels, point
 from ..runs.files import MAKER
 from ..style import DPI, HEAD, INK, NAMES, STYLE
-from .design import Design
+from .candidates import Design
 from .figures import CHOSEN, TICKS, draw_hand, new_figure
 
 KINDS: dict[str, dict[str, Any]] = {
@@ -60,22 +60,25 @@ MEASURES = {"timing": "share of starts won by this taxel alone", "information": 
 def _curve(found: Design) -> Any:
     """By number of taxels: what was chosen, random sets of as many, and layouts as dots."""
     drawn, (axes,) = new_figure(6, 3.6)
-    rows = found.result["rows"]
+    rows, key = (
+        found.result["rows"],
+        {"timing": "success", "information": "gain"}[found.result["question"]],
+    )
     for name, style in (("chosen", {"color": CHOSEN, "marker": "o"}), ("random", {"color": "0.6"})):
         some = [row for row in rows if row["layout"] == name]
+        if not some:
+            continue
         numbers = [row["taxels"] for row in some]
         label = "placed by tactilerl" if name == "chosen" else "random sets, mean"
-        axes.plot(numbers, [row["success"] for row in some], label=label, **style)
+        axes.plot(numbers, [row[key] for row in some], label=label, **style)
         if name == "chosen":
-            low, high = np.array([row["success_interval"] for row in some]).T
+            low, high = np.array([row[f"{key}_interval"] for row in some]).T
             axes.fill_between(numbers, low, high, color=CHOSEN, alpha=0.15)
     for row in rows:
         if row["layout"] not in ("chosen", "random"):
-            axes.plot(row["taxels"], row["success"], "s", color=INK)
+            axes.plot(row["taxels"], row[key], "s", color=INK)
             name = layouts.short(row["layout"])
-            axes.annotate(
-                name, (row["taxels"], row["success"]), xytext=(5, -3), textcoords="offset points"
-            )
+            axes.annotate(name, (row["taxels"], row[key]), xytext=(5, -3), textcoords="offset points")
     axes.set_xscale("log")
     axes.margins(x=0.15)  # for what stands beside the last dot
     axes.set_xticks(TICKS, [str(tick) for tick in TICKS])

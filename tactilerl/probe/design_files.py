@@ -10,7 +10,7 @@ from pathlib import Path
 from ..envs import toml_files
 from ..errors import InputError
 from ..runs.files import is_picture, locked, read_json, replacing, require_ours
-from .design import MADE, Design
+from .candidates import MADE, Design
 
 
 def is_layout(path: Path) -> bool:

@@ -1,4 +1,4 @@
-"""What predicts: regularised linear models or gradient boosting, by scikit-learn.
+"""What predicts: regularised linear models, by scikit-learn.
 
 Predictions are of grasps that were held back: each fold by a model that was fitted, and whose
 hyperparameters were chosen, on the others.
@@ -9,40 +9,33 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from sklearn.compose import TransformedTargetRegressor
 from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
-from sklearn.ensemble import HistGradientBoostingClassifier, HistGradientBoostingRegressor
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LogisticRegressionCV, RidgeCV
 from sklearn.model_selection import (
-    GridSearchCV,
     GroupKFold,
-    KFold,
     StratifiedKFold,
     cross_val_predict,
 )
-from sklearn.multioutput import MultiOutputRegressor
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from ..envs.state import Array
 
-Kind = Literal["linear", "boosting"]
 Fold = tuple[Array, Array]
 """Indices of grasps to fit on, and of those held back."""
 INNER_FOLDS = 3  # in which hyperparameters are chosen
 PENALTIES = [0.003, 0.03, 0.3, 3.0]  # C of the logistic regression, of standardised features
 RIDGES = np.logspace(-1, 4, 11)
-LEAVES = [4, 16]  # of a tree
-TREES: dict[str, Any] = {"learning_rate": 0.1, "early_stopping": True, "random_state": 0}
 
 
 @contextmanager
 def expected_warnings() -> Iterator[None]:
-    """Silences what estimators warn of when they see few grasps, as early in the learning curve."""
+    """Silences what estimators warn of when they see few grasps."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)
         warnings.filterwarnings("ignore", "The least populated class")
@@ -80,19 +73,17 @@ def folds(held: Array, n: int, groups: Array | None, seed: int) -> list[Fold]:
     return found
 
 
-def probabilities(features: Array, targets: Array, kept: list[Fold], kind: Kind) -> Array:
+def probabilities(features: Array, targets: Array, kept: list[Fold]) -> Array:
     """(n, 2): probability that each grasp holds, and the share that held in its training folds."""
     predicted = np.full((len(targets), 2), np.nan)
     for train, test in kept:
-        model = _classifier(kind).fit(features[train], targets[train])
+        model = _classifier().fit(features[train], targets[train])
         predicted[test, 0] = model.predict_proba(features[test])[:, 1]
         predicted[test, 1] = targets[train].mean()
     return predicted
 
 
-def _classifier(kind: Kind) -> Any:
-    if kind == "boosting":
-        return _boosted(HistGradientBoostingClassifier(**TREES))
+def _classifier() -> Any:
     inner = StratifiedKFold(INNER_FOLDS, shuffle=True, random_state=0)
     chosen = LogisticRegressionCV(
         Cs=PENALTIES, l1_ratios=(0.0,), cv=inner, scoring="neg_log_loss", tol=1e-3, max_iter=1000,
@@ -101,27 +92,17 @@ def _classifier(kind: Kind) -> Any:
     return make_pipeline(StandardScaler(), chosen)
 
 
-def values(features: Array, targets: Array, kept: list[Fold], kind: Kind) -> Array:
+def values(features: Array, targets: Array, kept: list[Fold]) -> Array:
     """(n, d) predictions of `targets` (n, d)."""
-    if kind == "boosting":
-        model: Any = MultiOutputRegressor(_boosted(HistGradientBoostingRegressor(**TREES)))
-    else:  # leaves one out, in closed form
-        model = make_pipeline(StandardScaler(), RidgeCV(RIDGES))
+    model = make_pipeline(StandardScaler(), RidgeCV(RIDGES))  # leaves one out, in closed form
     # Ridge regression shrinks what is measured in large units less.
     scaled = TransformedTargetRegressor(model, transformer=StandardScaler())
     return cross_val_predict(scaled, features, targets, cv=kept)
 
 
-def classes(features: Array, targets: Array, kept: list[Fold], kind: Kind) -> Array:
+def classes(features: Array, targets: Array, kept: list[Fold]) -> Array:
     """(n,) predictions of the classes `targets`."""
-    if kind == "boosting":
-        model = _boosted(HistGradientBoostingClassifier(class_weight="balanced", **TREES))
-    else:  # its shrinkage is not chosen but follows from the training folds
-        discriminant = LinearDiscriminantAnalysis(solver="lsqr", shrinkage="auto")
-        model = make_pipeline(StandardScaler(), discriminant)
+    # Its shrinkage is not chosen but follows from the training folds.
+    discriminant = LinearDiscriminantAnalysis(solver="lsqr", shrinkage="auto")
+    model = make_pipeline(StandardScaler(), discriminant)
     return cross_val_predict(model, features, targets, cv=kept)
-
-
-def _boosted(model: Any) -> Any:
-    inner = KFold(INNER_FOLDS, shuffle=True, random_state=0)
-    return GridSearchCV(model, {"max_leaf_nodes": LEAVES}, cv=inner)

@@ -14,26 +14,20 @@ from matplotlib.patches import FancyBboxPatch
 from ..envs.hands import Hand
 from ..pictures.hand_map import EDGE, ROUND, labels, panels, point
 from ..pictures.places import Place
-from ..style import DPI, FAINT, HEAD, INK, NAMES, OTHERS, STYLE
+from ..style import DPI, FAINT, HEAD, NAMES, OTHERS, STYLE
 
-CHOSEN, LAYOUT = OTHERS[0], INK
+CHOSEN = OTHERS[0]
 TICKS = (1, 2, 5, 10, 20, 50, 100)  # of a number of taxels
-Rows = list[dict[str, Any]]
 
 
 @rc_context(STYLE)
 def draw(result: dict[str, Any], hand: Hand, out: Path) -> None:
     """All figures that there is something to draw for."""
-    figures = {"gain": _gains(result), "learning_curve": _learning(result)}
+    figures = {"gain": _gains(result)}
     skin = result["worth"]
     places = [Place(**place) for place in skin["places"]]
     title = f"{_title(result)}\nlayout {skin['layout']}: what each taxel adds to the joint angles"
     figures["worth"] = hand_map(hand, places, title, np.array(skin["bits"]))
-    if "selection" in result:
-        figures["selection"] = _selection(result)
-        chosen = [Place(**place) for place in result["selection"]["places"]]
-        title = f"{_title(result)}\nthe first {len(chosen)} taxels chosen"
-        figures["selected"] = hand_map(hand, chosen, title)
     for name, figure in figures.items():
         for suffix, metadata in (("png", None), ("svg", {"Date": None})):
             figure.savefig(out / f"{name}.{suffix}", dpi=DPI, metadata=metadata)
@@ -73,62 +67,6 @@ def _title(result: dict[str, Any]) -> str:
     return (
         f"{hand} in {NAMES.get(result['simulator'], result['simulator'])}, {result['grasps']:,} grasps"
     )
-
-
-def _learning(result: dict[str, Any]) -> Any:
-    """Gain against the number of grasps, a panel for each noise."""
-    rows = result["learning_curve"]
-    noises = result["asking"]["joint_noise"]
-    figure, panels = new_figure(4 * len(noises), 3.4, len(noises))
-    for noise, axes in zip(noises, panels, strict=True):
-        for layout in dict.fromkeys(row["layout"] for row in rows):
-            some = [r for r in rows if r["layout"] == layout and r["joint_noise"] == noise]
-            _band(axes, "grasps", some, 0.1, label=Path(layout).stem)
-        axes.axhline(0, color=FAINT, zorder=0)
-        axes.set(xlabel="grasps", title=f"joint noise {noise:g} rad")
-    panels[0].set_ylabel("gain in AUC")
-    panels[-1].legend(title="layout")
-    figure.suptitle(_title(result), **HEAD)
-    return figure
-
-
-def _band(axes: Any, along: str, rows: Rows, alpha: float, **style: Any) -> None:
-    """Gains and their intervals `along` a number."""
-    n, gain = ([row[key] for row in rows] for key in (along, "gain"))
-    low, high = np.array([row["gain_interval"] for row in rows]).T
-    (line,) = axes.plot(n, gain, "o-", **style)
-    axes.fill_between(n, low, high, color=line.get_color(), alpha=alpha)
-
-
-def _selection(result: dict[str, Any]) -> Any:
-    figure, (axes,) = new_figure(6, 3.6)
-    selection = result["selection"]
-    draw_selection(axes, selection)
-    noise = f"joint noise {selection['joint_noise']:g} rad"
-    axes.set(xlabel="number of taxels", ylabel="gain in AUC over joint angles", title=noise)
-    axes.legend()
-    figure.suptitle(_title(result), **HEAD)
-    return figure
-
-
-def draw_selection(axes: Any, selection: dict[str, Any]) -> None:
-    """Gain against the number of taxels: the best found, and the layouts as points."""
-    _band(axes, "taxels", selection["curve"], 0.15, color=CHOSEN, label="chosen from the skin")
-    for row in selection["layouts"]:
-        ends = np.array(row["gain_interval"])[:, None]
-        at = row["taxels"], row["gain"]
-        axes.errorbar(*at, np.abs(ends - row["gain"]), fmt="s", color=LAYOUT, capsize=3)
-        beside = [one for one in selection["layouts"] if 0.7 < one["taxels"] / row["taxels"] < 1.4]
-        is_left = any(one["taxels"] > row["taxels"] for one in beside)
-        is_lower = any(one["gain"] > row["gain"] for one in beside)
-        axes.annotate(
-            Path(row["layout"]).stem, at, xytext=(-6 if is_left else 6, -9 if is_lower else 4),
-            textcoords="offset points", ha="right" if is_left else "left",
-        )  # fmt: skip
-    axes.axhline(0, color=FAINT, zorder=0)
-    axes.set_xscale("log")
-    axes.set_xticks(TICKS, [str(tick) for tick in TICKS])
-    axes.minorticks_off()
 
 
 def hand_map(hand: Hand, places: Sequence[Place], title: str, worth: np.ndarray | None = None) -> Any:

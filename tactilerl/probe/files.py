@@ -4,7 +4,6 @@ any moment."""
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,7 +12,6 @@ import numpy as np
 from ..envs import hands, typed
 from ..envs.scenes import renamed
 from ..envs.state import KINDS
-from ..pictures.places import Place
 from ..runs.files import damage_named, read_arrays, replacing
 from .grasps import Measured, shapes_of
 
@@ -28,13 +26,11 @@ class Played(NamedTuple):
     records: Measured
     settings: dict[str, Any]
     """What they follow from, besides their number."""
-    contact_places: tuple[Place, ...]
 
 
 def write(path: Path, played: Played) -> None:
     """Write the file, or leave what is there."""
-    spots = [asdict(place) for place in played.contact_places]
-    about = json.dumps({"format": FORMAT, **played.settings, "contact_places": spots})
+    about = json.dumps({"format": FORMAT, **played.settings})
     arrays: dict[str, Any] = {SETTINGS: np.array(about), **played.records}
     with replacing(path) as file:
         np.savez_compressed(file, **arrays)
@@ -48,18 +44,19 @@ def read(path: Path) -> Played:
         about = renamed(json.loads(str(arrays.pop(SETTINGS))))
         if about.pop("format") != FORMAT:
             raise ValueError("it has another format")
-        places = tuple(typed.make(Place, place, "place") for place in about.pop("contact_places"))
+        for gone in (about, arrays):  # of 0.3.0, where contacts were recorded
+            gone.pop("contact_places" if gone is about else "contact", None)
         if hands.is_hand(str(about.get("env"))):
-            _check(arrays, about, places)
-    return Played(arrays, about, places)
+            _check(arrays, about)
+    return Played(arrays, about)
 
 
-def _check(arrays: Measured, about: dict[str, Any], places: tuple[Place, ...]) -> None:
+def _check(arrays: Measured, about: dict[str, Any]) -> None:
     """ValueError unless all is there, as one of our hands gives it, and of numbers that occur."""
     for setting, kind in (("simulator", str), ("touch_rule", str), ("seed", int)):
         typed.require_type(about.get(setting), kind, setting)
     hand = hands.get(about["env"])
-    shapes = {"held": (), "broken": (), **shapes_of(hand), "contact": (len(places),)}
+    shapes = {"held": (), "broken": (), **shapes_of(hand)}
     for name in shapes:
         if name not in arrays:
             raise ValueError(f"{name} is missing")
@@ -72,5 +69,3 @@ def _check(arrays: Measured, about: dict[str, Any], places: tuple[Place, ...]) -
     kinds, sizes = arrays["object_kind"], arrays["object_half_size"]
     if not (np.isin(kinds, range(len(KINDS))).all() and (sizes > 0).all()):
         raise ValueError("it has objects that do not exist")
-    if any(not 0 <= place.surface < len(hand.surfaces) for place in places):
-        raise ValueError("it has taxels that are not on the hand")

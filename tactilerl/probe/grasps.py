@@ -188,8 +188,6 @@ def moment(env: GraspEnv) -> Measured:
     for name in ("joint_positions", "joint_velocities", "object_position", "object_orientation"):
         record[name] = getattr(state, name)
     record["link_positions"], record["link_rotations"] = state.poses(links_of(env.hand))
-    if env.config.touch_rule == "contact":
-        record["contact"] = state.sensors
     return {**record, "broken": np.array(False)}
 
 
@@ -210,14 +208,12 @@ def shapes_of(hand: Hand) -> dict[str, tuple[int, ...]]:
 
 def broken(env: GraspEnv) -> Measured:
     """The record of a grasp in which the physics broke: it is counted, and asked nothing."""
-    n_taxels = len(env.taxels) if env.config.touch_rule == "contact" else 0
     return {
         "held": np.array(False),
         "broken": np.array(True),
         **{name: np.zeros(shape) for name, shape in shapes_of(env.hand).items()},
         "object_kind": np.array(KINDS.index(env.shape.kind)),
         "object_half_size": np.array(env.shape.half_size, dtype=float),
-        "contact": np.zeros(n_taxels, bool),
     }
 
 

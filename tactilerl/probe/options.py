@@ -47,9 +47,6 @@ class GraspFlags:
     """Number of grasps to simulate."""
     seed: Annotated[int, "[0, 4294967295]"] = 0
     """Random seed of grasps, folds, noise and bootstrap samples."""
-    touch_rule: Literal["skin", "contact"] = "skin"
-    """Touch rule. skin: any layout can be read afterwards; contact: the simulator's own contacts are
-    recorded for the layouts of this call."""
     object: tuple[Kind, ...] = ("box",)
     """Kinds of object: box, sphere, cylinder."""
     object_size: tuple[float, ...] = (0.04, 0.045, 0.05)
@@ -115,8 +112,6 @@ class AnalysisFlags:
 
     layout: tuple[str, ...] = tuple("123456")
     """Layouts to compare: 1 to 6, named designs, or .toml files."""
-    estimator: Literal["linear", "boosting"] = "linear"
-    """linear: regularised linear models; boosting: boosted trees, which take much longer."""
     joint_noise: tuple[Annotated[float, "[0, 10]"], ...] = (0.0, 0.05)
     """Standard deviations of noise on the joint angles, rad; each is reported."""
     folds: Annotated[int, "[2, inf)"] = 5
@@ -127,11 +122,6 @@ class AnalysisFlags:
     """Number of bootstrap samples per interval."""
     shuffles: Annotated[int, "[2, inf)"] = 10
     """How often the outcomes are shuffled, to check that touch then gains nothing."""
-    select: tuple[Annotated[int, "[1, inf)"], ...] = ()
-    """Choose this many taxels from a dense skin and write them as a layout file; several sizes
-    give one file each."""
-    skin: str = "1"
-    """The skin to choose from: a layout, or the spacing of a grid over all phalanges, such as 2mm."""
 
     def validate(self) -> None:
         """Raise ValueError naming the first invalid flag."""

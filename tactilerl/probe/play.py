@@ -12,7 +12,6 @@ from typing import Any
 from ..algos.mpi import Communicator
 from ..envs.vector import Job, Workers
 from ..errors import InputError
-from ..pictures.places import Place
 from . import files
 from .grasps import Measured, stack
 
@@ -24,7 +23,6 @@ def play(
     path: Path,
     n: int,
     settings: dict[str, Any],
-    contact_places: tuple[Place, ...],
     task: Job[Measured],
     start: Callable[[], Workers],
     comm: Communicator,
@@ -35,7 +33,7 @@ def play(
     `show` is told how many there are. What was played stays in the file whatever stops it.
     InputError when the file holds grasps of other settings.
     """
-    records = _kept(path, settings, contact_places)
+    records = _kept(path, settings)
     show(min(n, len(records)))
     if len(records) < n:
         with closing(start()) as workers, closing(_play(workers, task, len(records), n, comm)) as new:
@@ -45,28 +43,25 @@ def play(
                     records.append(record)
                     show(len(records))
                     if comm.rank == 0 and time.monotonic() - saved > SAVE_EVERY:
-                        files.write(path, files.Played(stack(records), settings, contact_places))
+                        files.write(path, files.Played(stack(records), settings))
                         saved = time.monotonic()
             finally:
                 if comm.rank == 0 and records:
-                    files.write(path, files.Played(stack(records), settings, contact_places))
-    return files.Played(stack(records[:n]), settings, contact_places)
+                    files.write(path, files.Played(stack(records), settings))
+    return files.Played(stack(records[:n]), settings)
 
 
-def _kept(path: Path, settings: dict[str, Any], places: tuple[Place, ...]) -> list[Measured]:
+def _kept(path: Path, settings: dict[str, Any]) -> list[Measured]:
     """What an earlier call left."""
     if not path.exists():
         return []
-    arrays, theirs, there = files.read(path)
+    arrays, theirs = files.read(path)
     ours = json.loads(json.dumps(settings))
     for name in {**ours, **theirs}:
         mine, other = ours.get(name), theirs.get(name)
         if mine != other:
             raise InputError(f"{path}: {name}: found {mine!r}, but its grasps have {other!r}; "
                              "choose another folder with --out")  # fmt: skip
-    if there != places:
-        raise InputError(f"{path}: its grasps have taxels in other places; choose another folder with "
-                         "--out")  # fmt: skip
     return [{name: values[k] for name, values in arrays.items()} for k in range(len(arrays["held"]))]
 
 

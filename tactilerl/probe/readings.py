@@ -12,8 +12,6 @@ from ..envs.layouts import Taxels
 from ..envs.observations import SensorConfig, TaxelFaults, taxel_stages
 from ..envs.state import KINDS, Array, Shape, State
 from ..envs.touch import SkinTouch
-from ..pictures import places
-from ..pictures.places import Place
 from .grasps import Measured, links_of
 
 BATCH = 200  # grasps read at once: what is in between takes memory
@@ -25,16 +23,9 @@ class Grasps:
 
     hand: Hand
     records: Measured
-    contact_places: tuple[Place, ...] = ()
-    """Of the recorded readings of the rule "contact", where there are any."""
 
     def __len__(self) -> int:
         return len(self.records["held"])
-
-    def first(self, n: int) -> Grasps:
-        """The first `n` of them."""
-        cut = {name: values[:n] for name, values in self.records.items()}
-        return Grasps(self.hand, cut, self.contact_places)
 
     @property
     def held(self) -> Array:
@@ -95,18 +86,6 @@ class Grasps:
             for some in np.split(chosen, range(BATCH, len(chosen), BATCH)):
                 readings[some] = touch.read(self._state(some))
         return readings
-
-    def feel_contact(self, taxels: Taxels) -> Array:
-        """Readings bool (n, taxels) by the simulator's rule "contact", as they were recorded;
-        ValueError for a place where none was."""
-        column = {place: index for index, place in enumerate(self.contact_places)}
-        wanted = places.of(taxels)
-        if missing := sum(place not in column for place in wanted):
-            raise ValueError(
-                f"the simulator's contacts were recorded for {len(self.contact_places)} taxels; found "
-                f"a layout with {missing} others, allowed the layouts that the grasps were played with"
-            )
-        return self.records["contact"][:, [column[place] for place in wanted]].astype(bool)
 
     def _state(self, some: Array) -> State:
         """Of grasps of one object."""

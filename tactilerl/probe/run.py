@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import asdict, replace
@@ -15,7 +14,7 @@ import numpy as np
 
 from ..algos.mpi import Communicator
 from ..envs import hands, layouts, typed, vector
-from ..envs.grasp import GraspConfig, setup
+from ..envs.grasp import setup
 from ..envs.hands import Hand
 from ..envs.scripted import require_grasps
 from ..envs.state import Array
@@ -31,8 +30,10 @@ from .options import AnalysisFlags, GraspFlags, Options
 from .play import play
 from .readings import Grasps, with_faults
 
-Playing = tuple[dict[str, Any], GraspConfig, vector.Job[Measured], Callable[[int], vector.Workers], str]
-"""Settings, the scene, who plays a grasp in it, workers by their number, and the results' folder."""
+RULE = "skin"
+"""By which taxels are read of the recorded poses."""
+Playing = tuple[dict[str, Any], vector.Job[Measured], Callable[[int], vector.Workers], str]
+"""Settings, who plays a grasp in it, workers by their number, and the results' folder."""
 
 
 def grasps(
@@ -49,18 +50,15 @@ def grasps(
             raise InputError(f"{source}: found grasps of {env!r}, allowed: {hands.allowed()}")
         _require_answerable(read.analysis, hands.get(str(env)))
         return played, _held(read.output.out or source.parent, comm, held)
-    prepared = _scripted if read.grasp.policy is None else _by_policy
-    settings, config, task, start, name = prepared(read.grasp, read.analysis, held)
+    prepared = scripted if read.grasp.policy is None else _by_policy
+    settings, task, start, name = prepared(read.grasp)
     if digest := hands.digest(settings["env"]):  # of a hand of one's own, which may change
         settings["hand"] = digest
-    hand, spots = hands.get(settings["env"]), []
-    _require_answerable(read.analysis, hand)
-    if config.touch_rule == "contact":  # the simulator's own readings are recorded
-        spots = places.of(layouts.load(config.layout).place(hand))
+    _require_answerable(read.analysis, hands.get(settings["env"]))
     path = _held(read.output.out or Path("probes") / name, comm, held) / "grasps.npz"
     workers = partial(start, read.output.workers or free_cores(comm))
     n = read.grasp.grasps
-    return play(path, n, settings, tuple(spots), task, workers, comm, show), path.parent
+    return play(path, n, settings, task, workers, comm, show), path.parent
 
 
 def _held(out: Path, comm: Communicator, held: ExitStack) -> Path:
@@ -75,14 +73,9 @@ def _held(out: Path, comm: Communicator, held: ExitStack) -> Path:
 
 
 def _require_answerable(asking: AnalysisFlags, hand: Hand) -> None:
-    """InputError unless the hand has the layouts, and the skin as many taxels as to select."""
+    """InputError unless the hand has the layouts."""
     for name in asking.layout:
         _taxels(name, hand)
-    if asking.select:
-        found, allowed = max(asking.select), len(_taxels(asking.skin, hand))
-        if found > allowed:
-            raise InputError(f"select: found {found}, allowed up to the {allowed} taxels of the skin "
-                             f"({asking.skin})")  # fmt: skip
 
 
 def _require_usual(playing: GraspFlags, beside: str, *allowed: str) -> None:
@@ -94,80 +87,65 @@ def _require_usual(playing: GraspFlags, beside: str, *allowed: str) -> None:
 
 
 @input_errors()
-def _scripted(grasps: GraspFlags, asking: AnalysisFlags, held: ExitStack) -> Playing:
+def scripted(grasps: GraspFlags) -> Playing:
+    """Perturbed scripted grasps; InputError where the hand has none."""
     simulator = grasps.simulator or setup(grasps.env).simulator
     hand, drawn = hands.get(grasps.env), grasps.perturbation
     require_grasps(hand)
-    config = setup(grasps.env, simulator=simulator, touch_rule=grasps.touch_rule)
+    config = setup(grasps.env, simulator=simulator)
     settings: dict[str, Any] = {
-        "env": grasps.env, "simulator": simulator, "touch_rule": grasps.touch_rule, "seed": grasps.seed,
+        "env": grasps.env, "simulator": simulator, "touch_rule": RULE, "seed": grasps.seed,
         "hold_verdict": grasps.hold_verdict, "perturbation": asdict(drawn),
     }  # fmt: skip
-    if grasps.touch_rule == "contact":  # the simulator has to feel every taxel of all layouts
-        settings["layouts"] = [*asking.layout, *([asking.skin] if asking.select else [])]
-        every = places.union([_layout(name, hand) for name in settings["layouts"]], hand)
-        path = Path(held.enter_context(tempfile.TemporaryDirectory())) / "union.toml"
-        path.write_text(layouts.of_taxels(every, hand, "all").toml(), encoding="utf-8")
-        config = replace(config, layout=str(path))
     for variant in drawn.variants():
         typed.validate(replace(config, **variant))
     task = ScriptedGrasps(drawn, grasps.seed, grasps.hold_verdict)
     start = partial(vector.start, partial(Scenes, grasps.env, config, drawn.variants()))
-    return settings, config, task, start, f"{hands.file(grasps.env).stem}_{simulator}"
+    return settings, task, start, f"{hands.file(grasps.env).stem}_{simulator}"
 
 
-def _by_policy(grasps: GraspFlags, asking: AnalysisFlags, held: ExitStack) -> Playing:
+def _by_policy(grasps: GraspFlags) -> Playing:
     from ..runs import sealed
     from ..runs.policies import read_run
     from ..runs.run_dir import RunDir
 
     assert grasps.policy is not None
     beside = "--policy, allowed without: a run has its own scene"
-    _require_usual(grasps, beside, "policy", "grasps", "seed", "touch_rule")
+    _require_usual(grasps, beside, "policy", "grasps", "seed")
     config, policy, epoch, env_steps = read_run(grasps.policy)
     env, scene, name = config.run.env, config.scene, grasps.policy.resolve().name
     if scene is None:
         raise InputError(f"--policy {grasps.policy}: found a run of {env}, allowed runs of "
                          f"{hands.allowed()}")  # fmt: skip
+    if scene.touch_rule != RULE:
+        found = f"--policy {grasps.policy}: found a run with touch rule {scene.touch_rule}"
+        raise InputError(f"{found}, allowed {RULE}, by which the grasps are read")
     settings = {
-        "env": env, "simulator": scene.simulator, "touch_rule": grasps.touch_rule, "seed": grasps.seed,
+        "env": env, "simulator": scene.simulator, "touch_rule": RULE, "seed": grasps.seed,
         "policy": name, "checkpoint": sealed.seal(RunDir(grasps.policy).checkpoint_file)[:16],
         "epoch": epoch, "env_steps": env_steps,
     }  # fmt: skip
     start = partial(start_workers, config, Communicator())
-    return settings, scene, PolicyGrasps(policy, grasps.seed), start, name
-
-
-def _layout(name: str, hand: Hand) -> layouts.Layout:
-    """A layout, or a skin as "2mm"; ValueError and FileNotFoundError where there is none."""
-    if not name.endswith("mm"):
-        return layouts.load(name)
-    try:
-        spacing = float(name[:-2])
-    except ValueError:
-        wanted = "allowed a layout, or a spacing such as 2mm"
-        raise ValueError(f"skin: found {name!r}, {wanted}") from None
-    return places.dense_skin(hand, 1e-3 * spacing)
+    return settings, PolicyGrasps(policy, grasps.seed), start, name
 
 
 @input_errors()
 def _taxels(name: str, hand: Hand) -> layouts.Taxels:
-    return _layout(name, hand).place(hand)
+    return layouts.load(name).place(hand)
 
 
 def analyse(read: Options, played: files.Played, out: Path) -> dict[str, Any]:
-    """Ask the grasps; writes probe.json, the figures and what was selected to `out`."""
+    """Ask the grasps; writes probe.json and the figures to `out`."""
     hand, asking, settings = hands.get(played.settings["env"]), read.analysis, played.settings
     is_whole = ~played.records["broken"].astype(bool)
     whole = {name: values[is_whole] for name, values in played.records.items()}
-    grasps = Grasps(hand, whole, played.contact_places)
+    grasps = Grasps(hand, whole)
     taxels = {name: _taxels(name, hand) for name in asking.layout}
 
     def feel(taxels: layouts.Taxels) -> Array:
-        """Readings bool (n, taxels) by the touch rule of the grasps, with faults."""
-        rule = grasps.feel_contact if settings["touch_rule"] == "contact" else grasps.feel
+        """Readings bool (n, taxels), with faults."""
         rng = np.random.default_rng([settings["seed"], analysis.FAULTS])
-        return with_faults(rule(taxels), read.fault, rng)
+        return with_faults(grasps.feel(taxels), read.fault, rng)
 
     with input_errors(), estimators.expected_warnings():
         readings = {name: feel(placed) for name, placed in taxels.items()}
@@ -188,16 +166,9 @@ def analyse(read: Options, played: files.Played, out: Path) -> dict[str, Any]:
             "layouts": {name: {"taxels": len(placed)} for name, placed in taxels.items()},
             "table": analysis.table(samples),
             "differences": analysis.differences(probe, asked, samples),
-            "learning_curve": analysis.learning_curve(probe, samples),
             "shuffled": analysis.shuffled_gain(probe),
             "worth": selection.worth(probe) | {"places": _spots(taxels[probe.densest])},
         }
-        if asking.select:
-            skin = _taxels(asking.skin, hand)
-            path, found = selection.select(probe, feel(skin), samples)
-            about = {"skin": asking.skin, "candidates": len(skin), **found}
-            about["places"] = _spots(skin.take(path))
-            result["selection"] = about | {"files": _write_chosen(probe, skin, path, settings, out)}
     with replacing(out / "probe.json") as file:
         file.write((json.dumps(result, indent=1) + "\n").encode())
     figures.draw(result, hand, out)
@@ -217,20 +188,3 @@ def _write_gains(probe: analysis.Probe, samples: analysis.Samples, out: Path) ->
     }
     with replacing(out / "gains.npz") as file:
         np.savez_compressed(file, **gains)
-
-
-def _write_chosen(
-    probe: analysis.Probe, skin: layouts.Taxels, path: list[int], settings: dict[str, Any], out: Path
-) -> list[str]:
-    """A layout file for each number that was asked for."""
-    written = []
-    for n in sorted({min(n, len(path)) for n in probe.choices.select}):
-        about = (
-            f"{n} taxels chosen from skin {probe.choices.skin} by {len(probe.grasps)} grasps "
-            f"of {settings['env']} in {settings['simulator']}"
-        )
-        chosen = layouts.of_taxels(skin.take(path[:n]), probe.grasps.hand, about)
-        written.append(f"selected_{n}.toml")
-        with replacing(out / written[-1]) as file:
-            file.write(chosen.toml().encode())
-    return written

@@ -8,6 +8,7 @@ estimate of the gain in likelihood, for all candidates at once, from one fit wit
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,24 +19,29 @@ from threadpoolctl import threadpool_limits
 
 from ..envs.state import Array
 from . import estimators, metrics
-from .analysis import JOINTS, Cell, Probe, Samples, hold_gain
+from .analysis import JOINTS, Probe
 
 # C of the regression from which candidates are judged, of standardised features. Weak: a penalty
 # pulls at the weights of what is chosen, so that copies of it would seem to tell something.
 PENALTY = 100.0
 REDUNDANT = 1e-6  # share of a candidate's variance that the others leave unexplained
-CURVE = (1, 2, 3, 5, 7, 10, 14, 19, 28, 40, 56, 79, 110, 160)  # taxels at which the gain is scored
 
 
 def worth(probe: Probe) -> dict[str, Any]:
     """What each taxel of the densest layout would tell alone, beyond the angles with the last of the
     noises: bits a grasp, less what a taxel of noise would seem to tell."""
-    noise, layout, held = probe.choices.joint_noise[-1], probe.densest, probe.grasps.held
-    known = StandardScaler().fit_transform(probe.features(noise, JOINTS))
+    noise, layout = probe.choices.joint_noise[-1], probe.densest
+    told = bits(probe, probe.readings[layout])
+    return {"layout": layout, "joint_noise": noise, "bits": told.tolist()}
+
+
+def bits(probe: Probe, skin: Array) -> Array:
+    """The same of each taxel (m,) of a skin (n, m)."""
+    known = StandardScaler().fit_transform(probe.features(probe.choices.joint_noise[-1], JOINTS))
+    held = probe.grasps.held
     with threadpool_limits(1):  # as everywhere here: the digits do not depend on the cores
-        score = _scores(known, probe.readings[layout].astype(float), held)
-    bits = np.maximum(score - 1.0, 0.0) / (2.0 * len(held) * math.log(2.0))
-    return {"layout": layout, "joint_noise": noise, "bits": bits.tolist()}
+        score = _scores(known, skin.astype(float), held)
+    return np.maximum(score - 1.0, 0.0) / (2.0 * len(held) * math.log(2.0))
 
 
 def forward(known: Array, candidates: Array, held: Array, n: int) -> list[int]:
@@ -74,43 +80,38 @@ def _scores(features: Array, candidates: Array, held: Array) -> Array:
     return np.where(is_new, np.square(slope) / np.where(is_new, left, 1.0), 0.0)
 
 
-def select(probe: Probe, skin: Array, samples: Samples) -> tuple[list[int], dict[str, Any]]:
-    """The taxels of `skin` (n, m) chosen from all grasps, in order, and an honest curve.
+def select(
+    probe: Probe, skin: Array, numbers: Sequence[int], has: Array
+) -> tuple[list[int], dict[int, Array], dict[str, Array]]:
+    """The taxels of `skin` (n, m) chosen from all grasps, in order; and gains in AUC over the angles
+    with the last of the noises: of the best so many, and of each of the probe's layouts. `has` (n, h)
+    are readings of taxels that the hand has already.
 
-    In the curve each grasp is predicted from taxels that were chosen without it, at the numbers asked
-    for, at those of `CURVE` below and at the number of each layout; by the angles with the last of
-    the noises. The probe's layouts were scored in the same folds, in `samples`.
+    Each grasp is predicted from taxels that were chosen without it. Gains are (1 + resamples,): of all
+    grasps, then of each bootstrap sample.
     """
-    noise, most = probe.choices.joint_noise[-1], max(probe.choices.select)
-    known, held = probe.features(noise, JOINTS), probe.grasps.held
+    noise, held = probe.choices.joint_noise[-1], probe.grasps.held
+    joints = probe.features(noise, JOINTS)
+    known = np.column_stack([joints, has.astype(float)])
     kept, weights = probe.folds(held), probe.weights()
-    alone = samples[Cell("hold", "auc", noise, JOINTS)]
-    sizes = {name: readings.shape[1] for name, readings in probe.readings.items()}
-    numbers = {*probe.choices.select, *CURVE, *sizes.values()}
-    points = sorted(k for k in numbers if k <= min(most, skin.shape[1]))
-
-    def gain(k: int) -> Array:
-        """Of the best `k`, which differ from fold to fold, in AUC (b,)."""
-        predicted = np.full((len(held), 2), np.nan)
-        for path, fold in zip(paths, kept, strict=True):
-            features = np.column_stack([known, skin[:, path[:k]].astype(float)])
-            found = estimators.probabilities(features, held, [fold], probe.choices.estimator)
-            predicted[fold[1]] = found[fold[1]]
-        return metrics.measure("auc", held, predicted, weights) - alone
-
     in_threads = Parallel(probe.jobs, prefer="threads")
     with threadpool_limits(1):
         *paths, final = in_threads(
-            delayed(forward)(known[train], skin[train], held[train], most)
+            delayed(forward)(known[train], skin[train], held[train], max(numbers))
             for train in (*(train for train, _ in kept), np.arange(len(held)))
         )
-        best = dict(zip(points, in_threads(delayed(gain)(k) for k in points), strict=True))
-    layouts = []
-    for name, size in sizes.items():
-        told = hold_gain(samples, noise, name)
-        row = {"layout": name, "taxels": size, **metrics.gain(told)}
-        if size in best:  # how far the layout is behind the best of the same number
-            row |= metrics.estimate("lead", best[size] - told, "lead_interval")
-        layouts.append(row)
-    curve = [{"taxels": k, **metrics.gain(told)} for k, told in best.items()]
-    return final, {"joint_noise": noise, "curve": curve, "layouts": layouts}
+
+        def told(features: Sequence[Array]) -> Array:
+            """AUC (b,) where each fold has features of its own."""
+            predicted = np.full((len(held), 2), np.nan)
+            for own, fold in zip(features, kept, strict=True):
+                predicted[fold[1]] = estimators.probabilities(own, held, [fold])[fold[1]]
+            return metrics.measure("auc", held, predicted, weights)
+
+        alone = told([joints] * len(kept))
+        best = [[np.column_stack([known, skin[:, path[:n]]]) for path in paths] for n in numbers]
+        layouts = [[np.column_stack([joints, felt])] * len(kept) for felt in probe.readings.values()]
+        found = in_threads(delayed(told)(features) for features in (*best, *layouts))
+    gains = [one - alone for one in found]
+    by_layout = zip(probe.readings, gains[len(best) :], strict=True)
+    return final, dict(zip(numbers, gains, strict=False)), dict(by_layout)

@@ -63,6 +63,15 @@ def peek(args: Sequence[str], flag: str, default: str = "") -> str:
     return found[0] if found else default
 
 
+def several(args: Sequence[str], flag: str) -> tuple[list[str], list[str]]:
+    """The values of a flag that takes one elsewhere, and the arguments with the first of them alone."""
+    values = _given(args, flag)
+    if len(values) < 2:
+        return values, list(args)
+    last = max(i for i, arg in enumerate(args) if arg.replace("_", "-") == flag)
+    return values, [*args[: last + 2], *args[last + 1 + len(values) :]]
+
+
 def _reason(said: str) -> str:
     """What tyro says is wrong, without its box and the flag's help, which follows."""
     lines = (line.strip(" │╭╮╰╯─") for line in said.splitlines()[1:])

@@ -732,15 +732,6 @@ class TestOtherCommands:
         assert main(["doctor", "--layout", "3", "--touch-rule", "contact", *few]) == 1
         assert json.loads(capsys.readouterr().out)[0]["is_blind"]
 
-    @pytest.mark.pybullet
-    def test_doctor_compares_the_simulators(self, capsys):
-        few = ["--grasps", "2", "--seconds", "0.4", "--layout", "1"]
-        assert main(["doctor", "--env", "mpl", "--compare", "--json", *few]) == 0
-        both = json.loads(capsys.readouterr().out)[0]["agreement"]
-        assert 0.1 < both < 0.9  # the same grasps, a millimetre apart: neither equal nor unrelated
-        assert main(["doctor", "--env", "mpl", *few, "--compare"]) == 0
-        assert f"fires in both: {100 * both:.0f} %" in capsys.readouterr().out
-
     def test_render_draws_the_hand_and_its_taxels(self):
         imageio = pytest.importorskip("imageio.v2")
         result = render("--layout", "1", "--out", "x.png")

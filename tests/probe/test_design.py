@@ -12,8 +12,8 @@ import tactilerl
 from tactilerl.commands.cli import main
 from tactilerl.envs import hands, layouts
 from tactilerl.probe import cover
+from tactilerl.probe.candidates import DesignFlags, candidates
 from tactilerl.probe.cover import NEVER, Aim, Starts
-from tactilerl.probe.design import DesignFlags, candidates
 
 FEW = ["--starts", "4", "--test-starts", "4", "--workers", "1", "--seed", "7", "--beside", "2"]
 FEW += ["--skin", "8mm"]

@@ -118,10 +118,8 @@ class TestGrasps:
 
 
 class TestReadings:
-    @pytest.mark.parametrize("rule", ["skin", "contact"])
-    def test_are_those_of_the_environment(self, rule):
-        layout = "1"
-        env = GraspEnv("mpl", setup("mpl", simulator="mujoco", layout=layout, touch_rule=rule))
+    def test_are_those_of_the_environment(self):
+        env = GraspEnv("mpl", setup("mpl", simulator="mujoco", layout="1"))
         hand = env.hand
         try:
             scenes = Scenes("mpl", env.config, [{}])
@@ -135,11 +133,8 @@ class TestReadings:
             scenes.close()
         finally:
             env.close()
-        spots = tuple(places.of(env.taxels))
-        grasps = Grasps(hand, stack(records), spots)
-        read = grasps.feel(env.taxels) if rule == "skin" else grasps.feel_contact(env.taxels)
         assert np.array(felt).any()
-        assert np.array_equal(read, np.array(felt))
+        assert np.array_equal(Grasps(hand, stack(records)).feel(env.taxels), np.array(felt))
 
     def test_object_in_the_hand_does_not_depend_on_where_the_hand_is(self):
         hand = hands.get("mpl")
@@ -314,7 +309,7 @@ class TestMetrics:
 
 def write(path, records):
     settings = {"env": "shadow", "simulator": "mujoco", "touch_rule": "skin", "seed": 0}
-    files.write(path, files.Played(records, settings, ()))
+    files.write(path, files.Played(records, settings))
 
 
 @pytest.fixture
@@ -340,8 +335,7 @@ def row(found, told, metric="auc", layout=None):
 
 class TestAnalysis:
     def test_one_taxel_decides_and_is_found(self, one_taxel, capsys):
-        args = ["--from", str(one_taxel), "--layout", "5", "--select", "1", "--skin", "5"]
-        found = result(capsys, *args)
+        found = result(capsys, "--from", str(one_taxel), "--layout", "5")
         # Of a reading that is right in 9 of 10 cases of either outcome: (0.9 + 0.9) / 2.
         assert row(found, "joints")["value"] == pytest.approx(0.5, abs=0.05)
         told = row(found, "joints+taxels", layout="5")
@@ -350,15 +344,10 @@ class TestAnalysis:
         entropy = -0.9 * np.log2(0.9) - 0.1 * np.log2(0.1)
         bits = row(found, "joints+taxels", "bits", "5")["value"]
         assert bits == pytest.approx(1 - entropy, abs=0.06)
-        (place,) = found["selection"]["places"]
+        place = found["worth"]["places"][int(np.argmax(found["worth"]["bits"]))]
         surface = hands.get("shadow").surfaces[place["surface"]]
         assert (surface.digit, surface.segment) == TOUCHED
-        assert found["selection"]["curve"][0]["gain"] == pytest.approx(told["gain"], abs=0.03)
-        placed = layouts.load("selected_1.toml").place(hands.get("shadow"))
-        assert [name.partition("[")[0] for name in placed.names] == [".".join(TOUCHED)]
-        bits = found["worth"]["bits"]
-        assert int(np.argmax(bits)) == found["worth"]["places"].index(place)
-        for name in ("gain", "learning_curve", "worth", "selection", "selected"):
+        for name in ("gain", "worth"):
             assert (one_taxel.parent / f"{name}.png").stat().st_size > 1000
             assert (one_taxel.parent / f"{name}.svg").exists()
         assert json.loads((one_taxel.parent / "probe.json").read_text()) == found
@@ -385,15 +374,15 @@ class TestAnalysis:
             figures.append(result(capsys, "--from", str(one_taxel), "--layout", "5"))
         assert figures[0] == figures[1]
 
-    @pytest.mark.parametrize("kind", ["linear", "boosting"])
-    def test_only_boosting_tells_that_one_of_two_fires(self, kind):
-        rng = np.random.default_rng(0)
-        a, b = rng.random((2, 300)) < 0.5
-        held = a ^ b
-        kept = estimators.folds(held, 2, None, 0)
-        told = estimators.probabilities(np.column_stack([a, b]).astype(float), held, kept, kind)
-        value = metrics.measure("auc", held, told, np.ones((1, 300)))[0]
-        assert value > 0.95 if kind == "boosting" else value < 0.7
+    def test_selection_gains_as_much_as_the_layout_that_it_finds(self, one_taxel):
+        hand, records = hands.get("shadow"), files.read(one_taxel).records
+        grasps, taxels = Grasps(hand, records), layouts.load("5").place(hand)
+        felt = grasps.feel(taxels)
+        probe = analysis.Probe(grasps, {"5": felt}, AnalysisFlags(resamples=100))
+        path, best, told = selection.select(probe, felt, [1], np.zeros((100, 0)))
+        assert taxels.names[path[0]].partition("[")[0] == ".".join(TOUCHED)
+        assert best[1][0] == pytest.approx(told["5"][0], abs=0.03)
+        assert best[1][0] > 0.2
 
     def test_objects_held_out_are_on_one_side_only(self):
         groups, held = np.arange(40) % 3, np.arange(40) % 2 == 0
@@ -525,7 +514,6 @@ class TestBadInput:
     def test_unknown_layout(self, tmp_path, capsys, in_tmp):
         assert "unknown layout '7'" in error(capsys, "--layout", "2", "7")
         assert not list(tmp_path.iterdir())
-        assert "skin: found 'xmm'" in error(capsys, "--select", "3", "--skin", "xmm")
 
     def test_fewer_grasps_than_folds_and_all_alike(self, one_taxel, capsys):
         records = synthetic(hands.get("shadow"), np.arange(20) < 3)
@@ -548,8 +536,6 @@ class TestBadInput:
             (["--taxel-dead", "0.6", "--taxel-stuck", "0.6"], "--taxel-stuck: found 1.2 with"),
             (["--joint-noise", "-1"], "--joint-noise: found -1"),
             (["--folds", "1"], "folds: found 1"),
-            (["--select", "0"], "select: found 0"),
-            (["--select", "5", "100000"], "select: found 100000, allowed up to the"),
             (["--out", "/dev/null/x"], "cannot make the folder '/dev/null/x'"),
             (["--from", "x.npz", "--friction", "2"], "--friction"),
             (["--policy", "nowhere"], "not a run folder"),

@@ -1,0 +1,162 @@
+"""Taxels for handovers: chosen from some starts, judged on others, beside other layouts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from .. import statistics
+from ..envs import typed
+from ..envs.grasp import GraspConfig
+from ..envs.hands import Hand
+from ..envs.state import Array
+from ..pictures import places
+from . import cover, gate
+from .candidates import Design, DesignFlags, Pool, Scene
+from .cover import Aim
+from .recording import Recording, Skin, record
+
+CHOICE, TEST = 500_000, 750_000  # starts to choose from, to judge on, and of the gate are all different
+RANDOM_SETS = 20
+FEW = 20  # starts, to say where arrivals are felt
+
+
+def design(
+    flags: DesignFlags,
+    env: str,
+    found: Sequence[Scene],
+    hand: Hand,
+    workers: int,
+    show: Callable[[int, int], None],
+) -> Design:
+    """Choose taxels; ValueError where nobody feels a start in time, or touch cannot help."""
+    pool, n_choice = Pool.of(flags, hand), flags.n_starts(is_timing=True)
+    total, done = len(found) * (n_choice + flags.test_starts), iter(range(1, 10**9))
+
+    def played(scene: Scene, first: int, n: int) -> Recording:
+        first += 2 * gate.SEARCH * flags.seed
+        numbers, every = range(first, first + n), flags.false_on > 0
+        tick = lambda: show(next(done), total)  # noqa: E731
+        return record(env, scene.config, pool.skin, numbers, workers, every, tick)
+
+    choice = [played(scene, CHOICE, n_choice) for scene in found]
+    pool = pool.without(np.any([each.early() for each in choice], axis=0))
+    starts = _joined(choice, found, pool.columns)
+    _require_felt(starts, env, found[0].config, hand, workers)
+    test = [played(scene, TEST, flags.test_starts) for scene in found]
+    judge, rng = _Judge(test, found, flags.aim), np.random.default_rng(flags.seed)
+    beside = {name: pool.skin.columns(taxels) for name, taxels in pool.beside.items()}
+    rows = [judge.row(name, columns) for name, columns in beside.items()]
+    best = max(rows, key=lambda row: row["success"], default=None)
+    rows.append(judge.row("whole skin", pool.columns))
+    chosen = {}
+    for n in flags.numbers:
+        picked = cover.choose(starts, n + pool.n_kept, flags.aim, range(pool.n_kept))
+        chosen[n] = [i for i in picked.taxels if i >= pool.n_kept]
+        own = [pool.columns[i] for i in picked.taxels]
+        row = judge.row("chosen", own)
+        row |= {"taxels": n, "chosen_from": picked.value, "bound": picked.bound}
+        if best is not None:
+            row["difference"] = judge.difference(own, beside[best["layout"]])
+        rows += [row, judge.random(n, pool.columns, pool.n_kept, rng)]
+    about = {
+        "question": "timing",
+        "hopeless": float(np.mean([~each.succeeds.any(axis=1) for each in test])),
+        "beside": best and best["layout"],
+        "rows": rows,
+    }
+    return pool.design(env, chosen, starts.weights @ starts.good, found, about)
+
+
+def _joined(
+    recordings: Sequence[Recording], found: Sequence[Scene], columns: list[int]
+) -> cover.Starts:
+    parts = [
+        each.starts(columns, np.full(len(each.fires), scene.weight / len(each.fires)))
+        for each, scene in zip(recordings, found, strict=True)
+    ]
+    names = typed.names(cover.Starts)
+    return cover.Starts(**{name: np.concatenate([vars(p)[name] for p in parts]) for name in names})
+
+
+class _Judge:
+    """What sets of taxels win in starts from which none of them was chosen."""
+
+    def __init__(self, test: Sequence[Recording], found: Sequence[Scene], aim: Aim) -> None:
+        self._test, self._aim = test, aim
+        self._every = _joined(test, found, list(range(test[0].fires.shape[1])))
+        rng = np.random.default_rng(0)
+        self._counts = statistics.resample(rng, len(self._every), 10_000)
+
+    def row(self, layout: str, taxels: list[int]) -> dict[str, Any]:
+        """Success and share felt, with intervals."""
+        row: dict[str, Any] = {"layout": layout, "taxels": len(taxels)}
+        for name, scores in (("success", self._scores(taxels)), ("felt", self._felt(taxels))):
+            row[name] = float(self._every.weights @ scores)
+            row[f"{name}_interval"] = self._interval(scores)
+        return row
+
+    def random(
+        self, n: int, columns: list[int], n_kept: int, rng: np.random.Generator
+    ) -> dict[str, Any]:
+        """Means over random sets of as many."""
+        sets = [
+            columns[:n_kept] + rng.choice(columns[n_kept:], n, replace=False).tolist()
+            for _ in range(RANDOM_SETS)
+        ]
+        success, felt = (
+            float(self._every.weights @ np.mean([of(taxels) for taxels in sets], axis=0))
+            for of in (self._scores, self._felt)
+        )
+        return {"layout": "random", "taxels": n, "success": success, "felt": felt}
+
+    def difference(self, a: list[int], b: list[int]) -> dict[str, Any]:
+        """By how much `a` is above `b` in the same starts, with intervals."""
+        pairs = {"success": self._scores(a) - self._scores(b), "felt": self._felt(a) - self._felt(b)}
+        n, weights = len(self._every), self._every.weights
+        return {
+            name: list(statistics.mean(n * weights * gained, self._counts))
+            for name, gained in pairs.items()
+        }
+
+    def _felt(self, taxels: list[int]) -> Array:
+        return np.concatenate([each.felt(taxels) for each in self._test]).astype(float)
+
+    def _scores(self, taxels: list[int]) -> Array:
+        return cover.scores(self._every, np.array([taxels], int), self._aim)[:, 0]
+
+    def _interval(self, scores: Array) -> list[float]:
+        """Wilson's where starts succeed or not and count alike, else the bootstrap's."""
+        n, weights = len(scores), self._every.weights
+        if np.allclose(weights, 1 / n) and np.isin(scores, (0.0, 1.0)).all():
+            return list(statistics.wilson_interval(round(scores.sum()), n))
+        return list(statistics.mean(n * weights * scores, self._counts)[1:])
+
+
+def _require_felt(
+    starts: cover.Starts, name: str, scene: GraspConfig, hand: Hand, workers: int
+) -> None:
+    """ValueError where no candidate feels anything in time, or touch has nothing to win."""
+    if not starts.good.any():
+        skin = Skin.of([places.skin("6mm", hand)], hand)
+        seen = record(name, scene, skin, range(CHOICE, CHOICE + FEW), workers)
+        places_felt = sorted(
+            f"{hand.surfaces[place.surface].digit}.{hand.surfaces[place.surface].segment}"
+            for place, column in skin.index.items()
+            if seen.succeeds[np.arange(FEW), seen.fires[:, column]].any()
+        )
+        where = ", ".join(dict.fromkeys(places_felt)) or "nothing of the hand in time"
+        raise ValueError(
+            f"skin: no taxel feels any start in time; arrivals meet {where}, where it has none"
+        )
+    n = min(len(starts), 100)
+    without = gate.examine(name, scene, n, max(1, n // 20), 0, workers, senses=("joints", "sight"))
+    whole = cover.value(starts, range(starts.fires.shape[1]))
+    best = max(without, key=lambda each: each.rate)
+    if whole - best.rate < gate.TELLS:
+        raise ValueError(
+            f"scene: touch cannot help here: a reflex by {best.name} succeeds in {best.rate:.2f} of "
+            f"the starts, one that feels with the whole skin in {whole:.2f}"
+        )
