@@ -44,8 +44,7 @@ def read(path: Path) -> Played:
         about = renamed(json.loads(str(arrays.pop(SETTINGS))))
         if about.pop("format") != FORMAT:
             raise ValueError("it has another format")
-        for gone in (about, arrays):  # of 0.3.0, where contacts were recorded
-            gone.pop("contact_places" if gone is about else "contact", None)
+        about.pop("contact_places", None), arrays.pop("contact", None)  # of 0.3.0
         if hands.is_hand(str(about.get("env"))):
             _check(arrays, about)
     return Played(arrays, about)

@@ -64,7 +64,7 @@ class TestGrasps:
         shown = []
         for n in (2, 3):
             parts = play(
-                tmp_path / "grasps.npz", n, {"seed": 1}, (), ScriptedGrasps(DRAWN, 1), start,
+                tmp_path / "grasps.npz", n, {"seed": 1}, ScriptedGrasps(DRAWN, 1), start,
                 Communicator(), shown.append,
             )  # fmt: skip
         assert shown == [0, 1, 2, 2, 3]  # the second call plays one
@@ -72,17 +72,22 @@ class TestGrasps:
         assert same(whole, files.read(tmp_path / "grasps.npz").records)
 
     def test_grasps_of_something_else_are_not_gone_on_with(self, tmp_path):
-        def asked(settings, spots):
+        def asked(settings):
             task = ScriptedGrasps(DRAWN, 1)
-            return play(tmp_path / "g.npz", 1, settings, spots, task, start, Communicator(), print)
+            return play(tmp_path / "g.npz", 1, settings, task, start, Communicator(), print)
 
-        here, there = (places.Place(0, row, 1.0, 2.0) for row in (1.0, 2.0))
-        asked({"hand": "a"}, (here,))
-        asked({"hand": "a"}, (here,))
+        asked({"hand": "a"})
+        asked({"hand": "a"})
         with pytest.raises(InputError, match="hand: found 'b', but its grasps have 'a'"):
-            asked({"hand": "b"}, (here,))
-        with pytest.raises(InputError, match="taxels in other places"):
-            asked({"hand": "a"}, (there,))
+            asked({"hand": "b"})
+
+    def test_grasps_of_0_3_0_with_contacts_are_read(self, tmp_path):
+        records = synthetic(hands.get("shadow"), [0, 1])
+        about = {"format": 1, "env": "shadow", "simulator": "mujoco", "touch": "contact", "seed": 0}
+        about["contact_places"] = [{"surface": 0, "row": 0.0, "column": 0.0, "radius": 1.0}]
+        arrays = {**records, "contact": np.zeros((2, 1), bool), "settings": np.array(json.dumps(about))}
+        np.savez(tmp_path / "old.npz", **arrays)
+        assert same(files.read(tmp_path / "old.npz").records, records)
 
     def test_another_number_is_another_grasp_and_another_object(self):
         records = played(1, range(6))
@@ -95,7 +100,7 @@ class TestGrasps:
                 raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):
-            play(tmp_path / "g.npz", 9, {}, (), ScriptedGrasps(DRAWN, 1), start, Communicator(), stop)
+            play(tmp_path / "g.npz", 9, {}, ScriptedGrasps(DRAWN, 1), start, Communicator(), stop)
         assert len(files.read(tmp_path / "g.npz").records["held"]) == 2
 
     def test_a_policy_is_recorded_before_its_lift_counts(self):
