@@ -90,6 +90,18 @@ class TestCheckpoint:
         fails_with(capsys, RESUME, "checkpoint.pt", words)
         assert TABLE.read_bytes() == before
 
+    def test_policies_of_a_version_with_fewer_hyperparameters_are_read(self, her, capsys):
+        def older(config):
+            del config["learner"]["normalise_rewards"]
+            return config
+
+        CONFIG.write_text(json.dumps(older(json.loads(CONFIG.read_text()))))
+        edit(
+            CHECKPOINT,
+            lambda saved: saved.update(config=json.dumps(older(json.loads(saved["config"])))),
+        )
+        assert main(["evaluate", "run", "--episodes", "2", "--workers", "1"]) == 0
+
     @pytest.mark.parametrize(("name", "value"), [("epoch", 2), ("rank", 1), ("config", "{}")])
     def test_experience_of_something_else_is_refused(self, her, capsys, name, value):
         edit(PART, lambda content: content.update({name: value}))
