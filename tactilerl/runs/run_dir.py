@@ -127,7 +127,7 @@ def as_record(data: Any) -> dict[str, Any]:
 
 def with_new_names(parts: dict[str, Any]) -> dict[str, Any]:
     """The parts of a run, those of its scene by their names in this version."""
-    return parts | {"scene": parts["scene"] and scenes.renamed(parts["scene"])}
+    return parts | {"scene": parts.get("scene") and scenes.renamed(parts["scene"])}
 
 
 def resolve(
