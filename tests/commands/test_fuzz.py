@@ -21,7 +21,9 @@ from study_records import make_study
 import tactilerl
 from tactilerl.commands.cli import main
 from tactilerl.envs import hands
+from tactilerl.errors import InputError
 from tactilerl.probe import files as grasps
+from tactilerl.runs import arguments
 from tactilerl.study import engine, records
 
 FEW = 12  # times as many cases are tried with `-m slow`
@@ -72,6 +74,30 @@ grid = {n_passes = [2, 4], seed = 0}
 CHOICES = ["layout", "task", "simulator", "friction", "object", "object_size", "timestep", "touch"]
 CHOICES += ["hold_verdict", "jitter", "goal_range", "history", "taxel_dead", "control_dt", "more"]
 HYPER = ["hidden", "gamma", "clip_range", "n_passes", "steps_per_epoch", "truncation", "seed", "more"]
+
+
+LOOKS = "looks = {pairs = [3, 6], alpha = 0.05, effect = 0.2}\n"
+LOOKS += STUDY.replace("{last}", "5").partition("[setups.ppo]")[0]
+SCENE = """about = "mine"
+base = "handover"
+env = "mpl"
+[scene]
+layout = "5"
+object_size = "0.04..0.05"
+joint_noise = 0.02
+touch = "off"
+[train]
+algo = "ppo"
+recipe = "steady"
+hidden = [16, 16]
+total_timesteps = 2_000
+"""
+TAXELS = """link,x,y,z,nx,ny,nz,radius,name
+a,0.0,-0.007,0.01,0.0,-1.0,0.0,0.0015,one
+a,0.0,-0.007,0.015,0.0,-1.0,0.0,0.002,two
+"""
+PROBES = """[{"link_name": "a", "kind": "grid", "probes":
+[[{"radius": 0.002, "pos": [0, -0.007, 0.01], "normal": [0, -1, 0]}]]}]"""
 
 
 @pytest.fixture(params=["a few", pytest.param("all", marks=pytest.mark.slow)])
@@ -152,13 +178,53 @@ def test_flags(run, tried, cases):
         tried(args, "flags")
 
 
-def test_layouts(run, tried, cases):
+@pytest.mark.parametrize(
+    ("file", "args", "good"),
+    [
+        ("mine.toml", ["env", "--layout", "mine.toml"], LAYOUT),
+        ("mine.toml", ["env", "--scene", "mine.toml"], SCENE),
+        ("taxels.csv", ["env", "--layout", "sensor.toml"], TAXELS),
+        ("taxels.json", ["env", "--layout", "sensor.toml"], PROBES),
+        (
+            "looks.toml",
+            ["study", "todo", "looks.toml"],
+            LOOKS,
+        ),
+    ],
+    ids=["layout", "scene", "taxels", "probes", "looks"],
+)
+def test_files(run, tried, cases, file, args, good):
     rng = random.Random(1)
-    Path("mine.toml").write_text(LAYOUT, encoding="utf-8")
-    assert tried(["env", "--layout", "mine.toml"], LAYOUT) == 0
+    Path("sensor.toml").write_text(f'[[sensor]]\nlinks = ["robot0:ffdistal"]\nfile = "{file}"\n')
+    Path(file).write_text(good, encoding="utf-8")
+    assert tried(args, good) == 0
     for _ in cases(150):
-        Path("mine.toml").write_text(mutated(LAYOUT, rng), encoding="utf-8")
-        tried(["env", "--layout", "mine.toml"], Path("mine.toml").read_text(encoding="utf-8"))
+        Path(file).write_text(mutated(good, rng), encoding="utf-8")
+        tried(args, Path(file).read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize(
+    ("part", "name"),
+    [("scene", name) for name in CHOICES] + [("train", name) for name in [*HYPER, "algo", "recipe"]],
+)
+def test_a_scene_says_nothing_in_vain(here, tried, part, name):
+    """What no flag of it would take is refused, also where flags override it."""
+    for value in ("{}", "[[1]]", '"\\u0000"', "1979-05-27", "-1e400"):
+        Path("mine.toml").write_text(f"[{part}]\n{name} = {value}\n", encoding="utf-8")
+        if part == "scene":
+            assert tried(["env", "--scene", "mine.toml"], value) == 2
+        else:
+            with pytest.raises(InputError):
+                arguments.defaults(["--scene", "mine.toml"])
+
+
+def test_comparisons(study, tried, cases):
+    rng = random.Random(11)
+    names = ["reach", "ppo", "polyak 0.9", "n passes 2", "all", ",", ":", *WORDS]
+    assert tried(["study", "compare", "study:ppo,n passes 2", "study:ppo,n passes 4"], "good") == 0
+    for _ in cases(150):
+        a, b = (f"study:{','.join(rng.choices(names, k=rng.randint(1, 3)))}" for _ in range(2))
+        tried(["study", "compare", a, b, "--score", rng.choice(["area", "final", "x"])], (a, b))
 
 
 def test_configurations(run, tried, cases):
