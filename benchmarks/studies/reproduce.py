@@ -54,7 +54,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         files = records.StudyFiles(Path(folder))
         (files.path / records.RUNS).mkdir()
-        job = runner.Job(files.path, before.run, config.get("ranks", 1))
+        job = runner.RunJob(files.path, before.run, config.get("ranks", 1))
         program = "benchmarks.learners.by_hand" if options.by_hand else "tactilerl"
         done = subprocess.run(
             job.command(sys.executable, "-m", program), cwd=ROOT, stdout=subprocess.DEVNULL

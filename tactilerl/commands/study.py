@@ -23,9 +23,9 @@ from ..errors import InputError
 from ..runs.config import RunConfig
 from ..runs.cores import free_cores
 from ..runs.files import pasted
-from ..study import check, comparing, engine, grid, looks, progress, records
+from ..study import check, engine, grid, looks, parts, progress, records
 from ..study.records import Record, StudyFiles
-from ..study.runner import Job
+from ..study.runner import RunJob
 from ..terminal import flags
 from ..terminal.console import console
 from ..terminal.help import About
@@ -86,7 +86,7 @@ class Run:
             _forget_failures(files, found)
         todo = [one.run for one in found.values() if not one.has_ended]
         here, folder = Path.cwd(), files.path.absolute()
-        jobs = {run.name: Job(folder, run, self.ranks_per_run, here) for run in todo}
+        jobs = {run.name: RunJob(folder, run, self.ranks_per_run, here) for run in todo}
         left = "to do" if study.looks is None else "to do at most"
         console.print(f"{title}: {len(runs)} runs, {len(jobs)} {left}, in {files.path}")
         with progress.Watch(files, found, parallel) as watch:
@@ -174,7 +174,9 @@ class Todo:
         files.create(study)
         for record in found:
             if record.state != "done":
-                print(shlex.join(Job(files.path, record.run, self.ranks_per_run).command("tactilerl")))
+                print(
+                    shlex.join(RunJob(files.path, record.run, self.ranks_per_run).command("tactilerl"))
+                )
 
 
 @dataclass(frozen=True)
@@ -279,9 +281,9 @@ class Compare:
 
     def __call__(self) -> None:
         """`tactilerl study compare A B`"""
-        a, b = comparing.read(self.a), comparing.read(self.b)
-        rows = comparing.compare(a, b, self.score)
-        differing = comparing.differing(a, b)
+        a, b = parts.read(self.a), parts.read(self.b)
+        rows = parts.compare(a, b, self.score)
+        differing = parts.differing(a, b)
         if self.json:
             print(_json({"differing": differing, "rows": [one.as_dict() for one in rows]}))
             return

@@ -14,13 +14,13 @@ from ..algos import mpi
 from ..errors import InputError, input_errors
 from ..runs.cores import free_cores
 from .records import StudyFiles
-from .runner import LOOK, PATIENCE, Ending, Job, run_job, threads
+from .runner import LOOK, PATIENCE, Ending, RunJob, run_job, threads
 
 BATCH = {"slurm": "SLURM", "pbs": "PBS", "lsf": "LSF", "sge": "SGE", "htcondor": "HTCondor"}
 DASK = "dask:"
 MEMORY = "3GB"  # of a process, as the guide says
 
-Watch = Callable[[list[Job], dict[str, Ending]], None]
+Watch = Callable[[list[RunJob], dict[str, Ending]], None]
 """Is told the jobs that run, and how the others ended, by name."""
 
 
@@ -110,7 +110,7 @@ class Engine:
         return getattr(dask_jobqueue, f"{BATCH[self.on]}Cluster")(**options)
 
 
-def run_all(jobs: list[Job], pool: concurrent.futures.Executor, watch: Watch) -> dict[str, Ending]:
+def run_all(jobs: list[RunJob], pool: concurrent.futures.Executor, watch: Watch) -> dict[str, Ending]:
     """Run the jobs in order; the endings by name of the run.
 
     `watch` is called every second and whenever jobs end, with the jobs that run and the endings so
@@ -135,7 +135,7 @@ def run_all(jobs: list[Job], pool: concurrent.futures.Executor, watch: Watch) ->
     return endings
 
 
-def _ending(future: concurrent.futures.Future[Ending], job: Job) -> Ending | None:
+def _ending(future: concurrent.futures.Future[Ending], job: RunJob) -> Ending | None:
     """How a job ended; None where nobody knows, because Dask's scheduler has been lost."""
     try:
         return future.result()

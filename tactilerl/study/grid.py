@@ -95,7 +95,7 @@ Part = TypeVar("Part", Primary, Looks)
 
 
 @dataclass(frozen=True)
-class Compare:
+class Contrast:
     """Two values of one flag of the grid."""
 
     flag: str
@@ -111,7 +111,7 @@ class Setup:
     flags: dict[str, Any]
     grid: dict[str, list[Any]]
     seeds: list[int]
-    compare: Compare | None
+    compare: Contrast | None
     measure: str
 
     @property
@@ -264,7 +264,7 @@ def from_dict(data: Any) -> Study:
     """
     tables = {}
     for one in data["setups"]:
-        setup = Setup(**{**one, "compare": one["compare"] and Compare(**one["compare"])})
+        setup = Setup(**{**one, "compare": one["compare"] and Contrast(**one["compare"])})
         for part in filter(None, (setup, setup.compare)):
             require(type(part), vars(part))
         pair = setup.compare and {setup.compare.flag: [setup.compare.treatment, setup.compare.control]}
@@ -379,7 +379,7 @@ def _seeds(values: list[Any], where: str) -> list[int]:
     return seeds
 
 
-def _compare(table: dict[str, Any], grid: dict[str, list[Any]]) -> Compare | None:
+def _compare(table: dict[str, Any], grid: dict[str, list[Any]]) -> Contrast | None:
     if not table:
         return None
     (key, pair), *others = table.items()
@@ -396,7 +396,7 @@ def _compare(table: dict[str, Any], grid: dict[str, list[Any]]) -> Compare | Non
             raise InputError(f"compare.{key}: found {value!r}, but the grid's {flag} has {found}")
     if text(pair[0]) == text(pair[1]):
         raise InputError(f"compare.{key}: found {pair[0]!r} as treatment and as control")
-    return Compare(flag, text(pair[0]), text(pair[1]))
+    return Contrast(flag, text(pair[0]), text(pair[1]))
 
 
 def _table(data: dict[str, Any], key: str, where: str = "") -> dict[str, Any]:

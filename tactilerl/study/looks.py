@@ -9,19 +9,19 @@ from pathlib import Path
 from . import records, summary, verdicts
 from .grid import Run, Study
 from .records import Record
-from .runner import PATIENCE, Ending, Job
+from .runner import PATIENCE, Ending, RunJob
 from .verdicts import Verdict
 
 Found = Mapping[str, Mapping[str, Verdict]]
 """Comparisons by set-up and cell."""
-RunAll = Callable[[list[Job]], dict[str, Ending]]
+RunAll = Callable[[list[RunJob]], dict[str, Ending]]
 """`engine.run_all`, given its pool and who watches."""
 
 
 def run(
     study: Study,
     folder: Path,
-    jobs: Mapping[str, Job],
+    jobs: Mapping[str, RunJob],
     run_all: RunAll,
     say: Callable[[str], None],
     collected: Sequence[Path] = (),

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from ..terminal.progress_bar import duration
 from .records import STATES, Record, StudyFiles
-from .runner import Ending, Job
+from .runner import Ending, RunJob
 
 
 def counts(records: Iterable[Record]) -> dict[str, int]:
@@ -71,7 +71,7 @@ class Watch:
     def __exit__(self, *_: object) -> None:
         self._bar.stop()
 
-    def __call__(self, running: list[Job], endings: dict[str, Ending]) -> None:
+    def __call__(self, running: list[RunJob], endings: dict[str, Ending]) -> None:
         """What runs now, and what has ended: `engine.run_all` calls it."""
         for name, ending in endings.items():
             if self._seen.get(name) != ending:

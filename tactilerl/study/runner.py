@@ -42,7 +42,7 @@ _stopping = threading.Event()
 
 
 @dataclass(frozen=True)
-class Job:
+class RunJob:
     """A run that is to be done; can be pickled."""
 
     folder: Path
@@ -59,7 +59,7 @@ class Job:
         return [launcher, "-n", str(self.ranks), *command] if self.ranks > 1 else command
 
 
-def run_job(job: Job) -> Ending:
+def run_job(job: RunJob) -> Ending:
     """Train one run to its end; a failure is tried once more. What has ended or what another process
     trains is left as it is."""
     files = StudyFiles(job.folder)
@@ -76,7 +76,7 @@ def run_job(job: Job) -> Ending:
         raise
 
 
-def _train(files: StudyFiles, job: Job) -> Ending:
+def _train(files: StudyFiles, job: RunJob) -> Ending:
     log, code, begin = files.beside(job.run, "log"), 1, 0
     for _ in range(ATTEMPTS):
         begin = log.stat().st_size if log.exists() else 0
@@ -93,7 +93,7 @@ def _train(files: StudyFiles, job: Job) -> Ending:
     return "failed"
 
 
-def _process(log_file: Path, job: Job) -> int:
+def _process(log_file: Path, job: RunJob) -> int:
     launcher = shutil.which("mpirun") or str(Path(sys.executable).with_name("mpirun"))
     command = job.command(sys.executable, "-m", "tactilerl", launcher=launcher)
     with open(log_file, "ab", opener=no_link) as log:

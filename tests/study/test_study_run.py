@@ -270,14 +270,14 @@ class TestFailures:
         run = StudyFiles(undisturbed).study().runs()[0]
         (tmp_path / "runs").mkdir()
         with pytest.raises(OSError, match="No space left") as caught:
-            runner.run_job(runner.Job(tmp_path, run))
+            runner.run_job(runner.RunJob(tmp_path, run))
         assert caught.value.__notes__ == [f"run {run.name}"]
 
     def test_a_killed_run_is_taken_up_once_more(self, undisturbed, tmp_path):
         (tmp_path / "runs").mkdir()
         run = StudyFiles(undisturbed).study().runs()[0]
         threading.Thread(target=kill_first_child, daemon=True).start()
-        assert runner.run_job(runner.Job(tmp_path, run)) == "done"
+        assert runner.run_job(runner.RunJob(tmp_path, run)) == "done"
         assert StudyFiles(tmp_path).record(run).state == "done"
         log = StudyFiles(tmp_path).beside(run, "log").read_text()
         assert "epoch    1" in log
@@ -323,7 +323,7 @@ class TestSharing:
         """Whatever its path is called, and however long that is."""
         run = folder.study().runs()[0]
         monkeypatch.setattr(runner, "_process", lambda log, job: BUSY)
-        assert runner.run_job(runner.Job(folder.path, run)) == "busy"
+        assert runner.run_job(runner.RunJob(folder.path, run)) == "busy"
         assert folder.record(run).state == "interrupted"
 
     def test_what_others_have_done_meanwhile_is_not_trained_again(
@@ -331,7 +331,7 @@ class TestSharing:
     ):
         monkeypatch.setattr(runner, "_process", None)
         run = StudyFiles(undisturbed).study().runs()[0]
-        assert runner.run_job(runner.Job(undisturbed, run)) == "done"
+        assert runner.run_job(runner.RunJob(undisturbed, run)) == "done"
 
     @pytest.mark.parametrize("there", ["", "runs", "study.json", ".0123456789abcdef.tmp"])
     def test_another_starter_may_have_begun_to_make_the_folder(self, undisturbed, tmp_path, there):

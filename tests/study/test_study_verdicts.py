@@ -11,8 +11,8 @@ from study_records import PAPER_LIKE, fail, make_study
 
 from tactilerl.commands.cli import main
 from tactilerl.study import looks, records, summary, verdicts
-from tactilerl.study.grid import Compare, Looks, Run, Setup
-from tactilerl.study.runner import Job
+from tactilerl.study.grid import Contrast, Looks, Run, Setup
+from tactilerl.study.runner import RunJob
 
 LOOKS = PAPER_LIKE[: PAPER_LIKE.index("[setups.mujoco]")].replace(
     'name = "made-up"', 'name = "made-up"\nlooks.pairs = [6, 9, 12]\nlooks.effect = 0.03'
@@ -84,7 +84,7 @@ class TestStudyWithLooks:
         done = tmp_path / "done"
         (folder.path / "runs").rename(done)
         study = folder.study()
-        jobs = {run.name: Job(folder.path, run) for run in study.runs()}
+        jobs = {run.name: RunJob(folder.path, run) for run in study.runs()}
         batches, said = [], []
 
         def run_all(batch):
@@ -233,7 +233,7 @@ class TestCompare:
 
 
 class TestErrorsOfLooks:
-    arms = Compare("run_type", "main", "control")
+    arms = Contrast("run_type", "main", "control")
     setup = Setup("one", {}, {"run_type": ["main", "control"]}, [0], arms, "success_rate")
 
     def verdict(self, ending, p, p_holm=1.0):
