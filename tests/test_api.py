@@ -168,7 +168,7 @@ class TestLearner:
 
         env = gym.wrappers.TimeLimit(Endless(), 10)
         agent = tactilerl.DDPGHER(env, **HER)
-        assert agent.learn(1).env_steps == 2 * 2 * 10
+        assert agent.learn(1).env_steps == 2 * 10  # one cycle
 
     def test_learning_again_goes_on_and_a_callback_ends_it(self):
         whole, rows = tactilerl.PPO("lqr", **PPO), []
