@@ -55,13 +55,14 @@ def _actuators(hand: Hand, model: mujoco.MjModel) -> list[int]:
     return [int(model.actuator(name).id) for name in hand.actuators]
 
 
-def _touching(model: mujoco.MjModel, data: mujoco.MjData) -> list[Any]:
+def touching(model: mujoco.MjModel, data: mujoco.MjData) -> list[Any]:
     """All contacts, as if whatever collides collided with all else, and the ground with all."""
     kinds = [model.geom_contype, model.geom_conaffinity, model.body_contype, model.body_conaffinity]
     before = [kind.copy() for kind in kinds]
     model.geom_conaffinity[:] = model.geom_contype
     model.body_conaffinity[:] = model.body_contype
-    model.geom_conaffinity[model.geom(GROUND).id] = model.body_conaffinity[0] = 1
+    for geom in np.flatnonzero(model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)):
+        model.geom_conaffinity[geom] = model.body_conaffinity[0] = 1
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     mujoco.mj_collision(model, data)
@@ -112,7 +113,7 @@ def _require_above_ground(hand: Hand, model: mujoco.MjModel) -> None:
     data, *_ = _begun(hand, model)
     ground = model.geom(GROUND).id
     depth = -min(
-        (contact.dist for contact in _touching(model, data) if ground in contact.geom), default=0
+        (contact.dist for contact in touching(model, data) if ground in contact.geom), default=0
     )
     if depth > IN_GROUND:
         raise ValueError(f"place: with this the hand starts {1e3 * depth:.0f} mm in the ground")
@@ -177,13 +178,14 @@ def _require_apart(hand: Hand, model: mujoco.MjModel, closed: mujoco.MjData) -> 
     surfaces = {surface.link: surface for surface in hand.surfaces if surface.segment != "palm"}
     begun, *_ = _begun(hand, model)
     mujoco.mj_kinematics(model, begun)
-    for contact in _touching(model, closed):
+    for contact in touching(model, closed):
         links = [model.body(model.geom_bodyid[geom]).name for geom in contact.geom]
         if contact.dist >= -DEEP or not all(link in surfaces for link in links):
             continue
         first, second = (surfaces[link] for link in links)
         sides = [begun.body(s.link).xmat.reshape(3, 3) @ s.palmar for s in (first, second)]
-        if first.digit != second.digit and sides[0] @ sides[1] > ALIKE:
+        digits = {first.digit, second.digit}
+        if len(digits - {"thumb"}) == 2 and sides[0] @ sides[1] > ALIKE:
             found = f"{links[0]} ({first.digit}) is {-1e3 * contact.dist:.0f} mm in {links[1]}"
             allowed = f"allowed up to {1e3 * DEEP:g} mm: close them less"
             raise ValueError(f"closed: {found} ({second.digit}), {allowed}")

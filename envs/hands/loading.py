@@ -23,7 +23,18 @@ from .mounting import Mount
 from .parts import Parts, posed
 
 KEYS = {
-    *("model", "drop", "masses", "contacts", "palm", "palmar", "fingers", "palm_point", "palm_is_flat"),
+    *(
+        "model",
+        "root",
+        "drop",
+        "masses",
+        "contacts",
+        "palm",
+        "palmar",
+        "fingers",
+        "palm_point",
+        "palm_is_flat",
+    ),
     *("added_inertia", "observation", "first_joints", "handed_beside", "environment", "scene", "place"),
     *(
         "slides",

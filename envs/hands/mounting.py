@@ -33,6 +33,8 @@ class Mount:
     palm: str
     drop: tuple[str, ...] = ()
     """Patterns of names of what is left out of the model: bodies, geoms, tendons, actuators, sites."""
+    root: str = ""
+    """The body from which on the model is the hand; all of it where it is empty."""
     fuses: bool = True
     """Are bodies that are fixed to a link part of it?"""
     keeps_servos: bool = True
@@ -104,7 +106,7 @@ class Mount:
         them."""
         spec = models.read(self.model)
         self._leave_out(spec)
-        spec = _with_one_root(spec)
+        spec = _with_one_root(spec, self.root)
         for joint in spec.worldbody.first_body().joints:
             if joint.type == FREE:
                 spec.delete(joint)
@@ -204,10 +206,12 @@ def _above(body: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:
         yield body
 
 
-def _with_one_root(spec: mujoco.MjSpec) -> mujoco.MjSpec:
-    """Several bodies at the root are on one rigid base; ValueError where they are none, or some move
-    freely."""
+def _with_one_root(spec: mujoco.MjSpec, root: str = "") -> mujoco.MjSpec:
+    """Several bodies at the root are on one rigid base; a body that is named as root is all that there
+    is, at rest. ValueError where there is none, or some move freely."""
     roots = list(spec.worldbody.bodies)
+    if root:
+        return _cut_off(spec, root)
     if len(roots) == 1:
         return spec
     if not roots or any(joint.type == FREE for root in roots for joint in root.joints):
@@ -216,9 +220,27 @@ def _with_one_root(spec: mujoco.MjSpec) -> mujoco.MjSpec:
         raise ValueError(f"model: {found}, allowed one, {hint}")
     whole = mujoco.MjSpec()
     base = whole.worldbody.add_body(name=BASE).add_frame()
-    folder = spec.modelfiledir
     with models.quiet():  # names stay as they are
         whole.attach(spec, prefix="", frame=base)
+    return _like(whole, spec)
+
+
+def _cut_off(spec: mujoco.MjSpec, root: str) -> mujoco.MjSpec:
+    """One body of a model with what it carries, without its own joints."""
+    body = spec.body(root)
+    if body is None:
+        raise ValueError(f"root: found no body {root!r} in the model")
+    for joint in body.joints:
+        spec.delete(joint)
+    whole = mujoco.MjSpec()
+    with models.quiet():
+        whole.worldbody.add_frame().attach_body(spec.body(root), "", "")
+    return _like(whole, spec)
+
+
+def _like(whole: mujoco.MjSpec, spec: mujoco.MjSpec) -> mujoco.MjSpec:
+    """With the files and the options of the model that it is made of."""
+    folder = spec.modelfiledir
     whole.modelfiledir, whole.meshdir, whole.texturedir = folder, spec.meshdir, spec.texturedir
     whole.compiler.fusestatic = False
     whole.compiler.balanceinertia = spec.compiler.balanceinertia

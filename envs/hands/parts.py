@@ -64,6 +64,7 @@ class Parts:
         return Mount(
             model=_model_file(data.get("model"), self.folder),
             palm=str(data.get("palm")),
+            root=str(data.get("root", "")),
             fuses=self.is_own,
             drop=strings(data["drop"], "drop") if "drop" in data else (),
             masses=numbers(table(data, "masses"), "masses"),
