@@ -142,8 +142,10 @@ class Layout:
         lines = [f"description = {json.dumps(self.description, ensure_ascii=False)}"]
         for patch in self.patches:
             offsets = ", ".join(f"[{_in_mm(row)}, {_in_mm(column)}]" for row, column in patch.offsets)
-            lines += ["", "[[patch]]", f"digits = {json.dumps(patch.digits)}"]
-            lines += [f"segments = {json.dumps(patch.segments)}", f"offsets_mm = [{offsets}]"]
+            lines += ["", "[[patch]]"]
+            places = {"digits": patch.digits, "segments": patch.segments}.items()
+            lines += [f"{key} = {json.dumps(names)}" for key, names in places if names is not None]
+            lines.append(f"offsets_mm = [{offsets}]")
             lines.append(f"radius_mm = {_in_mm(patch.radius or 0.0)}")
         for point in self.taxels:
             lines += ["", *point.toml()]
@@ -248,7 +250,8 @@ def load(name: str) -> Layout:
             return parse(tomllib.loads(name), Path("own"))
     path = Path(name)
     if path.suffix in taxel_files.READERS:
-        return Layout(path.stem, f"points of {name}", (), taxel_files.read(path))
+        points = taxel_files.read(path)
+        return Layout(path.stem, f"points of {name}{taxel_files.padding(path)}", (), points)
     if not name.endswith(".toml"):
         path = NAMED / f"{name}.toml"
         if Path(name).name != name or not os.path.isfile(path):
@@ -309,7 +312,8 @@ def _require_distinct(patches: tuple[Patch, ...]) -> None:
     """ValueError when two patches put a taxel in the same place."""
     seen: dict[tuple[str, str, tuple[float, float]], int] = {}
     for count, patch in enumerate(patches, 1):
-        for place in product(set(patch.digits or ()), set(patch.segments or ()), patch.offsets):
+        every = set(patch.digits or ["every digit"]), set(patch.segments or ["every segment"])
+        for place in product(*every, patch.offsets):
             if place in seen:
                 digit, segment, (row, column) = place
                 raise ValueError(
@@ -321,8 +325,9 @@ def _require_distinct(patches: tuple[Patch, ...]) -> None:
 
 def _patch(data: Any, where: str) -> Patch:
     table({where: data}, where, {"digits", "segments", "offsets_mm", "radius_mm"})
-    digits = strings(data.get("digits"), f"{where}: digits")
-    segments = strings(data.get("segments"), f"{where}: segments")
+    digits, segments = (
+        strings(data[key], f"{where}: {key}") if key in data else None for key in ("digits", "segments")
+    )
     radius = number(data.get("radius_mm"), f"{where}: radius_mm", 0.1, 20.0)
     where, offsets = f"{where}: offsets_mm", data.get("offsets_mm")
     if not isinstance(offsets, list) or not offsets:

@@ -98,6 +98,16 @@ def read(path: Path, link: str | None = None) -> tuple[Point, ...]:
         return points
 
 
+def padding(path: Path) -> str:
+    """What is said of the probes of radius 0 that a Genesis file fills its rows with."""
+    if path.suffix != ".json":
+        return ""
+    rows = [row for entry in json.loads(path.read_text(encoding="utf-8")) for row in entry["probes"]]
+    probes = chain(*rows) if rows and isinstance(rows[0], list) else rows
+    n = sum(probe.get("radius") == 0 for probe in probes)
+    return f"; {n} probes of radius 0 are padding and left out" if n else ""
+
+
 def mounted(data: Any, index: int, folder: Path) -> Iterator[Point]:
     """The taxels of a sensor that has a file of its own, on each of its links; ValueError naming what
     is wrong, and FileNotFoundError."""
@@ -125,6 +135,8 @@ def _read_genesis(content: bytes) -> Iterator[dict[str, Any]]:
     for entry in json.loads(content.decode("utf-8")):
         rows = entry["probes"]
         for probe in chain(*rows) if rows and isinstance(rows[0], list) else rows:
+            if probe.get("radius") == 0:  # fills up a row
+                continue
             radius = {"radius": probe["radius"]} if "radius" in probe else {}
             place = {"position": probe["pos"], "normal": probe["normal"]}
             yield {"link": entry["link_name"], **place, **radius}

@@ -14,6 +14,8 @@ from .hand import DIGITS, SEGMENTS, SLIDES, Hand, LinearAction, Pitch, ScriptedG
 __all__ = ["DIGITS", "SEGMENTS", "SLIDES", "Hand", "LinearAction", "Pitch", "ScriptedGrasp", "Surface"]
 
 FOLDER, SUFFIX = Path(__file__).parent, ".toml"
+KEPT = ".grasp.toml"
+"""In place of SUFFIX: where a command keeps a grasp that it has found for a file without one."""
 HANDS = ("shadow", "mpl", "allegro")
 """The library's own: each is a file here."""
 

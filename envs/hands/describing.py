@@ -34,8 +34,16 @@ LEAST = 0.4  # share of the way that they go all the same
 SAMPLES = 600  # of the thumb's joints
 NEARER = 5e-3  # m
 OPPOSED = 0.4  # length of the mean of the ways that digits go, below which they oppose each other
-CURLED = 0.25  # of the way to closed: how open fingers are that all bend to one side
+BEYOND = 0.5  # of the way of a finger's first joint, what those beyond it go
+HALF_OPEN, OPENING = 0.5, 0.11  # how open a hand is at least, and m between its thumb and fingers
 PARALLEL = 0.7  # cosine between axes of joints that flex
+
+
+def describe(model: str, folder: Path, said: dict[str, Any]) -> tuple[str, list[str]]:
+    """The text of a hand's file in a folder, and notes on what was guessed; `said`: keys that are
+    known. ValueError naming what the model does not say."""
+    guess = Guess(model, folder, said)
+    return guess.toml(), guess.notes
 
 
 class Chain(NamedTuple):
@@ -62,6 +70,9 @@ class Guess:
 
     def __post_init__(self) -> None:
         self.data: dict[str, Any] = {"model": self.model, **self.said}
+        if self.data.pop("servos", None):  # the library's
+            names = [actuator.name for actuator in self._parts().asked.unfused().actuators]
+            self.data["drop"] = [*self.data.get("drop", []), *names]
         parts = self._parts()
         self._leave_out_dummies(parts)
         self._find_palm()
@@ -121,8 +132,7 @@ class Guess:
                 groups.append(chain.union(*joined))
         for group in groups:
             leaves = [spec.body(name) for name in group if not group & _below(spec.body(name))]
-            chains = [self._chain(leaf, group) for leaf in leaves]
-            chains = [chain for chain in chains if chain is not None]
+            chains = [made for leaf in leaves if (made := self._chain(leaf, group))]
             if chains:
                 found.append(max(chains, key=self._length))
         if len(found) < 2:
@@ -232,7 +242,7 @@ class Guess:
     def _ways(self, chains: list[Chain]) -> Array:
         """Unit vectors (n, 3): where the tips go when the digits close by half."""
         begin = self.tips(chains, {})
-        half = {}
+        half: Angles = {}
         for chain in chains:
             ends = self._ends(chain, chains)
             half |= {joint: (a + b) / 2 for joint, (a, b) in ends.items()}
@@ -267,23 +277,31 @@ class Guess:
         is_like_ours = "thumb" in digits and len(digits) > 2
         for name, chain in digits.items():
             if name != "thumb" or not is_like_ours:
-                for joint, (begin, end) in self._ends(chain, chains).items():
-                    opened[joint], closed[joint] = begin, end
+                for count, (joint, (begin, end)) in enumerate(self._ends(chain, chains).items()):
+                    share = BEYOND if count and is_like_ours else 1.0
+                    opened[joint], closed[joint] = begin, begin + share * (end - begin)
         share = self._until_contact(digits, opened, closed)
         closed = {joint: opened[joint] + share * (end - opened[joint]) for joint, end in closed.items()}
-        if is_like_ours:
-            opened = {joint: a + CURLED * (closed[joint] - a) for joint, a in opened.items()}
         if is_like_ours:
             half = {joint: opened[joint] + 0.5 * (end - opened[joint]) for joint, end in closed.items()}
             mine = self._opposed(digits, half)
             last = self._axis(list(mine)[-1], mine | half)
             for joint, end in mine.items():
                 flexes = abs(self._axis(joint, mine | half) @ last) > PARALLEL
-                low, high = self._limits(joint)
-                begin = low if abs(end - low) > abs(end - high) else high
-                opened[joint], closed[joint] = (end - 0.6 * (end - begin) if flexes else end), end
+                opened[joint], closed[joint] = self.parts.inside(joint) if flexes else end, end
+            opened = self._wide_open(digits, opened, closed)
         rounded = [{j: round(a, 3) for j, a in pose.items()} for pose in (opened, closed)]
         return rounded[0], rounded[1]
+
+    def _wide_open(self, digits: dict[str, Chain], opened: Angles, closed: Angles) -> Angles:
+        """On the way from closed to open, as soon as an object fits between thumb and fingers."""
+        thumb, chains = list(digits).index("thumb"), list(digits.values())
+        for share in np.arange(HALF_OPEN, 1.0, 1 / STEPS):
+            pose = {joint: end + share * (opened[joint] - end) for joint, end in closed.items()}
+            tips = self.tips(chains, pose)
+            if np.linalg.norm(tips[thumb] - np.delete(tips, thumb, axis=0).mean(axis=0)) > OPENING:
+                return pose
+        return opened
 
     def _axis(self, joint: str, angles: Angles) -> Array:
         data = posed(self.model_, self._whole(angles))
@@ -341,7 +359,7 @@ class Guess:
         digits = self.digits()
         palmar, fingers = self.directions(digits)
         opened, closed = self.poses(digits)
-        known = {key: self.data[key] for key in ("model", "root", "drop", "palm") if key in self.data}
+        known = {key: self.data[key] for key in ("model", "root", "drop", "palm") if self.data.get(key)}
         frame = self.parts.palm_frame
         turn = np.eye(3) if frame.turn is None else frame.turn
         known |= {

@@ -6,6 +6,7 @@ whose. Everything else has a default that follows from both.
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -58,6 +59,7 @@ SLIDE_LIMITS = ((-0.02, 0.02), (-0.02, 0.02), (-0.03, 0.06))  # m, around the gr
 CLEAR, STEP, HIGHEST = 0.008, 0.002, 0.5  # m: around the hand at the start; of the search for it
 FARTHEST = 1.0  # m of anything from the palm or the object
 NANO = 9  # decimals of m that count of a place
+FINGERS = 0.045  # m: how much more than an object is between the tips that it fits between
 TIMESTEP = 0.004  # s, of scenes that say nothing else
 
 
@@ -68,7 +70,7 @@ def load(path: Path) -> Hand:
         data = toml_files.read(path, "hand file")
         only(data, KEYS, "the file")
         parts = Parts(data, path.parent)
-        hand = _hand(parts, path.stem)
+        hand = _hand(parts, path)
         if parts.is_own:
             timestep = number(
                 table(data, "scene").get("timestep", TIMESTEP), "scene.timestep", 1e-5, 1.0
@@ -78,13 +80,14 @@ def load(path: Path) -> Hand:
         return hand
 
 
-def _hand(parts: Parts, name: str) -> Hand:
+def _hand(parts: Parts, path: Path) -> Hand:
     data, sides = parts.data, surfaces.of(parts)
     mount, at = _hung(parts)
-    grasps, groups = _grasps(parts, at), _groups(parts)
+    grasps, groups = _grasps(parts, at, data.get("grasp", [])), _groups(parts)
+    kept = () if grasps or not parts.is_own else _grasps(parts, at, _kept(path))
     actuators = (*SLIDES, *parts.driven.values())
     hand = Hand(
-        name=name,
+        name=path.stem,
         build=mount,
         joints=(*SLIDES, *parts.joints),
         actuators=actuators,
@@ -103,7 +106,7 @@ def _hand(parts: Parts, name: str) -> Hand:
         start={joint: angle for joint, angle in parts.start.items() if angle},
         observation=_names(data, "observation", OBSERVATION),
         added_inertia=number(data.get("added_inertia", Hand.added_inertia), "added_inertia", 0.0),
-        grasps=grasps,
+        grasps=grasps or kept,
         opened={parts.driven[joint]: angle for joint, angle in parts.opened.items()},
         closed={parts.driven[joint]: angle for joint, angle in parts.closed.items()},
         groups=tuple(groups.values()),
@@ -193,8 +196,8 @@ def _above_the_object(parts: Parts, mount: Mount) -> Array:
     spec.worldbody.add_geom(type=plane, size=[1, 1, 0.1])
     spec.worldbody.add_geom(type=box, size=[room] * 3, pos=[0, 0, room], margin=CLEAR)
     model = models.compiled(spec)
-    halfway = parts.tips(model, posed(model, parts.start | parts.at(0.5)))
-    at = -halfway.mean(axis=0) * [1.0, 1.0, 0.0]
+    middle = _middle(parts, model)
+    at = -middle * [1.0, 1.0, 0.0]
     data = posed(model, parts.start)
     for height in np.arange(0.0, HIGHEST, STEP):
         data.qpos[:3] = [*at[:2], height]
@@ -207,11 +210,40 @@ def _above_the_object(parts: Parts, mount: Mount) -> Array:
     )
 
 
+def _middle(parts: Parts, model: mujoco.MjModel) -> Array:
+    """Between the fingertips (3,), m: of a hand with a thumb, between that and the others, closed as
+    far as an object just fits in."""
+    shares = np.linspace(1.0, 0.0, 21) if "thumb" in parts.digits and len(parts.digits) > 2 else [0.5]
+    for share in shares:
+        angles = parts.start | parts.at(float(share))
+        tips = parts.tips(
+            model, posed(model, angles | (parts.followed(angles) if parts.is_own else {}))
+        )
+        if len(shares) == 1:
+            return np.asarray(tips.mean(axis=0))
+        thumb = list(parts.digits).index("thumb")
+        sides = tips[thumb], np.delete(tips, thumb, axis=0).mean(axis=0)
+        if np.linalg.norm((sides[0] - sides[1])[:2]) > Hand.start_clearance + FINGERS:
+            break
+    return np.asarray((sides[0] + sides[1]) / 2)
+
+
 # -- what it does ----------------------------------------------------------------------------
 
 
-def _grasps(parts: Parts, at: Array) -> tuple[ScriptedGrasp, ...]:
-    found, tables = [], parts.data.get("grasp", [])
+def _kept(path: Path) -> list[Any]:
+    """What a command has found for a file that has no grasp, and kept beside it."""
+    kept = path.with_suffix(".grasp.toml")
+    if not kept.is_file():
+        return []
+    data = toml_files.read(kept, "grasp file")
+    same = data.get("hand") == hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    tables = data.get("grasp", []) if same else []
+    return tables if isinstance(tables, list) else []
+
+
+def _grasps(parts: Parts, at: Array, tables: Any) -> tuple[ScriptedGrasp, ...]:
+    found = []
     if not isinstance(tables, list) or not all(isinstance(one, dict) for one in tables):
         raise ValueError(f"grasp: found {tables!r}, expected [[grasp]] tables")
     for count, about in enumerate(tables, 1):

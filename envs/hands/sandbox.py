@@ -23,7 +23,7 @@ from .hand import Hand
 CPU_SECONDS, SECONDS = 30, 300
 """Of reading: on a processor, and by the clock, which counts where a file is waited for."""
 MEMORY = 8 * 2**30  # bytes of address space
-RESULT = "result"
+ASKED, RESULT = "asked", "result"
 TRIED = "TACTILERL_HANDS_TRIED"
 """Environment variable: what has been read well, for processes that are started from here."""
 KINDS: dict[str, type[Exception]] = {
@@ -45,40 +45,54 @@ def load(path: Path) -> Hand:
         return hand
 
 
+def describe(model: str, folder: Path, said: dict[str, Any]) -> tuple[str, list[str]]:
+    """The text of a hand's file for a model, and notes; raises as `describing.describe`."""
+    found: tuple[str, list[str]] = _ask("describe", model, (model, folder.absolute(), said), folder)
+    return found
+
+
 def _state(*files: Path) -> str:
-    """Changes when one of the files does; "" where one cannot be looked at."""
-    with contextlib.suppress(OSError):
-        looks = [(str(path), path.stat()) for path in files]
-        return json.dumps([(path, look.st_size, look.st_mtime_ns) for path, look in looks])
-    return ""
+    """Changes when one of the files does, or a grasp is kept beside the first."""
+    found = []
+    for path in (*files, files[0].with_suffix(".grasp.toml")):
+        look = path.stat() if path.exists() else None
+        found.append((str(path), look and look.st_size, look and look.st_mtime_ns))
+    return json.dumps(found)
 
 
 def _load(path: Path, whole: Path) -> Hand:
-    """In a process of its own, unless one that started this has done so; its last words name the file
-    as it was asked for."""
+    """In a process of its own, unless one that started this has done so."""
     state, tried = _state(whole), os.environ.get(TRIED, "").split("\n")
-    if state and state in tried:
+    if state in tried:
         from . import loading
 
         return loading.load(whole)
+    hand: Hand = _ask("load", f"hand file {path}", (whole,), path.parent)
+    os.environ[TRIED] = "\n".join([*tried, state])
+    return hand
+
+
+def _ask(job: str, what: str, args: tuple[Any, ...], beside: Path) -> Any:
+    """What a job says in a process of its own; its last words name files as they were asked for."""
     with tempfile.TemporaryDirectory() as folder:
-        _run(path, whole, folder)
+        Path(folder, ASKED).write_bytes(pickle.dumps((job, what, args, CPU_SECONDS)))
+        _run(what, folder)
         kind, result = pickle.loads(Path(folder, RESULT).read_bytes())
     if kind:
-        beside = "" if path.parent == Path() else f"{path.parent}/"
-        raise KINDS[kind](result.replace(f"{whole.parent}/", beside))
-    os.environ[TRIED] = "\n".join([*tried, state])
-    return result  # type: ignore[no-any-return]
+        raise KINDS[kind](
+            result.replace(f"{beside.absolute()}/", "" if beside == Path() else f"{beside}/")
+        )
+    return result
 
 
-def _run(path: Path, whole: Path, folder: str) -> None:
+def _run(what: str, folder: str) -> None:
     """Have the result written there; ValueError where there is none."""
     command = f"from {__name__} import main; main()"
     search = os.pathsep.join(os.path.abspath(place) for place in sys.path)
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     silent: Any = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
     process = subprocess.Popen(
-        [sys.executable, "-c", command, str(whole), str(CPU_SECONDS)],
+        [sys.executable, "-c", command],
         cwd=folder,
         env={**os.environ, **threads, "PYTHONPATH": search},
         start_new_session=True,
@@ -97,28 +111,29 @@ def _run(path: Path, whole: Path, folder: str) -> None:
             how = f"takes longer than {CPU_SECONDS} s to read"
         elif code < 0:
             how = f"breaks MuJoCo's reader ({signal.Signals(-code).name})"
-        raise ValueError(f"hand file {path}: the model {how}; make it smaller, or drop what is no hand")
+        raise ValueError(f"{what}: the model {how}; make it smaller, or drop what is no hand")
 
 
 def main() -> None:
-    """The child: writes a pickle of "" and the hand, or of the kind and the line of an error."""
-    from . import loading
+    """The child: writes a pickle of "" and the result, or of the kind and the line of an error."""
+    from . import describing, loading
 
-    path, seconds = Path(sys.argv[1]), int(sys.argv[2])
-    result: tuple[str, Any]
+    job, what, args, seconds = pickle.loads(Path(ASKED).read_bytes())
     with contextlib.suppress(ImportError, ValueError, OSError):  # where there are such limits
         import resource
 
         for limit, value in (("AS", MEMORY), ("CPU", seconds), ("CORE", 0)):
             resource.setrlimit(getattr(resource, f"RLIMIT_{limit}"), (value, value))
+    result: tuple[str, Any]
     try:
-        result = "", loading.load(path)
+        jobs: dict[str, Any] = {"load": loading.load, "describe": describing.describe}
+        result = "", jobs[job](*args)
     except tuple(KINDS.values()) as error:
         kind = next(name for name, kind in KINDS.items() if isinstance(error, kind))
         result = kind, str(error)
     except MemoryError:
-        result = "ValueError", f"hand file {path}: the model needs more than {MEMORY >> 30} GB to read"
+        result = "ValueError", f"{what}: the model needs more than {MEMORY >> 30} GB to read"
     except Exception as error:  # whatever MuJoCo or a parser raises
         line = " ".join(str(error).split())[:300]
-        result = "ValueError", f"hand file {path}: model: {type(error).__name__}: {line}"
+        result = "ValueError", f"{what}: model: {type(error).__name__}: {line}"
     Path(RESULT).write_bytes(pickle.dumps(result))

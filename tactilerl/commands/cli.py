@@ -17,6 +17,7 @@ from ..version import __version__
 COMMANDS = {  # each a module here with `main(args)`, imported when it runs; what it does
     "train": "train a policy (start here)",
     "evaluate": "success rate of a trained run, with confidence intervals",
+    "hand": "write the file of a hand from its model, with a grasp",
     "env": "describe an environment: its observations, actions and taxels",
     "design": "where a hand's few taxels should go, before training",
     "doctor": "check which taxels fire during scripted grasps",

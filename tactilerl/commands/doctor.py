@@ -4,29 +4,24 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import sys
 from pathlib import Path
 from typing import Annotated
 
-from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
-from ..envs import hands
 from ..envs.grasp import GraspConfig, setup
 from ..envs.objects import Items, ObjectConfig
 from ..envs.simulators import Camera
 from ..errors import InputError, input_errors
 from ..pictures import render
-from ..probe import doctor, grasp_search
-from ..runs.cores import free_cores
+from ..probe import doctor
 from ..terminal import flags
 from ..terminal.console import console
 from ..terminal.help import About
+from .grasps import require_grasp
 from .scene import layout_notes, read_scene, require_scene
 
 FEW = 10  # taxels that are named anyway
-LEAST = 0.5  # of the time that an object must be up for a found grasp to be of use
 
 
 ABOUT = About(
@@ -79,26 +74,6 @@ def _require_used(scene: GraspConfig, env: str) -> None:
             raise ValueError("object: found several, or a range, allowed a single object")
 
 
-def _find_grasp(name: str, scene: GraspConfig) -> hands.ScriptedGrasp:
-    """A grasp for a hand whose file has none, shown so that it can be pasted; ValueError where there
-    is none that holds."""
-    screen = Console(stderr=True, markup=False)
-    screen.print(f"{name} has no [[grasp]]: looking for one")
-    with Progress(console=screen, transient=True, disable=not screen.is_terminal) as progress:
-        task = progress.add_task("trying grasps", total=sum(grasp_search.ROUNDS))
-        workers = free_cores()
-        grasp, share = grasp_search.find(name, scene, workers, lambda: progress.advance(task))
-    if share < LEAST:
-        raise ValueError(
-            f"hand {name}: found no grasp that holds a {1e3 * grasp.object_size:g} mm object: the best "
-            f"of {sum(grasp_search.ROUNDS)} keeps it up {100 * share:.0f} % of the time; look at "
-            "[opened] and [closed], or at the force of the servos"
-        )
-    screen.print(f"found one: the object is up {100 * share:.0f} % of the time; add it to the file:\n")
-    print(grasp_search.toml(hands.get(name), grasp), file=sys.stderr)
-    return grasp
-
-
 def main(args: list[str]) -> int:
     """`tactilerl doctor`: exit 1 when a layout is blind."""
     read, found = read_scene(DoctorFlags, args, "tactilerl doctor", ABOUT)
@@ -108,12 +83,12 @@ def main(args: list[str]) -> int:
     chosen = flags.peek(args, "--layout", "")
     names = [chosen] if chosen else [*"123456"]
     with input_errors():
-        grasp = None if hands.get(name).grasps else _find_grasp(name, scene)
+        require_grasp(name, scene)
         if read.out is not None:
             picture = dataclasses.replace(scene, layout=chosen or "1", touch="on")
-            render.picture(name, picture, "grasp", Camera(), read.out, grasp)
+            render.picture(name, picture, "grasp", Camera(), read.out)
         scenes = [dataclasses.replace(scene, layout=layout) for layout in names]
-        figures = [doctor.examine(name, each, grasp, read.grasps, read.seconds) for each in scenes]
+        figures = [doctor.examine(name, each, read.grasps, read.seconds) for each in scenes]
     code = int(any(f.is_blind for f in figures))
     if read.json:
         print(json.dumps([dataclasses.asdict(f) for f in figures]))

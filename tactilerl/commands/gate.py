@@ -18,6 +18,7 @@ from ..runs.cores import free_cores
 from ..terminal import flags
 from ..terminal.console import console
 from ..terminal.help import About
+from .grasps import require_grasp
 from .scene import read_scene, require_scene
 
 ABOUT = About(
@@ -62,6 +63,8 @@ def main(args: list[str]) -> int:
         for each in (scene, *beside):
             typed.validate(each)
             layouts.load(each.layout).place(hands.get(read.env))
+        if scene.task != "handover":
+            require_grasp(read.env, scene)
     with Progress(console=console, transient=True) as progress, input_errors():
         task = progress.add_task("trying reflexes", total=None)
         examine = partial(

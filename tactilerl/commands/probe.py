@@ -17,11 +17,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from ..algos import mpi
+from ..envs.grasp import setup
 from ..errors import InputError, input_errors
 from ..probe.options import GraspFlags, Options
 from ..terminal import flags, interrupts
 from ..terminal.console import console
 from ..terminal.help import About
+from .grasps import require_grasp
 
 ABOUT = About(
     "How well do a layout's readings just before the lift predict whether a grasp holds? Plays "
@@ -52,6 +54,10 @@ def main(args: list[str]) -> int:
             raise InputError(f"probe: found no {name}; {extra}")
     from ..probe import run
 
+    if comm.size == 1 and read.grasp.policy is None and read.output.grasps_file is None:
+        with input_errors():
+            env = read.grasp.env
+            require_grasp(env, setup(env, simulator=read.grasp.simulator or setup(env).simulator))
     with ExitStack() as held:
         is_shown = comm.rank == 0 and not read.output.json
         with _Bar(read.grasp.grasps, is_shown) as bar:

@@ -19,6 +19,7 @@ from ..pictures import render
 from ..terminal import flags
 from ..terminal.console import console
 from ..terminal.help import About
+from .grasps import require_grasp
 from .scene import layout_notes, read_scene, require_scene
 
 ABOUT = About(
@@ -78,6 +79,8 @@ def main(args: list[str]) -> int:
         return _film(args, read, scene)
     scene = require_scene(scene, name)
     with input_errors():
+        if read.pose == "grasp":
+            require_grasp(name, scene)
         lit = render.picture(name, scene, read.pose, read.camera, read.out)
     console.print(f"{read.out}: {lit} taxels fire")
     for note in layout_notes(name, scene.layout):

@@ -57,8 +57,8 @@ def layout_notes(name: str, layout: str) -> list[str]:
         "beyond the end of their segment: {}": hand_map.beyond(hand, placed),
         "further from the skin of their link than they reach: {}": hand_map.off_skin(hand, placed),
     }
-    return [
-        f"layout {layouts.short(layout)}: {text.format(', '.join(it))}"
-        for text, it in found.items()
-        if it
-    ]
+    short = layouts.short(layout)
+    notes = [f"layout {short}: {text.format(', '.join(it))}" for text, it in found.items() if it]
+    if "left out" in wanted.description:
+        notes.append(f"layout {short}: {wanted.description}")
+    return [*hand.notes, *notes]

@@ -36,12 +36,12 @@ Felt = np.ndarray | None
 
 
 def examine(
-    hand: str, config: GraspConfig, grasp: ScriptedGrasp | None, n: int, seconds: float
+    hand: str, config: GraspConfig, n: int, seconds: float
 ) -> LayoutFigures:
-    """What one layout feels in `n` scripted grasps held for `seconds`, always the same ones. `grasp`:
-    instead of the hand's own. Blind is a layout that felt nothing of any."""
+    """What one layout feels in `n` scripted grasps held for `seconds`, always the same ones.
+    Blind is a layout that felt nothing of any."""
     with closing(GraspEnv(hand, config)) as env:
-        chosen, names = grasp or scripted.grasp_for(env), np.array(env.taxels.names)
+        chosen, names = scripted.grasp_for(env), np.array(env.taxels.names)
         starts = scripted.perturbed_starts(env, SEED, n)
         felt = [_felt(env, chosen, start, seconds) for start in starts]
     held = [bits for bits in felt if bits is not None]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import closing
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -14,7 +14,7 @@ from ..envs import scripted, vector
 from ..envs.grasp import GraspConfig, GraspEnv
 from ..envs.hands import SLIDES, Hand, ScriptedGrasp
 from ..envs.simulators import SimulationError
-from ..envs.state import Array
+from ..envs.state import Array, State
 
 SEED = 30_000  # apart from the doctor's starts and from those of training
 SECONDS = 1.0  # of a hold
@@ -24,13 +24,31 @@ BEST = 6  # candidates from which the next are drawn around
 BESIDE = 0.025  # m that the palm may be beside its place at the start
 GROUND, UP = 0.004, 0.05  # m: of the lowest fingertip over the ground, and above its place at the start
 CLOSINGS = (0.3, 1.2)
+TOUCHING, CENTRED = (
+    0.1,
+    0.1,
+)  # what all digits touching, and all that is possible beside the middle, count
 NARROWEST = np.array([2e-3, 2e-3, 2e-3, 0.03])  # m and share: what the draws differ by at least
+
+
+class Found(NamedTuple):
+    """A grasp, and how it went."""
+
+    grasp: ScriptedGrasp
+    share: float
+    """Of its holds' steps in which the object was up."""
+    digits: float
+    """That touched it, on average."""
+    shift: float | None
+    """How far beyond the middle of the last links, towards the tips, they touched it, m; None where
+    they did not."""
 
 
 def find(
     hand: str, config: GraspConfig, workers: int, tick: Callable[[], None] = lambda: None
-) -> tuple[ScriptedGrasp, float]:
-    """The best grasp of the scene's object, and the share of its holds' steps in which that was up.
+) -> Found:
+    """The best grasp of the scene's object: of those that hold it as long, the one that most digits
+    touch and that has it best in the middle.
 
     Cross-entropy search over the palm's place and how far the hand closes. `tick` is called after
     every candidate. ValueError when the hand's file does not say what its closed hand is.
@@ -44,7 +62,7 @@ def find(
     lowest = np.array([-BESIDE, -BESIDE, -max(down, 0.0), CLOSINGS[0]])
     highest = np.array([BESIDE, BESIDE, UP, CLOSINGS[1]])
     rng = np.random.default_rng(SEED)
-    tried: list[tuple[float, Array]] = []
+    tried: list[tuple[Array, Array]] = []
     with closing(vector.start(make, workers)) as played_in:
         for n in ROUNDS:
             if not tried:
@@ -56,11 +74,20 @@ def find(
                 candidates = np.clip(drawn, lowest, highest)
             for figures in candidates:
                 task = partial(_hold, _grasp(own, size, figures))
-                tried.append((float(np.mean(list(played_in.play(task, range(STARTS))))), figures))
+                went = np.array(list(played_in.play(task, range(STARTS))))
+                tried.append((_means(went), figures))
                 tick()
-            tried.sort(key=lambda each: -each[0])
-    score, figures = tried[0]
-    return _grasp(own, size, np.round(figures, 4)), score
+            tried.sort(key=lambda each: -each[0][0])
+    (_, share, digits, shift), figures = tried[0]
+    grasp = _grasp(own, size, np.round(figures, 4))
+    return Found(grasp, float(share), float(digits), None if np.isnan(shift) else float(shift))
+
+
+def _means(went: Array) -> Array:
+    """(4,) of what `_hold` says (n, 4) of some starts; NaN where no contact was seen."""
+    seen = ~np.isnan(went)
+    sums = np.where(seen, went, 0.0).sum(axis=0)
+    return np.asarray(np.where(seen.any(axis=0), sums / np.maximum(seen.sum(axis=0), 1), np.nan))
 
 
 def _grasp(hand: Hand, size: float, figures: Array) -> ScriptedGrasp:
@@ -73,15 +100,50 @@ def _grasp(hand: Hand, size: float, figures: Array) -> ScriptedGrasp:
 
 def _hold(
     grasp: ScriptedGrasp, env: gym.Env[Any, Any], number: int, is_wanted: vector.IsWanted
-) -> float:
-    """The share of a hold's steps in which the object was up."""
+) -> Array:
+    """(4,): how good a hold is, the share of its steps in which the object was up, how many digits
+    touched it, and how far beyond the middle of their last links, m."""
     base: Any = env.unwrapped
     rng = np.random.default_rng([SEED, number])
     start = scripted.perturbed_start(rng, len(base.hand.joints))
+    ups, last = [], None
     try:
-        return float(np.mean(list(scripted.hold_steps(base, grasp, start, SECONDS))))
+        for is_up in scripted.hold_steps(base, grasp, start, SECONDS):
+            ups.append(is_up)
+            last = base.simulator.state() if is_up else last
     except SimulationError:
-        return 0.0
+        return np.array([0.0, 0.0, 0.0, np.nan])
+    share = float(np.mean(ups))
+    if last is None:
+        return np.array([share, share, 0.0, np.nan])
+    digits, rows = _touched(base.hand, last)
+    beside = float(np.linalg.norm(last.object_position - _middle(base.hand, last.fingertips)))
+    good = share * (1 + TOUCHING * len(digits) / len(base.hand.digits)) - share * CENTRED * min(
+        1, beside / UP
+    )
+    return np.array([good, share, len(digits), np.mean(rows) if rows else np.nan])
+
+
+def _touched(hand: Hand, state: State) -> tuple[set[str], list[float]]:
+    """The digits that touch the object, and how far beyond the middle of last links, m."""
+    surfaces = {surface.link: surface for surface in hand.surfaces if surface.segment != "palm"}
+    digits, rows = set[str](), []
+    for point, index in zip(state.contacts.points, state.contacts.links, strict=True):
+        if surface := surfaces.get(state.links[index]):
+            digits.add(surface.digit)
+            if surface.segment == "distal":
+                turn, place = state.link_rotations[index], state.link_positions[index]
+                rows.append(surface.offset(turn.T @ (point - place))[0])
+    return digits, rows
+
+
+def _middle(hand: Hand, tips: Array) -> Array:
+    """Between the thumb, where there is one, and the fingers (3,), m."""
+    names = list(hand.digits)
+    if "thumb" not in names:
+        return np.asarray(tips.mean(axis=0))
+    thumb = names.index("thumb")
+    return np.asarray((tips[thumb] + np.delete(tips, thumb, axis=0).mean(axis=0)) / 2)
 
 
 def toml(hand: Hand, grasp: ScriptedGrasp) -> str:

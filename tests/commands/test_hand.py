@@ -1,0 +1,105 @@
+"""`tactilerl hand`: the file of a hand from its model."""
+
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from one_line import fails_with
+
+from tactilerl.commands.cli import main
+from tactilerl.envs import hands
+from tactilerl.envs.hands import describing, loading, sandbox
+from tactilerl.probe import grasp_search
+
+sys.path.append(str(Path(__file__).parents[1] / "envs"))
+from test_published_hands import FINGERS, MODEL, PALM, TIP, urdf
+
+FINGER = """<body name="{n}_1" pos="0.045 {y} 0"><joint name="{n}_a" axis="0 1 0" range="0 1.6"/>
+<geom type="capsule" size="0.008" fromto="0 0 0 0.045 0 0"/><body name="{n}_2" pos="0.045 0 0">
+<joint name="{n}_b" axis="0 1 0" range="0 1.6"/>{tip}</body></body>"""
+THUMB = """<body name="th_1" pos="-0.03 0 -0.02" euler="0 1.5708 0">
+<joint name="th_turn" axis="1 0 0" range="-1 1"/><geom size="0.006"/>
+<body name="th_2"><joint name="th_a" axis="0 -1 0" range="-0.3 1.2"/>
+<geom type="capsule" size="0.008" fromto="0 0 0 0.07 0 0"/></body></body>"""
+PERSON = "".join(FINGER.format(n=n, y=y, tip=TIP) for n, y in (("ff", -0.03), ("mf", 0), ("rf", 0.03)))
+PERSON = f"""<mujoco><compiler angle="radian"/><worldbody><body name="hand"><geom type="box"
+size="0.045 0.04 0.012"/>{PERSON}{THUMB}</body></worldbody></mujoco>"""
+
+
+@pytest.fixture(autouse=True)
+def _read_here(monkeypatch, in_tmp):
+    monkeypatch.setattr(sandbox, "load", loading.load)
+    monkeypatch.setattr(sandbox, "describe", describing.describe)
+
+
+def guessed(model, name="hand.xml", **said):
+    Path(name).write_text(model)
+    text, notes = describing.describe(name, Path(), said)
+    Path("hand.toml").write_text(text)
+    hands.get("hand.toml")
+    return tomllib.loads(text), notes
+
+
+def test_a_hand_like_ours():
+    about, notes = guessed(PERSON)
+    assert not notes
+    assert about["palm"] == "hand"
+    assert about["palmar"] == [0, 0, -1]
+    assert about["fingers"] == [1, 0, 0]
+    assert list(about["digits"]) == ["index", "middle", "ring", "thumb"]
+    assert about["digits"]["index"]["links"] == ["ff_1", "ff_2"]
+    assert about["digits"]["index"]["tip"] == pytest.approx([0.038, 0, 0], abs=2e-3)
+    assert about["closed"]["ff_a"] > about["opened"]["ff_a"] >= 0
+    assert about["closed"]["th_turn"] == about["opened"]["th_turn"]  # it stays where the thumb opposes
+
+
+def test_a_gripper():
+    about, _ = guessed(MODEL)
+    assert about["palmar"] == [0, 0, -1]
+    assert abs(about["fingers"][1]) == 1
+    assert all(angle > 0 for angle in about["closed"].values())
+
+
+def test_an_arm_is_cut_off_and_dummies_are_left_out():
+    arm = "".join(f'<body name="a{i}" pos="0 0 .1"><joint name="a{i}" range="-1 1"/><geom size=".03"/>'
+                  for i in range(4))  # fmt: skip
+    dummy = '<body name="frame"><joint name="frame" range="-1 1"/></body>'
+    model = MODEL.replace('<body name="palm"', f'{arm}<body name="palm"').replace(PALM, PALM + dummy)
+    about, notes = guessed(model.replace("</worldbody>", "</body>" * 4 + "</worldbody>"))
+    assert about["root"] == about["palm"] == "palm"
+    assert about["drop"] == ["frame"]
+    assert len(notes) == 2
+    assert "a0" not in hands.get("hand.toml").joints
+
+
+def test_a_urdf_whose_palm_hangs_on_a_frame():
+    about, _ = guessed(urdf(), "hand.urdf")
+    assert about["palm"] == "base"
+    assert set(about["digits"]) == {"thumb", "index"}
+
+
+def test_from_model_to_training(monkeypatch, capsys):
+    monkeypatch.setattr(grasp_search, "ROUNDS", (24, 6))
+    monkeypatch.setattr(grasp_search, "STARTS", 2)
+    Path("hand.xml").write_text(MODEL)
+    assert main(["hand", "hand.xml", "--out", "mine.toml"]) == 0
+    said = capsys.readouterr().out
+    assert "digits.thumb: " in said
+    assert "mujoco: " in said
+    assert "next: tactilerl doctor --env mine.toml" in said
+    assert len(hands.get("mine.toml").grasps) == 1
+    flags = ["--total-timesteps", "20", "--steps-per-epoch", "10", "--max-episode-steps", "5"]
+    flags += ["--hold-seconds", "0.1", "--layout", "5", "--out", "run"]
+    assert main(["train", "--algo", "ppo", "--env", "mine.toml", *flags]) == 0
+
+
+def test_what_a_model_does_not_say_is_asked_for(capsys):
+    Path("hand.xml").write_text(MODEL.replace(FINGERS, ""))
+    flags = ["hand", "hand.xml", "--out", "mine.toml"]
+    fails_with(capsys, flags, "palm: found no body from which two digits branch; name it: --palm")
+    fails_with(capsys, ["hand", "no.xml"], "no.xml' does not exist")
+    Path("hand.xml").write_text(MODEL)
+    Path("mine.toml").write_text("somebody's")
+    fails_with(capsys, flags, "another file is there")
+    assert Path("mine.toml").read_text() == "somebody's"
