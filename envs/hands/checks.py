@@ -158,10 +158,11 @@ def _carries(model: mujoco.MjModel, body: int, link: str) -> bool:
 
 def _weak(hand: Hand, reached: Array) -> tuple[str, ...]:
     """What servos do not reach."""
-    shares = {}
-    for actuator, start, end in zip(hand.actuators, hand.start_targets(), reached, strict=True):
+    shares, shared = {}, {each.driver for each in hand.couplings if not each.is_rigid}
+    ends = zip(hand.actuators, hand.actuated, hand.start_targets(), reached, strict=True)
+    for actuator, joint, start, end in ends:
         way = hand.closed.get(actuator, start) - start
-        if abs(way) > NUDGE:
+        if abs(way) > NUDGE and joint not in shared:  # of a tendon another joint may go the way
             shares[actuator] = float((end - start) / way)
     weak = {name: share for name, share in shares.items() if not share >= REACHED}
     if not weak:

@@ -94,16 +94,15 @@ class Guess:
         if "palm" not in self.data:
             spec = self._parts().asked.unfused()
             fixed = {name: _carrier(spec, name) for name in mounting.fixed_bodies(spec)}
-            branches: dict[str, int] = {}
+            branches: dict[str, list[str]] = {}
             for body in spec.bodies[1:]:
                 if list(body.joints) and body.parent.name != "world" and _ends_in_shape(body):
-                    parent = fixed.get(body.parent.name, body.parent.name)
-                    branches[parent] = branches.get(parent, 0) + 1
-            if not branches or max(branches.values()) < 2:
-                raise ValueError(
-                    "palm: found no body from which two digits branch; name it: --palm NAME"
-                )
-            self.data["palm"] = max(branches, key=lambda name: branches[name])
+                    parent = body.parent.name
+                    branches.setdefault(fixed.get(parent, parent), []).append(parent)
+            most = max(branches.values(), key=len, default=[])
+            if len(most) < 2:
+                raise ValueError("palm: found no body from which two digits branch; name it: --palm NAME")
+            self.data["palm"] = max(most, key=most.count)
         spec = self._parts().asked.unfused()
         body, above = spec.body(self.data["palm"]), 0
         if body is None:

@@ -75,7 +75,7 @@ def test_an_arm_is_cut_off_and_dummies_are_left_out():
 
 def test_a_urdf_whose_palm_hangs_on_a_frame():
     about, _ = guessed(urdf(), "hand.urdf")
-    assert about["palm"] == "base"
+    assert about["palm"] == "palm"
     assert set(about["digits"]) == {"thumb", "index"}
 
 
