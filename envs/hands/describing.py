@@ -101,7 +101,9 @@ class Guess:
                     branches.setdefault(fixed.get(parent, parent), []).append(parent)
             most = max(branches.values(), key=len, default=[])
             if len(most) < 2:
-                raise ValueError("palm: found no body from which two digits branch; name it: --palm NAME")
+                raise ValueError(
+                    "palm: found no body from which two digits branch; name it with --palm"
+                )
             self.data["palm"] = max(most, key=most.count)
         spec = self._parts().asked.unfused()
         body, above = spec.body(self.data["palm"]), 0
