@@ -26,6 +26,8 @@ from .state import Array
 from .taxel_files import Point
 from .toml_files import is_number, number, only, strings, table
 
+MODEL = "model"
+"""The layout of the sensors that a hand's own model has."""
 LEAST = 1e-7  # m: nearer places are the same
 NAMED = Path(__file__).with_name("layout_files")
 
@@ -127,11 +129,13 @@ class Layout:
                 position, normal = (tuple(v.tolist()) for v in surface.place(*offset))
                 point = Point(surface.link, position, normal, radius, name)
                 placed.append((point, index, (*offset, 0.0)))
-        placed += [(point, *_on_surface(point, hand)) for point in self.taxels]
+        own = hand.sensors if self.name == MODEL else self.taxels
+        points = [_of_link(point, hand) for point in own]
+        placed += [(point, *_on_surface(point, hand)) for point in points]
         if not placed:
             raise ValueError(f"layout {self.name!r} puts no taxel on the {hand.name} hand")
-        points, surfaces, offsets = zip(*placed, strict=True)
-        return Taxels(points, np.array(surfaces), np.array(offsets))
+        every, surfaces, offsets = zip(*placed, strict=True)
+        return Taxels(every, np.array(surfaces), np.array(offsets))
 
     def __str__(self) -> str:
         """What stands for it in a configuration, where a name or a path usually does."""
@@ -168,6 +172,14 @@ class Layout:
             for names, there in zip((patch.digits, patch.segments), known, strict=True):
                 for name in names or ():
                     require_one_of(dict.fromkeys((*there, "palm")), name, f"layout {self.name!r}")
+
+
+def _of_link(point: Point, hand: Hand) -> Point:
+    """On the link that the point's body is part of."""
+    if frame := hand.welded.get(point.link):
+        place, normal = frame.point(point.position), frame.direction(point.normal)
+        return point._replace(link=frame.link, position=place, normal=normal)
+    return point
 
 
 def _on_surface(point: Point, hand: Hand) -> tuple[int, tuple[float, float, float]]:
@@ -245,6 +257,8 @@ def load(name: str) -> Layout:
     """
     if name in PAPER:
         return PAPER[name]
+    if name == MODEL:
+        return Layout(MODEL, "the touch sensors that the hand's model has", ())
     if "\n" in name:
         with toml_files.blamed("layout"):
             return parse(tomllib.loads(name), Path("own"))
@@ -257,8 +271,8 @@ def load(name: str) -> Layout:
         if Path(name).name != name or not os.path.isfile(path):
             meant = f"did you mean {name}.toml? " if os.path.isfile(f"{name}.toml") else ""
             raise ValueError(
-                f"unknown layout {name!r}; {meant}allowed: {', '.join(names())} or the path of a file: "
-                f".toml, {', '.join(taxel_files.READERS)}"
+                f"unknown layout {name!r}; {meant}allowed: {', '.join(names())}, {MODEL} or the path of a "
+                f"file: .toml, {', '.join(taxel_files.READERS)}"
             )
     data = toml_files.read(path, "layout file")
     with toml_files.blamed(f"layout file {path}"):

@@ -11,6 +11,7 @@ import numpy as np
 from ..state import Array
 
 if TYPE_CHECKING:
+    from ..taxel_files import Point
     from .mounting import Mount
     from .skins import Geom
 
@@ -292,6 +293,8 @@ class Hand:
     """What to know of it: what was left out or put in of its model, and what it cannot do."""
     reach: float = 0.15
     """How far its fingertips get from the palm's point, m."""
+    sensors: tuple[Point, ...] = ()
+    """The touch sensors that its model has."""
     welded: dict[str, Frame] = field(default_factory=dict)
     """Bodies of the model that are part of a link."""
     handed_beside: tuple[str, ...] = ()

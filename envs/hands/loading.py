@@ -18,7 +18,7 @@ from .. import toml_files
 from ..choices import require_one_of
 from ..state import Array
 from ..toml_files import interval, number, only, strings, table, vector
-from . import checks, models, mounting, surfaces
+from . import checks, models, mounting, sensors, surfaces
 from .hand import CLOSING_STEP, SLIDES, Hand, LinearAction, ScriptedGrasp
 from .mounting import Mount
 from .parts import Parts, posed
@@ -114,6 +114,7 @@ def _hand(parts: Parts, path: Path) -> Hand:
         notes=_notes(parts),
         reach=_reach(parts),
         welded=parts.welded,
+        sensors=sensors.of(parts) if parts.is_own else (),
         handed_beside=_names(data, "handed_beside", (), tuple(parts.digits)),
     )
     return _with_actions(data, hand)

@@ -384,6 +384,30 @@ class TestTaxelFiles:
         fails_with(capsys, stl, "allowed names that end in")
 
 
+class TestPadding:
+    def test_probes_of_radius_0_are_left_out_with_a_note(self, tmp_path, capsys):
+        points = layouts.load("5").place(hands.get(GRIPPER)).points()
+        entries = json.loads(taxel_files.WRITERS[".json"](points))
+        padding = {"radius": 0, "pos": [0, 0, 0], "normal": [0, 0, 1]}
+        for entry in entries:
+            entry["probes"][0] += [padding, padding]
+        path = tmp_path / "padded.json"
+        path.write_text(json.dumps(entries))
+        assert len(layouts.load(str(path)).taxels) == len(points)
+        assert main(["env", "--env", GRIPPER, "--layout", str(path)]) == 0
+        left_out = f"{2 * len(entries)} probes of radius 0 are padding and left out"
+        assert left_out in capsys.readouterr().out
+
+    def test_a_patch_without_digits_and_segments_is_on_all(self, tmp_path):
+        path = tmp_path / "all.toml"
+        path.write_text("[[patch]]\noffsets_mm = [[0, 0]]\nradius_mm = 2\n")
+        layout = layouts.load(str(path))
+        hand = hands.get(GRIPPER)
+        assert len(layout.place(hand)) == 6
+        path.write_text(layout.toml())
+        assert layouts.load(str(path)) == layout
+
+
 class TestCommands:
     def test_a_run_knows_its_hand_again(self, own, tmp_path, capsys):
         path, run = own(), str(tmp_path / "run")

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactilerl.envs import hands, scripted
+from tactilerl.envs import hands, layouts, scripted, taxel_files
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.hands import loading, models, sandbox
 
@@ -358,6 +358,49 @@ class TestUrdf:
         models.compiled(hands.get(path).build())
         assert capfd.readouterr() == ("", "")
         assert not Path("MUJOCO_LOG.TXT").exists()
+
+
+class TestSensors:
+    """`--layout model`: what a model has of its own."""
+
+    def test_sites_of_touch_sensors(self, made):
+        site = '<site name="{n}_s" pos="0 0 0.008" size="0.003"/>'
+        pad = f'<body name="{{n}}_pad" pos="0.02 0 0">{site}</body>'
+        model, sensors = MODEL, ""
+        for n in "lr":
+            at = model.index(TIP, model.index(f'name="{n}_b"'))
+            model = model[:at] + pad.format(n=n) + model[at:]
+            sensors += f'<touch site="{n}_s"/>'
+        model = model.replace("</mujoco>", f"<sensor>{sensors}</sensor></mujoco>")
+        hand = hands.get(made(model))
+        taxels = layouts.load("model").place(hand)
+        assert taxels.names == ("l_s", "r_s")
+        assert taxels.links == ("l_2", "r_2")
+        np.testing.assert_allclose(taxels.positions, [[0.02, 0, 0.008]] * 2, atol=1e-6)
+        np.testing.assert_allclose(taxels.normals, [[0, 0, 1]] * 2, atol=1e-3)
+        assert taxels.radii.tolist() == [0.003] * 2
+
+    def test_links_of_a_urdf_that_are_called_sensors(self, made):
+        pads = "".join(
+            f'<link name="{n}_sensor_1"/><joint name="{n}_s" type="fixed"><parent link="{n}_2"/>'
+            f'<child link="{n}_sensor_1"/><origin xyz="0.02 0 0.008"/></joint>'
+            for n in "lr"
+        )
+        hand = hands.get(made(urdf().replace("</robot>", f"{pads}</robot>"), URDF, "hand.urdf"))
+        assert layouts.load("model").place(hand).names == ("l_sensor_1", "r_sensor_1")
+
+    def test_a_model_without_any(self, made):
+        with pytest.raises(ValueError, match="layout 'model' puts no taxel on the hand hand"):
+            layouts.load("model").place(hands.get(made()))
+
+    def test_points_on_a_part_of_a_link_are_on_the_link(self, made):
+        pad = '<body name="pad" pos="0.02 0 0" euler="0 1.5708 0"/>'
+        model = MODEL.replace(TIP, TIP + pad, 1)
+        point = taxel_files.Point("pad", (-0.008, 0.0, 0.0), (-1.0, 0.0, 0.0), 0.002, "p")
+        taxels = layouts.Layout("own", "", (), (point,)).place(hands.get(made(model)))
+        assert taxels.links == ("l_2",)
+        np.testing.assert_allclose(taxels.positions, [[0.02, 0, 0.008]], atol=1e-5)
+        np.testing.assert_allclose(taxels.normals, [[0, 0, 1]], atol=1e-5)
 
 
 def test_thresholds_grow_with_the_hand(made):

@@ -1,0 +1,67 @@
+"""The touch sensors that a model has of its own, as taxels on links."""
+
+from __future__ import annotations
+
+import re
+
+import mujoco
+import numpy as np
+
+from ..taxel_files import RADIUS, Point
+from . import models
+from .hand import Frame
+from .parts import Parts, posed
+from .skins import Distances, geoms_of
+
+WORDS = re.compile(r"(?i)sensor|taxel|tactile|touch")
+NEAR, STEP = 0.01, 1e-4  # m from its link's skin that a sensor may be; of differences
+LEAST, MOST = 1e-3, 0.02  # m, of radii
+
+
+def of(parts: Parts) -> tuple[Point, ...]:
+    """The sites of `<touch>` sensors, and what is fixed to a link and called a sensor, as in URDF.
+    Those that are not at the skin of a link are left out."""
+    links = {link for digit in parts.digits.values() for link in digit.links} | {parts.palm_frame.link}
+    geoms = {link: geoms_of(parts.model, parts.model.body(link).id) for link in links}
+    skins = {link: Distances(list(own)) for link, own in geoms.items() if own}
+    found = []
+    for name, link, place, radius in (*_sites(parts), *_links(parts)):
+        if link not in skins:
+            continue
+        every = list(range(len(geoms[link])))
+
+        def away(point: np.ndarray, skin: Distances = skins[link], own: list[int] = every) -> float:
+            return skin.nearest(own, point)[1]
+
+        slope = np.array([away(place + d) - away(place - d) for d in STEP * np.eye(3)])
+        if abs(away(place)) < NEAR and np.linalg.norm(slope) > 0:
+            normal = tuple((slope / np.linalg.norm(slope)).tolist())
+            radius = float(np.clip(radius, LEAST, MOST))
+            found.append(Point(link, tuple(place.tolist()), normal, radius, name))
+    return tuple(found)
+
+
+def _sites(parts: Parts) -> list[tuple[str, str, np.ndarray, float]]:
+    """Name, link, place on it (3,), m, and radius of each touch sensor."""
+    touch = mujoco.mjtSensor.mjSENS_TOUCH
+    sensors = models.read(parts.asked.model).sensors
+    chosen = {sensor.objname for sensor in sensors if sensor.type == touch}
+    sites = [site for site in parts.raw.sites if site.name in chosen]
+    if not sites:
+        return []
+    data, found = posed(models.compiled(parts.raw.copy()), {}), []
+    for site in sites:
+        link = parts.welded.get(site.parent.name, Frame(site.parent.name)).link
+        body, there = data.body(link), data.site(site.name).xpos
+        place = body.xmat.reshape(3, 3).T @ (there - body.xpos)
+        found.append((site.name, link, place, float(site.size[0])))
+    return found
+
+
+def _links(parts: Parts) -> list[tuple[str, str, np.ndarray, float]]:
+    """The same of bodies that are called sensors."""
+    return [
+        (name, frame.link, np.asarray(frame.place), RADIUS)
+        for name, frame in parts.welded.items()
+        if WORDS.search(name) and frame.place is not None
+    ]
