@@ -97,7 +97,7 @@ def test_from_model_to_training(monkeypatch, capsys):
 def test_what_a_model_does_not_say_is_asked_for(capsys):
     Path("hand.xml").write_text(MODEL.replace(FINGERS, ""))
     flags = ["hand", "hand.xml", "--out", "mine.toml"]
-    fails_with(capsys, flags, "palm: found no body from which two digits branch; name it: --palm")
+    fails_with(capsys, flags, "palm: found no body from which two digits branch; name it with --palm")
     fails_with(capsys, ["hand", "no.xml"], "no.xml' does not exist")
     Path("hand.xml").write_text(MODEL)
     Path("mine.toml").write_text("somebody's")
