@@ -143,7 +143,7 @@ def _try(path: Path, simulator: str) -> None:
     """What layout 1 feels in the grasp, in one line."""
     scene = dataclasses.replace(setup(str(path), layout="1"), simulator=simulator)
     try:
-        felt = doctor.examine(str(path), scene, 10, 1.0, False)
+        felt = doctor.examine(str(path), scene, 10, 1.0)
     except (ValueError, OSError) as error:
         console.print(f"{simulator}: {error}")
         return

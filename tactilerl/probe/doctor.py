@@ -35,9 +35,7 @@ Felt = np.ndarray | None
 """In one grasp: bool (hold steps, taxels), or None where the object was not held."""
 
 
-def examine(
-    hand: str, config: GraspConfig, n: int, seconds: float
-) -> LayoutFigures:
+def examine(hand: str, config: GraspConfig, n: int, seconds: float) -> LayoutFigures:
     """What one layout feels in `n` scripted grasps held for `seconds`, always the same ones.
     Blind is a layout that felt nothing of any."""
     with closing(GraspEnv(hand, config)) as env:
