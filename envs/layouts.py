@@ -271,8 +271,8 @@ def load(name: str) -> Layout:
         if Path(name).name != name or not os.path.isfile(path):
             meant = f"did you mean {name}.toml? " if os.path.isfile(f"{name}.toml") else ""
             raise ValueError(
-                f"unknown layout {name!r}; {meant}allowed: {', '.join((*names(), MODEL))} or the path of "
-                f"a file: .toml, {', '.join(taxel_files.READERS)}"
+                f"unknown layout {name!r}; {meant}allowed: {', '.join((*names(), MODEL))} or the path "
+                f"of a file: .toml, {', '.join(taxel_files.READERS)}"
             )
     data = toml_files.read(path, "layout file")
     with toml_files.blamed(f"layout file {path}"):
