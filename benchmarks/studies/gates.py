@@ -33,7 +33,7 @@ def examine(name: str, starts: int, search: int, senses: tuple[str, ...], **choi
     """The best reflexes in a scene with some choices of its own."""
     named = scenes.load(name)
     env = choices.pop("env", named.env)
-    config = setup(env, **{**named.scene, **choices})
+    config = setup(env, **{**named.on(env), **choices})
     if issubclass(tasks.TASKS[config.task], (tasks.LiftAndHold, tasks.Handover)):
         config = dataclasses.replace(config, **QUICK)
     if config.simulator == "pybullet":  # several times as slow
