@@ -30,8 +30,7 @@ ABOUT = About(
            "redundancy", "taxel_dead", "false_on", "starts", "test_starts", "seed", "out", "json"),
     examples=(
         "tactilerl design --scene handover_anywhere --taxels 4 --out four.toml",
-        "tactilerl design --scene handover --scene handover_fingers --taxels 1..12 --redundancy 2 "
-        "--only palm proximal middle --out my_design",
+        "tactilerl design --scene handover --taxels 1..12 --only palm --out my_design",
     ),
 )  # fmt: skip
 
