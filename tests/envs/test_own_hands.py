@@ -386,7 +386,7 @@ class TestTaxelFiles:
 
 class TestPadding:
     def test_probes_of_radius_0_are_left_out_with_a_note(self, tmp_path, capsys):
-        points = layouts.load("5").place(hands.get(GRIPPER)).points()
+        points = layouts.load("5").place(hands.get(GRIPPER)).points
         entries = json.loads(taxel_files.WRITERS[".json"](points))
         padding = {"radius": 0, "pos": [0, 0, 0], "normal": [0, 0, 1]}
         for entry in entries:
