@@ -83,7 +83,8 @@ class Engine:
             where: Any = self.cluster() if self.on in BATCH else self.on.removeprefix(DASK)
             if self.on in BATCH:
                 where.scale(jobs=self.jobs)
-            return Client(where)
+            connect: Any = Client  # which has no types
+            return connect(where)
         except ModuleNotFoundError as error:
             needed = f"--on {self.on} needs {error.name}, which is not installed"
             raise InputError(f"{needed}: pip install 'tactilerl[cluster]'") from error
