@@ -14,7 +14,7 @@ from .typed import allow_only_with, hints, require_type
 
 Number = float | str
 """A value, or LOW..HIGH: drawn uniformly from there in every episode."""
-Density = Annotated[float, "[1, 25000]"] | str
+Density = Annotated[float, "[1, 100000]"] | str
 Friction = Annotated[float, "(0, 10]"] | str
 SMALLEST = 0.001  # m: below, a simulator finds no mass in it
 WIDEST = 0.08  # m, of an object across; the benchmark hard_cases goes up to it

@@ -519,7 +519,7 @@ class TestOtherLibraries:
 
 class TestExamples:
     def test_there_are_some_and_they_compile(self):
-        assert len(EXAMPLES) == 6
+        assert len(EXAMPLES) == 7
         for path in EXAMPLES:
             source = path.read_text()
             compile(source, str(path), "exec")

@@ -47,8 +47,8 @@ def test_all_of_them_train_together_and_are_evaluated():
 
 def test_a_simulator_in_doctor_probe_and_gate(capsys):
     few = ["--simulator", "saturn", "--layout", "5"]
-    assert main(["doctor", *few, "--grasps", "1", "--seconds", "0.1", "--compare"]) in (0, 1)
-    assert "fires in both" in capsys.readouterr().out
+    assert main(["doctor", *few, "--grasps", "1", "--seconds", "0.1"]) in (0, 1)
+    assert "saturn" in capsys.readouterr().out
     few += ["--grasps", "12", "--joint-noise", "0", "--resamples", "100", "--shuffles", "2"]
     assert main(["probe", *few, "--folds", "2", "--workers", "1", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["simulator"] == "saturn"

@@ -98,7 +98,9 @@ def probability_of_improvement(
 def converged(one: SetupResult, paper: Published | None) -> Table:
     """The paper's Tables 1 and 2: converged success rates of every group, beside the paper's."""
     rows = []
-    for (row, group), place in zip(tables.groups(one), one.groups, strict=True):
+    for place, group in one.groups.items():
+        cell, arm = place
+        row = {"Config.": cell, "Type": one.setup.label(arm), "Runs": str(len(group))}
         for heading, metric in HEADINGS.items():
             row[heading] = shown(group.estimate(metric, "converged"))
         if paper:

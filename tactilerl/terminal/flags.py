@@ -7,7 +7,8 @@ import io
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import Field, fields, is_dataclass
-from itertools import takewhile
+from itertools import dropwhile, takewhile
+from operator import not_
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
@@ -74,8 +75,9 @@ def several(args: Sequence[str], flag: str) -> tuple[list[str], list[str]]:
 
 def _reason(said: str) -> str:
     """What tyro says is wrong, without its box and the flag's help, which follows."""
-    lines = (line.strip(" │╭╮╰╯─") for line in said.splitlines()[1:])
-    reason = " ".join(takewhile(bool, lines)).replace("command-part.", "")
+    lines = (line.strip(" │╭╮╰╯─|+") for line in said.splitlines()[1:])
+    texts = (line if line.strip("-") else "" for line in lines)  # a rule is dashes in plain ASCII
+    reason = " ".join(takewhile(bool, dropwhile(not_, texts))).replace("command-part.", "")
     return reason or "found flags that are not allowed"
 
 

@@ -336,7 +336,7 @@ def test_grasps(here, tried, cases):
     whole["held"] = touches ^ (np.arange(40) // 2 % 10 == 0)
     settings = {"env": "shadow", "simulator": "mujoco", "touch_rule": "skin", "seed": 0}
     ask = ["probe", "--from", str(path), *ASKED, "--layout", "5"]
-    grasps.write(path, grasps.Played(whole, settings, ()))
+    grasps.write(path, grasps.Played(whole, settings))
     good = path.read_bytes()
     for i in cases(240):
         if i % 4:
@@ -352,7 +352,7 @@ def test_grasps(here, tried, cases):
             arrays[name] = strange(arrays[name], rng)
             about[rng.choice([*about])] = rng.choice(VALUES)
             chosen = rng.choice([(arrays, settings), (whole, about)])
-            grasps.write(path, grasps.Played(*chosen, ()))
+            grasps.write(path, grasps.Played(*chosen))
         tried(ask, f"grasps {i}")
 
 

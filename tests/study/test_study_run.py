@@ -446,10 +446,13 @@ def test_a_doubtful_reader_trains_a_run_again(undisturbed, tmp_path, monkeypatch
     monkeypatch.setattr(sys, "argv", ["reproduce", str(collected), name])
     assert reproduce.main() == 0
     assert "4 epochs: the same, bit for bit" in capsys.readouterr().out
-    monkeypatch.setattr(
-        runner, "run_job", lambda job: shutil.copytree(made, job.folder / "runs" / name) and "done"
-    )
     made = tmp_path / "run"
+
+    def copied(command, **_):
+        shutil.copytree(made, command[command.index("--out") + 1])
+        return subprocess.CompletedProcess(command, 0)
+
+    monkeypatch.setattr(reproduce.subprocess, "run", copied)
     shutil.copytree(undisturbed / "runs" / name, made)
     table = made / "progress.csv"
     text = table.read_text()
