@@ -54,11 +54,7 @@ def test_the_papers_numbers_stand_beside_ours(result, tables):
 def test_a_group_is_its_runs(result, tables):
     expected = result.setups[1].groups["layout 2", "main"].scores["converged"]
     rows = tables["mujoco_converged"].frame.to_numpy().tolist()
-    row = next(
-        r
-        for r in tables["mujoco_converged"].frame.to_numpy().tolist()
-        if r[:2] == ["layout 2", "touch"]
-    )
+    row = next(r for r in rows if r[:2] == ["layout 2", "touch"])
     assert row[2] == "4"
     assert row[3].startswith(f"{np.mean(expected):.2f} [")
     assert row[5].startswith(f"{np.median(expected):.2f} [")
