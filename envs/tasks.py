@@ -52,7 +52,7 @@ class TaskConfig:
     """reach-goal: largest distance from the goal that counts as success, m."""
     control_dt: Annotated[float, "(0, 10]"] = 0.2
     """Time between actions, s; a whole number of timesteps."""
-    max_episode_steps: Annotated[int, "[1, 20000]"] | None = None
+    max_episode_steps: Annotated[int, "[1, inf)"] | None = None
     """Actions per episode; default: the task's (lift-and-hold 100, as in the paper)."""
 
 

@@ -59,10 +59,21 @@ def included(path: Path) -> list[Path]:
         if not each.is_file():
             raise FileNotFoundError(f"model {str(each)!r} does not exist")
         with suppress(ElementTree.ParseError, ValueError):  # MuJoCo says it better
-            elements = ElementTree.parse(each).iter("include")
-            more = [path.parent / element.attrib.get("file", "") for element in elements]
+            root = ElementTree.parse(each).getroot()
+            more = [path.parent / element.attrib.get("file", "") for element in root.iter("include")]
             found += [other for other in dict.fromkeys(more) if other not in found]
+            _require_no_pipes(root, path.parent)
     return found
+
+
+def _require_no_pipes(root: ElementTree.Element, folder: Path) -> None:
+    """FileNotFoundError for a mesh that is there and no file: MuJoCo would wait for its end."""
+    keys, compilers = ("meshdir", "texturedir", "assetdir"), [*root.iter("compiler")]
+    places = {folder, *(folder / one.attrib.get(key, "") for one in compilers for key in keys)}
+    for name in {each.attrib.get("file") for each in root.iter()} - {None}:
+        for file in (place / str(name) for place in places):
+            if file.exists() and not file.is_file():
+                raise FileNotFoundError(f"model: found no file {str(file)!r}")
 
 
 def assets(path: Path, spec: mujoco.MjSpec) -> list[Path]:

@@ -525,7 +525,7 @@ class TestBadInput:
             ("train --total-timesteps 50k", "'50k'"),
             ("train --touch of", "'of'"),
             ("train --touch", "'--touch'"),
-            ("evaluate --foo", "'run'"),
+            ("evaluate --foo", "'--foo'"),
             ("probe --from", "'--from'"),
             ("gate --scene handover --touch off", "--touch: leave it out"),
             ("trian", "did you mean train?"),

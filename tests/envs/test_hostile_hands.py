@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from one_line import fails_with
 
+from tactilerl.commands.cli import main
 from tactilerl.envs import hands
 from tactilerl.envs.hands import loading, sandbox
 
@@ -49,10 +50,9 @@ def read_here(monkeypatch):
 HOSTILE = [
     (MODEL.replace(WORLD, f'{WORLD}<replicate count="100000000"><body/></replicate>', 1), "to read"),
     (MODEL.replace(PALM, PALM + GRID), "longer than 5 s to read"),
-    (MODEL.replace(PALM, PALM + MANY), ""),
     (MODEL.replace(PALM, PALM + DEEP), "nesting is too deep"),
-    (BOMB + MODEL[MODEL.index("<mujoco") :].replace("left_1", "&a11;"), "no body 'left_1'"),
-    (MODEL.replace(WORLD, f'<include file="pipe"/>{WORLD}', 1), "'../pipe' does not exist"),
+    (BOMB + MODEL[MODEL.index("<mujoco") :].replace("left_1", "&a11;"), "not valid XML"),
+    (MODEL.replace(WORLD, f'<include file="pipe"/>{WORLD}', 1), "'../pipe'"),
     (
         MODEL.replace('name="tip" vertex', 'name="tip" file="pipe.stl"/><mesh name="x" vertex'),
         "no file",
@@ -65,6 +65,13 @@ def test_a_hostile_model_is_one_line(hand, model, complaint, capfd):
     for pipe in ("../pipe", "../pipe.stl"):
         os.mkfifo(pipe)
     fails_with(capfd, ["env", "--env", hand(model=model)], complaint)
+
+
+def test_thousands_of_bodies_are_a_hand_or_one_line(hand, capfd):
+    """Which of the two depends on how fast the machine is."""
+    code = main(["env", "--env", hand(model=MODEL.replace(PALM, PALM + MANY))])
+    assert code in (0, 2)
+    assert len(capfd.readouterr().err.splitlines()) == code // 2
 
 
 @pytest.mark.parametrize(
