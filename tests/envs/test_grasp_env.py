@@ -348,7 +348,6 @@ class TestFaults:
             dict(hold_seconds=0.0),
             *({name: 1e300} for name in ("hold_seconds", "joint_noise", "slide_noise", "finger_gain")),
             *({name: 1e300} for name in ("timestep", "control_dt", "lift_clearance", "goal_height")),
-            dict(max_episode_steps=10**9),
             dict(touch="half"),
             dict(task="fly"),
             dict(hold_verdict="maybe"),
