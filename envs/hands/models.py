@@ -70,7 +70,7 @@ def _require_no_pipes(root: ElementTree.Element, folder: Path) -> None:
     """FileNotFoundError for a mesh that is there and no file: MuJoCo would wait for its end."""
     keys, compilers = ("meshdir", "texturedir", "assetdir"), [*root.iter("compiler")]
     places = {folder, *(folder / one.attrib.get(key, "") for one in compilers for key in keys)}
-    for name in {each.attrib.get("file") for each in root.iter()} - {None}:
+    for name in {each.attrib.get("file") for each in root.iter()} - {None, ""}:
         for file in (place / str(name) for place in places):
             if file.exists() and not file.is_file():
                 raise FileNotFoundError(f"model: found no file {str(file)!r}")
