@@ -22,6 +22,8 @@ from benchmarks.peers import env, solve, updates
 from benchmarks.physics import hard_cases, hold_verdict, scene_parts, speed_vs_error
 from benchmarks.studies import (
     coverage,
+    design,
+    design_study,
     error_rates,
     faults,
     gates,
@@ -89,6 +91,10 @@ PRINTED: dict[str, Callable[[], None]] = {
     "error rates": _parts("error_rates", error_rates.show_p_values, "p_values"),
     "looks": _parts("error_rates", error_rates.show_looks, "looks", "p_values"),
     "coverage": _parts("coverage", coverage.show, "coverage"),
+    "design goals": _parts("design", design.show_goals, "goals"),
+    "design ways": _parts("design", design.show_ways, "ways"),
+    "design transfers": _parts("design", design.show_transfers, "transfers"),
+    **design_study.TABLES,
     **study_tables.TABLES,
     **results.TABLES,
     **{

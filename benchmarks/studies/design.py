@@ -17,10 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.command import run_parts
+from benchmarks.command import ROOT, run_parts
 from benchmarks.printing import interval, markdown
+from benchmarks.studies import design_study
 from tactilerl import statistics
-from tactilerl.envs import hands, layouts, scenes, vector
+from tactilerl.envs import hands, layouts, scenes, toml_files, vector
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.layouts import Layout
 from tactilerl.probe import candidates, cover, design, gate, timing
@@ -228,10 +229,27 @@ def show_transfers(result: dict[str, Any]) -> None:
     )  # fmt: skip
 
 
+def layouts_of_study() -> dict[str, Any]:
+    """The scripted baseline of every layout of studies/design.toml."""
+    grid = toml_files.read(ROOT / "studies" / "design.toml", "study")["setups"]["ppo"]["grid"]
+    found = {design_study.title(str(each)): layouts.load(str(each)) for each in grid["layout"]}
+    return judged(found, "mpl", GOALS[0][2])
+
+
+def show_layouts(result: dict[str, Any]) -> None:
+    """As Markdown."""
+    markdown(
+        "| layout | taxels | success at the first touch | felt |",
+        ((name, row["taxels"], interval(row["success"], *row["interval"]), f"{row['felt']:.2f}")
+         for name, row in result.items()),
+    )  # fmt: skip
+
+
 def main() -> None:
     """All parts, or one with --only."""
     parts = {
         "goals": (goals, show_goals),
+        "layouts": (layouts_of_study, show_layouts),
         "ways": (ways, show_ways),
         "transfers": (transfers, show_transfers),
     }

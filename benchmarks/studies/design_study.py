@@ -1,0 +1,117 @@
+"""What is learned with designed layouts: the tables of docs/design.md, from the collected studies.
+
+python -m benchmarks design_study
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from benchmarks.command import DATA, earlier, no_flags
+from benchmarks.printing import markdown
+from benchmarks.studies import study_tables
+from benchmarks.studies.study_tables import estimate, is_there, load
+from tactilerl import statistics
+from tactilerl.study import verdicts
+from tactilerl.study.grid import Setup, Study
+from tactilerl.study.records import Record
+from tactilerl.study.verdicts import BySeed
+
+STUDIES = {"ppo": "design", "ddpg_her": "design_ddpg_her"}
+SKIN, PAPER = "the dense skin", "layout 1"
+FILE = re.compile(r"docs/data/chosen/anywhere_(.+)\.toml")
+Row = tuple[object, ...]
+
+
+def title(layout: str) -> str:
+    """A layout as the page calls it: `4 chosen`, `4 random, set 2`."""
+    found = FILE.fullmatch(layout)
+    if found is None:
+        return f"layout {layout}"
+    kind, *rest = found[1].split("_")
+    if kind == "random":
+        return f"{rest[0]} random, set {rest[1]}"
+    return SKIN if kind == "skin" else f"{kind} chosen"
+
+
+def learned(learner: str, score: str = "final") -> dict[str, BySeed]:
+    """A score of every run of the learner, by layout and seed; `no touch` last."""
+    study, found = load(STUDIES[learner])
+    setups = {one.name: one for one in study.setups}
+    groups = {title(each): _runs(setups[learner], each, found) for each in _layouts(study, learner)}
+    groups["no touch"] = [
+        run for run in found if run.run.setup == f"{learner}_blind" and run.is_finished
+    ]
+    groups = {name: runs for name, runs in groups.items() if runs}
+    return dict(zip(groups, verdicts.scored(score, *groups.values()), strict=True))
+
+
+def _layouts(study: Study, learner: str) -> Sequence[str]:
+    (setup,) = (one for one in study.setups if one.name == learner)
+    return [str(layout) for layout in setup.grid["layout"]]
+
+
+def _runs(setup: Setup, layout: str, found: Sequence[Record]) -> list[Record]:
+    place = ("all", layout) if setup.compare else (f"layout {layout}", "")
+    return verdicts.runs_of(found, setup, *place)
+
+
+def show(learner: str) -> None:
+    """Each layout: what it learned, and in pairs with layout 1 and with the dense skin."""
+    finals = learned(learner)
+    areas = learned(learner, "area")
+    scripted = earlier(DATA / "design.json").get("layouts", {})
+    differences = {
+        name: verdicts.in_pairs([one, finals[PAPER]]) for name, one in finals.items() if name != PAPER
+    }
+    corrected = statistics.holm([pairs.p_value for pairs in differences.values()])
+    p_values = dict(zip(differences, corrected, strict=True))
+    rows: list[Row] = []
+    for name, final in finals.items():
+        pairs = differences.get(name)
+        rows.append((
+            name,
+            f"{scripted[name]['success']:.2f}" if name in scripted else "",
+            len(final),
+            _mean(areas[name]),
+            _mean(final),
+            estimate(pairs.difference, "+.2f") if pairs else "",
+            f"{p_values[name]:.3f}" if pairs else "",
+            _share(final, finals.get(SKIN, {})) if name != SKIN else "",
+        ))  # fmt: skip
+    markdown(
+        "| layout | scripted baseline | runs | success over the run | over its last tenth "
+        "| − layout 1 | p, Holm | share of the dense skin's |",
+        rows,
+    )
+
+
+def _mean(scores: BySeed) -> str:
+    found = np.array([*scores.values()])
+    return estimate(statistics.mean(found, verdicts.resamples(len(found))), ".2f")
+
+
+def _share(one: BySeed, whole: BySeed) -> str:
+    """Of the dense skin's success, in the same seeds."""
+    pairs = verdicts.in_pairs([one, whole])
+    if len(pairs) < 2:
+        return ""
+    counts = verdicts.resamples(len(pairs))
+    return estimate(statistics.share(pairs.treatment, pairs.control, counts), ".2f")
+
+
+TABLES = {
+    f"design {learner}": partial(show, learner)
+    for learner, study in STUDIES.items()
+    if is_there(study, learner)
+}
+
+
+def main() -> None:
+    """All tables."""
+    no_flags(__doc__)
+    study_tables.show(TABLES)
