@@ -20,26 +20,7 @@ from torch.nn import functional
 
 from .mpi import Communicator
 
-Precision = Literal["float32", "bfloat16"]
 MOST_UNITS, MOST_WEIGHTS = 100_000, 10**8  # of hidden layers: more is a slip, and takes all memory
-
-
-@contextmanager
-def matrix_products(precision: Precision) -> Iterator[None]:
-    """Matrix products of float32 numbers multiply them in float32 or rounded to bfloat16 (8 bits
-    of precision instead of 24); sums and results are float32 all the same. Of the whole process."""
-    before = torch.get_float32_matmul_precision()
-    torch.set_float32_matmul_precision("medium" if precision == "bfloat16" else "highest")
-    try:
-        yield
-    finally:
-        torch.set_float32_matmul_precision(before)
-
-
-def has_bfloat16() -> bool:
-    """Does this processor multiply bfloat16 itself? With AVX512-BF16 alone PyTorch would go on with
-    float32."""
-    return bool(getattr(torch.cpu, "_is_amx_tile_supported", bool)())  # there is no public question
 
 
 def require_hidden(hidden: Sequence[int]) -> None:
@@ -215,7 +196,7 @@ class FlatAdam:
 
     def clip(self, max_norm: float) -> None:
         """Scale the gradient down to `max_norm` where it is longer."""
-        norm = torch.linalg.vector_norm(self.gradient)  # torch.dot would round to bfloat16
+        norm = torch.linalg.vector_norm(self.gradient)
         scale = max_norm / (norm + 1e-6)
         self.gradient.mul_(scale.clamp(max=1.0))
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from benchmarks import environments, times
 from benchmarks.command import DATA, DOCS, ROOT, data, no_flags
-from benchmarks.learners import ablation, bounces, cut_short, footprint, precision, scaling, steady
+from benchmarks.learners import ablation, bounces, cut_short, footprint, scaling, steady
 from benchmarks.peers import env, solve, updates
 from benchmarks.physics import hard_cases, hold_verdict, scene_parts, speed_vs_error
 from benchmarks.studies import (
@@ -69,8 +69,6 @@ PRINTED: dict[str, Callable[[], None]] = {
     "ranks": _parts("scaling", scaling.show_shares, "ranks"),
     "start": _parts("footprint", footprint.show_starting, "start"),
     "memory": _parts("footprint", footprint.show_memory, "memory"),
-    "rounding": _parts("precision", precision.show_learners, "learners"),
-    "bootstrap": _parts("precision", precision.show_bootstrap, "bootstrap"),
     "scene parts": _parts("scene_parts", scene_parts.show, "pairs"),
     "physics": _of("speed_vs_error", speed_vs_error.show_shipped),
     "free motion": _of("speed_vs_error", speed_vs_error.show_free_motion),

@@ -26,7 +26,6 @@ import torch
 from . import envs
 from .algos import mpi, recipes
 from .algos.mpi import Communicator
-from .algos.networks import Precision
 from .algos.policy import Policy
 from .algos.spaces import Spaces
 from .envs import typed, vector
@@ -58,7 +57,6 @@ class Learner:
         workers: int | None = None,
         device: str = "cpu",
         threads: int = 1,
-        matmul: Precision = "float32",
         recipe: str = recipes.PAPER,
         **hyperparameters: Any,
     ) -> None:
@@ -71,9 +69,8 @@ class Learner:
         `functools.partial` of it.)
 
         `seed` is the random seed of everything, `device` PyTorch's device for the networks, `threads`
-        PyTorch's threads while learning, `matmul` the precision of the products in updates.
-        Hyperparameters are the flags of ``tactilerl train``, with the same defaults:
-        those of `recipe`, such as "paper" or "steady".
+        PyTorch's threads while learning. Hyperparameters are the flags of ``tactilerl train``, with
+        the same defaults: those of `recipe`, such as "paper" or "steady".
 
         Raises ValueError, in one line, for an invalid argument.
         """
@@ -84,7 +81,7 @@ class Learner:
             )
         typed.require_type(recipe, str, "recipe")
         defaults = recipes.recipe(self.algo, recipe)
-        options = dict(seed=seed, workers=workers, device=device, threads=threads, matmul=matmul)
+        options = dict(seed=seed, workers=workers, device=device, threads=threads)
         require_known(hyperparameters, typed.names(defaults) | {*options, "recipe"}, PEERS)
         self.config = typed.replace(defaults, hyperparameters)
         self._run = typed.replace(RunOptions(algo=self.algo), options)
@@ -124,14 +121,14 @@ class Learner:
         run = typed.replace(self._run, {"total_timesteps": total_timesteps})
         typed.validate(run)
         total_timesteps = run.total_timesteps
-        learner, matmul = self._learner, self._run.matmul
+        learner = self._learner
         learner.total_timesteps = learner.env_steps + total_timesteps
         with _threads(self._run.threads):
             if not self._epoch:
                 learner.check()
             shown = ProgressBar(learner, self._comm) if progress else nullcontext()
             with shown as report:
-                for row in training.epochs(learner, matmul, self._epoch):
+                for row in training.epochs(learner, self._epoch):
                     self._epoch = row["epoch"]
                     if report is not None:
                         report.epoch(row)

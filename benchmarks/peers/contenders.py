@@ -13,7 +13,6 @@ from stable_baselines3.common.noise import NormalActionNoise
 
 from tactilerl.algos.ddpg_her import DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
-from tactilerl.algos.networks import Precision, matrix_products
 from tactilerl.envs import vector
 
 FIRST_START = 10_000_000  # not a start of training
@@ -21,17 +20,14 @@ Act = Callable[[Any], np.ndarray]
 """Observation -> action without exploration."""
 
 
-def learn(
-    kind: Any, config: Any, make: vector.Make, seed: int, steps: int, precision: Precision = "float32"
-) -> Iterator[Any]:
+def learn(kind: Any, config: Any, make: vector.Make, seed: int, steps: int) -> Iterator[Any]:
     """One of our learners: untrained, and after each update until it has taken so many steps."""
     with closing(vector.start(make)) as workers:
         learner = kind(config, workers, Communicator(), seed, steps)
         yield learner
         while learner.env_steps < steps:
             learner.collect()
-            with matrix_products(precision):
-                learner.update()
+            learner.update()
             yield learner
 
 

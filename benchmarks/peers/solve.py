@@ -28,7 +28,6 @@ from benchmarks.peers.contenders import FIRST_START, Act, Looks, learn, play, sb
 from benchmarks.printing import interval, markdown, progress
 from tactilerl import envs
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
-from tactilerl.algos.networks import Precision, has_bfloat16
 from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.envs.toy import LQREnv, PointReachEnv
 
@@ -61,10 +60,10 @@ class Run:
         return self.is_solved
 
 
-def ours(toy: Toy, seed: int, precision: Precision = "float32") -> Run:
+def ours(toy: Toy, seed: int) -> Run:
     """Our learner until it has solved the toy."""
     make = partial(envs.make, toy.name)
-    learners = learn(toy.kind, toy.config, make, seed, toy.cap, precision)
+    learners = learn(toy.kind, toy.config, make, seed, toy.cap)
     next(learners)
     run = Run(toy)
     for learner in learners:
@@ -81,8 +80,6 @@ def theirs(toy: Toy, seed: int) -> Run:
 
 
 LIBRARIES: dict[str, Callable[[Toy, int], Run]] = {"tactilerl": ours, "stable-baselines3": theirs}
-if has_bfloat16():
-    LIBRARIES["tactilerl, bfloat16"] = partial(ours, precision="bfloat16")
 
 
 def their_ppo(env: Any, seed: int) -> Any:

@@ -16,7 +16,6 @@ from benchmarks.learners.random_goals import GOAL, STEPS, RandomGoals, fed
 from benchmarks.printing import markdown
 from benchmarks.timing import Contender, contest, rounds
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
-from tactilerl.algos.networks import has_bfloat16, matrix_products
 from tactilerl.algos.ppo import PPO, PPOConfig
 
 OURS, THEIRS, BOUND = "tactilerl", "stable-baselines3", "matrix products"
@@ -102,19 +101,6 @@ def ddpg_products() -> Contender:
     return products(DDPG_BATCH, (actor, 2, 1, 1), (critic, 3, 1, 2))
 
 
-def in_both(contenders: dict[str, Contender]) -> dict[str, Contender]:
-    """And once more with matrix products in bfloat16, where the processor has them."""
-
-    def coarsely(run: Contender) -> int:
-        with matrix_products("bfloat16"):
-            return run()
-
-    if not has_bfloat16():
-        return contenders
-    coarse = {f"{name}, bfloat16": partial(coarsely, run) for name, run in contenders.items()}
-    return contenders | coarse
-
-
 def updates() -> dict[str, Any]:
     """PPO's and DDPG+HER's updates of actor and critic, and relabelled transitions, per second."""
     config = PPOConfig(n_passes=PASSES, steps_per_epoch=PPO_BATCH)
@@ -139,12 +125,16 @@ def updates() -> dict[str, Any]:
         return int(learner.update()["updates"])
 
     contests: dict[str, dict[str, Contender]] = {
-        f"PPO minibatch updates, {PPO_BATCH // PPO_MINIBATCHES} × {PPO_OBS} → {PPO_ACTIONS}": in_both(
-            {OURS: partial(our_updates, ppo), THEIRS: sb3_ppo(), BOUND: ppo_products()}
-        ),
-        f"DDPG+HER updates, {DDPG_BATCH} × {DDPG_OBS} → {DDPG_ACTIONS}": in_both(
-            {OURS: partial(our_updates, ddpg), THEIRS: sb3_update, BOUND: ddpg_products()}
-        ),
+        f"PPO minibatch updates, {PPO_BATCH // PPO_MINIBATCHES} × {PPO_OBS} → {PPO_ACTIONS}": {
+            OURS: partial(our_updates, ppo),
+            THEIRS: sb3_ppo(),
+            BOUND: ppo_products(),
+        },
+        f"DDPG+HER updates, {DDPG_BATCH} × {DDPG_OBS} → {DDPG_ACTIONS}": {
+            OURS: partial(our_updates, ddpg),
+            THEIRS: sb3_update,
+            BOUND: ddpg_products(),
+        },
         "relabelled transitions": {OURS: our_samples, THEIRS: sb3_samples},
     }
     return {
@@ -157,12 +147,9 @@ def updates() -> dict[str, Any]:
 
 
 def show(contests: dict[str, Any]) -> None:
-    """One table, in units of Stable-Baselines3's rate in float32."""
+    """One table, in units of Stable-Baselines3's rate."""
     rows = []
     for title, found in contests.items():
-        for kind in ("", ", bfloat16"):
-            rates = [found["per_s"].get(name + kind) for name in (THEIRS, OURS, BOUND)]
-            if any(rates):
-                one = found["per_s"][THEIRS]
-                rows.append((title + kind, *(f"{rate / one:.2f}" if rate else "" for rate in rates)))
+        rates = [found["per_s"].get(name) for name in (THEIRS, OURS, BOUND)]
+        rows.append((title, *(f"{rate / rates[0]:.2f}" if rate else "" for rate in rates)))
     markdown("| updates | Stable-Baselines3 | tactilerl | the products alone |", rows)

@@ -87,7 +87,7 @@ def area(name: str, n: int, seed: int) -> float:
     kind, toy, config, total, measure = LEARNERS[name]
     with closing(vector.start(partial(Distracted, toy, n))) as workers:
         learner = kind(config, workers, Communicator(), seed, total)
-        rows = list(training.epochs(learner, "float32"))
+        rows = list(training.epochs(learner))
     steps, rates = (np.array([row[key] for row in rows], float) for key in ("env_steps", measure))
     return float(statistics.area_under_curve(steps, rates[None])[0])
 

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from .. import algos, envs
 from ..algos import recipes
@@ -50,9 +50,6 @@ class RunOptions:
     """PyTorch device of the networks, such as cuda."""
     threads: Annotated[int, "[1, 1000]"] = 1
     """PyTorch threads. Another number can change the last digits of the results."""
-    matmul: Literal["float32", "bfloat16"] = "float32"
-    """Precision of the matrix products in updates. bfloat16 is faster and coarser; it needs a processor
-    with AMX, and --device cpu. Acting stays in float32."""
     tensorboard: bool = False
     """Also write TensorBoard events (extra: tensorboard)."""
 

@@ -32,7 +32,7 @@ class Trained(NamedTuple):
     """What a run has come to."""
 
     config: RunConfig
-    """As it was trained, but on the CPU, in float32 and with the full hold test."""
+    """As it was trained, but on the CPU and with the full hold test."""
     policy: Policy
     epoch: int
     env_steps: int
@@ -107,7 +107,7 @@ def read_run(path: Path, env: str = "", trust: bool = False) -> Trained:
     with damage_named(file):
         spaces, state = Spaces.from_json(data["spaces"]), data["ranks"][0]
         policy = _policy(file, saved.run.algo, saved.learner, spaces, state)
-    run = dataclasses.replace(saved.run, workers=1, device="cpu", matmul="float32")
+    run = dataclasses.replace(saved.run, workers=1, device="cpu")
     scene = saved.scene and dataclasses.replace(saved.scene, hold_verdict="full")
     config = dataclasses.replace(saved, run=run, scene=scene)
     return Trained(config, policy, data["epoch"], state["env_steps"])

@@ -126,8 +126,10 @@ def as_record(data: Any) -> dict[str, Any]:
 
 
 def with_new_names(parts: dict[str, Any]) -> dict[str, Any]:
-    """The parts of a run, those of its scene by their names in this version."""
-    return parts | {"scene": parts.get("scene") and scenes.renamed(parts["scene"])}
+    """The parts of a run, named as in this version, which has one precision."""
+    run = parts.get("run", {}).items()
+    run = {name: value for name, value in run if (name, value) != ("matmul", "float32")}
+    return parts | {"run": run, "scene": parts.get("scene") and scenes.renamed(parts["scene"])}
 
 
 def resolve(

@@ -17,7 +17,6 @@ import torch
 from .. import algos
 from ..algos.learner import Learner
 from ..algos.mpi import Communicator
-from ..algos.networks import Precision, has_bfloat16, matrix_products
 from ..algos.rollout import FAULTS
 from ..envs import vector
 from ..errors import InputError, input_errors
@@ -47,7 +46,7 @@ def start_learner(
 ) -> tuple[Learner, vector.Workers]:
     """The learner and the workers that `start` returns; ValueError when they do not go together."""
     _, algorithm = algos.get(run.algo)
-    _require_device(run)
+    _require_device(run.device)
     with ExitStack() as started:
         workers = started.enter_context(closing(start()))
         cores = run.workers or free_cores(comm)  # a toy is played on one and learned from on two
@@ -119,7 +118,7 @@ def train(
                 notes.append(f"  nothing to do: {done} steps done; raise --total-timesteps")
             with ProgressBar(learner, comm, run_dir.path if config.run.tensorboard else None) as report:
                 report.note("\n".join(filter(None, notes)))
-                for row in epochs(learner, config.run.matmul, epoch):
+                for row in epochs(learner, epoch):
                     if comm.rank == 0:
                         run_dir.progress.append(row)
                     checkpoint.save(row["epoch"])
@@ -169,15 +168,15 @@ def _begun(checkpoint: Checkpoint, any_ranks: bool) -> int:
     return epoch
 
 
-def epochs(learner: Learner, matmul: Precision, epoch: int = 0) -> Iterator[dict[str, Any]]:
+def epochs(learner: Learner, epoch: int = 0) -> Iterator[dict[str, Any]]:
     """Learn until `total_timesteps`; yields each epoch's row of the progress table. `epoch` is how many
     there were before."""
     while learner.env_steps < learner.total_timesteps:
         epoch += 1
-        yield {"epoch": epoch, **_epoch(learner, matmul)}
+        yield {"epoch": epoch, **_epoch(learner)}
 
 
-def _epoch(learner: Learner, matmul: Precision) -> dict[str, Any]:
+def _epoch(learner: Learner) -> dict[str, Any]:
     """One epoch: as many cycles as the algorithm's epochs have, but none beyond the run's length, for
     what falls over a run is zero there; then its test."""
     before, times = learner.env_steps, [time.perf_counter()]
@@ -188,8 +187,7 @@ def _epoch(learner: Learner, matmul: Precision) -> dict[str, Any]:
     ):
         collected.append(learner.collect())
         times.append(time.perf_counter())
-        with matrix_products(matmul):
-            learned.append(learner.update())
+        learned.append(learner.update())
         times.append(time.perf_counter())
     test = learner.test()
     spent = np.diff(times)
@@ -213,15 +211,12 @@ def _merged(rows: list[dict[str, float]], weights: list[float] | None = None) ->
     }
 
 
-def _require_device(run: RunOptions) -> None:
-    """ValueError where PyTorch cannot compute, or bfloat16 would be slower than float32, or coarser."""
+def _require_device(device: str) -> None:
+    """ValueError where PyTorch cannot compute."""
     try:
-        torch.zeros(1, device=run.device).cpu()  # "meta" holds no numbers
+        torch.zeros(1, device=device).cpu()  # "meta" holds no numbers
     except Exception as error:  # each device answers with errors of its own
         reason = (str(error) or type(error).__name__).splitlines()[0]
         raise ValueError(
-            f"device: found {run.device!r}, which PyTorch cannot use here ({reason})"
+            f"device: found {device!r}, which PyTorch cannot use here ({reason})"
         ) from None
-    if run.matmul == "bfloat16" and (run.device != "cpu" or not has_bfloat16()):
-        where = f"device {run.device}" if run.device != "cpu" else "a processor that has no bfloat16"
-        raise ValueError(f"matmul: found 'bfloat16' on {where}, allowed float32")

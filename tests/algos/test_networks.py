@@ -1,22 +1,17 @@
-"""Networks, the optimiser on one vector, and products in bfloat16."""
+"""Networks, and the optimiser on one vector."""
 
 import copy
-import dataclasses
 import pickle
 
 import numpy as np
 import pytest
 import torch
 
-from tactilerl.algos import networks
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
-from tactilerl.algos.networks import MLP, FlatAdam, matrix_products
+from tactilerl.algos.networks import MLP, FlatAdam
 from tactilerl.envs import vector
 from tactilerl.envs.toy import PointReachEnv
-from tactilerl.errors import InputError
-from tactilerl.runs.config import defaults
-from tactilerl.runs.training import make_algorithm
 
 
 def random(*shape, seed=0):
@@ -34,11 +29,6 @@ def test_adam_is_that_of_torch():
         reference.step()
     for parameter, same in zip(network.parameters(), twin.parameters(), strict=True):
         torch.testing.assert_close(parameter, same)
-
-
-def test_a_pytorch_that_does_not_tell_has_no_bfloat16(monkeypatch):
-    monkeypatch.delattr(torch.cpu, "_is_amx_tile_supported")
-    assert not networks.has_bfloat16()
 
 
 def test_moments_fade_to_zero_and_other_numbers_do_not():
@@ -97,21 +87,3 @@ def test_a_step_leaves_denormals_as_the_caller_has_them(flushed):
         assert bool((tiny * 0.1 == 0).all()) == flushed
     finally:
         torch.set_flush_denormal(False)
-
-
-@pytest.mark.skipif(not networks.has_bfloat16(), reason="this processor has no bfloat16")
-def test_products_in_bfloat16_only_inside():
-    a, b = random(64, 64), random(64, 64, seed=1)
-    exact = a @ b
-    with matrix_products("bfloat16"):
-        error = (a @ b - exact).norm() / exact.norm()
-    assert 1e-4 < error < 1e-2
-    assert torch.equal(a @ b, exact)
-
-
-def test_emulated_bfloat16_is_refused(monkeypatch):
-    config = defaults("ppo", "lqr")
-    config = dataclasses.replace(config, run=dataclasses.replace(config.run, matmul="bfloat16"))
-    monkeypatch.setattr("tactilerl.runs.training.has_bfloat16", lambda: False)
-    with pytest.raises(InputError, match="matmul: found 'bfloat16' on a processor that has no"):
-        make_algorithm(config, Communicator())
