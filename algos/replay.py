@@ -142,15 +142,14 @@ class Replay:
 
         Returns the slots (n,), each once.
         """
-        slots = [self._add(self._as_columns(episode)) for episode in episodes]
-        return np.array(list(dict.fromkeys(slots)), np.int64)
-
-    def _add(self, columns: dict[str, Array]) -> int:
-        is_full = self.n_episodes == self.n_slots
-        slot = int(self.rng.integers(self.n_slots)) if is_full else self.n_episodes
-        self._put(slot, columns)
-        self._unsaved[slot] = None
-        return slot
+        slots: dict[int, None] = {}
+        for episode in episodes:
+            is_full = self.n_episodes == self.n_slots
+            slot = int(self.rng.integers(self.n_slots)) if is_full else self.n_episodes
+            self._put(slot, self._as_columns(episode))
+            slots[slot] = None
+        self._unsaved |= slots
+        return np.array([*slots], np.int64)
 
     def _as_columns(self, episode: Episode[GoalObs]) -> dict[str, Array]:
         """Rows of one episode: one more than it has transitions."""
@@ -250,21 +249,15 @@ class Replay:
         lengths = torch.from_numpy(self._lengths[slots])
         return {"slots": torch.from_numpy(slots), "lengths": lengths, **columns}
 
-    def add_experience(self, saved: dict[str, Any], is_foreign: bool = False) -> None:
-        """Put back what `new_experience` returned: in the same slots, or, when it is another
-        buffer's, as episodes that were not there yet."""
-        if not saved:
-            return
+    def add_experience(self, saved: dict[str, Any]) -> None:
+        """Put back what `new_experience` returned, in the same slots."""
         parts = {name: values.numpy() for name, values in saved.items()}
         slots, lengths = parts.pop("slots"), parts.pop("lengths")
         for i, slot in enumerate(slots):
             rows = slice(i * self._rows, i * self._rows + int(lengths[i]) + 1)
             columns = {name: values[rows] for name, values in parts.items()}
             columns["obs"] = np.concatenate([columns["obs"], columns.pop("boolean")], axis=1)
-            if is_foreign:
-                self._add(columns)
-            else:
-                self._put(int(slot), columns)
+            self._put(int(slot), columns)
 
 
 def _short(rewards: Array) -> str:

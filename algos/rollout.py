@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
 import gymnasium as gym
@@ -61,25 +61,6 @@ class Episode(Generic[Obs]):
         return len(self.rewards)
 
 
-@dataclass
-class Tally:
-    """Steps of episodes that are being played, where their players share memory: elsewhere less is
-    known, and more played in vain."""
-
-    wanted: int
-    """Of all together."""
-    taken: dict[int, int] = field(default_factory=dict)
-    """So far, by the episode's number."""
-    total: int = 0
-    """About their sum; the exact one is for the end, it takes time."""
-
-    def is_full(self, number: int) -> bool:
-        """Do the episodes before this one have what is wanted, ended or not?"""
-        if self.total < self.wanted:
-            return False
-        return sum(self.taken.get(n, 0) for n in range(number)) >= self.wanted
-
-
 @dataclass(frozen=True)
 class PlayEpisode(Generic[Obs]):
     """Plays the episode of a number: its start and its noise follow from `key` and the number."""
@@ -88,8 +69,6 @@ class PlayEpisode(Generic[Obs]):
     key: tuple[int, int, int, int]
     """(seed, rank, purpose, batch), which differ wherever episodes should."""
     explores: bool = True
-    tally: Tally | None = None
-    """Where to note steps as they are taken, and to see whether more are wanted."""
 
     def __call__(
         self, env: gym.Env[Any, Any], number: int, is_wanted: Callable[[], bool]
@@ -111,12 +90,9 @@ class PlayEpisode(Generic[Obs]):
             return episode
         episode.add(policy, first)
         is_done = False
-        while not is_done and is_wanted() and not (self.tally and self.tally.is_full(number)):
+        while not is_done and is_wanted():
             action = policy.choose(episode.obs[-1], noise)
             is_done = _step(env, policy, action, episode)
-            if self.tally:
-                self.tally.taken[number] = len(episode)
-                self.tally.total += 1
             if not is_done and len(episode) == LONGEST:
                 raise UnfitError(
                     f"env: found an episode that goes on after {LONGEST:,} steps, allowed are episodes "
@@ -174,9 +150,7 @@ def play_steps(
     An episode that diverged at once counts as a step, so this ends.
     """
     if comm.size == 1:
-        tally = Tally(steps)
-        numbers = itertools.takewhile(lambda number: not tally.is_full(number), itertools.count())
-        return _first(workers.play(replace(job, tally=tally), numbers), steps)
+        return _first(workers.play(job, itertools.count()), steps)
     episodes: list[Episode[Obs]] = []
     while (missing := steps - sum(map(_weight, episodes))) > 0:
         done = len(episodes)

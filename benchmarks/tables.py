@@ -17,7 +17,7 @@ from typing import Any
 
 from benchmarks import environments, times
 from benchmarks.command import DATA, DOCS, ROOT, data, no_flags
-from benchmarks.learners import ablation, bounces, cut_short, footprint, scaling, steady
+from benchmarks.learners import ablation, bounces, footprint, scaling, steady
 from benchmarks.peers import env, solve, updates
 from benchmarks.physics import hard_cases, hold_verdict, scene_parts, speed_vs_error
 from benchmarks.studies import (
@@ -67,8 +67,7 @@ PRINTED: dict[str, Callable[[], None]] = {
     "toys": _parts("peers", solve.show, "solve"),
     "second core": _parts("scaling", scaling.show, "limit", "collecting", "updates", "ranks"),
     "ranks": _parts("scaling", scaling.show_shares, "ranks"),
-    "start": _parts("footprint", footprint.show_starting, "start"),
-    "memory": _parts("footprint", footprint.show_memory, "memory"),
+    "start": _parts("footprint", footprint.show, "start"),
     "scene parts": _parts("scene_parts", scene_parts.show, "pairs"),
     "physics": _of("speed_vs_error", speed_vs_error.show_shipped),
     "free motion": _of("speed_vs_error", speed_vs_error.show_free_motion),
@@ -80,8 +79,6 @@ PRINTED: dict[str, Callable[[], None]] = {
     },
     "hard cases": _of("hard_cases", hard_cases.show_short),
     "hard cases, long": _of("hard_cases_long", hard_cases.show),
-    "cut short": _of("cut_short", cut_short.show),
-    "many cores": _of("cut_short", cut_short.many_cores),
     "ablation": _of("ablation", ablation.show),
     "steady": _of("steady", steady.markdown),
     "pairs": _of("pairs", pairs.show),

@@ -229,7 +229,6 @@ def train(
     scene: str | None = None,
     out: str | Path | None = None,
     resume: str | Path | None = None,
-    any_ranks: bool = False,
     trust: bool = False,
     **flags: Any,
 ) -> Path:
@@ -247,15 +246,14 @@ def train(
     """
     for name, word in {"env": env, "algo": algo, "recipe": recipe, "scene": scene}.items():
         typed.require_type(word, str | None, name)
-    for name, switch in {"any_ranks": any_ranks, "trust": trust}.items():
-        typed.require_type(switch, bool, name)
+    typed.require_type(trust, bool, "trust")
     if resume is not None and out is not None:
         raise ValueError("out: found with resume; a resumed run stays in its folder")
     resume = resume and as_path(resume, "resume")
     base = resolve(algo, env or "", recipe, scene, resume, trust)
     said = {"algo": algo, "out": out and str(as_path(out, "out"))}
     chosen = base.choose({**flags, **{name: value for name, value in said.items() if value}})
-    return training.train(chosen, mpi.world(), any_ranks)
+    return training.train(chosen, mpi.world())
 
 
 def _start(env: Env, workers: int | None, threads: int = 1) -> vector.Workers:

@@ -1,7 +1,7 @@
 """The learners with gradients as one would derive them, which 0.3.0 had: the same runs bit for bit.
 
-`python -m benchmarks backward` times them, and `python -m benchmarks reproduce --by-hand` trains with
-them: `python -m benchmarks.learners.by_hand train ...` is `tactilerl train`.
+`python -m benchmarks reproduce --by-hand` trains with them: `python -m benchmarks.learners.by_hand
+train ...` is `tactilerl train`.
 """
 
 from __future__ import annotations

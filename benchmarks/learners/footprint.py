@@ -1,18 +1,13 @@
-"""How long does importing take, and how much memory a DDPG+HER worker whose replay is full?
+"""How long does importing take? Fresh processes in turn.
 
-Everything in fresh processes. Prints tables and writes JSON:
-
-    python -m benchmarks footprint --out docs/data/footprint.json
-    python -m benchmarks footprint --only memory
+python -m benchmarks footprint --out docs/data/footprint.json
 """
 
 from __future__ import annotations
 
-import json
 from functools import partial
-from typing import Any
 
-from benchmarks.command import Part, python, run_parts
+from benchmarks.command import python, run_parts
 from benchmarks.printing import markdown
 from benchmarks.timing import rounds
 
@@ -37,25 +32,11 @@ def starting() -> dict[str, float]:
     return {name: 1.0 / rate for name, rate in rates.items()}
 
 
-def show_starting(seconds: dict[str, float]) -> None:
+def show(seconds: dict[str, float]) -> None:
     """One table."""
     markdown("| fresh process | ms |", [(name, f"{1e3 * s:.0f}") for name, s in seconds.items()])
 
 
-def memory() -> dict[str, Any]:
-    """What `full_replay` found."""
-    return json.loads(python("-m", "benchmarks.learners.full_replay").splitlines()[-1])
-
-
-def show_memory(found: dict[str, Any]) -> None:
-    """One table."""
-    sizes = found["peaks"] | {"the replay itself": found["replay"]}
-    markdown("| peak of the process | GB |", [(what, f"{n / 1e9:.2f}") for what, n in sizes.items()])
-
-
-PARTS: dict[str, Part] = {"start": (starting, show_starting), "memory": (memory, show_memory)}
-
-
 def main() -> None:
-    """All parts or one."""
-    run_parts(__doc__, PARTS, "torch", "numpy", "mujoco")
+    """Measure, show, write."""
+    run_parts(__doc__, {"start": (starting, show)}, "torch", "numpy", "mujoco")

@@ -19,9 +19,8 @@ def main(args: list[str]) -> int:
     """`tactilerl train`"""
     usual = arguments.defaults(args)
     config, options = arguments.read(args, usual)
-    for name in ("any_ranks", "trust"):
-        if getattr(options, name) and not options.resume:
-            raise InputError(f"{flags.of_field(name)}: found without --resume, allowed only with it")
+    if options.trust and not options.resume:
+        raise InputError("--trust: found without --resume, allowed only with it")
     if options.resume and flags.peek(args, "--out"):
         raise InputError("--out: a resumed run stays in its folder; leave it out")
     notes = []
@@ -30,7 +29,7 @@ def main(args: list[str]) -> int:
         if config.scene and not options.resume:  # which has its layout's own copy: the file may be gone
             notes = layout_notes(config.run.env, config.scene.layout)
     summary = _summary(config, usual, comm.size, notes)
-    path = train(config, comm, options.any_ranks, summary)
+    path = train(config, comm, summary)
     if comm.rank == 0:
         console.print(
             f"\nThe run is in {path}: progress.csv (learning curve), checkpoint.pt, "

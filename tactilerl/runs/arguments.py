@@ -26,11 +26,9 @@ def _extra(field: str, default: Any, about: str, kind: Any = str, **named: Any) 
 
 ABOUT = f"A named scene ({', '.join(scenes.names())}) or a scene's .toml file; other flags override it."
 NAMED_SCENE = _extra("scene", "", ABOUT)
-OTHER_BITS = "With --resume: allow another number of processes; results are then not bit-identical."
 TRUST = "With --resume: allow importing the module named in the environment's id."
 RESUME = (
     _extra("resume", "", "Continue the run in this folder from its last full epoch.", metavar="RUN"),
-    _extra("any_ranks", False, OTHER_BITS, bool),
     _extra("trust", False, TRUST, bool),
 )
 TRAIN = About(

@@ -60,33 +60,25 @@ class Checkpoint:
                 if int(path.stem.partition("-")[0]) not in self._parts:
                     path.unlink()
 
-    def restore(self, any_ranks: bool = False) -> int:
+    def restore(self) -> int:
         """Load this rank's state and experience; the epoch it was written after.
 
-        InputError when a file is damaged, of another configuration, or of another number of
-        ranks. With `any_ranks`, another number is allowed. New ranks start from the state of
-        an old one with random numbers of their own. The experience of removed ranks is
-        redistributed to the others.
+        InputError when a file is damaged, of another configuration, or of another number of ranks.
         """
-        data, comm = read(self.run_dir, self.config), self.comm
-        n_old = len(data["ranks"])
-        is_other = n_old != comm.size
-        if is_other and not any_ranks:
+        data, rank = read(self.run_dir, self.config), self.comm.rank
+        if (before := len(data["ranks"])) != self.comm.size:
             raise InputError(
-                f"ranks: found {comm.size}, the run was made with {n_old}; start it with "
-                f"mpirun -n {n_old}, or give --any-ranks to continue anyway"
+                f"ranks: found {self.comm.size}, the run was made with {before}; start it with "
+                f"mpirun -n {before}"
             )
         with damage_named(self.run_dir.checkpoint_file):
-            self.learner.load_state_dict(data["ranks"][comm.rank % n_old])
+            self.learner.load_state_dict(data["ranks"][rank])
         if self._memory is not None:
-            for epoch in data["experience"]:
-                for rank in range(comm.rank, n_old, comm.size):
-                    path = self._part(epoch, rank)
-                    with damage_named(path):
-                        part = self._experience(path, {**self._about, "epoch": epoch, "rank": rank})
-                        self._memory.add_experience(part, is_foreign=is_other)
-            # What came from elsewhere counts as new: the next checkpoint writes all of it.
-            self._parts = [] if is_other else list(data["experience"])
+            self._parts = data["experience"]
+            for epoch in self._parts:
+                with damage_named(path := self._part(epoch, rank)):
+                    about = {**self._about, "epoch": epoch, "rank": rank}
+                    self._memory.add_experience(self._experience(path, about))
         return int(data["epoch"])
 
     @staticmethod

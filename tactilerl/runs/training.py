@@ -78,17 +78,11 @@ def start_workers(config: RunConfig, comm: Communicator, n: int | None) -> vecto
     return vector.start(config.make_env, n or free_cores(comm), set_up)
 
 
-def train(
-    config: RunConfig,
-    comm: Communicator,
-    any_ranks: bool = False,
-    summary: str = "",
-) -> Path:
+def train(config: RunConfig, comm: Communicator, summary: str = "") -> Path:
     """Train until the learner's `total_timesteps`; returns the run folder.
 
     A run that is there already goes on from its checkpoint, bit for bit as if it had never been cut
-    off. `any_ranks` allows another number of processes, which ends that equality. `summary` is shown
-    at the beginning.
+    off. `summary` is shown at the beginning.
     Raises InputError over bad input and DivergenceError when the learner or every episode
     breaks; the last checkpoint stays.
     """
@@ -102,7 +96,7 @@ def train(
             learner.check()
         with _writing(run_dir, config, comm):
             checkpoint = Checkpoint(run_dir, config, learner, comm)
-            epoch = _begun(checkpoint, any_ranks)
+            epoch = _begun(checkpoint)
             notes = [summary, paragraph("resolved", learner.describe())]
             if epoch:
                 done = f"after epoch {epoch}, {learner.env_steps:,} steps"
@@ -148,7 +142,7 @@ def _writing(run_dir: RunDir, config: RunConfig, comm: Communicator) -> Iterator
             raise
 
 
-def _begun(checkpoint: Checkpoint, any_ranks: bool) -> int:
+def _begun(checkpoint: Checkpoint) -> int:
     """The epoch after which a run goes on, its state restored; 0 when it has none yet. InputError where
     the goal was made smaller, and the run is beyond it already."""
     run_dir, learner = checkpoint.run_dir, checkpoint.learner
@@ -159,7 +153,7 @@ def _begun(checkpoint: Checkpoint, any_ranks: bool) -> int:
                 "begin another run with another --out"
             )
         return 0
-    epoch, goal = checkpoint.restore(any_ranks), learner.total_timesteps
+    epoch, goal = checkpoint.restore(), learner.total_timesteps
     if epoch and goal < min(learner.env_steps, run_dir.read_config()[0].run.total_timesteps):
         raise InputError(
             f"total_timesteps: found {goal:,} for a run that has made {learner.env_steps:,} steps, "

@@ -1,9 +1,6 @@
 """PPO against numbers derived by hand, and on inputs that break careless code."""
 
 import math
-import threading
-import time
-from contextlib import closing
 from dataclasses import asdict
 from functools import partial
 
@@ -17,7 +14,6 @@ from tactilerl.algos import DivergenceError, UnfitError, recipes
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.policy import Policy
 from tactilerl.algos.ppo import PPO, Gaussian, PPOConfig, gae, normalise, surrogate
-from tactilerl.algos.rollout import TRAIN, PlayEpisode, play_steps
 from tactilerl.algos.spaces import Spaces
 from tactilerl.envs import typed, vector
 
@@ -163,33 +159,6 @@ class TestBatch:
         ppo = make_ppo(scripted(length=7), steps_per_epoch=15)
         seen = ppo.collect()
         assert (seen["episodes"], seen["mean_length"], ppo.env_steps) == (3, 7, 21)
-
-    def test_an_episode_stops_as_soon_as_it_is_certainly_not_wanted(self):
-        """Number 0 has the steps that are wanted, and is not over before number 1 has stopped."""
-        stopped, begun = threading.Event(), []
-
-        class Noted(PlayEpisode):
-            def __call__(self, env, number, is_wanted):
-                begun.append(number)
-                env.number, env.length = number, 10_000 if number else 8
-                episode = super().__call__(env, number, is_wanted)
-                if number:
-                    stopped.set()
-                return episode
-
-        class LongEnd(ScriptedEnv):
-            side_by_side = "threads"
-
-            def step(self, action):
-                time.sleep(0.001)
-                assert self.number or self.steps < 7 or stopped.wait(60)
-                return super().step(action)
-
-        with closing(vector.start(LongEnd, 2)) as workers:
-            task = Noted(make_ppo(workers).policy(), (0, 0, TRAIN, 0))
-            played = play_steps(workers, task, 7, Communicator())
-        assert [len(episode) for episode in played] == [8]
-        assert sorted(begun) == [0, 1]
 
     def test_minibatches(self):
         assert PPOConfig().minibatches(1003) == 6

@@ -219,14 +219,6 @@ class TestSaving:
                 assert np.shares_memory(values.numpy(), replay._columns[name])
                 assert values.untyped_storage().nbytes() == values.numpy().nbytes  # all that is saved
 
-    def test_anothers_episodes_are_added_to_the_own(self):
-        mine, theirs = filled([1, 2], slots=4), filled([3, 4], slots=4)
-        mine.new_experience()
-        mine.add_experience(theirs.new_experience(), is_foreign=True)
-        assert len(mine) == 4 * MAX_STEPS
-        assert set(mine.sample(500, 0.8).obs[:, 0]) == {1, 2, 3, 4}
-        assert mine.new_experience()["slots"].tolist() == [2, 3]  # new to it, so saved again
-
 
 def test_goal_observation_copies():
     obs = {name: np.zeros(2) for name in GoalObs._fields}

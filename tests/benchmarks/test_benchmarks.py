@@ -4,15 +4,12 @@ import importlib
 import json
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from benchmarks.command import run_missing
-from benchmarks.learners import full_replay, steady
-from benchmarks.learners.random_goals import fed
+from benchmarks.learners import steady
 from benchmarks.physics import hold_verdict
 from benchmarks.physics.speed_vs_error import Setting, environment
-from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 
 
 @pytest.mark.pybullet
@@ -28,13 +25,6 @@ def test_bullet_with_other_settings():
 def test_mujoco_with_other_settings():
     with environment("mpl", "mujoco", 0.05, Setting(timestep=2, options={"iterations": 7})) as env:
         assert env.simulator.model.opt.iterations == 7
-
-
-def test_synthetic_episodes_fill_a_replay():
-    replay = fed(DDPGHER, DDPGHERConfig(buffer_size=4000), 140, 23).replay
-    before = len(replay)
-    replay.store([full_replay.synthetic(replay, np.random.default_rng(0))])
-    assert len(replay) == before + replay.max_steps
 
 
 def test_verdicts_on_objects_that_vary():

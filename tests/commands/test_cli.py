@@ -423,7 +423,6 @@ class TestBadInput:
             ([*HER, "--env", "lqr"], ["observation space", "goal environment"]),
             ([*REACH, "--buffer-size", "9" * 13], ["--buffer-size: found 9,", "GB", "free"]),
             ([*REACH, "--gamma", "1"], ["gamma: found 1.0, allowed from 0 to below 1"]),
-            (["train", "--any-ranks"], ["--any-ranks: found without --resume"]),
             (["train", "--layout", "9"], ["unknown layout '9'", "1, 2, 3, 4, 5, 6"]),
             (["train", "--layout", "no.toml"], ["no.toml", "does not exist"]),
             (["train", "--touch", "half"], ["'half'", "--touch", "absent"]),
