@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import importlib
 import math
+import os
+import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from ctypes.util import find_library
 
 import mujoco
 import numpy as np
@@ -122,6 +126,17 @@ def _add_touch_sensor(spec: mujoco.MjSpec, name: str, sensor: Sensor) -> None:
 
 
 _failures: list[OSError] = []  # of drawing, in this process
+DISPLAYS = ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY")
+"""Variables that say what MuJoCo draws with, or on."""
+
+
+def _renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Renderer:
+    """Draws; where there is no display, and nobody says with what, by EGL, or else OSMesa."""
+    if sys.platform == "linux" and not any(map(os.environ.get, DISPLAYS)):
+        found = "egl" if find_library("EGL") else "osmesa"
+        chosen = sys.modules[mujoco.Renderer.__module__].gl_context  # when MuJoCo was imported
+        chosen.GLContext = importlib.import_module(f"mujoco.{found}").GLContext
+    return mujoco.Renderer(model, height, width)
 
 
 class MujocoSimulator(Simulator):
@@ -295,10 +310,10 @@ class MujocoSimulator(Simulator):
             offscreen.offwidth, offscreen.offheight = camera.width, camera.height
             try:
                 with warnings.catch_warnings(action="ignore"):  # GLFW's, before the error says it
-                    self._renderer = mujoco.Renderer(self.model, camera.height, camera.width)
+                    self._renderer = _renderer(self.model, camera.height, camera.width)
             except (mujoco.FatalError, ImportError, AttributeError) as error:
                 reason = " ".join(str(error).split()).partition(", this most")[0]
-                where = "without a display set MUJOCO_GL=egl or MUJOCO_GL=osmesa"
+                where = "without a display it needs EGL or OSMesa (Debian: libegl1 or libosmesa6)"
                 _failures.append(OSError(f"MuJoCo cannot draw here; {where} ({reason})"))
                 raise _failures[0] from error
         view = mujoco.MjvCamera()
