@@ -9,15 +9,13 @@ imported when an environment that uses it is made.
 
 from __future__ import annotations
 
-import os
-import sys
 import traceback
 from functools import partial
 from typing import Any
 
 import gymnasium as gym
 
-from . import hands, scenes, typed
+from . import hands, plugins, scenes, typed
 from .choices import nearest, require_known
 
 TOYS = {"lqr": "tactilerl/LQR-v0", "point-reach": "tactilerl/PointReach-v0"}
@@ -72,12 +70,12 @@ def make(
         return GraspEnv(name, setup(name, **choices), render_mode)
     if render_mode is not None:
         choices["render_mode"] = render_mode
-    if ":" in name and os.getcwd() not in sys.path:
-        sys.path.append(os.getcwd())  # "my_module:MyEnv-v0": as `python -m` finds modules
+    if ":" in name:  # "my_module:MyEnv-v0"
+        plugins.look_here()
     try:
         return gym.make(TOYS.get(name, name), **choices)
     except gym.error.Error as error:
-        known = (*hands.HANDS, *TOYS)
+        known = (*hands.names(), *TOYS)
         reason = str(error).strip().splitlines()[0]
         raise ValueError(
             f"unknown environment {name!r}; {nearest(name, known)}allowed: {', '.join(known)}, a "

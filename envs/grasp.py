@@ -10,7 +10,18 @@ from typing import Annotated, Any, Literal
 import gymnasium as gym
 import numpy as np
 
-from . import hands, layouts, objects, observations, simulators, tasks, toml_files, touch, typed
+from . import (
+    hands,
+    layouts,
+    objects,
+    observations,
+    plugins,
+    simulators,
+    tasks,
+    toml_files,
+    touch,
+    typed,
+)
 from .choices import require_known, require_one_of
 from .objects import ObjectConfig
 from .observations import ObservationConfig, Observer
@@ -68,11 +79,9 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
 
     def validate(self) -> None:
         """Raise ValueError naming what is not there or does not go together; ranges are in types."""
-        registered: dict[str, Any] = {
-            "simulator": simulators.SIMULATORS, "touch_rule": touch.RULES, "task": tasks.TASKS
-        }  # fmt: skip
-        for name, known in registered.items():
-            require_one_of(known, getattr(self, name), name)
+        require_one_of(simulators.SIMULATORS, self.simulator, "simulator")
+        plugins.require_class("sensors", touch.RULES, touch.Rule, self.touch_rule, "touch_rule")
+        plugins.require_class("tasks", tasks.TASKS, tasks.Task, self.task, "task")
         ratio = self.control_dt / self.timestep
         if self.n_substeps < 1 or abs(ratio - self.n_substeps) > 1e-6 * ratio:
             allowed = f"a whole number of timesteps of {self.timestep} s"

@@ -23,6 +23,8 @@ from typing import Any, TypeVar
 import gymnasium as gym
 import numpy as np
 
+from . import plugins
+
 T = TypeVar("T")
 Make = Callable[[], gym.Env[Any, Any]]
 IsWanted = Callable[[], bool]
@@ -130,7 +132,8 @@ class RemotePlayer:
         context: Any = multiprocessing.get_context("forkserver" if sys.platform == "linux" else "spawn")
         context.set_forkserver_preload(["gymnasium", "torch"])  # no matter when one is not installed
         self._connection, there = context.Pipe()
-        self._process = context.Process(target=_serve, args=(there, make, set_up), daemon=True)
+        args = there, make, set_up, plugins.imported
+        self._process = context.Process(target=_serve, args=args, daemon=True)
         # It ignores Ctrl-C, which reaches the whole group: this process ends the others. Signals can
         # be set in the main thread alone.
         is_main = threading.current_thread() is threading.main_thread()
@@ -173,7 +176,9 @@ class RemotePlayer:
 Player = LocalPlayer | RemotePlayer
 
 
-def _serve(connection: Connection[Any, Any], make: Make, set_up: Callable[[], Any]) -> None:
+def _serve(
+    connection: Connection[Any, Any], make: Make, set_up: Callable[[], Any], modules: Sequence[str]
+) -> None:
     """A process's life: do the job it was sent last for the numbers it is sent.
 
     None means that the number in play is not wanted any more; when it comes too late, it means
@@ -183,6 +188,7 @@ def _serve(connection: Connection[Any, Any], make: Make, set_up: Callable[[], An
 
         def opened_env() -> gym.Env[Any, Any]:
             set_up()
+            plugins.import_modules(modules)
             return opened.enter_context(closing(make()))
 
         job: Any = None

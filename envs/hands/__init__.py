@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from .. import toml_files
+from .. import plugins, toml_files
 from .hand import DIGITS, SEGMENTS, SLIDES, Hand, LinearAction, Pitch, ScriptedGrasp, Surface
 
 __all__ = ["DIGITS", "SEGMENTS", "SLIDES", "Hand", "LinearAction", "Pitch", "ScriptedGrasp", "Surface"]
@@ -18,6 +18,8 @@ KEPT = ".grasp.toml"
 """In place of SUFFIX: where a command keeps a grasp that it has found for a file without one."""
 HANDS = ("shadow", "mpl", "allegro")
 """The library's own: each is a file here."""
+OTHERS: dict[str, Any] = {}
+"""The file of each hand of another package, by name (`plugins`)."""
 
 
 @dataclass(frozen=True)
@@ -34,20 +36,33 @@ class Usage:
 
 
 def is_hand(name: str) -> bool:
-    """Is it the name of one of the library's hands, or of anybody's hand file?"""
-    return name in HANDS or name.endswith(SUFFIX)
+    """Is it the name of one of the library's hands, of another package's, or of anybody's hand file?"""
+    return name in HANDS or name.endswith(SUFFIX) or name in names()
+
+
+def names() -> list[str]:
+    """Hands that can be asked for by name."""
+    return plugins.names("hands", [*HANDS, *OTHERS])
 
 
 def allowed() -> str:
     """What hands may be called, for messages."""
-    return f"{', '.join(HANDS)}, or the path of a hand's .toml file"
+    return f"{', '.join(names())}, or the path of a hand's .toml file"
 
 
 def file(name: str) -> Path:
     """The file of a hand; ValueError for a name that is none."""
     if not is_hand(name):
         raise ValueError(f"unknown hand {name!r}; allowed: {allowed()}")
-    return Path(name) if name.endswith(SUFFIX) else FOLDER / f"{name}{SUFFIX}"
+    if name in HANDS:
+        return FOLDER / f"{name}{SUFFIX}"
+    if name.endswith(SUFFIX):
+        return Path(name)
+    return Path(plugins.find("hands", OTHERS, name, _is_path, "the path of a .toml file"))
+
+
+def _is_path(found: Any) -> bool:
+    return isinstance(found, str | Path) and Path(found).suffix == SUFFIX
 
 
 def usage(name: str) -> Usage:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import io
 import os
 import sys
@@ -11,7 +12,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
-from ..errors import BAD_INPUT, BUSY, BusyError, InputError
+from ..errors import BAD_INPUT, BUSY, BusyError, InputError, input_errors
 from ..version import __version__
 
 COMMANDS = {  # each a module here with `main(args)`, imported when it runs; what it does
@@ -58,10 +59,13 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _run(args: list[str]) -> int:
+    modules, args = _imports(args)
     if not args or args[0] in ("-h", "--help"):
         lines = ["usage: tactilerl COMMAND [OPTIONS]", "", "commands:"]
         lines += [f"  {name:10}{about}" for name, about in COMMANDS.items()]
-        print("\n".join([*lines, "", "tactilerl COMMAND --help lists a command's options."]))
+        lines += ["", "--import MODULE, with any command, imports a module of your own first."]
+        lines += ["", "tactilerl COMMAND --help lists a command's options."]
+        print("\n".join(lines))
         return 0 if args else 2
     if args[0] == "--version":
         print(f"tactilerl {__version__}")
@@ -70,6 +74,7 @@ def _run(args: list[str]) -> int:
     try:
         if odd := next((arg for arg in args if "\0" in arg), None):
             raise InputError(f"found {odd[:50]!r}, allowed no character 0")
+        _import(modules)
         if name not in COMMANDS:
             from ..envs.choices import nearest
 
@@ -103,6 +108,22 @@ def _run(args: list[str]) -> int:
         cure = "install its library (Debian: libosmesa6, libegl1), or unset it where nothing is drawn"
         _say("error", InputError(f"{found}; {cure}"))
         return 2
+
+
+def _imports(args: Sequence[str]) -> tuple[list[str], list[str]]:
+    """The modules that are to be imported first, and the other arguments."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--import", dest="modules", action="append", default=[], nargs="?", const="")
+    found, rest = parser.parse_known_args(args)
+    return found.modules, rest
+
+
+def _import(modules: Sequence[str]) -> None:
+    if modules:
+        from ..envs import plugins
+
+        with input_errors():
+            plugins.import_modules(modules)
 
 
 def _say(what: str, error: BaseException, args: Sequence[str] = ()) -> None:

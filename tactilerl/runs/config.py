@@ -17,7 +17,7 @@ from typing import Annotated, Any
 
 from .. import algos, envs
 from ..algos import recipes
-from ..envs import hands, layouts, scenes, typed
+from ..envs import hands, layouts, plugins, scenes, typed
 from ..envs.choices import nearest, require_known
 from ..envs.grasp import GraspConfig, GraspEnv, setup
 from ..envs.scenes import NamedScene
@@ -139,8 +139,9 @@ class RunConfig:
 
     @property
     def again(self) -> str:
-        """What a command needs besides the folder: the id, where it names a module."""
-        return f" --env {self.run.env}" if ":" in self.run.env else ""
+        """What a command needs besides the folder: the id, where it names a module, and modules."""
+        flags = [f" --import {module}" for module in plugins.imported]
+        return "".join([f" --env {self.run.env}" if ":" in self.run.env else "", *flags])
 
     def name(self) -> str:
         """Default name of the run's folder."""

@@ -46,7 +46,7 @@ from ..style import ROLES
 MEASURES = ("success_rate", "test_success_rate")  # columns of progress.csv that are shares
 KEYS = ("name", "measure", "compare", "primary", "looks", "grid", "setups")
 OWN_KEYS = ("measure", "compare", "grid")  # of a set-up, besides flags
-TAKEN = ("seed", "out", "resume", "workers", "threads", "tensorboard", "trust", "help")
+TAKEN = ("seed", "out", "resume", "workers", "threads", "tensorboard", "trust", "help", "import")
 SEED = "seed"
 FLAG = re.compile(r"[a-z][a-z0-9_-]*")
 NUMBER = re.compile(r"-\.?\d.*")  # begins as a flag does, but is none

@@ -14,12 +14,13 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 import filelock
 
+from ..envs import plugins
 from ..errors import BAD_INPUT, BUSY
 from ..runs.files import no_link
 from ..terminal import interrupts
@@ -51,11 +52,14 @@ class RunJob:
     ranks: int = 1
     cwd: Path | None = None
     """Where files that its flags name are looked for; None: here."""
+    imports: tuple[str, ...] = field(default_factory=lambda: (*plugins.imported,))
+    """Modules that are to be imported first."""
 
     def command(self, *program: str, launcher: str = "mpirun") -> list[str]:
         """What trains it by this `program`, and goes on where it was cut off."""
         out = StudyFiles(self.folder).run_dir(self.run).path
         command = [*program, "train", *self.run.arguments, "--out", str(out)]
+        command += [f"--import={module}" for module in self.imports]
         return [launcher, "-n", str(self.ranks), *command] if self.ranks > 1 else command
 
 

@@ -54,6 +54,7 @@ def show(kind: Any, default: Any, prog: str, about: About, everything: bool) -> 
     print(flags.strip())
     if about.examples:
         print("\n".join(["examples:", *(f"  {line}" for line in about.examples), ""]))
+    print("--import MODULE imports a module of yours first, such as one that adds a task.")
     if is_short:
         print(f"{prog} {ALL} lists all {len(every)} flags.")
     raise SystemExit(0)

@@ -1,0 +1,134 @@
+"""What other packages add: by entry points, and by --import."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from one_line import fails_with
+
+import tactilerl
+from tactilerl.commands.cli import main
+from tactilerl.envs import hands, plugins, tasks, touch
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+CUP = ["--import", "own_task", "--scene", str(EXAMPLES / "own_task.toml")]
+TINY = ["--hidden", "8", "--steps-per-epoch", "64", "--n-passes", "1", "--total-timesteps", "64"]
+PACKAGE = """
+from pathlib import Path
+from tactilerl.envs import tasks, touch
+
+class Easy(tasks.ReachGoal):
+    pass
+
+class Numb(touch.ContactRule):
+    def read(self, state):
+        return super().read(state) & False
+
+CLAW = Path(__file__).with_name("claw.toml")
+"""
+ENTRIES = """
+[tactilerl.tasks]
+easy = their_package:Easy
+broken = their_package:Missing
+odd = their_package:CLAW
+[tactilerl.sensors]
+numb = their_package:Numb
+[tactilerl.hands]
+claw = their_package:CLAW
+no-claw = their_package:Easy
+"""
+
+
+@pytest.fixture(autouse=True)
+def _nothing_stays(monkeypatch, in_tmp):
+    for module, name in ((tasks, "TASKS"), (touch, "RULES"), (hands, "OTHERS")):
+        monkeypatch.setattr(module, name, dict(getattr(module, name)))
+    monkeypatch.setattr(plugins, "imported", [])
+    monkeypatch.setattr(sys, "path", [str(EXAMPLES), *sys.path])
+    for module in ("own_task", "their_package"):
+        monkeypatch.delitem(sys.modules, module, raising=False)
+    plugins._points.cache_clear()
+    yield
+    plugins._points.cache_clear()
+
+
+@pytest.fixture
+def _installed(tmp_path, monkeypatch):
+    """A package as pip leaves it."""
+    site = tmp_path / "site"
+    about = site / "their_package-1.0.dist-info"
+    about.mkdir(parents=True)
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: their-package\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text(ENTRIES)
+    (site / "their_package.py").write_text(PACKAGE)
+    gripper = (Path(__file__).parent / "hands/gripper.toml").read_text()
+    (site / "claw.toml").write_text(gripper)
+    (site / "gripper.xml").write_bytes((Path(__file__).parent / "hands/gripper.xml").read_bytes())
+    monkeypatch.syspath_prepend(str(site))
+
+
+@pytest.mark.usefixtures("_installed")
+def test_an_installed_package_adds_a_task_a_touch_rule_and_a_hand(capsys):
+    assert main(["env", "--env", "claw", "--task", "easy", "--touch-rule", "numb", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["taxels"] > 0
+    env = tactilerl.make("claw", task="easy", touch_rule="numb")
+    assert type(env.task).__name__ == "Easy"
+    env.close()
+
+
+@pytest.mark.usefixtures("_installed")
+def test_what_an_installed_package_promises_and_does_not_have_is_one_line(capsys):
+    fails_with(capsys, ["env", "--task", "broken"], "their_package:Missing cannot be imported")
+    fails_with(capsys, ["env", "--task", "odd"], "allowed a class derived from Task")
+    fails_with(capsys, ["env", "--env", "no-claw"], "allowed the path of a .toml file")
+    fails_with(capsys, ["env", "--task", "esay"], "allowed: lift-and-hold", "easy")
+    assert main(["env"]) == 0  # who asks for none of these is not troubled
+
+
+def test_the_cup_of_the_example_breaks_when_it_is_pressed(capsys):
+    assert main(["gate", *CUP, "--starts", "4", "--search", "1", "--json"]) == 0
+    rates = {row["name"]: row["rate"] for row in json.loads(capsys.readouterr().out)["reflexes"]}
+    assert rates["touch"] > 0.7 > rates["blind"]
+    env = tactilerl.make(scene=CUP[-1], finger_gain=1.0)
+    env.reset(seed=0)
+    forces, over = [], False
+    while not over:  # the hand closes as soon as the cup is there, with all its strength
+        is_near = env.state.object_position[2] > env.palm_skin[2] - 0.03
+        *_, over, _, info = env.step(np.ones(1) if is_near else -np.ones(1))
+        forces.append(env.state.contacts.forces.sum())
+    assert not info["is_success"]
+    assert max(forces[:-1]) <= env.task.limit < forces[-1]
+    env.close()
+
+
+def test_a_run_is_trained_evaluated_and_listed_with_import(capsys):
+    assert main(["train", *CUP, *TINY, "--workers", "1", "--out", "cup"]) == 0
+    assert "evaluate cup --import own_task" in capsys.readouterr().out
+    assert main(["evaluate", "cup", "--episodes", "2", "--import", "own_task"]) == 0
+    scene = EXAMPLES / "own_task.toml"
+    Path("s.toml").write_text(f'name = "s"\n[setups.cup]\nscene = "{scene}"\n')
+    capsys.readouterr()
+    assert main(["study", "todo", "s.toml", "--import", "own_task"]) == 0
+    assert "--import=own_task" in capsys.readouterr().out
+
+
+@pytest.mark.pybullet
+def test_worker_processes_import_it_too():
+    assert (
+        main(["train", *CUP, *TINY, "--simulator", "pybullet", "--workers", "2", "--out", "cup"]) == 0
+    )
+
+
+def test_without_the_module_the_task_is_unknown(capsys):
+    main(["train", *CUP, *TINY, "--workers", "1", "--out", "cup"])
+    del tasks.TASKS["hold-cup"]
+    fails_with(capsys, ["evaluate", "cup"], "task: found 'hold-cup'", "--import MODULE")
+
+
+def test_a_module_that_cannot_be_imported_is_one_line(capsys):
+    Path("worse.py").write_text("1 / 0")
+    fails_with(capsys, ["env", "--import", "worse"], "'worse'", "ZeroDivisionError")
+    fails_with(capsys, ["env", "--import", "nowhere"], "No module named 'nowhere'")
+    fails_with(capsys, ["env", "--import"], "import: found ''")
