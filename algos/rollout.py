@@ -63,7 +63,8 @@ class Episode(Generic[Obs]):
 
 @dataclass(frozen=True)
 class PlayEpisode(Generic[Obs]):
-    """Plays the episode of a number: its start and its noise follow from `key` and the number."""
+    """Plays the episode of a number: its start and its noise follow from `key` and the number, which is
+    below 0 for one that only precedes another."""
 
     policy: Policy
     key: tuple[int, int, int, int]
@@ -79,7 +80,7 @@ class PlayEpisode(Generic[Obs]):
         Raises DivergenceError when an observation or a reward is not finite, and UnfitError when
         the episode does not end or the environment returns what its spaces do not say.
         """
-        policy, rng = self.policy, np.random.default_rng([*self.key, number])
+        policy, rng = self.policy, np.random.default_rng([*self.key, number % 2**64])
         noise = rng if self.explores else None
         episode = Episode[Obs]()
         try:

@@ -24,7 +24,7 @@ from . import (
 )
 from .choices import require_known, require_one_of
 from .objects import ObjectConfig
-from .observations import ObservationConfig, Observer
+from .observations import EpisodeBefore, ObservationConfig, Observer
 from .scenes import renamed
 from .simulators import SimulationError, Sphere
 from .state import Array, Shape, State
@@ -33,6 +33,7 @@ from .tasks import TaskConfig
 LIMIT = 1e6  # observations beyond this are a broken simulation
 EJECTED = 10.0  # m/s, of the object during an action: twice what random actions ever throw it at
 JITTER_JOINT = 0.02  # rad, of every finger joint, within its range
+READS = ("on", "shuffled")  # touch, where the policy is told something by it
 LIT, DARK = (1.0, 0.85, 0.0, 1.0), (0.05, 0.25, 0.9, 1.0)  # of taxels in pictures
 LIT_SCALE = 2.0  # a taxel that fires is drawn larger: between hand and object it is hard to see
 
@@ -48,9 +49,10 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
     """Physics engine: mujoco or pybullet (extra: pybullet)."""
     layout: str = "2"
     """Where the taxels (touch sensors) are: 1 to 6 (paper, Fig. 2), a named design, or a .toml file."""
-    touch: Literal["on", "off", "absent"] = "on"
+    touch: Literal["on", "off", "absent", "shuffled"] = "on"
     """on: taxels read contact; off: all read zero, the paper's control; absent: the observation has no
-    taxels."""
+    taxels; shuffled: they read what they felt at the same step of the episode before, which began
+    elsewhere."""
     touch_rule: str = "skin"
     """When a taxel fires. skin: its sphere overlaps the object, which touches the skin there; contact:
     a contact point of the simulator lies in its sphere (paper); force: the taxel reads the normal
@@ -111,6 +113,14 @@ class GraspEnv(gym.Env[Any, Array]):
     episode truncated. At reset and at the end of an episode it says which ``object`` that had.
     ``warnings`` is there when the simulator has warned since the last step, and says how often.
     ``state`` is what was true after the last action, before any hold test.
+
+    With touch "shuffled" the policy is told the readings of another episode, in which nothing is
+    known of this one: the control for whether it is what touch says that helps, or more inputs. They
+    are those of the episode before in this environment, the first one's are 0. Workers
+    (`vector.previously`) have another episode of the same policy precede each one, begun from
+    another start and without touch; it follows from the number of its successor, takes as long and
+    counts for nothing. So results depend neither on the number of workers nor on what was played
+    earlier, and runs resume bit for bit.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}
@@ -152,6 +162,7 @@ class GraspEnv(gym.Env[Any, Array]):
         names = () if config.touch == "absent" else self.taxels.names
         is_boolean = self._touch.is_boolean
         self._observer = Observer(config, self.hand, names, is_boolean, config.control_dt, first.shape)
+        self._before = EpisodeBefore(len(names))
         self.simulator.reset(self.hand.start_positions(), np.array([0.0, 0.0, items.height / 2]), 0.0)
         self.state = self.simulator.state()
         self.palm_skin = self._palm_skin()
@@ -193,6 +204,7 @@ class GraspEnv(gym.Env[Any, Array]):
         self._item = item = self._items.draw(object_rng)
         start = self.task.start(self._jittered(item.shape), self.palm_skin, item.shape, goal_rng)
         self._observer.begin(observer_rng)
+        self._before.begin(observer_rng)
         try:
             self.simulator.change_object(item.shape, item.mass, item.friction)
             self.simulator.reset(*start)
@@ -270,10 +282,25 @@ class GraspEnv(gym.Env[Any, Array]):
         """How several of these may be played in at once (`vector.start`)."""
         return "processes" if self.simulator.holds_gil else "threads"
 
+    @property
+    def looks_back(self) -> bool:
+        """Is the policy told what was felt in the episode before? (`vector.previously`)"""
+        return self.config.touch == "shuffled"
+
+    def forget(self) -> None:
+        """The next episode is the first."""
+        self._before.forget()
+
     def taxel_readings(self) -> Array:
         """(n_taxels,) what the taxels feel now by the configured touch rule, without their faults:
         bool, or by rule "force" N."""
         return self._touch.read(self.simulator.state())
+
+    def told_readings(self) -> Array:
+        """(n_taxels,) what the policy is told of that, without faults; 0 where it is told nothing."""
+        if self.config.touch == "on":
+            return self.taxel_readings()
+        return self._before.latest if self.looks_back else np.zeros(len(self.taxels))
 
     def render(self) -> Array | None:
         """A picture of the scene, taxels that fire lit, when made with "rgb_array"."""
@@ -285,9 +312,9 @@ class GraspEnv(gym.Env[Any, Array]):
 
     def _drawn(self, state: State) -> Iterator[Sphere]:
         """The taxels."""
-        if (switch := self.config.touch) != "absent":
+        if self.config.touch != "absent":
             centres, radii = self._points.world(state), self.taxels.radii
-            lit = self._touch.read(state) > 0 if switch == "on" else np.zeros(len(radii), bool)
+            lit = self.told_readings() > 0
             for centre, radius, on in zip(centres, radii, lit, strict=True):
                 yield Sphere(centre, radius * (LIT_SCALE if on else 1.0), LIT if on else DARK)
 
@@ -307,9 +334,11 @@ class GraspEnv(gym.Env[Any, Array]):
         """What policy and critic are shown; SimulationError when the physics broke."""
         switch, is_privileged = self.config.touch, self.config.critic_sees == "truth"
         felt = shown = np.zeros(len(self.taxels) if switch == "off" else 0)
-        if is_privileged or switch == "on":
+        if is_privileged or switch in READS:
             felt = self._touch.read(state)
-        obs = {"observation": self._observer.observe(state, felt if switch == "on" else shown)}
+        if switch in READS:
+            shown = felt if switch == "on" else self._before(felt)
+        obs = {"observation": self._observer.observe(state, shown)}
         largest = np.abs(obs["observation"]).max()
         if not largest < LIMIT:
             raise SimulationError(f"an observation is as large as {largest}: the physics broke")

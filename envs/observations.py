@@ -63,8 +63,8 @@ class SensorConfig(TaxelFaults):
     """Like --joint-noise, for the slides that carry the hand, m."""
     slide_noise_held: Metres = 0.0
     """Like --joint-noise-held, for the slides, m."""
-    taxel_delay: Annotated[int, "[0, 100]"] = 0
-    """Delay of the taxel readings, in control steps."""
+    taxel_delay: Annotated[int, "[0, 10000]"] = 0
+    """Delay of the taxel readings, in control steps. Of an episode's length: only its start is read."""
     hand_seed: Annotated[int, "[0, 4294967295]"] | None = None
     """Random seed that decides which taxels are broken; default: the run's seed."""
 
@@ -88,8 +88,8 @@ def validate(config: ObservationConfig, touch: str, is_boolean: bool) -> None:
     validate_faults(config)
     if config.object_seen != "noisy":
         allow_only_with("object_seen noisy", config, "sight_noise", "sight_noise_kind")
-    if touch != "on":
-        what = "touch on (else no taxel is read)"
+    if touch not in ("on", "shuffled"):
+        what = "touch on or shuffled (else no taxel is read)"
         allow_only_with(what, config, *vars(TaxelFaults()), "taxel_delay")
     if not is_boolean:
         what = "Boolean taxels (touch_rule skin or contact)"
@@ -249,6 +249,32 @@ class Delay(Past):
 
     def __call__(self, reading: Array) -> Array:
         return self.add(reading)[-1]
+
+
+class EpisodeBefore(Stage):
+    """What was read at the same step of the episode before, and 0 where there is none.
+
+    A longer episode goes on with the last reading of the shorter one. So readings come as often, as
+    many and as long as touch does, and say nothing of the episode that they are shown in.
+    """
+
+    def __init__(self, n: int) -> None:
+        self.latest, self._now = np.zeros(n), list[Array]()
+        self.forget()
+
+    def forget(self) -> None:
+        """There was none."""
+        self._now = []
+
+    def begin(self, rng: np.random.Generator) -> None:
+        self._before, self._now = self._now, []
+
+    def __call__(self, reading: Array) -> Array:
+        step = len(self._now)
+        self._now.append(reading)
+        shown = self._before[min(step, len(self._before) - 1)] if self._before else 0 * reading
+        self.latest = shown
+        return shown
 
 
 # -- sight -----------------------------------------------------------------------------------

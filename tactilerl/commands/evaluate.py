@@ -8,7 +8,7 @@ import sys
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import tyro
 from rich.console import Console
@@ -55,8 +55,10 @@ class EvaluateFlags:
     """The run's environment id, repeated to allow importing the module that it names."""
     trust: bool = False
     """Allow that import without repeating the id."""
+    touch: Literal["on", "off", "shuffled"] | None = None
+    """Whether the policy is told what its taxels read, as in training; default: the run's."""
     sweep: tuple[str, ...] = ()
-    """A sensor flag and the values to try, such as --sweep taxel-dead 0 0.1 0.2 0.5."""
+    """A sensor flag or touch, and the values to try, such as --sweep taxel-dead 0 0.1 0.2 0.5."""
     out: Path | None = None
     """With --sweep: write a plot of the success rate to this .png, .svg or .pdf file (extra: plots)."""
     json: bool = False
@@ -83,10 +85,14 @@ def main(args: list[str]) -> int:
         "stochastic": read.stochastic,
     }  # fmt: skip
     if run.scene is not None:
-        others = {k: v for k, v in vars(sensors).items() if v != getattr(run.scene, k)}
+        chosen = vars(sensors) | {"touch": read.touch or run.scene.touch}
+        others = {k: v for k, v in chosen.items() if v != getattr(run.scene, k)}
         run = dataclasses.replace(run, scene=dataclasses.replace(run.scene, **others))
         about |= {"sensors": others} if others else {}
+    elif read.touch:
+        raise InputError(f"--touch: found a run on {run.run.env!r}, allowed one of a grasping scene")
     name, values, runs = sweep.vary(run, read.sweep) if read.sweep else ("", [""], [run])
+    _require_taxels(trained.config, runs)
     rows = [evaluation.summarise(_play(each, trained.policy, read)) for each in runs]
     result = about | rows[0]
     if read.sweep:
@@ -99,6 +105,16 @@ def main(args: list[str]) -> int:
     if read.out is not None:
         sweep.draw(name, values, rows, read.out)
     return 0
+
+
+def _require_taxels(trained: RunConfig, runs: list[RunConfig]) -> None:
+    """InputError where a policy would be shown more or fewer inputs than it was trained with."""
+    for run in runs:
+        touches = [each.scene.touch for each in (trained, run) if each.scene is not None]
+        if touches.count("absent") == 1:
+            own, found = touches
+            raise InputError(f"--touch: found {found} for a run that was trained with touch {own}; its "
+                             "policy has another number of inputs")  # fmt: skip
 
 
 def _read(args: list[str], sensors: SensorConfig) -> tuple[EvaluateFlags, SensorConfig]:

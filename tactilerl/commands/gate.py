@@ -11,6 +11,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from ..envs import hands, layouts, typed
+from ..envs.grasp import READS
 from ..errors import InputError, input_errors
 from ..probe import gate
 from ..runs.config import WorkerCount
@@ -57,8 +58,9 @@ def main(args: list[str]) -> int:
     read, found = read_scene(GateFlags, args, "tactilerl gate", ABOUT)
     scene = require_scene(found, read.env)
     with input_errors():
-        if scene.touch != "on":
-            raise InputError("--touch: leave it out; the gate always compares touch with no touch")
+        if scene.touch not in READS:
+            why = "or give shuffled; the gate always compares with no touch"
+            raise InputError(f"--touch: leave it out, {why}")
         beside = [dataclasses.replace(scene, layout=layout) for layout in chosen[1:]]
         for each in (scene, *beside):
             typed.validate(each)
@@ -73,7 +75,7 @@ def main(args: list[str]) -> int:
         )  # fmt: skip
         rows = examine(scene)
         touch = {each.layout: examine(each, senses=["touch"])[0] for each in beside}
-    sentence = gate.verdict(rows)
+    sentence = gate.verdict(rows, "Touch" if scene.touch == "on" else "Shuffled touch")
     if read.json:
         more = {"layouts": {name: dataclasses.asdict(row) for name, row in touch.items()}}
         result = {"reflexes": [dataclasses.asdict(r) for r in rows], "verdict": sentence}

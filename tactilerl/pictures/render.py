@@ -13,9 +13,10 @@ import numpy as np
 import torch
 
 from ..envs import scripted
-from ..envs.grasp import GraspConfig, GraspEnv
+from ..envs.grasp import READS, GraspConfig, GraspEnv
 from ..envs.hands import ScriptedGrasp
 from ..envs.simulators import Camera, Simulator
+from ..envs.vector import previously
 from ..errors import InputError
 from ..runs.files import MAKER, is_picture, replacing, require_ours
 from .hand_map import TaxelMap, lettered, save_picture
@@ -60,14 +61,14 @@ class _View:
 
     def __init__(self, env: GraspEnv, camera: Camera, label: str = "") -> None:
         self._env, self._label = env, label
-        feels = env.config.touch == "on"
-        self._map = TaxelMap(env.hand, env.taxels, camera.height) if feels else None
+        reads = env.config.touch in READS
+        self._map = TaxelMap(env.hand, env.taxels, camera.height) if reads else None
 
     def picture(self, camera: Camera) -> np.ndarray:
         """What a camera sees now, RGB (height, width, 3) uint8."""
         found = self._env.picture(camera)
         if self._map is not None:
-            found = np.hstack([found, self._map.picture(self._env.taxel_readings() > 0)])
+            found = np.hstack([found, self._map.picture(self._env.told_readings() > 0)])
         return lettered(found, [(self._label, 12, 8)], 22, "la") if self._label else found
 
 
@@ -106,8 +107,10 @@ class _Player:
                 camera = replace(camera, lookat=tuple((start[1] + moved).tolist()))
             write(self._view.picture(camera))
 
-        self._show = show
         torch.set_num_threads(self._threads)  # as it was trained, to the last digit
+        self._show = lambda: None
+        previously(self._task, self.env, number)
+        self._show = show
         played = self._task(self.env, number, lambda: True)
         for _ in range(END_PICTURES):
             show()

@@ -81,8 +81,8 @@ def _play(workers: vector.Workers, reflex: reflexes.Reflex, first: int, n: int) 
     return np.array(list(workers.play(reflex.play, range(first, first + n))))
 
 
-def verdict(found: list[Found]) -> str:
-    """One sentence about the scene."""
+def verdict(found: list[Found], touch: str = "Touch") -> str:
+    """One sentence about the scene, in which touch is called `touch`."""
     rates = {each.name: each.rate for each in found}
     best = max((name for name in rates if name not in ("touch", "sighted")), key=rates.__getitem__)
     without, room = rates[best], rates["sighted"] - rates[best]
@@ -93,6 +93,6 @@ def verdict(found: list[Found]) -> str:
         )
     won = min(max(0.0, rates["touch"] - without), room)
     return (
-        f"Touch can win {won:.2f} of the {room:.2f} that lie between the best reflex without "
+        f"{touch} can win {won:.2f} of the {room:.2f} that lie between the best reflex without "
         f"touch ({best}, {without:.2f}) and a sighted one ({rates['sighted']:.2f})."
     )

@@ -158,7 +158,7 @@ class PolicyGrasps:
     def __call__(self, env: gym.Env[Any, Any], number: int, is_wanted: IsWanted) -> Measured:
         base = env.unwrapped
         assert isinstance(base, GraspEnv)
-        rng = np.random.default_rng([self.seed, STREAM, number])
+        rng = np.random.default_rng([self.seed, STREAM, number % 2**64])
         try:
             obs, info = env.reset(seed=int(rng.integers(2**31)))
             record, is_done, is_lifted = moment(base), False, False

@@ -48,7 +48,7 @@ class Reflex:
     ) -> bool:
         """Does it succeed from the start that the seed `number` draws?"""
         base: Any = env.unwrapped
-        obs, _ = env.reset(seed=number)
+        obs, _ = env.reset(seed=number % 2**64)  # below 0: it only precedes another
         reading = _Reading(base, obs)
         says, latest = getattr(reading, self.sense), base.max_episode_steps - LATEST - reading.n_second
         parts = _parts(base, self.closing, reading.shift(self.sense))

@@ -15,7 +15,7 @@ from .config import RunConfig
 from .files import MAKER, is_picture, replacing, require_ours
 
 PICTURES = (".png", ".svg", ".pdf")
-USUAL = vars(SensorConfig())
+USUAL = {**vars(SensorConfig()), "touch": "on"}
 NAMES = [name for name, value in USUAL.items() if isinstance(value, str | float | int)]
 
 
