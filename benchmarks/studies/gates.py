@@ -48,10 +48,13 @@ def tables() -> dict[str, list[tuple[str, str, dict[str, Any]]]]:
     """What is asked, by table: (row's key, scene, choices)."""
     return {
         "scenes": [(name, name, {}) for name in scenes.names()],
-        "handover": [
-            (f"{hand}, {simulator}", "handover", {"env": hand, "simulator": simulator})
-            for hand, simulator in itertools.product(HANDS, SIMULATORS)
-        ],
+        **{
+            scene: [
+                (f"{hand}, {simulator}", scene, {"env": hand, "simulator": simulator})
+                for hand, simulator in itertools.product(HANDS, SIMULATORS)
+            ]
+            for scene in ("handover", "handover_anywhere")
+        },
         "layouts": [
             (f"{name}, layout {label}", name, {"layout": layout})
             for name, (label, layout) in itertools.product(LAYOUT_SCENES, LAYOUTS.items())
