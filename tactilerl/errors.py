@@ -40,6 +40,16 @@ class BusyError(InputError):
 
 
 @contextmanager
+def extra(name: str) -> Iterator[None]:
+    """InputError where a package of an extra is missing, for what is imported inside."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        missing = f"found no {error.name}, which this needs"
+        raise InputError(f"{missing}: pip install 'tactilerl[{name}]'") from error
+
+
+@contextmanager
 def input_errors(where: str = "") -> Iterator[None]:
     """Turn what library code raises over bad input into an InputError."""
     try:

@@ -25,7 +25,6 @@ ALLOWED = {
         "tactilerl/probe/design_figures.py",
         "tactilerl/probe/figures.py",
         "tactilerl/study/figures.py",
-        "tactilerl/runs/sweep.py",
     ),
     "sklearn": ("tactilerl/probe/",),
     "torch": ("algos/", "tactilerl/", "benchmarks/"),

@@ -31,10 +31,10 @@ from ..terminal.help import About
 ABOUT = About(
     "Success rate and return of a trained run, with confidence intervals. Sensor flags replace the "
     "sensor settings of the training.",
-    first=("run", "episodes", "stochastic", "taxel_dead", "sweep", "out", "workers", "json"),
+    first=("run", "episodes", "stochastic", "taxel_dead", "sweep", "workers", "json"),
     examples=(
         "tactilerl evaluate runs/X",
-        "tactilerl evaluate runs/X --sweep taxel-dead 0 0.1 0.2 0.5 --out faults.png",
+        "tactilerl evaluate runs/X --sweep taxel-dead 0 0.1 0.2 0.5",
     ),
 )
 
@@ -59,8 +59,6 @@ class EvaluateFlags:
     """Whether the policy is told what its taxels read, as in training; default: the run's."""
     sweep: tuple[str, ...] = ()
     """A sensor flag or touch, and the values to try, such as --sweep taxel-dead 0 0.1 0.2 0.5."""
-    out: Path | None = None
-    """With --sweep: write a plot of the success rate to this .png, .svg or .pdf file (extra: plots)."""
     json: bool = False
     """Print JSON instead of a table."""
 
@@ -74,10 +72,6 @@ def main(args: list[str]) -> int:
     else:
         names = typed.names(SensorConfig)
         read, sensors = _read(args, SensorConfig(**{name: getattr(saved, name) for name in names}))
-    if read.out is not None:
-        if not read.sweep:
-            raise InputError("--out: found without --sweep, allowed only with it")
-        sweep.require_drawable(read.out)
     trained = policies.read_run(read.run, read.env, read.trust)
     run = trained.config
     about: dict[str, Any] = {
@@ -102,8 +96,6 @@ def main(args: list[str]) -> int:
         print(json.dumps(result))
     else:
         console.print(_table(result))
-    if read.out is not None:
-        sweep.draw(name, values, rows, read.out)
     return 0
 
 

@@ -7,7 +7,6 @@ import math
 import sys
 import time
 from contextlib import ExitStack
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ from rich.table import Table
 
 from ..algos import mpi
 from ..envs.grasp import setup
-from ..errors import InputError, input_errors
+from ..errors import extra, input_errors
 from ..probe.options import GraspFlags, Options
 from ..terminal import flags, interrupts
 from ..terminal.console import console
@@ -48,11 +47,8 @@ def main(args: list[str]) -> int:
     with input_errors():
         read.validate()
         comm = mpi.world()
-    for package, name in (("sklearn", "scikit-learn"), ("matplotlib", "matplotlib")):
-        if find_spec(package) is None:
-            extra = "install the extra: pip install 'tactilerl[probe]'"
-            raise InputError(f"probe: found no {name}; {extra}")
-    from ..probe import run
+    with extra("probe"):
+        from ..probe import run
 
     if comm.size == 1 and read.grasp.policy is None and read.output.grasps_file is None:
         with input_errors():

@@ -7,9 +7,8 @@ import json
 import os
 import shlex
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Executor
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,7 +18,7 @@ import tyro
 from rich import box
 from rich.table import Table
 
-from ..errors import InputError
+from ..errors import InputError, extra
 from ..runs.config import RunConfig
 from ..runs.cores import free_cores
 from ..runs.files import pasted
@@ -124,16 +123,6 @@ class Run:
         return input("Start? [y/N] ").strip().lower() in ("y", "yes")
 
 
-@contextmanager
-def _extra(part: str) -> Iterator[None]:
-    """InputError where a package of the extra `study` is missing."""
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        needed = f"study {part} needs {error.name}, which is not installed"
-        raise InputError(f"{needed}: pip install 'tactilerl[study]'") from error
-
-
 def _forget_failures(files: StudyFiles, found: dict[str, Record]) -> None:
     for name, record in found.items():
         if record.state == "failed":
@@ -228,7 +217,7 @@ class Plan:
 
     def __call__(self) -> None:
         """`tactilerl study plan FOLDER`"""
-        with _extra("plan"):
+        with extra("study"):
             from ..study import planning
         for name in ("effect", "power", "alpha"):
             if not 0 < getattr(self, name) < 1:
@@ -335,7 +324,7 @@ class Report:
 
     def __call__(self) -> None:
         """`tactilerl study report FOLDER`"""
-        with _extra("report"):
+        with extra("study"):
             from ..study import analysis, report, summary
         found = analysis.analyse(*records.load(records.require_study(self.study)), self.resamples)
         out = self.out or (self.study if os.path.isdir(self.study) else self.study.parent) / "report"

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from importlib.util import find_spec
 from pathlib import Path
 
 from ..envs import toml_files
-from ..errors import InputError
+from ..errors import InputError, extra
 from ..runs.files import is_picture, locked, read_json, replacing, require_ours
 from .candidates import MADE, Design
 
@@ -37,14 +36,12 @@ def require(out: Path | None, numbers: Sequence[int]) -> None:
             raise InputError(f"cannot write {str(out)!r}: there is no folder {str(out.parent)!r}")
     elif out.suffix:
         raise InputError(f"--out: found {str(out)!r}, allowed FILE.toml or a folder")
-    elif find_spec("matplotlib") is None:
-        raise InputError(
-            "design: found no matplotlib; install the extra: pip install 'tactilerl[plots]'"
-        )
-    elif out.is_dir():
-        require_ours(out / "design.json", is_result)
-    elif out.exists() or out.is_symlink():
+    elif (out.exists() or out.is_symlink()) and not out.is_dir():
         raise InputError(f"--out: found {str(out)!r}, which is no folder")
+    else:
+        with extra("plots"):
+            from . import design_figures  # noqa: F401
+        require_ours(out / "design.json", is_result)
 
 
 def write(found: Design, out: Path | None) -> list[Path]:

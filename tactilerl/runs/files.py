@@ -55,16 +55,9 @@ def damage_named(path: Path, found: str = "damaged", missing: str = "") -> Itera
 def open_regular(path: Path) -> BinaryIO:
     """Open a file to read; ValueError where it is none, such as a pipe or a device, which may have no
     end."""
-    file = open(path, "rb", opener=_at_once)  # noqa: SIM115
-    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-        file.close()
+    if os.path.exists(path) and not os.path.isfile(path):
         raise ValueError("not a regular file")
-    return file
-
-
-def _at_once(name: str, flags: int) -> int:
-    """An `opener` that does not wait for the other end of a pipe."""
-    return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
+    return open(path, "rb")
 
 
 def content(path: Path, most: int = LARGEST) -> bytes:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 import os
 from pathlib import Path
 from typing import Any
 
 from ..errors import InputError
-from .files import content, no_link, replacing
+from .files import content, damage_named, no_link, replacing
 
 FIRST = ["epoch", "env_steps"]  # the columns that every table begins with
 TIMES = ("collect_s", "update_s", "steps_per_s")  # columns that no seed decides
@@ -74,50 +75,45 @@ class ProgressTable:
     def _read(self) -> tuple[list[str], list[int]]:
         """The header's and all rows' lines, without a last one that was cut off, and the rows'
         epochs; InputError when damaged."""
-        try:
+        with damage_named(self.path):
             text = content(self.path).decode("utf-8")
-            lines = [line + "\n" for line in text.split("\n")[:-1]]
-            rows = list(csv.reader(lines, strict=True))
-            if len(rows) != len(lines):
-                raise ValueError("a line break inside a field")
-            for number, row in enumerate(rows, 1):
-                _require_row(number, row, rows[0])
-        except (OSError, ValueError, csv.Error) as error:
-            raise InputError(f"{self.path}: damaged ({error})") from error
-        return lines, [int(row[0]) for row in rows[1:]]
+            rows, problem = parse(text)
+            if problem:
+                raise ValueError(problem)
+        lines = [f"{line}\n" for line in text.split("\n")[: len(rows) + 1]]
+        return lines, [int(row["epoch"]) for row in rows]
 
 
-def whole(rows: list[Row]) -> tuple[list[Row], str]:
-    """The rows before the first that no run writes, and what is wrong with that one."""
-    last = (-1, -1)
-    for index, row in enumerate(rows):
-        try:
-            _require_row(1, list(row), list(row))
-            if None in row or None in row.values():  # of csv.DictReader
-                raise ValueError(f"line {index + 2}: found more or fewer fields than the header has")
-            _require_row(index + 2, list(row.values()), list(row))
-            now = int(row["epoch"]), int(row["env_steps"])
-            if now[0] <= last[0] or now[1] < last[1]:
-                raise ValueError(f"line {index + 2}: epoch and steps {now} after {last}")
-        except ValueError as error:
-            return rows[:index], str(error)
-        last = now
+def parse(text: str) -> tuple[list[Row], str]:
+    """The rows before the first that no run writes, and what is wrong with that one. A last line that
+    was cut off does not count."""
+    reader = csv.DictReader(io.StringIO(text[: text.rfind("\n") + 1]), strict=True)
+    rows, before = list[Row](), (-1, 0)
+    try:
+        columns = list(reader.fieldnames or FIRST)
+        if columns[: len(FIRST)] != FIRST or len(set(columns)) < len(columns):
+            raise ValueError(f"its header does not begin with {','.join(FIRST)}")
+        for row in reader:
+            if reader.line_num != len(rows) + 2:
+                raise ValueError("found an empty line, or a line break inside a field")
+            before = _checked(row, before)
+            rows.append(row)
+    except (ValueError, csv.Error) as error:
+        return rows, f"line {reader.line_num}: {error}"
     return rows, ""
 
 
-def _require_row(number: int, row: list[str], columns: list[str]) -> None:
-    """ValueError when line `number` is not the header of such a table, or a row of numbers."""
-    if number == 1:
-        if row[: len(FIRST)] != FIRST or len(set(row)) < len(row):
-            raise ValueError(f"its header does not begin with {','.join(FIRST)}")
-        return
-    if len(row) != len(columns):
-        raise ValueError(f"line {number} has {len(row)} fields, the header {len(columns)}")
-    if any(len(field) > LONGEST for field in row):
-        raise ValueError(f"line {number} has a field of more than {LONGEST} characters")
-    if min(int(row[0]), int(row[1])) < 0:
-        raise ValueError(f"line {number}: found {row[0]} epochs and {row[1]} steps, allowed 0 or more")
-    for column, field in zip(columns, row, strict=True):
+def _checked(row: Row, before: tuple[int, int]) -> tuple[int, int]:
+    """Epoch and steps of a row; ValueError where it is none, or does not follow those `before`."""
+    if None in row or None in row.values():  # as csv.DictReader has it
+        raise ValueError("found more or fewer fields than the header has")
+    if any(len(field) > LONGEST for field in row.values()):
+        raise ValueError(f"found a field of more than {LONGEST} characters")
+    now = int(row["epoch"]), int(row["env_steps"])
+    if now[0] <= before[0] or now[1] < before[1]:
+        raise ValueError(f"epoch and steps do not follow: found {now} after {before}")
+    for column, field in row.items():
         value = float(field or 0)
         if column.endswith(SHARE) and not (0 <= value <= 1 or math.isnan(value)):
-            raise ValueError(f"line {number}: {column}: found {value:g}, allowed from 0 to 1")
+            raise ValueError(f"{column}: found {value:g}, allowed from 0 to 1")
+    return now

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 from ..algos import mpi
-from ..errors import InputError, input_errors
+from ..errors import InputError, extra, input_errors
 from ..runs.cores import free_cores
 from .records import StudyFiles
 from .runner import LOOK, PATIENCE, Ending, RunJob, run_job, threads
@@ -78,9 +78,10 @@ class Engine:
                 yield client.get_executor(pure=False), lambda: sum(client.nthreads().values())
 
     def _client(self) -> Any:
-        try:
+        with extra("cluster"):
+            import dask_jobqueue  # noqa: F401
             from dask.distributed import Client
-
+        try:
             where: Any = self.on.removeprefix(DASK)
             if self.on in BATCH:
                 where = self.cluster()
@@ -91,9 +92,6 @@ class Engine:
                 where.scale(jobs=self.jobs)
             connect: Any = Client  # which has no types
             return connect(where)
-        except ModuleNotFoundError as error:
-            needed = f"--on {self.on} needs {error.name}, which is not installed"
-            raise InputError(f"{needed}: pip install 'tactilerl[cluster]'") from error
         except (OSError, ValueError, RuntimeError) as error:  # no scheduler there, no sbatch here
             raise InputError(f"--on {self.on}: {error}") from error
 

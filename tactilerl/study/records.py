@@ -29,7 +29,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..runs.files import LEFTOVER, MAX_JSON, content, damage_named, replacing, unzip, writable
-from ..runs.progress_csv import Row, whole
+from ..runs.progress_csv import Row, parse
 from ..runs.run_dir import RunDir, as_record
 from ..statistics import Array
 from .grid import Run, Study, from_dict, read
@@ -205,9 +205,7 @@ def _config(data: bytes) -> dict[str, Any]:
 
 
 def _rows(data: bytes) -> tuple[list[Row], str]:
-    """The rows up to the first that no run writes, and what is wrong with that one."""
-    text = data.decode()
-    return whole(list(csv.DictReader(text[: text.rfind("\n") + 1].splitlines())))
+    return parse(data.decode())
 
 
 def _failure(data: bytes) -> str:

@@ -21,7 +21,7 @@ from rich.table import Column
 from ..algos.learner import Learner
 from ..algos.mpi import Communicator
 from ..algos.rollout import FAULTS
-from ..errors import InputError
+from ..errors import extra
 
 SAID = {  # of a run that has had such faults
     "diverged": "the simulation diverged {:.0f} times; those steps were dropped",
@@ -111,10 +111,6 @@ def duration(seconds: float | None) -> str:
 
 def require_tensorboard() -> Any:
     """The class that writes events; InputError naming the extra when it is not installed."""
-    try:
+    with extra("tensorboard"):
         from torch.utils.tensorboard import SummaryWriter
-    except ImportError as error:
-        raise InputError(
-            "--tensorboard needs an extra that is not installed: pip install 'tactilerl[tensorboard]'"
-        ) from error
     return SummaryWriter

@@ -107,13 +107,12 @@ class TestEvaluateWithOtherSensors:
         assert Path("run/config.json").read_text() == before
 
     def test_sweep(self, trained, capsys):
-        given = ["--sweep", "taxel-stuck", "0", "0.5", "1", "--out", "sweep.png"]
+        given = ["--sweep", "taxel-stuck", "0", "0.5", "1"]
         swept = self.evaluated(capsys, *given)
         assert swept["sweep"] == "taxel_stuck"
         assert [point["taxel_stuck"] for point in swept["points"]] == [0, 0.5, 1]
         plain = self.evaluated(capsys)
         assert swept["points"][0]["mean_return"] == plain["mean_return"]
-        assert Path("sweep.png").read_bytes().startswith(b"\x89PNG")
         assert main(["evaluate", "run", "--episodes", "1", "--workers", "1", *given[:3]]) == 0
         assert "taxel-stuck" in capsys.readouterr().out
         assert (
@@ -128,16 +127,12 @@ class TestEvaluateWithOtherSensors:
             (["--sweep", "taxel-dead"], "--sweep taxel-dead: found no values"),
             (["--sweep", "taxel-dead", "some"], "--sweep taxel-dead: could not convert"),
             (["--sweep", "taxel-dead", "0", "2"], "--sweep: taxel_dead: found 2.0, allowed from 0"),
-            (["--sweep", "taxel-dead", "0", "--out", "a.bmp"], "--out: found 'a.bmp'"),
-            (["--sweep", "taxel-dead", "0", "--out", "no/a.png"], "--out: the folder 'no'"),
-            (["--out", "a.png"], "--out: found without --sweep, allowed only with it"),
             (["--taxel-dead", "-1"], "--taxel-dead: found -1.0, allowed from 0 to 1"),
             (["--history", "2"], "--history"),
         ],
     )
     def test_bad_values_are_one_line(self, given, named, trained, capsys):
         fails_with(capsys, ["evaluate", "run", "--episodes", "1", *given], named)
-        assert not list(Path().glob("*.png"))
 
     def test_a_run_without_a_hand_has_no_sensors(self, capsys):
         learner = ["--algo", "ppo", "--hidden", "8", "--steps-per-epoch", "16", "--n-passes", "1"]

@@ -15,7 +15,7 @@ from study_records import make_study
 import tactilerl
 from tactilerl.commands.cli import main
 from tactilerl.pictures.hand_map import save_picture
-from tactilerl.runs import files, sweep
+from tactilerl.runs import files
 
 TRAIN = ["train", "--env", "lqr", "--hidden", "8", "--steps-per-epoch", "60", "--n-passes", "1"]
 STUDY = """
@@ -67,13 +67,12 @@ WRITERS = {
     "x.jpg": lambda name: main(["render", "--pose", "start", "--out", name]),
     "x.png": lambda name: main(["render", "--pose", "start", "--out", name]),
     "x.mp4": lambda name: main(["render", "examples", "--video", name]),
-    "x.svg": lambda name: main(["evaluate", "shadow", "--sweep", "taxel-dead", "0", "--out", name]),
     "report/report.html": lambda name: main(["study", "report", "study", "--out", "report"]),
     "report/tables/runs.csv": lambda name: main(["study", "report", "study", "--out", "report"]),
     "shipped/config.json": lambda name: shipped("shipped"),
     "shipped/checkpoint.pt": lambda name: shipped("shipped"),
 }
-DRAWN = ("x.jpg", "x.png", "x.mp4", "x.svg")
+DRAWN = ("x.jpg", "x.png", "x.mp4")
 
 
 @pytest.fixture
@@ -86,8 +85,7 @@ def foreign():
 @pytest.mark.parametrize("name", WRITERS)
 def test_the_files_of_others_stay(name, foreign, capsys):
     policies = Path(__file__).parents[2] / "examples/policies"
-    for run in ("examples", "shadow"):
-        os.symlink(policies / "handover_touch", run)
+    os.symlink(policies / "handover_touch", "examples")
     path = Path(name)
     path.parent.mkdir(parents=True, exist_ok=True)
     for there in (
@@ -109,16 +107,12 @@ def test_what_is_ours_is_replaced(name):
     assert Path(name).is_file()
 
 
-@pytest.mark.parametrize("ending", [".png", ".jpg", ".svg", ".pdf"])
+@pytest.mark.parametrize("ending", [".png", ".jpg"])
 def test_a_picture_says_who_made_it(ending):
     path, picture = Path(f"x{ending}"), np.zeros((4, 4, 3), np.uint8)
     for _ in range(2):
-        if ending in sweep.PICTURES[1:]:
-            rows = [{"success_rate": 0.5, "success_rate_ci": [0.4, 0.6]}]
-            sweep.draw("taxel_dead", [0.0], rows, path)
-        else:
-            with files.replacing(path, files.is_picture) as file:
-                save_picture(picture, file, ending)
+        with files.replacing(path, files.is_picture) as file:
+            save_picture(picture, file, ending)
     assert files.is_picture(path)
 
 
