@@ -106,9 +106,10 @@ def _require_within(value: float, interval: str, name: str) -> None:
         return
     if high == "inf":
         allowed = f"{low} or more" if is_from else f"a finite number above {low}"
+    elif is_from:
+        allowed = f"from {low} to {'' if is_to else 'below '}{high}"
     else:
-        end = "up to " if not is_from else "to " if is_to else "to below "
-        allowed = f"from {low} {end}{high}" if is_from else f"above {low}, {end}{high}"
+        allowed = f"above {low}, {'up to' if is_to else 'below'} {high}"
     raise ValueError(f"{name}: found {value}, allowed {allowed}")
 
 

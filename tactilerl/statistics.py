@@ -271,40 +271,6 @@ def sequential_sign_flips(
     return found
 
 
-# -- treatment against control, not in pairs --------------------------------------------------
-
-
-def difference(
-    treatment: Array, control: Array, metric: Metric, drawn: tuple[Array, Array]
-) -> Estimate:
-    """Treatment minus control with its percentile interval; `drawn` are resamples of each."""
-    gaps = bootstrap(treatment, metric, drawn[0]) - bootstrap(control, metric, drawn[1])
-    value = float(aggregate(treatment, metric) - aggregate(control, metric))
-    return Estimate(value, *percentile_interval(gaps))
-
-
-def permutation_p(
-    treatment: Array, control: Array, rng: np.random.Generator, n_resamples: int = N_RESAMPLES
-) -> float:
-    """Two-sided p-value of a difference of means when the labels are exchanged (scipy).
-
-    Exact where there are no more than `n_resamples` ways to deal out the labels; with three runs
-    against three it cannot fall below 0.1. NaN where a group is a single run.
-    """
-    if min(len(treatment), len(control)) < 2:
-        return math.nan
-
-    def statistic(a: Array, b: Array, axis: int) -> Array:
-        # Rounded, for ties that differ in the last bit would count as less extreme.
-        return np.round(a.mean(axis) - b.mean(axis), 12)
-
-    test = scipy.stats.permutation_test(
-        (treatment, control), statistic, vectorized=True, n_resamples=n_resamples, rng=rng,
-        batch=10_000,
-    )  # fmt: skip
-    return float(test.pvalue)
-
-
 # -- several p-values -------------------------------------------------------------------------
 
 

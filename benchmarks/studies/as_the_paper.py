@@ -20,6 +20,7 @@ import numpy as np
 import scipy.stats
 from matplotlib.axes import Axes
 
+from benchmarks.studies.coverage import difference
 from tactilerl import statistics
 from tactilerl.statistics import CONFIDENCE, METRICS, Array, Estimate, Metric
 from tactilerl.study import figures, records, tables
@@ -162,7 +163,7 @@ def comparisons(one: SetupResult, paper: Published | None) -> Table:
         drawn = both[0].counts, both[1].counts
         bounds = [group.estimate("iqm", "converged")[1:] for group in both]
         row = {"Config.": cell, "Runs": " / ".join(str(len(group)) for group in both)}
-        row["Difference of IQMs"] = shown(statistics.difference(a, b, "iqm", drawn), 3)
+        row["Difference of IQMs"] = shown(difference(a, b, "iqm", drawn), 3)
         row["Overlap of CIs"] = _percent(interval_overlap(*bounds))
         row["P(improvement)"] = shown(probability_of_improvement(a, b, drawn))
         if paper:

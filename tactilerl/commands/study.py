@@ -281,13 +281,11 @@ class Compare:
         for one in rows:
             gap = one.pairs.difference
             shown = f"{gap.value:+.3f} ({gap.low:+.3f}–{gap.high:+.3f})"
-            sizes = f"{one.runs[0]} / {one.runs[1]}", f"{one.until:,.0f}", str(len(one.pairs) or "none")
+            sizes = f"{one.runs[0]} / {one.runs[1]}", f"{one.until:,.0f}", str(len(one.pairs))
             p_values = one.pairs.p_value, one.p_holm
             table.add_row(one.place, *sizes, shown, *(f"{p:.3f}" if p == p else "–" for p in p_values))
         console.print(table)
         console.print(f"they differ in: {'; '.join(differing) or 'nothing'}")
-        if any(not len(one.pairs) for one in rows):
-            console.print("note: without common seeds runs are not in pairs, and it takes more of them")
 
 
 @dataclass(frozen=True)

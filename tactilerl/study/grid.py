@@ -30,23 +30,23 @@ import dataclasses
 import itertools
 import math
 import re
-import tomllib
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
+from ..envs import toml_files, typed
+from ..envs.choices import require_one_of
 from ..envs.scenes import renamed
-from ..envs.typed import require
-from ..errors import InputError
-from ..runs.files import MAX_JSON, content, damage_named, require_name
+from ..errors import InputError, input_errors
+from ..runs.files import require_name
 from ..style import ROLES
 
 MEASURES = ("success_rate", "test_success_rate")  # columns of progress.csv that are shares
-KEYS = ("name", "measure", "compare", "primary", "looks", "grid", "setups")
-OWN_KEYS = ("measure", "compare", "grid")  # of a set-up, besides flags
-TAKEN = ("seed", "out", "resume", "workers", "threads", "tensorboard", "trust", "help", "import")
+KEYS = {"name", "measure", "compare", "primary", "looks", "grid", "setups"}
+OWN_KEYS = {"measure", "compare", "grid"}  # of a set-up, besides flags
+TAKEN = {"seed", "out", "resume", "workers", "threads", "tensorboard", "trust", "help", "import"}
 SEED = "seed"
 FLAG = re.compile(r"[a-z][a-z0-9_-]*")
 NUMBER = re.compile(r"-\.?\d.*")  # begins as a flag does, but is none
@@ -71,7 +71,7 @@ class Primary:
 class Looks:
     """When a study looks at its primary comparisons, and what ends one."""
 
-    pairs: list[int] = field(default_factory=lambda: [6, 9, 12, 16])
+    pairs: tuple[int, ...] = (6, 9, 12, 16)
     """Seeds that have been run by then; the last look is at all of them."""
     alpha: Annotated[float, "(0, 1)"] = 0.05
     """Error of all looks together; as much of it may be spent as seeds have been run (`spent`)."""
@@ -79,10 +79,11 @@ class Looks:
     """A comparison ends, too, where a difference of so much is ruled out, either way."""
 
     def validate(self) -> None:
-        """InputError unless the looks follow one another."""
-        if sorted(set(self.pairs)) != self.pairs or min(self.pairs, default=0) < 2:
-            raise InputError(
-                f"looks.pairs: found {self.pairs}, allowed increasing numbers, such as [6, 9, 12, 16]"
+        """ValueError unless the looks follow one another."""
+        if sorted(set(self.pairs)) != list(self.pairs) or min(self.pairs, default=0) < 2:
+            found = f"found {list(self.pairs)}"
+            raise ValueError(
+                f"looks: pairs: {found}, allowed increasing numbers, such as [6, 9, 12, 16]"
             )
 
     def spent(self, n_comparisons: int) -> list[float]:
@@ -206,7 +207,7 @@ class Study:
         ]
         name, times = Counter(run.name for run in runs).most_common(1)[0]
         if times > 1:
-            raise InputError(
+            raise ValueError(
                 f"grid: {times} runs would be called {name!r}; their values must differ more"
             )
         return runs
@@ -237,18 +238,20 @@ class Study:
         return told
 
     def validate(self) -> None:
-        """InputError naming the first thing that the parts allow, but not together."""
+        """ValueError naming the first thing that the parts allow, but not together."""
         require_name(self.name, "name")
+        if self.looks:
+            self.looks.validate()
         for setup in self.setups:
             if self.looks and setup.compare and len(setup.seeds) != self.looks.pairs[-1]:
-                raise InputError(
-                    f"looks.pairs: found {self.looks.pairs}, but {setup.name} has "
+                raise ValueError(
+                    f"looks: pairs: found {list(self.looks.pairs)}, but {setup.name} has "
                     f"{len(setup.seeds)} seeds; the last look is at all of them"
                 )
         n_runs = sum(len(one.seeds) * math.prod(map(len, one.grid.values())) for one in self.setups)
         if n_runs > MOST_RUNS:
             allowed = f"allowed are up to {MOST_RUNS:,} runs in a study"
-            raise InputError(f"setups: found {n_runs:,} runs, {allowed}")
+            raise ValueError(f"setups: found {n_runs:,} runs, {allowed}")
         for run in self.runs():  # of which no two have the same name
             require_name(run.name, "the name of a run")
 
@@ -266,116 +269,100 @@ def from_dict(data: Any) -> Study:
     for one in data["setups"]:
         setup = Setup(**{**one, "compare": one["compare"] and Contrast(**one["compare"])})
         for part in filter(None, (setup, setup.compare)):
-            require(type(part), vars(part))
+            typed.require(type(part), vars(part))
         pair = setup.compare and {setup.compare.flag: [setup.compare.treatment, setup.compare.control]}
         grid = {**setup.grid, SEED: list(setup.seeds)}
         parts = {"measure": setup.measure, "compare": pair or {}, "grid": grid}
         tables[setup.name] = {**setup.flags, **parts}
     if len(tables) < len(data["setups"]):
-        raise InputError("setups: found one twice")
+        raise ValueError("setups: found one twice")
     known = {key: data[key] for key in ("primary", "looks") if data.get(key) is not None}
     return _study({"name": data["name"], "setups": tables, **known})  # 0.2.0 had neither of `known`
 
 
 def read(path: Path) -> Study:
     """Read and check a study file; InputError, one line, for everything that is wrong with it."""
-    with damage_named(path, "not a study file", f"{path}: there is no such study file"):
-        return _study(tomllib.loads(content(path, MAX_JSON).decode("utf-8")))
+    with input_errors():
+        data = toml_files.read(path, "study file")
+        with toml_files.blamed(str(path)):
+            return _study(data)
 
 
 def _study(data: dict[str, Any]) -> Study:
-    for key in data:
-        _one_of(key, KEYS, "study file")
-    setups = _table(data, "setups")
+    toml_files.only(data, KEYS, "study file")
+    setups = toml_files.table(data, "setups")
     if not setups:
-        raise InputError("setups: found none, expected one or more tables [setups.NAME]")
-    looks = _part(data, "looks", Looks) if "looks" in data else None
-    if looks is not None:
-        looks.validate()
-    study = Study(
-        data.get("name"),  # type: ignore[arg-type]
-        [_setup(key, setups, data) for key in setups],
-        _part(data, "primary", Primary),
-        looks,
-    )
+        raise ValueError("setups: found none, expected one or more tables [setups.NAME]")
+    found = []
+    for name in setups:
+        with toml_files.blamed(f"setups.{name}"[:60]):
+            found.append(_setup(name, toml_files.table(setups, name), data))
+    looks = _part(Looks, data, "looks") if "looks" in data else None
+    study = Study(data.get("name"), found, _part(Primary, data, "primary"), looks)  # type: ignore[arg-type]
     study.validate()
     return study
 
 
-def _part(data: dict[str, Any], key: str, kind: type[Part]) -> Part:
+def _part(kind: type[Part], data: dict[str, Any], key: str) -> Part:
     """A table that has a dataclass of its own."""
-    table = _table(data, key)
-    for name in table:
-        _one_of(name, tuple(one.name for one in dataclasses.fields(kind)), key)
-    part = kind(**table)
-    try:
-        require(kind, vars(part))
-    except ValueError as error:
-        raise InputError(f"{key}.{error}") from error
-    return part
+    given = toml_files.table(data, key, typed.names(kind))
+    with toml_files.blamed(key):
+        return typed.make(kind, vars(kind()) | given, key)
 
 
-def _setup(name: str, setups: dict[str, Any], study: dict[str, Any]) -> Setup:
-    where = f"setups.{name}"
-    require_name(name, where[:60])
-    own = _table(setups, name, "setups.")
-    flags = _flags({key: value for key, value in own.items() if key not in OWN_KEYS}, where)
-    source = where + ".grid" if "grid" in own else "grid"
-    grid = _grid(_table(own if "grid" in own else study, "grid"), source)
-    seeds = _seeds(grid.pop(SEED, [0]), source)
-    for flag in grid:
-        if flag in flags:
-            raise InputError(f"{where}.{flag}: found in the set-up and in {source}, allowed in one")
+def _setup(name: str, own: dict[str, Any], study: dict[str, Any]) -> Setup:
+    require_name(name, "name")
+    grid = _grid(toml_files.table(own if "grid" in own else study, "grid"))
+    seeds = _seeds(grid.pop(SEED, [0]))
+    flags = _flags({key: value for key, value in own.items() if key not in OWN_KEYS}, TAKEN)
+    if both := sorted(flags.keys() & grid.keys()):
+        raise ValueError(f"{both[0]}: found in the set-up and in its grid, allowed in one")
     measure = own.get("measure", study.get("measure", MEASURES[0]))
-    _one_of(measure, MEASURES, "measure")
-    compare = _compare(_table(own if "compare" in own else study, "compare"), grid)
+    require_one_of(MEASURES, measure, "measure")
+    compare = _compare(toml_files.table(own if "compare" in own else study, "compare"), grid)
     return Setup(name, flags, grid, seeds, compare, measure)
 
 
-def _flags(table: dict[str, Any], where: str, taken: Sequence[str] = TAKEN) -> dict[str, Any]:
+def _flags(table: dict[str, Any], taken: set[str]) -> dict[str, Any]:
     """Values by the names of their flags, with underscores, as in config.json."""
     flags = {}
     for key, value in table.items():
-        flag = _flag(key, where)
+        flag = _flag(key)
         if flag in taken:
             decided = "is decided by `tactilerl study`; leave it out"
-            reason = "belongs in the grid" if flag == SEED else decided
-            raise InputError(f"{where}.{key}: {reason}")
-        _require_values(value, f"{where}.{key}")
+            raise ValueError(f"{key}: {'belongs in the grid' if flag == SEED else decided}")
+        _require_values(value, key)
         flags[flag] = value
     return flags
 
 
-def _grid(table: dict[str, Any], where: str) -> dict[str, list[Any]]:
-    for key, value in table.items():
-        if value == []:
-            raise InputError(f"{where}.{key}: found no values, expected one or more")
-        (label, times), *_ = Counter(map(text, _as_list(value))).most_common(1)
+def _grid(table: dict[str, Any]) -> dict[str, list[Any]]:
+    grid = {flag: _as_list(value) for flag, value in _flags(table, TAKEN - {SEED}).items()}
+    for flag, values in grid.items():
+        if not values:
+            raise ValueError(f"grid: {flag}: found no values, expected one or more")
+        (label, times), *_ = Counter(map(text, values)).most_common(1)
         if times > 1:
-            raise InputError(f"{where}.{key}: found {label[:60]} twice")
-    flags = _flags(table, where, [name for name in TAKEN if name != SEED])
-    return {flag: _as_list(value) for flag, value in flags.items()}
+            raise ValueError(f"grid: {flag}: found {label[:60]} twice")
+    return grid
 
 
 def _as_list(value: Any) -> list[Any]:
     return value if isinstance(value, list) else [value]
 
 
-def _seeds(values: list[Any], where: str) -> list[int]:
+def _seeds(values: list[Any]) -> list[int]:
     seeds: list[int] = []
-    for value in values:
-        for part in str(value).split(","):
-            match = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+))?\s*", part)
-            first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
-            if last < first:
-                raise InputError(
-                    f'{where}.seed: found {value!r}, expected numbers and ranges, such as "0-9"'
-                )
-            if len(seeds) + last - first >= MOST_RUNS:
-                raise InputError(f"{where}.seed: found {value!r}, allowed up to {MOST_RUNS:,} seeds")
-            seeds += range(first, last + 1)
+    for part in ",".join(map(str, values)).split(","):
+        match = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+))?\s*", part)
+        first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
+        if last < first:
+            raise ValueError(f'seed: found {part!r}, expected numbers and ranges, such as "0-9"')
+        if len(seeds) + last - first >= MOST_RUNS:
+            raise ValueError(f"seed: found {part!r}, allowed up to {MOST_RUNS:,} seeds")
+        seeds += range(first, last + 1)
     if len(set(seeds)) < len(seeds):
-        raise InputError(f"{where}.seed: found a seed twice in {values!r}")
+        raise ValueError(f"seed: found a seed twice in {values!r}")
     return seeds
 
 
@@ -384,51 +371,37 @@ def _compare(table: dict[str, Any], grid: dict[str, list[Any]]) -> Contrast | No
         return None
     (key, pair), *others = table.items()
     if others or not isinstance(pair, list) or len(pair) != 2:
-        raise InputError(
+        raise ValueError(
             f"compare: found {table!r}, expected one flag with [treatment, control], "
             'such as touch = ["on", "off"]'
         )
-    flag = _flag(key, "compare")
-    allowed = [text(value) for value in grid.get(flag, [])]
-    for value in pair:
-        if text(value) not in allowed:
-            found = ", ".join(allowed) or "nothing"
-            raise InputError(f"compare.{key}: found {value!r}, but the grid's {flag} has {found}")
-    if text(pair[0]) == text(pair[1]):
-        raise InputError(f"compare.{key}: found {pair[0]!r} as treatment and as control")
-    return Contrast(flag, text(pair[0]), text(pair[1]))
+    flag, (treatment, control) = _flag(key), map(text, pair)
+    if flag not in grid:
+        raise ValueError(f"compare: found {key!r}, which is not in the grid")
+    for value in (treatment, control):
+        require_one_of(map(text, grid[flag]), value, f"compare: {key}")
+    if treatment == control:
+        raise ValueError(f"compare: {key}: found {control!r} as treatment and as control")
+    return Contrast(flag, treatment, control)
 
 
-def _table(data: dict[str, Any], key: str, where: str = "") -> dict[str, Any]:
-    table = data.get(key, {})
-    if not isinstance(table, dict):
-        raise InputError(f"{where}{key}: found {table!r}, expected a table")
-    return table
-
-
-def _one_of(value: Any, allowed: tuple[str, ...], where: str) -> None:
-    if value not in allowed:
-        raise InputError(f"{where}: found {value!r}, allowed: {', '.join(allowed)}")
-
-
-def _flag(key: str, where: str) -> str:
+def _flag(key: str) -> str:
     """A flag's name with underscores, as in config.json; dashes are read as well."""
     if not FLAG.fullmatch(key):
-        raise InputError(f"{where}: found {key[:60]!r}, expected the name of a flag, such as layout")
+        raise ValueError(f"found {key[:60]!r}, expected the name of a flag, such as layout")
     return key.replace("-", "_")
 
 
 def _require_values(value: Any, where: str) -> None:
-    """InputError unless it is a value of a flag, or a list of such; a text like a flag is none."""
+    """ValueError unless it is a value of a flag, or a list of such; a text like a flag is none."""
     if isinstance(value, list):
         for one in value:
             _require_values(one, where)
     elif not isinstance(value, bool | int | float | str):
-        raise InputError(
-            f"{where}: found a {type(value).__name__}, expected a value, or a list of them"
-        )
+        found = type(value).__name__
+        raise ValueError(f"{where}: found a {found}, expected a value, or a list of them")
     elif isinstance(value, str) and value.startswith("-") and not NUMBER.fullmatch(value):
-        raise InputError(f"{where}: found {value[:60]!r}, expected a value, not a flag")
+        raise ValueError(f"{where}: found {value[:60]!r}, expected a value, not a flag")
 
 
 def text(value: Any) -> str:

@@ -16,7 +16,7 @@ import numpy as np
 from .. import statistics
 from ..errors import InputError
 from .records import Record, load
-from .verdicts import SEED, BySeed, Pairs, in_pairs, scored, span
+from .verdicts import Pairs, in_pairs, scored, span
 
 UNTOLD = ("seed", "workers", "threads", "tensorboard")
 Place = tuple[str, ...]
@@ -32,7 +32,7 @@ class Row:
     until: float
     """Steps over which they are compared: those of the shortest run."""
     pairs: Pairs
-    """Of the seeds that both have; where there are none, the difference of means is not in pairs."""
+    """Of the seeds that both have."""
     p_holm: float
 
     def as_dict(self) -> dict[str, Any]:
@@ -79,9 +79,10 @@ def compare(a: Part, b: Part, score: str) -> list[Row]:
                 f"compare: a run has its first epoch at {begin:,.0f} steps, another its last at "
                 f"{end:,.0f}: found no steps that all have"
             )
-        one, other = scored(score, *both)
-        compared = in_pairs([one, other]) if one.keys() & other.keys() else _apart(one, other)
-        rows.append(Row(" ".join(at_a) or "all", (len(one), len(other)), end, compared, np.nan))
+        compared, place = in_pairs(scored(score, *both)), " ".join(at_a) or "all"
+        if not len(compared):
+            raise InputError(f"compare: {place}: found no seed that both have, needed for pairs")
+        rows.append(Row(place, (len(both[0]), len(both[1])), end, compared, np.nan))
     corrected = statistics.holm([row.pairs.p_value for row in rows])
     return [replace(row, p_holm=float(p)) for row, p in zip(rows, corrected, strict=True)]
 
@@ -97,12 +98,3 @@ def differing(a: Part, b: Part) -> list[str]:
     names = [name for name in flat[0] | flat[1] if name not in UNTOLD]
     values = {name: [one.get(name) for one in flat] for name in names}
     return [f"{name} {x} − {y}" for name, (x, y) in values.items() if x != y]
-
-
-def _apart(a: BySeed, b: BySeed) -> Pairs:
-    """Runs that share no seed."""
-    one, other = (np.array(list(group.values())) for group in (a, b))
-    rng = np.random.default_rng(SEED)
-    drawn = statistics.resample(rng, len(one)), statistics.resample(rng, len(other))
-    gap = statistics.difference(one, other, "mean", drawn)
-    return Pairs([], one, other, gap, statistics.permutation_p(one, other, rng))
