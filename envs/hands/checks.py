@@ -13,7 +13,7 @@ from .hand import SLIDES, Hand
 from .parts import Parts, posed
 
 NUDGE, STILL, MOST_MOVED = 0.02, 0.4, 0.2  # rad, s, rad: of a hand that should hang still
-CLOSING, LOOKS = 2.0, 20  # s
+CLOSING, LOOKS = 1.0, 20  # s; a scripted grasp takes that long
 PRESS, REACHED = 0.3, 0.7  # N at each fingertip, and the share of its way that a servo goes against it
 GROUND = "ground of the check"
 DEEP, ALIKE = 0.01, 0.5  # m, and cosine between palmar sides: of digits that may be in each other
@@ -35,7 +35,8 @@ def examine(hand: Hand, parts: Parts, timestep: float) -> tuple[str, ...]:
     _require_above_ground(hand, model)
     data, reached = _closed(hand, model, timestep)
     _require_apart(hand, model, data)
-    return _weak(hand, reached)
+    own = parts.raw.actuators and not parts.replaced
+    return _weak(hand, reached) if own else ()
 
 
 def _begun(hand: Hand, model: mujoco.MjModel, nudge: float = 0.0) -> tuple[mujoco.MjData, Array, Array]:

@@ -14,6 +14,7 @@ from ctypes.util import find_library
 import mujoco
 import numpy as np
 
+from ..hands import models
 from ..hands.servos import hold
 from ..state import Array, Contacts, Shape, State
 from . import Camera, Giver, Scene, Sensor, SimulationError, Simulator, Sphere, joint_limits
@@ -147,7 +148,7 @@ class MujocoSimulator(Simulator):
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self.model = build_spec(scene).compile()
+        self.model = models.compiled(build_spec(scene))
         # A diverged state is reported, not silently replaced by the start of the episode.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self.data = mujoco.MjData(self.model)

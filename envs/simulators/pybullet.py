@@ -1,6 +1,6 @@
 """The scene in PyBullet.
 
-Bullet has no tendons, armature or position servos of its own. Here coupled joints get
+Bullet has no tendons, armature or position servos of its own. Here joints on one tendon get
 targets of their own, motors are Bullet's velocity constraints with the model's force limits,
 the hand feels no gravity (gravity is a force on the object alone), and links, which are too
 light for Bullet's solver, get some rotational inertia.
@@ -25,6 +25,8 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..hands import models
+from ..hands.hand import Coupling
 from ..state import Array, Contacts, Shape, State, places
 from . import Camera, Scene, SimulationError, Simulator, Sphere, joint_limits, urdf
 from .mujoco import MujocoSimulator
@@ -47,7 +49,7 @@ GRAVITY = 9.81
 ENGINE = {"numSolverIterations": 50, "deterministicOverlappingPairs": 1}
 LOADING = pybullet.URDF_USE_INERTIA_FROM_FILE
 TINY = 1e-9
-RIGID = 100.0  # how much more force than its driver's motor has what follows by an equality
+GEAR_ERP, GEAR_FORCE = 0.5, 1e3  # of an error that a step takes back, and N m, of coupled joints
 JOINT_DAMPING = 0.01  # N m s/rad
 SPINNING_FRICTION = 0.005  # m, of the object's contacts
 FRICTION_ANCHOR = 1  # contacts remember where they stick; without, held objects creep
@@ -69,7 +71,7 @@ class PyBulletSimulator(Simulator):
 
     def __init__(self, scene: Scene) -> None:
         self.scene, hand = scene, scene.hand
-        self.model = scene.build_hand(visual=False).compile()
+        self.model = models.compiled(scene.build_hand(visual=False))
         self.joint_limits = joint_limits(self.model, hand)
         self.client = pybullet.connect(pybullet.DIRECT)
         if self.client < 0:
@@ -113,6 +115,20 @@ class PyBulletSimulator(Simulator):
         self._body(mass=0.0, friction=1.0, shapeType=pybullet.GEOM_PLANE)
         self.object = self._body(mass=scene.mass, friction=scene.friction, **_measures(scene.shape))
         self._set_dynamics()
+        for coupling in scene.hand.couplings:
+            if coupling.is_rigid:
+                self._gear(coupling)
+
+    def _gear(self, coupling: Coupling) -> None:
+        """Have two joints move as one, whichever of them is pushed."""
+        follower, driver = (self._joint_index[name] for name in coupling[:2])
+        bullet, hand, origin = self._bullet, self.hand, [0.0, 0.0, 0.0]
+        bullet.setJointMotorControl2(hand, follower, pybullet.VELOCITY_CONTROL, force=0.0)
+        gear = bullet.createConstraint(
+            hand, follower, hand, driver, pybullet.JOINT_GEAR, [0.0, 0.0, 1.0], origin, origin
+        )
+        law = {"gearRatio": -coupling.ratio, "relativePositionTarget": coupling.offset}
+        bullet.changeConstraint(gear, **law, erp=GEAR_ERP, maxForce=GEAR_FORCE)
 
     def _body(self, mass: float, friction: float, **shape: Any) -> int:
         bullet = self._bullet
@@ -150,20 +166,14 @@ class PyBulletSimulator(Simulator):
             limits.append(float(servo.forcerange[1] if servo.forcelimited[0] else unlimited) * arm)
             stiffness = servo.gainprm[0] * arm
             gains.append(min(1.0, float(stiffness / max(damping, TINY)) * self.scene.timestep))
-        self._drivers = [hand.actuated.index(each.driver) for each in hand.couplings]
-        self._ratios = np.array([each.ratio for each in hand.couplings])
-        self._offsets = np.array([each.offset for each in hand.couplings])
-        motors = [self._joint_index[joint] for joint in hand.actuated]
-        rigid = [k for k, each in enumerate(hand.couplings) if each.is_rigid]
-        self._rigid = np.array(rigid, int)
-        followers = [self._joint_index[each.joint] for each in hand.couplings]
-        self._followers = [followers[k] for k in rigid]
-        self._leaders = [motors[self._drivers[k]] for k in rigid]
+        soft = [each for each in hand.couplings if not each.is_rigid]
+        self._drivers = [hand.actuated.index(each.driver) for each in soft]
+        self._ratios = np.array([each.ratio for each in soft])
+        self._offsets = np.array([each.offset for each in soft])
         for figures in (gains, limits):
             figures += [figures[driver] for driver in self._drivers]
-        for k in rigid:  # what follows by an equality does not yield
-            gains[len(motors) + k], limits[len(motors) + k] = 1.0, RIGID * limits[len(motors) + k]
-        return [*motors, *followers], gains, limits
+        motors = [*hand.actuated, *(each.joint for each in soft)]
+        return [self._joint_index[joint] for joint in motors], gains, limits
 
     # -- running -----------------------------------------------------------------------------
 
@@ -207,25 +217,10 @@ class PyBulletSimulator(Simulator):
             positionGains=self._gains, forces=self._forces,
         )  # fmt: skip
         for _ in range(n_substeps):  # external forces last one step
-            if self._followers:
-                self._lead()
             position, _ = bullet.getBasePositionAndOrientation(self.object)
             force = self._weight if self._rest is None else self._pull(np.array(position))
             bullet.applyExternalForce(self.object, -1, force, position, pybullet.WORLD_FRAME)
             bullet.stepSimulation()
-
-    def _lead(self) -> None:
-        """Have what follows by an equality go where its driver goes."""
-        states = self._bullet.getJointStates(self.hand, self._leaders)
-        places, speeds = (np.array([state[k] for state in states]) for k in (0, 1))
-        ratios, first = self._ratios[self._rigid], len(self.scene.hand.actuated)
-        chosen = first + self._rigid
-        self._bullet.setJointMotorControlArray(
-            self.hand, self._followers, pybullet.POSITION_CONTROL,
-            targetPositions=(ratios * places + self._offsets[self._rigid]).tolist(),
-            targetVelocities=(ratios * speeds).tolist(), positionGains=np.ones(len(chosen)).tolist(),
-            forces=[self._forces[k] for k in chosen],
-        )  # fmt: skip
 
     def _pull(self, position: Array) -> Array:
         """The giver's force (3,) on the object, N, whose weight is carried; the spring's rest point

@@ -95,25 +95,32 @@ def _write(read: HandFlags) -> None:
     model = read.model
     if ":" not in model:
         model = os.path.relpath(model, read.out.absolute().parent)
-    for _ in range(2):
-        text, notes = sandbox.describe(model, read.out.parent, said)
-        with replacing(read.out, is_ours) as file:
-            file.write((MARK + text).encode())
-        try:
-            hand = hands.get(str(read.out))
-            bad = next((note for note in hand.notes if "weak or slow" in note), "")
-        except ValueError as error:
-            bad = str(error) if "hang still" in str(error) else ""
-            if not bad or said.get("servos"):
-                raise
-        for note in notes:
-            console.print(f"note: {note}")
-        if not bad or "servos" in said:
-            return
-        said = {**said, "servos": "library"}
-        console.print(
-            f"note: {bad.partition(': model: ')[2] or bad}: the joints get the library's servos"
-        )
+    notes = _written(read.out, model, said)
+    if bad := _servos_fail(read.out):
+        notes = _written(read.out, model, {**said, "servos": "library"})
+        notes.append(f"{bad}: the joints get the library's servos")
+        hands.get(str(read.out))
+    for note in notes:
+        console.print(f"note: {note}")
+
+
+def _written(path: Path, model: str, said: dict[str, Any]) -> list[str]:
+    """Notes on what was guessed."""
+    text, notes = sandbox.describe(model, path.parent, said)
+    with replacing(path, is_ours) as file:
+        file.write((MARK + text).encode())
+    return notes
+
+
+def _servos_fail(path: Path) -> str:
+    """How the model's own servos fail, "" where they do not."""
+    try:
+        notes = hands.get(str(path)).notes
+        return next((note.partition(";")[0] for note in notes if "weak or slow" in note), "")
+    except ValueError as error:
+        if "hang still" not in str(error):
+            raise
+        return str(error).rpartition("model: ")[2].partition(";")[0]
 
 
 def is_ours(path: Path) -> bool:

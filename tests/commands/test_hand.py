@@ -1,5 +1,6 @@
 """`tactilerl hand`: the file of a hand from its model."""
 
+import math
 import sys
 import tomllib
 from pathlib import Path
@@ -59,6 +60,38 @@ def test_a_gripper():
     assert about["palmar"] == [0, 0, -1]
     assert abs(about["fingers"][1]) == 1
     assert all(angle > 0 for angle in about["closed"].values())
+
+
+def test_a_gripper_that_is_open_at_the_end_of_its_slides():
+    slides = MODEL
+    for s in (-1, 1):
+        turns = f'axis="0 {s} 0" range="0 1.5"'
+        slides = slides.replace(turns, f'type="slide" axis="0 0 {s}" range="0 0.03"', 1)
+    about, _ = guessed(slides)
+    assert about["opened"]["l_a"] == about["opened"]["r_a"] == 0.03
+    assert about["closed"]["l_a"] == about["closed"]["r_a"] == 0
+
+
+def test_digits_around_a_palm_close_on_each_other():
+    """What turns them about the palm spreads them, whatever its range; none of three is a thumb, but
+    one that is alone against two."""
+    finger = """<body name="f{k}_0" pos="{x} {y} -0.015" euler="0 0 {turn}"><joint name="f{k}_spread"
+    range="0 3"/><geom size="0.008"/><body name="f{k}_1" euler="0 1.5708 0"><joint name="f{k}_a"
+    axis="0 1 0" range="-1.5 1.5"/><geom type="capsule" size="0.008" fromto="0 0 0 0.07 0 0"/>
+    </body></body>"""
+    for turns, names in (
+        ((0.0, 2.094, -2.094), ["index", "middle", "ring"]),
+        ((0.3, -0.3, 3.1416), ["index", "middle", "thumb"]),
+    ):
+        around = "".join(
+            finger.format(k=k, turn=turn, x=0.05 * math.cos(turn), y=0.05 * math.sin(turn))
+            for k, turn in enumerate(turns)
+        )
+        about, _ = guessed(MODEL.replace(FINGERS, around))
+        assert list(about["digits"]) == names
+        assert about["palmar"] == [0, 0, -1]
+        assert list(about["closed"]) == ["f0_a", "f1_a", "f2_a"]
+        assert all(angle > 0.1 for angle in about["closed"].values())
 
 
 def test_an_arm_is_cut_off_and_dummies_are_left_out():

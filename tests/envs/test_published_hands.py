@@ -107,6 +107,19 @@ class TestCouplings:
         for n in "lr":
             assert found[f"{n}_b"] == pytest.approx(0.3 + 0.8 * found[f"{n}_a"], abs=0.02)
 
+    def test_who_pushes_a_follower_pushes_its_driver(self, made):
+        """So that fingers hold an object as hard in both simulators."""
+        path, forces = made(coupled("0.3 0.8"), FOLLOWERS), []
+        for simulator in ("mujoco", "pybullet"):
+            env = GraspEnv(path, setup(path, simulator=simulator, layout="5"))
+            env.reset(seed=0)
+            for targets in scripted.legs(env, scripted.grasp_for(env), 0.05)[1]:
+                env.step_to(targets)
+            forces.append(float(env.simulator.state().contacts.forces.sum()))
+            env.close()
+        assert forces[0] > 10
+        assert forces[1] == pytest.approx(forces[0], rel=0.1)
+
     def test_curves_are_refused_by_name(self, made):
         model = coupled("0 1").replace("0 1 0 0 0", "0 1 0.2 0 0")
         with pytest.raises(
