@@ -52,7 +52,7 @@ class Learner:
     def __init__(
         self,
         env: Env,
-        *others: Any,
+        *,
         seed: int = 0,
         workers: int | None = None,
         device: str = "cpu",
@@ -74,11 +74,6 @@ class Learner:
 
         Raises ValueError, in one line, for an invalid argument.
         """
-        if others:
-            found = ", ".join(type(each).__name__ for each in (env, *others))
-            raise ValueError(
-                f"found {found}, allowed the environment alone; `hidden` sets the networks"
-            )
         typed.require_type(recipe, str, "recipe")
         defaults = recipes.recipe(self.algo, recipe)
         options = dict(seed=seed, workers=workers, device=device, threads=threads)
@@ -102,7 +97,6 @@ class Learner:
         *,
         progress: bool = False,
         callback: Callback | None = None,
-        **unknown: Any,
     ) -> Learner:
         """Learn for `total_timesteps` environment steps, and to the end of the cycle that reaches
         them. Call it again to go on, for `total_timesteps` more; what is annealed ends with this call.
@@ -115,7 +109,6 @@ class Learner:
         Raises DivergenceError (a FloatingPointError) when an observation, a reward, a loss or a
         parameter is no longer finite, and ValueError when the learner cannot use the rewards.
         """
-        require_known(unknown, ("total_timesteps", "progress", "callback"), PEERS)
         if isinstance(total_timesteps, float) and total_timesteps % 1 == 0:  # 1e5
             total_timesteps = int(total_timesteps)
         run = typed.replace(self._run, {"total_timesteps": total_timesteps})

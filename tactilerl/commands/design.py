@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
 from ..envs import layouts
@@ -20,7 +17,7 @@ from ..probe.candidates import Design, DesignFlags
 from ..runs.cores import free_cores
 from ..runs.files import pasted
 from ..terminal import flags
-from ..terminal.console import console
+from ..terminal.console import console, progress
 from ..terminal.help import About
 
 ABOUT = About(
@@ -65,15 +62,12 @@ class Flags(DesignFlags):
 
 def main(args: list[str]) -> int:
     """`tactilerl design --scene handover --taxels 1`"""
-    read = flags.parse(Flags, _gathered(args), "tactilerl design", ABOUT)
+    read = flags.parse(Flags, args, "tactilerl design", ABOUT)
     with input_errors():
         read.validate()
         design_files.require(read.out, read.numbers)
         workers = read.workers or free_cores()
-        screen = Console(stderr=True, quiet=read.json)
-        with Progress(console=screen, transient=True, disable=not screen.is_terminal) as progress:
-            task = progress.add_task("playing starts", total=None)
-            show = lambda done, of: progress.update(task, completed=done, total=of)  # noqa: E731
+        with progress("playing starts", is_shown=not read.json) as show:
             found = design.design(read, workers, show)
         written = design_files.write(found, read.out)
     if read.json:
@@ -84,25 +78,6 @@ def main(args: list[str]) -> int:
         hint = f"    tactilerl train --scene {found.result['scenes'][0]} --layout {pasted(path)}"
         console.print(f"{path}{hint if path.suffix == '.toml' else ''}")
     return 0
-
-
-LISTS = ("--scene", "--only", "--not", "--beside", "--weights")
-
-
-def _gathered(args: Sequence[str]) -> list[str]:
-    """--scene A --scene B is --scene A B; commas are as good as spaces."""
-    rest: list[str] = []
-    lists: dict[str, list[str]] = {}
-    current = rest
-    for arg in args:
-        name, _, value = arg.partition("=")
-        if name in LISTS:
-            current = lists.setdefault(name, [])
-            arg = value
-        elif arg.startswith("--"):
-            current = rest
-        current += [arg] if current is rest else [part for part in arg.split(",") if part]
-    return [*rest, *(part for name, values in lists.items() for part in (name, *values))]
 
 
 def _print(found: Design) -> None:

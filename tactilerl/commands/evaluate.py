@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import sys
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import tyro
-from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
 from ..algos import UnfitError
@@ -25,7 +22,7 @@ from ..runs.config import RunConfig, WorkerCount
 from ..runs.run_dir import RunDir
 from ..runs.training import start_workers
 from ..terminal import flags
-from ..terminal.console import console
+from ..terminal.console import console, progress
 from ..terminal.help import About
 
 ABOUT = About(
@@ -121,15 +118,15 @@ def _play(run: RunConfig, policy: Any, read: EvaluateFlags) -> list[dict[str, An
     """Play an evaluation's episodes; a row each."""
     with input_errors():
         workers = start_workers(run, Communicator(), read.workers)
-    is_shown = sys.stderr.isatty() and not read.json
-    screen = Console(stderr=True)
-    with closing(workers):
-        played = workers.play(evaluation.task(policy, read.stochastic), range(read.episodes))
-        shown = track(played, "playing", read.episodes, console=screen, disable=not is_shown)
+    rows = []
+    with closing(workers), progress("playing", read.episodes, not read.json) as tick:
         try:
-            return [evaluation.row(episode) for episode in shown]
+            for episode in workers.play(evaluation.task(policy, read.stochastic), range(read.episodes)):
+                rows.append(evaluation.row(episode))
+                tick()
         except UnfitError as error:
             raise InputError(str(error)) from error
+    return rows
 
 
 def _table(result: dict[str, Any]) -> Table:

@@ -7,7 +7,6 @@ import json
 from functools import partial
 from typing import Annotated
 
-from rich.progress import Progress
 from rich.table import Table
 
 from ..envs import hands, layouts, typed
@@ -17,7 +16,7 @@ from ..probe import gate
 from ..runs.config import WorkerCount
 from ..runs.cores import free_cores
 from ..terminal import flags
-from ..terminal.console import console
+from ..terminal.console import console, progress
 from ..terminal.help import About
 from .grasps import require_grasp
 from .scene import read_scene, require_scene
@@ -67,11 +66,10 @@ def main(args: list[str]) -> int:
             layouts.load(each.layout).place(hands.get(read.env))
         if scene.task != "handover":
             require_grasp(read.env, scene)
-    with Progress(console=console, transient=True) as progress, input_errors():
-        task = progress.add_task("trying reflexes", total=None)
+    with progress("trying reflexes", is_shown=not read.json) as tick, input_errors():
         examine = partial(
             gate.examine, read.env, starts=read.starts, search=read.search, seed=read.seed,
-            workers=read.workers or free_cores(), tick=lambda: progress.advance(task),
+            workers=read.workers or free_cores(), tick=tick,
         )  # fmt: skip
         rows = examine(scene)
         touch = {each.layout: examine(each, senses=["touch"])[0] for each in beside}

@@ -6,7 +6,6 @@ import hashlib
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import Progress
 
 from ..envs import hands
 from ..envs.grasp import GraspConfig
@@ -17,6 +16,7 @@ from ..pictures import render
 from ..probe import grasp_search
 from ..runs.cores import free_cores
 from ..runs.files import replacing
+from ..terminal.console import progress
 
 LEAST = 0.5  # of the time that an object must be up for a found grasp to be of use
 MARK = "# Found by tactilerl for the file beside it, as long as that stays as it is.\n"
@@ -45,9 +45,8 @@ def found_grasp(name: str, scene: GraspConfig) -> grasp_search.Found | None:
     does not hold."""
     screen = Console(stderr=True, markup=False, soft_wrap=True)
     screen.print(f"{name} has no [[grasp]]: looking for one")
-    with Progress(console=screen, transient=True, disable=not screen.is_terminal) as progress:
-        task = progress.add_task("trying grasps", total=sum(grasp_search.ROUNDS))
-        found = grasp_search.find(name, scene, free_cores(), lambda: progress.advance(task))
+    with progress("trying grasps", sum(grasp_search.ROUNDS)) as tick:
+        found = grasp_search.find(name, scene, free_cores(), tick)
     up, size = (
         f"{100 * found.share:.0f} % of the time",
         f"a {1e3 * found.grasp.object_size:g} mm object",

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import json
-import math
-import sys
-import time
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 from rich import box
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from ..algos import mpi
@@ -20,7 +16,7 @@ from ..envs.grasp import setup
 from ..errors import extra, input_errors
 from ..probe.options import GraspFlags, Options
 from ..terminal import flags, interrupts
-from ..terminal.console import console
+from ..terminal.console import console, progress
 from ..terminal.help import About
 from .grasps import require_grasp
 
@@ -39,7 +35,7 @@ ABOUT = About(
 
 
 def main(args: list[str]) -> int:
-    """`tactilerl probe`: exit 130 when it was interrupted."""
+    """`tactilerl probe`: what was played is kept when it is interrupted."""
     with input_errors():
         scene = flags.peek(args, "--scene", "")
         usual = Options(GraspFlags.of_scene(scene) if scene else GraspFlags())
@@ -56,14 +52,8 @@ def main(args: list[str]) -> int:
             require_grasp(env, setup(env, simulator=read.grasp.simulator or setup(env).simulator))
     with ExitStack() as held:
         is_shown = comm.rank == 0 and not read.output.json
-        with _Bar(read.grasp.grasps, is_shown) as bar:
-            try:
-                with interrupts.in_order():
-                    played, out = run.grasps(read, comm, held, bar.show)
-            except KeyboardInterrupt:
-                kept = f"{bar.done} of {read.grasp.grasps} grasps are kept; repeat the command to go on"
-                print(f"tactilerl: interrupted; {kept}", file=sys.stderr)
-                return 130
+        with progress("grasps", is_shown=is_shown) as show, interrupts.in_order():
+            played, out = run.grasps(read, comm, held, show)
         if comm.rank > 0:
             return 0
         if not read.output.json:
@@ -75,27 +65,6 @@ def main(args: list[str]) -> int:
     else:
         _print(result, out)
     return 0
-
-
-EVERY = 30.0  # s between lines
-
-
-class _Bar(Progress):
-    """Grasps played so far: a bar on a terminal, elsewhere a line now and then."""
-
-    def __init__(self, total: int, is_shown: bool) -> None:
-        screen, self.done, self._n = Console(stderr=True), 0, total
-        columns = (TextColumn("grasps"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        super().__init__(*columns, console=screen, disable=not (is_shown and screen.is_terminal))
-        self._bar = self.add_task("", total=None)
-        self._said = time.monotonic() if is_shown and not screen.is_terminal else math.inf
-
-    def show(self, done: int) -> None:
-        self.done = done
-        if time.monotonic() - self._said > EVERY:
-            self._said = time.monotonic()
-            print(f"grasps {done:,}/{self._n:,}", file=sys.stderr, flush=True)
-        self.update(self._bar, completed=done, total=self._n)
 
 
 ENOUGH = 1_000  # grasps

@@ -1,8 +1,13 @@
 """Where commands write for people: one line stays one line however wide the terminal is."""
 
+from __future__ import annotations
+
 import textwrap
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 console = Console(highlight=False, soft_wrap=True, markup=False)
 COLUMNS = 100
@@ -14,3 +19,22 @@ def paragraph(label: str, text: str) -> str:
         text, COLUMNS, initial_indent=f"  {label:8} ", subsequent_indent=11 * " ",
         break_long_words=False, break_on_hyphens=False,
     )  # fmt: skip
+
+
+@contextmanager
+def progress(
+    what: str, total: int | None = None, is_shown: bool = True
+) -> Iterator[Callable[..., None]]:
+    """A bar on standard error, where that is a terminal. Calls of what it yields say how much is done,
+    and perhaps of how much; without arguments, one more."""
+    screen = Console(stderr=True)
+    columns = TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    with Progress(
+        *columns, console=screen, transient=True, disable=not (is_shown and screen.is_terminal)
+    ) as bar:
+        task = bar.add_task("", total=total)
+
+        def show(done: int | None = None, of: int | None = None) -> None:
+            bar.update(task, completed=done, total=of, advance=1 if done is None else None)
+
+        yield show
