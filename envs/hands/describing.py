@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..state import Array
-from . import branches, mounting, servos
+from . import branches, models, mounting, servos
 from .branches import Chain
 from .checks import touching
 from .hand import DIGITS
@@ -57,6 +57,11 @@ class Guess:
         self.data: dict[str, Any] = {"model": self.model, **self.said}
         if self.data.pop("servos", None):  # the library's
             self._leave_out([actuator.name for actuator in self._unfused().actuators])
+        roots = list(models.read(self._asked().model).worldbody.bodies)
+        if len(roots) > 1 and any(map(mounting.is_loose, roots)):
+            root = max(roots, key=lambda body: len(list(body.find_all("joint"))))
+            self.data["root"] = root.name
+            self.notes.append(f"root: left out what is beside {root.name}")
         if empty := [body.name for body in mounting.weightless(self._unfused())]:
             self._leave_out(empty)
             self.notes.append(f"drop: left out links without mass or shape: {', '.join(empty)}")
@@ -68,8 +73,11 @@ class Guess:
         self.parts = Parts(self.data, self.folder)
         self.compiled, self.palm = self.parts.model, self.parts.palm_frame.link
 
+    def _asked(self) -> mounting.Mount:
+        return Parts({"palm": None, **self.data}, self.folder).asked
+
     def _unfused(self) -> Any:
-        return Parts({"palm": None, **self.data}, self.folder).asked.unfused()
+        return self._asked().unfused()
 
     def _leave_out(self, names: list[str]) -> None:
         self.data["drop"] = [*self.data.get("drop", []), *names]

@@ -214,7 +214,7 @@ def _with_one_root(spec: mujoco.MjSpec, root: str = "") -> mujoco.MjSpec:
         return _cut_off(spec, root)
     if len(roots) == 1:
         return spec
-    if not roots or any(joint.type == FREE for root in roots for joint in root.joints):
+    if not roots or any(map(is_loose, roots)):
         found = f"found {len(roots)} bodies at its root ({', '.join(root.name for root in roots)})"
         hint = 'or several that are fixed; leave others out with drop = ["NAME"]'
         raise ValueError(f"model: {found}, allowed one, {hint}")
@@ -271,6 +271,11 @@ def in_loops(spec: mujoco.MjSpec) -> list[str]:
     return [joint.name for joint in spec.joints if joint.parent.name in bodies]
 
 
+def is_loose(body: mujoco.MjsBody) -> bool:
+    """Does it move by itself, or is it moved from outside?"""
+    return bool(body.mocap) or any(joint.type == FREE for joint in body.joints)
+
+
 def is_fixed(body: mujoco.MjsBody) -> bool:
     """To another body, that is: not at the root, and without joints."""
     return body.name != "world" and body.parent.name != "world" and not list(body.joints)
@@ -298,17 +303,21 @@ def _quaternion(rotation: Array) -> Array:
 
 
 def followed(spec: mujoco.MjSpec) -> Iterator[Coupling]:
-    """Where an equality of the model couples two joints; ValueError where not by a straight line."""
+    """Where an equality of the model couples two joints: the second drives, unless only the first has
+    a servo; ValueError where not by a straight line."""
+    driven = {joint for actuator in spec.actuators for joint in servos.arms(spec, actuator)}
     for equality in spec.equalities:
         if equality.type != mujoco.mjtEq.mjEQ_JOINT or not equality.name2 or not equality.active:
             continue
+        joint, driver = equality.name1, equality.name2
         offset, ratio, *higher = (float(value) for value in equality.data[:5])
         if any(higher):
-            found = f"found {equality.name1!r} coupled to {equality.name2!r} by {higher}"
+            found = f"found {joint!r} coupled to {driver!r} by {higher}"
             raise ValueError(f"model: {found} beyond a straight line, allowed 0")
-        first, second = (spec.joint(name).ref for name in (equality.name1, equality.name2))
-        offset += float(first - ratio * second)
-        yield Coupling(equality.name1, equality.name2, ratio, offset, is_rigid=True)
+        offset += float(spec.joint(joint).ref - ratio * spec.joint(driver).ref)
+        if joint in driven and driver not in driven and ratio:
+            joint, driver, offset, ratio = driver, joint, -offset / ratio, 1 / ratio
+        yield Coupling(joint, driver, ratio, offset, is_rigid=True)
 
 
 def turned(palm_in_root: Array, palmar: Array, fingers: Array) -> Array:

@@ -106,6 +106,14 @@ def test_an_arm_is_cut_off_and_dummies_are_left_out():
     assert "a0" not in hands.get("hand.toml").joints
 
 
+def test_what_is_in_a_scene_beside_the_hand_is_left_out():
+    ball = '<body name="ball"><freejoint/><geom size="0.02"/></body>'
+    seen = '<body name="seen" mocap="true"><geom size="0.02"/></body>'
+    about, notes = guessed(MODEL.replace("</worldbody>", f"{ball}{seen}</worldbody>"))
+    assert about["root"] == "palm"
+    assert notes == ["root: left out what is beside palm"]
+
+
 def test_a_urdf_whose_palm_hangs_on_a_frame():
     about, _ = guessed(urdf(), "hand.urdf")
     assert about["palm"] == "palm"

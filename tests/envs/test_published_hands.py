@@ -107,6 +107,15 @@ class TestCouplings:
         for n in "lr":
             assert found[f"{n}_b"] == pytest.approx(0.3 + 0.8 * found[f"{n}_a"], abs=0.02)
 
+    def test_the_joint_that_has_the_servo_drives(self, made):
+        """Whichever of the two the equality names first."""
+        law = "".join(f'<joint joint1="{n}_a" joint2="{n}_b" polycoef="-0.6 2 0 0 0"/>' for n in "lr")
+        servos = "".join(f'<position joint="{n}_a" name="{n}_a" kp="5"/>' for n in "lr")
+        more = f"<equality>{law}</equality><actuator>{servos}</actuator></mujoco>"
+        hand = hands.get(made(MODEL.replace("</mujoco>", more), FOLLOWERS))
+        assert hand.actuated[3:] == ("l_a", "r_a")
+        assert hand.couplings[0] == ("l_b", "l_a", 0.5, pytest.approx(0.3), True)
+
     def test_who_pushes_a_follower_pushes_its_driver(self, made):
         """So that fingers hold an object as hard in both simulators."""
         path, forces = made(coupled("0.3 0.8"), FOLLOWERS), []
