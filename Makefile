@@ -13,7 +13,7 @@ JOBS ?= 3
 export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 
-.PHONY: train policies test test-slow lint bench figures docs clean
+.PHONY: train policies test test-slow lint bench film figures docs clean
 .NOTPARALLEL:
 
 # What training needs: no PyBullet, no MPI, nothing for tests.
@@ -83,6 +83,14 @@ bench: $(BENCHMARKS:%=bench-%)
 bench-%: $(DEVELOPMENT)
 	mkdir -p $(OUT)
 	$(BIN)/python -m benchmarks $* $(FLAGS_$*) --out $(OUT)/$*.json
+
+# README's film; needs ffmpeg.
+TO_GIF := fps=25/3,scale=iw*2/3:-1:flags=area,split[a][b];[a]palettegen[p];[b][p]paletteuse=dither=none
+film: $(DEVELOPMENT)
+	mkdir -p build
+	$(BIN)/tactilerl render examples/policies/handover_touch examples/policies/handover_blind \
+		--hold-seconds 0.5 --azimuth 160 --elevation -10 --video build/film.mp4
+	ffmpeg -v error -y -i build/film.mp4 -vf "$(TO_GIF)" docs/images/handover.gif
 
 figures: $(DEVELOPMENT)
 	$(BIN)/python -m benchmarks figures

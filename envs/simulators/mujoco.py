@@ -50,9 +50,9 @@ def build_spec(scene: Scene) -> mujoco.MjSpec:
         name="ground", type=GEOM.mjGEOM_PLANE, size=[1, 1, 0.1], rgba=[0.8, 0.8, 0.8, 1]
     )
     if scene.visual:
-        _add_sky(spec)
-    spec.worldbody.add_light(pos=[0.1, -0.2, -0.6], dir=[-0.1, 0.2, 0.6], diffuse=[0.5] * 3)
-    spec.worldbody.add_light(pos=[0.3, -0.5, 1.0], dir=[-0.3, 0.5, -1.0], diffuse=[0.8] * 3)
+        _lighten(spec)
+    spec.worldbody.add_light(pos=[0.1, -0.2, -0.6], dir=[-0.1, 0.2, 0.6], diffuse=[0.3] * 3)
+    spec.worldbody.add_light(pos=[0.3, -0.5, 1.0], dir=[-0.3, 0.5, -1.0], diffuse=[0.5] * 3)
     _add_object(spec, scene)
     if scene.giver is not None:
         _add_giver(spec, scene.giver)
@@ -98,12 +98,14 @@ def _add_object(spec: mujoco.MjSpec, scene: Scene) -> None:
         condim=4,
         friction=[scene.friction, 0.005, 0.001],
         priority=1,  # else MuJoCo takes the larger friction of the two in contact
-        rgba=[0.9, 0.5, 0.2, 0.45 if scene.visual else 1.0],
+        rgba=[0.95, 0.45, 0.1, 0.6 if scene.visual else 1.0],
     )
 
 
-def _add_sky(spec: mujoco.MjSpec) -> None:
-    """A light background, in place of the hand model's own if it has one."""
+def _lighten(spec: mujoco.MjSpec) -> None:
+    """A light background, in place of the hand model's own if it has one, and light wherever the hand
+    goes."""
+    spec.visual.headlight.ambient[:], spec.visual.headlight.diffuse[:] = 0.3, 0.4
     for texture in spec.textures:
         if texture.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX:
             spec.delete(texture)
@@ -113,8 +115,8 @@ def _add_sky(spec: mujoco.MjSpec) -> None:
         builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
         width=64,
         height=64,
-        rgb1=[0.93, 0.95, 0.98],
-        rgb2=[0.6, 0.66, 0.75],
+        rgb1=[0.96, 0.97, 0.99],
+        rgb2=[0.75, 0.8, 0.88],
     )
 
 

@@ -23,12 +23,11 @@ from .grasps import require_grasp
 from .scene import layout_notes, read_scene, require_scene
 
 ABOUT = About(
-    "Draw a scripted grasp with its taxels, or film a trained run (extra: render). Without a display, "
-    "set MUJOCO_GL=egl or MUJOCO_GL=osmesa.",
+    "Draw a scripted grasp with its taxels, or film a trained run (extra: render).",
     first=("layout", "simulator"),
     examples=(
         "tactilerl render --env shadow --layout 1",
-        "tactilerl render runs/X --episodes 3 --video film.mp4",
+        "tactilerl render runs/X --video film.mp4",
     ),
 )
 
@@ -42,7 +41,7 @@ class RenderFlags:
     from the same initial states. Without a run, a scripted grasp is drawn."""
     video: Path = Path("episodes.mp4")
     """File of the film."""
-    episodes: Annotated[int, "[1, inf)"] = 1
+    episodes: Annotated[int, "[1, inf)"] = 3
     """Number of episodes in the film: the first ones that `evaluate` plays. Hold tests last 2 s
     unless --hold-seconds is given."""
     env: str = "shadow"
@@ -57,9 +56,6 @@ class RenderFlags:
     """Elevation of the camera, degrees; positive looks up from below."""
     distance: Annotated[float, "[0.05, 10]"] = Camera.distance
     """Distance of the camera, m."""
-    follow: render.Follow = "grasp"
-    """What the camera of a film follows. grasp: the midpoint between hand and object; hand: the
-    hand; nothing: the camera does not move."""
 
     @property
     def camera(self) -> Camera:
@@ -71,7 +67,7 @@ def main(args: list[str]) -> int:
     """`tactilerl render`: a scripted grasp with its taxels; `tactilerl render RUN`: a film."""
     read, scene = read_scene(RenderFlags, args, "tactilerl render", ABOUT)
     name = read.env
-    for flag in ("env", "out", "pose") if read.run else ("video", "episodes", "follow"):
+    for flag in ("env", "out", "pose") if read.run else ("video", "episodes"):
         if getattr(read, flag) != getattr(RenderFlags, flag):
             found, needed = ("with", "without") if read.run else ("without", "with")
             raise InputError(f"--{flag}: found {found} a run folder, allowed only {needed} one")
@@ -103,7 +99,7 @@ def _film(args: list[str], read: RenderFlags, scene: GraspConfig | None) -> int:
     with input_errors(), bar:
         drawn = bar.add_task("")
         film = render.film(
-            *(read.run, read.episodes, hold_seconds, read.camera, read.follow, read.video),
+            *(read.run, read.episodes, hold_seconds, read.camera, read.video),
             tick=lambda: bar.advance(drawn),
         )
         for shown in film:

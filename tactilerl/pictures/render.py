@@ -19,10 +19,10 @@ from ..envs.simulators import Camera, Simulator
 from ..envs.vector import previously
 from ..errors import InputError
 from ..runs.files import MAKER, is_picture, replacing, require_ours
-from .hand_map import TaxelMap, lettered, save_picture
+from ..style import ROLES
+from .hand_map import PAPER, TaxelMap, lettered, save_picture
 
 Pose = Literal["start", "grasp"]
-Follow = Literal["grasp", "hand", "nothing"]
 FPS = 25  # at least: a picture stands for a whole number of timesteps
 FILMS, PICTURES = (".mp4", ".mkv", ".mov"), (".png", ".jpg")
 HOLD_SECONDS = 2.0  # of a hold test in a film: all there is to see in the whole
@@ -30,7 +30,10 @@ HOLD_SECONDS = 2.0  # of a hold test in a film: all there is to see in the whole
 PLAYABLE = ["-tune", "zerolatency", "-g", str(FPS), "-flush_packets", "1"]
 PLAYABLE += ["-metadata", f"comment={MAKER}"]
 PLAYABLE += ["-movflags", "frag_keyframe+empty_moov+default_base_moof"]
-END_PICTURES = FPS // 2  # of the last moment, repeated: so one sees how it ended
+END_PICTURES = FPS  # of the last moment, repeated: so one sees how it ended
+# Pixels: of the scene, of the lines above it and their letters, of the hand unrolled in a corner.
+SIDE, LINES, LETTERS, UNROLLED = 480, 88, (40, 26), 190
+RED, GREEN = (248, 180, 172), (178, 226, 178)
 
 
 def picture(
@@ -43,7 +46,7 @@ def picture(
 ) -> int:
     """Write a picture of the start or of a scripted grasp (`grasp`: instead of the hand's own), beside
     it the hand unrolled; how many taxels fire in it."""
-    _writer("--out", out, PICTURES)
+    _writer("--out", out, PICTURES, "PIL")
     with closing(GraspEnv(env_name, config, render_mode="rgb_array")) as env:
         env.reset(seed=0)
         if pose == "grasp":
@@ -51,33 +54,24 @@ def picture(
             for _ in scripted.hold_steps(env, grasp or scripted.grasp_for(env), start, seconds=0.5):
                 pass
         with replacing(out, is_picture) as file:
-            save_picture(_View(env, camera).picture(camera), file, out.suffix)
+            save_picture(_beside(env, camera), file, out.suffix)
         return int((env.taxel_readings() > 0).sum())
 
 
-class _View:
-    """The scene, beside it what each taxel feels, which is hard to see in the hand's shade, and in the
-    corner a word."""
-
-    def __init__(self, env: GraspEnv, camera: Camera, label: str = "") -> None:
-        self._env, self._label = env, label
-        reads = env.config.touch in READS
-        self._map = TaxelMap(env.hand, env.taxels, camera.height) if reads else None
-
-    def picture(self, camera: Camera) -> np.ndarray:
-        """What a camera sees now, RGB (height, width, 3) uint8."""
-        found = self._env.picture(camera)
-        if self._map is not None:
-            found = np.hstack([found, self._map.picture(self._env.told_readings() > 0)])
-        return lettered(found, [(self._label, 12, 8)], 22, "la") if self._label else found
+def _beside(env: GraspEnv, camera: Camera) -> np.ndarray:
+    """The scene, and beside it what each taxel feels, which is hard to see in the hand's shade."""
+    found = env.picture(camera)
+    if env.config.touch not in READS:
+        return found
+    drawn = TaxelMap(env.hand, env.taxels, camera.height).picture(env.told_readings() > 0)
+    return np.hstack([found, drawn])
 
 
 class _Player:
-    """Shows a run's policy in its own scene."""
+    """Shows a run's policy in its own scene, with a line above: who plays, which start, what came of
+    it."""
 
-    def __init__(
-        self, run: Path, hold_seconds: float, camera: Camera, follow: Follow, label: str
-    ) -> None:
+    def __init__(self, run: Path, hold_seconds: float, camera: Camera) -> None:
         from ..runs import evaluation, policies
 
         config, policy, *_ = policies.read_run(run)
@@ -85,36 +79,49 @@ class _Player:
             raise InputError(
                 f"{run}: found a run on {config.run.env!r}, allowed runs of grasping scenes"
             )
+        self.name, self.label = run.name, ROLES.get(config.scene.touch, config.scene.touch)
         self._threads, self._task = config.run.threads, evaluation.task(policy)
         scene = replace(config.scene, hold_seconds=hold_seconds)
         every = max(1, int(1 / FPS / scene.timestep + 1e-6))
         self.fps = 1 / (every * scene.timestep)
         self.env = replace(config, scene=scene).make_env(render_mode="rgb_array")
-        self._view, self._camera, self._follow = _View(self.env, camera, label), camera, follow
+        self._map = TaxelMap(self.env.hand, self.env.taxels, UNROLLED) if scene.touch in READS else None
+        self._camera, self._successes = camera, 0
         self._show: Callable[[], None] = lambda: None
         self.env.simulator = _Filmed(self.env.simulator, every, lambda: self._show())
 
-    def play(self, number: int, write: Callable[[np.ndarray], None]) -> bool:
-        """An episode's pictures, one after another; did it succeed?"""
-        start: list[np.ndarray] = []
+    def play(self, number: int, tick: Callable[[], None]) -> tuple[list[np.ndarray], bool]:
+        """An episode's pictures; did it succeed?"""
+        pictures: list[np.ndarray] = []
+        beside: list[np.ndarray] = []  # where the camera looks, from the palm; m
 
-        def show() -> None:
-            state, camera = self.env.simulator.state(), self._camera
-            if self._follow != "grasp":
-                palm = state.palm
-                start[:] = start or [palm, (palm + state.object_position) / 2]
-                moved = palm - start[0] if self._follow == "hand" else np.zeros(3)
-                camera = replace(camera, lookat=tuple((start[1] + moved).tolist()))
-            write(self._view.picture(camera))
+        def show(outcome: str = "", colour: tuple[int, int, int] = PAPER) -> None:
+            state = self.env.simulator.state()
+            beside[:] = beside or [(state.object_position - state.palm) / 3]
+            camera = replace(self._camera, lookat=tuple((state.palm + beside[0]).tolist()))
+            lines = f"{self.label}{outcome}", f"start {number + 1}, successes so far: {self._successes}"
+            pictures.append(self._picture(camera, lines, colour))
+            tick()
 
         torch.set_num_threads(self._threads)  # as it was trained, to the last digit
         self._show = lambda: None
         previously(self._task, self.env, number)
         self._show = show
-        played = self._task(self.env, number, lambda: True)
-        for _ in range(END_PICTURES):
-            show()
-        return bool(played.success == 1.0)
+        success = bool(self._task(self.env, number, lambda: True).success == 1.0)
+        self._successes += success
+        show(*((": success", GREEN) if success else (": failure", RED)))
+        return pictures + pictures[-1:] * END_PICTURES, success
+
+    def _picture(self, camera: Camera, lines: Sequence[str], colour: Sequence[int]) -> np.ndarray:
+        """The scene, two lines above it, in a corner the hand unrolled, with what its taxels feel."""
+        found = self.env.picture(camera)
+        if self._map is not None:
+            drawn = self._map.picture(self.env.told_readings() > 0)
+            found[-drawn.shape[0] :, -drawn.shape[1] :] = drawn
+        head = np.full((LINES, camera.width, 3), colour, np.uint8)
+        for text, size, y in zip(lines, LETTERS, (LINES / 2, LINES - 10), strict=True):
+            head = lettered(head, [(text, 14, y)], size, "ls")
+        return np.vstack([head, found])
 
 
 def film(
@@ -122,57 +129,36 @@ def film(
     episodes: int,
     hold_seconds: float,
     camera: Camera,
-    follow: Follow,
     out: Path,
     tick: Callable[[], None],
 ) -> Iterator[list[bool]]:
-    """Write a film of trained runs' policies, in real time, several side by side from the same starts;
-    yields each one's success, episode by episode.
+    """Write a film of trained runs' policies, in real time, side by side from the same starts; yields
+    each one's success, episode by episode.
 
-    A hold test is as long as `hold_seconds`, also for its verdict. The camera looks at what it is to
-    `follow`. `tick` is called after every picture. A film that is cut off can be played as far as it
-    got. InputError when a run's environment is not a grasping one.
+    A hold test is as long as `hold_seconds`, also for its verdict. The camera follows the hand. `tick`
+    is called after every picture. InputError when a run's environment is not a grasping one.
     """
-    imageio = _writer("--video", out, FILMS, "imageio_ffmpeg")
-    camera = replace(camera, width=480, height=360, shadows=False)
+    ffmpeg = _writer("--video", out, FILMS, "imageio_ffmpeg")
+    camera = replace(camera, width=SIDE, height=SIDE, shadows=False)
     with ExitStack() as opened:
-        players = []
-        for run in runs:
-            label = run.name if len(runs) > 1 else ""
-            players.append(_Player(run, hold_seconds, camera, follow, label))
-            opened.callback(players[-1].env.close)
-        first, *others = players
-        if any(other.fps != first.fps for other in others):
+        players = [_Player(run, hold_seconds, camera) for run in runs]
+        for player in players:
+            opened.callback(player.env.close)
+        if len({player.label for player in players}) < len(players):
+            for player in players:
+                player.label = player.name
+        if len({player.fps for player in players}) > 1:
             raise InputError("render: found runs with different timesteps, allowed runs with the same")
-        options = dict(fps=first.fps, macro_block_size=2, output_params=PLAYABLE)
-        writer = opened.enter_context(imageio.get_writer(out, **options))
+        size = SIDE * len(runs), SIDE + LINES
+        options = {"fps": players[0].fps, "macro_block_size": 2, "output_params": PLAYABLE}
+        writer = ffmpeg.write_frames(out, size, **options)
+        opened.enter_context(closing(writer)).send(None)
         for number in range(episodes):
-            yield _episode(number, players, writer.append_data, tick)
-
-
-def _episode(
-    number: int,
-    players: Sequence[_Player],
-    append: Callable[[np.ndarray], None],
-    tick: Callable[[], None],
-) -> list[bool]:
-    """The films of all beside each other; whose is shorter waits at its end. The first one's pictures
-    are written as they come."""
-    first, *others = players
-    films: list[list[np.ndarray]] = [[] for _ in others]
-    shown = [other.play(number, film.append) for other, film in zip(others, films, strict=True)]
-    last, written = np.zeros(0), 0
-
-    def write(picture: np.ndarray) -> None:
-        nonlocal last, written
-        append(np.hstack([picture, *(film[min(written, len(film) - 1)] for film in films)]))
-        tick()
-        last, written = picture, written + 1
-
-    shown.insert(0, first.play(number, write))
-    while written < max(map(len, films), default=0):
-        write(last)
-    return shown
+            films, successes = zip(*(player.play(number, tick) for player in players), strict=True)
+            for index in range(max(map(len, films))):  # whose film is shorter waits at its end
+                beside = np.hstack([film[min(index, len(film) - 1)] for film in films])
+                writer.send(np.ascontiguousarray(beside))
+            yield [*successes]
 
 
 class _Filmed:
@@ -196,16 +182,15 @@ class _Filmed:
                 self._show()
 
 
-def _writer(flag: str, out: Path, endings: tuple[str, ...], *modules: str) -> Any:
-    """The extra's module, which may need `modules`; InputError where `out` cannot be written."""
+def _writer(flag: str, out: Path, endings: tuple[str, ...], module: str) -> Any:
+    """The extra's module that writes it; InputError where `out` cannot be written."""
     if out.suffix.lower() not in endings:
         raise InputError(f"{flag}: found {out.name!r}, allowed names that end in {', '.join(endings)}")
     if not out.parent.is_dir():
         raise InputError(f"{flag}: found no folder {out.parent}, allowed one that exists")
     require_ours(out, is_picture)
     try:
-        *_, imageio = map(importlib.import_module, (*modules, "imageio.v2"))
-        return imageio
+        return importlib.import_module(module)
     except ImportError as error:
         raise ImportError(
             "pictures need an extra that is not installed: pip install 'tactilerl[render]'"
