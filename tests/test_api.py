@@ -233,11 +233,8 @@ class TestTrain:
         ("choices", "words"),
         [
             (dict(layers=3), "layers: unknown; allowed: action_variance, actor_lr"),
-            (dict(layout=4), "layout: unknown"),
             (dict(recipe="x"), "recipe: found 'x', allowed for ppo: paper, steady"),
             (dict(gamma=2), "gamma: found 2, allowed from 0 to 1"),
-            (dict(env="shadow", layout="44"), "unknown layout '44'"),
-            (dict(algo="sac"), "unknown algorithm 'sac'; allowed: ppo, ddpg_her"),
             (dict(env="shadow", touch="x"), "touch: found 'x'"),
             (dict(resume="nothing"), "'nothing' is not a run folder"),
         ],
@@ -262,15 +259,12 @@ class TestTrain:
 
 
 MISTAKES = [
-    (lambda: tactilerl.PPO("lqr", layers=3), "layers: unknown; allowed: .*hidden.*seed"),
     (lambda: tactilerl.PPO("lqr", clip_rang=1), "clip_rang: unknown; did you mean clip_range?"),
     (lambda: tactilerl.PPO("lqr", learning_rate=1), "did you mean actor_lr or critic_lr?"),
     (lambda: tactilerl.make("shadow", laout=4), "laout: unknown; did you mean layout?"),
     (lambda: tactilerl.DDPGHER("point-reach", recipe="calm"), "recipe: found 'calm'"),
     (lambda: tactilerl.PPO("lqr", gamma="x"), "gamma: found 'x'"),
     (lambda: tactilerl.PPO("lqr", seed=-1), "seed: found -1"),
-    (lambda: tactilerl.PPO("lqr", threads=0), "threads: found 0"),
-    (lambda: tactilerl.PPO("lqr", device="toaster"), "device: found 'toaster'"),
     (lambda: tactilerl.PPO("nope"), "unknown environment 'nope'"),
     *(
         (partial(use, 3), f"{name}: found 3, allowed")
@@ -282,10 +276,8 @@ MISTAKES = [
         for value in (3, [1])
     ),
     (lambda: tactilerl.train(out="\0"), "out: found"),
-    (lambda: tactilerl.train(layout="\0"), "layout: found"),
     (lambda: tactilerl.PPO("lqr", recipe=[1]), "recipe: found list"),
     (lambda: tactilerl.PPO("lqr").save(None), "path: found None, allowed a path"),
-    (lambda: tactilerl.load_policy(None), "path: found None, allowed a path"),
     (lambda: tactilerl.make("shadow", env="mpl"), "env: found 'mpl' with the name 'shadow'"),
     (lambda: tactilerl.evaluate(short(), Short(), episodes=10**6), "episodes: found 1000000"),
     (lambda: tactilerl.PPO(3), "env: found int, allowed an environment, an id or a function"),
@@ -293,22 +285,16 @@ MISTAKES = [
     (lambda: tactilerl.PPO("CartPole-v1"), "action space: found Discrete"),
     (lambda: tactilerl.DDPGHER("lqr"), "observation space: found Box"),
     (lambda: tactilerl.PPO("lqr").learn(0), "total_timesteps: found 0"),
-    (lambda: tactilerl.PPO("lqr").learn("1"), "total_timesteps: found '1'"),
     (lambda: tactilerl.PPO("lqr").save("no/folder.pt"), "path: found 'no/folder.pt'"),
-    (lambda: tactilerl.PPO("lqr").save("."), "path: found '.'"),
     (lambda: tactilerl.PPO("lqr").act([1, 2, 3]), r"shape \(3,\), expected \(2,\), or a batch"),
     (lambda: tactilerl.PPO("lqr").act([1, np.nan]), "obs: not finite"),
-    (lambda: tactilerl.PPO("lqr").act([[1, 2], [np.inf, 0]]), "obs: not finite"),
-    (lambda: tactilerl.PPO("lqr").act({"observation": [1, 2]}), "expected an array"),
     (lambda: tactilerl.PPO("lqr").act([1, 2], deterministic=False), "rng: found none"),
     (lambda: tactilerl.DDPGHER("point-reach").act([1, 2]), "found list, expected a Dict with"),
     (lambda: tactilerl.load_policy("nothing.pt"), "nothing.pt: missing"),
-    (lambda: tactilerl.load_policy("."), "not a run folder"),
     (
         lambda: tactilerl.evaluate(tactilerl.PPO("lqr").policy(), "point-reach"),
         r"env: found observations of shape .*, the policy has \(2,\)",
     ),
-    (lambda: tactilerl.evaluate(tactilerl.PPO("lqr").policy(), "lqr", episodes=0), "episodes: "),
     (lambda: tactilerl.evaluate("policy.pt", "lqr"), "policy: found str, allowed what load_policy"),
     (lambda: tactilerl.PPO("nowhere:Env-v0"), "env: No module named 'nowhere'"),
     (lambda: tactilerl.PPO("lqr").act(tactilerl.make("lqr").reset()), "obs: found a tuple"),
@@ -326,7 +312,6 @@ MISTAKES = [
     (lambda: tactilerl.evaluate(short(), Short(high=2.0)), "actions from -2 to 2, the policy's are"),
     (lambda: short(info=None).learn(20), "found NoneType for a step's info, allowed a dict"),
     (lambda: short().act(np.zeros(2), False, rng=0), "rng: found 0, needed"),
-    (lambda: short().act(np.full(2, 1e300)), "obs: not finite, not real or beyond float32"),
     (lambda: short().act(np.ones(2) * 1j), r"not real or beyond float32 \(complex128\)"),
     (lambda: with_nan().act(np.zeros(2)), "policy: its action is not finite"),
 ]
@@ -495,24 +480,6 @@ class TestOtherLibraries:
     def test_stable_baselines3_finds_nothing_to_complain_of(self, name):
         checker = pytest.importorskip("stable_baselines3.common.env_checker")
         checker.check_env(tactilerl.make(name))
-
-    @pytest.mark.slow
-    @pytest.mark.parametrize("algorithm", ["PPO", "SAC", "HER"])
-    @pytest.mark.parametrize("name", ["Shadow", "LQR", "PointReach"])
-    def test_stable_baselines3_trains_on_our_environments(self, name, algorithm):
-        sb3 = pytest.importorskip("stable_baselines3")
-        if (algorithm == "HER") > (name == "PointReach"):
-            pytest.skip("for sparse goals")
-        env = gym.make(f"tactilerl/{name}-v0")
-        policy = "MlpPolicy" if name == "LQR" else "MultiInputPolicy"
-        if algorithm == "PPO":
-            model = sb3.PPO(policy, env, n_steps=100, batch_size=50, n_epochs=1)
-        else:
-            buffer = sb3.HerReplayBuffer if algorithm == "HER" else None
-            model = sb3.SAC(policy, env, replay_buffer_class=buffer, learning_starts=150)
-        model.learn(200)
-        assert model.num_timesteps == 200
-        env.close()
 
 
 class TestExamples:

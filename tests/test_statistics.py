@@ -86,12 +86,6 @@ class TestIntervals:
         written_out = [s.aggregate(np.repeat(scores, drawn), metric) for drawn in counts.T]
         assert_allclose(s.bootstrap(scores, metric, counts), written_out, atol=1e-12)
 
-    def test_resamples_are_those_of_one_call_each(self):
-        one, many = np.random.default_rng(3), np.random.default_rng(3)
-        counts = [np.bincount(one.integers(7, size=7), minlength=7) for _ in range(200_001)]
-        assert np.array_equal(s.resample(many, 7, 200_001).T, counts)  # several parts
-        assert one.bit_generator.state == many.bit_generator.state
-
     @pytest.mark.parametrize("metric", ["iqm", "mean"])
     def test_same_resamples_same_interval_as_rliable(self, rng, metric):
         scores = {"x": rng.random((10, 1))}
@@ -102,23 +96,6 @@ class TestIntervals:
         )
         ours = s.estimate(scores["x"][:, 0], metric, counts)
         assert_allclose(ours, [value["x"][0], *interval["x"][:, 0]], atol=1e-12)
-
-    def test_rliables_median_over_one_task_is_the_mean(self, rng):
-        scores = rng.random((10, 1))
-        assert_allclose(metrics.aggregate_median(scores), s.aggregate(scores[:, 0], "mean"))
-
-    def test_strata_are_resampled_apart_as_in_rliable(self, rng):
-        counts = np.concatenate([s.resample(rng, n, 100) for n in (3, 5)])
-        assert counts.shape == (8, 100)
-        assert set(counts[:3].sum(axis=0)) == {3}
-        assert set(counts[3:].sum(axis=0)) == {5}
-        scores = rng.random((10, 3))
-        _, interval = library.get_interval_estimates(
-            {"x": scores}, lambda x: np.array([metrics.aggregate_iqm(x)]), reps=5000
-        )
-        counts = np.concatenate([s.resample(rng, n, 20_000) for n in [10] * 3])
-        ours = s.estimate(scores.T.ravel(), "iqm", counts)
-        assert_allclose(ours[1:], interval["x"][:, 0], atol=0.015)  # Monte-Carlo error
 
     def test_curves_are_what_rliable_says_point_by_point(self, rng):
         curves = np.sort(rng.random((6, 4)), axis=1)

@@ -4,7 +4,6 @@ import copy
 import dataclasses
 import math
 import pickle
-from functools import partial
 
 import gymnasium as gym
 import numpy as np
@@ -215,11 +214,6 @@ class TestUnitOfRewards:
         of_ones = sum(0.8**t for t in range(5))
         assert learner.reward_scale == pytest.approx(50 / of_ones)
 
-    def test_no_reward_but_zeros(self):
-        learner = trained(2, make(GoalEnv(reward_scale=0.0), normalise_rewards=True))
-        assert learner.reward_scale == 0.0
-        assert torch.isfinite(learner.adam.vector).all()
-
 
 class TestRecipes:
     def test_the_papers_is_the_default(self):
@@ -243,10 +237,6 @@ class TestStepSizes:
             shares.append(learner.adam.lr_factor)
         np.testing.assert_allclose(shares, np.clip(1 - np.arange(12) / 10, 0, 1))  # 2 episodes of 5
         assert torch.equal(learner.adam.vector, before)
-
-    def test_are_the_same_throughout_in_the_paper(self):
-        assert not make().config.anneals
-        assert trained(3).adam.lr_factor == 1.0
 
 
 class TestFallsOverTheRun:
@@ -299,10 +289,6 @@ class TestExploration:
         some = 1 - 0.8**4  # of four uniform entries one is below -.7 or above .9
         assert far.mean() == pytest.approx(0.3 * some, abs=0.02)
 
-    def test_none(self):
-        base = np.random.default_rng(0).uniform(-1, 1, (5, 2)).astype(np.float32)
-        np.testing.assert_array_equal(explore(base, np.random.default_rng(0), 0.0, 0.0), base)
-
     def test_actions_reach_the_environment_in_its_own_range(self):
         learner = make(random_eps=1.0)
         learner.collect()
@@ -311,13 +297,6 @@ class TestExploration:
         assert np.abs(actions).max() > 1.2
         stored = learner.replay.sample(500, 0.8).action
         assert np.abs(stored).max() <= 1.0
-
-    def test_deterministic_action_is_the_policy(self):
-        learner = trained()
-        obs, policy = learner.workers.env._obs(), learner.policy()
-        first, again = policy.act(obs), policy.act(obs)
-        np.testing.assert_array_equal(first, again)
-        assert not np.array_equal(first, policy.act(obs, False, np.random.default_rng(0)))
 
     def test_a_policy_survives_pickling_and_the_next_update(self):
         learner = trained()
@@ -342,10 +321,6 @@ class TestUpdate:
             torch.cat([p.reshape(-1) for p in learner.target_actor.parameters()]),
             learner._target_vector[: sum(p.numel() for p in learner.target_actor.parameters())],
         )
-
-    def test_targets_start_equal(self):
-        learner = make()
-        assert torch.equal(learner._target_vector, learner.adam.vector)
 
     def test_gradients_are_those_of_the_two_losses_apart(self):
         learner = make(action_l2=0.3)
@@ -408,11 +383,6 @@ class TestUpdate:
             got[how] = learner.adam.gradient
         torch.testing.assert_close(got["sum"], 2 * got["mean"])
 
-    def test_counts(self):
-        learner = trained(3)
-        assert learner.env_steps == 3 * 2 * 5
-        assert learner.updates == 9
-
     def test_one_goal_is_never_relabelled(self):
         env = GoalEnv()
         assert make(env).config.replay_p == 0.8
@@ -445,7 +415,9 @@ class TestUpdate:
 class TestSaving:
     @pytest.mark.parametrize("normalise", [False, True])
     def test_goes_on_as_if_never_stopped(self, normalise):
-        env = partial(GoalEnv, reward_scale=7.0)
+        def env():
+            return Told(GoalEnv(reward_scale=7.0))
+
         whole = trained(6, make(env(), normalise_rewards=normalise))
         half = trained(3, make(env(), normalise_rewards=normalise))
         state, kept = copy.deepcopy(half.state_dict()), half.replay.new_experience()
@@ -500,16 +472,6 @@ class TestTruth:
         first, second = (critic(torch.cat([x, actions], dim=1)) for x in (inputs, other))
         assert not torch.allclose(first, second)
 
-    def test_goes_on_as_if_never_stopped(self):
-        once = trained(4, make(Told(GoalEnv())))
-        half = trained(2, make(Told(GoalEnv())))
-        again = make(Told(GoalEnv()))
-        again.load_state_dict(pickle.loads(pickle.dumps(half.state_dict())))
-        again.replay.add_experience(half.replay.new_experience(everything=True))
-        trained(2, again)
-        assert torch.equal(once.adam.vector, again.adam.vector)
-        assert np.array_equal(once.privileged_stats.mean, again.privileged_stats.mean)
-
     def test_a_truth_of_another_kind_is_refused(self):
         with pytest.raises(ValueError, match=r"found Discrete\(3\) for 'truth', allowed a Box"):
             make(Told(GoalEnv(), gym.spaces.Discrete(3)))
@@ -547,23 +509,12 @@ class TestHardCases:
     @pytest.mark.parametrize(
         ("env", "choices"),
         [
-            (dict(offset=1e8), {}),
             (dict(scale=0.0), {}),
-            (dict(scale=1e30), {}),
-            (dict(length=1), {}),
-            (dict(), dict(gamma=1 - 1e-7)),
-            (dict(), dict(batch_size=1)),
-            (dict(), dict(clip_obs=1e9)),
+            (dict(length=1), dict(batch_size=1)),
             (dict(offset=1e8), dict(clip_obs=1e9)),
             (dict(scale=1e30), dict(clip_obs=1e30)),
             (dict(reward_scale=1e6), {}),
             (dict(reward_scale=1e6), dict(clip_target=False, gamma=1 - 1e-7)),
-            (dict(reward_scale=1e-6), dict(clip_target=False)),
-        ],
-        ids=[
-            *("offset", "constant", "huge", "one step", "gamma to 1", "one transition", "wide clip"),
-            *("offset, wide clip", "huge, wide clip"),
-            *("rewards x 1e6, cut", "rewards x 1e6", "rewards x 1e-6"),
         ],
     )
     def test_stays_finite(self, env, choices):
@@ -581,10 +532,6 @@ class TestHardCases:
     def test_bad_observation_stops_the_run(self):
         with pytest.raises(DivergenceError, match="an observation"):
             make(GoalEnv(offset=math.nan)).collect()
-
-    def test_nothing_collected_is_an_error(self):
-        with pytest.raises(ValueError, match="empty"):
-            make().update()
 
     def test_broken_parameters_stop_the_run(self):
         learner = trained(1)
@@ -636,10 +583,7 @@ class TestHardCases:
         ("choices", "words"),
         [
             (dict(gamma=1.0), "gamma: found 1.0, allowed from 0 to below 1"),
-            (dict(polyak=1.5), "polyak: found 1.5"),
-            (dict(action_l2=-1.0), "action_l2: found -1.0"),
             (dict(noise_eps=math.nan), "noise_eps: found nan"),
-            (dict(n_batches=0), "n_batches: found 0"),
             (dict(buffer_size=4), "buffer_size: found 4, allowed 5"),
         ],
     )

@@ -13,11 +13,10 @@ import psutil
 import pytest
 import torch
 from states import flat
-from tiny_study import TINY, learned, write
+from tiny_study import learned, write
 
 from tactilerl.algos import mpi
 from tactilerl.commands.cli import main
-from tactilerl.study import records
 
 pytest.importorskip("mpi4py")
 MPIRUN = Path(sys.executable).with_name("mpirun")
@@ -275,15 +274,6 @@ def test_a_study_over_the_ranks_of_a_launch(tmp_path):
     assert shown.returncode == 0, shown.stdout + shown.stderr
     assert "[2/2]" in shown.stdout
     assert learned(Path("together")) == learned(Path("alone"))
-
-
-@pytest.mark.slow  # test_study_run.py has one that is stopped
-def test_several_ranks_for_each_run_of_a_study(tmp_path):
-    text = TINY.replace("polyak = [0.9, 0.95]\n", "").replace("polyak = [0.95, 0.9]\n", "")
-    args = ["study", "run", str(write(tmp_path, text)), "--out", "out"]
-    assert main([*args, "--ranks-per-run", "2"]) == 0
-    _, (record,) = records.load(Path("out"))
-    assert record.config["ranks"] == 2
 
 
 @pytest.mark.parametrize(

@@ -38,13 +38,6 @@ def test_an_error_of_either_comes_out(together, failing):
         SideBySide(together)(*jobs)
 
 
-def test_a_thread_computes_with_as_many_threads_as_the_caller():
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    assert SideBySide(True)(torch.get_num_threads, torch.get_num_threads) == (1, 1)
-    torch.set_num_threads(before)
-
-
 @pytest.mark.parametrize("algo", ["ppo", "ddpg_her"])
 @pytest.mark.parametrize(("asked", "free", "two"), [(None, 2, True), (None, 1, False), (1, 2, False)])
 @pytest.mark.parametrize("ranks", [1, 2])

@@ -11,7 +11,7 @@ from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.algos.rollout import EVALUATE, PlayEpisode
 from tactilerl.envs import vector
-from tactilerl.envs.toy import LQREnv, PointReachEnv
+from tactilerl.envs.toy import LQREnv
 
 SEEDS = (0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2)))
 
@@ -63,14 +63,6 @@ def test_ddpg_her_reaches_points_from_sparse_rewards(seed):
     assert np.mean(reached) >= 0.95
 
 
-def optimal_steps(point, goal):
-    """Fewest steps from `point` (2,) to within the tolerance of `goal` (2,)."""
-    steps, gap = 0, np.abs(goal - point)
-    while np.linalg.norm(np.maximum(gap - steps * PointReachEnv.speed, 0.0)) > PointReachEnv.tolerance:
-        steps += 1
-    return steps
-
-
 class TestToysThemselves:
     def test_riccati_policy_attains_the_optimal_return(self):
         env = LQREnv()
@@ -84,27 +76,3 @@ class TestToysThemselves:
                 total += env.step(force)[1]
             assert total == pytest.approx(exact, rel=1e-9)
             assert exact == pytest.approx(LQREnv.optimal_return(start.astype(float)), rel=1e-5)
-
-    def test_any_other_policy_is_worse(self):
-        env = LQREnv()
-        env.reset(seed=0)
-        exact = LQREnv.optimal_return(env._state.copy())
-        total = sum(env.step(-1.1 * gain @ env._state)[1] for _, gain in LQREnv.riccati())
-        assert total < exact
-
-    def test_point_reach_optimal_steps(self):
-        assert optimal_steps(np.zeros(2), np.array([0.05, 0.0])) == 0
-        assert optimal_steps(np.zeros(2), np.array([0.18, 0.0])) == 1
-        assert optimal_steps(np.zeros(2), np.array([0.5, 0.9])) == 9
-
-    def test_point_reach_greedy_policy_needs_the_optimal_steps(self):
-        env = PointReachEnv()
-        for seed in range(20):
-            obs, _ = env.reset(seed=seed)
-            fewest = optimal_steps(env._point, env._goal)
-            steps, reward = 0, -1.0
-            while reward < 0.0:
-                gap = obs["desired_goal"] - obs["achieved_goal"]
-                obs, reward, _, _, _ = env.step(gap / env.speed)
-                steps += 1
-            assert steps == max(fewest, 1)

@@ -4,7 +4,6 @@ flipped bit passes, and nothing is written outside of the folder where it happen
 `pytest -m slow -s tests/commands/test_fuzz.py` tries all and prints how many that were; without
 `-m slow` a few of each are tried."""
 
-import contextlib
 import gzip
 import json
 import random
@@ -15,15 +14,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from grasp_records import ASKED, synthetic
 from study_records import make_study
 
-import tactilerl
 from tactilerl.commands.cli import main
-from tactilerl.envs import hands
-from tactilerl.errors import InputError
-from tactilerl.probe import files as grasps
-from tactilerl.runs import arguments
 from tactilerl.study import engine, records
 
 FEW = 12  # times as many cases are tried with `-m slow`
@@ -203,30 +196,6 @@ def test_files(run, tried, cases, file, args, good):
         tried(args, Path(file).read_text(encoding="utf-8"))
 
 
-@pytest.mark.parametrize(
-    ("part", "name"),
-    [("scene", name) for name in CHOICES] + [("train", name) for name in [*HYPER, "algo", "recipe"]],
-)
-def test_a_scene_says_nothing_in_vain(here, tried, part, name):
-    """What no flag of it would take is refused, also where flags override it."""
-    for value in ("{}", "[[1]]", '"\\u0000"', "1979-05-27", "-1e400"):
-        Path("mine.toml").write_text(f"[{part}]\n{name} = {value}\n", encoding="utf-8")
-        if part == "scene":
-            assert tried(["env", "--scene", "mine.toml"], value) == 2
-        else:
-            with pytest.raises(InputError):
-                arguments.defaults(["--scene", "mine.toml"])
-
-
-def test_comparisons(study, tried, cases):
-    rng = random.Random(11)
-    names = ["reach", "ppo", "polyak 0.9", "n passes 2", "all", ",", ":", *WORDS]
-    assert tried(["study", "compare", "study:ppo,n passes 2", "study:ppo,n passes 4"], "good") == 0
-    for _ in cases(150):
-        a, b = (f"study:{','.join(rng.choices(names, k=rng.randint(1, 3)))}" for _ in range(2))
-        tried(["study", "compare", a, b, "--score", rng.choice(["area", "final", "x"])], (a, b))
-
-
 def test_configurations(run, tried, cases):
     rng, good = random.Random(2), (run / "config.json").read_text()
     for i in cases(250):
@@ -327,80 +296,6 @@ def require_sound(found):
 
 def record_measure(record):
     return "test_success_rate" if record.run.setup == "reach" else "success_rate"
-
-
-def test_grasps(here, tried, cases):
-    rng, path = random.Random(9), Path("grasps.npz")
-    touches = np.arange(40) % 2 == 0
-    whole = synthetic(hands.get("shadow"), touches)
-    whole["held"] = touches ^ (np.arange(40) // 2 % 10 == 0)
-    settings = {"env": "shadow", "simulator": "mujoco", "touch_rule": "skin", "seed": 0}
-    ask = ["probe", "--from", str(path), *ASKED, "--layout", "5"]
-    grasps.write(path, grasps.Played(whole, settings))
-    good = path.read_bytes()
-    for i in cases(240):
-        if i % 4:
-            bad, at = bytearray(good), rng.randrange(8 * len(good))
-            bad[at // 8] ^= 1 << at % 8
-            path.write_bytes(bad)
-            with contextlib.suppress(ValueError):
-                assert same(grasps.read(path), whole, settings), f"bit {at}"
-                continue  # asking them again takes seconds
-        else:
-            arrays, about = dict(whole), dict(settings)
-            name = rng.choice([*arrays])
-            arrays[name] = strange(arrays[name], rng)
-            about[rng.choice([*about])] = rng.choice(VALUES)
-            chosen = rng.choice([(arrays, settings), (whole, about)])
-            grasps.write(path, grasps.Played(*chosen))
-        tried(ask, f"grasps {i}")
-
-
-def same(played, arrays, settings):
-    is_same = [np.array_equal(played.records[name], values) for name, values in arrays.items()]
-    return all(is_same) and played.settings == settings
-
-
-def strange(values, rng):
-    """Another array than the one that belongs there."""
-    return rng.choice(
-        [
-            values[:-1], values[:, None], values[..., None], values.astype(float) * np.nan,
-            values.astype(str), values.astype(complex), np.zeros(0), np.full_like(values, 10**5),
-            np.array(3), values.astype(float) - 1,
-        ]
-    )  # fmt: skip
-
-
-def test_arguments(run, cases):
-    """The Python API: a ValueError or a TypeError of one line, or an environment or a learner."""
-    rng, ended = random.Random(10), Counter()
-    policy = Path("run/checkpoint.pt").read_bytes()
-    values = [*VALUES, (), (0.5, 1), "0.5..1", "box", np.float32(1), object()]
-    lqr = tactilerl.make("lqr")
-    for i in cases(400):
-        if i % 4 == 0:
-            bad = bytearray(policy)
-            bad[rng.randrange(len(bad))] ^= 1 << rng.randrange(8)
-            Path("run/checkpoint.pt").write_bytes(bad)
-            call, args = tactilerl.load_policy, {"path": rng.choice(["run", "run/checkpoint.pt", ""])}
-        elif i % 4 == 1:
-            call, args = tactilerl.PPO, {"env": lqr, rng.choice(HYPER): rng.choice(values)}
-        else:
-            name = rng.choice(["shadow", "mpl", "allegro", "lqr", rng.choice(WORDS)])
-            call, args = tactilerl.make, {"name": name, rng.choice(CHOICES): rng.choice(values)}
-        made, said = None, ""
-        try:
-            made = call(**args)
-        except (ValueError, TypeError) as error:
-            said = str(error)
-        assert "\n" not in said, (args, said)
-        assert bool(said) != bool(made), args
-        ended["made" if made else "refused"] += 1
-        if made:
-            assert i % 4, args
-            made.close()
-    print(f"\n{ended.total()} tried: {dict(ended)}")
 
 
 def replace_leaf(data, value, rng):

@@ -106,12 +106,6 @@ class TestCheckpoint:
         edit(PART, lambda content: content.update({name: value}))
         fails_with(capsys, [*RESUME, "--total-timesteps", "200"], PART.name, "damaged")
 
-    def test_experience_of_another_epoch_is_refused(self, her, capsys):
-        more = [*RESUME, "--total-timesteps", "200"]
-        assert main(more) == 0
-        shutil.copy(PART.with_name("00000003-0000.pt"), PART)
-        fails_with(capsys, more, PART.name, "of another epoch")
-
     def test_a_policy_is_no_larger_than_its_file(self, ppo, capsys):
         _, hidden = "run", {"hidden": [100_000]}
         content = json.loads(CONFIG.read_text())
@@ -186,9 +180,7 @@ class TestProgress:
         [
             (lambda rows: b"", "found epochs up to 0, the checkpoint's is 3"),
             (lambda rows: b"".join(rows)[:-9], "found epochs up to 2"),
-            (lambda rows: b"".join(rows[:-1]), "found epochs up to 2"),
             (lambda rows: b"a,b,c\n" + b"".join(rows[1:]), "header"),
-            (lambda rows: b"".join(rows[1:]), "header"),
             (lambda rows: b"".join([*rows[:-1], b"\xff\xfe", rows[-1]]), "utf-8"),
             (lambda rows: b"".join([*rows[:-1], b"9" * 200_000, rows[-1]]), "field larger"),
             (lambda rows: b"".join([*rows[:-1], b'"', rows[-1]]), "damaged"),
@@ -219,13 +211,6 @@ class TestProgress:
             table.append({"epoch": 2, "steps": 60})
         assert table.path.read_bytes() == before
 
-    def test_a_header_that_was_cut_off_before_the_first_checkpoint(self, tmp_path):
-        table = ProgressTable(tmp_path / "progress.csv")
-        table.path.write_text("epoch,env_st", encoding="utf-8")
-        table.cut(0)
-        table.append({"epoch": 1, "env_steps": 60})
-        assert table.path.read_text(encoding="utf-8") == "epoch,env_steps\n1,60\n"
-
 
 class TestWriting:
     @pytest.mark.parametrize("name", ["checkpoint.pt.tmp", "config.json.tmp", ".lock", "progress.csv"])
@@ -251,15 +236,6 @@ class TestWriting:
         assert main([*RESUME, "--total-timesteps", "240"]) == 0
         assert not left.exists()
         assert own.exists()
-
-    def test_the_umask_decides_who_may_read(self, tmp_path):
-        before = os.umask(0o027)
-        try:
-            with files.replacing(tmp_path / "x"):
-                pass
-        finally:
-            os.umask(before)
-        assert (tmp_path / "x").stat().st_mode & 0o777 == 0o640
 
     def test_where_nothing_can_be_written(self, tmp_path):
         Path("file").touch()
@@ -392,26 +368,17 @@ class TestConfig:
         ("part", "name", "value", "words"),
         [
             ("run", "total_timesteps", "x", "total_timesteps: found 'x'"),
-            ("run", "total_timesteps", True, "total_timesteps: found True"),
             ("run", "seed", 10**400, "seed: found a number of 1329 bits"),
-            ("run", "seed", 1.5, "seed: found 1.5"),
             ("run", "env", None, "env: found None"),
-            ("run", "env", "../x:Id", "env: found '../x:Id'"),
             ("run", "env", "shadow", "env: found 'shadow' with no scene"),
             ("run", "algo", "os", "unknown algorithm 'os'"),
             ("run", "more", 1, "run: found an unknown field 'more'"),
             ("learner", "hidden", [8, "8"], "hidden: found tuple"),
-            ("learner", "hidden", 8, "hidden: found 8"),
             ("learner", "hidden", [10**30], "hidden: found a number"),
-            ("learner", "gamma", "0.9", "gamma: found '0.9'"),
             ("learner", "gamma", float("nan"), "gamma: found nan"),
             ("learner", "truncation", "never", "truncation: found 'never'"),
-            ("learner", "anneal_lr", 1, "anneal_lr: found 1"),
             (None, "ranks", float("inf"), "ranks: found inf"),
-            (None, "ranks", 0, "ranks: found 0"),
-            (None, "ranks", "2", "ranks: found '2'"),
             (None, "scene", [], "scene: found list"),
-            (None, "run", 3, "run: found 3"),
             (None, "learner", {}, "learner: found no field"),
             (None, "provenance", [{"epoch": 0}], "provenance"),
             (None, "format", 2, "continue runs of version 0.1 with that version"),
@@ -508,10 +475,3 @@ class TestTerminal:
             f"tactilerl: interrupted; the last checkpoint is kept: --resume new{again}\n"
         )
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-
-    def test_what_was_put_in_order_leaves_at_once_again(self):
-        code = "import os, signal, tactilerl.__main__\nfrom tactilerl.terminal import interrupts\n"
-        code += "try:\n    with interrupts.in_order(): os.kill(os.getpid(), signal.SIGINT)\n"
-        code += "except KeyboardInterrupt: print(1, flush=True)\nos.kill(os.getpid(), signal.SIGINT)"
-        result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-        assert (result.stdout, result.returncode) == ("1\n", 130)

@@ -134,11 +134,6 @@ class TestFiles:
         report.write(again, tmp_path / "again")
         assert contents(tmp_path / "again") == contents(written.parent)
 
-    def test_a_file_alone_is_not_collected_without_a_place_for_it(self, tmp_path, capsys):
-        (tmp_path / "study.toml").write_text("")
-        args = ["study", "collect", tmp_path / "study.toml"]
-        fails_with(capsys, args, "expected a study's folder, or --out FILE")
-
     def test_the_collected_file_is_as_good_as_the_folders(self, folder, written, tmp_path, capsys):
         path = tmp_path / "one.tar.gz"
         assert main(["study", "collect", str(folder.path), "--out", str(path)]) == 0
@@ -264,16 +259,6 @@ class TestWarnings:
     def test_a_study_file_is_not_what_came_of_it(self, folder, capsys, part):
         file = folder.path.with_suffix(".toml")
         fails_with(capsys, ["study", part, file], "found a study file", "studies/made-up")
-
-    @pytest.mark.parametrize("row", ["2,2400", "2,2400,0.5,0.5,0.5,100,7"])
-    def test_a_row_of_another_length_in_the_middle(self, tmp_path, row):
-        folder = make_study(tmp_path / "s", n_seeds=1)
-        run = folder.study().runs()[0]
-        path = folder.run_dir(run).progress.path
-        lines = path.read_text().splitlines()
-        path.write_text("\n".join([*lines[:2], row, *lines[3:]]) + "\n")
-        assert folder.record(run).state == "interrupted"
-        assert "line 3" in folder.record(run).reason
 
     @pytest.mark.parametrize(
         "row", ["1,inf", "1,-1", "1,1000,7", "1,1000,-1", "1,1000,0.5\n1,40000,0.5"]
@@ -456,15 +441,9 @@ class TestPlan:
         assert "converged" in shown
         fails_with(capsys, ["study", "plan", folder.path, "--power", "1"], "--power")
 
-    def test_a_wrong_flag_is_named_before_what_is_missing(self, capsys):
-        assert "STUDY" not in fails_with(capsys, ["study", "plan", "--nope"], "'--nope'")
-
     def test_resamples_that_no_memory_holds(self, folder, capsys):
         args = ["study", "report", folder.path, "--resamples", "999999999999"]
         fails_with(capsys, args, "--resamples", "999999999999")
-
-    def test_an_empty_name_is_no_file(self, folder, capsys):
-        fails_with(capsys, ["study", "collect", folder.path, "--out", ""], "is a folder")
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")

@@ -21,7 +21,7 @@ from tiny_study import TINY, learned, write
 
 from benchmarks.studies import reproduce
 from tactilerl.commands.cli import main
-from tactilerl.errors import BUSY, InputError
+from tactilerl.errors import InputError
 from tactilerl.study import analysis, engine, records, report, runner
 from tactilerl.study.records import StudyFiles
 
@@ -78,15 +78,6 @@ class TestRun:
         for column in ("env_steps", "critic_loss", "test_success_rate"):
             np.testing.assert_array_equal(ours.column(column), theirs.column(column))
 
-    @pytest.mark.slow
-    def test_a_longer_study_goes_on_and_more_seeds_join(self, undisturbed, tmp_path, capsys):
-        shutil.copytree(undisturbed, tmp_path / "out")
-        text = TINY.replace("= 200", "= 300") + "grid = {polyak = [0.9, 0.95, 0.99], seed = 0}\n"
-        assert main(["study", "run", str(write(tmp_path, text)), "--out", str(tmp_path / "out")]) == 0
-        assert "3 to do" in capsys.readouterr().out
-        _, all_records = records.load(tmp_path / "out")
-        assert [record.column("env_steps")[-1] for record in all_records] == [300] * 3
-
     def test_another_run_in_its_folder_is_refused(self, undisturbed, tmp_path, capsys):
         text = TINY.replace("n_batches = 2", "n_batches = 3")
         args = ["study", "run", write(tmp_path, text), "--out", undisturbed]
@@ -98,15 +89,6 @@ class TestRun:
         args = ["study", "run", write(tmp_path, text), "--out", undisturbed]
         fails_with(capsys, args, "holds the study 'tiny', not 'other'")
         assert study.read_bytes() == before
-
-    def test_a_run_counts_again_when_it_is_as_long_as_was_asked(
-        self, undisturbed, tmp_path, monkeypatch
-    ):
-        shutil.copytree(undisturbed, tmp_path / "out")
-        monkeypatch.setattr(engine, "run_all", lambda *args, **options: {})  # stopped before they end
-        file = write(tmp_path, TINY.replace("= 200", "= 300"))
-        assert main(["study", "run", str(file), "--out", str(tmp_path / "out")]) == 0
-        assert [record.state for record in records.load(tmp_path / "out")[1]] == ["interrupted"] * 2
 
     def test_a_folder_that_holds_something_else_is_refused(self, tmp_path, capsys):
         (tmp_path / "out").mkdir()
@@ -319,20 +301,6 @@ class TestSharing:
         assert folder.record(run).state == "interrupted"
         assert folder.beside(run, "log").read_bytes() == log
 
-    def test_a_process_that_comes_too_late_is_no_failure(self, folder, monkeypatch):
-        """Whatever its path is called, and however long that is."""
-        run = folder.study().runs()[0]
-        monkeypatch.setattr(runner, "_process", lambda log, job: BUSY)
-        assert runner.run_job(runner.RunJob(folder.path, run)) == "busy"
-        assert folder.record(run).state == "interrupted"
-
-    def test_what_others_have_done_meanwhile_is_not_trained_again(
-        self, undisturbed, tmp_path, monkeypatch
-    ):
-        monkeypatch.setattr(runner, "_process", None)
-        run = StudyFiles(undisturbed).study().runs()[0]
-        assert runner.run_job(runner.RunJob(undisturbed, run)) == "done"
-
     @pytest.mark.parametrize("there", ["", "runs", "study.json", ".0123456789abcdef.tmp"])
     def test_another_starter_may_have_begun_to_make_the_folder(self, undisturbed, tmp_path, there):
         study = StudyFiles(undisturbed).study()
@@ -373,13 +341,6 @@ def killed_at(moments, tmp_path):
 @pytest.mark.slow
 def test_killed_once_and_run_again_the_tables_are_the_same(undisturbed, tmp_path):
     assert learned(killed_at([9.0], tmp_path)) == learned(undisturbed)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("trial", range(3))
-def test_killed_five_times_at_random_the_tables_are_the_same(undisturbed, tmp_path, trial):
-    moments = np.random.default_rng(trial).uniform(3, 25, 5)
-    assert learned(killed_at(moments, tmp_path)) == learned(undisturbed)
 
 
 def test_stopping_by_sigterm_ends_the_runs_and_they_go_on(tmp_path, capsys):
@@ -514,8 +475,3 @@ class TestAfterAnUpgrade:
         assert main(["study", "report", str(old), "--resamples", "100"]) == 0
         assert "in no figure" not in capsys.readouterr().out
         assert [one.state for one in records.load(records.collect(old))[1]] == ["done"] * 4
-
-    def test_another_value_is_another_run(self, old, capsys):
-        file = old / "study.toml"
-        file.write_text(file.read_text().replace("hidden = [4]", "hidden = [8]"))
-        fails_with(capsys, ["study", "run", file, "--out", old], "hidden: found [8]", "[4]")
