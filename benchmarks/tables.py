@@ -27,7 +27,6 @@ from benchmarks.studies import (
     error_rates,
     faults,
     gates,
-    pair_correlation,
     pairs,
     probe_agreement,
     probe_hold,
@@ -66,11 +65,9 @@ PRINTED: dict[str, Callable[[], None]] = {
     "steps": _parts("peers", env.show, "env"),
     "toys": _parts("peers", solve.show, "solve"),
     "second core": _parts("scaling", scaling.show, "limit", "collecting", "updates", "ranks"),
-    "ranks": _parts("scaling", scaling.show_shares, "ranks"),
     "start": _parts("footprint", footprint.show, "start"),
     "scene parts": _parts("scene_parts", scene_parts.show, "pairs"),
     "physics": _of("speed_vs_error", speed_vs_error.show_shipped),
-    "free motion": _of("speed_vs_error", speed_vs_error.show_free_motion),
     **{
         f"physics {pair}": _settings(pair)
         for pair in itertools.starmap(
@@ -82,7 +79,6 @@ PRINTED: dict[str, Callable[[], None]] = {
     "ablation": _of("ablation", ablation.show),
     "steady": _of("steady", steady.markdown),
     "pairs": _of("pairs", pairs.show),
-    "pair correlation": _of("pair_correlation", pair_correlation.markdown),
     "error rates": _parts("error_rates", error_rates.show_p_values, "p_values"),
     "looks": _parts("error_rates", error_rates.show_looks, "looks", "p_values"),
     "coverage": _parts("coverage", coverage.show, "coverage"),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 ROUNDS = 7
@@ -31,21 +30,3 @@ def rounds(contenders: dict[str, Contender], clock: Clock = time.perf_counter) -
 def contest(rates: dict[str, float], *pairs: tuple[str, str]) -> dict[str, Any]:
     """Rates, and for pairs of names the first's over the second's."""
     return {"per_s": rates, "ratios": {f"{a} / {b}": rates[a] / rates[b] for a, b in pairs}}
-
-
-class Watches:
-    """Seconds spent in some methods since they are watched; what one of them spends in another counts
-    for both."""
-
-    def __init__(self, **methods: tuple[Any, str]) -> None:
-        """By name: a thing and its method."""
-        self.seconds = dict.fromkeys(methods, 0.0)
-        for name, (thing, method) in methods.items():
-            setattr(thing, method, partial(self._timed, name, getattr(thing, method)))
-
-    def _timed(self, name: str, run: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
-        started = time.perf_counter()
-        try:
-            return run(*args, **kwargs)
-        finally:
-            self.seconds[name] += time.perf_counter() - started

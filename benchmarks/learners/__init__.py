@@ -1,1 +1,1 @@
-"""Learners: precision, two cores, memory, and where the time of a run goes."""
+"""Learners: which choices matter, and a second core."""

@@ -1,4 +1,4 @@
-"""What does a second core give, and where does the time of a DDPG+HER run go?
+"""What does a second core give?
 
 Two processes that share nothing, threads and processes that play episodes, and MPI ranks that learn
 together; the same work with one and with two, in turn. Starts mpirun itself. Prints tables
@@ -110,17 +110,13 @@ def ranks() -> dict[str, Any]:
     found: dict[int, list[dict[str, Any]]] = {1: [], 2: []}
     for _ in range(REPEATS):
         for n, results in found.items():
-            output = python("-m", "benchmarks.learners.rank_shares", launcher=(mpirun, "-n", str(n)))
+            output = python("-m", "benchmarks.learners.rank_speed", launcher=(mpirun, "-n", str(n)))
             results.append(json.loads(output.splitlines()[-1]))
     result: dict[str, Any] = {"ratios": {}}
     for key in ("transitions_per_s", "env_steps_per_s"):
         one, two = (median(r[key] for r in results) for results in found.values())
         result[key] = {"1 rank": one, "2 ranks": two}
         result["ratios"][f"{key}: 2 ranks / 1 rank"] = two / one
-    for n, results in found.items():
-        result[f"shares at {n}"] = {
-            name: median(r["shares"][name] for r in results) for name in results[0]["shares"]
-        }
     return result
 
 
@@ -143,24 +139,11 @@ def show(*parts: dict[str, Any]) -> None:
     markdown("| work | 2 cores / 1 |", rows)
 
 
-def show_shares(part: dict[str, Any]) -> None:
-    """Where the time of ranks goes."""
-    one, two = part["shares at 1"], part["shares at 2"]
-    rows = [(name, f"{100 * one[name]:.0f} %", f"{100 * two[name]:.0f} %") for name in one]
-    markdown("| share of the time | 1 rank | 2 ranks |", rows)
-
-
-def show_ranks(part: dict[str, Any]) -> None:
-    """Both."""
-    show(part)
-    show_shares(part)
-
-
 PARTS: dict[str, Part] = {
     "limit": (limit, show),
     "collecting": (collecting, show),
     "updates": (updates, show),
-    "ranks": (ranks, show_ranks),
+    "ranks": (ranks, show),
 }
 
 

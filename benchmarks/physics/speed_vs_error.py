@@ -2,7 +2,7 @@
 
 Scripted grasps of two cubes with perturbed starts, held for 5 s, under one setting at a time, for
 each hand in each simulator, against a reference with small, well-solved steps, which is itself
-compared with one of twice its step. Also what is lost where nothing should be (free_motion.py).
+compared with one of twice its step.
 Prints tables and writes JSON:
 
     python -m benchmarks speed_vs_error --out docs/data/speed_vs_error.json
@@ -25,7 +25,6 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.command import count, earlier, parser, processes, write
 from benchmarks.physics.contacts import deepest, self_contact
-from benchmarks.physics.free_motion import BRICK, fall, swing
 from benchmarks.printing import markdown
 from tactilerl.envs import hands, scripted
 from tactilerl.envs.grasp import GraspEnv, setup
@@ -36,7 +35,6 @@ SEED = 35_000  # starts of this benchmark; the doctor and the search used others
 SIZES = {"shadow": (0.04, 0.05), "mpl": (0.045, 0.05)}  # of cubes, m
 SHIPPED = "as shipped"
 CLEARLY = 1.25
-LOST = ("fall", "spin_energy", "swing_energy")  # in free motion
 
 
 @dataclass(frozen=True)
@@ -227,15 +225,6 @@ def compare(trace: Trace, reference: Trace, shipped: Trace) -> dict[str, Any]:
     }
 
 
-def free_motion(hand: str, simulator: str, setting: Setting) -> dict[str, float]:
-    """What the setting loses where nothing should be lost."""
-    lost: dict[str, float] = {}
-    for move in (fall, swing):
-        with environment(hand, simulator, BRICK, setting) as env:
-            lost |= move(env)
-    return lost
-
-
 def mark_front(rows: dict[str, dict[str, Any]]) -> None:
     """Which settings that hold something does no other beat: clearly faster, with less error and
     no more outcomes changed? Less than CLEARLY is within the noise of the machine, and where the
@@ -257,8 +246,6 @@ def measure(hand: str, simulator: str, grasps: int) -> dict[str, dict[str, Any]]
     shipped = traces[SHIPPED]
     rows = {name: compare(trace, fine, shipped) for name, trace in traces.items()}
     mark_front(rows)
-    for name, setting in settings.items():
-        rows[name] |= free_motion(hand, simulator, setting)
     return {"reference, twice the step": compare(coarse, fine, shipped), **rows}
 
 
@@ -313,15 +300,6 @@ def show_shipped(results: dict[str, Any]) -> None:
         "| outcomes changed | speed at half the timestep | error at half the timestep, median mm |"
     )
     markdown(head, rows)
-
-
-def show_free_motion(results: dict[str, Any]) -> None:
-    """One table: what the shipped settings lose."""
-    rows = [
-        (title, *(f"{result['settings'][SHIPPED][f'{key}_error']:.1e}" for key in LOST))
-        for title, result in results.items()
-    ]
-    markdown("| pair | fall | spin | swing |", rows)
 
 
 def main() -> None:
