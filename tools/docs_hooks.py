@@ -94,7 +94,8 @@ def home() -> str:
 
 
 def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
-    """Called by mkdocs with the text of each page."""
+    """Called by mkdocs with the text of each page: links to code, which the site has not, are names."""
+    markdown = re.sub(r"\[([^\]]*)\]\((?:\.\./)+[\w/]+\.py\)", r"\1", markdown)
     if page.file.src_uri == "reference/command-line.md":
         calls = [call for name in cli.COMMANDS for call in SEVERAL.get(name, (name,))]
         return markdown + "".join(map(flags, calls))
