@@ -35,7 +35,6 @@ from .errors import PEERS
 from .runs import config, evaluation, policies, training
 from .runs.config import RunOptions
 from .runs.cores import free_cores
-from .runs.files import as_path
 from .runs.run_dir import resolve
 from .terminal.progress_bar import ProgressBar
 
@@ -237,14 +236,10 @@ def train(
     when an observation, a reward, a loss or a parameter is no longer finite; the last checkpoint
     is kept.
     """
-    for name, word in {"env": env, "algo": algo, "recipe": recipe, "scene": scene}.items():
-        typed.require_type(word, str | None, name)
-    typed.require_type(trust, bool, "trust")
     if resume is not None and out is not None:
         raise ValueError("out: found with resume; a resumed run stays in its folder")
-    resume = resume and as_path(resume, "resume")
     base = resolve(algo, env or "", recipe, scene, resume, trust)
-    said = {"algo": algo, "out": out and str(as_path(out, "out"))}
+    said = {"algo": algo, "out": out and str(out)}
     chosen = base.choose({**flags, **{name: value for name, value in said.items() if value}})
     return training.train(chosen, mpi.world())
 

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from pathlib import Path
 from typing import Annotated
 
 from rich.table import Table
 
 from ..envs.grasp import GraspConfig, setup
 from ..envs.objects import Items, ObjectConfig
-from ..envs.simulators import Camera
 from ..errors import InputError, input_errors
-from ..pictures import render
 from ..probe import doctor
 from ..terminal import flags
 from ..terminal.console import console
@@ -21,7 +18,7 @@ from ..terminal.help import About
 from .grasps import require_grasp
 from .scene import layout_notes, read_scene, require_scene
 
-FEW = 10  # taxels that are named anyway
+FEW = 10  # taxels that are named
 
 
 ABOUT = About(
@@ -31,7 +28,7 @@ ABOUT = About(
     defaults={"layout": "each of 1 to 6"},
     examples=(
         "tactilerl doctor --env shadow",
-        "tactilerl doctor --env mpl --layout my_layout.toml --out grasp.png",
+        "tactilerl doctor --env mpl --layout my_layout.toml",
     ),
 )
 
@@ -46,12 +43,8 @@ class DoctorFlags:
     """Number of grasps per layout, each slightly different."""
     seconds: Annotated[float, "[0.05, 60]"] = 3.0
     """Length of each hold, s."""
-    out: Path | None = None
-    """Also write a picture of the grasp and its taxels to this file (extra: render)."""
-    verbose: bool = False
-    """List all taxels that never fired."""
     json: bool = False
-    """Print JSON instead of a table."""
+    """Print JSON instead of a table, with the names of all taxels that never fired."""
 
 
 USED = {"simulator", "layout", "touch_rule", "timestep", "finger_gain"}
@@ -84,9 +77,6 @@ def main(args: list[str]) -> int:
     names = [chosen] if chosen else [*"123456"]
     with input_errors():
         require_grasp(name, scene)
-        if read.out is not None:
-            picture = dataclasses.replace(scene, layout=chosen or "1", touch="on")
-            render.picture(name, picture, "grasp", Camera(), read.out)
         scenes = [dataclasses.replace(scene, layout=layout) for layout in names]
         figures = [doctor.examine(name, each, read.grasps, read.seconds) for each in scenes]
     code = int(any(f.is_blind for f in figures))
@@ -103,8 +93,8 @@ def main(args: list[str]) -> int:
         )
     console.print(table)
     for f in figures:
-        if read.verbose or 0 < len(f.never_fired) <= FEW:
-            console.print(f"layout {f.layout} never fired: {', '.join(f.never_fired) or 'none'}")
+        if 0 < len(f.never_fired) <= FEW:
+            console.print(f"layout {f.layout} never fired: {', '.join(f.never_fired)}")
         for note in layout_notes(name, f.layout):
             console.print(note)
     return code

@@ -220,13 +220,6 @@ def require_name(name: Any, where: str) -> str:
     return name
 
 
-def as_path(value: Any, name: str) -> Path:
-    """A path that a caller gave; InputError where it is none."""
-    if not isinstance(value, str | os.PathLike) or "\0" in str(value):
-        raise InputError(f"{name}: found {value!r}, allowed a path")
-    return Path(value)
-
-
 def pasted(path: Path | str) -> str:
     """A path as it can be pasted into a shell behind a command."""
     return shlex.quote(f"./{path}" if str(path).startswith("-") else str(path))

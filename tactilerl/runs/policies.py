@@ -17,7 +17,7 @@ from ..algos.policy import Policy, network_sizes
 from ..algos.spaces import Spaces
 from ..envs import typed
 from . import sealed
-from .files import as_path, damage_named
+from .files import damage_named
 
 if TYPE_CHECKING:
     from ..algos.learner import Learner
@@ -46,7 +46,7 @@ def load_policy(path: str | Path) -> Policy:
     others are safe to load: only tensors and plain values are read. Raises ValueError, one line,
     when there is no policy or its file is damaged.
     """
-    path = as_path(path, "path")
+    path = Path(path)
     return read_run(path).policy if path.is_dir() else _read_file(path)
 
 
@@ -56,7 +56,7 @@ def save_policy(path: str | Path, algo: str, learner: Learner) -> None:
     Raises ValueError when `path` is no place for a file, or holds another one; OSError when the disk is
     full.
     """
-    path = as_path(path, "path")
+    path = Path(path)
     if path.is_dir() or not path.parent.is_dir():
         raise ValueError(f"path: found {str(path)!r}, allowed a file in a folder that exists")
     state = learner.state_dict()
