@@ -265,7 +265,7 @@ def load(name: str) -> Layout:
     path = Path(name)
     if path.suffix in taxel_files.READERS:
         points = taxel_files.read(path)
-        return Layout(path.stem, f"points of {name}{taxel_files.padding(path)}", (), points)
+        return Layout(path.stem, f"points of {name}", (), points)
     if not name.endswith(".toml"):
         path = NAMED / f"{name}.toml"
         if Path(name).name != name or not os.path.isfile(path):

@@ -19,7 +19,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from . import toml_files
-from .state import Array
 from .toml_files import number, strings, table, vector
 
 FARTHEST = 1.0  # m from the origin of its link
@@ -98,16 +97,6 @@ def read(path: Path, link: str | None = None) -> tuple[Point, ...]:
         return points
 
 
-def padding(path: Path) -> str:
-    """What is said of the probes of radius 0 that a Genesis file fills its rows with."""
-    if path.suffix != ".json":
-        return ""
-    rows = [row for entry in json.loads(path.read_text(encoding="utf-8")) for row in entry["probes"]]
-    probes = chain(*rows) if rows and isinstance(rows[0], list) else rows
-    n = sum(probe.get("radius") == 0 for probe in probes)
-    return f"; {n} probes of radius 0 are padding and left out" if n else ""
-
-
 def mounted(data: Any, index: int, folder: Path) -> Iterator[Point]:
     """The taxels of a sensor that has a file of its own, on each of its links; ValueError naming what
     is wrong, and FileNotFoundError."""
@@ -164,24 +153,6 @@ def _read_dex01(content: bytes) -> Iterator[dict[str, Any]]:
         yield {"position": pose[:, 3].tolist(), "normal": pose[:, 2].tolist()}
 
 
-def _write_dex01(points: Sequence[Point]) -> bytes:
-    links = sorted({p.link for p in points})
-    if len(links) != 1:
-        raise ValueError(f"the format is for taxels on one link; found {', '.join(links)}")
-    poses = np.array([np.column_stack([_frame(np.array(p.normal)), p.position]) for p in points])
-    width, file = int(np.ceil(np.sqrt(len(points)))), io.BytesIO()
-    cells = np.array([divmod(index, width) for index in range(len(points))], np.int64)
-    np.savez(file, poses=poses, taxel2pixel=cells)
-    return file.getvalue()
-
-
-def _frame(normal: Array) -> Array:
-    """A rotation (3, 3) whose z axis is the normal."""
-    x = np.cross(np.eye(3)[int(np.argmin(np.abs(normal)))], normal)
-    x /= np.linalg.norm(x)
-    return np.column_stack([x, np.cross(normal, x), normal])
-
-
 def _read_csv(content: bytes) -> Iterator[dict[str, Any]]:
     """One row a taxel, with a heading; a last column may give names."""
     rows = csv.DictReader(io.StringIO(content.decode("utf-8-sig"), newline=""))
@@ -216,6 +187,5 @@ READERS: dict[str, Callable[[bytes], Iterator[dict[str, Any]]]] = {
 WRITERS: dict[str, Callable[[Sequence[Point]], bytes]] = {
     ".toml": lambda points: ("\n".join("\n".join([*p.toml(), ""]) for p in points)).encode(),
     ".json": _write_genesis,
-    ".npz": _write_dex01,
     ".csv": _write_csv,
 }

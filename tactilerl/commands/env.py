@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -39,7 +38,7 @@ class EnvFlags:
     describe: bool = False
     """List every entry of the observation and the action."""
     export: Path | None = None
-    """Write the layout as points on the hand's links: .toml, .json (Genesis), .npz (DEX-01), .csv."""
+    """Write the layout as points on the hand's links: .toml, .json (Genesis), .csv."""
     json: bool = False
     """Print JSON instead of text."""
 
@@ -51,18 +50,9 @@ def _export(path: Path, taxels: Taxels | None) -> None:
     if path.suffix not in WRITERS:
         allowed = ", ".join(WRITERS)
         raise InputError(f"--export: found {path.name!r}, allowed names that end in {allowed}")
-    files = {path: [*taxels.points]}
-    if path.suffix == ".npz" and len(taxels.links) > 1:  # a pattern is of one link
-        files = {
-            path.with_stem(f"{path.stem}_{re.sub('[^a-zA-Z0-9_.-]', '_', link)}"): [
-                point for point in taxels.points if point.link == link
-            ]
-            for link in taxels.links
-        }
-    for name, points in files.items():
-        made = WRITERS[path.suffix](points)
-        with replacing(name, partial(_holds, made)) as file:
-            file.write(made)
+    made = WRITERS[path.suffix](taxels.points)
+    with replacing(path, partial(_holds, made)) as file:
+        file.write(made)
 
 
 def _holds(data: bytes, path: Path) -> bool:

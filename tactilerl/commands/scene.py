@@ -59,6 +59,4 @@ def layout_notes(name: str, layout: str) -> list[str]:
     }
     short = layouts.short(layout)
     notes = [f"layout {short}: {text.format(', '.join(it))}" for text, it in found.items() if it]
-    if "left out" in wanted.description:
-        notes.append(f"layout {short}: {wanted.description}")
     return [*hand.notes, *notes]
