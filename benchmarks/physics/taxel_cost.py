@@ -89,7 +89,7 @@ def probe() -> dict[str, Any]:
     settings = {"env": GRIPPER, "simulator": config.simulator, "touch_rule": "skin", "seed": 0}
     start = partial(vector.start, partial(Scenes, GRIPPER, config, drawn.variants()), 1)
     result: dict[str, Any] = {"grasps": GRASPS}
-    with tempfile.TemporaryDirectory() as folder, patch.object(run, "free_cores", lambda comm: 1):
+    with tempfile.TemporaryDirectory() as folder, patch.object(run, "free_cores", lambda: 1):
         out, began = Path(folder), time.process_time()
         task = ScriptedGrasps(drawn, 0)
         played = play(out / "grasps.npz", GRASPS, settings, (), task, start, comm, lambda n: None)

@@ -11,7 +11,6 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from ..algos import mpi
 from ..envs.grasp import setup
 from ..errors import extra, input_errors
 from ..probe.options import GraspFlags, Options
@@ -24,7 +23,7 @@ ABOUT = About(
     "How well do a layout's readings just before the lift predict whether a grasp holds? Plays "
     "scripted grasps and compares layouts, without training (extra: probe).",
     first=(
-        "scene", "env", "simulator", "policy", "grasps", "seed", "layout", "joint_noise",
+        "scene", "env", "simulator", "grasps", "seed", "layout", "joint_noise",
         "out", "grasps_file", "workers", "json",
     ),
     examples=(
@@ -42,20 +41,16 @@ def main(args: list[str]) -> int:
     read = flags.parse(Options, args, "tactilerl probe", ABOUT, usual)
     with input_errors():
         read.validate()
-        comm = mpi.world()
     with extra("probe"):
         from ..probe import run
 
-    if comm.size == 1 and read.grasp.policy is None and read.output.grasps_file is None:
+    if read.output.grasps_file is None:
         with input_errors():
             env = read.grasp.env
             require_grasp(env, setup(env, simulator=read.grasp.simulator or setup(env).simulator))
     with ExitStack() as held:
-        is_shown = comm.rank == 0 and not read.output.json
-        with progress("grasps", is_shown=is_shown) as show, interrupts.in_order():
-            played, out = run.grasps(read, comm, held, show)
-        if comm.rank > 0:
-            return 0
+        with progress("grasps", is_shown=not read.output.json) as show, interrupts.in_order():
+            played, out = run.grasps(read, held, show)
         if not read.output.json:
             console.print(f"analysing {len(played.records['held'])} grasps")
         with Console(stderr=True, quiet=read.output.json).status("evaluating classifiers"):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -21,15 +21,11 @@ from ..envs.simulators import SimulationError
 from ..envs.state import KINDS, Array, Kind
 from ..envs.vector import IsWanted
 
-if TYPE_CHECKING:  # the processes that fit estimators start without PyTorch
-    from ..algos.policy import Policy
-
 Measured = dict[str, Array]
 """What is kept of a grasp, by name; stacked, of many."""
 STREAM = 5  # keeps these random numbers apart from those of training and evaluation
 HOLD_SECONDS = 2.0
 AT_REST = 2e-3  # m that the object would move until the end, at the speed of the last control step
-LIFTED = 0.03  # m under the object's lowest point: from here on a policy has lifted it
 
 
 @dataclass(frozen=True)
@@ -142,39 +138,6 @@ def _in_hand(env: GraspEnv) -> Array:
     """The object's position relative to the palm (3,), m."""
     state = env.simulator.state()
     return state.object_position - state.palm
-
-
-@dataclass(frozen=True)
-class PolicyGrasps:
-    """Plays the episode of a number by a policy with its noise.
-
-    The record is of the last step before the lift counts, or of the end of an episode without a
-    lift; the label is the episode's success.
-    """
-
-    policy: Policy
-    seed: int
-
-    def __call__(self, env: gym.Env[Any, Any], number: int, is_wanted: IsWanted) -> Measured:
-        base = env.unwrapped
-        assert isinstance(base, GraspEnv)
-        rng = np.random.default_rng([self.seed, STREAM, number % 2**64])
-        try:
-            obs, info = env.reset(seed=int(rng.integers(2**31)))
-            record, is_done, is_lifted = moment(base), False, False
-            while not is_done and is_wanted():
-                obs, _, terminated, truncated, info = env.step(
-                    self.policy.act(obs, deterministic=False, rng=rng)
-                )
-                is_done = terminated or truncated
-                is_lifted = is_lifted or terminated or bool(base.state.clearance > LIFTED)
-                if not is_lifted:
-                    record = moment(base)
-        except SimulationError:
-            info = {"diverged": True}
-        if info.get("diverged"):
-            return broken(base)
-        return {**record, "held": np.array(bool(info["is_success"]))}
 
 
 def links_of(hand: Hand) -> tuple[str, ...]:

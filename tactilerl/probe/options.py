@@ -40,9 +40,6 @@ class GraspFlags:
     """A hand: shadow, mpl, allegro, or the path of a hand's .toml file."""
     simulator: str | None = None
     """Physics engine: mujoco or pybullet; default: the hand's."""
-    policy: Path | None = None
-    """Run folder: probe the grasps of its policy, with exploration noise and in the run's own
-    scene, instead of scripted grasps."""
     grasps: Annotated[int, "[1, inf)"] = 2_000
     """Number of grasps to simulate."""
     seed: Annotated[int, "[0, 4294967295]"] = 0
@@ -74,7 +71,7 @@ class GraspFlags:
         config = setup(named.env, **named.scene)
         if tasks.TASKS[config.task].giver is not None:
             raise ValueError(f"scene: found {scene!r}, whose task is {config.task}, allowed scenes "
-                             "whose object lies on the ground; or probe a run: --policy")  # fmt: skip
+                             "whose object lies on the ground")  # fmt: skip
         if len(config.object_size) > 1 or LOST & named.scene.keys():
             raise ValueError(f"scene: found {scene!r}, which has several measures of an object or sets "
                              f"{', '.join(sorted(LOST))}, allowed scenes that do not")  # fmt: skip

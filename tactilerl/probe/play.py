@@ -1,22 +1,20 @@
-"""Grasps played side by side and over ranks, kept as they come, and gone on with."""
+"""Grasps played side by side, kept as they come, and gone on with."""
 
 from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from ..algos.mpi import Communicator
 from ..envs.vector import Job, Workers
 from ..errors import InputError
 from . import files
 from .grasps import Measured, stack
 
 SAVE_EVERY = 20.0  # s
-ROUND = 8  # grasps of each worker between two gatherings of all ranks
 
 
 def play(
@@ -25,10 +23,9 @@ def play(
     settings: dict[str, Any],
     task: Job[Measured],
     start: Callable[[], Workers],
-    comm: Communicator,
     show: Callable[[int], None],
 ) -> files.Played:
-    """Grasps 0 to n - 1, on every rank; those in the file at `path` are not played again.
+    """Grasps 0 to n - 1; those in the file at `path` are not played again.
 
     `show` is told how many there are. What was played stays in the file whatever stops it.
     InputError when the file holds grasps of other settings.
@@ -36,17 +33,17 @@ def play(
     records = _kept(path, settings)
     show(min(n, len(records)))
     if len(records) < n:
-        with closing(start()) as workers, closing(_play(workers, task, len(records), n, comm)) as new:
+        with closing(start()) as workers:
             try:
                 saved = time.monotonic()
-                for record in new:
+                for record in workers.play(task, range(len(records), n)):
                     records.append(record)
                     show(len(records))
-                    if comm.rank == 0 and time.monotonic() - saved > SAVE_EVERY:
+                    if time.monotonic() - saved > SAVE_EVERY:
                         files.write(path, files.Played(stack(records), settings))
                         saved = time.monotonic()
             finally:
-                if comm.rank == 0 and records:
+                if records:
                     files.write(path, files.Played(stack(records), settings))
     return files.Played(stack(records[:n]), settings)
 
@@ -63,18 +60,3 @@ def _kept(path: Path, settings: dict[str, Any]) -> list[Measured]:
             raise InputError(f"{path}: {name}: found {mine!r}, but its grasps have {other!r}; "
                              "choose another folder with --out")  # fmt: skip
     return [{name: values[k] for name, values in arrays.items()} for k in range(len(arrays["held"]))]
-
-
-def _play(
-    workers: Workers, task: Job[Measured], first: int, last: int, comm: Communicator
-) -> Generator[Measured]:
-    """Records of the numbers from `first` to before `last`, in order, on every rank."""
-    if comm.size == 1:
-        yield from workers.play(task, range(first, last))
-        return
-    step = comm.size * ROUND * min(comm.all_gather(len(workers)))
-    for begin in range(first, last, step):
-        end = min(last, begin + step)
-        mine = list(workers.play(task, range(begin + comm.rank, end, comm.size)))
-        by_rank = comm.all_gather(mine)
-        yield from (by_rank[i % comm.size][i // comm.size] for i in range(end - begin))

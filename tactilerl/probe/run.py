@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from ..algos.mpi import Communicator
 from ..envs import hands, layouts, typed, vector
 from ..envs.grasp import setup
 from ..envs.hands import Hand
@@ -23,9 +22,8 @@ from ..pictures import places
 from ..runs import provenance
 from ..runs.cores import free_cores
 from ..runs.files import locked, replacing
-from ..runs.training import start_workers
 from . import analysis, estimators, figures, files, selection
-from .grasps import Measured, PolicyGrasps, Scenes, ScriptedGrasps
+from .grasps import Measured, Scenes, ScriptedGrasps
 from .options import AnalysisFlags, GraspFlags, Options
 from .play import play
 from .readings import Grasps, with_faults
@@ -36,39 +34,35 @@ Playing = tuple[dict[str, Any], vector.Job[Measured], Callable[[int], vector.Wor
 """Settings, who plays a grasp in it, workers by their number, and the results' folder."""
 
 
-def grasps(
-    read: Options, comm: Communicator, held: ExitStack, show: Callable[[int], None]
-) -> tuple[files.Played, Path]:
+def grasps(read: Options, held: ExitStack, show: Callable[[int], None]) -> tuple[files.Played, Path]:
     """The grasps, played or read, and the folder where everything goes, to which no other process
     writes while it is `held`. Whatever cannot be asked is refused before minutes of playing."""
     source = read.output.grasps_file
     if source is not None:
-        _require_usual(read.grasp, "--from, allowed when grasps are played")
+        _require_usual(read.grasp)
         played = files.read(source)
         env = played.settings.get("env")
         if not hands.is_hand(str(env)):
             raise InputError(f"{source}: found grasps of {env!r}, allowed: {hands.allowed()}")
         _require_answerable(read.analysis, hands.get(str(env)))
-        return played, _held(read.output.out or source.parent, comm, held)
-    prepared = scripted if read.grasp.policy is None else _by_policy
-    settings, task, start, name = prepared(read.grasp)
+        return played, _held(read.output.out or source.parent, held)
+    settings, task, start, name = scripted(read.grasp)
     if digest := hands.digest(settings["env"]):  # of a hand of one's own, which may change
         settings["hand"] = digest
     _require_answerable(read.analysis, hands.get(settings["env"]))
-    path = _held(read.output.out or Path("probes") / name, comm, held) / "grasps.npz"
-    workers = partial(start, read.output.workers or free_cores(comm))
+    path = _held(read.output.out or Path("probes") / name, held) / "grasps.npz"
+    workers = partial(start, read.output.workers or free_cores())
     n = read.grasp.grasps
-    return play(path, n, settings, task, workers, comm, show), path.parent
+    return play(path, n, settings, task, workers, show), path.parent
 
 
-def _held(out: Path, comm: Communicator, held: ExitStack) -> Path:
+def _held(out: Path, held: ExitStack) -> Path:
     """The folder, made and locked."""
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"cannot make the folder {str(out)!r}: {error.strerror}") from error
-    if comm.rank == 0:
-        held.enter_context(locked(out))
+    held.enter_context(locked(out))
     return out
 
 
@@ -78,12 +72,13 @@ def _require_answerable(asking: AnalysisFlags, hand: Hand) -> None:
         _taxels(name, hand)
 
 
-def _require_usual(playing: GraspFlags, beside: str, *allowed: str) -> None:
+def _require_usual(playing: GraspFlags) -> None:
     """InputError naming the first flag that is not at its default."""
-    usual = asdict(type(playing)())
-    for name, value in asdict(playing).items():
-        if value != usual[name] and name not in allowed:
-            raise InputError(f"--{name.replace('_', '-')}: found together with {beside}")
+    usual = GraspFlags()
+    for name, value in vars(playing).items():
+        if value != getattr(usual, name):
+            flag = f"--{name.replace('_', '-')}"
+            raise InputError(f"{flag}: found together with --from, allowed when grasps are played")
 
 
 @input_errors()
@@ -102,31 +97,6 @@ def scripted(grasps: GraspFlags) -> Playing:
     task = ScriptedGrasps(drawn, grasps.seed, grasps.hold_verdict)
     start = partial(vector.start, partial(Scenes, grasps.env, config, drawn.variants()))
     return settings, task, start, f"{hands.file(grasps.env).stem}_{simulator}"
-
-
-def _by_policy(grasps: GraspFlags) -> Playing:
-    from ..runs import sealed
-    from ..runs.policies import read_run
-    from ..runs.run_dir import RunDir
-
-    assert grasps.policy is not None
-    beside = "--policy, allowed without: a run has its own scene"
-    _require_usual(grasps, beside, "policy", "grasps", "seed")
-    config, policy, epoch, env_steps = read_run(grasps.policy)
-    env, scene, name = config.run.env, config.scene, grasps.policy.resolve().name
-    if scene is None:
-        raise InputError(f"--policy {grasps.policy}: found a run of {env}, allowed runs of "
-                         f"{hands.allowed()}")  # fmt: skip
-    if scene.touch_rule != RULE:
-        found = f"--policy {grasps.policy}: found a run with touch rule {scene.touch_rule}"
-        raise InputError(f"{found}, allowed {RULE}, by which the grasps are read")
-    settings = {
-        "env": env, "simulator": scene.simulator, "touch_rule": RULE, "seed": grasps.seed,
-        "policy": name, "checkpoint": sealed.seal(RunDir(grasps.policy).checkpoint_file)[:16],
-        "epoch": epoch, "env_steps": env_steps,
-    }  # fmt: skip
-    start = partial(start_workers, config, Communicator())
-    return settings, PolicyGrasps(policy, grasps.seed), start, name
 
 
 @input_errors()
@@ -149,7 +119,7 @@ def analyse(read: Options, played: files.Played, out: Path) -> dict[str, Any]:
 
     with input_errors(), estimators.expected_warnings():
         readings = {name: feel(placed) for name, placed in taxels.items()}
-        probe = analysis.Probe(grasps, readings, asking, settings["seed"], free_cores(Communicator()))
+        probe = analysis.Probe(grasps, readings, asking, settings["seed"], free_cores())
         asked = probe.questions()
         samples = probe.answers(asked, probe.inputs())
         _write_gains(probe, samples, out)

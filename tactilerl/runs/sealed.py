@@ -38,11 +38,6 @@ def write(path: Path, content: dict[str, Any], is_ours: IsOurs | None = None) ->
         torch.save(content, file)
 
 
-def seal(path: Path) -> str:
-    """The checksum that `writing` wrote, of a file that was read."""
-    return path.read_bytes()[-SEAL_SIZE:].removeprefix(MARK).decode()
-
-
 def read(path: Path, what: str = "checkpoint") -> Any:
     """What `write` was given; InputError where a bit is another, or reading it would run code.
 

@@ -250,23 +250,6 @@ def test_an_end_from_outside_ends_all_and_loses_nothing(how):
 
 
 @pytest.mark.slow
-def test_two_ranks_play_the_grasps_of_one():
-    pytest.importorskip("sklearn")
-    args = ["probe", "--env", "mpl", "--simulator", "mujoco", "--layout", "5", "--object-size", "0.05"]
-    args += ["--grasps", "14", "--closing", "0.4", "1.1", "--joint-noise", "0", "--folds", "2"]
-    args += ["--resamples", "100", "--shuffles", "2", "--workers", "1", "--json", "--out"]
-    alone = subprocess.run(
-        [sys.executable, "-m", "tactilerl", *args, "1"], capture_output=True, text=True, timeout=400
-    )
-    both = tactilerl(*args, "2")
-    assert both.returncode == 0, both.stderr
-    assert json.loads(both.stdout) == json.loads(alone.stdout)
-    with np.load("1/grasps.npz") as one, np.load("2/grasps.npz") as two:
-        assert set(one.files) == set(two.files)
-        assert all(np.array_equal(one[name], two[name]) for name in one.files if name != "settings")
-
-
-@pytest.mark.slow
 def test_a_study_over_the_ranks_of_a_launch(tmp_path):
     study = ["study", "run", str(write(tmp_path)), "--out"]
     assert main([*study, "alone", "--jobs", "2"]) == 0

@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,7 +14,6 @@ from sklearn.metrics import balanced_accuracy_score, r2_score, roc_auc_score
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from tactilerl import statistics
-from tactilerl.algos.mpi import Communicator
 from tactilerl.commands.cli import main
 from tactilerl.envs import hands, layouts, scripted, vector
 from tactilerl.envs.grasp import GraspEnv, setup
@@ -26,7 +24,6 @@ from tactilerl.pictures import places
 from tactilerl.probe import analysis, estimators, figures, files, metrics, selection
 from tactilerl.probe.grasps import (
     Perturbation,
-    PolicyGrasps,
     Scenes,
     ScriptedGrasps,
     moment,
@@ -64,8 +61,7 @@ class TestGrasps:
         shown = []
         for n in (2, 3):
             parts = play(
-                tmp_path / "grasps.npz", n, {"seed": 1}, ScriptedGrasps(DRAWN, 1), start,
-                Communicator(), shown.append,
+                tmp_path / "grasps.npz", n, {"seed": 1}, ScriptedGrasps(DRAWN, 1), start, shown.append,
             )  # fmt: skip
         assert shown == [0, 1, 2, 2, 3]  # the second call plays one
         assert same(whole, parts.records)
@@ -74,7 +70,7 @@ class TestGrasps:
     def test_grasps_of_something_else_are_not_gone_on_with(self, tmp_path):
         def asked(settings):
             task = ScriptedGrasps(DRAWN, 1)
-            return play(tmp_path / "g.npz", 1, settings, task, start, Communicator(), print)
+            return play(tmp_path / "g.npz", 1, settings, task, start, print)
 
         asked({"hand": "a"})
         asked({"hand": "a"})
@@ -100,26 +96,8 @@ class TestGrasps:
                 raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):
-            play(tmp_path / "g.npz", 9, {}, ScriptedGrasps(DRAWN, 1), start, Communicator(), stop)
+            play(tmp_path / "g.npz", 9, {}, ScriptedGrasps(DRAWN, 1), start, stop)
         assert len(files.read(tmp_path / "g.npz").records["held"]) == 2
-
-    def test_a_policy_is_recorded_before_its_lift_counts(self):
-        class Still:
-            """Keeps the hand where it starts: there is no lift, and the episode times out."""
-
-            def act(self, obs, deterministic, rng):
-                return np.zeros(7)
-
-        env = GraspEnv("mpl", setup("mpl", simulator="mujoco", max_episode_steps=3))
-        try:
-            record = PolicyGrasps(Still(), 0)(env, 0, lambda: True)
-            again = PolicyGrasps(Still(), 0)(env, 0, lambda: True)
-        finally:
-            env.close()
-        assert not record["held"]
-        assert not record["broken"]
-        assert record["object_position"][2] == pytest.approx(0.025, abs=2e-3)
-        assert same(record, again)
 
 
 class TestReadings:
@@ -375,7 +353,7 @@ class TestAnalysis:
     def test_the_same_figures_again_and_on_any_number_of_cores(self, one_taxel, capsys, monkeypatch):
         figures = []
         for cores in (1, 2):
-            monkeypatch.setattr("tactilerl.probe.run.free_cores", lambda comm, n=cores: n)
+            monkeypatch.setattr("tactilerl.probe.run.free_cores", lambda n=cores: n)
             figures.append(result(capsys, "--from", str(one_taxel), "--layout", "5"))
         assert figures[0] == figures[1]
 
@@ -440,16 +418,14 @@ class TestAnalysis:
 
 
 class TestPlayed:
-    def test_from_playing_to_the_answer_and_on(self, tmp_path, monkeypatch, capfd, in_tmp):
+    def test_from_playing_to_the_answer_and_on(self, tmp_path, capfd, in_tmp):
         args = ["--env", "shadow", "--simulator", "mujoco", "--layout", "5"]
         args += ["--object-size", "0.04", "0.06", "--closing", "0.6", "1.4"]
         first = result(capfd, *args, "--grasps", "8")
         assert first["grasps"] == 8
         assert {"probe.json", "grasps.npz"} <= {p.name for p in tmp_path.glob("probes/*/*")}
-        monkeypatch.setattr("tactilerl.commands.probe.EVERY", 0.0)
         assert main(["probe", *ASKED, *args, "--grasps", "9"]) == 0
         told = capfd.readouterr()
-        assert "grasps 9/9" in told.err
         assert "Warning" not in told.err  # of the processes that ask, too
         assert ": 9 grasps, " in told.out
         assert main(["probe", *args, "--grasps", "8", "--friction", "0.7"]) == 2
@@ -469,16 +445,6 @@ class TestFolder:
             assert f"process {os.getpid()} on " in said
             assert "is writing to this folder" in said
             assert "is writing" in error(capsys, "--from", str(one_taxel), code=BUSY)
-
-    def test_a_policy_of_a_scene_with_ranges_is_asked(self, tmp_path, capfd, in_tmp):
-        scene = ["--env", "shadow", "--friction", "0.5..1.0", "--object-size", "0.04..0.05"]
-        short = ["--total-timesteps", "1", "--hold-seconds", "0.2", "--steps-per-epoch", "20"]
-        assert main(["train", "--algo", "ppo", *scene, *short, "--out", "run"]) == 0
-        capfd.readouterr()
-        # An untrained policy holds too few to tell anything from them, but they were played.
-        said = error(capfd, "--policy", "run", "--grasps", "6", "--workers=1", "--layout", "5")
-        assert re.search("outcome|the grasps that were", said)
-        assert len(files.read(tmp_path / "probes/run/grasps.npz").records["held"]) == 6
 
 
 class TestScene:
@@ -543,7 +509,6 @@ class TestBadInput:
             (["--folds", "1"], "folds: found 1"),
             (["--out", "/dev/null/x"], "cannot make the folder '/dev/null/x'"),
             (["--from", "x.npz", "--friction", "2"], "--friction"),
-            (["--policy", "nowhere"], "not a run folder"),
         ],
     )
     def test_flags(self, args, message, capsys, tmp_path, in_tmp):
