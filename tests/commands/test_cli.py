@@ -749,7 +749,7 @@ class TestOtherCommands:
         assert flags[:2] == ["--scene", "--algo"]
         assert flags[-1] == "--resume"
         assert len(flags) == 12
-        assert "--touch {on,off,absent}" in out
+        assert "--touch {on,off,absent" in out
         assert out.index("examples:") > out.index("--resume")
         assert "--help-all lists all" in out
 
