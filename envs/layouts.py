@@ -24,6 +24,7 @@ from .choices import require_one_of
 from .hands import DIGITS, HANDS, SEGMENTS, Hand, Pitch, Surface
 from .state import Array
 from .taxel_files import Point
+from .taxel_formats import READERS
 from .toml_files import is_number, number, only, strings, table
 
 MODEL = "model"
@@ -131,7 +132,7 @@ class Layout:
                 placed.append((point, index, (*offset, 0.0)))
         own = hand.sensors if self.name == MODEL else self.taxels
         points = [_of_link(point, hand) for point in own]
-        placed += [(point, *_on_surface(point, hand)) for point in points]
+        placed += [_on_surface(point, hand) for point in points]
         if not placed:
             raise ValueError(f"layout {self.name!r} puts no taxel on the {hand.name} hand")
         every, surfaces, offsets = zip(*placed, strict=True)
@@ -177,21 +178,24 @@ class Layout:
 def _of_link(point: Point, hand: Hand) -> Point:
     """On the link that the point's body is part of."""
     if frame := hand.welded.get(point.link):
-        place, normal = frame.point(point.position), frame.direction(point.normal)
+        place, normal = frame.point(point.position), point.normal and frame.direction(point.normal)
         return point._replace(link=frame.link, position=place, normal=normal)
     return point
 
 
-def _on_surface(point: Point, hand: Hand) -> tuple[int, tuple[float, float, float]]:
-    """Which of the hand's surfaces a point is on, and where."""
+def _on_surface(point: Point, hand: Hand) -> tuple[Point, int, tuple[float, float, float]]:
+    """The point with a normal, which of the hand's surfaces it is on, and where."""
     own = [i for i, surface in enumerate(hand.surfaces) if surface.link == point.link]
     if not own:
         links = ", ".join(dict.fromkeys(surface.link for surface in hand.surfaces))
         raise ValueError(f"taxel {point.name!r}: found link {point.link!r}, allowed: {links}")
     position = np.array(point.position)
     index = min(own, key=lambda i: float(np.linalg.norm(position - hand.surfaces[i].centre)))
+    if not point.normal:
+        normal = hand.surfaces[index].skin(position)[1]
+        point = point._replace(normal=tuple(normal.tolist()))
     row, column, height = hand.surfaces[index].offset(position)
-    return index, (row, column, height if abs(height) > LEAST else LEAST)  # 0 is of grids
+    return point, index, (row, column, height if abs(height) > LEAST else LEAST)  # 0 is of grids
 
 
 def left_out(layout: Layout, hand: Hand) -> list[str]:
@@ -246,12 +250,12 @@ def short(name: str) -> str:
 
 def is_file(name: str) -> bool:
     """Is it the path of a file?"""
-    return "\n" not in name and Path(name).suffix in (".toml", *taxel_files.READERS)
+    return "\n" not in name and Path(name).suffix in (".toml", *READERS)
 
 
 def load(name: str) -> Layout:
     """A layout by number, by name, or from a file: TOML, or points in another format
-    (`taxel_files.READERS`); or from the text of a TOML file.
+    (`taxel_formats.READERS`); or from the text of a TOML file.
 
     Raises ValueError naming what is wrong with the file, and FileNotFoundError.
     """
@@ -263,7 +267,7 @@ def load(name: str) -> Layout:
         with toml_files.blamed("layout"):
             return parse(tomllib.loads(name), Path("own"))
     path = Path(name)
-    if path.suffix in taxel_files.READERS:
+    if path.suffix in READERS:
         points = taxel_files.read(path)
         return Layout(path.stem, f"points of {name}", (), points)
     if not name.endswith(".toml"):
@@ -272,7 +276,7 @@ def load(name: str) -> Layout:
             meant = f"did you mean {name}.toml? " if os.path.isfile(f"{name}.toml") else ""
             raise ValueError(
                 f"unknown layout {name!r}; {meant}allowed: {', '.join((*names(), MODEL))} or the path "
-                f"of a file: .toml, {', '.join(taxel_files.READERS)}"
+                f"of a file: .toml, {', '.join(READERS)}"
             )
     data = toml_files.read(path, "layout file")
     with toml_files.blamed(f"layout file {path}"):

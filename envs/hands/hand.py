@@ -103,6 +103,22 @@ class Surface:
         row, column, height = axes @ (position - np.array(self.centre))
         return float(row), float(column), float(height)
 
+    def skin(self, point: Array) -> tuple[float, Array]:
+        """How far a point (3,) in the link frame is outside of the link's skin, m, negative within; and
+        the outward normal (3,) there."""
+        if self.geoms:
+            from .skins import outside
+
+            return outside(self.geoms, point)
+        if self.bone is None or self.radius is None:
+            return self.offset(point)[2], np.array(self.palmar)
+        begin, end = np.array(self.bone)
+        share = np.clip((point - begin) @ (end - begin) / ((end - begin) @ (end - begin)), 0.0, 1.0)
+        away = point - begin - share * (end - begin)
+        length = float(np.linalg.norm(away))
+        normal = away / length if length > 0 else np.array(self.palmar)
+        return length - self.radius, normal
+
     @property
     def span(self) -> tuple[float, float, float]:
         """Rows of both ends, and half the width of the link, m, from the grid's middle."""

@@ -11,10 +11,10 @@ from ..taxel_files import RADIUS, Point
 from . import models
 from .hand import Frame
 from .parts import Parts, posed
-from .skins import Distances, geoms_of
+from .skins import geoms_of, outside
 
 WORDS = re.compile(r"(?i)sensor|taxel|tactile|touch")
-NEAR, STEP = 0.01, 1e-4  # m from its link's skin that a sensor may be; of differences
+NEAR = 0.01  # m from its link's skin that a sensor may be
 LEAST, MOST = 1e-3, 0.02  # m, of radii
 
 
@@ -23,21 +23,13 @@ def of(parts: Parts) -> tuple[Point, ...]:
     Those that are not at the skin of a link are left out."""
     links = {link for digit in parts.digits.values() for link in digit.links} | {parts.palm_frame.link}
     geoms = {link: geoms_of(parts.model, parts.model.body(link).id) for link in links}
-    skins = {link: Distances(list(own)) for link, own in geoms.items() if own}
     found = []
     for name, link, place, radius in (*_sites(parts), *_links(parts)):
-        if link not in skins:
-            continue
-        every = list(range(len(geoms[link])))
-
-        def away(point: np.ndarray, skin: Distances = skins[link], own: list[int] = every) -> float:
-            return skin.nearest(own, point)[1]
-
-        slope = np.array([away(place + d) - away(place - d) for d in STEP * np.eye(3)])
-        if abs(away(place)) < NEAR and np.linalg.norm(slope) > 0:
-            normal = tuple((slope / np.linalg.norm(slope)).tolist())
-            radius = float(np.clip(radius, LEAST, MOST))
-            found.append(Point(link, tuple(place.tolist()), normal, radius, name))
+        if own := geoms.get(link):
+            away, normal = outside(own, place)
+            if abs(away) < NEAR and normal.any():
+                radius = float(np.clip(radius, LEAST, MOST))
+                found.append(Point(link, tuple(place.tolist()), tuple(normal.tolist()), radius, name))
     return tuple(found)
 
 

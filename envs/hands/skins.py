@@ -17,6 +17,7 @@ from scipy.spatial import ConvexHull, QhullError
 from ..state import Array, Shape
 
 FAR = 0.5  # m: beyond any hand
+STEP = 1e-4  # m, of differences
 MESH = "mesh"
 KINDS = {
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -163,3 +164,17 @@ class Distances:
         away = [mujoco.mj_geomDistance(model, data, geom, thing, FAR, None) for geom in candidates]
         best = int(np.argmin(away))
         return candidates[best], float(away[best])
+
+
+def outside(geoms: tuple[Geom, ...], point: Array) -> tuple[float, Array]:
+    """How far a point (3,) is outside of all geoms of a link, m, negative within; and the outward
+    normal (3,) of the nearest one's skin, zeros where there is none, as in the middle of a sphere."""
+    skin, own = _distances(geoms), list(range(len(geoms)))
+    ways = STEP * np.eye(3)
+    slope = np.array([skin.nearest(own, point + d)[1] - skin.nearest(own, point - d)[1] for d in ways])
+    return skin.nearest(own, point)[1], slope / max(float(np.linalg.norm(slope)), 1e-12)
+
+
+@lru_cache(maxsize=64)
+def _distances(geoms: tuple[Geom, ...]) -> Distances:
+    return Distances(list(geoms))

@@ -14,8 +14,9 @@ import gymnasium as gym
 from .. import envs
 from ..envs import scenes
 from ..envs.grasp import GraspEnv
+from ..envs.hands import tactile
 from ..envs.layouts import Taxels
-from ..envs.taxel_files import WRITERS
+from ..envs.taxel_formats import WRITERS
 from ..errors import InputError, input_errors
 from ..runs.files import content, replacing
 from ..terminal.help import About
@@ -27,6 +28,7 @@ ABOUT = About(
     first=("layout", "touch", "simulator", "task"),
     examples=("tactilerl env --scene handover", "tactilerl env --env shadow --layout 4 --describe"),
 )
+MJCF = ".xml"
 
 
 @dataclass(frozen=True)
@@ -38,19 +40,23 @@ class EnvFlags:
     describe: bool = False
     """List every entry of the observation and the action."""
     export: Path | None = None
-    """Write the layout as points on the hand's links: .toml, .json (Genesis), .csv."""
+    """Write the layout as points on the hand's links (.toml, .json: Genesis, .csv), or the hand with it
+    as MuJoCo's tactile sensors (.xml)."""
     json: bool = False
     """Print JSON instead of text."""
 
 
-def _export(path: Path, taxels: Taxels | None) -> None:
-    """Write taxels as points on links, in the format that the name says."""
+def _export(path: Path, base: Any) -> None:
+    """Write taxels as points on links, or as sensors of the hand's model, as the name says."""
+    taxels: Taxels | None = getattr(base, "taxels", None)
     if taxels is None:
         raise InputError("--export: found an environment without taxels, allowed those of hands")
-    if path.suffix not in WRITERS:
-        allowed = ", ".join(WRITERS)
+    if path.suffix not in (*WRITERS, MJCF):
+        allowed = ", ".join((*WRITERS, MJCF))
         raise InputError(f"--export: found {path.name!r}, allowed names that end in {allowed}")
-    made = WRITERS[path.suffix](taxels.points)
+    with input_errors("--export"):
+        is_model = path.suffix == MJCF
+        made = tactile.xml(base.hand, taxels) if is_model else WRITERS[path.suffix](taxels.points)
     with replacing(path, partial(_holds, made)) as file:
         file.write(made)
 
@@ -73,7 +79,7 @@ def main(args: list[str]) -> int:
             described |= {"observation": base.observation_names(), "action": base.hand.action_names}
             described |= {"taxels": len(base.taxels), "notes": layout_notes(read.env, scene.layout)}
     if read.export is not None:
-        _export(read.export, getattr(base, "taxels", None))
+        _export(read.export, base)
     if read.json:
         print(json.dumps(described))
         return 0

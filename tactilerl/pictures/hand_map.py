@@ -8,7 +8,7 @@ from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
-from ..envs.hands import DIGITS, Hand, Surface, skins
+from ..envs.hands import DIGITS, Hand
 from ..envs.layouts import Taxels
 from ..envs.state import Array
 from ..runs.files import MAKER
@@ -96,22 +96,9 @@ def off_skin(hand: Hand, taxels: Taxels) -> list[str]:
     found = []
     offsets = zip(taxels.points, taxels.surfaces.tolist(), taxels.offsets, strict=True)
     for taxel, index, (_, _, height) in offsets:
-        away = _from_skin(hand.surfaces[index], np.array(taxel.position), float(height))
-        if height and away > taxel.radius:
+        if height and abs(hand.surfaces[index].skin(np.array(taxel.position))[0]) > taxel.radius:
             found.append(taxel.name)
     return found
-
-
-def _from_skin(surface: Surface, position: Array, height: float) -> float:
-    """How far a point is from a link's surface, m."""
-    if surface.geoms:
-        _, away = skins.Distances(list(surface.geoms)).nearest([*range(len(surface.geoms))], position)
-        return abs(away)
-    if surface.bone is None or surface.radius is None:
-        return abs(height)
-    begin, end = np.array(surface.bone)
-    share = np.clip((position - begin) @ (end - begin) / ((end - begin) @ (end - begin)), 0.0, 1.0)
-    return float(abs(np.linalg.norm(position - begin - share * (end - begin)) - surface.radius))
 
 
 class TaxelMap:

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import tactilerl
 from tactilerl.commands.cli import main
-from tactilerl.envs import hands, layouts, objects, scripted, taxel_files, toml_files
+from tactilerl.envs import hands, layouts, objects, scripted, taxel_formats, toml_files
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.hands import loading, sandbox
 from tactilerl.envs.simulators import Scene
@@ -287,7 +287,7 @@ class TestTaxelFiles:
     @pytest.mark.parametrize("suffix", [".json", ".csv", ".toml"])
     def test_what_is_written_is_read_again(self, tmp_path, suffix):
         path = tmp_path / f"points{suffix}"
-        path.write_bytes(taxel_files.WRITERS[suffix](self.taxels.points))
+        path.write_bytes(taxel_formats.WRITERS[suffix](self.taxels.points))
         again = layouts.load(str(path)).place(hands.get(GRIPPER))
         order = [
             int(np.argmin(np.linalg.norm(again.positions - p, axis=1) + (again.link_index != i)))
@@ -379,7 +379,7 @@ class TestTaxelFiles:
 class TestPadding:
     def test_probes_of_radius_0_are_left_out(self, tmp_path):
         points = layouts.load("5").place(hands.get(GRIPPER)).points
-        entries = json.loads(taxel_files.WRITERS[".json"](points))
+        entries = json.loads(taxel_formats.WRITERS[".json"](points))
         padding = {"radius": 0, "pos": [0, 0, 0], "normal": [0, 0, 1]}
         for entry in entries:
             entry["probes"][0] += [padding, padding]
@@ -401,7 +401,9 @@ class TestCommands:
     def test_a_run_knows_its_hand_again(self, own, tmp_path, capsys):
         path, run = own(), str(tmp_path / "run")
         points = tmp_path / "points.csv"
-        points.write_bytes(taxel_files.WRITERS[".csv"](layouts.load("5").place(hands.get(path)).points))
+        points.write_bytes(
+            taxel_formats.WRITERS[".csv"](layouts.load("5").place(hands.get(path)).points)
+        )
         flags = ["--env", path, "--layout", str(points), "--total-timesteps", "40"]
         flags += ["--steps-per-epoch", "20", "--max-episode-steps", "10", "--hold-seconds", "0.1"]
         assert main(["train", "--algo", "ppo", *flags, "--out", run]) == 0
@@ -452,7 +454,7 @@ class TestCommands:
     def test_the_probe_reads_any_points(self, tmp_path, capsys):
         points = tmp_path / "points.json"
         hand = hands.get(GRIPPER)
-        points.write_bytes(taxel_files.WRITERS[".json"](layouts.load("1").place(hand).points))
+        points.write_bytes(taxel_formats.WRITERS[".json"](layouts.load("1").place(hand).points))
         asked = ["--joint-noise", "0.05", "--resamples", "100", "--shuffles", "2", "--folds", "2"]
         flags = ["--env", GRIPPER, "--grasps", "60", "--layout", "5", str(points)]
         flags += ["--start-offset", "0.005"]

@@ -1,0 +1,118 @@
+"""Files of other projects: what they mean, and that a broken one is one line."""
+
+import math
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactilerl.envs import hands, layouts, taxel_files, taxel_formats
+
+GRIPPER = str(Path(__file__).parents[1] / "hands" / "gripper.toml")
+ORCA = """name: touch-sensor-finger
+frame: sensor
+units: mm
+num_taxels: 2
+coordinates:
+- x: 0.0
+  y: -4.0
+  z: 1.5
+  x_axis: [1, 0, 0]
+  y_axis: [0, 0, 1]
+  z_axis: [0, -1, 0]
+- x: 2
+  y: -4.0
+  z: 1.5
+"""
+ICUB = """name                left_2
+spatial_sampling    taxel
+taxel2Repr          (-1 0 0 -1)
+[calibration]
+0.0    0.0    0.0   0.0  0.0  0.0
+-0.008 0.0   -0.012 -0.9 0.0  0.0
+0.008  0.001 -0.012 0.0  0.0  0.0
+-0.008 0.0   -0.012 0.0  -1.0 0.0
+"""
+POINTS = layouts.load("5").place(hands.get(GRIPPER)).points
+WHOLE = {
+    suffix: write(POINTS[:1]) for suffix, write in taxel_formats.WRITERS.items() if suffix != ".toml"
+}
+WHOLE |= {".yaml": ORCA.encode(), ".txt": ICUB.encode()}
+
+
+def test_orcas_sensors_are_in_mm_and_older_ones_have_no_normals(tmp_path):
+    (tmp_path / "finger.yaml").write_text(ORCA)
+    points = taxel_files.read(tmp_path / "finger.yaml", "left_2")
+    assert [point.position for point in points] == [(0, -0.004, 0.0015), (0.002, -0.004, 0.0015)]
+    assert [point.normal for point in points] == [(0, -1, 0), ()]
+
+
+def test_icubs_skin_names_its_link_and_has_rows_for_no_taxel(tmp_path):
+    (tmp_path / "left.txt").write_text(ICUB)
+    points = taxel_files.read(tmp_path / "left.txt")
+    assert [point.link for point in points] == ["left_2"] * 2
+    assert [point.normal for point in points] == [(-1, 0, 0), ()]
+
+
+@pytest.mark.parametrize("name", [GRIPPER, "shadow"])
+def test_what_has_no_normal_has_that_of_the_nearest_skin(name):
+    """Of a shape of any kind, of a capsule and of a flat palm."""
+    hand = hands.get(name)
+    taxels = layouts.load("4").place(hand)
+    bare = tuple(point._replace(normal=()) for point in taxels.points)
+    again = layouts.Layout("own", "", (), bare).place(hand)
+    cosines = np.einsum("nj,nj->n", taxels.normals, again.normals)
+    assert cosines.min() > math.cos(math.radians(5))
+
+
+def test_a_layout_without_normals_is_written_and_read_again(in_tmp):
+    bare = layouts.Layout("own", "", (), tuple(point._replace(normal=()) for point in POINTS))
+    Path("own.toml").write_text(bare.toml())
+    assert layouts.load("own.toml").taxels == bare.taxels
+
+
+PROBE = '[{"link_name": "a", "probes": [{"pos": [%s, 0, 0], "normal": [1, 0, 0], "radius": %s}]}]'
+HOSTILE = {
+    ".json": ["[]", "{}", "[1]", PROBE % ("NaN", 0.002), PROBE % (0, 0), PROBE % ("1e999", 0.002),
+              "[" * 9999],
+    ".yaml": ["", "a: [", "units: inch\ncoordinates: []", ORCA.replace("taxels: 2", "taxels: 87"),
+              *(ORCA.replace("x: 2", x) for x in ("x: .nan", "x: two", "q: 2", "x: 1" + "0" * 400)),
+              ORCA.replace("[0, -1, 0]", "[0, 0, 0]"), "!!python/object/apply:os.system ['true']"],
+    ".txt": ["", "name\n[calibration]\n", "name a\nname b\n[calibration]\n", "name a\n[calibration]\n",
+             *(ICUB.replace("-0.9 0.0", normal) for normal in ("nan 0.0", "-0.9", "x 0.0")),
+             ICUB.replace("0.001", "5")],
+    ".csv": ["", "a,b", ",".join(taxel_formats.COLUMNS),
+             WHOLE[".csv"].decode().replace("0.", "nan")],
+    ".npz": ["", "PK"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("suffix", HOSTILE)
+def test_a_hostile_file_is_one_line(tmp_path, suffix):
+    path = tmp_path / f"points{suffix}"
+    for content in HOSTILE[suffix]:
+        path.write_text(content)
+        with pytest.raises(ValueError, match=r"taxel file .*points") as error:
+            taxel_files.read(path, "left_2")
+        assert "\n" not in str(error.value), content
+
+
+@pytest.mark.parametrize("suffix", WHOLE)
+def test_a_damaged_file_is_one_line_or_taxels(tmp_path, suffix):
+    """Cut off anywhere, or with bytes that are others."""
+    path, whole = tmp_path / f"points{suffix}", WHOLE[suffix]
+    path.write_bytes(whole)
+    assert taxel_files.read(path, "left_2")
+    rng = np.random.default_rng(0)
+    damaged = [whole[:n] for n in rng.integers(len(whole), size=60)]
+    for _ in range(240):
+        bytes_ = np.frombuffer(whole, np.uint8).copy()
+        at = rng.integers(len(whole), size=rng.integers(1, 6))
+        bytes_[at] = rng.integers(256, size=len(at))
+        damaged.append(bytes_.tobytes())
+    for content in damaged:
+        path.write_bytes(content)
+        with suppress(ValueError):
+            points = taxel_files.read(path, "left_2")
+            assert all(np.isfinite([*point.position, *point.normal]).all() for point in points)
