@@ -61,11 +61,9 @@ class PPOConfig:
     """Transitions per minibatch, instead of --n-minibatches. Also --batch-size."""
     max_grad_norm: Positive32 = 0.5
     """Largest norm of the gradient, clipped separately for actor and critic."""
-    exploration: Literal["fixed", "annealed", "learned"] = "fixed"
-    """Variance of the policy. fixed: --action-variance; annealed: linear over the run, from there to
-    --final-variance; learned: one per action dimension, starting there."""
-    final_variance: Positive32 | None = None
-    """With --exploration annealed: the last variance; default: a tenth of --action-variance."""
+    exploration: Literal["fixed", "learned"] = "fixed"
+    """Variance of the policy. fixed: --action-variance; learned: one per action dimension, starting
+    there."""
     orthogonal_init: bool = False
     """Orthogonal initial weights, with an actor whose last layer is near zero; otherwise they are
     uniform in ±1/sqrt(inputs)."""
@@ -89,15 +87,11 @@ class PPOConfig:
                 "n_minibatches and minibatch_size: found both, allowed one of them; "
                 "None unsets that of a recipe"
             )
-        if self.final_variance is not None and self.exploration != "annealed":
-            raise ValueError(
-                f"final_variance: found with exploration {self.exploration}, allowed only with annealed"
-            )
 
     @property
     def anneals(self) -> bool:
         """Does the course of a run depend on how long it will be?"""
-        return self.anneal_lr or self.exploration == "annealed"
+        return self.anneal_lr
 
     def minibatches(self, n: int) -> int:
         """Minibatches per pass over a batch of `n` transitions."""
@@ -136,10 +130,6 @@ class Gaussian(nn.Module):
     def __init__(self, n_actions: int, variance: float) -> None:
         super().__init__()
         self.variance, self.log_std = variance, nn.Parameter(torch.zeros(n_actions))
-
-    def set_variance(self, variance: float) -> None:
-        """The same for all dimensions."""
-        self.log_std.data.fill_(0.5 * math.log(variance / self.variance))
 
     def std(self) -> Array:
         """float32 (d,)."""
@@ -268,14 +258,10 @@ class PPO(Learner):
 
     def collect(self) -> dict[str, float]:
         """Whole episodes, until `steps_per_epoch` are there: the same ones on all ranks."""
-        config, remaining = self.config, self.progress_remaining
+        config = self.config
         if config.anneal_lr:
-            self.actor_adam.scale_lr(remaining)
-            self.critic_adam.scale_lr(remaining)
-        if config.exploration == "annealed":
-            start = config.action_variance
-            last = config.final_variance or start / 10
-            self.gaussian.set_variance(remaining * start + (1.0 - remaining) * last)
+            self.actor_adam.scale_lr(self.progress_remaining)
+            self.critic_adam.scale_lr(self.progress_remaining)
         job = PlayEpisode[Array](self.policy(), (self.seed, 0, rollout.TRAIN, self.epochs))
         episodes = play_steps(self.workers, job, config.steps_per_epoch, self.comm)
         self._episodes = require_transitions(episodes)

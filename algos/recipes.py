@@ -16,6 +16,8 @@ SINCE: dict[str, dict[str, Any]] = {
         ("anneal_lr", "anneal_noise", "anneal_action_l2", "normalise_rewards"), False
     ),
 }
+# Those that earlier versions have, with the values that mean what this one does.
+GONE: dict[str, dict[str, Any]] = {"ppo": {"final_variance": None}}
 # For runs that learn faster, or keep what they learned: docs/concepts/learners.md.
 # A name keeps its values for good: study files and recorded runs mean them by it.
 STEADY = DDPGHERConfig(
@@ -52,3 +54,9 @@ def recipe(algorithm: str, name: str = PAPER) -> Any:
     if name not in known:
         raise ValueError(f"recipe: found {name!r}, allowed for {algorithm}: {', '.join(known)}")
     return known[name]
+
+
+def current(algorithm: str, told: dict[str, Any]) -> dict[str, Any]:
+    """Hyperparameters that an earlier version may have written, as this one has them."""
+    gone = GONE.get(algorithm, {}).items()
+    return SINCE.get(algorithm, {}) | {name: v for name, v in told.items() if (name, v) not in gone}

@@ -151,9 +151,6 @@ def _table(result: dict[str, Any]) -> Table:
         table.add_row(*_row(result, "success_rate", "success rate"))
         if result["mean_held_steps"] > 1:  # where success does not end the episode
             table.add_row("steps at the goal, at the end", f"{result['mean_held_steps']:.1f}", "")
-    for part in result.get("by_object", ()):
-        what = f"success rate, {part['object']} ({part['episodes']})"
-        table.add_row(*_row(part, "success_rate", what))
     table.add_row(*_row(result, "mean_return", "return", ".2f"))
     table.add_row("length", f"{result['mean_length']:.1f}", "")
     for fault, what in (("diverged", "diverged episodes"), ("warnings", "warnings")):

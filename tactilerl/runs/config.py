@@ -168,7 +168,7 @@ class RunConfig:
         """The first field in which `other`, another's identity, is another run; None if none."""
         for part, mine in self.identity().items():
             a, b = mine or {}, other.get(part) or {}
-            b = recipes.SINCE.get(self.run.algo, {}) | b if part == "learner" else b
+            b = recipes.current(self.run.algo, b) if part == "learner" else b
             for key in {**a, **b}:
                 if a.get(key) != b.get(key):
                     return f"{key}: found {b.get(key)!r}, the run was made with {a.get(key)!r}"
@@ -220,7 +220,7 @@ def from_dict(data: dict[str, Any]) -> RunConfig:
         run = typed.make(RunOptions, data["run"], "run")
         config_type, _ = algos.get(run.algo)
         scene = None if data["scene"] is None else typed.make(GraspConfig, data["scene"], "scene")
-        learner = recipes.SINCE.get(run.algo, {}) | data["learner"]
+        learner = recipes.current(run.algo, data["learner"])
         config = RunConfig(run, scene, typed.make(config_type, learner, "learner"))
         config.validate()
         return config

@@ -22,14 +22,12 @@ def task(policy: Policy, stochastic: bool = False) -> PlayEpisode[Any]:
 
 def row(episode: Episode[Any]) -> dict[str, Any]:
     """Success at the end of an episode (nan where the environment has none), for how many steps
-    it had stood by then, return, length, object (if any) and faults; one that diverged has no
-    success."""
+    it had stood by then, return, length and faults; one that diverged has no success."""
     return {
         "success": episode.success,
         "held": episode.held,
         "return": sum(episode.rewards),
         "length": len(episode),
-        "object": episode.info.get("object"),
         **episode.faults,
     }
 
@@ -58,50 +56,11 @@ def summarise(played: list[dict[str, Any]]) -> dict[str, Any]:
     if not np.isnan(successes).any():
         result |= success_rate(successes)
         result["mean_held_steps"] = float(np.mean([episode["held"] for episode in played]))
-        if groups := by_object(played):
-            result["by_object"] = groups
     return result
 
 
 def success_rate(successes: np.ndarray) -> dict[str, Any]:
     """Rate of successes (n,) of 0 or 1, with its Wilson interval."""
     count, n = int(successes.sum()), len(successes)
-    return {
-        "success_rate": count / n,
-        "success_rate_ci": list(statistics.wilson_interval(count, n)),
-    }
-
-
-PARTS = 3  # into which the range of what differs between objects is cut
-OBJECT = {"kind", "size", "density", "friction"}  # what an environment says of an episode's object
-UNITS = {"width": " m", "height": " m", "density": " kg/m³", "friction": ""}
-
-
-def by_object(played: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Success rates by kind and by thirds of each measure in which the episodes' objects differ."""
-    objects = [episode["object"] for episode in played]
-    if not all(isinstance(thing, dict) and thing.keys() >= OBJECT for thing in objects):
-        return []
-    successes = np.array([episode["success"] for episode in played])
-    kinds = np.array([thing["kind"] for thing in objects])
-    parts = [(f"{kind}", kinds == kind) for kind in sorted(set(kinds)) if len(set(kinds)) > 1]
-    measures = {
-        "width": [max(thing["size"][:2]) for thing in objects],
-        "height": [thing["size"][2] for thing in objects],
-        **{name: [thing[name] for thing in objects] for name in ("density", "friction")},
-    }
-    if measures["height"] == measures["width"]:  # cubes and spheres: one measure
-        del measures["height"]
-    for name, values in measures.items():
-        parts += _thirds(name, np.array(values))
-    rows = ((what, successes[chosen]) for what, chosen in parts)
-    return [{"object": w, "episodes": len(s), **success_rate(s)} for w, s in rows if len(s)]
-
-
-def _thirds(name: str, values: np.ndarray) -> list[tuple[str, np.ndarray]]:
-    """(what it is, which of `values` (n,) are in it) for each part of their range."""
-    edges = np.linspace(values.min(), values.max(), PARTS + 1)
-    if np.ptp(values) <= 1e-9 * abs(edges[-1]):
-        return []
-    part = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, PARTS - 1)
-    return [(f"{name} {edges[k]:.3g}–{edges[k + 1]:.3g}{UNITS[name]}", part == k) for k in range(PARTS)]
+    interval = list(statistics.wilson_interval(count, n))
+    return {"success_rate": count / n, "success_rate_ci": interval}

@@ -78,7 +78,7 @@ def _read_file(path: Path) -> Policy:
     data = _fields(path)
     with damage_named(path):
         config_type, _ = algos.get(data["algo"])
-        told = recipes.SINCE.get(data["algo"], {}) | json.loads(data["learner"])
+        told = recipes.current(data["algo"], json.loads(data["learner"]))
         config: Any = typed.make(config_type, told, "learner")
         config.validate()
         return _policy(path, data["algo"], config, Spaces.from_json(data["spaces"]), data["state"])

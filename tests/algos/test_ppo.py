@@ -198,11 +198,7 @@ class TestLearning:
             for mine, theirs in zip(net.parameters(), copy.parameters(), strict=True):
                 torch.testing.assert_close(mine, theirs, atol=2e-6, rtol=1e-4)
 
-    @pytest.mark.parametrize(
-        "choices",
-        [{}, {"exploration": "annealed"}, STEADY],
-        ids=["paper", "annealed", "steady"],
-    )
+    @pytest.mark.parametrize("choices", [{}, STEADY], ids=["paper", "steady"])
     def test_same_seed_same_run_and_resume(self, choices):
         def run(epochs, state=None):
             ppo = make_ppo(scripted(), seed=3, **choices)
@@ -236,15 +232,6 @@ class TestLearning:
         assert torch.equal(learned.sign(), -gradient.sign())  # Adam's first step is its step size
         torch.testing.assert_close(learned.abs(), torch.full_like(learned, 3e-4))
         assert not log_std()[0].any()
-
-    def test_annealed_variance_falls_to_its_end(self):
-        ppo = make_ppo(scripted(), exploration="annealed", action_variance=0.04, final_variance=0.01)
-        found = []
-        for env_steps in (0, 500, 1000, 2000):
-            ppo.env_steps = env_steps
-            ppo.collect()
-            found.append(0.04 * float(ppo.gaussian.log_std.detach().exp()[0]) ** 2)
-        assert found == pytest.approx([0.04, 0.025, 0.01, 0.01])
 
     def test_normalised_observations_are_those_of_the_epochs_before(self):
         def obs(rng):
@@ -465,8 +452,6 @@ class TestHardCases:
         dict(n_passes=0),
         dict(hidden=()),
         dict(target_kl=0.0),
-        dict(final_variance=0.0, exploration="annealed"),
-        dict(final_variance=0.01),
     ],
 )
 def test_config_rejects(choices):

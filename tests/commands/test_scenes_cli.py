@@ -33,13 +33,7 @@ def test_every_flag_trains_resumes_and_is_evaluated(learner, env, simulator, cap
     assert main(["train", "--resume", "run", "--total-timesteps", "24"]) == 0
     capsys.readouterr()
     assert main(["evaluate", "run", "--episodes", "6", "--json", "--workers", "1"]) == 0
-    result = json.loads(capsys.readouterr().out)
-    parts = {part["object"]: part["episodes"] for part in result["by_object"]}
-    assert parts["box"] + parts["sphere"] == 6
-    for measure in ("width", "density", "friction"):
-        assert sum(n for name, n in parts.items() if name.startswith(measure)) == 6
-    assert main(["evaluate", "run", "--episodes", "6", "--workers", "1"]) == 0
-    assert "success rate, sphere (" in capsys.readouterr().out
+    assert json.loads(capsys.readouterr().out)["episodes"] == 6
 
 
 @pytest.mark.parametrize("learner", [PPO, HER], ids=["ppo", "ddpg_her"])
