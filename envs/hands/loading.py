@@ -22,6 +22,7 @@ from . import checks, models, mounting, sensors, surfaces
 from .hand import CLOSING_STEP, SLIDES, Hand, LinearAction, ScriptedGrasp
 from .mounting import Mount
 from .parts import Parts, posed
+from .skins import stand_off
 
 KEYS = {
     *(
@@ -60,6 +61,7 @@ CLEAR, STEP, HIGHEST = 0.008, 0.002, 0.5  # m: around the hand at the start; of 
 FARTHEST = 1.0  # m of anything from the palm or the object
 NANO = 9  # decimals of m that count of a place
 FINGERS = 0.045  # m: how much more than an object is between the tips that it fits between
+STANDS_OFF = 5e-3  # m, of a convex hull from its mesh: worth a note
 TIMESTEP = 0.004  # s, of scenes that say nothing else
 
 
@@ -121,7 +123,7 @@ def _hand(parts: Parts, path: Path) -> Hand:
 
 
 def _notes(parts: Parts) -> tuple[str, ...]:
-    """What became of the model's servos and dummy links."""
+    """What became of the model's servos, and what its meshes count as."""
     found = []
     if parts.replaced:
         found.append(
@@ -130,6 +132,12 @@ def _notes(parts: Parts) -> tuple[str, ...]:
         )
     if parts.passive:
         found.append(f"joints without servos: {_some(parts.passive)}")
+    links = [parts.palm_frame.link, *(link for digit in parts.digits.values() for link in digit.links)]
+    off = {link: stand_off(parts.model, parts.model.body(link).id) for link in links if parts.is_own}
+    wide = sorted((link for link in off if off[link] > STANDS_OFF), key=off.__getitem__, reverse=True)
+    if wide:
+        hulls = ", ".join(f"{link} {1e3 * off[link]:.0f} mm" for link in wide)
+        found.append(f"what touches is the convex hull of a mesh, which stands off it: {hulls}")
     return tuple(found)
 
 

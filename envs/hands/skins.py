@@ -12,12 +12,13 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from ..state import Array, Shape
 
 FAR = 0.5  # m: beyond any hand
 STEP = 1e-4  # m, of differences
+SAMPLES = 500, 20_000  # points on a hull, and on its mesh
 MESH = "mesh"
 KINDS = {
     "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -76,6 +77,34 @@ def geoms_of(model: mujoco.MjModel, body: int) -> tuple[Geom, ...]:
         rows, points = (tuple(map(tuple, a.tolist())) for a in (rotation.reshape(3, 3), corners))
         found.append(Geom(kind, tuple(geom.size), tuple(geom.pos), rows, points))
     return tuple(found)
+
+
+def stand_off(model: mujoco.MjModel, body: int) -> float:
+    """How far the convex hull of a mesh of a body is off that mesh, at most, m; 0 without meshes. All
+    corners count, as in the hull: MuJoCo reads the faces of a file's first part only."""
+    first, worst, rng = model.body_geomadr[body], 0.0, np.random.default_rng(0)
+    for index in range(first, first + model.body_geomnum[body]):
+        geom = model.geom(index)
+        if geom.type[0] != KINDS[MESH] or not (geom.contype[0] or geom.conaffinity[0]):
+            continue
+        mesh = model.mesh(geom.dataid[0])
+        corners = model.mesh_vert[mesh.vertadr[0] :][: mesh.vertnum[0]].astype(float)
+        faces = model.mesh_face[mesh.faceadr[0] :][: mesh.facenum[0]]
+        with suppress(QhullError):  # it is flat
+            hull = _scattered(corners[ConvexHull(corners).simplices], SAMPLES[0], rng)
+            skin = np.vstack([corners, _scattered(corners[faces], SAMPLES[1], rng)])
+            worst = max(worst, float(cKDTree(skin).query(hull)[0].max()))
+    return worst
+
+
+def _scattered(triangles: Array, n: int, rng: np.random.Generator) -> Array:
+    """Points (n, 3) evenly on triangles (k, 3, 3)."""
+    a, b, c = triangles.swapaxes(0, 1)
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    chosen = rng.choice(len(triangles), n, p=areas / areas.sum())
+    u, v = rng.random((2, n, 1))
+    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+    return a[chosen] + u * (b - a)[chosen] + v * (c - a)[chosen]
 
 
 def meet(geoms: tuple[Geom, ...], above: Array, direction: Array) -> tuple[Array, Array] | None:

@@ -434,7 +434,7 @@ class TestCommands:
         Path(path).write_text(Path(path).read_text() + "# changed\n")
         assert not hands.get(path).grasps  # it was found for another file
 
-    def test_a_hand_that_cannot_grasp_is_told(self, own, capsys, monkeypatch):
+    def test_a_hand_that_cannot_grasp_is_told(self, own, capsys, monkeypatch, in_tmp):
         monkeypatch.setattr(grasp_search, "ROUNDS", (2,))
         monkeypatch.setattr(grasp_search, "STARTS", 1)
         text = Path(own()).read_text()

@@ -353,6 +353,20 @@ class TestUrdf:
         assert hand.surfaces[0].geoms[0].kind == "mesh"
         assert folder / "bone.obj" in hand.build.files
 
+    def test_a_hull_that_stands_off_its_mesh_is_named(self, made, tmp_path):
+        """Of a U, whose hull fills it."""
+        outline = [(0, -8), (50, -8), (50, 8), (40, 8), (40, -2), (10, -2), (10, 8), (0, 8)]
+        lines = [f"v {x / 1e3} {y / 1e3} {z / 1e3}" for y in (-8, 8) for x, z in outline]
+        for a, b, c in ((0, 1, 4), (0, 4, 5), (1, 2, 3), (1, 3, 4), (0, 5, 6), (0, 6, 7)):
+            lines += [f"f {a + 1} {b + 1} {c + 1}", f"f {a + 9} {c + 9} {b + 9}"]
+        for a, b in zip(range(8), [*range(1, 8), 0], strict=True):
+            lines += [f"f {a + 1} {a + 9} {b + 1}", f"f {b + 1} {a + 9} {b + 9}"]
+        (tmp_path / "u.obj").write_text("\n".join(lines) + "\n")
+        model = urdf('<mesh filename="u.obj"/>').replace('rpy="0 1.5708 0"', 'rpy="0 0 0"')
+        (note,) = hands.get(made(model, URDF, "hand.urdf")).notes
+        assert "the convex hull of a mesh, which stands off it" in note
+        assert "l_1 10 mm" in note
+
     @pytest.mark.parametrize(
         ("model", "complaint"),
         [
@@ -410,6 +424,27 @@ class TestSensors:
         )
         hand = hands.get(made(urdf().replace("</robot>", f"{pads}</robot>"), URDF, "hand.urdf"))
         assert layouts.load("model").place(hand).names == ("l_sensor_1", "r_sensor_1")
+
+    @pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
+    def test_the_contact_rule_feels_what_a_welded_part_touches(self, made, tmp_path, simulator):
+        """On the part by its name, and on the link that it is part of."""
+        model = MODEL
+        for n in "lr":
+            at = model.index(TIP, model.index(f'name="{n}_b"'))
+            model = model[:at] + f'<body name="{n}_pad">{TIP}</body>' + model[at + len(TIP) :]
+        path, layout = made(model), tmp_path / "own.toml"
+        places = (("l_pad", (0.02, 0, 0.008)), ("r_2", (0.02, 0, -0.008)), ("l_1", (0, 0, 0.008)))
+        rows = (f'[[taxel]]\nlink = "{link}"\nposition = {[*place]}\nradius = 0.015\n'
+                for link, place in places)  # fmt: skip
+        layout.write_text("".join(rows))
+        scene = setup(path, simulator=simulator, layout=str(layout), touch_rule="contact")
+        env = GraspEnv(path, scene)
+        env.reset(seed=0)
+        assert env.taxel_readings().tolist() == [0, 0, 0]
+        for targets in scripted.legs(env, scripted.grasp_for(env), 0.05)[1]:
+            env.step_to(targets)
+        assert env.taxel_readings().tolist() == [1, 1, 0]
+        env.close()
 
     def test_a_model_without_any(self, made):
         with pytest.raises(ValueError, match="layout 'model' puts no taxel on the hand hand"):
