@@ -18,7 +18,7 @@ from typing import Any
 from benchmarks import environments, times
 from benchmarks.command import DATA, DOCS, ROOT, data, no_flags
 from benchmarks.learners import ablation, bounces, footprint, scaling, steady
-from benchmarks.peers import env, solve, updates
+from benchmarks.peers import clients, env, solve, updates
 from benchmarks.physics import hard_cases, hold_verdict, scene_parts, speed_vs_error
 from benchmarks.studies import (
     coverage,
@@ -61,6 +61,7 @@ PRINTED: dict[str, Callable[[], None]] = {
     "probe hold": _of("probe_hold", probe_hold.show),
     "hold verdict": _of("hold_verdict", hold_verdict.show),
     "bounces": _of("bounces", bounces.show),
+    "clients": _parts("clients", clients.show, "checks", "versions"),
     "updates": _parts("peers", updates.show, "updates"),
     "steps": _parts("peers", env.show, "env"),
     "toys": _parts("peers", solve.show, "solve"),

@@ -108,10 +108,10 @@ class GraspEnv(gym.Env[Any, Array]):
 
     Observations are a Dict of float32 Boxes: ``observation`` (`observation_names` says what
     each entry is), ``achieved_goal`` and ``desired_goal`` (see the task). Actions lie in
-    [-1, 1]; what is beyond is clipped. ``info`` holds ``is_success``, and ``diverged`` when
-    the physics broke: the step is then void, the observation the last good one, and the
-    episode truncated. At reset and at the end of an episode it says which ``object`` that had.
-    ``warnings`` is there when the simulator has warned since the last step, and says how often.
+    [-1, 1]; what is beyond is clipped. ``info`` has the same keys always: ``is_success``; which
+    ``object`` the episode has; ``diverged`` when the physics broke, and then an ``error``: the step
+    is void, the observation the last good one, and the episode truncated; and ``warnings``, how often
+    the simulator has warned since the last step.
     ``state`` is what was true after the last action, before any hold test.
 
     With touch "shuffled" the policy is told the readings of another episode, in which nothing is
@@ -216,7 +216,7 @@ class GraspEnv(gym.Env[Any, Array]):
         self._desired_goal, self._steps = desired.astype(np.float32), 0
         self.task.before_step(self.simulator, self._steps)
         self._obs = self._goal_obs(sensed, achieved)
-        return self._obs, {"is_success": False, "object": item.describe()}
+        return self._obs, self._info()
 
     def _jittered(self, shape: Shape) -> tasks.Start:
         """The hand open above the object, both a little moved where that is asked for."""
@@ -252,12 +252,13 @@ class GraspEnv(gym.Env[Any, Array]):
             sensed = self._sense(self.state)
             achieved, terminated = self.task.after_step(self.simulator, self.state, is_last)
         except SimulationError as error:
-            info = self._info(True, is_success=False, diverged=True, error=str(error))
-            return {key: value.copy() for key, value in self._obs.items()}, 0.0, False, True, info
+            obs = {key: value.copy() for key, value in self._obs.items()}
+            faults = {"diverged": True, "error": str(error), "warnings": self._new_warnings()}
+            return obs, 0.0, False, True, self._info(**faults)
         self._obs = obs = self._goal_obs(sensed, achieved)
         goals = obs["achieved_goal"], obs["desired_goal"]
         reward, is_success = float(self.task.reward(*goals)), bool(self.task.is_success(*goals))
-        info = self._info(terminated or is_last, is_success=is_success)
+        info = self._info(is_success=is_success, warnings=self._new_warnings())
         return obs, reward, terminated, is_last and not terminated, info
 
     def compute_reward(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Array:
@@ -346,13 +347,15 @@ class GraspEnv(gym.Env[Any, Array]):
             obs["truth"] = observations.privileged(self.hand, state, felt)
         return obs
 
-    def _info(self, is_end: bool, **info: Any) -> dict[str, Any]:
-        """With the warnings that no step has told of yet, including a reset's; at the end of an
-        episode with its object."""
-        if is_end:
-            info["object"] = self._item.describe()
+    def _info(self, **said: Any) -> dict[str, Any]:
+        """With all of its keys."""
+        usual = {"is_success": False, "object": self._item.describe()}
+        return {**usual, "diverged": False, "error": "", "warnings": 0, **said}
+
+    def _new_warnings(self) -> int:
+        """How many no step has told of yet, including a reset's."""
         before, self._warnings = self._warnings, self.simulator.warnings
-        return info if self._warnings == before else {**info, "warnings": self._warnings - before}
+        return self._warnings - before
 
     def _goal_obs(self, sensed: dict[str, Array], achieved: Array) -> dict[str, Array]:
         return {

@@ -77,7 +77,7 @@ class Item:
 
     def describe(self) -> dict[str, Any]:
         """Plain values, for ``info``: edges (of a sphere or cylinder: of the box around it) in m."""
-        size = [2 * half for half in self.shape.half_size]
+        size = tuple(2 * half for half in self.shape.half_size)
         values = {"density": self.density, "mass": self.mass, "friction": self.friction}
         return {"kind": self.shape.kind, "size": size, **values}
 

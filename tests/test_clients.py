@@ -97,3 +97,19 @@ def test_success_is_read_by_its_other_name(said):
 def test_a_wrapper_whose_statistics_are_lost_is_warned_of():
     with pytest.warns(UserWarning, match="normalise_obs"):
         tactilerl.PPO(gym.wrappers.NormalizeObservation(Odd()), **TINY)
+
+
+def test_info_has_the_same_keys_and_plain_values_at_every_step():
+    """Minari records it then."""
+    env = tactilerl.make(scene="handover", layout="5")
+    _, first = env.reset(seed=0)
+    kinds, is_over = {key: type(value) for key, value in first.items()}, False
+    while not is_over:
+        *_, terminated, truncated, info = env.step(env.action_space.sample())
+        assert {key: type(value) for key, value in info.items()} == kinds
+        is_over = terminated or truncated
+    json.dumps(info)
+    assert info["object"] == first["object"]
+    env.simulator.data.qpos[5] = np.nan
+    assert {key: type(value) for key, value in env.step([0.0])[-1].items()} == kinds
+    env.close()

@@ -8,6 +8,8 @@ import pytest
 
 from benchmarks.command import run_missing
 from benchmarks.learners import steady
+from benchmarks.peers import clients
+from benchmarks.peers.client_check import Check
 from benchmarks.physics import hold_verdict
 from benchmarks.physics.speed_vs_error import Setting, environment
 
@@ -60,3 +62,10 @@ def test_curves_of_both_libraries_have_points_where_the_task_says(learn):
     assert curve.steps == [100, 200]
     assert all(0.0 <= rate <= 1.0 for rate in curve.rates)
     assert -25.0 <= curve.total <= 0.0
+
+
+def test_a_client_works_or_says_why_in_a_line_or_is_not_there(monkeypatch):
+    monkeypatch.setitem(clients.CHECKS, "nothing", Check("gymnasium", "what is not there", dict))
+    monkeypatch.setitem(clients.CHECKS, "elsewhere", Check("no-such-package", "nothing", dict))
+    rows = clients.measure(["check_env", "nothing", "elsewhere"])
+    assert [row["result"] for row in rows] == [clients.WORKS, "KeyError: 'nothing'"]

@@ -70,7 +70,7 @@ def test_a_hand_with_four_fingers(task, simulator):
     obs, reward, *_, info = env.step(np.zeros(19))
     assert env.observation_space.contains(obs)
     assert reward == pytest.approx(env.compute_reward(obs["achieved_goal"], obs["desired_goal"], {}))
-    assert "diverged" not in info
+    assert not info["diverged"]
     env.close()
 
 
@@ -286,7 +286,7 @@ class TestFaults:
         env = make(task="reach-goal")
         env.reset(seed=0)
         up = np.eye(23)[2]
-        assert "warnings" not in env.step(up)[-1]
+        assert env.step(up)[-1]["warnings"] == 0
         told = [env.step(-up)[-1].get("warnings", 0) for _ in range(8)]
         assert sum(told) == env.simulator.warnings > 0
         env.reset(seed=0)
@@ -295,7 +295,7 @@ class TestFaults:
         assert fresh > 0
         env.reset(seed=0)
         assert env.step(up)[-1]["warnings"] == fresh
-        assert "warnings" not in env.step(up)[-1]
+        assert env.step(up)[-1]["warnings"] == 0
 
     @pytest.mark.parametrize("rule", ["skin", "contact"])
     def test_a_step_without_memory_is_divergence_and_the_next_episode_is_whole(
@@ -305,7 +305,7 @@ class TestFaults:
         first, info = rollout(env, 5, 3, scale=0.1), {}
         while "mj_stackAlloc" not in info.get("error", ""):
             *_, done, info = env.step(rng.uniform(-1, 1, 23) - 2 * np.eye(23)[2])
-            if done and "diverged" not in info:
+            if done and not info["diverged"]:
                 env.reset()
         assert not env.simulator.model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
         assert np.array_equal(first, rollout(env, 5, 3, scale=0.1))
@@ -321,10 +321,10 @@ class TestFaults:
         )
         env.simulator.data.joint("object").qvel[0] = speed
         obs, _, _, truncated, info = env.step(np.zeros(23))
-        assert info.get("diverged", False) is truncated is ejected
+        assert info["diverged"] is truncated is ejected
         assert ejected == ("ejected" in info.get("error", ""))
         assert ejected == np.array_equal(obs["observation"], before["observation"])
-        assert "diverged" not in (env.reset(seed=1), env.step(np.zeros(23)))[1][-1]
+        assert not (env.reset(seed=1), env.step(np.zeros(23)))[1][-1]["diverged"]
 
     @pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
     def test_an_episode_that_cannot_begin_is_one_clear_error(self, simulator, monkeypatch):

@@ -319,7 +319,7 @@ for hand in ("shadow", "mpl", "allegro"):
         assert (truncated, info["diverged"], reward) == (True, True, 0.0)
         np.testing.assert_array_equal(obs["observation"], before["observation"])
         env.reset(seed=0)
-        assert "diverged" not in env.step(np.zeros(7))[-1]
+        assert not env.step(np.zeros(7))[-1]["diverged"]
         env.close()
 
     def test_without_the_package_the_message_names_the_extra(self, tmp_path, monkeypatch, capsys):
