@@ -21,6 +21,8 @@ from . import help
 from .help import of_field as of_field
 
 T = TypeVar("T")
+POSITIONAL = {"folder", "run", "study"}
+"""Fields that are written without a flag."""
 
 
 def parse(kind: type[T], args: Sequence[str], prog: str, about: help.About, default: Any = None) -> T:
@@ -89,9 +91,14 @@ def _hint(token: str, known: Sequence[str]) -> str:
     name = token.partition("=")[0].lstrip("-").replace("-", "_")
     no = "no_" if name.startswith("no_") and name not in PEERS else ""
     likely, why = meant(name.removeprefix(no), known, PEERS)
-    own = " or ".join(of_field(no + field) for field in likely)
+    own = " or ".join(_named(no + field) for field in likely)
     hint = f"did you mean {own}?" if own else "which is not a flag"
     return f"{hint} ({why})" if why else hint
+
+
+def _named(field: str) -> str:
+    """How it is written on the command line."""
+    return f"{field.upper()}, given without a flag" if field in POSITIONAL else of_field(field)
 
 
 def _placed(token: str, known: Sequence[str]) -> str:

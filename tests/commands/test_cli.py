@@ -387,6 +387,7 @@ class TestBadInput:
                 ["did you mean --polyak? (polyak is 1 - tau); see"],
             ),
             (["train", "--foo", "0.9"], ["found '--foo', which is not a flag; see tactilerl train"]),
+            (["evaluate", "--runs", "x"], ["found '--runs'", "RUN, given without a flag"]),
             (["train", "more"], ["found 'more', which no flag takes; see tactilerl train --help"]),
             (
                 ["train", "--steps_per_epoch=1.5"],
