@@ -123,14 +123,14 @@ def all_arguments() -> None:
 
 
 def gate(name: str) -> None:
-    """Success rates of scripted reflexes: in a scene, or with a hand in the handover."""
+    """Success rates of scripted hands: in a scene, or with a hand in the handover."""
     found = data("gates")
     row = found["handover"][f"{name}, mujoco"] if name in hands.HANDS else found["scenes"].get(name)
     if row is None:
         print("Not measured yet.")
         return
     rates = {key: each["rate"] for key, each in row["reflexes"].items()}
-    _table(("reflex", *rates), [("success rate", *(f"{rate:.2f}" for rate in rates.values()))])
+    _table(("scripted hand", *rates), [("success rate", *(f"{rate:.2f}" for rate in rates.values()))])
 
 
 def _value(value: Any) -> str:

@@ -94,7 +94,7 @@ PRINTED: dict[str, Callable[[], None]] = {
         for flag in faults.SWEEPS
         if (DATA / "faults.json").exists()
     },
-    **({"times": _parts("times", times.show, "seconds")} if (DATA / "times.json").exists() else {}),
+    "times": _parts("times", times.show, "seconds"),
     **{f"gates {name}": _of("gates", partial(gates.show, name)) for name in gates.tables()},
     **environments.TABLES,
 }
@@ -109,8 +109,13 @@ def table(name: str) -> str:
 
 
 def filled(text: str) -> str:
-    """A page with its tables written anew."""
-    return MARKED.sub(lambda found: found[1] + table(found[2]) + found[4], text)
+    """A page with its tables written anew, but for times that have not been measured."""
+
+    def one(found: re.Match[str]) -> str:
+        is_kept = found[2] == "times" and not (DATA / "times.json").exists()
+        return found[0] if is_kept else found[1] + table(found[2]) + found[4]
+
+    return MARKED.sub(one, text)
 
 
 def main() -> None:

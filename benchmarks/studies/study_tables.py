@@ -113,7 +113,7 @@ def worth(name: str = "handover") -> None:
 
 
 def layouts(name: str, setup_name: str = "") -> None:
-    """Each layout against its control, and what a scripted reflex does with it where that is known."""
+    """Each layout against its control, and what a scripted hand does with it where that is known."""
     setup, found = load_setup(name, setup_name)
     scripted = reflexes(name)
     rows = []
@@ -126,7 +126,7 @@ def layouts(name: str, setup_name: str = "") -> None:
         reflex = f"{scripted[where]:.2f}" if where in scripted else ""
         rows.append([*row, reflex] if scripted else row)
     head = "| layout | pairs | touch | no touch | difference | p, corrected | last tenth, touch |"
-    markdown(head + " scripted reflex |" * bool(scripted), rows)
+    markdown(head + " scripted hand |" * bool(scripted), rows)
 
 
 def over_layouts(name: str) -> None:
@@ -214,14 +214,17 @@ def senses(name: str = "senses") -> None:
 
 
 def orders(name: str, setup_name: str = "", pair: str = PAIR) -> None:
-    """Do scripted reflexes and the probe foretell the order of layouts in learning?"""
+    """Do scripted hands and the probe foretell the order of layouts in learning?"""
     setup, found = load_setup(name, setup_name)
     runs = {label(cell): verdicts.runs_of(found, setup, cell, "main") for cell in setup.cells}
     runs = {cell: own for cell, own in runs.items() if own}
     areas = dict(zip(runs, verdicts.scored("area", *runs.values()), strict=True))
     seeds = sorted(set.intersection(*(set(by_seed) for by_seed in areas.values())))
     learned = np.array([[by_seed[seed] for seed in seeds] for by_seed in areas.values()])
-    predictors = {"touch reflex, same scene": reflexes(name), "probe, gain over joints": probed(pair)}
+    predictors = {
+        "scripted hand with touch, same scene": reflexes(name),
+        "probe, gain over joints": probed(pair),
+    }
     rows = []
     for title, predictor in predictors.items():
         known = [i for i, cell in enumerate(areas) if cell in predictor]
@@ -243,7 +246,7 @@ def rank_correlation(predictor: Array, learned: Array) -> Estimate:
 
 
 def reflexes(scene: str) -> dict[str, float]:
-    """Success of the best scripted touch reflex, by layout."""
+    """Success of the best scripted hand with touch, by layout."""
     rows = earlier(DATA / "gates.json")["layouts"]
     return {
         f"layout {each}": rows[f"{scene}, layout {each}"]["reflexes"]["touch"]["rate"]

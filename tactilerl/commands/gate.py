@@ -22,7 +22,7 @@ from .grasps import require_grasp
 from .scene import read_scene, require_scene
 
 ABOUT = About(
-    "Can touch make a difference in a scene? Compares reflexes (scripted hands) that feel, see, or do "
+    "Can touch make a difference in a scene? Compares scripted hands that feel, see, or do "
     "neither, before any training.",
     first=("layout", "simulator", "task"),
     examples=(
@@ -40,9 +40,9 @@ class GateFlags:
     env: str = "mpl"
     """The hand."""
     starts: Annotated[int, "[1, inf)"] = 200
-    """Number of initial states from which the chosen reflexes are compared."""
+    """Number of initial states from which the chosen scripted hands are compared."""
     search: Annotated[int, "[1, inf)"] = 20
-    """Initial states per candidate reflex during the search; there are 15 candidates per sense."""
+    """Initial states per candidate during the search; there are 15 candidates per sense."""
     seed: Annotated[int, "[0, 999999]"] = 0
     """Random seed of the initial states."""
     workers: WorkerCount = None
@@ -66,7 +66,7 @@ def main(args: list[str]) -> int:
             layouts.load(each.layout).place(hands.get(read.env))
         if scene.task != "handover":
             require_grasp(read.env, scene)
-    with progress("trying reflexes", is_shown=not read.json) as tick, input_errors():
+    with progress("trying scripted hands", is_shown=not read.json) as tick, input_errors():
         examine = partial(
             gate.examine, read.env, starts=read.starts, search=read.search, seed=read.seed,
             workers=read.workers or free_cores(), tick=tick,
@@ -79,7 +79,7 @@ def main(args: list[str]) -> int:
         result = {"reflexes": [dataclasses.asdict(r) for r in rows], "verdict": sentence}
         print(json.dumps(result | (more if touch else {})))
         return 0
-    table = Table("reflex", "switches when", "success", "95 % interval")
+    table = Table("scripted hand", "switches when", "success", "95 % interval")
     for row in rows:
         low, high = row.interval
         _, about = gate.SENSES[row.name]

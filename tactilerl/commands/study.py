@@ -233,8 +233,8 @@ class Plan:
         title = f"Pairs of runs for a difference of {self.effect:g} with power {self.power:g}"
         caption = (
             "n: pairs so far; r: correlation within seeds; sd: of their differences\n"
-            "alone: unpaired runs per arm; 95 %: interval of pairs\n"
-            "Holm: pairs, corrected for all cells"
+            "alone: unpaired runs per group; 95 %: interval of pairs\n"
+            "Holm: pairs, corrected for all settings"
         )
         table = Table(title=title, caption=caption, box=box.SIMPLE_HEAD, padding=0, show_edge=False)
         for column in ("set-up", "score", "n", "r", "sd", "alone", "pairs", "95 %", "Holm"):
@@ -259,8 +259,8 @@ class Compare:
     """Compare two studies, or parts of them, pairing runs by seed."""
 
     a: tyro.conf.Positional[str]
-    """Folder of a study or a collected file; with :NAME,NAME only the runs of these set-ups, cells
-    and arms, as in `pilot:layout 2,main`."""
+    """Folder of a study or a collected file; with :NAME,NAME only the runs of these set-ups,
+    settings and groups, as in `pilot:layout 2,touch`."""
     b: tyro.conf.Positional[str]
     """What to compare A with. Runs with the same seed form pairs."""
     score: Literal["area", "final", "converged"] = "area"

@@ -1,4 +1,4 @@
-"""What can touch win in a scene? Scripted reflexes of each sense, chosen fairly and compared."""
+"""What can touch win in a scene? Scripted hands of each sense (reflexes), chosen fairly."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SENSES = {
     "joints": ("joints", "the joints or the hand have moved"),
     "sight": ("sight", "the object looks near in the scene"),
     "touch": ("touch", "enough taxels fire"),
-    "sighted": ("sight", "the object is in place, seen exactly"),
+    "sighted": ("sight", "the object is seen to be in place"),
 }
 
 
@@ -88,11 +88,11 @@ def verdict(found: list[Found], touch: str = "Touch") -> str:
     without, room = rates[best], rates["sighted"] - rates[best]
     if room < TELLS:
         return (
-            f"This scene cannot tell: the best reflex without touch ({best}) succeeds in {without:.2f} "
-            f"of its starts, a sighted one in {rates['sighted']:.2f}."
+            f"This scene cannot tell: the best scripted hand without touch ({best}) succeeds in "
+            f"{without:.2f} of its starts, a sighted one in {rates['sighted']:.2f}."
         )
     won = min(max(0.0, rates["touch"] - without), room)
     return (
-        f"{touch} can win {won:.2f} of the {room:.2f} that lie between the best reflex without "
+        f"{touch} can win {won:.2f} of the {room:.2f} that lie between the best scripted hand without "
         f"touch ({best}, {without:.2f}) and a sighted one ({rates['sighted']:.2f})."
     )

@@ -157,6 +157,6 @@ def _require_felt(
     best = max(without, key=lambda each: each.rate)
     if whole - best.rate < gate.TELLS:
         raise ValueError(
-            f"scene: touch cannot help here: a reflex by {best.name} succeeds in {best.rate:.2f} of "
-            f"the starts, one that feels with the whole skin in {whole:.2f}"
+            f"scene: touch cannot help here: a hand that goes by {best.name} succeeds in "
+            f"{best.rate:.2f} of the starts, one that feels with the whole skin in {whole:.2f}"
         )

@@ -48,6 +48,7 @@ KEYS = {"name", "measure", "compare", "primary", "looks", "grid", "setups"}
 OWN_KEYS = {"measure", "compare", "grid"}  # of a set-up, besides flags
 TAKEN = {"seed", "out", "resume", "workers", "threads", "tensorboard", "trust", "help", "import"}
 SEED = "seed"
+TOUCH = ("touch", "run_type")  # the second up to 0.3.0
 FLAG = re.compile(r"[a-z][a-z0-9_-]*")
 NUMBER = re.compile(r"-\.?\d.*")  # begins as a flag does, but is none
 MOST_RUNS = 10_000  # a slip in a grid multiplies
@@ -132,7 +133,7 @@ class Setup:
     @property
     def is_touch(self) -> bool:
         """Are hands with touch compared with hands without?"""
-        return self.compare is not None and self.compare.flag in ("touch", "run_type")
+        return self.compare is not None and self.compare.flag in TOUCH
 
     def label(self, arm: str) -> str:
         """What an arm is called wherever it is shown: `touch`, `polyak 0.9`."""
@@ -150,7 +151,7 @@ class Setup:
             parts = [self.name, *map("-".join, shown.items()), f"s{seed}"]
             name = re.sub(r"[^\w.+-]+", "-", "_".join(parts))
             arm = shown.pop(compared, "")
-            cell = ", ".join(f"{flag.replace('_', ' ')} {value}" for flag, value in shown.items())
+            cell = ", ".join(_told(flag, value) for flag, value in shown.items())
             flags_of = {**self.flags, **chosen}
             yield Run(name, self.name, cell or "all", arm, seed, self.measure, flags_of)
 
@@ -409,6 +410,12 @@ def text(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return " ".join(map(text, value)) if isinstance(value, list) else str(value)
+
+
+def _told(flag: str, value: str) -> str:
+    """A flag with its value, in words."""
+    default = f"{flag.replace('_', ' ')} {value}"
+    return ROLES.get(value, default) if flag in TOUCH else default
 
 
 def to_arguments(flags: dict[str, Any]) -> list[str]:

@@ -178,7 +178,7 @@ def warnings(analysis: Analysis, few: int = FEW_RUNS) -> list[str]:
     groups = [group for one in analysis.setups for group in one.groups.values()]
     if (fewest := min(map(len, groups), default=few)) < few:
         found.append(
-            f"The smallest group has {plural(fewest, 'run')}. Intervals of an arm with fewer "
+            f"The smallest group has {plural(fewest, 'run')}. Intervals of a group with fewer "
             f"than {few} runs are too narrow: they contain the truth less often than they say."
         )
     if rising := sum(map(_still_rises, groups)):

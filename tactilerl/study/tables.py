@@ -40,9 +40,9 @@ class Table:
 
     @property
     def frame(self) -> pd.DataFrame:
-        """Rows under headings; without settings or arms where there is only one."""
+        """Rows under headings; without settings or groups where there is only one."""
         frame = pd.DataFrame(self.rows).fillna("–")
-        return frame.drop(columns=[n for n in (SETTING, "Arm") if {*frame.get(n, ())} == {"all"}])
+        return frame.drop(columns=[n for n in (SETTING, "Group") if {*frame.get(n, ())} == {"all"}])
 
     def formats(self) -> dict[str, bytes]:
         """The table in each format, by the ending of its file."""
@@ -104,6 +104,8 @@ def comparisons(one: SetupResult, score: str) -> Table:
             " p and interval are those of the look that ended the comparison, corrected for all "
             "looks; the other scores are of all runs."
         )
+    if any("Sight gives" in row for row in rows):
+        note += f" Sight gives: the object seen exactly, minus not, both with {control}."
     title = f"{treatment} − {control} in pairs: {subject(one)}"
     return Table(f"{one.setup.name}_comparisons", title, rows, note, (SETTING, "Pairs", heading, "p"))
 
@@ -119,7 +121,7 @@ def measures(one: SetupResult, score: str) -> Table:
     """What else a learning curve says: means with intervals, and steps to two thresholds."""
     rows = []
     for (cell, arm), group in one.groups.items():
-        row = {SETTING: cell, "Arm": one.setup.label(arm), "Runs": str(len(group))}
+        row = {SETTING: cell, "Group": one.setup.label(arm), "Runs": str(len(group))}
         for name in dict.fromkeys([score, *SCORES]):
             row[MEANS[name].capitalize()] = shown(statistics.mean(group.scores[name], group.counts))
         for threshold in THRESHOLDS:
@@ -131,7 +133,7 @@ def measures(one: SetupResult, score: str) -> Table:
         "converged: the level where a run spends most of its epochs. Steps are those of the first "
         "epoch at or above the threshold."
     )
-    return Table(f"{one.setup.name}_measures", f"Each arm: {subject(one)}", rows, note)
+    return Table(f"{one.setup.name}_measures", f"Each group of runs: {subject(one)}", rows, note)
 
 
 def cost(analysis: Analysis) -> Table:
@@ -202,7 +204,7 @@ def runs(analysis: Analysis) -> Table:
         group = one.groups.get((run.cell, run.arm))
         is_in = group is not None and run.seed in group.seeds
         diverged = sum(np.nansum(record.column(name)) for name in ("diverged", "test_diverged"))
-        row = {"Set-up": run.setup, SETTING: run.cell, "Arm": one.setup.label(run.arm)}
+        row = {"Set-up": run.setup, SETTING: run.cell, "Group": one.setup.label(run.arm)}
         row |= {"Seed": str(run.seed), "State": record.state, "Epochs": str(len(record.rows))}
         row["Steps"] = f"{steps[-1]:.0f}" if len(steps) else "0"
         for name in SCORES:

@@ -2,16 +2,20 @@
 
 import importlib
 import json
+import re
+import sys
 from dataclasses import replace
 
 import pytest
 
+from benchmarks import command, tables, times
 from benchmarks.command import run_missing
 from benchmarks.learners import steady
 from benchmarks.peers import clients
 from benchmarks.peers.client_check import Check
 from benchmarks.physics import hold_verdict
 from benchmarks.physics.speed_vs_error import Setting, environment
+from tactilerl.commands import cli
 
 
 @pytest.mark.pybullet
@@ -69,3 +73,22 @@ def test_a_client_works_or_says_why_in_a_line_or_is_not_there(monkeypatch):
     monkeypatch.setitem(clients.CHECKS, "elsewhere", Check("no-such-package", "nothing", dict))
     rows = clients.measure(["check_env", "nothing", "elsewhere"])
     assert [row["result"] for row in rows] == [clients.WORKS, "KeyError: 'nothing'"]
+
+
+def test_times_of_commands_are_a_table(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(times, "COMMANDS", ("env --env lqr", "env --env shadow --export OUT.toml"))
+    monkeypatch.setattr(sys, "argv", ["times", "--out", str(tmp_path / "times.json")])
+    times.main()
+    table = capsys.readouterr().out
+    assert "| `tactilerl env --env lqr` | " in table
+    monkeypatch.setattr(tables, "DATA", tmp_path)
+    monkeypatch.setattr(command, "DATA", tmp_path)
+    page = "<!-- table times -->\nold\n<!-- end -->\n"
+    assert tables.filled(page) == page.replace("old\n", table)
+
+
+@pytest.mark.parametrize("line", times.COMMANDS)
+def test_the_commands_that_are_timed_exist(line, capsys):
+    with pytest.raises(SystemExit):
+        cli.main([*line.split(), "--help-all"])
+    assert set(re.findall(r"--[\w-]+", line)) <= set(re.findall(r"--[\w-]+", capsys.readouterr().out))

@@ -28,7 +28,7 @@ class TestVerdict:
 
     def test_a_scene_that_cannot_tell(self):
         said = gate.verdict(found(blind=0.2, joints=0.8, touch=0.9, sighted=0.95))
-        assert said.startswith("This scene cannot tell: the best reflex without touch (joints) ")
+        assert said.startswith("This scene cannot tell: the best scripted hand without touch (joints) ")
 
     def test_touch_that_wins_nothing(self):
         assert "win 0.00 of" in gate.verdict(found(blind=0.4, joints=0.3, touch=0.2, sighted=1.0))
@@ -113,7 +113,7 @@ def test_a_table_and_a_sentence(capsys):
     assert main(["gate", "--scene", "dark_mpl", *few]) == 0
     text = capsys.readouterr().out
     assert "a fixed time has passed" in text
-    assert "the object is in place, seen exactly" in text
+    assert "the object is seen to be in place" in text
 
 
 @pytest.mark.parametrize(

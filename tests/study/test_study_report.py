@@ -497,7 +497,7 @@ class TestForReadersAndPrograms:
         assert brief.splitlines()[0] == r"\begin{tabular}{llll}"
 
     def test_a_single_setting_has_no_column(self):
-        table = tables.Table("x", "x", [{"Setting": "all", "Arm": "all", "n": "1"}])
+        table = tables.Table("x", "x", [{"Setting": "all", "Group": "all", "n": "1"}])
         assert list(table.frame) == ["n"]
 
     @pytest.mark.parametrize(
