@@ -25,34 +25,11 @@ from .parts import Parts, posed
 from .skins import stand_off
 
 KEYS = {
-    *(
-        "model",
-        "root",
-        "drop",
-        "masses",
-        "contacts",
-        "palm",
-        "palmar",
-        "fingers",
-        "palm_point",
-        "palm_is_flat",
-    ),
-    *("added_inertia", "observation", "first_joints", "handed_beside", "environment", "scene", "place"),
-    *(
-        "slides",
-        "servos",
-        "ranges",
-        "passive",
-        "digits",
-        "pitch",
-        "couplings",
-        "start",
-        "start_closing",
-        "opened",
-        "closed",
-    ),
-    *("actions", "grasp"),
-}
+    "model", "root", "drop", "masses", "contacts", "palm", "palmar", "fingers", "palm_point",
+    "palm_is_flat", "added_inertia", "observation", "first_joints", "handed_beside", "environment",
+    "scene", "place", "slides", "servos", "ranges", "passive", "digits", "pitch", "couplings", "start",
+    "start_closing", "opened", "closed", "actions", "grasp",
+}  # fmt: skip
 OBSERVATION = ("joint_positions", "joint_velocities", "object_position", "object_orientation")
 HALF_RANGE = (0.03, 0.03, 0.20)  # m, how far actions of 1 move the slides from their centre
 SLIDE_STEP = (0.01, 0.01, 0.2)  # m, of actions that are increments

@@ -36,6 +36,7 @@ def read(path: Path) -> mujoco.MjSpec:
                 spec = mujoco.MjSpec.from_file(str(path))
         except ValueError as error:
             raise ValueError(f"model {path}: {' '.join(str(error).split())}") from None
+    assets(path, spec)  # not pipes
     _forget_defaults(spec)
     spec.compiler.fusestatic = False
     spec.compiler.balanceinertia = is_urdf
@@ -62,29 +63,22 @@ def included(path: Path) -> list[Path]:
             root = ElementTree.parse(each).getroot()
             more = [path.parent / element.attrib.get("file", "") for element in root.iter("include")]
             found += [other for other in dict.fromkeys(more) if other not in found]
-            _require_no_pipes(root, path.parent)
     return found
 
 
-def _require_no_pipes(root: ElementTree.Element, folder: Path) -> None:
-    """FileNotFoundError for a mesh that is there and no file: MuJoCo would wait for its end."""
-    keys, compilers = ("meshdir", "texturedir", "assetdir"), [*root.iter("compiler")]
-    places = {folder, *(folder / one.attrib.get(key, "") for one in compilers for key in keys)}
-    for name in {each.attrib.get("file") for each in root.iter()} - {None, ""}:
-        for file in (place / str(name) for place in places):
-            if file.exists() and not file.is_file():
-                raise FileNotFoundError(f"model: found no file {str(file)!r}")
-
-
 def assets(path: Path, spec: mujoco.MjSpec) -> list[Path]:
-    """The files of a model's meshes, textures and height fields; ValueError for what is none."""
+    """The files of a model's meshes, textures and height fields; FileNotFoundError for what is there
+    and no file, such as a pipe: MuJoCo would wait for its end."""
     folders = {"meshes": spec.meshdir, "hfields": spec.meshdir, "textures": spec.texturedir}
-    found = []
-    for kind, folder in folders.items():
-        found += [path.parent / folder / each.file for each in getattr(spec, kind) if each.file]
+    found = [
+        path.parent / folder / each.file
+        for kind, folder in folders.items()
+        for each in getattr(spec, kind)
+        if each.file
+    ]
     for file in found:
-        if not file.is_file():
-            raise ValueError(f"model: found no file {str(file)!r}")
+        if file.exists() and not file.is_file():
+            raise FileNotFoundError(f"model: found no file {str(file)!r}")
     return found
 
 

@@ -211,12 +211,6 @@ class Parts:
             for joint in servos.arms(self.spec, self.spec.actuator(name)):
                 if joint != driver:
                     found.setdefault(joint, Coupling(joint, driver, 1.0))
-        for joint in found:
-            chain = [joint]
-            while chain[-1] in found:
-                chain.append(found[chain[-1]].driver)
-                if chain[-1] in chain[:-1]:
-                    raise ValueError(f"couplings: found a circle: {' follows '.join(chain)}")
         return tuple(_whole(coupling, found) for coupling in found.values())
 
     def frame(self, name: Any, where: str) -> Frame:
@@ -399,7 +393,11 @@ class Parts:
 
 def _whole(coupling: Coupling, of: Mapping[str, Coupling]) -> Coupling:
     """By the last of those that follow each other."""
+    chain = [coupling.joint, coupling.driver]
     while beyond := of.get(coupling.driver):
+        chain.append(beyond.driver)
+        if beyond.driver in chain[:-1]:
+            raise ValueError(f"couplings: found a circle: {' follows '.join(chain)}")
         ratio, offset = coupling.ratio * beyond.ratio, coupling.at(beyond.offset)
         rigid = coupling.is_rigid and beyond.is_rigid
         coupling = Coupling(coupling.joint, beyond.driver, ratio, offset, rigid)

@@ -110,41 +110,9 @@ def _scattered(triangles: Array, n: int, rng: np.random.Generator) -> Array:
 def meet(geoms: tuple[Geom, ...], above: Array, direction: Array) -> tuple[Array, Array] | None:
     """Where one comes upon the geoms from outside, on the line through `above` (3,) along `direction`,
     and the outward normal there; None when one passes."""
-    start, best, found = above - FAR * direction, np.inf, None
-    for geom in geoms:
-        normal = np.zeros(3)
-        rotation = np.array(geom.rotation)
-        if geom.kind == MESH:
-            begin = rotation.T @ (start - geom.position)
-            away, normal = _meet_hull(geom, begin, rotation.T @ direction)
-            normal = rotation @ normal
-        else:
-            away = mujoco.mju_rayGeom(
-                np.array(geom.position), rotation.ravel(), np.array(geom.size), start, direction,
-                int(KINDS[geom.kind]), normal,
-            )  # fmt: skip
-        if 0 <= away < best:
-            best, found = away, (start + away * direction, normal)
-    return found
-
-
-def _meet_hull(geom: Geom, start: Array, direction: Array) -> tuple[float, Array]:
-    """How far away a ray enters the hull, -1 if it does not, and the normal there, in its frame."""
-    planes = _planes(geom.corners)
-    slope, height = planes[:, :3] @ direction, planes[:, :3] @ start + planes[:, 3]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        away = -height / slope
-    entering, leaving = slope < 0, slope > 0
-    if (height[slope == 0] > 0).any() or not entering.any():
-        return -1.0, np.zeros(3)
-    first = int(np.flatnonzero(entering)[np.argmax(away[entering])])
-    return (float(away[first]) if away[first] <= away[leaving].min() else -1.0), planes[first, :3]
-
-
-@lru_cache(maxsize=256)
-def _planes(corners: tuple[tuple[float, ...], ...]) -> Array:
-    """Normals and offsets (n, 4) of a hull's faces."""
-    return np.asarray(ConvexHull(np.array(corners)).equations)
+    start = above - FAR * direction
+    away, normal = _distances(geoms).along(start, direction) if geoms else (-1.0, start)
+    return None if away < 0 else (start + away * direction, normal)
 
 
 class Distances:
@@ -160,7 +128,7 @@ class Distances:
             mujoco.mju_mat2Quat(quaternion, np.ravel(geom.rotation))
             spec.worldbody.add_geom(type=KINDS[geom.kind], pos=geom.position, quat=quaternion, **more)
         for kind in ("box", "sphere", "cylinder"):
-            spec.worldbody.add_geom(name=kind, type=KINDS[kind], size=[0.01, 0.01, 0.01])
+            spec.worldbody.add_geom(name=kind, type=KINDS[kind], size=[0.01, 0.01, 0.01], group=1)
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
         mujoco.mj_kinematics(self._model, self._data)
@@ -181,6 +149,13 @@ class Distances:
         data.geom_xpos[geom] = position + rotation @ place
         data.geom_xmat[geom] = (rotation @ axes).ravel()
         return bool(mujoco.mj_geomDistance(model, data, geom, thing, 2 * reach, None) <= reach)
+
+    def along(self, start: Array, direction: Array) -> tuple[float, Array]:
+        """How far a ray goes to the geoms where they are on their link, m, -1 where it passes; and the
+        normal (3,) there."""
+        normal, group = np.zeros(3), np.array([1, 0, 0, 0, 0, 0], np.uint8)
+        away = mujoco.mj_ray(self._model, self._data, start, direction, group, True, -1, None, normal)
+        return float(away), normal
 
     def nearest(self, candidates: list[int], point: Array) -> tuple[int, float]:
         """Which of these geoms of a link is nearest to a point (3,) in its frame, and how near, m."""

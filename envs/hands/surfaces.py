@@ -13,7 +13,7 @@ from ..toml_files import number, table, vector
 from . import servos
 from .hand import SEGMENTS, Pitch, Surface
 from .parts import Parts, beside, numbers, posed, unit
-from .skins import Distances, Geom, geoms_of, meet
+from .skins import Geom, geoms_of, meet, outside
 
 PARALLEL = 0.99  # cosine
 BEYOND = 0.01  # m that a fingertip may lie off the shapes of its link
@@ -174,8 +174,7 @@ def _palm_side(parts: Parts, digit: str, about: dict[str, Any]) -> Surface:
 
 def _require_on_link(parts: Parts, digit: str, link: str, tip: Any) -> None:
     """ValueError for a fingertip that is not at its link."""
-    geoms = geoms_of(parts.model, parts.model.body(link).id)
-    _, away = Distances(list(geoms)).nearest(list(range(len(geoms))), np.array(tip))
+    away, _ = outside(geoms_of(parts.model, parts.model.body(link).id), np.array(tip))
     if away > BEYOND:
         found = f"found a point {1e3 * away:.1f} mm off body {link!r}"
         raise ValueError(f"digits.{digit}.tip: {found}, allowed up to {1e3 * BEYOND:g} mm")
