@@ -54,8 +54,6 @@ class Run:
     """Processes per run (for DDPG+HER with several workers)."""
     retry_failed: bool = False
     """Try failed runs again."""
-    collected: tuple[Path, ...] = ()
-    """Skip runs that are done in these folders or collected files of the study."""
     trust: bool = False
     """Allow importing modules that ids of environments in the study file name (module:id)."""
     yes: bool = False
@@ -70,9 +68,7 @@ class Run:
     def _train(self, pool: Executor, parallel: Callable[[], int]) -> int:
         study = grid.read(self.study)
         files, title = StudyFiles(self.out or Path("studies") / study.name), f"study {study.name}"
-        elsewhere = records.load(self.study, *self.collected)[1] if self.collected else []
-        done = {one.run.name for one in elsewhere if one.state == "done"}
-        runs = [run for run in study.runs() if run.name not in done]
+        runs = study.runs()
         console.print(f"{title}: checking {len(runs)} runs")
         configs = check.configure(runs, self.trust)
         found = {run.name: files.record(run) for run in runs}
@@ -93,7 +89,7 @@ class Run:
             if study.looks is None:
                 endings = run_all(list(jobs.values()))
             else:
-                endings = looks.run(study, files.path, jobs, run_all, console.print, self.collected)
+                endings = looks.run(study, files.path, jobs, run_all, console.print)
         failures = _print_failures(files.record(run) for run in runs)
         if busy := list(endings.values()).count("busy"):
             console.print(f"{busy} runs are trained by another `study run`")
@@ -179,7 +175,7 @@ class Status:
 
     def __call__(self) -> None:
         """`tactilerl study status FOLDER`"""
-        study, found = records.load(records.require_study(self.folder))
+        study, found = records.load(self.folder)
         counts = progress.counts(found)
         eta = progress.eta(found, counts["running"] or free_cores())
         verdicts = looks.judge(study, found)
@@ -222,9 +218,7 @@ class Plan:
         for name in ("effect", "power", "alpha"):
             if not 0 < getattr(self, name) < 1:
                 raise InputError(f"--{name}: found {getattr(self, name)}, allowed between 0 and 1")
-        needs = planning.plan(
-            *records.load(records.require_study(self.study)), self.effect, self.power, self.alpha
-        )
+        needs = planning.plan(*records.load(self.study), self.effect, self.power, self.alpha)
         if not needs:
             raise InputError(f"{self.study}: no comparison with two or more pairs of runs to plan from")
         if self.json:
@@ -293,19 +287,13 @@ class Collect:
     """Pack the records of a study into one file."""
 
     folder: tyro.conf.Positional[Path]
-    """Folder of the study, or a collected file."""
-    more: tyro.conf.Positional[tuple[Path, ...]] = ()
-    """More folders or collected files of the same study to merge, or its study file. Each run is
-    taken from the first place where it is done."""
+    """Folder of the study."""
     out: Path | None = None
     """File to write; default: collected.tar.gz in FOLDER."""
 
     def __call__(self) -> None:
         """`tactilerl study collect FOLDER`"""
-        if self.out is None and (self.more or os.path.isfile(self.folder)):
-            found = "several folders and files" if self.more else f"the file {str(self.folder)!r}"
-            raise InputError(f"study collect: found {found}, expected a study's folder, or --out FILE")
-        path = records.collect(self.folder, *self.more, out=self.out)
+        path = records.collect(self.folder, self.out)
         console.print(f"{path}: {path.stat().st_size / 1e6:.2f} MB")
 
 
@@ -324,7 +312,7 @@ class Report:
         """`tactilerl study report FOLDER`"""
         with extra("study"):
             from ..study import analysis, report, summary
-        found = analysis.analyse(*records.load(records.require_study(self.study)), self.resamples)
+        found = analysis.analyse(*records.load(self.study), self.resamples)
         out = self.out or (self.study if os.path.isdir(self.study) else self.study.parent) / "report"
         try:
             path = report.write(found, out)

@@ -230,14 +230,6 @@ class Study:
             if set(names) <= set(told)
         }
 
-    def told(self) -> dict[str, str]:
-        """What is said of each run, and how runs are compared; when to look is not part of it."""
-        told = {"name": self.name, "primary.score": self.primary.score}
-        told |= {f"setups.{s.name}": f"{s.measure} of {', '.join(s.arms[:2])}" for s in self.setups}
-        for run in self.runs():
-            told[f"run {run.name}"] = " ".join(to_arguments(dict(sorted(run.flags.items()))))
-        return told
-
     def validate(self) -> None:
         """ValueError naming the first thing that the parts allow, but not together."""
         require_name(self.name, "name")

@@ -24,7 +24,6 @@ def run(
     jobs: Mapping[str, RunJob],
     run_all: RunAll,
     say: Callable[[str], None],
-    collected: Sequence[Path] = (),
 ) -> dict[str, Ending]:
     """Run jobs, by name of their run, up to one look after the other; how they ended, by name.
 
@@ -35,7 +34,7 @@ def run(
     waiting = dict(jobs)
 
     def now() -> Found:
-        return judge(study, records.load(folder, *collected)[1])
+        return judge(study, records.load(folder)[1])
 
     for n in study.looks.pairs:
         is_last, found = n == study.looks.pairs[-1], now()

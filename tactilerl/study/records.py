@@ -222,55 +222,20 @@ def _study(study: Study) -> bytes:
     return (json.dumps(study.as_dict(), indent=1) + "\n").encode()
 
 
-# -- the records of one study, from all the places where they lie -------------------------------
-
-
-def load(*paths: Path) -> tuple[Study, list[Record]]:
-    """The study and all its runs in order of the grid, from folders, packed files and study files.
-
-    From several: the study that has the most runs, and each run from the first place that has it
-    done. InputError where another part says something else, or has other runs.
-    """
-    parts = {path: _part(path) for path in paths}
-    largest = max(paths, key=lambda path: len(parts[path][1]))
-    study, found = parts[largest][0], dict[str, Record]()
-    told = study.told()
-    for path, (part, records) in parts.items():
-        for what, said in part.told().items():
-            if told.get(what) != said:
-                allowed = told.get(what, "none; name the study file that has both, too")
-                raise InputError(f"{path}: {what}: found {said}, but {largest} has {allowed}")
-        for record in records:
-            known = found.setdefault(record.run.name, record)
-            found[record.run.name] = max(known, record, key=_progress)  # the first of equals
-    return study, [found[run.name] for run in study.runs()]
-
-
-def _progress(record: Record) -> tuple[bool, bool, int]:
-    return record.state == "done", record.state == "failed", record.state != "done" and len(record.rows)
-
-
-def _part(path: Path) -> tuple[Study, list[Record]]:
+def load(path: Path) -> tuple[Study, list[Record]]:
+    """The study in a folder or a packed file, and all its runs in order of the grid."""
     if path.suffix == ".toml":
-        study = read(path)
-        return study, [Record(run, "left", "", None, []) for run in study.runs()]
+        folder = f"studies/{read(path).name}"
+        raise InputError(f"{path}: found a study file, expected the study's folder, such as {folder}")
     files = StudyFiles(path)
     study = files.study()
     return study, [files.record(run) for run in study.runs()]
 
 
-def require_study(path: Path) -> Path:
-    """InputError where a study file is named instead of its folder, or the packed file."""
-    if path.suffix == ".toml":
-        folder = f"studies/{read(path).name}"
-        raise InputError(f"{path}: found a study file, expected the study's folder, such as {folder}")
-    return path
-
-
-def collect(*paths: Path, out: Path | None = None) -> Path:
+def collect(path: Path, out: Path | None = None) -> Path:
     """Pack what there is of a study into one file; returns it."""
-    out = out or paths[0] / PACKED
-    study, records = load(*paths)
+    out = out or path / PACKED
+    study, records = load(path)
     files = {STUDY: _study(study)}
     for record in records:
         name = f"{RUNS}/{record.run.name}"
