@@ -123,11 +123,6 @@ class TestStoring:
         assert batch.obs[:, 1].max() == 2
         assert batch.goal[:, 1].max() == 3
 
-    def test_sampling_of_some_slots(self):
-        replay = filled([1, 2, 3])
-        slots = replay.store([episode(7), episode(8)])
-        assert set(replay.sample(500, 0.8, slots).obs[:, 0]) == {7, 8}
-
     def test_bytes_for_booleans(self):
         replay = filled([1])
         n_rows = 10 * (MAX_STEPS + 1)
@@ -158,10 +153,6 @@ class TestStoring:
             Replay(7, 8, (3, 3, 2, 0), 0, reward, np.random.default_rng(0))
         with pytest.raises(ValueError, match=r"buffer_size: found 10,000,000,000,000.*GB"):
             Replay(10**13, 8, (3, 3, 2, 0), 0, reward, np.random.default_rng(0)).require_memory()
-
-    def test_longer_episodes_than_a_slot_are_refused(self):
-        with pytest.raises(ValueError, match="max_episode_steps: 8, but found 9"):
-            make_replay().store([episode(1, length=9)])
 
 
 class TestSaving:

@@ -24,7 +24,6 @@ from tactilerl.algos import recipes
 from tactilerl.commands.cli import COMMANDS, main
 from tactilerl.commands.study import PARTS
 from tactilerl.envs import scripted
-from tactilerl.envs.vector import Workers
 from tactilerl.pictures.render import _Filmed
 from tactilerl.runs import arguments, sealed
 from tactilerl.runs.config import from_dict
@@ -126,17 +125,6 @@ class TestTrain:
             results.append(json.loads(capsys.readouterr().out))
         assert results[0] == results[1]
 
-    def test_goal_environment_and_gymnasium_id(self):
-        for name in ("point-reach", "Pendulum-v1"):
-            short = [*FAST, "--total-timesteps", "1", "--workers", "1"]
-            assert main(["train", "--env", name, *short, "--out", name]) == 0
-
-    def test_shadow_hand_trains(self):
-        args = ["train", "--env", "shadow", "--layout", "4", *FAST, "--hold-seconds", "0.2"]
-        args += ["--max-episode-steps", "30", "--total-timesteps", "200"]
-        assert main([*args, "--out", "run"]) == 0
-        assert len(progress(Path("run"))) == 2
-
     @pytest.mark.parametrize("algo", ["ppo", pytest.param("ddpg_her", marks=pytest.mark.slow)])
     def test_warnings_of_the_simulator_are_counted(self, algo, capsys, little_memory):
         args = HER if algo == "ddpg_her" else ["train", *FAST]
@@ -178,11 +166,6 @@ class TestTrain:
         assert main([*args, "--total-timesteps", "48", "--out", "run"]) == 0
         assert len(progress(Path("run"))) == 2
         assert main(["evaluate", "run", "--episodes", "1"]) == 0
-
-    def test_ddpg_her_on_lift_and_hold(self):
-        args = [*HER, "--task", "lift-and-hold", "--termination", "terminal"]
-        args += ["--max-episode-steps", "10", "--hold-seconds", "0.2", "--total-timesteps", "30"]
-        assert main([*args, "--out", "run"]) == 0
 
     def test_tensorboard(self):
         pytest.importorskip("tensorboard")
@@ -335,24 +318,6 @@ class TestResume:
         fails_with(capsys, ["train", "--resume", "run", "--gamma", "0.9"], "gamma: found 0.9", "0.99")
         fails_with(capsys, ["train", "--resume", "run", "--seed", "4"], "seed: found 4")
         assert Path("run/checkpoint.pt").read_bytes() == before
-
-    @pytest.mark.parametrize(
-        "args",
-        [
-            pytest.param(["train", "--resume", "run"], id="resume"),
-            pytest.param(["train", *HER[1:], "--env", "lqr"], id="another kind of environment"),
-        ],
-    )
-    def test_environments_are_closed_when_the_run_cannot_begin(self, capsys, args, monkeypatch):
-        main([*TOY, "--total-timesteps", "100", "--out", "run"])
-        (checkpoint,) = Path("run").rglob("*.pt")
-        state = torch.load(checkpoint, weights_only=True)
-        state["ranks"][0]["actor"] = {}
-        sealed.write(checkpoint, state)
-        closed, close = [], Workers.close
-        monkeypatch.setattr(Workers, "close", lambda self: (closed.append(self), close(self)))
-        fails_with(capsys, args)
-        assert len(closed) == 1
 
 
 class TestGoingOn:
@@ -579,12 +544,6 @@ class TestOtherCommands:
         low, high = result["success_rate_ci"]
         assert (low, high) == pytest.approx((0.4902, 0.9433), abs=1e-4)  # Wilson 1927, 8 of 10
 
-    @pytest.mark.parametrize(("few", "named"), [(0, False), (139, True)])
-    def test_doctor_names_a_few_taxels_that_never_fired(self, few, named, capsys, monkeypatch):
-        monkeypatch.setattr("tactilerl.commands.doctor.FEW", few)
-        main(["doctor", "--layout", "5", "--grasps", "1", "--seconds", "0.1"])
-        assert ("layout 5 never fired: thumb" in capsys.readouterr().out) == named
-
     def test_a_layouts_notes_are_shown(self, capsys):
         Path("far.toml").write_text(
             '[[patch]]\ndigits = ["thumb", "index"]\nsegments = ["distal", "palm"]\n'
@@ -758,18 +717,6 @@ class TestOtherCommands:
         fails_with(
             capsys, ["train", "--resume", "run", "--scene", "handover"], "scene: found with resume"
         )
-
-    def test_help_lists_every_hyperparameter(self, capsys):
-        with pytest.raises(SystemExit) as stop:
-            main(["train", "--help-all"])
-        assert stop.value.code == 0
-        out = capsys.readouterr().out
-        flags = (
-            "algo env simulator task reward layout touch touch-rule total-timesteps workers seed out"
-        )
-        flags += " resume device gamma gae-lambda clip-range n-passes action-variance"
-        for flag in flags.split():
-            assert f"--{flag}" in out, flag
 
     def test_installed_command_starts_fast_enough_to_be_pleasant(self):
         """No simulator and no PyTorch for the list of commands."""
