@@ -87,24 +87,17 @@ def _ask(job: str, what: str, args: tuple[Any, ...], beside: Path) -> Any:
 
 def _run(what: str, folder: str) -> None:
     """Have the result written there; ValueError where there is none."""
-    command = f"from {__name__} import main; main()"
+    command = [sys.executable, "-c", f"from {__name__} import main; main()"]
     search = os.pathsep.join(os.path.abspath(place) for place in sys.path)
     threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     silent: Any = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
-    process = subprocess.Popen(
-        [sys.executable, "-c", command],
-        cwd=folder,
-        env={**os.environ, **threads, "PYTHONPATH": search},
-        start_new_session=True,
-        **silent,
-    )
+    there: Any = {"cwd": folder, "env": {**os.environ, **threads, "PYTHONPATH": search}}
     try:
-        code = process.wait(SECONDS)
+        code = subprocess.run(
+            command, timeout=SECONDS, start_new_session=True, check=False, **there, **silent
+        ).returncode
     except subprocess.TimeoutExpired:
         code = -signal.SIGXCPU
-    finally:
-        process.kill()
-        process.wait()
     if not Path(folder, RESULT).exists():
         how = f"ends its reader (code {code})"
         if code in (-signal.SIGXCPU, -signal.SIGKILL):
