@@ -63,7 +63,7 @@ def _hand(parts: Parts, path: Path) -> Hand:
     data, sides = parts.data, surfaces.of(parts)
     mount, at = _hung(parts)
     grasps, groups = _grasps(parts, at, data.get("grasp", [])), _groups(parts)
-    kept = () if grasps or not parts.is_own else _grasps(parts, at, _kept(path))
+    kept = () if grasps else _grasps(parts, at, _kept(path))
     actuators = (*SLIDES, *parts.driven.values())
     hand = Hand(
         name=path.stem,
@@ -110,7 +110,7 @@ def _notes(parts: Parts) -> tuple[str, ...]:
     if parts.passive:
         found.append(f"joints without servos: {_some(parts.passive)}")
     links = [parts.palm_frame.link, *(link for digit in parts.digits.values() for link in digit.links)]
-    off = {link: stand_off(parts.model, parts.model.body(link).id) for link in links if parts.is_own}
+    off = {link: stand_off(parts.model, parts.model.body(link).id) for link in links}
     wide = sorted((link for link in off if off[link] > STANDS_OFF), key=off.__getitem__, reverse=True)
     if wide:
         hulls = ", ".join(f"{link} {1e3 * off[link]:.0f} mm" for link in wide)
@@ -202,9 +202,7 @@ def _middle(parts: Parts, model: mujoco.MjModel) -> Array:
     shares = np.linspace(1.0, 0.0, 21) if "thumb" in parts.digits and len(parts.digits) > 2 else [0.5]
     for share in shares:
         angles = parts.start | parts.at(float(share))
-        tips = parts.tips(
-            model, posed(model, angles | (parts.followed(angles) if parts.is_own else {}))
-        )
+        tips = parts.tips(model, posed(model, angles | parts.followed(angles)))
         if len(shares) == 1:
             return np.asarray(tips.mean(axis=0))
         thumb = list(parts.digits).index("thumb")

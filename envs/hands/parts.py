@@ -125,7 +125,7 @@ class Parts:
             moved = {*driven, *(coupling.joint for coupling in mounting.followed(spec))}
             bad += [joint for joint in self.angles(table(self.data, "closed"), "closed", False)
                     if joint not in moved]  # fmt: skip
-        return tuple(actuator.name for actuator in spec.actuators) if bad and self.is_own else ()
+        return tuple(actuator.name for actuator in spec.actuators) if bad else ()
 
     @cached_property
     def passive(self) -> tuple[str, ...]:
@@ -255,7 +255,7 @@ class Parts:
         for pattern, value in values.items():
             joints = self.matching(pattern, where)
             found |= dict.fromkeys(joints, number(value, f"{where}.{pattern}"))
-        for joint, angle in found.items() if ranged and self.is_own else ():
+        for joint, angle in found.items() if ranged else ():
             low, high = self.range_of(joint)
             if not low - SLACK <= angle <= high + SLACK:
                 allowed = f"allowed {low:.4g} to {high:.4g}, the joint's range"
@@ -271,7 +271,7 @@ class Parts:
     def inside(self, joint: str, angle: float = 0.0) -> float:
         """The angle nearest to this one that the joint can have."""
         low, high = self.range_of(joint)
-        return min(max(angle, low), high) if self.is_own else angle
+        return min(max(angle, low), high)
 
     @cached_property
     def closed(self) -> Angles:
@@ -314,8 +314,7 @@ class Parts:
             for digit in self.digits:
                 some = self.at(number(shares.get(digit, 0.0), f"start_closing.{digit}"))
                 angles |= {joint: some[joint] for joint in self.closing_of(digit)}
-        if self.is_own:
-            angles = {joint: self.inside(joint) for joint in self.joints} | angles
+        angles = {joint: self.inside(joint) for joint in self.joints} | angles
         return angles | self.followed(angles)
 
     def followed(self, angles: Angles) -> Angles:

@@ -72,7 +72,7 @@ def _flexion(parts: Parts, links: tuple[str, ...], data: mujoco.MjData) -> list[
 def _above(parts: Parts, link: str, data: mujoco.MjData, kind: Any) -> list[Array]:
     """The axes of joints of a kind that carry a link, the nearest first."""
     body, found = parts.spec.body(link).parent, []
-    while parts.is_own and body.name != "world":
+    while body.name != "world":
         found += _moves(parts, link, body.name, data, kind)
         body = body.parent
     return found
