@@ -74,7 +74,7 @@ def show(content: dict[str, Any]) -> None:
         rows.append((name, one["score"], one["pairs"], correlation, *needed))
     markdown(
         "| study | score | pairs | correlation within seeds "
-        "| runs of each arm, unpaired → pairs | within cells |",
+        "| runs of each group, unpaired → pairs | within settings |",
         rows,
     )
 

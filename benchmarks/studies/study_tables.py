@@ -89,7 +89,7 @@ def decides(name: str = "handover") -> None:
         (title, len(area), mean(area.values()), mean(final.values()))
         for title, area, final in zip(arms, *both, strict=True)
     ]
-    markdown("| arm | runs | mean success over the run | over its last tenth |", rows)
+    markdown("| hand | runs | mean success over the run | over its last tenth |", rows)
 
 
 def worth(name: str = "handover") -> None:
