@@ -40,7 +40,7 @@ class TaskConfig:
     hold_verdict: Verdict = "full"
     """lift-and-hold and handover: full, or settled, a test of about 1 s that is sometimes wrong. See
     docs/concepts/tasks.md."""
-    handover_reach: Annotated[float, "[0, 0.1]"] | str = 0.0
+    handover_reach: Annotated[float, "[0, 0.3]"] | str = 0.0
     """handover: how far from the finger bases towards the fingertips the object is held, m; 0: against
     the palm. It may be a range, such as 0.01..0.05."""
     goal_height: Annotated[float, "(0, 1]"] = 0.08

@@ -46,8 +46,8 @@ HANDS = {
     "SO-100 gripper, on its arm": f"{ARMS}/so_100/assets/so_arm100.xml",
 }
 SIMULATORS = "mujoco", "pybullet"
-STEPS = 2000
-TRAIN = ["--algo", "ppo", "--layout", "1", "--total-timesteps", str(STEPS), "--steps-per-epoch", "1000"]
+STEPS = 1000
+TRAIN = ["--algo", "ppo", "--layout", "1", "--total-timesteps", str(STEPS), "--steps-per-epoch", "500"]
 TRAIN += ["--workers", "1"]
 GRASPS = 10
 DOCTOR = ["--layout", "1", "--grasps", str(GRASPS), "--seconds", "1", "--json"]

@@ -213,9 +213,9 @@ class Guess:
     # -- open and closed ---------------------------------------------------------------------
 
     @cached_property
-    def poses(self) -> tuple[Angles, Angles]:
-        """(open, closed): the fingers from near 0 to the end that bends them, or until they touch; the
-        thumb so that it meets them."""
+    def poses(self) -> tuple[Angles, Angles, Angles]:
+        """(open, closed, start): the fingers from near 0 to the end that bends them, or until they
+        touch; the thumb so that it meets them. A grasp starts where an object just fits in."""
         opened, closed = dict[str, float](), dict[str, float]()
         for number, ends in enumerate(self.ends):
             for count, (joint, (begin, end)) in enumerate(ends.items() if number != self.thumb else ()):
@@ -229,10 +229,9 @@ class Guess:
             for joint, end in mine.items():
                 flexes = abs(self._axis(joint, mine | half) @ last) > PARALLEL
                 opened[joint], closed[joint] = self.parts.inside(joint) if flexes else end, end
-        if len(self.chains) > 2:
-            opened = self._wide_open(opened, closed)
-        rounded = [{j: round(a, 4) for j, a in pose.items()} for pose in (opened, closed)]
-        return rounded[0], rounded[1]
+        start = self._wide_open(opened, closed) if len(self.chains) > 2 else opened
+        poses = ({j: round(a, 4) for j, a in pose.items()} for pose in (opened, closed, start))
+        return next(poses), next(poses), next(poses)
 
     def _wide_open(self, opened: Angles, closed: Angles) -> Angles:
         """On the way from closed to open, as soon as an object fits in."""
@@ -291,7 +290,7 @@ class Guess:
 
     def toml(self) -> str:
         """The text of a hand's file."""
-        (palmar, fingers), (opened, closed) = self.directions, self.poses
+        (palmar, fingers), (opened, closed, start) = self.directions, self.poses
         frame, known = self.parts.palm_frame, {k: v for k, v in self.data.items() if v}
         turn = np.eye(3) if frame.turn is None else frame.turn
         place = np.zeros(3) if frame.place is None else frame.place
@@ -304,7 +303,7 @@ class Guess:
             links, side = json.dumps(list(chain.links)), self._side(chain, opened, closed)
             palm = f", palmar = {side}" if side else ""
             lines.append(f"{name} = {{ links = {links}, tip = {list(chain.tip)}{palm} }}")
-        for title, pose in (("opened", opened), ("closed", closed)):
+        for title, pose in (("opened", opened), ("closed", closed), ("start", start)):
             lines += ["", f"[{title}]", *(f"{json.dumps(j)} = {angle}" for j, angle in pose.items())]
         return "\n".join(lines) + "\n"
 

@@ -307,6 +307,8 @@ class Hand:
     group_names: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     """What to know of it: what was left out or put in of its model, and what it cannot do."""
+    finger_length: float = 0.1
+    """Of its longest digit, from knuckle to tip, m."""
     reach: float = 0.15
     """How far its fingertips get from the palm's point, m."""
     sensors: tuple[Point, ...] = ()
@@ -360,16 +362,6 @@ class Hand:
     def start_targets(self) -> Array:
         """Joint targets that hold the start pose, shape (n_actuators,)."""
         return np.array([self.start.get(joint, 0.0) for joint in self.actuated])
-
-    @property
-    def finger_length(self) -> float:
-        """Of its longest digit, from knuckle to tip, m."""
-        lengths = dict.fromkeys(self.digits, 0.0)
-        for surface in self.surfaces:
-            low, high, _ = surface.span
-            if surface.segment != "palm":
-                lengths[surface.digit] += high - low
-        return max(lengths.values())
 
     @property
     def digits(self) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ from ..choices import require_one_of
 from ..state import Array
 from ..toml_files import interval, number, only, strings, table, vector
 from . import checks, models, mounting, sensors, surfaces
-from .hand import CLOSING_STEP, SLIDES, Hand, LinearAction, ScriptedGrasp
+from .hand import CLOSING_STEP, SLIDES, Hand, LinearAction, ScriptedGrasp, Surface
 from .mounting import Mount
 from .parts import Parts, posed
 from .skins import stand_off
@@ -91,6 +91,7 @@ def _hand(parts: Parts, path: Path) -> Hand:
         groups=tuple(groups.values()),
         group_names=tuple(groups),
         notes=_notes(parts),
+        finger_length=_finger_length(parts, sides),
         reach=_reach(parts),
         welded=parts.welded,
         sensors=sensors.of(parts) if parts.is_own else (),
@@ -120,6 +121,21 @@ def _notes(parts: Parts) -> tuple[str, ...]:
 
 def _some(names: tuple[str, ...]) -> str:
     return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
+
+
+def _finger_length(parts: Parts, sides: tuple[Surface, ...]) -> float:
+    """Of the longest digit: of its bones, where all its links are such, else from joint to joint, m."""
+    data, found = posed(parts.model, parts.opened), []
+    tips = dict(zip(parts.digits, parts.tips(parts.model, data), strict=True))
+    for name, digit in parts.digits.items():
+        spans = [
+            side.span for side in sides if side.digit == name and side.segment != "palm" and side.bone
+        ]
+        joints = np.array([*(data.body(link).xpos for link in digit.links), tips[name]])
+        steps = np.linalg.norm(np.diff(joints, axis=0), axis=1)
+        whole = len(spans) == len(digit.links)
+        found.append(sum(high - low for low, high, _ in spans) if whole else float(steps.sum()))
+    return max(found)
 
 
 def _reach(parts: Parts) -> float:

@@ -51,7 +51,7 @@ def test_a_hand_like_ours():
     assert list(about["digits"]) == ["index", "middle", "ring", "thumb"]
     assert about["digits"]["index"]["links"] == ["ff_1", "ff_2"]
     assert about["digits"]["index"]["tip"] == pytest.approx([0.038, 0, 0], abs=2e-3)
-    assert about["closed"]["ff_a"] > about["opened"]["ff_a"] >= 0
+    assert about["closed"]["ff_a"] > about["start"]["ff_a"] > about["opened"]["ff_a"] == 0
     assert about["closed"]["th_turn"] == about["opened"]["th_turn"]  # it stays where the thumb opposes
 
 
@@ -144,3 +144,14 @@ def test_what_a_model_does_not_say_is_asked_for(capsys):
     Path("mine.toml").write_text("somebody's")
     fails_with(capsys, flags, "another file is there")
     assert Path("mine.toml").read_text() == "somebody's"
+
+
+def test_the_length_of_fingers_is_from_joint_to_joint():
+    """Where links are of any shape, which overlap; the scene's lengths go by it."""
+    box = TIP.replace("capsule", "box").replace(
+        'size="0.008" fromto="0 0 0 0.03 0 0"', 'size="0.04 .01 .01"'
+    )
+    guessed(MODEL.replace(TIP, box))
+    hand = hands.get("hand.toml")
+    tip = hand.fingertips[0][1]
+    assert hand.finger_length == pytest.approx(0.05 + math.hypot(*tip), abs=1e-3)

@@ -250,9 +250,9 @@ class TestActions:
 @pytest.mark.parametrize(
     ("choices", "named"),
     [
-        ({"handover_reach": 0.2}, "handover_reach: found 0.2"),
+        ({"handover_reach": 0.4}, "handover_reach: found 0.4"),
         ({"handover_reach": -0.01}, "handover_reach: found -0.01"),
-        ({"handover_reach": "0.02..0.2"}, "handover_reach: found 0.2, allowed from 0 to 0.1"),
+        ({"handover_reach": "0.02..0.4"}, "handover_reach: found 0.4, allowed from 0 to 0.3"),
         ({"handover_reach": "0.04..0.02"}, "handover_reach: found '0.04..0.02', allowed LOW..HIGH"),
         ({"task": "lift-and-hold", "handover_reach": 0.05}, "handover_reach: found 0.05"),
         ({"start_closing": 1.0}, "start_closing: found 1.0, allowed from 0 to below 1"),
