@@ -79,10 +79,11 @@ def label(cell: str) -> str:
 def decides(name: str = "handover") -> None:
     """Every arm."""
     study, found = load(name)
-    main, sighted = study.setups
+    main, *sighted = study.setups
     (cell,) = main.cells
     arms = {style.ROLES[each]: (main, cell, each) for each in main.arms}
-    arms[SIGHTED] = sighted, sighted.cells[0], ""
+    if sighted:
+        arms[SIGHTED] = sighted[0], sighted[0].cells[0], ""
     groups = [verdicts.runs_of(found, *place) for place in arms.values()]
     both = (verdicts.scored(score, *groups) for score in ("area", "final"))
     rows = [
@@ -95,12 +96,12 @@ def decides(name: str = "handover") -> None:
 def worth(name: str = "handover") -> None:
     """Differences within pairs, and the share of the headroom."""
     study, found = load(name)
-    (setup, _), (cell,) = study.setups, study.setups[0].cells
+    setup, (cell,) = study.setups[0], study.setups[0].cells
     rows: list[tuple[object, ...]] = []
     for other in setup.arms[1:]:
         runs = [verdicts.runs_of(found, setup, cell, arm) for arm in (setup.arms[0], other)]
         pairs = {score: verdicts.in_pairs(verdicts.scored(score, *runs)) for score in ("area", "final")}
-        title, area = f"{style.ROLES['main']} − {style.ROLES[other]}", pairs["area"]
+        title, area = f"{style.ROLES['on']} − {style.ROLES[other]}", pairs["area"]
         both = (estimate(pairs[score].difference, "+.2f") for score in ("area", "final"))
         rows.append((title, len(area), next(both), f"{area.p_value:.3f}", next(both)))
     share = verdicts.headroom(study, setup, cell, found, statistics.N_RESAMPLES)
@@ -348,6 +349,8 @@ def tables(*rows: tuple[Any, ...]) -> dict[str, Callable[[], None]]:
 TABLES = tables(
     ("study arms", decides, "handover"),
     ("study worth", worth, "handover"),
+    ("study shuffled", decides, "shuffled"),
+    ("study shuffled, in pairs", worth, "shuffled"),
     ("study fingers", layouts, "handover_fingers"),
     ("study palm", layouts, "handover_layouts"),
     ("study orders", orders, "handover_fingers"),
