@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import concurrent.futures
 import shutil
+import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -79,7 +80,6 @@ class Engine:
 
     def _client(self) -> Any:
         with extra("cluster"):
-            import dask_jobqueue  # noqa: F401
             from dask.distributed import Client
         try:
             where: Any = self.on.removeprefix(DASK)
@@ -98,8 +98,11 @@ class Engine:
     def cluster(self) -> Any:
         """The batch system, of which each job is a worker that trains one run at a time. What is not
         said here is taken from dask-jobqueue's own configuration."""
-        import dask
-        import dask_jobqueue
+        on_interrupt = signal.getsignal(signal.SIGINT)
+        with extra("cluster"):
+            import dask
+            import dask_jobqueue
+        signal.signal(signal.SIGINT, on_interrupt)  # dask_jobqueue brings a handler that exits
 
         options: dict[str, Any] = {
             "cores": self.ranks,

@@ -125,6 +125,7 @@ def test_the_job_script_of_each_batch_system(on):
     pytest.importorskip("dask_jobqueue")
     with Engine(on, 3, 2, "02:00:00", "3GB").cluster() as cluster:
         script = cluster.job_script()
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     for line in DIRECTIVES[on]:
         assert line in script
     assert "distributed.cli.dask_worker tcp://" in script
