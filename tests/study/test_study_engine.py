@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from importlib.util import find_spec
 
 import pytest
 from one_line import fails_with
@@ -18,6 +19,7 @@ from tactilerl.commands.cli import main
 from tactilerl.study.engine import BATCH, Engine
 
 distributed = pytest.importorskip("distributed")
+needs_jobqueue = pytest.mark.skipif(find_spec("dask_jobqueue") is None, reason="no dask-jobqueue")
 LONG = TINY.replace("= 200", "= 3000")
 PATIENCE = 300  # s
 
@@ -120,9 +122,9 @@ DIRECTIVES = {  # as the manual of each has them
 }
 
 
+@needs_jobqueue
 @pytest.mark.parametrize("on", BATCH)
 def test_the_job_script_of_each_batch_system(on):
-    pytest.importorskip("dask_jobqueue")
     with Engine(on, 3, 2, "02:00:00", "3GB").cluster() as cluster:
         script = cluster.job_script()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
@@ -146,8 +148,8 @@ def test_flags_that_do_not_fit(tmp_path, capsys, flags, words):
     fails_with(capsys, ["study", "run", write(tmp_path), "--out", tmp_path / "out", *flags], *words)
 
 
+@needs_jobqueue
 @pytest.mark.skipif(shutil.which("sbatch") is not None, reason="a machine with Slurm")
 def test_a_batch_system_that_is_not_here(tmp_path, capsys):
-    pytest.importorskip("dask_jobqueue")
     args = ["study", "run", write(tmp_path), "--on", "slurm", "--jobs", "1", "--out", tmp_path / "out"]
     fails_with(capsys, args, "--on slurm", "sbatch")
