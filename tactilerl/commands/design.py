@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -62,7 +63,7 @@ class Flags(DesignFlags):
 
 def main(args: list[str]) -> int:
     """`tactilerl design --scene handover --taxels 1`"""
-    read = flags.parse(Flags, args, "tactilerl design", ABOUT)
+    read = flags.parse(Flags, _gathered(args), "tactilerl design", ABOUT)
     with input_errors():
         read.validate()
         design_files.require(read.out, read.numbers)
@@ -78,6 +79,25 @@ def main(args: list[str]) -> int:
         hint = f"    tactilerl train --scene {found.result['scenes'][0]} --layout {pasted(path)}"
         console.print(f"{path}{hint if path.suffix == '.toml' else ''}")
     return 0
+
+
+LISTS = ("--scene", "--only", "--not", "--beside", "--weights")
+
+
+def _gathered(args: Sequence[str]) -> list[str]:
+    """--scene A --scene B is --scene A B; commas are as good as spaces."""
+    rest: list[str] = []
+    lists: dict[str, list[str]] = {}
+    current = rest
+    for arg in args:
+        name, _, value = arg.partition("=")
+        if name in LISTS:
+            current = lists.setdefault(name, [])
+            arg = value
+        elif arg.startswith("--"):
+            current = rest
+        current += [arg] if current is rest else [part for part in arg.split(",") if part]
+    return [*rest, *(part for name, values in lists.items() for part in (name, *values))]
 
 
 def _print(found: Design) -> None:

@@ -142,7 +142,7 @@ class TestCommand:
             (["--keep", "gone.toml"], "gone.toml"),
             (["--scene", "foot"], "scene: found 'foot'"),
             (["--scene", "handover", "handover"], "scene: found ['handover', 'handover']"),
-            (["--scene", "handover", "dark_mpl"], "scene: found handovers beside other"),
+            (["--scene", "handover", "--scene", "dark_mpl"], "scene: found handovers beside other"),
             (["--weights", "1", "2"], "weights: found 2"),
             (["--env", "foot"], "env: found 'foot'"),
             (["--simulator", "foot"], "simulator: found 'foot'"),
