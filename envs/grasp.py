@@ -309,10 +309,11 @@ class GraspEnv(gym.Env[Any, Array]):
 
     def picture(self, camera: simulators.Camera) -> Array:
         """The scene as `camera` sees it, RGB (height, width, 3) uint8."""
-        return self.simulator.render(camera, [*self._drawn(self.simulator.state())])
+        return self.simulator.render(camera, [*self.spheres()])
 
-    def _drawn(self, state: State) -> Iterator[Sphere]:
-        """The taxels."""
+    def spheres(self) -> Iterator[Sphere]:
+        """The taxels, to be drawn."""
+        state = self.simulator.state()
         if self.config.touch != "absent":
             centres, radii = self._points.world(state), self.taxels.radii
             lit = self.told_readings() > 0

@@ -128,6 +128,18 @@ def _add_touch_sensor(spec: mujoco.MjSpec, name: str, sensor: Sensor) -> None:
     spec.add_sensor(name=name, type=touch, objtype=site, objname=name)
 
 
+def add_spheres(scene: mujoco.MjvScene, spheres: Sequence[Sphere]) -> None:
+    """To what is drawn; RuntimeError where there are too many."""
+    if scene.ngeom + len(spheres) > scene.maxgeom:
+        raise RuntimeError("too many spheres to draw")
+    for sphere in spheres:
+        mujoco.mjv_initGeom(
+            scene.geoms[scene.ngeom], GEOM.mjGEOM_SPHERE, np.full(3, sphere.radius), sphere.centre,
+            np.eye(3).ravel(), np.array(sphere.colour, np.float32),
+        )  # fmt: skip
+        scene.ngeom += 1
+
+
 _failures: list[OSError] = []  # of drawing, in this process
 DISPLAYS = ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY")
 """Variables that say what MuJoCo draws with, or on."""
@@ -326,14 +338,7 @@ class MujocoSimulator(Simulator):
         self._renderer.update_scene(self.data, view)
         self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = camera.shadows
         scene = self._renderer.scene
-        if scene.ngeom + len(spheres) > scene.maxgeom:
-            raise RuntimeError("too many spheres to draw")
-        for sphere in spheres:
-            mujoco.mjv_initGeom(
-                scene.geoms[scene.ngeom], GEOM.mjGEOM_SPHERE, np.full(3, sphere.radius), sphere.centre,
-                np.eye(3).ravel(), np.array(sphere.colour, np.float32),
-            )  # fmt: skip
-            scene.ngeom += 1
+        add_spheres(scene, spheres)
         return self._renderer.render()
 
     def close(self) -> None:

@@ -25,6 +25,7 @@ COMMANDS = {  # each a module here with `main(args)`, imported when it runs; wha
     "probe": "how well a layout's readings predict whether a grasp holds",
     "gate": "whether touch can make a difference in a scene, before training",
     "render": "draw a grasp with its taxels, or film a trained run",
+    "view": "watch a hand or a trained run in MuJoCo's viewer",
     "study": "train many runs from one file and compare them in a report",
 }
 LONGEST = 600  # characters of an error's line: a path may have 5,000
