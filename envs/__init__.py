@@ -14,6 +14,7 @@ from functools import partial
 from typing import Any
 
 import gymnasium as gym
+from gymnasium.envs.registration import WrapperSpec
 
 from . import hands, plugins, scenes, typed
 from .choices import nearest, require_known
@@ -90,11 +91,35 @@ def make(
         raise ValueError(f"env: {name!r} cannot be made here ({reason})") from error
 
 
+def at_its_length(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+    """The environment that `gymnasium.make` would cut off at its `max_episode_steps` with episodes that
+    are as long by themselves, and end as the task says. ValueError where the task needs more."""
+    base: Any = env.unwrapped
+    if not isinstance(env, gym.wrappers.TimeLimit) or base.spec is None:
+        return env
+    steps = env._max_episode_steps
+    base.config = typed.replace(base.config, {"max_episode_steps": steps})
+    typed.validate(base.config)
+    base.max_episode_steps = base.spec.kwargs["max_episode_steps"] = steps
+    return env.env
+
+
+_OWN_LENGTH = WrapperSpec("at_its_length", "tactilerl.envs:at_its_length", {})
 # No wrapper may hide `compute_reward`.
 _register = partial(gym.register, order_enforce=False, disable_env_checker=True)
 for _hand in hands.HANDS:
-    _register(hands.usage(_hand).id, "tactilerl.envs:make", kwargs={"name": _hand})
+    _register(
+        hands.usage(_hand).id,
+        "tactilerl.envs:make",
+        kwargs={"name": _hand},
+        additional_wrappers=(_OWN_LENGTH,),
+    )
 for _scene in scenes.names():
-    _register(scenes.gymnasium_id(_scene), "tactilerl.envs:make", kwargs={"scene": _scene})
+    _register(
+        scenes.gymnasium_id(_scene),
+        "tactilerl.envs:make",
+        kwargs={"scene": _scene},
+        additional_wrappers=(_OWN_LENGTH,),
+    )
 _register("tactilerl/PointReach-v0", "tactilerl.envs.toy:PointReachEnv")
 gym.register("tactilerl/LQR-v0", "tactilerl.envs.toy:LQREnv")
