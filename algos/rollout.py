@@ -214,5 +214,5 @@ def finite(values: Any, what: str) -> Any:
     if not all((np.abs(part) <= FLOAT32_MAX).all() for part in parts):
         flat = np.concatenate([np.ravel(part) for part in parts])
         which = f" (entry {np.argmin(np.abs(flat) <= FLOAT32_MAX)})" if flat.size > 1 else ""
-        raise DivergenceError(f"{what} of the environment is not finite in float32{which}")
+        raise DivergenceError(f"{what} of the environment is not finite, or beyond float32{which}")
     return values

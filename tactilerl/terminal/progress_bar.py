@@ -93,7 +93,7 @@ class ProgressBar:
             )
         if self._events is not None:
             for key, value in row.items():
-                if key not in ("epoch", "env_steps"):
+                if key not in ("epoch", "env_steps") and not math.isnan(value):
                     self._events.add_scalar(f"train/{key}", value, row["env_steps"])
 
 

@@ -170,7 +170,12 @@ class TestTrain:
     def test_tensorboard(self):
         pytest.importorskip("tensorboard")
         main([*TOY, "--total-timesteps", "1", "--out", "run", "--tensorboard"])
-        assert list(Path("run").glob("events.out.tfevents.*"))
+        (events,) = Path("run").glob("events.out.tfevents.*")
+        found = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+        read = found.EventAccumulator(str(events))
+        tags = read.Reload().Tags()["scalars"]
+        assert "train/mean_return" in tags
+        assert "train/success_rate" not in tags  # the toy has none
 
 
 class TestResume:
