@@ -19,7 +19,7 @@ from benchmarks import environments, times
 from benchmarks.command import DATA, DOCS, ROOT, data, no_flags
 from benchmarks.learners import ablation, bounces, footprint, precision, scaling, steady
 from benchmarks.peers import clients, env, solve, updates
-from benchmarks.physics import hard_cases, hold_verdict, scene_parts, speed_vs_error
+from benchmarks.physics import hands, hard_cases, hold_verdict, scene_parts, speed_vs_error
 from benchmarks.studies import (
     coverage,
     design,
@@ -76,6 +76,7 @@ PRINTED: dict[str, Callable[[], None]] = {
             "{} in {}".format, itertools.product(speed_vs_error.SIZES, speed_vs_error.SETTINGS)
         )
     },
+    "hands": _of("hands", hands.show),
     "hard cases": _of("hard_cases", hard_cases.show_short),
     "hard cases, long": _of("hard_cases_long", hard_cases.show),
     "ablation": _of("ablation", ablation.show),
