@@ -107,19 +107,12 @@ def at_its_length(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
 _OWN_LENGTH = WrapperSpec("at_its_length", "tactilerl.envs:at_its_length", {})
 # No wrapper may hide `compute_reward`.
 _register = partial(gym.register, order_enforce=False, disable_env_checker=True)
+_register_ours = partial(
+    _register, entry_point="tactilerl.envs:make", additional_wrappers=(_OWN_LENGTH,)
+)
 for _hand in hands.HANDS:
-    _register(
-        hands.usage(_hand).id,
-        "tactilerl.envs:make",
-        kwargs={"name": _hand},
-        additional_wrappers=(_OWN_LENGTH,),
-    )
+    _register_ours(hands.usage(_hand).id, kwargs={"name": _hand})
 for _scene in scenes.names():
-    _register(
-        scenes.gymnasium_id(_scene),
-        "tactilerl.envs:make",
-        kwargs={"scene": _scene},
-        additional_wrappers=(_OWN_LENGTH,),
-    )
+    _register_ours(scenes.gymnasium_id(_scene), kwargs={"scene": _scene})
 _register("tactilerl/PointReach-v0", "tactilerl.envs.toy:PointReachEnv")
 gym.register("tactilerl/LQR-v0", "tactilerl.envs.toy:LQREnv")

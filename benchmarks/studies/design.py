@@ -35,7 +35,7 @@ GOALS = (("handover_anywhere", 4, 500), ("handover", 1, 200), ("handover_fingers
 ANYWHERE, BESIDE = "handover_anywhere", "1"
 CHOICE, TEST, PYBULLET = 200, 300, 60  # starts; PyBullet is several times as slow
 WAYS = (1, 2, 4, 8, 14)
-DENSE, POLICY_STEPS = DATA / "chosen" / "anywhere_skin.toml", 60_000
+DENSE = DATA / "chosen" / "anywhere_skin.toml"
 JUDGED = 2_000_000 * SEED + timing.TEST  # the first start to judge on
 Row = dict[str, Any]
 
@@ -117,7 +117,7 @@ def ways() -> dict[str, Any]:
     }
     if find_spec("pysensors"):
         asked["SSPOC"] = lambda k: by_sspoc(features, arrived, k)
-    worth = importance.of_policy(ANYWHERE, str(DENSE), POLICY_STEPS, SEED)
+    worth = importance.of_policy(ANYWHERE, str(DENSE), SEED)
     asked["importance to a trained policy"] = lambda k: np.argsort(-worth, kind="stable")[:k].tolist()
     rows = [{"way": way, **{str(k): cover.value(judge, [*choose(k)]) for k in WAYS}}
             for way, choose in asked.items()]  # fmt: skip

@@ -6,7 +6,6 @@ python -m benchmarks design_study
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -17,8 +16,6 @@ from benchmarks.studies import study_tables
 from benchmarks.studies.study_tables import estimate, is_there, load
 from tactilerl import statistics
 from tactilerl.study import verdicts
-from tactilerl.study.grid import Setup, Study
-from tactilerl.study.records import Record
 from tactilerl.study.verdicts import BySeed
 
 STUDIES = {"ppo": "design", "ddpg_her": "design_ddpg_her"}
@@ -41,23 +38,15 @@ def title(layout: str) -> str:
 def learned(learner: str, score: str = "final") -> dict[str, BySeed]:
     """A score of every run of the learner, by layout and seed; `no touch` last."""
     study, found = load(STUDIES[learner])
+    touch, blind = (f"{learner}{which}" for which in ("", "_blind"))
     setups = {one.name: one for one in study.setups}
-    groups = {title(each): _runs(setups[learner], each, found) for each in _layouts(study, learner)}
-    groups["no touch"] = [
-        run for run in found if run.run.setup == f"{learner}_blind" and run.is_finished
-    ]
+    groups = {
+        title(layout): verdicts.runs_of(found, setups[touch], "all", layout)
+        for layout in map(str, setups[touch].grid["layout"])
+    }
+    groups["no touch"] = [run for run in found if run.run.setup == blind and run.is_finished]
     groups = {name: runs for name, runs in groups.items() if runs}
     return dict(zip(groups, verdicts.scored(score, *groups.values()), strict=True))
-
-
-def _layouts(study: Study, learner: str) -> Sequence[str]:
-    (setup,) = (one for one in study.setups if one.name == learner)
-    return [str(layout) for layout in setup.grid["layout"]]
-
-
-def _runs(setup: Setup, layout: str, found: Sequence[Record]) -> list[Record]:
-    place = ("all", layout) if setup.compare else (f"layout {layout}", "")
-    return verdicts.runs_of(found, setup, *place)
 
 
 def show(learner: str) -> None:

@@ -16,12 +16,15 @@ from tactilerl.statistics import Array
 EPISODES = 50
 
 
-def of_policy(scene: str, layout: str, steps: int, seed: int) -> Array:
+def of_policy(scene: str, layout: str, seed: int) -> Array:
     """Gradient of the actions by each taxel times its reading (taxels,), mean size along episodes of a
-    PPO policy that learned for `steps` with the scene's recipe."""
+    PPO policy that learned as the scene's file says."""
+    named = scenes.load(scene)
+    how = {name: value for name, value in named.train.items() if name != "algo"}
+    steps = how.pop("total_timesteps")
     env = tactilerl.make(scene=scene, layout=layout)
     with closing(env):
-        learner = tactilerl.PPO(env, recipe="steady", anneal_lr=True, seed=seed, workers=1)
+        learner = tactilerl.PPO(env, seed=seed, workers=1, **how)
         with closing(learner):
             policy = learner.learn(steps).policy()
         n = len(env.unwrapped.taxels)  # type: ignore[attr-defined]
@@ -30,7 +33,7 @@ def of_policy(scene: str, layout: str, steps: int, seed: int) -> Array:
     policy.network(x).sum().backward()
     assert x.grad is not None
     size = (x.grad * x.detach()).abs().mean(dim=0).numpy()
-    history = scenes.load(scene).scene["history"]
+    history = named.scene["history"]
     return np.asarray(size[-n * history :].reshape(history, n).sum(axis=0))
 
 
