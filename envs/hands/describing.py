@@ -31,7 +31,7 @@ OPPOSED = 0.4  # length of the mean of the ways that digits go, below which they
 ALONE = 0.5  # cosine by which a thumb goes another way than the other digits do
 BEYOND = 0.5  # of the way of a finger's first joint, what those beyond it go
 HALF_OPEN, OPENING = 0.5, 0.11  # how open a hand is at least, and m between its thumb and fingers
-PARALLEL = 0.7  # cosine between axes of joints that flex
+PARALLEL = 0.7  # cosine between axes of a thumb's joints that flex
 TURNED = 0.5  # cosine to the axis of a digit's last hinge, below which a hinge spreads or opposes
 
 
@@ -153,39 +153,43 @@ class Guess:
         return [self._ends(number, chain) for number, chain in enumerate(self.chains)]
 
     def _ends(self, number: int, chain: Chain) -> dict[str, tuple[float, float]]:
-        """Hinges that turn about the same axis as the last, from near 0 to the end that is further
-        away. Where both are as far, one goes the way of the others; where there are none, to where the
-        tip is nearer to the others'. What slides goes there from its other end, and so do two digits
-        that are all that a hand has."""
+        """Slides, and hinges that turn about the axis of the last. What slides, and two digits that
+        are all, go to where the tip is nearer to the others'. Other hinges go from near 0 to the end
+        that is further away; where both are as far, the way of the others, or also nearer."""
         spans = {joint: self._limits(joint) for joint in chain.joints}
         begin = {joint: self.parts.inside(joint) for joint in chain.joints}
         slides = {j for j in spans if self.parts.spec.joint(j).type == servos.LINEAR}
         axes = {joint: self._axis(joint, {}) for joint in spans}
-        last = next((axes[joint] for joint in reversed(spans) if joint not in slides), None)
+        last = next((axes[joint] for joint in reversed(spans) if joint not in slides), np.zeros(3))
+        flexing = [j for j in spans if j in slides or abs(axes[j] @ last) > TURNED]
+        nearer = {
+            j: self._nearer(number, j, begin[j], min(NUDGE, np.ptp(spans[j]) / 4)) for j in flexing
+        }
         found: dict[str, tuple[float, float]] = {}
         turning = np.zeros(3)
-        for joint, (low, high) in spans.items():
+        for joint in flexing:
+            low, high = spans[joint]
             up, down = high - begin[joint], begin[joint] - low
-            flexes = last is not None and abs(axes[joint] @ last) > TURNED
-            if joint not in slides and flexes and max(up, down) > ASYMMETRIC * min(up, down):
+            if joint in slides or (len(self.chains) == 2 and abs(nearer[joint]) > NEARER):
+                end, other = (high, low) if nearer[joint] > 0 else (low, high)
+                is_long = abs(end - begin[joint]) >= abs(other - begin[joint])
+                found[joint] = begin[joint] if is_long else other, end
+            elif max(up, down) > ASYMMETRIC * min(up, down):
                 found[joint] = begin[joint], high if up > down else low
                 turning += np.sign(up - down) * axes[joint]
-        for joint, (low, high) in spans.items():
-            alike = float(axes[joint] @ turning) / max(float(np.linalg.norm(turning)), 1e-9)
-            if joint in slides or not turning.any():
-                alike = self._gathers(number, joint, begin[joint], min(NUDGE, (high - low) / 4))
-            if joint not in found and abs(alike) > PARALLEL:
-                found[joint] = begin[joint], high if alike > 0 else low
-                if joint in slides:
-                    found[joint] = (low, high) if alike > 0 else (high, low)
+        for joint in (joint for joint in flexing if joint not in found):
+            along = float(axes[joint] @ turning)
+            if not turning.any():
+                along = nearer[joint] if abs(nearer[joint]) > NEARER else 0.0
+            if along:
+                found[joint] = begin[joint], spans[joint][int(along > 0)]
         return {joint: found[joint] for joint in chain.joints if joint in found}
 
-    def _gathers(self, number: int, joint: str, begin: float, step: float) -> float:
-        """1 where a digit's tip comes nearer to the middle of all as a joint goes up, -1 where down."""
+    def _nearer(self, number: int, joint: str, begin: float, step: float) -> float:
+        """How much nearer a digit's tip comes to the middle of all as a joint goes up than down, m."""
         middle = self.tips({}).mean(axis=0)
-        tips = [self.tips({joint: begin + way})[number] for way in (-step, step)]
-        nearer = float(np.linalg.norm(tips[0] - middle) - np.linalg.norm(tips[1] - middle))
-        return nearer if abs(nearer) < NEARER else float(np.sign(nearer))
+        down, up = (self.tips({joint: begin + way})[number] - middle for way in (-step, step))
+        return float(np.linalg.norm(down) - np.linalg.norm(up))
 
     @cached_property
     def ways(self) -> Array:
@@ -230,8 +234,11 @@ class Guess:
                 flexes = abs(self._axis(joint, mine | half) @ last) > PARALLEL
                 opened[joint], closed[joint] = self.parts.inside(joint) if flexes else end, end
         start = self._wide_open(opened, closed) if len(self.chains) > 2 else opened
-        poses = ({j: round(a, 4) for j, a in pose.items()} for pose in (opened, closed, start))
-        return next(poses), next(poses), next(poses)
+        opened, closed, start = (
+            {joint: round(angle, 4) for joint, angle in pose.items()}
+            for pose in (opened, closed, start)
+        )
+        return opened, closed, start
 
     def _wide_open(self, opened: Angles, closed: Angles) -> Angles:
         """On the way from closed to open, as soon as an object fits in."""

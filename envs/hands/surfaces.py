@@ -64,23 +64,30 @@ def _segments(n: int) -> tuple[str, ...]:
 
 def _flexion(parts: Parts, links: tuple[str, ...], data: mujoco.MjData) -> list[Array]:
     """About what the first of these links and those beyond it turn when the hand closes, then about
-    what turns them: unit vectors (3,) in the frame of the first."""
-    found = [axis for link in links for axis in _moves(parts, links[0], link, data, servos.HINGE)]
-    return found + _above(parts, links[0], data, servos.HINGE)
+    what turns them: unit vectors (3,) in the frame of the first. One against which the first is turned
+    by more, as a link that stays parallel, counts the other way."""
+    carried = _carried(parts, links[0], data, servos.HINGE)
+    beyond = [move for link in links[1:] for move in _moves(parts, links[0], link, data, servos.HINGE)]
+    own = len(_moves(parts, links[0], links[0], data, servos.HINGE))
+    net = sum((way * axis for way, axis in carried), np.zeros(3))
+    axes = [axis for _, axis in carried[:own] + beyond + carried[own:]]
+    return [-axis if axis @ net < 0 else axis for axis in axes]
 
 
-def _above(parts: Parts, link: str, data: mujoco.MjData, kind: Any) -> list[Array]:
-    """The axes of joints of a kind that carry a link, the nearest first."""
-    body, found = parts.spec.body(link).parent, []
+def _carried(parts: Parts, link: str, data: mujoco.MjData, kind: Any) -> list[tuple[float, Array]]:
+    """How far, and about which axis, joints of a kind move a link, its own first."""
+    body, found = parts.spec.body(link), []
     while body.name != "world":
         found += _moves(parts, link, body.name, data, kind)
         body = body.parent
     return found
 
 
-def _moves(parts: Parts, own: str, link: str, data: mujoco.MjData, kind: Any) -> list[Array]:
-    """The axes of a link's joints of a kind that move when the hand closes, signed: unit vectors (3,)
-    in the frame of the link `own`."""
+def _moves(
+    parts: Parts, own: str, link: str, data: mujoco.MjData, kind: Any
+) -> list[tuple[float, Array]]:
+    """How far a link's joints of a kind move when the hand closes, and their axes in that direction:
+    unit vectors (3,) in the frame of the link `own`."""
     model, body = parts.model, parts.model.body(link)
     here, turn = data.xmat[model.body(own).id].reshape(3, 3), np.eye(3)
     if link != own:
@@ -89,7 +96,7 @@ def _moves(parts: Parts, own: str, link: str, data: mujoco.MjData, kind: Any) ->
     chosen = [joint for joint in joints if model.jnt_type[joint] == int(kind)]
     ways = [parts.way(model.joint(joint).name) for joint in chosen]
     return [
-        np.sign(way) * turn @ model.jnt_axis[joint]
+        (abs(way), np.sign(way) * turn @ model.jnt_axis[joint])
         for joint, way in zip(chosen, ways, strict=True)
         if way
     ]
@@ -113,13 +120,11 @@ def _segment(
             side = unit(np.cross(turning, along), link)
     if side is None:  # what slides goes there
         data = posed(parts.model, parts.opened)
-        slides = _moves(parts, link, link, data, servos.LINEAR) + _above(
-            parts, link, data, servos.LINEAR
-        )
+        slides = _carried(parts, link, data, servos.LINEAR)
         if not slides:
             hint = "say which side of it is palmar: palmar = [x, y, z]"
             raise ValueError(f"digits.{digit}: nothing in [closed] bends {link!r}; {hint}")
-        side = slides[0]
+        side = slides[0][1]
         along = along if abs(side @ along) < PARALLEL else np.cross(side, np.roll(side, 1))
     if ends is None:
         axes: dict[str, Any] = {"along": tuple(beside(along, side)), "palmar": tuple(side)}

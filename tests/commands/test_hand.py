@@ -72,6 +72,14 @@ def test_a_gripper_that_is_open_at_the_end_of_its_slides():
     assert about["closed"]["l_a"] == about["closed"]["r_a"] == 0
 
 
+def test_a_gripper_that_is_open_at_the_end_of_its_hinges():
+    """Whatever the range says: two digits close where they meet."""
+    model = MODEL.replace('range="0 1.5"', 'range="-1.5 0.1"')
+    about, _ = guessed(model)
+    assert about["opened"]["l_a"] == about["opened"]["r_a"] == -1.5
+    assert about["closed"]["l_a"] == about["closed"]["r_a"] == pytest.approx(0.1)
+
+
 def test_digits_around_a_palm_close_on_each_other():
     """What turns them about the palm spreads them, whatever its range; none of three is a thumb, but
     one that is alone against two."""

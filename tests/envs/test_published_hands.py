@@ -257,6 +257,11 @@ class TestModels:
         hand = hands.get(made(model, FOLLOWERS.replace("0.6", "0.02")))
         assert np.allclose(hand.surfaces[0].palmar, (0, 0, 1), atol=1e-4)  # the left slides towards it
 
+    def test_a_link_that_stays_parallel_has_the_palmar_side_of_its_finger(self, made):
+        model = coupled("0 -0.5").replace('range="0 1.5"', 'range="-1.5 1.5"')
+        hand = hands.get(made(model, FOLLOWERS))
+        assert hand.surfaces[1].palmar == pytest.approx(hand.surfaces[0].palmar)
+
     def test_a_file_that_is_no_xml_by_name_is_read(self, made):
         assert hands.get(made(name="hand.mjcf")).actuated == hands.get(made()).actuated
 
