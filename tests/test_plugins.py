@@ -1,6 +1,7 @@
 """What other packages add: by entry points, and by --import."""
 
 import json
+import shlex
 import sys
 from pathlib import Path
 
@@ -112,6 +113,18 @@ def test_a_run_is_trained_evaluated_and_listed_with_import(capsys):
     capsys.readouterr()
     assert main(["study", "todo", "s.toml", "--import", "own_task"]) == 0
     assert "--import=own_task" in capsys.readouterr().out
+
+
+def test_a_set_up_of_a_study_says_what_is_imported(capsys):
+    scene = EXAMPLES / "own_task.toml"
+    Path("s.toml").write_text(f'name = "s"\n[setups.cup]\nscene = "{scene}"\nimport = "own_task"\n')
+    todo = ["study", "todo", "s.toml"]
+    fails_with(capsys, todo, "imports the module 'own_task'", "--trust")
+    assert "own_task" not in sys.modules
+    assert main([*todo, "--trust"]) == 0
+    assert "--import=own_task" in (command := capsys.readouterr().out)
+    assert main([*shlex.split(command)[1:], *TINY]) == 0
+    assert main(["study", "status", "studies/s"]) == 0  # which imports nothing
 
 
 @pytest.mark.pybullet

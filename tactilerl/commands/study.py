@@ -55,7 +55,7 @@ class Run:
     retry_failed: bool = False
     """Try failed runs again."""
     trust: bool = False
-    """Allow importing modules that ids of environments in the study file name (module:id)."""
+    """Allow importing modules that the study file names, as `import` or in an environment's id."""
     yes: bool = False
     """Start without a question, however long it takes."""
 
@@ -149,13 +149,15 @@ class Todo:
     """Folder of the study; default: studies/NAME."""
     ranks_per_run: Annotated[int, "[1, inf)"] = 1
     """Processes per run."""
+    trust: bool = False
+    """Allow importing modules that the study file names, as `import` or in an environment's id."""
 
     def __call__(self) -> None:
         """`tactilerl study todo FILE`"""
         study = grid.read(self.study)
         files = StudyFiles(self.out or Path("studies") / study.name)
         found = [files.record(run) for run in study.runs()]
-        check.require_same(found, check.configure(record.run for record in found))
+        check.require_same(found, check.configure((record.run for record in found), self.trust))
         files.create(study)
         for record in found:
             if record.state != "done":

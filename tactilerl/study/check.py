@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import closing
 
 from ..algos.mpi import Communicator
+from ..envs import plugins
 from ..errors import InputError, input_errors
 from ..runs import arguments as train_flags
 from ..runs.config import RunConfig
@@ -17,8 +18,8 @@ from .records import Record
 
 
 def configure(runs: Iterable[Run], trust: bool = True) -> dict[str, RunConfig]:
-    """The configuration of every run, by name; InputError naming the first invalid run, or one whose
-    environment imports a module where the study file is not to `trust`.
+    """The configuration of every run, by name; InputError naming the first invalid run, or one that
+    imports a module where the study file is not to `trust`.
 
     Flags are read once for all runs that differ only in the seed.
     """
@@ -27,6 +28,9 @@ def configure(runs: Iterable[Run], trust: bool = True) -> dict[str, RunConfig]:
     for run in runs:
         try:
             if run.combination not in read:
+                _require_trust(run.modules, trust)
+                with input_errors():
+                    plugins.import_modules(run.modules)
                 flags = run.arguments
                 read[run.combination] = train_flags.read(flags, train_flags.defaults(flags))[0]
             config = read[run.combination]
@@ -34,14 +38,16 @@ def configure(runs: Iterable[Run], trust: bool = True) -> dict[str, RunConfig]:
             with input_errors():
                 config.validate()
             module, colon, _ = config.run.env.partition(":")
-            if colon and not trust:
-                raise InputError(
-                    f"its environment imports the module {module!r}; if you trust it, give --trust"
-                )
+            _require_trust([module] if colon else [], trust)
         except InputError as error:
             raise InputError(f"run {run.name}: {error}") from error
         configs[run.name] = config
     return configs
+
+
+def _require_trust(modules: list[str], trust: bool) -> None:
+    if modules and not trust:
+        raise InputError(f"it imports the module {modules[0]!r}; if you trust it, give --trust")
 
 
 def require_same(records: Iterable[Record], configs: Mapping[str, RunConfig]) -> None:

@@ -46,8 +46,8 @@ from ..style import ROLES
 MEASURES = ("success_rate", "test_success_rate")  # columns of progress.csv that are shares
 KEYS = {"name", "measure", "compare", "primary", "looks", "grid", "setups"}
 OWN_KEYS = {"measure", "compare", "grid"}  # of a set-up, besides flags
-TAKEN = {"seed", "out", "resume", "workers", "threads", "tensorboard", "trust", "help", "import"}
-SEED = "seed"
+SEED, IMPORT = "seed", "import"
+TAKEN = {SEED, "out", "resume", "workers", "threads", "tensorboard", "trust", "help"}
 TOUCH = ("touch", "run_type")  # the second up to 0.3.0
 FLAG = re.compile(r"[a-z][a-z0-9_-]*")
 NUMBER = re.compile(r"-\.?\d.*")  # begins as a flag does, but is none
@@ -183,8 +183,15 @@ class Run:
 
     @property
     def arguments(self) -> list[str]:
-        """The command line of `tactilerl train`, without where it is written; one core to itself."""
-        return ["--workers", "1", *to_arguments(renamed(self.flags)), "--seed", str(self.seed)]
+        """The command line of `tactilerl train`, without where it is written and what is imported
+        first; one core to itself."""
+        flags = {flag: value for flag, value in renamed(self.flags).items() if flag != IMPORT}
+        return ["--workers", "1", *to_arguments(flags), "--seed", str(self.seed)]
+
+    @property
+    def modules(self) -> list[str]:
+        """What is imported first, as by `train --import`."""
+        return [str(name) for name in _as_list(self.flags.get(IMPORT, []))]
 
 
 @dataclass(frozen=True)
@@ -330,7 +337,8 @@ def _flags(table: dict[str, Any], taken: set[str]) -> dict[str, Any]:
 
 
 def _grid(table: dict[str, Any]) -> dict[str, list[Any]]:
-    grid = {flag: _as_list(value) for flag, value in _flags(table, TAKEN - {SEED}).items()}
+    taken = (TAKEN | {IMPORT}) - {SEED}
+    grid = {flag: _as_list(value) for flag, value in _flags(table, taken).items()}
     for flag, values in grid.items():
         if not values:
             raise ValueError(f"grid: {flag}: found no values, expected one or more")

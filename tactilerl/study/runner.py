@@ -59,7 +59,8 @@ class RunJob:
         """What trains it by this `program`, and goes on where it was cut off."""
         out = StudyFiles(self.folder).run_dir(self.run).path
         command = [*program, "train", *self.run.arguments, "--out", str(out)]
-        command += [f"--import={module}" for module in self.imports]
+        modules = dict.fromkeys((*self.imports, *self.run.modules))
+        command += [f"--import={module}" for module in modules]
         return [launcher, "-n", str(self.ranks), *command] if self.ranks > 1 else command
 
 
