@@ -15,7 +15,6 @@ import tempfile
 import time
 from contextlib import closing
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -24,14 +23,11 @@ import numpy as np
 
 from benchmarks.command import ROOT, run_parts
 from benchmarks.printing import markdown
-from tactilerl.algos.mpi import Communicator
-from tactilerl.envs import hands, layouts, scripted, vector
+from tactilerl.envs import hands, layouts, scripted
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.pictures import places
-from tactilerl.probe import run
-from tactilerl.probe.grasps import Scenes, ScriptedGrasps
+from tactilerl.probe import files, run
 from tactilerl.probe.options import AnalysisFlags, GraspFlags, Options
-from tactilerl.probe.play import play
 
 GRIPPER = str(ROOT / "tests" / "hands" / "gripper.toml")
 HANDS = {"shadow (capsules)": "shadow", "gripper (boxes and meshes)": GRIPPER}
@@ -84,15 +80,11 @@ def measure(env: GraspEnv) -> dict[str, float]:
 
 def probe() -> dict[str, Any]:
     """Seconds of one core to play grasps, and to ask one layout of them at one joint noise."""
-    comm, flags = Communicator(), GraspFlags(env=GRIPPER, start_offset=0.005)
-    config, drawn = setup(GRIPPER), flags.perturbation
-    settings = {"env": GRIPPER, "simulator": config.simulator, "touch_rule": "skin", "seed": 0}
-    start = partial(vector.start, partial(Scenes, GRIPPER, config, drawn.variants()), 1)
+    flags = GraspFlags(env=GRIPPER, start_offset=0.005, grasps=GRASPS)
     result: dict[str, Any] = {"grasps": GRASPS}
     with tempfile.TemporaryDirectory() as folder, patch.object(run, "free_cores", lambda: 1):
         out, began = Path(folder), time.process_time()
-        task = ScriptedGrasps(drawn, 0)
-        played = play(out / "grasps.npz", GRASPS, settings, (), task, start, comm, lambda n: None)
+        played = files.play(out / "grasps.npz", flags, 1, lambda n: None)
         result["play_s"] = time.process_time() - began
         for n in NUMBERS:
             layout = layout_of(hands.get(GRIPPER), n, out)

@@ -25,8 +25,8 @@ from tactilerl.envs import hands, layouts, scenes, toml_files, vector
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.layouts import Layout
 from tactilerl.probe import candidates, cover, design, gate, timing
-from tactilerl.probe.cover import Aim
-from tactilerl.probe.recording import Recording, Skin, record
+from tactilerl.probe.cover import Aim, Starts
+from tactilerl.probe.recording import Skin, record
 from tactilerl.runs.cores import free_cores
 
 SEED = 46
@@ -92,7 +92,7 @@ def show_goals(result: dict[str, Any]) -> None:
     )  # fmt: skip
 
 
-def recorded(n: int, first: int, env: str = "mpl", **choices: Any) -> tuple[Skin, Recording]:
+def recorded(n: int, first: int, env: str = "mpl", **choices: Any) -> tuple[Skin, Starts]:
     """Starts of `ANYWHERE` with a dense skin."""
     hand = hands.get(env)
     skin = Skin.of([candidates.candidates(candidates.DesignFlags(), hand)], hand)
@@ -103,13 +103,10 @@ def recorded(n: int, first: int, env: str = "mpl", **choices: Any) -> tuple[Skin
 
 def ways() -> dict[str, Any]:
     """Ways to choose from the same recording."""
-    skin, choice = recorded(CHOICE, timing.CHOICE)
-    _, test = recorded(TEST, timing.TEST)
+    skin, starts = recorded(CHOICE, timing.CHOICE)
+    _, judge = recorded(TEST, timing.TEST)
     every = list(range(len(skin.taxels)))
-    starts, judge = (
-        each.starts(every, np.full(n, 1 / n)) for each, n in ((choice, CHOICE), (test, TEST))
-    )
-    features, arrived = moments(choice)
+    features, arrived = moments(starts)
     asked: dict[str, Callable[[int], Iterable[int]]] = {
         "design": lambda k: cover.choose(starts, k).taxels,
         "greedy": lambda k: cover.greedy(starts, k, rounds=0),
@@ -130,7 +127,7 @@ def ways() -> dict[str, Any]:
     }
 
 
-def moments(choice: Recording) -> tuple[np.ndarray, np.ndarray]:
+def moments(choice: Starts) -> tuple[np.ndarray, np.ndarray]:
     """What a classifier is given: which taxels have fired after each action from before the object sets
     off until it is let go, and whether it has arrived, which is when any taxel has fired."""
     x = [
@@ -184,7 +181,7 @@ def judged(sets: dict[str, Layout], env: str, n: int, **choices: Any) -> dict[st
     result = {}
     for name, taxels in placed.items():
         columns = skin.columns(taxels)
-        starts = found.starts(columns, np.full(n, 1 / n))
+        starts = found.take(columns)
         held = cover.scores(starts, np.arange(len(columns))[None], Aim())[:, 0]
         one_dead = [cover.value(starts, [*range(i), *range(i + 1, len(columns))])
                     for i in range(len(columns))] if len(columns) < 20 else []  # fmt: skip

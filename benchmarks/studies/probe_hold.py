@@ -9,13 +9,14 @@ Prints a table and writes JSON:
 from __future__ import annotations
 
 import time
-from contextlib import closing
+from contextlib import ExitStack
+from dataclasses import replace
 
 from benchmarks.command import count, parser, write
 from benchmarks.printing import markdown
 from tactilerl import statistics
-from tactilerl.envs.grasp import setup
-from tactilerl.probe.grasps import Scenes, ScriptedGrasps
+from tactilerl.probe import grasps
+from tactilerl.probe.grasps import Scenes
 from tactilerl.probe.options import GraspFlags
 from tactilerl.style import NAMES
 
@@ -24,14 +25,18 @@ SEED = 20_000  # not that of any probe that is reported
 
 def compare(hand: str, n: int) -> dict[str, float]:
     """Verdicts and processor time of `n` grasps, both ways in turn."""
-    drawn = GraspFlags(env=hand).perturbation
+    asked = GraspFlags(env=hand, simulator="pybullet", seed=SEED)
     held: dict[str, list[bool]] = {"full": [], "settled": []}
     seconds = dict.fromkeys(held, 0.0)
-    with closing(Scenes(hand, setup(hand, simulator="pybullet"), drawn.variants())) as scenes:
+    with ExitStack() as opened:
+        scenes = {}
+        for verdict in held:
+            scenes[verdict] = Scenes(replace(asked, hold_verdict=verdict))
+            opened.callback(scenes[verdict].close)
         for number in range(n):
-            for verdict in ("full", "settled"):
+            for verdict, env in scenes.items():
                 started = time.process_time()
-                record = ScriptedGrasps(drawn, SEED, verdict)(scenes, number, lambda: True)  # type: ignore[arg-type]
+                record = grasps.play(env, number)
                 seconds[verdict] += time.process_time() - started
                 held[verdict].append(bool(record["held"]))
     changed = sum(a != b for a, b in zip(*held.values(), strict=True))

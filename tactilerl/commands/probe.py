@@ -11,7 +11,6 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from ..envs.grasp import setup
 from ..errors import extra, input_errors
 from ..probe.options import GraspFlags, Options
 from ..terminal import flags, interrupts
@@ -46,8 +45,7 @@ def main(args: list[str]) -> int:
 
     if read.output.grasps_file is None:
         with input_errors():
-            env = read.grasp.env
-            require_grasp(env, setup(env, simulator=read.grasp.simulator or setup(env).simulator))
+            require_grasp(read.grasp.env, read.grasp.config)
     with ExitStack() as held:
         with progress("grasps", is_shown=not read.output.json) as show, interrupts.in_order():
             played, out = run.grasps(read, held, show)

@@ -8,7 +8,7 @@ Fisher 1978).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -27,10 +27,14 @@ class Starts:
     """What happens in each of some starts while the hand waits, and what would if it closed."""
 
     fires: Array
-    """(n, m) uint8: after how many actions each taxel fires first."""
+    """(n, m) uint8: after how many actions each taxel fires first, or NEVER."""
     succeeds: Array
     """(n, NEVER + 1) bool: does a hand succeed that closes after so many actions? False where nobody
     asked, and for NEVER."""
+    sets_off: Array
+    """(n,) before which action the object begins to come."""
+    lets_go: Array
+    """(n,) before which action it is let go."""
     weights: Array
     """(n,) of each start; they sum to 1."""
 
@@ -38,12 +42,21 @@ class Starts:
         return len(self.fires)
 
     def take(self, taxels: Sequence[int]) -> Starts:
-        return Starts(self.fires[:, list(taxels)], self.succeeds, self.weights)
+        return replace(self, fires=self.fires[:, list(taxels)])
 
     @property
     def good(self) -> Array:
         """(n, m) bool: does each taxel fire first at a moment from which closing succeeds?"""
         return self.succeeds[np.arange(len(self))[:, None], self.fires]
+
+    @property
+    def early(self) -> Array:
+        """(m,) bool: taxels that fire in any start before the object has set off."""
+        return np.asarray((self.fires < self.sets_off[:, None]).any(axis=0))
+
+    def felt(self, taxels: Sequence[int]) -> Array:
+        """(n,) bool: does one of these taxels fire before the object is let go?"""
+        return self.fires[:, list(taxels)].min(axis=1, initial=NEVER) < self.lets_go
 
 
 class Aim(NamedTuple):

@@ -1,23 +1,31 @@
-"""grasps.npz: what was played, and by which settings. Replaced whole, so that it can be read at
-any moment."""
+"""grasps.npz: grasps played side by side, kept as they come, and gone on with; and by which settings.
+Replaced whole, so that it can be read at any moment."""
 
 from __future__ import annotations
 
 import json
+import time
+from collections.abc import Callable
+from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..envs import hands, typed
+from ..envs import hands, typed, vector
 from ..envs.scenes import renamed
 from ..envs.state import KINDS
+from ..errors import InputError
 from ..runs.files import damage_named, read_arrays, replacing
-from .grasps import Measured, shapes_of
+from . import grasps
+from .grasps import Measured, Scenes, shapes_of, stack
+from .options import GraspFlags
 
 FORMAT = 1
 LARGEST = 1e6  # of any number in it, SI units
 SETTINGS = "settings"
+SAVE_EVERY = 20.0  # s
 
 
 class Played(NamedTuple):
@@ -26,6 +34,45 @@ class Played(NamedTuple):
     records: Measured
     settings: dict[str, Any]
     """What they follow from, besides their number."""
+
+
+def play(path: Path, asked: GraspFlags, workers: int, show: Callable[[int], None]) -> Played:
+    """All grasps that are asked for; those in the file at `path` are not played again.
+
+    `show` is told how many there are. What was played stays in the file whatever stops it.
+    InputError when the file holds grasps of other settings.
+    """
+    settings, n = asked.settings(), asked.grasps
+    records = _kept(path, settings)
+    show(min(n, len(records)))
+    if len(records) < n:
+        with closing(vector.start(partial(Scenes, asked), workers)) as played_in:
+            try:
+                saved = time.monotonic()
+                for record in played_in.play(grasps.play, range(len(records), n)):
+                    records.append(record)
+                    show(len(records))
+                    if time.monotonic() - saved > SAVE_EVERY:
+                        write(path, Played(stack(records), settings))
+                        saved = time.monotonic()
+            finally:
+                if records:
+                    write(path, Played(stack(records), settings))
+    return Played(stack(records[:n]), settings)
+
+
+def _kept(path: Path, settings: dict[str, Any]) -> list[Measured]:
+    """What an earlier call left."""
+    if not path.exists():
+        return []
+    arrays, theirs = read(path)
+    ours = json.loads(json.dumps(settings))
+    for name in {**ours, **theirs}:
+        mine, other = ours.get(name), theirs.get(name)
+        if mine != other:
+            raise InputError(f"{path}: {name}: found {mine!r}, but its grasps have {other!r}; "
+                             "choose another folder with --out")  # fmt: skip
+    return [{name: values[k] for name, values in arrays.items()} for k in range(len(arrays["held"]))]
 
 
 def write(path: Path, played: Played) -> None:

@@ -6,14 +6,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from ..envs import hands
-from . import analysis, estimators, metrics, run, selection
+from ..envs import hands, vector
+from . import analysis, estimators, metrics, selection
 from .candidates import Design, DesignFlags, Pool, Scene
-from .grasps import stack
+from .grasps import Scenes, play, stack
 from .options import AnalysisFlags, GraspFlags
 from .readings import Grasps
 
@@ -29,10 +30,9 @@ def design(
     own: dict[str, Any] = {"env": env, "simulator": scene.config.simulator, "seed": flags.seed}
     playing = replace(usual, **own, grasps=flags.n_starts(is_timing=False))
     playing.validate()
-    _, task, start, _ = run.scripted(playing)
     records = []
-    with closing(start(workers)) as played_in:
-        for record in played_in.play(task, range(playing.grasps)):
+    with closing(vector.start(partial(Scenes, playing), workers)) as played_in:
+        for record in played_in.play(play, range(playing.grasps)):
             records.append(record)
             show(len(records), playing.grasps)
     grasps = Grasps(hand, stack([record for record in records if not record["broken"]]))

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import itertools
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
 
 from ..envs import hands, objects, scenes, tasks, typed
-from ..envs.grasp import setup
+from ..envs.grasp import GraspConfig, setup
 from ..envs.hold import Verdict
 from ..envs.observations import TaxelFaults, validate_faults
 from ..envs.state import Kind
 from ..runs.config import WorkerCount
-from .grasps import Perturbation
 
 LOST = {"object_density", "finger_gain", "timestep"}  # of a scene: probed grasps keep the hand's
+RULE = "skin"
+"""By which taxels are read of the recorded poses."""
 
 
 def _validate(flags: Any, *lists: str) -> None:
@@ -31,7 +33,7 @@ def _validate(flags: Any, *lists: str) -> None:
 
 @dataclass(frozen=True)
 class GraspFlags:
-    """Which grasps are simulated."""
+    """Which grasps are simulated, and how they differ from each other: drawn evenly for each."""
 
     scene: str = ""
     """Take hand, simulator and objects from a named scene or a scene's .toml file; other flags override
@@ -86,21 +88,43 @@ class GraspFlags:
         return cls(scene=scene, env=named.env, simulator=config.simulator, **said)
 
     @property
-    def perturbation(self) -> Perturbation:
-        """That of scripted grasps."""
-        return Perturbation(
-            self.object, self.object_size, self.friction, self.start_offset, self.start_yaw,
-            self.closing or hands.usage(self.env).closing, self.joint_jitter,
-        )  # fmt: skip
+    def closes(self) -> tuple[float, float]:
+        """How far the fingers close, from and to."""
+        return self.closing or hands.usage(self.env).closing
+
+    @property
+    def config(self) -> GraspConfig:
+        """The hand's scene."""
+        return setup(self.env, **({"simulator": self.simulator} if self.simulator else {}))
+
+    def scenes(self) -> list[GraspConfig]:
+        """One for each object."""
+        usual, every = self.config, itertools.product(self.object, self.object_size, self.friction)
+        return [replace(usual, object=k, object_size=(s,), friction=f) for k, s, f in every]
+
+    def settings(self) -> dict[str, Any]:
+        """What a grasp follows from, besides its number: as the file of grasps has it."""
+        digest = hands.digest(self.env)  # of a hand of one's own, which may change
+        return {
+            "env": self.env, "simulator": self.config.simulator, "touch_rule": RULE,
+            "seed": self.seed, "hold_verdict": self.hold_verdict,
+            "perturbation": {
+                "kinds": self.object, "sizes": self.object_size, "frictions": self.friction,
+                "offset": self.start_offset, "yaw": self.start_yaw, "closing": self.closes,
+                "joint_jitter": self.joint_jitter,
+            },
+        } | ({"hand": digest} if digest else {})  # fmt: skip
 
     def validate(self) -> None:
         """Raise ValueError naming the first invalid flag."""
         if not hands.is_hand(self.env):
             raise ValueError(f"env: found {self.env!r}, allowed: {hands.allowed()}")
         _validate(self, "object", "object_size", "friction")
-        low, high = self.perturbation.closing
+        low, high = self.closes
         if not 0 <= low <= high <= 2:
             raise ValueError(f"closing: found {low} {high}, allowed from 0 to 2, the smaller first")
+        for scene in self.scenes():
+            typed.validate(scene)
 
 
 @dataclass(frozen=True)

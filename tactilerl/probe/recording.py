@@ -4,7 +4,7 @@ close."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
@@ -53,42 +53,19 @@ class SkinnedEnv(GraspEnv):
         self.taxels, self._touch = taxels, RULES[config.touch_rule](taxels, self.hand)
 
 
-@dataclass(frozen=True)
-class Recording:
-    """What was recorded of some starts; closing is asked for at no more moments than are needed."""
-
-    fires: Array
-    """(n, m) uint8: after how many actions each taxel fires first, or NEVER."""
-    succeeds: Array
-    """(n, NEVER + 1) bool: does a hand succeed that closes after so many actions?"""
-    sets_off: Array
-    """(n,) before which action the object begins to come."""
-    lets_go: Array
-    """(n,) before which action it is let go."""
-
-    def starts(self, taxels: list[int], weights: Array) -> Starts:
-        return Starts(self.fires[:, taxels], self.succeeds, weights)
-
-    def felt(self, taxels: list[int]) -> Array:
-        """(n,) bool: does one of these taxels fire before the object is let go?"""
-        return self.fires[:, taxels].min(axis=1, initial=NEVER) < self.lets_go
-
-    def early(self) -> Array:
-        """(m,) bool: taxels that fire in any start before the object has set off."""
-        return np.asarray((self.fires < self.sets_off[:, None]).any(axis=0))
-
-
 def record(
     hand: str,
     scene: GraspConfig,
     skin: Skin,
-    numbers: Iterable[int],
+    numbers: Sequence[int],
     workers: int,
     every_moment: bool = False,
     tick: Callable[[], None] = lambda: None,
-) -> Recording:
-    """The starts that the seeds `numbers` draw in a scene. `every_moment`: closing is asked for after
-    every number of actions, not only where a taxel fires first. `tick` is called after every start."""
+    weight: float = 1.0,
+) -> Starts:
+    """The starts that the seeds `numbers` draw in a scene, which together weigh `weight`. Closing is
+    asked for where a taxel fires first, or with `every_moment` after every number of actions. `tick` is
+    called after every start."""
     blind: dict[str, Any] = {**NO_FAULTS, "touch": "absent", "history": 1}
     make = partial(SkinnedEnv, hand, replace(scene, **blind), skin.taxels)
     found = []
@@ -96,13 +73,14 @@ def record(
         for row in played_in.play(partial(_play, every_moment), numbers):
             found.append(row)
             tick()
-    return Recording(*(np.array(column) for column in zip(*found, strict=True)))
+    fires, succeeds, sets_off, lets_go = map(np.array, zip(*found, strict=True))
+    return Starts(fires, succeeds, sets_off, lets_go, np.full(len(found), weight / len(found)))
 
 
 def _play(
     every_moment: bool, env: gym.Env[Any, Any], number: int, is_wanted: vector.IsWanted
 ) -> tuple[Array, Array, int, int]:
-    """A row of each array of a `Recording`. A start in which the physics breaks is felt by nobody."""
+    """A row of each array of `Starts`. A start in which the physics breaks is felt by nobody."""
     base: Any = env.unwrapped
     fires = np.full(len(base.taxels), NEVER, np.uint8)
     succeeds = np.zeros(NEVER + 1, bool)

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import asdict, replace
-from functools import partial
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..envs import hands, layouts, typed, vector
-from ..envs.grasp import setup
+from ..envs import hands, layouts, typed
 from ..envs.hands import Hand
-from ..envs.scripted import require_grasps
 from ..envs.state import Array
 from ..errors import InputError, input_errors
 from ..pictures import places
@@ -23,37 +21,27 @@ from ..runs import provenance
 from ..runs.cores import free_cores
 from ..runs.files import locked, replacing
 from . import analysis, estimators, figures, files, selection
-from .grasps import Measured, Scenes, ScriptedGrasps
-from .options import AnalysisFlags, GraspFlags, Options
-from .play import play
+from .options import AnalysisFlags, Options
 from .readings import Grasps, with_faults
-
-RULE = "skin"
-"""By which taxels are read of the recorded poses."""
-Playing = tuple[dict[str, Any], vector.Job[Measured], Callable[[int], vector.Workers], str]
-"""Settings, who plays a grasp in it, workers by their number, and the results' folder."""
 
 
 def grasps(read: Options, held: ExitStack, show: Callable[[int], None]) -> tuple[files.Played, Path]:
     """The grasps, played or read, and the folder where everything goes, to which no other process
     writes while it is `held`. Whatever cannot be asked is refused before minutes of playing."""
-    source = read.output.grasps_file
+    asked, source, out = read.grasp, read.output.grasps_file, read.output.out
     if source is not None:
-        _require_usual(read.grasp)
+        with input_errors():
+            typed.allow_only_with("grasps that are played", asked, *vars(asked))
         played = files.read(source)
-        env = played.settings.get("env")
-        if not hands.is_hand(str(env)):
+        env = str(played.settings.get("env"))
+        if not hands.is_hand(env):
             raise InputError(f"{source}: found grasps of {env!r}, allowed: {hands.allowed()}")
-        _require_answerable(read.analysis, hands.get(str(env)))
-        return played, _held(read.output.out or source.parent, held)
-    settings, task, start, name = scripted(read.grasp)
-    if digest := hands.digest(settings["env"]):  # of a hand of one's own, which may change
-        settings["hand"] = digest
-    _require_answerable(read.analysis, hands.get(settings["env"]))
-    path = _held(read.output.out or Path("probes") / name, held) / "grasps.npz"
-    workers = partial(start, read.output.workers or free_cores())
-    n = read.grasp.grasps
-    return play(path, n, settings, task, workers, show), path.parent
+        _placed(read.analysis, hands.get(env))
+        return played, _held(out or source.parent, held)
+    _placed(read.analysis, hands.get(asked.env))
+    name = f"{hands.file(asked.env).stem}_{asked.config.simulator}"
+    out = _held(out or Path("probes") / name, held)
+    return files.play(out / "grasps.npz", asked, read.output.workers or free_cores(), show), out
 
 
 def _held(out: Path, held: ExitStack) -> Path:
@@ -66,42 +54,10 @@ def _held(out: Path, held: ExitStack) -> Path:
     return out
 
 
-def _require_answerable(asking: AnalysisFlags, hand: Hand) -> None:
-    """InputError unless the hand has the layouts."""
-    for name in asking.layout:
-        _taxels(name, hand)
-
-
-def _require_usual(playing: GraspFlags) -> None:
-    """InputError naming the first flag that is not at its default."""
-    usual = GraspFlags()
-    for name, value in vars(playing).items():
-        if value != getattr(usual, name):
-            flag = f"--{name.replace('_', '-')}"
-            raise InputError(f"{flag}: found together with --from, allowed when grasps are played")
-
-
 @input_errors()
-def scripted(grasps: GraspFlags) -> Playing:
-    """Perturbed scripted grasps; InputError where the hand has none."""
-    simulator = grasps.simulator or setup(grasps.env).simulator
-    hand, drawn = hands.get(grasps.env), grasps.perturbation
-    require_grasps(hand)
-    config = setup(grasps.env, simulator=simulator)
-    settings: dict[str, Any] = {
-        "env": grasps.env, "simulator": simulator, "touch_rule": RULE, "seed": grasps.seed,
-        "hold_verdict": grasps.hold_verdict, "perturbation": asdict(drawn),
-    }  # fmt: skip
-    for variant in drawn.variants():
-        typed.validate(replace(config, **variant))
-    task = ScriptedGrasps(drawn, grasps.seed, grasps.hold_verdict)
-    start = partial(vector.start, partial(Scenes, grasps.env, config, drawn.variants()))
-    return settings, task, start, f"{hands.file(grasps.env).stem}_{simulator}"
-
-
-@input_errors()
-def _taxels(name: str, hand: Hand) -> layouts.Taxels:
-    return layouts.load(name).place(hand)
+def _placed(asking: AnalysisFlags, hand: Hand) -> dict[str, layouts.Taxels]:
+    """The layouts on the hand; InputError where it does not have them."""
+    return {name: layouts.load(name).place(hand) for name in asking.layout}
 
 
 def analyse(read: Options, played: files.Played, out: Path) -> dict[str, Any]:
@@ -110,7 +66,8 @@ def analyse(read: Options, played: files.Played, out: Path) -> dict[str, Any]:
     is_whole = ~played.records["broken"].astype(bool)
     whole = {name: values[is_whole] for name, values in played.records.items()}
     grasps = Grasps(hand, whole)
-    taxels = {name: _taxels(name, hand) for name in asking.layout}
+    taxels = _placed(asking, hand)
+    gains: dict[str, Any] = {}  # to compare hands
 
     def feel(taxels: layouts.Taxels) -> Array:
         """Readings bool (n, taxels), with faults."""
@@ -122,7 +79,10 @@ def analyse(read: Options, played: files.Played, out: Path) -> dict[str, Any]:
         probe = analysis.Probe(grasps, readings, asking, settings["seed"], free_cores())
         asked = probe.questions()
         samples = probe.answers(asked, probe.inputs())
-        _write_gains(probe, samples, out)
+        for noise, name in itertools.product(asking.joint_noise, readings):
+            gained = analysis.hold_gain(samples, noise, name)
+            gains[f"{noise:g} {name}"] = gained.astype(np.float32)
+        spots = [asdict(place) for place in places.of(taxels[probe.densest])]
         result = {
             **{name: settings[name] for name in ("env", "simulator", "touch_rule", "seed")},
             "playing": settings,
@@ -137,24 +97,11 @@ def analyse(read: Options, played: files.Played, out: Path) -> dict[str, Any]:
             "table": analysis.table(samples),
             "differences": analysis.differences(probe, asked, samples),
             "shuffled": analysis.shuffled_gain(probe),
-            "worth": selection.worth(probe) | {"places": _spots(taxels[probe.densest])},
+            "worth": selection.worth(probe) | {"places": spots},
         }
+    with replacing(out / "gains.npz") as file:
+        np.savez_compressed(file, **gains)
     with replacing(out / "probe.json") as file:
         file.write((json.dumps(result, indent=1) + "\n").encode())
     figures.draw(result, hand, out)
     return result
-
-
-def _spots(taxels: layouts.Taxels) -> list[dict[str, Any]]:
-    return [asdict(place) for place in places.of(taxels)]
-
-
-def _write_gains(probe: analysis.Probe, samples: analysis.Samples, out: Path) -> None:
-    """gains.npz, to compare hands."""
-    gains: dict[str, Any] = {
-        f"{noise:g} {layout}": analysis.hold_gain(samples, noise, layout).astype(np.float32)
-        for noise in probe.choices.joint_noise
-        for layout in probe.readings
-    }
-    with replacing(out / "gains.npz") as file:
-        np.savez_compressed(file, **gains)

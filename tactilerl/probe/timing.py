@@ -8,15 +8,14 @@ from typing import Any
 import numpy as np
 
 from .. import statistics
-from ..envs import typed
 from ..envs.grasp import GraspConfig
 from ..envs.hands import Hand
 from ..envs.state import Array
 from ..pictures import places
 from . import cover, gate
 from .candidates import Design, DesignFlags, Pool, Scene
-from .cover import Aim
-from .recording import Recording, Skin, record
+from .cover import Aim, Starts
+from .recording import Skin, record
 
 CHOICE, TEST = 500_000, 750_000  # starts to choose from, to judge on, and of the gate are all different
 RANDOM_SETS = 20
@@ -35,18 +34,22 @@ def design(
     pool, n_choice = Pool.of(flags, hand), flags.n_starts(is_timing=True)
     total, done = len(found) * (n_choice + flags.test_starts), iter(range(1, 10**9))
 
-    def played(scene: Scene, first: int, n: int) -> Recording:
+    def played(first: int, n: int) -> Starts:
         first += 2 * gate.SEARCH * flags.seed
         numbers, every = range(first, first + n), flags.false_on > 0
         tick = lambda: show(next(done), total)  # noqa: E731
-        return record(env, scene.config, pool.skin, numbers, workers, every, tick)
+        parts = [
+            vars(record(env, scene.config, pool.skin, numbers, workers, every, tick, scene.weight))
+            for scene in found
+        ]
+        return Starts(**{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
 
-    choice = [played(scene, CHOICE, n_choice) for scene in found]
-    pool = pool.without(np.any([each.early() for each in choice], axis=0))
-    starts = _joined(choice, found, pool.columns)
+    choice = played(CHOICE, n_choice)
+    pool = pool.without(choice.early)
+    starts = choice.take(pool.columns)
     _require_felt(starts, env, found[0].config, hand, workers)
-    test = [played(scene, TEST, flags.test_starts) for scene in found]
-    judge, rng = _Judge(test, found, flags.aim), np.random.default_rng(flags.seed)
+    judge = _Judge(played(TEST, flags.test_starts), flags.aim)
+    rng = np.random.default_rng(flags.seed)
     beside = {name: pool.skin.columns(taxels) for name, taxels in pool.beside.items()}
     rows = [judge.row(name, columns) for name, columns in beside.items()]
     best = max(rows, key=lambda row: row["success"], default=None)
@@ -63,38 +66,25 @@ def design(
         rows += [row, judge.random(n, pool.columns, pool.n_kept, rng)]
     about = {
         "question": "timing",
-        "hopeless": float(np.mean([~each.succeeds.any(axis=1) for each in test])),
+        "hopeless": float(np.mean(~judge.starts.succeeds.any(axis=1))),
         "beside": best and best["layout"],
         "rows": rows,
     }
     return pool.design(env, chosen, starts.weights @ starts.good, found, about)
 
 
-def _joined(
-    recordings: Sequence[Recording], found: Sequence[Scene], columns: list[int]
-) -> cover.Starts:
-    parts = [
-        each.starts(columns, np.full(len(each.fires), scene.weight / len(each.fires)))
-        for each, scene in zip(recordings, found, strict=True)
-    ]
-    names = typed.names(cover.Starts)
-    return cover.Starts(**{name: np.concatenate([vars(p)[name] for p in parts]) for name in names})
-
-
 class _Judge:
     """What sets of taxels win in starts from which none of them was chosen."""
 
-    def __init__(self, test: Sequence[Recording], found: Sequence[Scene], aim: Aim) -> None:
-        self._test, self._aim = test, aim
-        self._every = _joined(test, found, list(range(test[0].fires.shape[1])))
-        rng = np.random.default_rng(0)
-        self._counts = statistics.resample(rng, len(self._every), 10_000)
+    def __init__(self, starts: Starts, aim: Aim) -> None:
+        self.starts, self._aim = starts, aim
+        self._counts = statistics.resample(np.random.default_rng(0), len(starts), 10_000)
 
     def row(self, layout: str, taxels: list[int]) -> dict[str, Any]:
         """Success and share felt, with intervals."""
         row: dict[str, Any] = {"layout": layout, "taxels": len(taxels)}
-        for name, scores in (("success", self._scores(taxels)), ("felt", self._felt(taxels))):
-            row[name] = float(self._every.weights @ scores)
+        for name, scores in self._scores(taxels).items():
+            row[name] = float(self.starts.weights @ scores)
             row[f"{name}_interval"] = self._interval(scores)
         return row
 
@@ -102,42 +92,35 @@ class _Judge:
         self, n: int, columns: list[int], n_kept: int, rng: np.random.Generator
     ) -> dict[str, Any]:
         """Means over random sets of as many."""
-        sets = [
-            columns[:n_kept] + rng.choice(columns[n_kept:], n, replace=False).tolist()
-            for _ in range(RANDOM_SETS)
-        ]
-        success, felt = (
-            float(self._every.weights @ np.mean([of(taxels) for taxels in sets], axis=0))
-            for of in (self._scores, self._felt)
-        )
-        return {"layout": "random", "taxels": n, "success": success, "felt": felt}
+        kept, free = columns[:n_kept], columns[n_kept:]
+        drawn = (kept + rng.choice(free, n, replace=False).tolist() for _ in range(RANDOM_SETS))
+        every = [self._scores(taxels) for taxels in drawn]
+        means = {name: np.mean([scores[name] for scores in every], axis=0) for name in every[0]}
+        shares = {name: float(self.starts.weights @ scores) for name, scores in means.items()}
+        return {"layout": "random", "taxels": n, **shares}
 
     def difference(self, a: list[int], b: list[int]) -> dict[str, Any]:
         """By how much `a` is above `b` in the same starts, with intervals."""
-        pairs = {"success": self._scores(a) - self._scores(b), "felt": self._felt(a) - self._felt(b)}
-        n, weights = len(self._every), self._every.weights
-        return {
-            name: list(statistics.mean(n * weights * gained, self._counts))
-            for name, gained in pairs.items()
-        }
+        others = self._scores(b)
+        return {name: list(self._mean(own - others[name])) for name, own in self._scores(a).items()}
 
-    def _felt(self, taxels: list[int]) -> Array:
-        return np.concatenate([each.felt(taxels) for each in self._test]).astype(float)
-
-    def _scores(self, taxels: list[int]) -> Array:
-        return cover.scores(self._every, np.array([taxels], int), self._aim)[:, 0]
+    def _scores(self, taxels: list[int]) -> dict[str, Array]:
+        """(n,) of each start: does it succeed, or how probably? Is it felt?"""
+        success = cover.scores(self.starts, np.array([taxels], int), self._aim)[:, 0]
+        return {"success": success, "felt": self.starts.felt(taxels).astype(float)}
 
     def _interval(self, scores: Array) -> list[float]:
         """Wilson's where starts succeed or not and count alike, else the bootstrap's."""
-        n, weights = len(scores), self._every.weights
-        if np.allclose(weights, 1 / n) and np.isin(scores, (0.0, 1.0)).all():
+        n = len(scores)
+        if np.allclose(self.starts.weights, 1 / n) and np.isin(scores, (0.0, 1.0)).all():
             return list(statistics.wilson_interval(round(scores.sum()), n))
-        return list(statistics.mean(n * weights * scores, self._counts)[1:])
+        return list(self._mean(scores)[1:])
+
+    def _mean(self, scores: Array) -> statistics.Estimate:
+        return statistics.mean(len(scores) * self.starts.weights * scores, self._counts)
 
 
-def _require_felt(
-    starts: cover.Starts, name: str, scene: GraspConfig, hand: Hand, workers: int
-) -> None:
+def _require_felt(starts: Starts, name: str, scene: GraspConfig, hand: Hand, workers: int) -> None:
     """ValueError where no candidate feels anything in time, or touch has nothing to win."""
     if not starts.good.any():
         skin = Skin.of([places.skin("6mm", hand)], hand)

@@ -24,7 +24,12 @@ def some(rng, n=12, m=8):
     fires = np.where(rng.random((n, m)) < 0.4, rng.integers(10, 16, (n, m)), NEVER).astype(np.uint8)
     succeeds = np.zeros((n, NEVER + 1), bool)
     succeeds[:, 5:16] = rng.random((n, 11)) < 0.7
-    return Starts(fires, succeeds, np.full(n, 1 / n))
+    return starts_of(fires, succeeds)
+
+
+def starts_of(fires, succeeds):
+    n = len(fires)
+    return Starts(np.array(fires, np.uint8), succeeds, np.zeros(n), np.zeros(n), np.full(n, 1 / n))
 
 
 class TestCover:
@@ -42,7 +47,7 @@ class TestCover:
     def test_what_fires_too_early_spoils_a_start(self):
         succeeds = np.zeros((1, NEVER + 1), bool)
         succeeds[0, 20] = True
-        starts = Starts(np.array([[20, 8]], np.uint8), succeeds, np.ones(1))
+        starts = starts_of([[20, 8]], succeeds)
         assert cover.value(starts, [0]) == 1.0
         assert cover.value(starts, [0, 1]) == 0.0
         assert cover.choose(starts, 2).value == 0.0

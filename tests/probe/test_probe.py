@@ -3,7 +3,6 @@
 import json
 import os
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,39 +14,25 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from tactilerl import statistics
 from tactilerl.commands.cli import main
-from tactilerl.envs import hands, layouts, scripted, vector
-from tactilerl.envs.grasp import GraspEnv, setup
+from tactilerl.envs import hands, layouts, scripted
 from tactilerl.envs.observations import TaxelFaults
 from tactilerl.envs.touch import SkinTouch
 from tactilerl.errors import BUSY, InputError
 from tactilerl.pictures import places
-from tactilerl.probe import analysis, estimators, figures, files, metrics, selection
-from tactilerl.probe.grasps import (
-    Perturbation,
-    Scenes,
-    ScriptedGrasps,
-    moment,
-    stack,
-)
+from tactilerl.probe import analysis, estimators, figures, files, grasps, metrics, selection
+from tactilerl.probe.grasps import Scenes, drawn_start, moment, stack
 from tactilerl.probe.options import AnalysisFlags, GraspFlags
-from tactilerl.probe.play import play
 from tactilerl.probe.readings import Grasps, with_faults
 from tactilerl.runs.files import locked
 
-DRAWN = Perturbation(("box",), (0.04, 0.05), (1.0,), 0.02, 0.5, (0.7, 1.1), 0.1)
-MPL = setup("mpl", simulator="mujoco")
+DRAWN = GraspFlags(
+    env="mpl", simulator="mujoco", seed=1, object_size=(0.04, 0.05), friction=(1.0,), start_offset=0.02,
+    start_yaw=0.5, closing=(0.7, 1.1),
+)  # fmt: skip
 
 
-def start(workers=1, config=MPL):
-    return vector.start(partial(Scenes, "mpl", config, DRAWN.variants()), workers)
-
-
-def played(workers, numbers):
-    made = start(workers)
-    try:
-        return stack(list(made.play(ScriptedGrasps(DRAWN, 1), numbers)))
-    finally:
-        made.close()
+def played(path, n, workers=1, show=lambda done: None, **others):
+    return files.play(path / "grasps.npz", replace(DRAWN, grasps=n, **others), workers, show).records
 
 
 def same(a, b):
@@ -56,26 +41,16 @@ def same(a, b):
 
 class TestGrasps:
     def test_the_same_with_one_and_with_two_workers_and_in_parts(self, tmp_path):
-        whole = played(1, range(3))
-        assert same(whole, played(2, range(3)))
-        shown = []
-        for n in (2, 3):
-            parts = play(
-                tmp_path / "grasps.npz", n, {"seed": 1}, ScriptedGrasps(DRAWN, 1), start, shown.append,
-            )  # fmt: skip
-        assert shown == [0, 1, 2, 2, 3]  # the second call plays one
-        assert same(whole, parts.records)
-        assert same(whole, files.read(tmp_path / "grasps.npz").records)
-
-    def test_grasps_of_something_else_are_not_gone_on_with(self, tmp_path):
-        def asked(settings):
-            task = ScriptedGrasps(DRAWN, 1)
-            return play(tmp_path / "g.npz", 1, settings, task, start, print)
-
-        asked({"hand": "a"})
-        asked({"hand": "a"})
-        with pytest.raises(InputError, match="hand: found 'b', but its grasps have 'a'"):
-            asked({"hand": "b"})
+        for name in ("one", "two"):
+            (tmp_path / name).mkdir()
+        whole, shown = played(tmp_path / "one", 3), []
+        for n in (2, 3):  # the second call plays one
+            parts = played(tmp_path / "two", n, 2, shown.append)
+        assert shown == [0, 1, 2, 2, 3]
+        assert same(whole, parts)
+        assert same(whole, files.read(tmp_path / "two/grasps.npz").records)
+        with pytest.raises(InputError, match="seed: found 2, but its grasps have 1"):
+            played(tmp_path / "two", 3, seed=2)
 
     def test_grasps_of_0_3_0_with_contacts_are_read(self, tmp_path):
         records = synthetic(hands.get("shadow"), [0, 1])
@@ -85,8 +60,8 @@ class TestGrasps:
         np.savez(tmp_path / "old.npz", **arrays)
         assert same(files.read(tmp_path / "old.npz").records, records)
 
-    def test_another_number_is_another_grasp_and_another_object(self):
-        records = played(1, range(6))
+    def test_another_number_is_another_grasp_and_another_object(self, tmp_path):
+        records = played(tmp_path, 6)
         assert len(np.unique(records["joint_positions"], axis=0)) == 6
         assert set(records["object_half_size"][:, 0]) == {0.02, 0.025}
 
@@ -96,28 +71,22 @@ class TestGrasps:
                 raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):
-            play(tmp_path / "g.npz", 9, {}, ScriptedGrasps(DRAWN, 1), start, stop)
-        assert len(files.read(tmp_path / "g.npz").records["held"]) == 2
+            played(tmp_path, 9, show=stop)
+        assert len(files.read(tmp_path / "grasps.npz").records["held"]) == 2
 
 
 class TestReadings:
     def test_are_those_of_the_environment(self):
-        env = GraspEnv("mpl", setup("mpl", simulator="mujoco", layout="1"))
-        hand = env.hand
-        try:
-            scenes = Scenes("mpl", env.config, [{}])
-            felt, records = [], []
-            task = ScriptedGrasps(Perturbation(("box",), (0.05,), (1.0,), 0.0, 0.1, (1, 1), 0.02), 0)
-            for number in range(2):  # the scene is left at the end of a hold
-                task(scenes, number, lambda: True)
-                inner = scenes.scene(0)
-                felt.append(inner.taxel_readings())
-                records.append(moment(inner))
-            scenes.close()
-        finally:
-            env.close()
+        one = dict(object_size=(0.05,), start_offset=0.0, start_yaw=0.1, closing=(1, 1), seed=0)
+        scenes, felt, records = Scenes(replace(DRAWN, **one)), [], []
+        env = scenes.scene(0)
+        for number in range(2):  # the scene is left at the end of a hold
+            grasps.play(scenes, number)
+            felt.append(env.taxel_readings())
+            records.append(moment(env))
+        scenes.close()
         assert np.array(felt).any()
-        assert np.array_equal(Grasps(hand, stack(records)).feel(env.taxels), np.array(felt))
+        assert np.array_equal(Grasps(env.hand, stack(records)).feel(env.taxels), np.array(felt))
 
     def test_object_in_the_hand_does_not_depend_on_where_the_hand_is(self):
         hand = hands.get("mpl")
@@ -173,12 +142,12 @@ class TestPlaces:
 @pytest.mark.parametrize("hand", hands.HANDS)
 def test_grasps_start_where_nothing_overlaps(hand):
     """Of 100 widely perturbed starts none is more than 0.1 mm deep in the object."""
-    drawn = Perturbation(("box",), (0.04, 0.05), (1.0,), 0.025, 0.6, (0.5, 0.9), 0.1)
-    scenes = Scenes(hand, setup(hand, simulator="mujoco"), drawn.variants())
-    task, deepest = ScriptedGrasps(drawn, 0), []
+    drawn = GraspFlags(env=hand, simulator="mujoco", object_size=(0.04, 0.05), friction=(1.0,))
+    drawn.validate()
+    scenes, deepest = Scenes(drawn), []
     for number in range(100):
         env = scenes.scene(number % 2)
-        scripted.place(env, task._start(env, np.random.default_rng(number)))
+        scripted.place(env, drawn_start(drawn, env, np.random.default_rng(number)))
         model, data = env.simulator.model, env.simulator.data
         thing, ground = model.geom("object").id, model.geom("ground").id
         touching = [c for c in data.contact if thing in c.geom and ground not in c.geom]
@@ -187,34 +156,25 @@ def test_grasps_start_where_nothing_overlaps(hand):
     assert max(deepest) < 1e-4
 
 
-class TestEarlyVerdict:
-    @pytest.mark.pybullet
-    def test_in_pybullet_a_grasp_at_rest_is_called_early_and_alike(self):
-        drawn = Perturbation(("box",), (0.05,), (1.0,), 0.01, 0.2, (0.8, 1.1), 0.05)
-        env = Scenes("mpl", setup("mpl", simulator="pybullet"), drawn.variants())
+@pytest.mark.pybullet
+def test_in_pybullet_a_grasp_at_rest_is_called_early_and_alike():
+    own = dict(simulator="pybullet", object_size=(0.05,), start_offset=0.01, start_yaw=0.2)
+    drawn = replace(DRAWN, **own, closing=(0.8, 1.1), joint_jitter=0.05)
+    n_steps, held = {"full": 0, "settled": 0}, {}
+    for verdict in n_steps:
+        env = Scenes(replace(drawn, hold_verdict=verdict))
         simulator = env.scene(0).simulator
-        step, n_steps = simulator.step, {"full": 0, "settled": 0}
-        held = {}
-        for verdict in n_steps:
 
-            def counted(targets, n, verdict=verdict):
-                n_steps[verdict] += n
-                step(targets, n)
+        def counted(targets, n, verdict=verdict, step=simulator.step):
+            n_steps[verdict] += n
+            step(targets, n)
 
-            simulator.step = counted
-            grasps = ScriptedGrasps(drawn, 1, verdict)
-            held[verdict] = [bool(grasps(env, k, lambda: True)["held"]) for k in range(3)]
+        simulator.step = counted
+        held[verdict] = [bool(grasps.play(env, k)["held"]) for k in range(3)]
         env.close()
-        assert held["full"] == held["settled"]
-        assert any(held["full"])
-        assert n_steps["settled"] < 0.8 * n_steps["full"]
-
-
-@pytest.mark.parametrize("hand", hands.HANDS)
-def test_every_hand_can_be_asked(hand):
-    playing = GraspFlags(env=hand)
-    playing.validate()
-    assert 0 < playing.perturbation.closing[0] < playing.perturbation.closing[1]
+    assert held["full"] == held["settled"]
+    assert any(held["full"])
+    assert n_steps["settled"] < 0.8 * n_steps["full"]
 
 
 class TestFaults:
