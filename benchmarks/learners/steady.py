@@ -80,8 +80,8 @@ class Curve:
     task: Task
     steps: list[int] = field(default_factory=list)
     rates: list[float] = field(default_factory=list)
-    total: float = 0.0
-    """Mean return of the last look."""
+    returns: list[float] = field(default_factory=list)
+    """Mean over the episodes of each look."""
     is_solved = False  # it goes on to the end
 
     def look(self, steps: int, act: Act) -> bool:
@@ -91,7 +91,7 @@ class Curve:
                 returns, successes = zip(*play(env, act, EPISODES), strict=True)
             self.steps.append(steps)
             self.rates.append(float(np.mean(successes)))
-            self.total = float(np.mean(returns))
+            self.returns.append(float(np.mean(returns)))
         return False
 
 
@@ -121,7 +121,7 @@ def run(name: str, task: str, seed: int) -> dict[str, Any]:
     return {
         "steps": curve.steps,
         "rates": curve.rates,
-        "return": curve.total,
+        "return": curve.returns[-1],
         "cpu_seconds": time.process_time() - started,
     }
 

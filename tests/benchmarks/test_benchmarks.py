@@ -65,7 +65,7 @@ def test_curves_of_both_libraries_have_points_where_the_task_says(learn):
     curve = learn(replace(steady.STEADY, n_batches=2, batch_size=16), task, seed=10_000)
     assert curve.steps == [100, 200]
     assert all(0.0 <= rate <= 1.0 for rate in curve.rates)
-    assert -25.0 <= curve.total <= 0.0
+    assert -25.0 <= curve.returns[-1] <= 0.0
 
 
 def test_a_client_works_or_says_why_in_a_line_or_is_not_there(monkeypatch):
