@@ -2,7 +2,7 @@
 
 Read from top to bottom: the choices, what it computes, the learner. The order of operations is OpenAI
 baselines' (baselines/her), which the paper used through Melnik et al. 2021: an epoch is `n_cycles`
-times {episodes, normaliser, `n_batches` updates, one step of the target networks}, then test episodes
+times {episodes, normaliser, `n_batches` updates, one move of the target networks}, then test episodes
 without noise.
 """
 
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any, Literal, NamedTuple
@@ -52,7 +52,10 @@ class DDPGHERConfig:
     anneal_action_l2: bool = False
     """Decay --action-l2 linearly to zero over the run."""
     polyak: Fraction = 0.95
-    """Weight of the old target network in its updates, one per cycle; tau elsewhere is 1 - polyak."""
+    """Weight of the old target network when it moves; tau elsewhere is 1 - polyak."""
+    target_update_interval: Count | None = None
+    """Updates between two moves of the target networks, which move at the end of a cycle at the latest;
+    default: one move per cycle (source)."""
     gamma: Annotated[float, "[0, 1)"] | None = None
     """Discount factor; default: 1 - 1/T, where T is the length of an episode (source)."""
     action_l2: NotNegative = 1.0
@@ -286,22 +289,23 @@ class DDPGHER(Learner):
     # -- learning ----------------------------------------------------------------------------
 
     def update(self) -> dict[str, float]:
-        """One cycle's updates, then one step of the target networks.
+        """One cycle's updates, with one or more moves of the target networks.
 
-        Neither the replay nor the target networks change in between, so all batches are drawn,
-        normalised and given their targets at once.
+        The replay does not change in a cycle, nor do the target networks between two moves: all
+        batches are drawn at once, and those between two moves are normalised and given their targets
+        at once.
         """
-        config = self.config
-        drawn = self.replay.sample(config.n_batches * config.batch_size, self.replay_p)
+        config, n = self.config, self.config.n_batches
+        drawn = self.replay.sample(n * config.batch_size, self.replay_p)
         self._update_reward_scale(drawn.reward)
         sums = torch.zeros(3, device=self.device)
-        parts = [torch.tensor_split(torch.from_numpy(part).to(self.device), 2) for part in drawn]
-        halves = [partial(self._prepared, Batch(*half)) for half in zip(*parts, strict=True)]
-        prepared = map(torch.cat, zip(*self.side_by_side(*halves), strict=True))
-        for batch in zip(*(torch.split(part, config.batch_size) for part in prepared), strict=True):
-            sums += self._minibatch(*batch)
-        self._target_vector.lerp_(self.adam.vector.detach(), 1.0 - config.polyak)
-        self.updates += (n := config.n_batches)
+        rows = config.batch_size * (config.target_update_interval or n)
+        for start in range(0, n * config.batch_size, rows):
+            between = Batch(*(torch.from_numpy(part[start : start + rows]) for part in drawn))
+            for batch in self._prepared_side_by_side(between):
+                sums += self._minibatch(*batch)
+            self._target_vector.lerp_(self.adam.vector.detach(), 1.0 - config.polyak)
+        self.updates += n
         self._require_finite(sums, self.adam)
         if self.updates % CHECK_EVERY < n:
             self._require_same(self.adam.vector)
@@ -328,6 +332,13 @@ class DDPGHER(Learner):
                 for values in critic.linears[-1].parameters():
                     values.mul_(self.reward_scale / scale if self.reward_scale else 1.0)
             self.reward_scale = scale
+
+    def _prepared_side_by_side(self, drawn: Batch[Tensor]) -> Iterator[tuple[Tensor, ...]]:
+        """Minibatches of what was drawn, as `_prepared` makes them, one half beside the other."""
+        parts = [torch.tensor_split(part.to(self.device), 2) for part in drawn]
+        halves = [partial(self._prepared, Batch(*half)) for half in zip(*parts, strict=True)]
+        prepared = map(torch.cat, zip(*self.side_by_side(*halves), strict=True))
+        return zip(*(torch.split(part, self.config.batch_size) for part in prepared), strict=True)
 
     @torch.no_grad()
     def _prepared(self, batch: Batch[Tensor]) -> tuple[Tensor, Tensor, Tensor]:

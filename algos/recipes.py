@@ -12,16 +12,22 @@ from .ppo import PPOConfig
 PAPER = "paper"  # every learner's own defaults
 # Hyperparameters that files of earlier versions lack.
 SINCE: dict[str, dict[str, Any]] = {
-    "ddpg_her": dict.fromkeys(
-        ("anneal_lr", "anneal_noise", "anneal_action_l2", "normalise_rewards"), False
-    ),
+    "ddpg_her": {
+        **dict.fromkeys(("anneal_lr", "anneal_noise", "anneal_action_l2", "normalise_rewards"), False),
+        "target_update_interval": None,
+    },
 }
 # Those that earlier versions have, with the values that mean what this one does.
 GONE: dict[str, dict[str, Any]] = {"ppo": {"final_variance": None}}
 # For runs that learn faster, or keep what they learned: docs/concepts/learners.md.
 # A name keeps its values for good: study files and recorded runs mean them by it.
 STEADY = DDPGHERConfig(
-    n_batches=16, polyak=0.9, anneal_lr=True, anneal_noise=True, anneal_action_l2=True
+    n_batches=16,
+    polyak=0.9,
+    target_update_interval=16,  # up to 0.3.0 once per cycle, which is the same with 16 updates
+    anneal_lr=True,
+    anneal_noise=True,
+    anneal_action_l2=True,
 )
 BEYOND: dict[str, dict[str, Any]] = {
     "ddpg_her": {

@@ -20,18 +20,14 @@ Act = Callable[[Any], np.ndarray]
 """Observation -> action without exploration."""
 
 
-def learn(
-    kind: Any, config: Any, make: vector.Make, seed: int, steps: int, n_updates: int = 1
-) -> Iterator[Any]:
-    """One of our learners: untrained, and after each cycle of so many calls of `update`, until it has
-    taken so many steps."""
+def learn(kind: Any, config: Any, make: vector.Make, seed: int, steps: int) -> Iterator[Any]:
+    """One of our learners: untrained, and after each update until it has taken so many steps."""
     with closing(vector.start(make)) as workers:
         learner = kind(config, workers, Communicator(), seed, steps)
         yield learner
         while learner.env_steps < steps:
             learner.collect()
-            for _ in range(n_updates):
-                learner.update()
+            learner.update()
             yield learner
 
 
