@@ -57,22 +57,19 @@ def run(name: str, task: str, seed: int) -> dict[str, Any]:
 
 
 def markdown(content: dict[str, Any]) -> None:
-    """What `main` wrote, for the docs: mean returns of each contender in each task."""
-    rows = []
-    for name in WAYS:
-        row = [name]
+    """What `main` wrote, for the docs: mean returns of a run; those at its end, lowest to highest."""
+    rows: list[list[str]] = []
+    for way in WAYS:
+        rows.append([way])
         for task in TASKS:
-            runs = [
-                one["returns"]
-                for key, one in content["runs"].items()
-                if key.startswith(f"{name} {task} ")
-            ]
-            row.append(
-                f"{np.mean(runs):.1f}, {np.mean(runs, axis=0)[-1]:.1f}"
-                if runs
-                else "the same as steady"
-            )
-        rows.append(row)
+            own = f"{way} {task} "
+            returns = [run["returns"] for key, run in content["runs"].items() if key.startswith(own)]
+            if not returns:
+                rows[-1].append("as the first")
+                continue
+            last = np.array(returns)[:, -1]
+            span = f"{last.mean():.0f} ({last.min():.0f} to {last.max():.0f})"
+            rows[-1].append(f"{np.mean(returns):.0f}; {span}".replace("-", "−"))
     printing.markdown("| target networks keep | " + " | ".join(TASKS) + " |", rows)
 
 

@@ -215,6 +215,31 @@ class TestUnitOfRewards:
         assert learner.reward_scale == pytest.approx(50 / of_ones)
 
 
+class TestTargetUpdates:
+    def test_once_per_cycle_unless_told(self):
+        once, told = make(), make(target_update_interval=SMALL["n_batches"])
+        assert torch.equal(trained(learner=once)._target_vector, trained(learner=told)._target_vector)
+
+    def test_after_every_interval_and_at_the_end_of_a_cycle(self):
+        learner = make(n_batches=5, target_update_interval=2, polyak=0.5)
+        learner.collect()
+        expected, moves, step = learner._target_vector.clone(), [], learner._minibatch
+
+        def minibatch(*batch):
+            losses = step(*batch)
+            moves.append(learner.adam.vector.detach().clone())
+            return losses
+
+        learner._minibatch = minibatch
+        learner.update()
+        for parameters in (moves[1], moves[3], moves[4]):
+            expected.lerp_(parameters, 0.5)
+        assert torch.equal(learner._target_vector, expected)
+
+    def test_runs_of_earlier_versions_move_them_once_per_cycle(self):
+        assert recipes.current("ddpg_her", {})["target_update_interval"] is None
+
+
 class TestRecipes:
     def test_the_papers_is_the_default(self):
         assert recipes.recipe("ddpg_her") == DDPGHERConfig()
