@@ -94,9 +94,11 @@ def study_curves(study: str, pictures: dict[str, str]) -> None:
 def chosen_taxels(name: str, result: dict[str, Any]) -> None:
     """Where the taxels that a probe chose lie, in their order."""
     places = [Place(**place) for place in result["selection"]["places"]]
-    hand, simulator = NAMES[result["env"]], NAMES[result["simulator"]]
-    title = f"{hand} in {simulator}: the first {len(places)} taxels chosen"
-    save(hand_map(hands.get(result["env"]), places, title), name)
+    where = f"{NAMES[result['env']]} in {NAMES[result['simulator']]}"
+    title = f"{where}: the first {len(places)} taxels chosen"
+    order = np.arange(1, len(places) + 1)
+    hand = hands.get(result["env"])
+    save(hand_map(hand, places, order, "order of choice", title, cmap="viridis_r"), name)
 
 
 def fault_curves() -> None:

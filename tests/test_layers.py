@@ -22,7 +22,6 @@ ALLOWED = {
     "dask_jobqueue": ("tactilerl/study/engine.py",),
     "matplotlib": (
         "benchmarks/",
-        "tactilerl/probe/design_figures.py",
         "tactilerl/probe/figures.py",
         "tactilerl/study/figures.py",
     ),

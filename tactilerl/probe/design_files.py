@@ -40,7 +40,7 @@ def require(out: Path | None, numbers: Sequence[int]) -> None:
         raise InputError(f"--out: found {str(out)!r}, which is no folder")
     else:
         with extra("plots"):
-            from . import design_figures  # noqa: F401
+            from . import figures  # noqa: F401
         require_ours(out / "design.json", is_result)
 
 
@@ -52,7 +52,7 @@ def write(found: Design, out: Path | None) -> list[Path]:
         (n,) = found.chosen
         _layout(found, n, out)
         return [out]
-    from . import design_figures
+    from . import figures
 
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -66,11 +66,7 @@ def write(found: Design, out: Path | None) -> list[Path]:
             about = {"about": f"taxels {MADE}", **found.result}
             file.write((json.dumps(about, indent=1) + "\n").encode())
         files.append(out / "design.json")
-        for name, figure in design_figures.draw(found).items():
-            for suffix in design_figures.KINDS:
-                files.append(out / f"{name}.{suffix}")
-                with replacing(files[-1], is_picture) as file:
-                    design_figures.save(figure, file, suffix)
+        files += figures.save(figures.of_design(found), out, is_picture)
     return files
 
 

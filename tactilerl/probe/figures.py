@@ -1,4 +1,5 @@
-"""Pictures of what was found, as PNG and SVG."""
+"""Pictures of what was found, as PNG and SVG: of a probe what each layout and each taxel tells, of a
+design the unrolled hand with its taxels, and what any number of them is worth."""
 
 from __future__ import annotations
 
@@ -11,39 +12,84 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 
+from ..envs import layouts
 from ..envs.hands import Hand
+from ..pictures import places
 from ..pictures.hand_map import EDGE, ROUND, labels, panels, point
 from ..pictures.places import Place
-from ..style import DPI, FAINT, HEAD, NAMES, OTHERS, STYLE
+from ..runs.files import MAKER, IsOurs, replacing
+from ..style import DPI, FAINT, HEAD, INK, NAMES, OTHERS, STYLE
+from .candidates import Design
 
 CHOSEN = OTHERS[0]
 TICKS = (1, 2, 5, 10, 20, 50, 100)  # of a number of taxels
+KINDS: dict[str, dict[str, Any]] = {
+    "png": {"Software": MAKER},
+    "svg": {"Date": None, "Creator": MAKER},
+}
 
 
 @rc_context(STYLE)
-def draw(result: dict[str, Any], hand: Hand, out: Path) -> None:
-    """All figures that there is something to draw for."""
-    figures = {"gain": _gains(result)}
-    skin = result["worth"]
-    places = [Place(**place) for place in skin["places"]]
-    title = f"{_title(result)}\nlayout {skin['layout']}: what each taxel adds to the joint angles"
-    figures["worth"] = hand_map(hand, places, title, np.array(skin["bits"]))
-    for name, figure in figures.items():
-        for suffix, metadata in (("png", None), ("svg", {"Date": None})):
-            figure.savefig(out / f"{name}.{suffix}", dpi=DPI, metadata=metadata)
+def of_probe(result: dict[str, Any], hand: Hand) -> dict[str, Figure]:
+    """Figures by name."""
+    skin, title = result["worth"], f"{_where(result)}, {result['grasps']:,} grasps"
+    worth = hand_map(
+        hand,
+        [Place(**place) for place in skin["places"]],
+        np.array(skin["bits"]),
+        "bits per grasp",
+        f"{title}\nlayout {skin['layout']}: what each taxel adds to the joint angles",
+        cmap="inferno",
+    )
+    return {"gain": _gains(result, title), "worth": worth}
 
 
-def new_figure(width: float, height: float, columns: int = 1) -> tuple[Figure, Any]:
-    """A figure of so many inches, and its axes in a row."""
+@rc_context(STYLE)
+def of_design(found: Design) -> dict[str, Figure]:
+    """Figures by name: where arrivals are felt, with the largest set that was chosen, and the curve."""
+    title, n = f"{_where(found.result)}: {', '.join(found.result['scenes'])}", max(found.chosen)
+    drawn = hand_map(
+        found.hand,
+        places.of(found.pool),
+        found.worth,
+        WORTH[found.result["question"]],
+        f"{title}\nthe {n} chosen, and what each candidate alone is worth",
+        found.chosen[n],
+        **{"s": 10, "cmap": "Blues", "edgecolors": "0.8", "linewidths": 0.3},
+    )
+    return {"hand": drawn, "curve": _curve(found.result, title)}
+
+
+@rc_context(STYLE)
+def save(drawn: dict[str, Figure], out: Path, is_ours: IsOurs | None = None) -> list[Path]:
+    """Write figures to a folder, replacing what `is_ours`, with who made them: which files those
+    are. The same figure gives the same bytes."""
+    files = []
+    for name, figure in drawn.items():
+        for suffix, about in KINDS.items():
+            files.append(out / f"{name}.{suffix}")
+            with replacing(files[-1], is_ours) as file:
+                figure.savefig(file, format=suffix, dpi=DPI, metadata=about)
+    return files
+
+
+def _where(result: dict[str, Any]) -> str:
+    """Hand and simulator."""
+    env, simulator = result["env"], result["simulator"]
+    return f"{NAMES.get(env, Path(env).stem)} in {NAMES.get(simulator, simulator)}"
+
+
+def new_figure(width: float, height: float) -> tuple[Figure, Any]:
+    """A figure of so many inches, and its axes."""
     figure = Figure(figsize=(width, height), layout="constrained")
-    return figure, figure.subplots(1, columns, squeeze=False, sharey=True)[0]
+    return figure, figure.subplots()
 
 
-def _gains(result: dict[str, Any]) -> Any:
+def _gains(result: dict[str, Any], title: str) -> Figure:
     """Gain in AUC of each layout at each joint noise."""
     told = ("joints+taxels", "joints+sight")
     rows = [row for row in result["table"] if row["metric"] == "auc" and row["told"] in told]
-    figure, (axes,) = new_figure(6, 3.4)
+    figure, axes = new_figure(6, 3.4)
     for place, noise in enumerate(result["asking"]["joint_noise"]):
         some = [row for row in rows if row["joint_noise"] == noise]
         labels = [Path(row["layout"]).stem if row["layout"] else "sight" for row in some]
@@ -57,42 +103,73 @@ def _gains(result: dict[str, Any]) -> Any:
     axes.axhline(0, color=FAINT, zorder=0)
     axes.set(xlabel="layout", ylabel="gain in AUC over joint angles")
     axes.legend()
-    figure.suptitle(_title(result), **HEAD)
-    return figure
-
-
-def _title(result: dict[str, Any]) -> str:
-    """Hand, simulator and number of grasps."""
-    hand = NAMES.get(result["env"], Path(result["env"]).name)
-    return (
-        f"{hand} in {NAMES.get(result['simulator'], result['simulator'])}, {result['grasps']:,} grasps"
-    )
-
-
-def hand_map(hand: Hand, places: Sequence[Place], title: str, worth: np.ndarray | None = None) -> Any:
-    """The palmar side unrolled: a column a digit, fingertips up; taxels coloured by `worth` (n,),
-    bits, or in their order."""
-    figure, axes = draw_hand(hand)
-    drawn = panels(hand)
-    points = np.array([point(place, drawn) for place in places]).reshape(-1, 2)
-    colour = np.arange(1, len(places) + 1) if worth is None else worth
-    dots = axes.scatter(*points.T, c=colour, s=14, cmap="viridis_r" if worth is None else "inferno")
-    figure.colorbar(dots, label="order of choice" if worth is None else "bits per grasp", shrink=0.7)
     figure.suptitle(title, **HEAD)
     return figure
 
 
-def draw_hand(hand: Hand) -> tuple[Figure, Any]:
-    """A figure with the palmar side unrolled, and its axes."""
-    drawn, (axes,) = new_figure(6, 5.4)
-    for panel in panels(hand):
-        x, y, half_width, low, high = panel
+def hand_map(
+    hand: Hand,
+    where: Sequence[Place],
+    values: np.ndarray,
+    label: str,
+    title: str,
+    chosen: Sequence[int] = (),
+    **style: Any,
+) -> Figure:
+    """The palmar side unrolled: a column a digit, fingertips up; taxels coloured by `values` (n,), of
+    which the bar's `label` says what they are, with a ring around those that were `chosen`."""
+    figure, axes = new_figure(6, 5.4)
+    drawn = panels(hand)
+    for x, y, half_width, low, high in drawn:
         corner, size = (x - half_width, y + low), (2 * half_width, high - low)
-        style = f"round,pad={EDGE},rounding_size={ROUND * half_width + EDGE}"
-        axes.add_patch(FancyBboxPatch(corner, *size, style, facecolor="0.95", edgecolor="0.6"))
-    for text, x, y in labels(hand, panels(hand)):
+        shape = f"round,pad={EDGE},rounding_size={ROUND * half_width + EDGE}"
+        axes.add_patch(FancyBboxPatch(corner, *size, shape, facecolor="0.95", edgecolor="0.6"))
+    for text, x, y in labels(hand, drawn):
         axes.text(x, y, text, ha="center", va="baseline")
     axes.set_aspect("equal")
     axes.axis("off")
     axes.autoscale_view()
-    return drawn, axes
+    points = np.array([point(place, drawn) for place in where]).reshape(-1, 2)
+    dots = axes.scatter(*points.T, c=values, **{"s": 14, **style})
+    figure.colorbar(dots, label=label, shrink=0.7)
+    if len(chosen):
+        ring = {"facecolors": "none", "edgecolors": CHOSEN, "linewidths": 1.8}
+        axes.scatter(*points[chosen].T, s=60, **ring)
+    figure.suptitle(title, **HEAD)
+    return figure
+
+
+WORTH = {"timing": "share of starts won by this taxel alone", "information": "bits per grasp"}
+MEASURES = {
+    "timing": ("success", "success in unseen starts"),
+    "information": ("gain", "gain in AUC over joint angles"),
+}
+
+
+def _curve(result: dict[str, Any], title: str) -> Figure:
+    """By number of taxels: what was chosen, random sets of as many, and layouts as dots."""
+    drawn, axes = new_figure(6, 3.6)
+    key, measured = MEASURES[result["question"]]
+    for name, style in (("chosen", {"color": CHOSEN, "marker": "o"}), ("random", {"color": "0.6"})):
+        some = [row for row in result["rows"] if row["layout"] == name]
+        if not some:
+            continue
+        numbers = [row["taxels"] for row in some]
+        label = "placed by tactilerl" if name == "chosen" else "random sets, mean"
+        axes.plot(numbers, [row[key] for row in some], label=label, **style)
+        if name == "chosen":
+            low, high = np.array([row[f"{key}_interval"] for row in some]).T
+            axes.fill_between(numbers, low, high, color=CHOSEN, alpha=0.15)
+    for row in result["rows"]:
+        if row["layout"] not in ("chosen", "random"):
+            axes.plot(row["taxels"], row[key], "s", color=INK)
+            name = layouts.short(row["layout"])
+            axes.annotate(name, (row["taxels"], row[key]), xytext=(5, -3), textcoords="offset points")
+    axes.set_xscale("log")
+    axes.margins(x=0.15)  # for what stands beside the last dot
+    axes.set_xticks(TICKS, [str(tick) for tick in TICKS])
+    axes.minorticks_off()
+    axes.set(xlabel="number of taxels", ylabel=measured)
+    axes.legend(loc="lower right")
+    drawn.suptitle(title, **HEAD)
+    return drawn

@@ -103,5 +103,5 @@ def analyse(read: Options, played: files.Played, out: Path) -> dict[str, Any]:
         np.savez_compressed(file, **gains)
     with replacing(out / "probe.json") as file:
         file.write((json.dumps(result, indent=1) + "\n").encode())
-    figures.draw(result, hand, out)
+    figures.save(figures.of_probe(result, hand), out)
     return result

@@ -491,4 +491,5 @@ def test_the_settings_are_those_of_the_environments_own_touch():
 
 def test_a_map_without_taxels(tmp_path):
     """A selection may choose none."""
-    figures.hand_map(hands.get("shadow"), [], "none").savefig(tmp_path / "map.png")
+    drawn = figures.hand_map(hands.get("shadow"), [], np.zeros(0), "bits", "none")
+    figures.save({"map": drawn}, tmp_path)
