@@ -25,7 +25,7 @@ from .hands import DIGITS, HANDS, SEGMENTS, Hand, Pitch, Surface
 from .state import Array
 from .taxel_files import Point
 from .taxel_formats import READERS
-from .toml_files import is_number, number, only, strings, table
+from .toml_files import number, only, strings, table, vector
 
 MODEL = "model"
 """The layout of the sensors that a hand's own model has."""
@@ -126,7 +126,7 @@ class Layout:
         self._require_digits(hand)
         placed = []
         for index, surface, offset, radius, name in self.on_grids(hand):
-            if not _is_gap(surface, offset):
+            if not surface.is_gap(*offset):
                 position, normal = (tuple(v.tolist()) for v in surface.place(*offset))
                 point = Point(surface.link, position, normal, radius, name)
                 placed.append((point, index, (*offset, 0.0)))
@@ -211,12 +211,7 @@ def left_out(layout: Layout, hand: Hand) -> list[str]:
     )
     missing = [f"{d}.{s}" for d, s in dict.fromkeys(wanted) if (d, s) not in there]
     spots = layout.on_grids(hand)
-    return missing + [name for _, surface, at, _, name in spots if _is_gap(surface, at)]
-
-
-def _is_gap(surface: Surface, offset: tuple[float, float]) -> bool:
-    """Has a link of any shape nothing there? (Beside other links no taxel may be.)"""
-    return bool(surface.geoms) and surface.is_beside(*offset)
+    return missing + [name for _, surface, at, _, name in spots if surface.is_gap(*at)]
 
 
 CENTRE = ((0.0, 0.0),)
@@ -350,12 +345,8 @@ def _patch(data: Any, where: str) -> Patch:
     where, offsets = f"{where}: offsets_mm", data.get("offsets_mm")
     if not isinstance(offsets, list) or not offsets:
         raise ValueError(f"{where}: found {offsets!r}, expected [[row, column], ...]")
-    for offset in offsets:
-        if not isinstance(offset, list) or len(offset) != 2 or not all(map(is_number, offset)):
-            raise ValueError(f"{where}: found {offset!r}, expected [row, column] in mm")
-        if max(map(abs, offset)) > 50:
-            raise ValueError(f"{where}: found {offset!r}, allowed up to 50 mm")
-    metres = tuple((1e-3 * row, 1e-3 * column) for row, column in offsets)
+    places = (vector(offset, 2, f"{where}: [row, column]", -50, 50) for offset in offsets)
+    metres = tuple((1e-3 * row, 1e-3 * column) for row, column in places)
     if len(set(metres)) < len(metres):
         raise ValueError(f"{where}: the same [row, column] is given twice")
     return Patch(digits, segments, metres, 1e-3 * radius)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..state import Array
 from . import mounting
-from .parts import Parts, posed, unit
+from .parts import Parts, placed, posed, unit
 from .skins import geoms_of, meet
 
 WORDS = {
@@ -49,7 +49,7 @@ def palm_of(spec: mujoco.MjSpec) -> str:
     """The body from which most digits branch; ValueError where none has two."""
     branches: dict[str, list[str]] = {}
     for body in spec.bodies[1:]:
-        if list(body.joints) and body.parent.name != "world" and _ends_in_shape(body):
+        if list(body.joints) and body.parent.name != "world" and body.find_all("geom"):
             carrier = body.parent
             while mounting.is_fixed(carrier):
                 carrier = carrier.parent
@@ -72,20 +72,23 @@ def chains_of(parts: Parts, palm: str) -> list[Chain]:
     ValueError for fewer than two."""
     spec, data = parts.spec, posed(parts.model, {})
     loops, groups = mounting.loops(spec), list[set[str]]()
-    above = mounting.chain(spec.body(palm))
-    for leaf in [leaf for first in spec.body(palm).bodies for leaf in _leaves(first)]:
-        chain = mounting.chain(leaf) - above
+    above = set(mounting.chain(spec.body(palm)))
+    for leaf in [body for body in spec.body(palm).find_all("body") if not list(body.bodies)]:
+        chain = set(mounting.chain(leaf)) - above
         joined = [group for group in groups if any(loop & chain and loop & group for loop in loops)]
         groups = [group for group in groups if group not in joined] + [chain.union(*joined)]
 
     def reach(chain: Chain) -> float:
-        link = data.body(chain.links[-1])
-        tip = link.xpos + link.xmat.reshape(3, 3) @ chain.tip
+        tip = placed(data, chain.links[-1], chain.tip)
         return float(np.linalg.norm(tip - data.body(palm).xpos))
 
     found = []
     for group in groups:
-        ends = [spec.body(name) for name in group if not group & _below(spec.body(name))]
+        ends = [
+            spec.body(name)
+            for name in group
+            if all(below.name not in group for below in spec.body(name).find_all("body"))
+        ]
         if chains := [made for end in ends if (made := _chain(parts, end, group, above))]:
             found.append(max(chains, key=reach))
     if len(found) < 2:
@@ -95,7 +98,7 @@ def chains_of(parts: Parts, palm: str) -> list[Chain]:
 
 def _chain(parts: Parts, leaf: Any, group: set[str], above: set[str]) -> Chain | None:
     """From the palm to a leaf, of what has a shape; None where nothing has, or drives it."""
-    path = [name for name in _path(leaf) if name not in above]
+    path = [name for name in mounting.chain(leaf) if name not in above]
     links = [name for name in path if geoms_of(parts.model, parts.model.body(name).id)][-MOST:]
     follows = {coupling.joint: coupling.driver for coupling in parts.follows}
     moving = [joint.name for joint in parts.spec.joints if joint.parent.name in {*path, *group}]
@@ -115,20 +118,3 @@ def _tip(parts: Parts, link: str) -> tuple[float, ...]:
     away = unit(away, link)
     end = meet(geoms, middle, -away)
     return tuple(np.round(middle if end is None else end[0] - 1e-3 * away, 4).tolist())
-
-
-def _ends_in_shape(body: mujoco.MjsBody) -> bool:
-    return bool(list(body.geoms)) or any(map(_ends_in_shape, body.bodies))
-
-
-def _leaves(body: mujoco.MjsBody) -> list[Any]:
-    return [leaf for child in body.bodies for leaf in _leaves(child)] or [body]
-
-
-def _below(body: mujoco.MjsBody) -> set[str]:
-    return {name for child in body.bodies for name in ({child.name} | _below(child))}
-
-
-def _path(body: mujoco.MjsBody) -> list[str]:
-    """Names from the root to a body."""
-    return ([] if body.parent.name == "world" else _path(body.parent)) + [body.name]

@@ -10,7 +10,7 @@ import numpy as np
 from ..state import Array
 from . import models, servos
 from .hand import SLIDES, Hand
-from .parts import Parts, posed
+from .parts import Parts, placed, posed
 
 NUDGE, STILL, MOST_MOVED = 0.02, 0.4, 0.2  # rad, s, rad: of a hand that should hang still
 CLOSING, LOOKS = 1.0, 20  # s; a scripted grasp takes that long
@@ -39,17 +39,20 @@ def examine(hand: Hand, parts: Parts, timestep: float) -> tuple[str, ...]:
     return _weak(hand, reached) if own else ()
 
 
-def _begun(hand: Hand, model: mujoco.MjModel, nudge: float = 0.0) -> tuple[mujoco.MjData, Array, Array]:
-    """At the start, the fingers' joints moved a little; where the joints are, and where in qpos."""
+def _begun(hand: Hand, model: mujoco.MjModel, nudge: float = 0.0) -> mujoco.MjData:
+    """At the start, the fingers' joints moved a little."""
     data = mujoco.MjData(model)
     joints = [model.joint(name) for name in hand.joints]
     low, high = np.array([j.range if j.limited[0] else (-np.inf, np.inf) for j in joints]).T
     moved = np.where(np.isin(hand.joints, SLIDES), 0.0, nudge)
-    begin = np.clip(hand.start_positions() + moved, low, high)
-    where = np.array([j.qposadr[0] for j in joints])
-    data.qpos[where] = begin
+    data.qpos[_places(model, hand.joints)] = np.clip(hand.start_positions() + moved, low, high)
     servos.hold(model, data, _actuators(hand, model), hand.start_targets())
-    return data, begin, where
+    return data
+
+
+def _places(model: mujoco.MjModel, joints: tuple[str, ...]) -> list[int]:
+    """Of joints in qpos."""
+    return [int(model.joint(joint).qposadr[0]) for joint in joints]
 
 
 def _actuators(hand: Hand, model: mujoco.MjModel) -> list[int]:
@@ -74,10 +77,12 @@ def touching(model: mujoco.MjModel, data: mujoco.MjData) -> list[Any]:
 
 def _require_still(hand: Hand, model: mujoco.MjModel, timestep: float) -> None:
     """ValueError for a model that does not hang still where it starts, its joints a little moved."""
-    data, begin, where = _begun(hand, model, NUDGE)
+    data, where = _begun(hand, model, NUDGE), _places(model, hand.joints)
+    begin = data.qpos[where]
     mujoco.mj_step(model, data, round(STILL / timestep))
     moved = np.nan_to_num(np.abs(data.qpos[where] - begin), nan=np.inf)
-    moved[np.isin(hand.joints, _free(hand))] = 0.0
+    held = [*hand.actuated, *(coupling.joint for coupling in hand.couplings)]
+    moved[~np.isin(hand.joints, held)] = 0.0  # nothing holds the others
     worst = int(np.argmax(moved))
     if moved[worst] > MOST_MOVED:
         raise ValueError(
@@ -86,20 +91,14 @@ def _require_still(hand: Hand, model: mujoco.MjModel, timestep: float) -> None:
         )
 
 
-def _free(hand: Hand) -> list[str]:
-    """Joints that nothing holds by itself."""
-    held = {*hand.actuated, *(coupling.joint for coupling in hand.couplings)}
-    return [joint for joint in hand.joints if joint not in held]
-
-
 def _require_palmar(parts: Parts) -> None:
     """ValueError where the closed fingertips are on the other side of the palm."""
     depths = []
     for share in (0.5, 1.0):
-        data = posed(parts.model, parts.start | parts.at(share) | parts.followed(parts.at(share)))
-        turn = data.xmat[parts.palm].reshape(3, 3)
-        point = data.xpos[parts.palm] + turn @ np.array(parts.palm_point)
-        depths.append(float((parts.tips(parts.model, data) - point).mean(axis=0) @ turn @ parts.palmar))
+        data = posed(parts.model, parts.pose(share))
+        up = data.xmat[parts.palm].reshape(3, 3) @ parts.palmar
+        point = placed(data, parts.palm_frame.link, parts.palm_point)
+        depths.append(float((parts.tips(parts.model, data) - point).mean(axis=0) @ up))
     if max(depths) < 0:
         found = parts.data["palmar"]
         meant = [0 - value for value in found]
@@ -111,7 +110,7 @@ def _require_palmar(parts: Parts) -> None:
 
 def _require_above_ground(hand: Hand, model: mujoco.MjModel) -> None:
     """ValueError where the hand starts in the ground."""
-    data, *_ = _begun(hand, model)
+    data = _begun(hand, model)
     ground = model.geom(GROUND).id
     depth = -min(
         (contact.dist for contact in touching(model, data) if ground in contact.geom), default=0
@@ -123,10 +122,9 @@ def _require_above_ground(hand: Hand, model: mujoco.MjModel) -> None:
 def _closed(hand: Hand, model: mujoco.MjModel, timestep: float) -> tuple[mujoco.MjData, Array]:
     """Where the servos bring it in the air while something presses against each fingertip, and the
     mean positions of the actuated joints in the second half of that."""
-    data, *_ = _begun(hand, model)
+    data = _begun(hand, model)
     mujoco.mj_forward(model, data)
-    tips = {link: data.body(link).xpos + data.body(link).xmat.reshape(3, 3) @ tip
-            for link, tip in hand.fingertips}  # fmt: skip
+    tips = {link: placed(data, link, tip) for link, tip in hand.fingertips}
     targets = hand.start_targets()
     for k, (actuator, joint) in enumerate(zip(hand.actuators, hand.actuated, strict=True)):
         moved = model.joint(joint)
@@ -141,11 +139,10 @@ def _closed(hand: Hand, model: mujoco.MjModel, timestep: float) -> tuple[mujoco.
         data.qfrc_applied[moved.dofadr[0]] = -np.sign(way) * PRESS * lever
         targets[k] += way
     data.ctrl[_actuators(hand, model)] = targets
-    joints = [model.joint(joint).qposadr[0] for joint in hand.actuated]
     seen = []
     for _ in range(LOOKS):
         mujoco.mj_step(model, data, round(CLOSING / timestep / LOOKS))
-        seen.append(data.qpos[joints])
+        seen.append(data.qpos[_places(model, hand.actuated)])
     return data, np.mean(seen[LOOKS // 2 :], axis=0)
 
 
@@ -178,7 +175,7 @@ def _require_apart(hand: Hand, model: mujoco.MjModel, closed: mujoco.MjData) -> 
     """ValueError where digits of the closed hand that lie side by side are deep in each other. Those
     that oppose each other press."""
     surfaces = {surface.link: surface for surface in hand.surfaces if surface.segment != "palm"}
-    begun, *_ = _begun(hand, model)
+    begun = _begun(hand, model)
     mujoco.mj_kinematics(model, begun)
     for contact in touching(model, closed):
         links = [model.body(model.geom_bodyid[geom]).name for geom in contact.geom]

@@ -16,7 +16,7 @@ from . import branches, models, mounting, servos
 from .branches import Chain
 from .checks import touching
 from .hand import DIGITS
-from .parts import Angles, Parts, posed, unit
+from .parts import Angles, Parts, placed, posed, unit
 from .skins import Distances, geoms_of, meet
 
 WRIST = 2  # joints above the palm that are no arm
@@ -119,9 +119,7 @@ class Guess:
     def tips(self, angles: Angles) -> Array:
         """(n, 3), m, in the palm's frame."""
         data = posed(self.compiled, self._whole(angles))
-        links = [data.body(chain.links[-1]) for chain in self.chains]
-        world = [link.xpos + link.xmat.reshape(3, 3) @ chain.tip
-                 for link, chain in zip(links, self.chains, strict=True)]  # fmt: skip
+        world = [placed(data, chain.links[-1], chain.tip) for chain in self.chains]
         palm = data.body(self.palm)
         return np.asarray((np.array(world) - palm.xpos) @ palm.xmat.reshape(3, 3))
 
@@ -299,10 +297,8 @@ class Guess:
         """The text of a hand's file."""
         (palmar, fingers), (opened, closed, start) = self.directions, self.poses
         frame, known = self.parts.palm_frame, {k: v for k, v in self.data.items() if v}
-        turn = np.eye(3) if frame.turn is None else frame.turn
-        place = np.zeros(3) if frame.place is None else frame.place
-        guessed = {"palmar": palmar, "fingers": fingers, "palm_point": self._palm_point() - place}
-        known |= {key: (turn.T @ value).round(4).tolist() for key, value in guessed.items()}
+        guessed = {"palmar": palmar, "fingers": fingers, "palm_point": self._palm_point() - frame.place}
+        known |= {key: (frame.turn.T @ value).round(4).tolist() for key, value in guessed.items()}
         known |= {key: value for key, value in self.said.items() if key in known}
         lines = [f"{key} = {json.dumps(value)}" for key, value in known.items()]
         lines += ["", "[digits]"]
@@ -341,9 +337,9 @@ class Guess:
         if any(spec.joint(joint).parent.name in carried for joint in moved):
             return None
         data, me = posed(self.compiled, self._whole(opened)), self.chains.index(chain)
-        palm, tips = data.body(self.palm), self.tips(opened)
-        tip, middle = (palm.xpos + palm.xmat.reshape(3, 3) @ point
-                       for point in (tips[me], np.delete(tips, me, axis=0).mean(axis=0)))  # fmt: skip
+        tips = self.tips(opened)
+        ends = tips[me], np.delete(tips, me, axis=0).mean(axis=0)
+        tip, middle = (placed(data, self.palm, end) for end in ends)
         found = []
         for link in chain.links:
             body = data.body(link)

@@ -84,12 +84,12 @@ class Surface:
         height = np.sqrt(max(0.0, self.radius**2 - column**2))
         return above + height * palmar, (column * self.across + height * palmar) / self.radius
 
-    def is_beside(self, row: float, column: float) -> bool:
-        """Is there nothing of the link?"""
+    def is_gap(self, row: float, column: float) -> bool:
+        """Has a link of any shape nothing there? (Beside other links no taxel may be.)"""
         try:
             self.place(row, column)
         except ValueError:
-            return True
+            return bool(self.geoms)
         return False
 
     @property
@@ -214,18 +214,18 @@ class Frame(NamedTuple):
     """A body of the model, which may be part of a link: its place in that link's frame."""
 
     link: str
-    turn: Array | None = None
+    turn: Array = np.eye(3)
     """(3, 3)"""
-    place: Array | None = None
+    place: Array = np.zeros(3)
     """(3,), m"""
 
     def direction(self, vector: Any) -> Any:
         """Of the link, from one of the body."""
-        return vector if self.turn is None else tuple((self.turn @ vector).tolist())
+        return tuple((self.turn @ vector).tolist())
 
-    def point(self, point: Any) -> Any:
+    def point(self, point: Any) -> tuple[float, ...]:
         """Likewise."""
-        return point if self.turn is None else tuple((self.turn @ point + self.place).tolist())
+        return tuple((self.turn @ point + self.place).tolist())
 
 
 class Coupling(NamedTuple):

@@ -21,7 +21,7 @@ from ..toml_files import interval, number, only, strings, table, vector
 from . import checks, models, mounting, sensors, surfaces
 from .hand import CLOSING_STEP, SLIDES, Hand, LinearAction, ScriptedGrasp, Surface
 from .mounting import Mount
-from .parts import Parts, posed
+from .parts import Parts, placed, posed
 from .skins import stand_off
 
 KEYS = {
@@ -143,10 +143,8 @@ def _reach(parts: Parts) -> float:
     is that of the library's hands."""
     found = [Hand.reach]
     for share in (0.0, 0.5, 1.0) if parts.is_own else ():
-        angles = parts.start | parts.at(share)
-        data = posed(parts.model, angles | parts.followed(angles))
-        turn = data.xmat[parts.palm].reshape(3, 3)
-        point = data.xpos[parts.palm] + turn @ np.array(parts.palm_point)
+        data = posed(parts.model, parts.pose(share))
+        point = placed(data, parts.palm_frame.link, parts.palm_point)
         found += np.linalg.norm(parts.tips(parts.model, data) - point, axis=1).tolist()
     return max(found)
 
@@ -217,8 +215,7 @@ def _middle(parts: Parts, model: mujoco.MjModel) -> Array:
     far as an object just fits in."""
     shares = np.linspace(1.0, 0.0, 21) if "thumb" in parts.digits and len(parts.digits) > 2 else [0.5]
     for share in shares:
-        angles = parts.start | parts.at(float(share))
-        tips = parts.tips(model, posed(model, angles | parts.followed(angles)))
+        tips = parts.tips(model, posed(model, parts.pose(float(share))))
         if len(shares) == 1:
             return np.asarray(tips.mean(axis=0))
         thumb = list(parts.digits).index("thumb")

@@ -21,21 +21,15 @@ DUMMY = {"mass": 1e-3, "inertia": [1e-6] * 3}
 
 def read(path: Path) -> mujoco.MjSpec:
     """A model's file, with nothing of it merged; ValueError in one line."""
-    files, text = included(path), ""
-    if is_urdf := _root(path).tag == "robot":
-        text = _urdf(path)
-    elif path.suffix.lower() != ".xml":
-        text = path.read_text(encoding="utf-8")
+    beside = {os.path.relpath(file, path.parent): file.read_bytes() for file in included(path)[1:]}
+    is_urdf = _root(path).tag == "robot"
     with quiet():
         try:
-            if text:
-                beside = {os.path.relpath(file, path.parent): file.read_bytes() for file in files[1:]}
-                spec = mujoco.MjSpec.from_string(text, include=beside)
-                spec.modelfiledir = str(path.parent)
-            else:
-                spec = mujoco.MjSpec.from_file(str(path))
+            text = _urdf(path) if is_urdf else path.read_text(encoding="utf-8")
+            spec = mujoco.MjSpec.from_string(text, include=beside)
         except ValueError as error:
             raise ValueError(f"model {path}: {' '.join(str(error).split())}") from None
+    spec.modelfiledir = str(path.parent)
     assets(path, spec)  # not pipes
     _forget_defaults(spec)
     spec.compiler.fusestatic = False
@@ -141,9 +135,7 @@ def _urdf(path: Path) -> str:
                         (missing, "no files for these meshes")):  # fmt: skip
         if names:
             more = f" and {len(set(names)) - 3} more" if len(set(names)) > 3 else ""
-            raise ValueError(
-                f"model {path}: found {what}: {', '.join([*dict.fromkeys(names)][:3])}{more}"
-            )
+            raise ValueError(f"found {what}: {', '.join([*dict.fromkeys(names)][:3])}{more}")
     extension = ElementTree.SubElement(robot, "mujoco")
     ElementTree.SubElement(
         extension, "compiler", strippath="false", fusestatic="false", discardvisual="false"

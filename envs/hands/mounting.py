@@ -208,48 +208,34 @@ def _above(body: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:
 
 def _with_one_root(spec: mujoco.MjSpec, root: str = "") -> mujoco.MjSpec:
     """Several bodies at the root are on one rigid base; a body that is named as root is all that there
-    is, at rest. ValueError where there is none, or some move freely."""
-    roots = list(spec.worldbody.bodies)
-    if root:
-        return _cut_off(spec, root)
-    if len(roots) == 1:
+    is, with what it carries, at rest. ValueError where there is none, or some move freely."""
+    roots, chosen = list(spec.worldbody.bodies), spec.body(root) if root else None
+    if root and chosen is None:
+        raise ValueError(f"root: found no body {root!r} in the model")
+    if not root and len(roots) == 1:
         return spec
-    if not roots or any(map(is_loose, roots)):
+    if not root and (not roots or any(map(is_loose, roots))):
         found = f"found {len(roots)} bodies at its root ({', '.join(root.name for root in roots)})"
         hint = 'or several that are fixed; leave others out with drop = ["NAME"]'
         raise ValueError(f"model: {found}, allowed one, {hint}")
     whole = mujoco.MjSpec()
-    base = whole.worldbody.add_body(name=BASE).add_frame()
     with models.quiet():  # names stay as they are
-        whole.attach(spec, prefix="", frame=base)
-    return _like(whole, spec)
-
-
-def _cut_off(spec: mujoco.MjSpec, root: str) -> mujoco.MjSpec:
-    """One body of a model with what it carries, without its own joints."""
-    body = spec.body(root)
-    if body is None:
-        raise ValueError(f"root: found no body {root!r} in the model")
-    for joint in body.joints:
-        spec.delete(joint)
-    whole = mujoco.MjSpec()
-    with models.quiet():
-        whole.worldbody.add_frame().attach_body(spec.body(root), "", "")
-    return _like(whole, spec)
-
-
-def _like(whole: mujoco.MjSpec, spec: mujoco.MjSpec) -> mujoco.MjSpec:
-    """With the files and the options of the model that it is made of."""
-    folder = spec.modelfiledir
-    whole.modelfiledir, whole.meshdir, whole.texturedir = folder, spec.meshdir, spec.texturedir
+        if chosen is None:
+            whole.attach(spec, prefix="", frame=whole.worldbody.add_body(name=BASE).add_frame())
+        else:
+            for joint in chosen.joints:
+                spec.delete(joint)
+            whole.worldbody.add_frame().attach_body(chosen, "", "")
+    whole.modelfiledir, whole.meshdir = spec.modelfiledir, spec.meshdir
+    whole.texturedir = spec.texturedir
     whole.compiler.fusestatic = False
     whole.compiler.balanceinertia = spec.compiler.balanceinertia
     return whole
 
 
-def chain(body: mujoco.MjsBody) -> set[str]:
-    """A body and what it hangs on, without the world."""
-    return {each.name for each in (body, *_above(body))} - {"world"}
+def chain(body: mujoco.MjsBody) -> list[str]:
+    """What a body hangs on, from the root on, and itself."""
+    return [each.name for each in (body, *_above(body))][-2::-1]
 
 
 def loops(spec: mujoco.MjSpec) -> list[set[str]]:
@@ -260,7 +246,7 @@ def loops(spec: mujoco.MjSpec) -> list[set[str]]:
             ends = equality.name1, equality.name2
             if equality.objtype == mujoco.mjtObj.mjOBJ_SITE:
                 ends = tuple(spec.site(name).parent.name for name in ends)
-            first, second = (chain(spec.body(name)) if name != "world" else set() for name in ends)
+            first, second = (set(chain(spec.body(name))) for name in ends)
             found.append(first ^ second)
     return found
 

@@ -303,6 +303,11 @@ class Parts:
         """A share of the way from open to closed."""
         return {j: self.opened[j] + share * (self.closed[j] - self.opened[j]) for j in self.closed}
 
+    def pose(self, share: float) -> Angles:
+        """Of all joints: at a share of the way from open to closed, the others as at the start."""
+        angles = self.start | self.at(share)
+        return angles | self.followed(angles)
+
     @cached_property
     def start(self) -> Angles:
         """As the file says, part of the way to closed, or open; followers follow."""
@@ -347,7 +352,7 @@ class Parts:
 
     def closing_of(self, digit: str) -> list[str]:
         """The joints of [closed] that move a digit, through closed loops too."""
-        chain = mounting.chain(self.spec.body(self.digits[digit].links[-1]))
+        chain = set(mounting.chain(self.spec.body(self.digits[digit].links[-1])))
         chain |= {body for loop in mounting.loops(self.spec) if chain & loop for body in loop}
         return [joint for joint in self.closed if self.spec.joint(joint).parent.name in chain]
 
@@ -369,10 +374,7 @@ class Parts:
     @cached_property
     def palm_point(self) -> tuple[float, ...]:
         """In its frame, m."""
-        found: tuple[float, ...] = self.palm_frame.point(
-            vector(self.data.get("palm_point"), 3, "palm_point")
-        )
-        return found
+        return self.palm_frame.point(vector(self.data.get("palm_point"), 3, "palm_point"))
 
     @cached_property
     def palmar(self) -> Array:
@@ -421,6 +423,12 @@ def posed(model: mujoco.MjModel, angles: Mapping[str, float]) -> mujoco.MjData:
         data.qpos[model.joint(joint).qposadr[0]] = angle
     mujoco.mj_kinematics(model, data)
     return data
+
+
+def placed(data: mujoco.MjData, link: str, point: Any) -> Array:
+    """Where a point (3,) in a link's frame is, m."""
+    body = data.body(link)
+    return np.asarray(body.xpos + body.xmat.reshape(3, 3) @ point)
 
 
 def numbers(values: dict[str, Any], where: str) -> dict[str, float]:

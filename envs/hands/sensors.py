@@ -53,7 +53,7 @@ def _sites(parts: Parts) -> list[tuple[str, str, np.ndarray, float]]:
 def _links(parts: Parts) -> list[tuple[str, str, np.ndarray, float]]:
     """The same of bodies that are called sensors."""
     return [
-        (name, frame.link, np.asarray(frame.place), RADIUS)
+        (name, frame.link, frame.place, RADIUS)
         for name, frame in parts.welded.items()
-        if WORDS.search(name) and frame.place is not None
+        if WORDS.search(name)
     ]

@@ -68,12 +68,8 @@ def _grid(surface: Surface, spacing: float, radius: float) -> tuple[tuple[float,
     rows = np.arange(np.ceil(begin / spacing), np.floor(end / spacing) + 1) * spacing
     beside = np.floor(half_width / spacing)
     columns = np.clip(np.arange(-beside, beside + 1) * spacing, -half_width, half_width)
-    every = [(float(row), float(column)) for row in rows for column in columns]
-    return tuple(
-        every
-        if surface.bone is not None
-        else (place for place in every if not surface.is_beside(*place))
-    )
+    every = ((float(row), float(column)) for row in rows for column in columns)
+    return tuple(place for place in every if not surface.is_gap(*place))
 
 
 def union(every: list[Layout], hand: Hand) -> Taxels:
