@@ -19,6 +19,7 @@ from tactilerl.commands import cli
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
+READ = [page for page in PAGES if page.name != "CHANGELOG.md"]
 NOT_RUN = "<!-- not run"  # on the line before a block
 BLOCK = re.compile(r"(?:(<!-- not run[^\n]*)\n)?^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 
@@ -56,24 +57,15 @@ def test_links_lead_somewhere(page):
             assert anchor in anchors(target), f"{link}: no such heading"
 
 
-def test_code_names_pages_that_exist():
-    sources = (
-        p for part in ("algos", "envs", "tactilerl", "benchmarks") for p in ROOT.glob(f"{part}/**/*.py")
-    )
-    for source in sources:
-        for named in re.findall(r"docs/[\w/]+\.md", source.read_text(encoding="utf-8")):
-            assert (ROOT / named).is_file(), f"{source.relative_to(ROOT)}: {named} does not exist"
-
-
-def test_docs_name_files_that_exist():
+def test_files_that_code_and_docs_name_exist():
+    """The changelog names what was."""
     folders = r"(?:algos|envs|tactilerl|benchmarks|tests|tools|studies|docs/data)"
-    for page in PAGES:
-        if page.name == "CHANGELOG.md":  # names what was
-            continue
-        for named in re.findall(
-            rf"\b({folders}/[a-z0-9_/]+\.(?:py|toml|json))\b", page.read_text(encoding="utf-8")
-        ):
-            assert (ROOT / named).is_file(), f"{page.relative_to(ROOT)}: {named} does not exist"
+    in_docs = dict.fromkeys(READ, rf"\b{folders}/[a-z0-9_/]+\.(?:py|toml|json)\b")
+    parts = ("algos", "envs", "tactilerl", "benchmarks")
+    in_code = {p: r"docs/[\w/]+\.md" for part in parts for p in ROOT.glob(f"{part}/**/*.py")}
+    for source, pattern in (in_docs | in_code).items():
+        for named in re.findall(pattern, source.read_text(encoding="utf-8")):
+            assert (ROOT / named).is_file(), f"{source.relative_to(ROOT)}: {named} does not exist"
 
 
 # -- commands --------------------------------------------------------------------------------
@@ -90,9 +82,7 @@ def help_of(*command):
 
 def calls():
     """(page, words) of every call of tactilerl in the docs, in blocks and between backticks."""
-    for page in PAGES:
-        if page.name == "CHANGELOG.md":
-            continue
+    for page in READ:
         lines = [line for _, text in blocks(page, "", "bash") for line in text.splitlines()]
         lines += re.findall(r"`([^`]+)`", prose(page))
         for line in lines:
@@ -123,17 +113,9 @@ def test_flags_in_prose_exist():
     commands += [("train", "--algo", "ddpg_her")]
     commands += [("study", part) for part in ("run", "status", "plan", "compare", "collect", "report")]
     known = {flag for command in commands for flag in re.findall(r"--[\w-]+", help_of(*command))}
-    others = {
-        "--oversubscribe",
-        "--hostfile",
-        "--bind-to",
-        "--mpi",
-        "--version",
-        "--help-all",
-    }  # of MPI and Slurm
-    for page in PAGES:
-        if page.name == "CHANGELOG.md":
-            continue
+    others = {"--oversubscribe", "--hostfile", "--bind-to", "--mpi"}  # of MPI and Slurm
+    others |= {"--version", "--help-all"}
+    for page in READ:
         spans = (span for span in re.findall(r"`([^`]+)`", prose(page)) if "python " not in span)
         flags = {flag for span in spans for flag in re.findall(r"(?<![\w-])--[a-z][\w-]*", span)}
         found = flags - known - others - benchmark_flags(page)
@@ -157,9 +139,7 @@ COLUMNS = 88  # of code, that a page 1280 pixels wide shows without scrolling
 
 
 def test_code_fits_its_page():
-    for page in PAGES:
-        if page.name == "CHANGELOG.md":
-            continue
+    for page in READ:
         for _, language, text in BLOCK.findall(page.read_text(encoding="utf-8")):
             wide = [line for line in text.splitlines() if len(line) > COLUMNS]
             assert not wide, (
@@ -173,11 +153,6 @@ def hooks(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "tools"))
     monkeypatch.setattr(os, "environ", os.environ.copy())
     return importlib.import_module("docs_hooks")
-
-
-def test_help_fits_its_page(hooks):
-    for command in ("train", "study plan"):
-        assert max(map(len, hooks.flags(command).splitlines())) <= 78
 
 
 def test_learners_list_their_hyperparameters(hooks):

@@ -2,7 +2,6 @@
 
 import ast
 import graphlib
-import re
 from pathlib import Path
 
 import pytest
@@ -132,12 +131,3 @@ def test_no_file_is_called_utils():
 @pytest.mark.parametrize("name", ["ppo.py", "ddpg_her.py"])
 def test_an_algorithm_is_readable_in_one_sitting(name):
     assert len((ROOT / "algos" / name).read_text().splitlines()) <= 400
-
-
-@pytest.mark.parametrize(
-    "page", [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")], ids=lambda p: p.name
-)
-def test_links_in_the_docs_resolve(page):
-    for target in re.findall(r"\]\(([^)#\s]+)", page.read_text()):
-        if "://" not in target:
-            assert (page.parent / target).exists(), f"{page.name}: {target}"

@@ -20,18 +20,17 @@ def found(**rates):
     return [Found(name, Reflex("time", 0, 1), rate, (0.0, 1.0), 100) for name, rate in rates.items()]
 
 
-class TestVerdict:
-    def test_what_touch_can_win_of_what_there_is(self):
-        said = gate.verdict(found(blind=0.3, joints=0.2, touch=0.9, sighted=1.0))
-        assert said.startswith("Touch can win 0.60 of the 0.70 ")
-        assert "(blind, 0.30)" in said
-
-    def test_a_scene_that_cannot_tell(self):
-        said = gate.verdict(found(blind=0.2, joints=0.8, touch=0.9, sighted=0.95))
-        assert said.startswith("This scene cannot tell: the best scripted hand without touch (joints) ")
-
-    def test_touch_that_wins_nothing(self):
-        assert "win 0.00 of" in gate.verdict(found(blind=0.4, joints=0.3, touch=0.2, sighted=1.0))
+@pytest.mark.parametrize(
+    ("blind", "joints", "touch", "sighted", "words"),
+    [
+        (0.3, 0.2, 0.9, 1.0, ["Touch can win 0.60 of the 0.70 ", "(blind, 0.30)"]),
+        (0.2, 0.8, 0.9, 0.95, ["This scene cannot tell: ", "(joints)", "0.80", "0.95"]),
+        (0.4, 0.3, 0.2, 1.0, ["win 0.00 of"]),
+    ],
+)
+def test_the_verdict_says_what_touch_can_win_of_what_there_is(blind, joints, touch, sighted, words):
+    said = gate.verdict(found(blind=blind, joints=joints, touch=touch, sighted=sighted))
+    assert all(word in said for word in words)
 
 
 def test_another_seed_has_other_starts(monkeypatch):
