@@ -104,7 +104,7 @@ class DDPGHERConfig:
         require_hidden(self.hidden)
 
 
-def targets(
+def td_targets(
     rewards: Tensor,
     next_values: Tensor,
     terminal: Tensor,
@@ -195,7 +195,7 @@ class DDPGHER(Learner):
     saved = (*policy_parts, "critic", "target_actor", "target_critic", "adam", "privileged_stats")
     counters = ("env_steps", "updates", "cycles", "worst", "best", "reward_scale")
 
-    def build(self, weights: torch.Generator) -> None:
+    def build(self, generator: torch.Generator) -> None:
         config: DDPGHERConfig = self.config
         workers, comm, seed = self.workers, self.comm, self.seed
         space, n_actions = self.spaces.observation, action_size(self.spaces.action)
@@ -209,12 +209,12 @@ class DDPGHER(Learner):
         )  # one goal is its own hindsight
         self.replay_p = her if config.replay_p is None else config.replay_p
         self.config = dataclasses.replace(config, gamma=self.gamma, replay_p=self.replay_p)
-        self.actor = new_actor(config.hidden, self.spaces, weights).to(self.device)
+        self.actor = new_actor(config.hidden, self.spaces, generator).to(self.device)
         n_inputs, names = (
             self._n_obs + n_privileged + n_actions,
             self.spaces.inputs(PRIVILEGED, "action"),
         )
-        self.critic = MLP((n_inputs, *config.hidden, 1), weights, inputs=names).to(self.device)
+        self.critic = MLP((n_inputs, *config.hidden, 1), generator, inputs=names).to(self.device)
         self.target_actor, self.target_critic = copy.deepcopy((self.actor, self.critic))
         self.adam = FlatAdam((self.actor, config.actor_lr), (self.critic, config.critic_lr))
         self._target_vector = flatten(self.target_actor, self.target_critic).requires_grad_(False)
@@ -355,7 +355,7 @@ class DDPGHER(Learner):
         terminal = batch.terminal * (config.termination == "terminal")
         scale = self.reward_scale or 1.0
         span = (-self.worst / scale, self.best / scale) if config.clip_target else None
-        target = targets(batch.reward / scale, next_values, terminal, self.gamma, span)
+        target = td_targets(batch.reward / scale, next_values, terminal, self.gamma, span)
         return inputs, batch.action, target
 
     def _minibatch(self, inputs: Tensor, actions: Tensor, target: Tensor) -> Tensor:

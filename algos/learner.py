@@ -57,8 +57,8 @@ class Learner:
         self.env_steps = 0  # so far, on all ranks
         self.build(torch.Generator().manual_seed(seed))
 
-    def build(self, weights: torch.Generator) -> None:
-        """Networks, drawn from `weights`, optimisers and whatever else it has."""
+    def build(self, generator: torch.Generator) -> None:
+        """Networks, with weights drawn from `generator`, optimisers and whatever else it has."""
         raise NotImplementedError
 
     def check(self) -> None:

@@ -171,9 +171,9 @@ def _rows(obs: Any, n: int) -> list[Any]:
     return [{key: part[i] for key, part in obs.items()} if is_dict else obs[i] for i in range(n)]
 
 
-def new_actor(hidden: Sequence[int], spaces: Spaces, weights: torch.Generator) -> MLP:
-    """A policy's network, with `hidden` units in its layers and weights drawn from a generator."""
-    return MLP(network_sizes(hidden, spaces), weights, tanh=True, inputs=spaces.inputs())
+def new_actor(hidden: Sequence[int], spaces: Spaces, generator: torch.Generator) -> MLP:
+    """A policy's network, with `hidden` units in its layers and weights drawn from `generator`."""
+    return MLP(network_sizes(hidden, spaces), generator, tanh=True, inputs=spaces.inputs())
 
 
 def network_sizes(hidden: Sequence[int], spaces: Spaces) -> tuple[int, ...]:

@@ -192,11 +192,11 @@ class Transitions(NamedTuple):
 
 
 def _parts(
-    config: PPOConfig, spaces: Spaces, weights: torch.Generator
+    config: PPOConfig, spaces: Spaces, generator: torch.Generator
 ) -> tuple[MLP, Gaussian, Normalizer]:
     """What a policy is made of, before anything was learned; the same on all ranks."""
     gaussian = Gaussian(action_size(spaces.action), config.action_variance)
-    actor = new_actor(config.hidden, spaces, weights)
+    actor = new_actor(config.hidden, spaces, generator)
     return actor, gaussian, flat_stats(spaces.observation, OBS_CLIP)
 
 
@@ -211,9 +211,9 @@ def _policy(
     return Policy(on_cpu(actor), _inputs(config, stats), noise, spaces)
 
 
-def _improved(improve: Callable[[Transitions], Tensor], minibatches: list[Transitions]) -> Tensor:
-    """What is said of one step after another, stacked."""
-    return torch.stack([improve(minibatch) for minibatch in minibatches])
+def _in_turn(update: Callable[[Transitions], Tensor], minibatches: list[Transitions]) -> Tensor:
+    """What an update of each minibatch returns, stacked."""
+    return torch.stack([update(minibatch) for minibatch in minibatches])
 
 
 class PPO(Learner):
@@ -223,16 +223,16 @@ class PPO(Learner):
     saved = (*policy_parts, "privileged_stats", "critic", "actor_adam", "critic_adam")
     counters = ("env_steps", "epochs")
 
-    def build(self, weights: torch.Generator) -> None:
+    def build(self, generator: torch.Generator) -> None:
         config: PPOConfig = self.config
-        self.actor, self.gaussian, self.obs_stats = _parts(config, self.spaces, weights)
+        self.actor, self.gaussian, self.obs_stats = _parts(config, self.spaces, generator)
         self.privileged_stats = flat_stats(self.spaces.privileged, OBS_CLIP)
         n_inputs = self._n_obs + flat_size(self.spaces.privileged)
         names = self.spaces.inputs(PRIVILEGED)
-        self.critic = MLP((n_inputs, *config.hidden, 1), weights, inputs=names)
+        self.critic = MLP((n_inputs, *config.hidden, 1), generator, inputs=names)
         if config.orthogonal_init:
-            start_orthogonal(self.actor, ACTOR_GAIN, weights, self.spaces.inputs())
-            start_orthogonal(self.critic, 1.0, weights, names)
+            start_orthogonal(self.actor, ACTOR_GAIN, generator, self.spaces.inputs())
+            start_orthogonal(self.critic, 1.0, generator, names)
         for network in (self.actor, self.gaussian, self.critic):
             network.to(self.device)
         self.gaussian.requires_grad_(config.exploration == "learned")
@@ -281,11 +281,11 @@ class PPO(Learner):
         for _ in range(config.n_passes):
             order = torch.from_numpy(rng.random(n).argsort()).to(self.device)
             minibatches = batch.minibatches(order, n_minibatches)
-            halves = self.side_by_side(
-                partial(_improved, self._improve_actor, minibatches),
-                partial(_improved, self._improve_critic, minibatches),
+            of_actor_and_critic = self.side_by_side(
+                partial(_in_turn, self._update_actor, minibatches),
+                partial(_in_turn, self._update_critic, minibatches),
             )
-            stats = torch.cat(halves, dim=1)
+            stats = torch.cat(of_actor_and_critic, dim=1)  # policy loss, KL, clipped, value loss
             sums += stats.sum(dim=0)
             n_updates += n_minibatches
             if config.target_kl is not None and self._total(stats[-1])[1] > config.target_kl:
@@ -307,7 +307,7 @@ class PPO(Learner):
         """The sums over all ranks."""
         return self.comm.sum(stats.double().cpu().numpy())
 
-    def _improve_actor(self, minibatch: Transitions) -> Tensor:
+    def _update_actor(self, minibatch: Transitions) -> Tensor:
         """One step along the gradient of the whole minibatch; this rank's part of policy loss, KL
         estimate and clipped fraction."""
         n, own = len(minibatch.obs), minibatch.own_rows(self.comm)
@@ -316,7 +316,7 @@ class PPO(Learner):
         self._step(self.actor_adam, found.loss.sum() / n)
         return torch.stack([found.loss.detach(), found.kl, found.is_clipped]).sum(dim=1) / n
 
-    def _improve_critic(self, minibatch: Transitions) -> Tensor:
+    def _update_critic(self, minibatch: Transitions) -> Tensor:
         """Likewise; this rank's part of the value loss."""
         n, own = len(minibatch.obs), minibatch.own_rows(self.comm)
         loss = (self.critic(own.obs).squeeze(-1) - own.returns).square().sum() / n

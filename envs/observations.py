@@ -148,7 +148,7 @@ TERMS = {
         "asked for:", attrgetter("action_names"), lambda h, state: h.action_map.commands(state.targets)
     ),
 }
-PRIVILEGED = ("joint_positions", "joint_velocities", "object_position", "object_orientation")
+PRIVILEGED_TERMS = ("joint_positions", "joint_velocities", "object_position", "object_orientation")
 
 
 # -- stages ----------------------------------------------------------------------------------
@@ -396,13 +396,13 @@ class Observer:
 
 def privileged(hand: Hand, state: State, taxels: Array) -> Array:
     """(n,) float32: what a critic may see of an episode, whatever the policy does."""
-    parts = [TERMS[name].read(hand, state) for name in PRIVILEGED]
+    parts = [TERMS[name].read(hand, state) for name in PRIVILEGED_TERMS]
     return np.concatenate([*parts, taxels], dtype=np.float32, casting="same_kind")
 
 
 def privileged_space(hand: Hand, taxel_names: Sequence[str], is_boolean: bool) -> NamedBox:
     """Where `privileged` lies."""
-    names = [*term_names(PRIVILEGED, hand), *(f"taxel {name}" for name in taxel_names)]
+    names = [*term_names(PRIVILEGED_TERMS, hand), *(f"taxel {name}" for name in taxel_names)]
     return NamedBox(names, len(taxel_names), is_boolean)
 
 

@@ -59,15 +59,19 @@ def find(
 
 
 def require_class(group: str, known: dict[str, Any], base: Any, name: str, field: str) -> None:
-    """ValueError for a field that names no class derived from `base`, known or installed."""
+    """ValueError for a field that names no class derived from `base`, known or installed, or one that
+    lacks methods."""
 
     def fits(found: Any) -> bool:
         return base in getattr(found, "__mro__", ())
 
-    if find(group, known, name, fits, f"a class derived from {base.__name__}") is None:
+    found = find(group, known, name, fits, f"a class derived from {base.__name__}")
+    if found is None:
         allowed = ", ".join(names(group, known))
         more = "or what a module adds (--import MODULE)"
         raise ValueError(f"{field}: found {name!r}, allowed: {allowed}, {more}")
+    if missing := sorted(getattr(found, "__abstractmethods__", ())):
+        raise ValueError(f"{field}: {name!r} ({found.__name__}) lacks {', '.join(missing)}")
 
 
 def names(group: str, known: Iterable[str]) -> list[str]:

@@ -8,6 +8,7 @@ relabelling can recompute them.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
 
@@ -30,7 +31,7 @@ class TaskConfig:
     task: str = "lift-and-hold"
     """lift-and-hold (the paper's task for PPO), reach-goal (its task for DDPG+HER), or handover (close
     the hand while somebody holds the object against it)."""
-    reward: Literal["staged", "sparse", "dense", "outcome"] | None = None
+    reward: str | None = None
     """lift-and-hold: staged; reach-goal: sparse (0 or -1) or dense (-10 x distance); handover:
     outcome. Default: the task's first."""
     lift_clearance: Annotated[float, "(0, 1]"] = 0.03
@@ -125,16 +126,19 @@ class Task(Protocol):
         little moved. `palm` (3,) is a place on the palm's skin, at the bases of the fingers."""
         return usual
 
+    @abstractmethod
     def begin(self, state: State, rng: np.random.Generator) -> tuple[Array, Array]:
         """(achieved, desired goal) of a new episode, each (goal_size,)."""
 
     def before_step(self, simulator: Simulator, step: int) -> None:
         """What others do in the scene before the hand's action number `step`, or at the start (0)."""
 
+    @abstractmethod
     def after_step(self, simulator: Simulator, state: State, is_last: bool) -> tuple[Array, bool]:
         """What was achieved (goal_size,) with an action, the episode's last one or not; and does the
         episode end here by the task's own rules? Then it may use the simulator for a last test."""
 
+    @abstractmethod
     def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """Rewards (...) from goals (..., goal_size)."""
 

@@ -27,11 +27,22 @@ class Numb(touch.ContactRule):
     def read(self, state):
         return super().read(state) & False
 
+class Half(tasks.Task):
+    rewards = ("uncrushed",)
+
+    def begin(self, state, rng):
+        return state.object_position, state.object_position
+
+class Own(tasks.ReachGoal):
+    rewards = ("near", "far")
+
 CLAW = Path(__file__).with_name("claw.toml")
 """
 ENTRIES = """
 [tactilerl.tasks]
 easy = their_package:Easy
+half = their_package:Half
+own = their_package:Own
 broken = their_package:Missing
 odd = their_package:CLAW
 [tactilerl.sensors]
@@ -82,9 +93,12 @@ def test_an_installed_package_adds_a_task_a_touch_rule_and_a_hand(capsys):
 @pytest.mark.usefixtures("_installed")
 def test_what_an_installed_package_promises_and_does_not_have_is_one_line(capsys):
     fails_with(capsys, ["env", "--task", "broken"], "their_package:Missing cannot be imported")
+    fails_with(capsys, ["env", "--task", "half"], "half", "lacks after_step, reward")
+    fails_with(capsys, ["env", "--task", "own", "--reward", "x"], "allowed for own: near, far")
     fails_with(capsys, ["env", "--task", "odd"], "allowed a class derived from Task")
     fails_with(capsys, ["env", "--env", "no-claw"], "allowed the path of a .toml file")
     fails_with(capsys, ["env", "--task", "esay"], "allowed: lift-and-hold", "easy")
+    assert main(["env", "--task", "own", "--reward", "far"]) == 0
     assert main(["env"]) == 0  # who asks for none of these is not troubled
 
 

@@ -59,7 +59,7 @@ class PPOByHand(PPO):
     """Gradients of both losses as one would derive them."""
 
     @torch.no_grad()
-    def _improve_actor(self, minibatch: Transitions) -> Tensor:
+    def _update_actor(self, minibatch: Transitions) -> Tensor:
         n, own, gaussian = len(minibatch.obs), minibatch.own_rows(self.comm), self.gaussian
         values = run(self.actor, own.obs[:, : self._n_obs])
         log_ratio = gaussian.log_prob(own.actions, values[-1]) - own.log_prob
@@ -77,7 +77,7 @@ class PPOByHand(PPO):
         return torch.stack([loss, kl, is_clipped]).sum(dim=1) / n
 
     @torch.no_grad()
-    def _improve_critic(self, minibatch: Transitions) -> Tensor:
+    def _update_critic(self, minibatch: Transitions) -> Tensor:
         n, own = len(minibatch.obs), minibatch.own_rows(self.comm)
         values = run(self.critic, own.obs)
         error = values[-1] - own.returns[:, None]

@@ -70,8 +70,8 @@ def twin_of(learner: Any, dtype: torch.dtype) -> tuple[Any, list[FlatAdam]]:
 def step(learner: Any, minibatch: tuple[torch.Tensor, ...]) -> None:
     """Of actor and critic."""
     if isinstance(learner, PPO):
-        learner._improve_critic(Transitions(*minibatch))
-        learner._improve_actor(Transitions(*minibatch))
+        learner._update_critic(Transitions(*minibatch))
+        learner._update_actor(Transitions(*minibatch))
     else:
         learner._minibatch(*minibatch)
 

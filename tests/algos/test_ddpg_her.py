@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from tactilerl.algos import DivergenceError, recipes
-from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig, explore, largest_return, targets
+from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig, explore, largest_return, td_targets
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.networks import FlatAdam
 from tactilerl.algos.ppo import PPO, PPOConfig
@@ -106,13 +106,13 @@ def trained(cycles=3, learner=None, **choices):
 class TestTargets:
     def test_by_hand(self):
         rewards, values = torch.tensor([0.0, -1.0, -1.0]), torch.tensor([-2.0, -3.0, 5.0])
-        got = targets(rewards, values, torch.tensor([0.0, 0.0, 1.0]), 0.5, None)
+        got = td_targets(rewards, values, torch.tensor([0.0, 0.0, 1.0]), 0.5, None)
         assert got.tolist() == [-1.0, -2.5, -1.0]
 
     def test_clip(self):
         """gamma .9: returns of rewards from -1 to 0 lie between -10 and 0."""
         rewards, values = torch.tensor([0.0, -1.0, -1.0]), torch.tensor([3.0, -99.0, -5.0])
-        got = targets(rewards, values, torch.zeros(3), 0.9, (-1.0, 0.0))
+        got = td_targets(rewards, values, torch.zeros(3), 0.9, (-1.0, 0.0))
         torch.testing.assert_close(got, torch.tensor([0.0, -10.0, -5.5]))
 
     def test_bounds_follow_the_rewards_seen(self):

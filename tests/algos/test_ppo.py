@@ -353,7 +353,7 @@ class TestLearning:
 
 def improve(ppo, minibatch):
     """Both networks by one minibatch; what is said of it."""
-    return torch.cat([ppo._improve_actor(minibatch), ppo._improve_critic(minibatch)])
+    return torch.cat([ppo._update_actor(minibatch), ppo._update_critic(minibatch)])
 
 
 HARD = {
