@@ -85,14 +85,6 @@ class DesignFlags:
         if self.numbers and self.redundancy > 1 and (self.taxel_dead or self.false_on):
             raise ValueError("redundancy: found with taxel_dead or false_on, allowed one of both")
 
-    def require_usual(self, *names: str) -> None:
-        """ValueError for a flag that does nothing where no object is handed over."""
-        typed.allow_only_with("a handover", self, *names)
-
-    def n_starts(self, is_timing: bool) -> int:
-        """How many to choose from."""
-        return self.starts or USUAL[is_timing]
-
     @property
     def aim(self) -> Aim:
         return Aim(self.redundancy, self.taxel_dead, self.false_on)
@@ -106,39 +98,6 @@ class Scene:
     config: GraspConfig
     weight: float
     """Of all scenes; they sum to 1."""
-
-
-def read_scenes(flags: DesignFlags) -> tuple[str, list[Scene]]:
-    """The hand, and its scenes; ValueError where they do not go together."""
-    if not flags.scene or len(set(flags.scene)) < len(flags.scene):
-        raise ValueError(f"scene: found {list(flags.scene)}, allowed one or more, each once")
-    weights = flags.weights or (1.0,) * len(flags.scene)
-    if len(weights) != len(flags.scene):
-        raise ValueError(f"weights: found {len(weights)}, allowed one for each of the scenes")
-    every = [scenes.load(name) for name in flags.scene]
-    hand = flags.env or every[0].env
-    if not hands.is_hand(hand):
-        raise ValueError(f"env: found {hand!r}, allowed: {hands.allowed()}")
-    found = []
-    for name, named, weight in zip(flags.scene, every, weights, strict=True):
-        if not flags.env and named.env != hand:
-            raise ValueError(
-                f"scene: found {name} of {named.env}, allowed scenes of one hand, or --env"
-            )
-        choices = {"simulator": flags.simulator} if flags.simulator else {}
-        config = setup(hand, **{**named.on(hand), **choices})
-        typed.validate(config)
-        found.append(Scene(name, config, weight / sum(weights)))
-    return hand, found
-
-
-def is_timing(found: Sequence[Scene]) -> bool:
-    """Is the question when to close? Where an object is handed over; elsewhere it is whether a grasp
-    will hold. ValueError where the scenes' tasks differ in that."""
-    handed = {tasks.TASKS[scene.config.task].giver is not None for scene in found}
-    if len(handed) > 1:
-        raise ValueError("scene: found handovers beside other tasks, allowed one kind")
-    return handed.pop()
 
 
 def candidates(flags: DesignFlags, hand: Hand) -> Taxels:
@@ -161,9 +120,13 @@ def candidates(flags: DesignFlags, hand: Hand) -> Taxels:
     if not left:
         chosen = " ".join([*flags.only, *(f"--not {name}" for name in flags.leave_out)])
         raise ValueError(f"only: found {chosen!r}, which leaves no taxel of the skin {flags.skin}")
+    _require_enough(flags, left)
+    return taxels.take(left)
+
+
+def _require_enough(flags: DesignFlags, left: Sequence[int]) -> None:
     if (most := flags.numbers[-1]) > len(left):
         raise ValueError(f"taxels: found {most}, allowed up to the {len(left)} that may be chosen")
-    return taxels.take(left)
 
 
 @dataclass(frozen=True)
@@ -189,9 +152,12 @@ class Design:
 
 @dataclass(frozen=True)
 class Pool:
-    """All taxels that anything is asked of, and which of them are whose."""
+    """What is asked: a hand in some scenes, all taxels that anything is asked of, and which of them are
+    whose."""
 
     flags: DesignFlags
+    env: str
+    scenes: list[Scene]
     hand: Hand
     skin: Skin
     columns: list[int]
@@ -203,43 +169,49 @@ class Pool:
     """Names of candidates that were left out."""
 
     @classmethod
-    def of(cls, flags: DesignFlags, hand: Hand) -> Pool:
-        """As the flags say; ValueError where one asks for what the hand does not have."""
+    def of(cls, flags: DesignFlags) -> Pool:
+        """As the flags say; ValueError where scenes do not go together, or one asks for what the hand
+        does not have."""
+        env, found = _scenes(flags)
+        hand = hands.get(env)
         free = candidates(flags, hand)
         beside = {name: layouts.load(name).place(hand) for name in flags.beside}
         kept = [layouts.load(flags.keep).place(hand)] if flags.keep else []
         skin = Skin.of([free, *beside.values(), *kept], hand)
         own = [column for taxels in kept for column in skin.columns(taxels)]
         columns = list(dict.fromkeys([*own, *skin.columns(free)]))
-        return cls(flags, hand, skin, columns, len(own), beside)
+        return cls(flags, env, found, hand, skin, columns, len(own), beside)
+
+    @property
+    def is_timing(self) -> bool:
+        """Is the question when to close? Where an object is handed over; elsewhere it is whether a
+        grasp will hold."""
+        return tasks.TASKS[self.scenes[0].config.task].giver is not None
+
+    @property
+    def n_starts(self) -> int:
+        """How many to choose from."""
+        return self.flags.starts or USUAL[self.is_timing]
 
     def without(self, early: Array) -> Pool:
         """Without candidates that are `early`, bool (m,) of the skin's taxels; ValueError where too few
         are left."""
         kept, free = self.columns[: self.n_kept], self.columns[self.n_kept :]
         left = [column for column in free if not early[column]]
-        if (most := self.flags.numbers[-1]) > len(left):
-            raise ValueError(f"taxels: found {most}, allowed up to the {len(left)} that may be chosen")
+        _require_enough(self.flags, left)
         names = tuple(self.skin.taxels.names[column] for column in free if early[column])
         return replace(self, columns=[*kept, *left], early=names)
 
-    def design(
-        self,
-        env: str,
-        chosen: dict[int, list[int]],
-        worth: Array,
-        found: Sequence[Scene],
-        about: dict[str, Any],
-    ) -> Design:
+    def design(self, chosen: dict[int, list[int]], worth: Array, about: dict[str, Any]) -> Design:
         """What was `chosen`, by number of taxels, as indices of the columns, with what is said `about`
         it."""
-        own, timing = self.skin.taxels.take(self.columns), is_timing(found)
-        asked = {name: value for name, value in asdict(self.flags).items() if name in ASKED}
+        own, names = self.skin.taxels.take(self.columns), typed.names(DesignFlags) - {"workers"}
+        asked = {name: value for name, value in asdict(self.flags).items() if name in names}
         result = {
-            "env": env,
-            "simulator": found[0].config.simulator,
-            "scenes": [scene.name for scene in found],
-            "asking": asked | {"starts": self.flags.n_starts(timing)},
+            "env": self.env,
+            "simulator": self.scenes[0].config.simulator,
+            "scenes": [scene.name for scene in self.scenes],
+            "asking": asked | {"starts": self.n_starts},
             "candidates": len(self.columns) - self.n_kept,
             "early": list(self.early),
             **about,
@@ -248,4 +220,26 @@ class Pool:
         return Design(self.hand, own, chosen, list(range(self.n_kept)), worth, result)
 
 
-ASKED = sorted(typed.names(DesignFlags) - {"workers"})
+def _scenes(flags: DesignFlags) -> tuple[str, list[Scene]]:
+    """The hand, and its scenes; ValueError where they do not go together."""
+    if not flags.scene or len(set(flags.scene)) < len(flags.scene):
+        raise ValueError(f"scene: found {list(flags.scene)}, allowed one or more, each once")
+    weights = flags.weights or (1.0,) * len(flags.scene)
+    if len(weights) != len(flags.scene):
+        raise ValueError(f"weights: found {len(weights)}, allowed one for each of the scenes")
+    every = [scenes.load(name) for name in flags.scene]
+    hand = flags.env or every[0].env
+    if not hands.is_hand(hand):
+        raise ValueError(f"env: found {hand!r}, allowed: {hands.allowed()}")
+    choices, found = {"simulator": flags.simulator} if flags.simulator else {}, []
+    for name, named, weight in zip(flags.scene, every, weights, strict=True):
+        if not flags.env and named.env != hand:
+            raise ValueError(
+                f"scene: found {name} of {named.env}, allowed scenes of one hand, or --env"
+            )
+        config = setup(hand, **{**named.on(hand), **choices})
+        typed.validate(config)
+        found.append(Scene(name, config, weight / sum(weights)))
+    if len({tasks.TASKS[scene.config.task].giver is None for scene in found}) > 1:
+        raise ValueError("scene: found handovers beside other tasks, allowed one kind")
+    return hand, found

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from importlib.util import find_spec
 
-from ..envs import hands
+from ..envs import typed
 from . import timing
-from .candidates import Design, DesignFlags, is_timing, read_scenes
+from .candidates import Design, DesignFlags, Pool
 
 
 def design(
@@ -16,16 +16,17 @@ def design(
     """Where an object is handed over, when to close is the question: taxels by which a hand succeeds
     that closes at the first touch. Elsewhere it is whether a grasp will hold: taxels that tell most of
     that. `show` is told how many starts are played, of how many. ValueError where it cannot be."""
-    env, found = read_scenes(flags)
-    if is_timing(found):
-        return timing.design(flags, env, found, hands.get(env), workers, show)
-    if len(found) > 1:
-        raise ValueError(f"scene: found {len(found)}, allowed one, or several handovers")
-    flags.require_usual("redundancy", "taxel_dead", "false_on", "test_starts", "weights")
+    pool = Pool.of(flags)
+    if pool.is_timing:
+        return timing.design(pool, workers, show)
+    if len(pool.scenes) > 1:
+        raise ValueError(f"scene: found {len(pool.scenes)}, allowed one, or several handovers")
+    of_handovers = ("redundancy", "taxel_dead", "false_on", "test_starts", "weights")
+    typed.allow_only_with("a handover", flags, *of_handovers)
     if find_spec("sklearn") is None:
         raise ValueError(
             "scene: found no scikit-learn; install the extra: pip install 'tactilerl[probe]'"
         )
     from . import information
 
-    return information.design(flags, env, found[0], workers, show)
+    return information.design(pool, workers, show)

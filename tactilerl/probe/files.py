@@ -36,14 +36,14 @@ class Played(NamedTuple):
     """What they follow from, besides their number."""
 
 
-def play(path: Path, asked: GraspFlags, workers: int, show: Callable[[int], None]) -> Played:
-    """All grasps that are asked for; those in the file at `path` are not played again.
+def play(path: Path | None, asked: GraspFlags, workers: int, show: Callable[[int], None]) -> Played:
+    """All grasps that are asked for; those in the file at `path`, if any, are not played again.
 
     `show` is told how many there are. What was played stays in the file whatever stops it.
     InputError when the file holds grasps of other settings.
     """
     settings, n = asked.settings(), asked.grasps
-    records = _kept(path, settings)
+    records = _kept(path, settings) if path is not None and path.exists() else []
     show(min(n, len(records)))
     if len(records) < n:
         with closing(vector.start(partial(Scenes, asked), workers)) as played_in:
@@ -52,19 +52,17 @@ def play(path: Path, asked: GraspFlags, workers: int, show: Callable[[int], None
                 for record in played_in.play(grasps.play, range(len(records), n)):
                     records.append(record)
                     show(len(records))
-                    if time.monotonic() - saved > SAVE_EVERY:
+                    if path is not None and time.monotonic() - saved > SAVE_EVERY:
                         write(path, Played(stack(records), settings))
                         saved = time.monotonic()
             finally:
-                if records:
+                if path is not None and records:
                     write(path, Played(stack(records), settings))
     return Played(stack(records[:n]), settings)
 
 
 def _kept(path: Path, settings: dict[str, Any]) -> list[Measured]:
     """What an earlier call left."""
-    if not path.exists():
-        return []
     arrays, theirs = read(path)
     ours = json.loads(json.dumps(settings))
     for name in {**ours, **theirs}:

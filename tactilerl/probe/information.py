@@ -4,38 +4,26 @@ tell most of that beyond the joint angles."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import closing
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 
-from ..envs import hands, vector
-from . import analysis, estimators, metrics, selection
-from .candidates import Design, DesignFlags, Pool, Scene
-from .grasps import Scenes, play, stack
+from . import analysis, estimators, files, metrics, selection
+from .candidates import Design, Pool
 from .options import AnalysisFlags, GraspFlags
 from .readings import Grasps
 
 
-def design(
-    flags: DesignFlags, env: str, scene: Scene, workers: int, show: Callable[[int, int], None]
-) -> Design:
+def design(pool: Pool, workers: int, show: Callable[[int, int], None]) -> Design:
     """Choose taxels by scripted grasps; ValueError where the hand has none, or they have too few of one
     outcome."""
-    hand, numbers = hands.get(env), list(flags.numbers)
-    pool = Pool.of(flags, hand)
-    usual = GraspFlags.of_scene(scene.name)
-    own: dict[str, Any] = {"env": env, "simulator": scene.config.simulator, "seed": flags.seed}
-    playing = replace(usual, **own, grasps=flags.n_starts(is_timing=False))
+    flags, (scene,), numbers = pool.flags, pool.scenes, list(pool.flags.numbers)
+    own: dict[str, Any] = {"env": pool.env, "simulator": scene.config.simulator, "seed": flags.seed}
+    playing = replace(GraspFlags.of_scene(scene.name), **own, grasps=pool.n_starts)
     playing.validate()
-    records = []
-    with closing(vector.start(partial(Scenes, playing), workers)) as played_in:
-        for record in played_in.play(play, range(playing.grasps)):
-            records.append(record)
-            show(len(records), playing.grasps)
-    grasps = Grasps(hand, stack([record for record in records if not record["broken"]]))
+    played = files.play(None, playing, workers, lambda done: show(done, playing.grasps))
+    grasps = Grasps.whole(pool.hand, played.records)
     felt = grasps.feel(pool.skin.taxels)
     readings = {name: felt[:, pool.skin.columns(taxels)] for name, taxels in pool.beside.items()}
     has, skin = np.split(felt[:, pool.columns], [pool.n_kept], axis=1)
@@ -54,7 +42,7 @@ def design(
     chosen = {n: [pool.n_kept + taxel for taxel in path[:n]] for n in numbers}
     about = {"question": "information", "beside": first and first["layout"], "rows": rows}
     worth = np.concatenate([np.zeros(pool.n_kept), worth])
-    return pool.design(env, chosen, worth, [scene], about)
+    return pool.design(chosen, worth, about)
 
 
 def _row(layout: str, n: int, gains: Any) -> dict[str, Any]:

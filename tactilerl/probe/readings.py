@@ -24,6 +24,12 @@ class Grasps:
     hand: Hand
     records: Measured
 
+    @classmethod
+    def whole(cls, hand: Hand, records: Measured) -> Grasps:
+        """All but those that broke."""
+        is_whole = ~records["broken"].astype(bool)
+        return cls(hand, {name: values[is_whole] for name, values in records.items()})
+
     def __len__(self) -> int:
         return len(self.records["held"])
 

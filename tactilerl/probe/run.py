@@ -63,9 +63,7 @@ def _placed(asking: AnalysisFlags, hand: Hand) -> dict[str, layouts.Taxels]:
 def analyse(read: Options, played: files.Played, out: Path) -> dict[str, Any]:
     """Ask the grasps; writes probe.json and the figures to `out`."""
     hand, asking, settings = hands.get(played.settings["env"]), read.analysis, played.settings
-    is_whole = ~played.records["broken"].astype(bool)
-    whole = {name: values[is_whole] for name, values in played.records.items()}
-    grasps = Grasps(hand, whole)
+    grasps = Grasps.whole(hand, played.records)
     taxels = _placed(asking, hand)
     gains: dict[str, Any] = {}  # to compare hands
 
@@ -89,7 +87,7 @@ def analyse(read: Options, played: files.Played, out: Path) -> dict[str, Any]:
             "asking": asdict(asking),
             "faults": asdict(read.fault),
             "grasps": len(grasps),
-            "broken": len(is_whole) - len(grasps),
+            "broken": int(played.records["broken"].sum()),
             "held": float(grasps.held.mean()),
             "objects": grasps.objects()[0],
             "versions": provenance.versions("scipy", "scikit-learn"),

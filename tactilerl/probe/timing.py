@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from .. import statistics
-from ..envs.grasp import GraspConfig
-from ..envs.hands import Hand
 from ..envs.state import Array
 from ..pictures import places
 from . import cover, gate
-from .candidates import Design, DesignFlags, Pool, Scene
+from .candidates import Design, Pool
 from .cover import Aim, Starts
 from .recording import Skin, record
 
@@ -22,32 +20,25 @@ RANDOM_SETS = 20
 FEW = 20  # starts, to say where arrivals are felt
 
 
-def design(
-    flags: DesignFlags,
-    env: str,
-    found: Sequence[Scene],
-    hand: Hand,
-    workers: int,
-    show: Callable[[int, int], None],
-) -> Design:
+def design(pool: Pool, workers: int, show: Callable[[int, int], None]) -> Design:
     """Choose taxels; ValueError where nobody feels a start in time, or touch cannot help."""
-    pool, n_choice = Pool.of(flags, hand), flags.n_starts(is_timing=True)
-    total, done = len(found) * (n_choice + flags.test_starts), iter(range(1, 10**9))
+    flags, done = pool.flags, iter(range(1, 10**9))
+    total = len(pool.scenes) * (pool.n_starts + flags.test_starts)
 
     def played(first: int, n: int) -> Starts:
         first += 2 * gate.SEARCH * flags.seed
         numbers, every = range(first, first + n), flags.false_on > 0
         tick = lambda: show(next(done), total)  # noqa: E731
         parts = [
-            vars(record(env, scene.config, pool.skin, numbers, workers, every, tick, scene.weight))
-            for scene in found
+            vars(record(pool.env, one.config, pool.skin, numbers, workers, every, tick, one.weight))
+            for one in pool.scenes
         ]
         return Starts(**{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
 
-    choice = played(CHOICE, n_choice)
+    choice = played(CHOICE, pool.n_starts)
     pool = pool.without(choice.early)
     starts = choice.take(pool.columns)
-    _require_felt(starts, env, found[0].config, hand, workers)
+    _require_felt(starts, pool, workers)
     judge = _Judge(played(TEST, flags.test_starts), flags.aim)
     rng = np.random.default_rng(flags.seed)
     beside = {name: pool.skin.columns(taxels) for name, taxels in pool.beside.items()}
@@ -70,7 +61,7 @@ def design(
         "beside": best and best["layout"],
         "rows": rows,
     }
-    return pool.design(env, chosen, starts.weights @ starts.good, found, about)
+    return pool.design(chosen, starts.weights @ starts.good, about)
 
 
 class _Judge:
@@ -120,8 +111,9 @@ class _Judge:
         return statistics.mean(len(scores) * self.starts.weights * scores, self._counts)
 
 
-def _require_felt(starts: Starts, name: str, scene: GraspConfig, hand: Hand, workers: int) -> None:
+def _require_felt(starts: Starts, pool: Pool, workers: int) -> None:
     """ValueError where no candidate feels anything in time, or touch has nothing to win."""
+    name, scene, hand = pool.env, pool.scenes[0].config, pool.hand
     if not starts.good.any():
         skin = Skin.of([places.skin("6mm", hand)], hand)
         seen = record(name, scene, skin, range(CHOICE, CHOICE + FEW), workers)
