@@ -60,7 +60,9 @@ def main(args: Sequence[str] | None = None) -> int:
 
 
 def _run(args: list[str]) -> int:
-    modules, args = _imports(args)
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--import", dest="modules", action="append", default=[], nargs="?", const="")
+    first, args = parser.parse_known_args(args)
     if not args or args[0] in ("-h", "--help"):
         lines = ["usage: tactilerl COMMAND [OPTIONS]", "", "commands:"]
         lines += [f"  {name:10}{about}" for name, about in COMMANDS.items()]
@@ -75,7 +77,7 @@ def _run(args: list[str]) -> int:
     try:
         if odd := next((arg for arg in args if "\0" in arg), None):
             raise InputError(f"found {odd[:50]!r}, allowed no character 0")
-        _import(modules)
+        _import(first.modules)
         if name not in COMMANDS:
             from ..envs.choices import nearest
 
@@ -109,14 +111,6 @@ def _run(args: list[str]) -> int:
         cure = "install its library (Debian: libosmesa6, libegl1), or unset it where nothing is drawn"
         _say("error", InputError(f"{found}; {cure}"))
         return 2
-
-
-def _imports(args: Sequence[str]) -> tuple[list[str], list[str]]:
-    """The modules that are to be imported first, and the other arguments."""
-    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    parser.add_argument("--import", dest="modules", action="append", default=[], nargs="?", const="")
-    found, rest = parser.parse_known_args(args)
-    return found.modules, rest
 
 
 def _import(modules: Sequence[str]) -> None:

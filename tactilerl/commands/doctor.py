@@ -16,7 +16,7 @@ from ..terminal import flags
 from ..terminal.console import console
 from ..terminal.help import About
 from .grasps import require_grasp
-from .scene import layout_notes, read_scene, require_scene
+from .scene import layout_notes, read_scene
 
 FEW = 10  # taxels that are named
 
@@ -69,9 +69,8 @@ def _require_used(scene: GraspConfig, env: str) -> None:
 
 def main(args: list[str]) -> int:
     """`tactilerl doctor`: exit 1 when a layout is blind."""
-    read, found = read_scene(DoctorFlags, args, "tactilerl doctor", ABOUT)
+    read, scene = read_scene(DoctorFlags, args, "tactilerl doctor", ABOUT)
     name = read.env
-    scene = require_scene(found, name)
     _require_used(scene, name)
     chosen = flags.peek(args, "--layout", "")
     names = [chosen] if chosen else [*"123456"]

@@ -20,7 +20,7 @@ from ..envs.taxel_formats import WRITERS
 from ..errors import InputError, input_errors
 from ..runs.files import content, replacing
 from ..terminal.help import About
-from .scene import layout_notes, read_scene
+from .scene import layout_notes, read_any
 
 ABOUT = About(
     "Describe an environment: what it is, its actions, observations and taxels. Without flags it also "
@@ -67,7 +67,7 @@ def _holds(data: bytes, path: Path) -> bool:
 
 def main(args: list[str]) -> int:
     """`tactilerl env --describe`"""
-    read, scene = read_scene(EnvFlags, args, "tactilerl env", ABOUT)
+    read, scene = read_any(EnvFlags, args, "tactilerl env", ABOUT)
     with input_errors(), closing(GraspEnv(read.env, scene) if scene else envs.make(read.env)) as made:
         base: Any = made.unwrapped
         spaces = {"action_space": made.action_space, "observation_space": made.observation_space}

@@ -19,7 +19,7 @@ from ..terminal import flags
 from ..terminal.console import console, progress
 from ..terminal.help import About
 from .grasps import require_grasp
-from .scene import read_scene, require_scene
+from .scene import read_scene
 
 ABOUT = About(
     "Can touch make a difference in a scene? Compares scripted hands that feel, see, or do "
@@ -54,8 +54,7 @@ class GateFlags:
 def main(args: list[str]) -> int:
     """`tactilerl gate --scene handover`"""
     chosen, args = flags.several(args, "--layout")
-    read, found = read_scene(GateFlags, args, "tactilerl gate", ABOUT)
-    scene = require_scene(found, read.env)
+    read, scene = read_scene(GateFlags, args, "tactilerl gate", ABOUT)
     with input_errors():
         if scene.touch not in READS:
             why = "or give shuffled; the gate always compares with no touch"
@@ -81,14 +80,12 @@ def main(args: list[str]) -> int:
         return 0
     table = Table("scripted hand", "switches when", "success", "95 % interval")
     for row in rows:
-        low, high = row.interval
-        _, about = gate.SENSES[row.name]
-        name = f"touch, layout {scene.layout}" if touch and row.name == "touch" else row.name
-        table.add_row(name, about, f"{row.rate:.2f}", f"{low:.2f} – {high:.2f}")
-        for layout, other in touch.items() if row.name == "touch" else ():
-            low, high = other.interval
-            name = f"touch, layout {layout}"
-            table.add_row(name, about, f"{other.rate:.2f}", f"{low:.2f} – {high:.2f}")
+        shown = {row.name: row}
+        if touch and row.name == "touch":
+            shown = {f"touch, layout {name}": it for name, it in {scene.layout: row, **touch}.items()}
+        for name, one in shown.items():
+            rate, (low, high) = f"{one.rate:.2f}", one.interval
+            table.add_row(name, gate.SENSES[row.name][1], rate, f"{low:.2f} – {high:.2f}")
     console.print(table)
     console.print(sentence)
     return 0

@@ -20,7 +20,7 @@ from ..terminal import flags
 from ..terminal.console import console
 from ..terminal.help import About
 from .grasps import require_grasp
-from .scene import layout_notes, read_scene, require_scene
+from .scene import layout_notes, read_scene
 
 ABOUT = About(
     "Draw a scripted grasp with its taxels, or film a trained run (extra: render).",
@@ -73,7 +73,6 @@ def main(args: list[str]) -> int:
             raise InputError(f"--{flag}: found {found} a run folder, allowed only {needed} one")
     if read.run:
         return _film(args, read, scene)
-    scene = require_scene(scene, name)
     with input_errors():
         if read.pose == "grasp":
             require_grasp(name, scene)
@@ -84,10 +83,10 @@ def main(args: list[str]) -> int:
     return 0
 
 
-def _film(args: list[str], read: RenderFlags, scene: GraspConfig | None) -> int:
+def _film(args: list[str], read: RenderFlags, scene: GraspConfig) -> int:
     """The film of a run: of a scene's flags, only the length of the hold test has a meaning."""
     hold_seconds = render.HOLD_SECONDS
-    if scene is not None and flags.peek(args, "--hold-seconds", ""):
+    if flags.peek(args, "--hold-seconds", ""):
         hold_seconds = scene.hold_seconds
         scene = dataclasses.replace(scene, hold_seconds=setup(read.env).hold_seconds)
     if scene != setup(read.env):

@@ -18,7 +18,7 @@ from ..terminal.help import About
 T = TypeVar("T")
 
 
-def read_scene(
+def read_any(
     kind: type[T], args: Sequence[str], prog: str, about: About
 ) -> tuple[T, GraspConfig | None]:
     """The command's own flags, and the scene's where its environment has a scene. --help shows the
@@ -40,11 +40,12 @@ def read_scene(
     return read.command_part, getattr(read, "scene_part", None)
 
 
-def require_scene(scene: GraspConfig | None, env: str) -> GraspConfig:
-    """The scene; InputError where `env` has none."""
+def read_scene(kind: type[T], args: Sequence[str], prog: str, about: About) -> tuple[T, GraspConfig]:
+    """The same; InputError where the environment has no scene."""
+    read, scene = read_any(kind, args, prog, about)
     if scene is None:
-        raise InputError(f"--env: found {env!r}, allowed: {hands.allowed()}")
-    return scene
+        raise InputError(f"--env: found {vars(read)['env']!r}, allowed: {hands.allowed()}")
+    return read, scene
 
 
 def layout_notes(name: str, layout: str) -> list[str]:

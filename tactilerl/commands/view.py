@@ -20,7 +20,7 @@ from ..pictures.render import HOLD_SECONDS
 from ..terminal import flags
 from ..terminal.console import console
 from ..terminal.help import About
-from .scene import read_scene, require_scene
+from .scene import read_scene
 
 ABOUT = About(
     "Watch a hand or a trained run in MuJoCo's viewer. Taxels that fire light up.",
@@ -50,7 +50,7 @@ def main(args: list[str]) -> int:
     """`tactilerl view RUN`, `tactilerl view --env HAND`"""
     read, scene = read_scene(ViewFlags, args, "tactilerl view", ABOUT)
     if not read.run:
-        env, play = _waiting(read.env, require_scene(scene, read.env))
+        env, play = _waiting(read.env, scene)
     elif flags.peek(args, "--scene", "") or scene != setup(read.env):
         raise InputError("view RUN: found scene flags, allowed none: a run keeps its scene")
     else:
