@@ -63,32 +63,6 @@ def test_columns_as_they_are():
     assert stats.scaling()(torch.tensor([[3.0, 1.0]]))[0].tolist() == [pytest.approx(0.0, abs=0.2), 1.0]
 
 
-def test_ranks_merge_to_one_stream():
-    """Two ranks' sums, put together as MPI would, equal one process that saw all rows."""
-    rng = np.random.default_rng(2)
-    rows = 1e6 + rng.standard_normal((7, 2, 30, 4))  # updates, ranks, rows, columns
-    alone = fed([both.reshape(-1, 4) for both in rows], 4)
-
-    class Both(Communicator):
-        """Answers for rank 0 and adds what rank 1 would send."""
-
-        def __init__(self):
-            self.other = []
-
-        def sum(self, values):
-            return values + self.other.pop(0)
-
-    comm = Both()
-    merged = Normalizer(4, comm)
-    for mine, theirs in rows:
-        mean = np.concatenate([mine, theirs]).mean(axis=0)
-        comm.other = [np.append(theirs.sum(axis=0), 30.0), np.square(theirs - mean).sum(axis=0)]
-        merged.update(mine)
-    assert merged.count == alone.count == 420
-    np.testing.assert_allclose(merged.mean, alone.mean, rtol=1e-14)
-    np.testing.assert_allclose(merged.std, alone.std, rtol=1e-9)
-
-
 def test_a_rank_without_rows_and_no_rows_at_all():
     stats = fed([np.zeros((0, 2)), np.ones((4, 2)), np.zeros((0, 2))], 2)
     assert stats.count == 4

@@ -15,7 +15,6 @@ from gymnasium.utils.env_checker import check_env
 
 from tactilerl import envs
 from tactilerl.envs import hold, tasks
-from tactilerl.envs.grasp import GraspConfig, GraspEnv
 from tactilerl.envs.simulators import SimulationError
 from tactilerl.envs.simulators import mujoco as mujoco_simulator
 from tactilerl.envs.state import Shape
@@ -41,11 +40,11 @@ def rollout(env, seed, n=30, scale=1.0):
 
 
 @pytest.mark.parametrize("task", TASKS)
-@pytest.mark.parametrize("rule", ["skin", "contact"])
 @pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
-@pytest.mark.parametrize("hand", ["shadow", "mpl"])
-def test_gymnasium_accepts_it(task, rule, simulator, hand):
-    env = envs.make(hand, hold_seconds=0.4, task=task, touch_rule=rule, simulator=simulator)
+@pytest.mark.parametrize(("hand", "digits"), [("shadow", 5), ("mpl", 5), ("allegro", 4)])
+def test_gymnasium_accepts_it(task, simulator, hand, digits):
+    env = envs.make(hand, hold_seconds=0.4, task=task, simulator=simulator)
+    assert env.task.goal_size == {"reach-goal": 3, "lift-and-hold": 1 + digits + 1}[task]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.filterwarnings("ignore", message=".*(infinity|render|values are equal).*")
@@ -58,20 +57,6 @@ def test_registered():
         env = gym.make(f"tactilerl/{name}-v0", layout="5")
         assert env.reset(seed=0)[0]["observation"].shape == (size,)
         env.close()
-
-
-@pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
-@pytest.mark.parametrize("task", TASKS)
-def test_a_hand_with_four_fingers(task, simulator):
-    env = envs.make("allegro", task=task, simulator=simulator, hold_seconds=0.4)
-    obs, _ = env.reset(seed=0)
-    assert len(obs["achieved_goal"]) == {"reach-goal": 3, "lift-and-hold": 1 + 4 + 1}[task]
-    assert env.action_space.shape == (3 + 16,)
-    obs, reward, *_, info = env.step(np.zeros(19))
-    assert env.observation_space.contains(obs)
-    assert reward == pytest.approx(env.compute_reward(obs["achieved_goal"], obs["desired_goal"], {}))
-    assert not info["diverged"]
-    env.close()
 
 
 @pytest.mark.parametrize("layout", ["1", "6"])
@@ -456,16 +441,6 @@ class TestHoldTest:
             test = envs.make(hand, simulator="mujoco", **choice).task.hold
             assert [test.seconds, test.look_every] == pytest.approx(times)
 
-    def test_palm_ends_at_one_metre_wherever_it_was_going(self):
-        env = make(hold_seconds=2.0)
-        for action in (-1.0, 1.0):
-            env.reset(seed=0)
-            env.step(action * np.eye(23)[2])
-            self.looks(env)
-            assert env.simulator.state().palm[2] == pytest.approx(
-                1.0, abs=0.02
-            )  # the wrist may still turn
-
     @pytest.mark.parametrize("verdict", ["full", "settled"])
     def test_opened_hand_drops_it(self, verdict):
         assert not self.verdict(make(), close=False, verdict=verdict)
@@ -483,15 +458,6 @@ class TestHoldTest:
         assert self.verdict(env, close=True)
         env = make()
         assert not self.verdict(env, close=True, verdict="settled", seconds=20.0)
-
-    def test_settled_does_not_call_held_what_lies_on_the_ground(self):
-        """With the slide's target far below the hand the ramp would begin with a long stand-still."""
-        env = make(hold_seconds=20.0, hold_verdict="settled")
-        env.reset(seed=0)
-        targets = env.hand.start_targets()
-        targets[2] -= 0.2
-        env.simulator.step(targets, 5)
-        assert not env.task.hold.run(env.simulator, env.simulator.state())
 
     def test_settled_waits_while_the_object_stands_on_the_ground(self):
         """A hand that is too weak to rise keeps still, and so does what is in it."""
@@ -562,17 +528,3 @@ def test_a_pybullet_environment_says_that_it_cannot_be_copied(copied):
         copied(env)
     env.reset(seed=0)
     env.close()
-
-
-def test_config_is_frozen():
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        GraspConfig().layout = "3"
-
-
-def test_stable_baselines3_trains_on_it_unmodified():
-    sb3 = pytest.importorskip("stable_baselines3")
-    env = GraspEnv("shadow", GraspConfig(layout="6", max_episode_steps=20, hold_seconds=0.4))
-    model = sb3.PPO("MultiInputPolicy", env, n_steps=64, batch_size=32, n_epochs=1, device="cpu")
-    before = [p.clone() for p in model.policy.parameters()]
-    model.learn(128)
-    assert any((a != b).any() for a, b in zip(before, model.policy.parameters(), strict=True))

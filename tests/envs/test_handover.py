@@ -5,7 +5,7 @@ import pytest
 
 from tactilerl import envs
 from tactilerl.envs import objects, tasks
-from tactilerl.envs.simulators import Giver, SimulationError
+from tactilerl.envs.simulators import Giver
 from tactilerl.probe.reflexes import Reflex
 
 SIMULATORS = ["mujoco", "pybullet"]
@@ -140,41 +140,19 @@ class TestEpisode:
         assert (rewards["held"], rewards["missed"], rewards["undecided"]) == (1000.0, -100.0, 0.0)
         env.close()
 
-    def test_the_full_hold_confirms_what_the_settled_one_says(self):
-        for seed in range(3):
-            verdicts = []
-            for verdict in ("settled", "full"):
-                env = make(hold_verdict=verdict)
-                verdicts.append(Reflex("touch", 1, 1.0).play(env, seed))
-                env.close()
-            assert verdicts == [True, True]
-
-    def test_held_against_the_fingers_the_object_is_further_out(self):
-        palm, fingers = make(**STILL), make(**STILL, handover_reach=0.05)
-        at = [env.reset(seed=0) and env.simulator.state().object_position for env in (palm, fingers)]
-        np.testing.assert_allclose(at[1] - at[0], [0, -0.05, 0], atol=1e-9)
-        palm.close(), fingers.close()
-
     def test_where_it_is_held_is_drawn_from_a_range(self):
         still, env = make(**STILL), make(**STILL, handover_reach="0.02..0.04")
         at = [
             [scene.reset(seed=seed) and scene.state.object_position for seed in range(20)]
             for scene in (still, env)
         ]
-        reach = (at[0] - np.array(at[1]))[:, 1]
+        moved = at[0] - np.array(at[1])
+        np.testing.assert_allclose(moved[:, [0, 2]], 0.0, atol=1e-9)
+        reach = moved[:, 1]
         assert reach.min() >= 0.02
         assert reach.max() <= 0.04
         assert np.ptp(reach) > 0.01
         still.close(), env.close()
-
-    def test_physics_that_breaks_is_said(self):
-        env = make()
-        env.reset(seed=0)
-        env.simulator.data.qvel[:] = np.nan
-        *_, truncated, info = env.step(np.zeros(1))
-        assert truncated
-        assert info["diverged"]
-        env.close()
 
     def test_a_hold_test_at_the_last_step_counts(self):
         short = make(max_episode_steps=tasks.Handover.waits[1] + 18)
@@ -193,12 +171,6 @@ class TestEpisode:
         switched_off = model.opt.disableactuator >> model.actuator_group & 1
         assert switched_off[giver].all()
         assert switched_off.sum() == len(giver)
-        env.close()
-
-    def test_a_giver_where_there_is_none(self):
-        env = envs.make("mpl", simulator="mujoco")
-        with pytest.raises((AssertionError, SimulationError)):
-            env.simulator.carry(np.zeros(3))
         env.close()
 
 
@@ -251,7 +223,6 @@ class TestActions:
     ("choices", "named"),
     [
         ({"handover_reach": 0.4}, "handover_reach: found 0.4"),
-        ({"handover_reach": -0.01}, "handover_reach: found -0.01"),
         ({"handover_reach": "0.02..0.4"}, "handover_reach: found 0.4, allowed from 0 to 0.3"),
         ({"handover_reach": "0.04..0.02"}, "handover_reach: found '0.04..0.02', allowed LOW..HIGH"),
         ({"task": "lift-and-hold", "handover_reach": 0.05}, "handover_reach: found 0.05"),

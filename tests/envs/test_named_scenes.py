@@ -38,12 +38,9 @@ class TestEach:
 
     def test_is_listed_and_described(self, name, capsys):
         assert main(["env", "--scene", name]) == 0
-        assert (
-            f"hand {scenes.load(name).env}" in " ".join(capsys.readouterr().out.split()).lower() or True
-        )
+        capsys.readouterr()
         assert main(["env"]) == 0
-        listed = " ".join(capsys.readouterr().out.split())
-        assert name in listed
+        assert name in " ".join(capsys.readouterr().out.split())
 
 
 def test_flags_change_what_a_scene_says(capsys):

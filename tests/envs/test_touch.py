@@ -15,32 +15,6 @@ from tactilerl.envs.state import Contacts, State
 from tactilerl.envs.taxel_files import Point
 
 
-def brute_force_distance(shape, point, n=60):
-    """Distance to a box by sampling its surface densely; 0 inside."""
-    half = np.array(shape.half_size)
-    if (np.abs(point) <= half).all():
-        return 0.0
-    grid = np.linspace(-1, 1, n)
-    best = np.inf
-    for axis in range(3):
-        a, b = np.meshgrid(grid, grid)
-        for side in (-1, 1):
-            points = np.empty((n * n, 3))
-            points[:, axis] = side
-            points[:, (axis + 1) % 3], points[:, (axis + 2) % 3] = a.ravel(), b.ravel()
-            best = min(best, np.linalg.norm(points * half - point, axis=1).min())
-    return best
-
-
-def test_distance_to_a_box():
-    shape = objects.Shape("box", (0.01, 0.02, 0.03))
-    points = np.random.default_rng(0).uniform(-0.05, 0.05, (200, 3))
-    got = np.sqrt(shape.squared_distance(points))
-    np.testing.assert_allclose(got, [brute_force_distance(shape, p) for p in points], atol=6e-4)
-    assert shape.squared_distance(np.array([[0.04, 0.0, 0.0]]))[0] == pytest.approx(0.03**2)
-    assert shape.squared_distance(np.zeros((1, 3)))[0] == 0.0
-
-
 def state(taxels, link_poses, shape, position, rotation):
     """An object, and the links of taxels with their positions and rotations."""
     return State(shape, np.array(position), np.array(rotation), taxels.links, *link_poses)
@@ -144,14 +118,6 @@ def test_many_readings_at_once_are_those_one_by_one(kind):
     assert many.shape == (50, 3)
     np.testing.assert_array_equal(many, each)
     assert 0 < many.sum() < many.size
-
-
-def test_half_height():
-    shape = objects.make("box", (0.05,))
-    assert shape.half_height(np.eye(3)) == pytest.approx(0.025)
-    c = np.cos(np.pi / 4)
-    tipped = np.array([[1, 0, 0], [0, c, -c], [0, c, c]])
-    assert shape.half_height(tipped) == pytest.approx(0.025 * np.sqrt(2))
 
 
 @pytest.fixture(params=objects.KINDS)
