@@ -156,17 +156,6 @@ def test_bad_input_on_one_rank_ends_all(launched):
 
 
 @pytest.mark.slow
-def test_ddpg_reaches_points_from_sparse_rewards_on_two_ranks():
-    args = ["train", "--algo", "ddpg_her", "--env", "point-reach", "--hidden", "64", "64"]
-    args += ["--action-l2", "0.1", "--polyak", "0.9", "--batch-size", "128", "--n-cycles", "10"]
-    result = tactilerl(*args, "--n-test-rollouts", "1", "--total-timesteps", "12000", "--out", "run")
-    assert result.returncode == 0, result.stderr
-    command = [sys.executable, "-m", "tactilerl", "evaluate", "run", "--episodes", "200", "--json"]
-    evaluated = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert json.loads(evaluated.stdout)["success_rate"] >= 0.95
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("toy", TOYS.values(), ids=TOYS)
 def test_another_number_of_ranks_is_refused(toy, capsys):
     tactilerl(*toy, "--total-timesteps", "1", "--out", "run")

@@ -7,10 +7,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
-from states import flat
 
 from tactilerl import envs
-from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.networks import MLP, start_orthogonal
 from tactilerl.algos.ppo import PPO, PPOConfig
@@ -110,29 +108,6 @@ def test_starts_and_exploration_do_not_depend_on_what_is_observed():
         starts.append(first.obs[0][:2])
     np.testing.assert_array_equal(*starts)
     np.testing.assert_allclose(*(each[:3] for each in noise), atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("kind", "config"),
-    [
-        (PPO, PPOConfig(hidden=(8,), steps_per_epoch=60, n_passes=2)),
-        (DDPGHER, DDPGHERConfig(hidden=(8,), n_cycles=1, n_batches=2, batch_size=8, n_test_rollouts=0)),
-    ],
-)
-def test_the_order_of_minibatches_starts_anew_with_every_epoch_or_cycle(kind, config):
-    """An episode more or less before moves nothing later."""
-    states = []
-    for n_drawn in (0, 7):
-        with closing(vector.start(partial(Distracted, 0))) as workers:
-            learner = kind(config, workers, Communicator(), 2, 1000)
-            if kind is DDPGHER:
-                learner.replay.rng.random(n_drawn)
-            else:
-                np.random.default_rng(0).random(n_drawn)
-            learner.collect()
-            learner.update()
-            states.append(flat(learner.state_dict()))
-    assert states[0] == states[1]
 
 
 def test_names_come_with_the_environments_spaces():

@@ -57,7 +57,7 @@ def test_ppo_swings_up_the_pendulum(seed):
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_ddpg_her_reaches_points_from_sparse_rewards(seed):
-    """Of 200 goals at least 95 %; the same under mpirun in test_mpi.py."""
+    """Of 200 goals at least 95 %."""
     config = DDPGHERConfig(hidden=(64, 64), action_l2=0.1, polyak=0.9, batch_size=128)
     reached = [e.success for e in play(train(DDPGHER, "point-reach", config, 7000, seed), 200)]
     assert np.mean(reached) >= 0.95

@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 
 import gymnasium as gym
-import numpy as np
 import pytest
 from one_line import fails_with
 
@@ -78,16 +77,6 @@ def test_another_hand_and_simulator_in_the_same_scene():
     assert env.action_space.shape == (1,)
     assert env.unwrapped.simulator.creeps is False
     env.close()
-
-
-def test_python_and_command_agree():
-    env = tactilerl.make(scene="handover")
-    other = gym.make("tactilerl/Handover-v0").unwrapped
-    assert env.unwrapped.config == other.config
-    np.testing.assert_array_equal(
-        env.reset(seed=1)[0]["observation"], other.reset(seed=1)[0]["observation"]
-    )
-    env.close(), other.close()
 
 
 class TestOwnFile:

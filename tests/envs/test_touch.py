@@ -104,22 +104,6 @@ def test_skin_is_the_shape_that_the_simulators_collide(hand):
             assert (on_face & (room[:, across] >= hand.pitch.radius).all(axis=1)).any()
 
 
-@pytest.mark.parametrize("kind", objects.KINDS)
-def test_many_readings_at_once_are_those_one_by_one(kind):
-    taxels = taxels_on(PHALANX, [-0.01, 0.0, 0.01])
-    rule = touch.SkinTouch(taxels, with_surfaces(PHALANX))
-    turns = Rotation.random(50, rng=4).as_matrix()
-    places = np.random.default_rng(5).uniform(-0.04, 0.04, (50, 3))
-    poses = np.zeros((50, 1, 3)), np.tile(np.eye(3), (50, 1, 1, 1))
-    shape = objects.make(kind, (0.04,))
-    many = rule.read(state(taxels, poses, shape, places, turns))
-    one = [(state(taxels, [p[i] for p in poses], shape, places[i], turns[i])) for i in range(50)]
-    each = [*map(rule.read, one)]
-    assert many.shape == (50, 3)
-    np.testing.assert_array_equal(many, each)
-    assert 0 < many.sum() < many.size
-
-
 @pytest.fixture(params=objects.KINDS)
 def solid(request):
     """A shape, and many points of the box around it that lie inside (n, 3)."""

@@ -250,11 +250,6 @@ def test_workers_that_cannot_start_close_what_they_have():
     assert set(multiprocessing.active_children()) <= before
 
 
-def test_what_cannot_be_made_is_raised_here():
-    with pytest.raises(ValueError, match="layout"):
-        vector.start(partial(envs.make, "shadow", layout="none"), 2)
-
-
 class TestWhatALearnerAsks:
     def test_of_a_grasping_environment(self):
         with closing(vector.start(partial(envs.make, "shadow"))) as workers:
