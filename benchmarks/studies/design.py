@@ -95,7 +95,7 @@ def show_goals(result: dict[str, Any]) -> None:
 def recorded(n: int, first: int, env: str = "mpl", **choices: Any) -> tuple[Skin, Starts]:
     """Starts of `ANYWHERE` with a dense skin."""
     hand = hands.get(env)
-    skin = Skin.of([candidates.candidates(candidates.DesignFlags(), hand)], hand)
+    skin = Skin.of([candidates.candidates(candidates.DesignFlags(), hand)])
     config = setup(env, **{**scenes.load(ANYWHERE).on(env), **choices})
     first += 2 * gate.SEARCH * SEED
     return skin, record(env, config, skin, range(first, first + n), free_cores())
@@ -175,7 +175,7 @@ def judged(sets: dict[str, Layout], env: str, n: int, **choices: Any) -> dict[st
     """Success and share felt of layouts in the same unseen starts."""
     hand = hands.get(env)
     placed = {name: layout.place(hand) for name, layout in sets.items()}
-    skin = Skin.of(placed.values(), hand)
+    skin = Skin.of(placed.values())
     config = setup(env, **{**scenes.load(ANYWHERE).on(env), **choices})
     found = record(env, config, skin, range(JUDGED, JUDGED + n), free_cores())
     result = {}

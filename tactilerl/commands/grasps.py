@@ -58,15 +58,18 @@ def found_grasp(name: str, scene: GraspConfig) -> grasp_search.Found | None:
         return found
     screen.print(f"found no grasp that holds {size}: the best keeps it up {up}")
     screen.print("look at [opened] and [closed], or at the force of the servos")
-    _draw(name, scene, found.grasp, screen)
+    picture = Path(hands.file(name).with_suffix(".no_grasp.png").name)
+    draw(screen, "the best of them", name, scene, "grasp", picture, found.grasp)
     return None
 
 
-def _draw(name: str, scene: GraspConfig, grasp: ScriptedGrasp, screen: Console) -> None:
-    """The best grasp of those that do not hold, beside the hand's file."""
-    picture = Path(hands.file(name).with_suffix(".no_grasp.png").name)
+def draw(
+    screen: Console, what: str, name: str, scene: GraspConfig, pose: render.Pose, path: Path,
+    grasp: ScriptedGrasp | None = None,
+) -> None:  # fmt: skip
+    """A picture of a hand, and on the screen `what` it is, or why there is none."""
     try:
-        render.picture(name, scene, "grasp", Camera(azimuth=300.0), picture, grasp)
-        screen.print(f"{picture}: the best of them")
+        render.picture(name, scene, pose, Camera(azimuth=300.0), path, grasp)
+        screen.print(f"{path}: {what}")
     except (ImportError, OSError, InputError) as error:
         screen.print(f"no picture: {error}")

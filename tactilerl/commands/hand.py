@@ -8,22 +8,20 @@ import os
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import tyro
 
 from ..envs import hands
 from ..envs.grasp import setup
 from ..envs.hands import sandbox
-from ..envs.simulators import Camera
 from ..errors import InputError, input_errors
-from ..pictures import render
 from ..probe import doctor, grasp_search
 from ..runs.files import pasted, replacing
 from ..terminal import flags
 from ..terminal.console import console
 from ..terminal.help import About
-from .grasps import found_grasp
+from .grasps import draw, found_grasp
 
 ABOUT = About(
     "Write the file of a hand from its model, MJCF or URDF: what its parts are, its open and closed "
@@ -68,20 +66,15 @@ def main(args: list[str]) -> int:
     if found is not None:
         more = "" if shift is None else f"\n[pitch]\ndistal_shift = {shift:.4g}\n"
         _append(read.out, f"{more}\n{grasp_search.toml(hand, found.grasp)}\n")
-    picture, name = read.out.with_suffix(".png"), pasted(read.out)
-    try:
-        pose: render.Pose = "start" if found is None else "grasp"
-        render.picture(str(read.out), scene, pose, Camera(azimuth=300.0), picture)
-        console.print(
-            f"{picture}: {'the start' if found is None else 'the grasp'}, and the hand unrolled"
-        )
-    except (ImportError, OSError) as error:
-        console.print(f"no picture: {error}")
+    pose: Literal["start", "grasp"] = "start" if found is None else "grasp"
+    what, picture = f"the {pose}, and the hand unrolled", read.out.with_suffix(".png")
+    draw(console, what, str(read.out), scene, pose, picture)
     if found is None:
         return 1
     simulators = ["mujoco"] + ["pybullet"] * (importlib.util.find_spec("pybullet") is not None)
     for simulator in simulators:
         _try(read.out, simulator)
+    name = pasted(read.out)
     console.print(
         f"next: tactilerl doctor --env {name}    tactilerl train --env {name} --recipe steady"
     )

@@ -70,13 +70,3 @@ def _grid(surface: Surface, spacing: float, radius: float) -> tuple[tuple[float,
     columns = np.clip(np.arange(-beside, beside + 1) * spacing, -half_width, half_width)
     every = ((float(row), float(column)) for row in rows for column in columns)
     return tuple(place for place in every if not surface.is_gap(*place))
-
-
-def union(every: list[Layout], hand: Hand) -> Taxels:
-    """The taxels of several layouts, each place once, in the order of places."""
-    patches, points = (
-        tuple(x for each in every for x in getattr(each, part)) for part in ("patches", "taxels")
-    )
-    placed = Layout("all", "", patches, points).place(hand)
-    first = {place: index for index, place in reversed([*enumerate(of(placed))])}
-    return placed.take([first[place] for place in sorted(first)])

@@ -177,7 +177,7 @@ class Pool:
         free = candidates(flags, hand)
         beside = {name: layouts.load(name).place(hand) for name in flags.beside}
         kept = [layouts.load(flags.keep).place(hand)] if flags.keep else []
-        skin = Skin.of([free, *beside.values(), *kept], hand)
+        skin = Skin.of([free, *beside.values(), *kept])
         own = [column for taxels in kept for column in skin.columns(taxels)]
         columns = list(dict.fromkeys([*own, *skin.columns(free)]))
         return cls(flags, env, found, hand, skin, columns, len(own), beside)

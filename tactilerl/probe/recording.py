@@ -15,8 +15,7 @@ import numpy as np
 
 from ..envs import vector
 from ..envs.grasp import GraspConfig, GraspEnv
-from ..envs.hands import Hand
-from ..envs.layouts import Taxels, of_taxels
+from ..envs.layouts import Taxels
 from ..envs.simulators import SimulationError
 from ..envs.state import Array
 from ..envs.touch import RULES
@@ -34,9 +33,17 @@ class Skin:
     index: dict[places.Place, int]
 
     @classmethod
-    def of(cls, sets: Iterable[Taxels], hand: Hand) -> Skin:
-        every = places.union([of_taxels(taxels, hand, "all") for taxels in sets], hand)
-        return cls(every, {place: number for number, place in enumerate(places.of(every))})
+    def of(cls, sets: Iterable[Taxels]) -> Skin:
+        """In the order of places."""
+        rows: dict[places.Place, Any] = {}
+        for some in sets:
+            for place, *row in zip(
+                places.of(some), some.points, some.surfaces, some.offsets, strict=True
+            ):
+                rows.setdefault(place, row)
+        index = {place: number for number, place in enumerate(sorted(rows))}
+        points, surfaces, offsets = zip(*(rows[place] for place in index), strict=True)
+        return cls(Taxels(points, np.array(surfaces), np.array(offsets)), index)
 
     def columns(self, taxels: Taxels) -> list[int]:
         return [self.index[place] for place in places.of(taxels)]

@@ -115,7 +115,7 @@ def _require_felt(starts: Starts, pool: Pool, workers: int) -> None:
     """ValueError where no candidate feels anything in time, or touch has nothing to win."""
     name, scene, hand = pool.env, pool.scenes[0].config, pool.hand
     if not starts.good.any():
-        skin = Skin.of([places.skin("6mm", hand)], hand)
+        skin = Skin.of([places.skin("6mm", hand)])
         seen = record(name, scene, skin, range(CHOICE, CHOICE + FEW), workers)
         places_felt = sorted(
             f"{hand.surfaces[place.surface].digit}.{hand.surfaces[place.surface].segment}"

@@ -298,10 +298,6 @@ class TestResume:
         assert main(["evaluate", "run", "--episodes", "1"]) == 0
         assert main(["train", "--resume", "run"]) == 0
 
-
-class TestGoingOn:
-    """With the folder of a run that is there already."""
-
     def test_a_folder_whose_process_died_at_once_is_begun_anew(self):
         Path("run").mkdir()
         for name in (".lock", f".{'0' * 16}.tmp"):
@@ -368,6 +364,14 @@ class TestBadInput:
             (["train", "--resume", "nowhere", "--scene", "handover"], ["scene: found with resume"]),
             (["doctor", "--taxel-dead", "0.9"], ["--taxel-dead: found 0.9, which has no effect here"]),
             (["doctor", "--touch", "off"], ["--touch: "]),
+            (["train", "--touch", "off", "--taxel-dead", "0.1"], ["--taxel-dead: found 0.1, allowed"]),
+            (["train", "--sight-noise", "0.1", "0.1"], ["--sight-noise: found (0.1, 0.1), allowed"]),
+            (["train", "--object-size", "0.05..0.04"], ["--object-size: found '0.05..0.04'"]),
+            (["train", "--friction", "rough"], ["friction: found 'rough'"]),
+            (["train", "--touch-rule", "force", "--taxel-stuck", "0.1"], ["--taxel-stuck: found 0.1"]),
+            (["train", "--touch-rule", "smell"], ["found 'smell', allowed: skin, contact, force"]),
+            (["train", "--task", "fly"], ["task: found 'fly', allowed: lift-and-hold, reach-goal"]),
+            (["train", "--history", "0"], ["history: found 0"]),
             (["doctor", "--object-size", "0.04..0.05"], ["object: found several, or a range"]),
         ],
     )

@@ -45,24 +45,6 @@ def test_forces_are_learned_from(learner, env, simulator):
 
 
 @pytest.mark.parametrize(
-    ("flags", "named"),
-    [
-        (["--touch", "off", "--taxel-dead", "0.1"], "--taxel-dead: found 0.1, allowed only"),
-        (["--sight-noise", "0.1", "0.1"], "--sight-noise: found (0.1, 0.1), allowed only with"),
-        (["--object-size", "0.05..0.04"], "--object-size: found '0.05..0.04'"),
-        (["--friction", "rough"], "friction: found 'rough'"),
-        (["--touch-rule", "force", "--taxel-stuck", "0.1"], "--taxel-stuck: found 0.1"),
-        (["--touch-rule", "smell"], "touch-rule: found 'smell', allowed: skin, contact, force"),
-        (["--task", "fly"], "task: found 'fly', allowed: lift-and-hold, reach-goal"),
-        (["--history", "0"], "history: found 0"),
-    ],
-)
-def test_bad_values_are_one_line(flags, named, capsys):
-    fails_with(capsys, ["train", *flags, "--out", "run"], named)
-    assert not Path("run").exists()
-
-
-@pytest.mark.parametrize(
     ("train", "named"),
     [
         ('algo = ["ppo"]', "train: algo: found list"),

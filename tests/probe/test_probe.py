@@ -204,13 +204,22 @@ class TestMetrics:
     weights = np.concatenate([np.ones((1, 60), np.uint8), statistics.resample(rng, 60, 3).T])
     held = rng.random(60) < 0.5
 
-    def repeated(self, values):
-        return [np.repeat(values, counts, axis=0) for counts in self.weights]
+    @pytest.mark.parametrize(
+        ("name", "theirs", "truth", "guess"),
+        [
+            ("auc", roc_auc_score, held, rng.integers(5, size=(60, 1)) / 5),  # with ties
+            ("r2", r2_score, *rng.random((2, 60, 2))),
+            ("balanced_accuracy", balanced_accuracy_score, *rng.integers(3, size=(2, 60))),
+        ],
+    )
+    def test_are_those_of_scikit_learn(self, name, theirs, truth, guess):
+        each = [(np.repeat(truth, n, axis=0), np.repeat(guess, n, axis=0)) for n in self.weights]
+        expected = [theirs(one, other.squeeze()) for one, other in each]
+        assert np.allclose(metrics.measure(name, truth, guess, self.weights), expected)
 
-    def test_auc_counts_ties_half(self):
-        scores = self.rng.integers(5, size=(60, 1)) / 5
-        expected = map(roc_auc_score, self.repeated(self.held), self.repeated(scores[:, 0]))
-        assert np.allclose(metrics.measure("auc", self.held, scores, self.weights), list(expected))
+    def test_distance_is_in_mm(self):
+        truth, off = np.zeros((60, 2)), np.tile([0.003, 0.004], (60, 1))
+        assert np.allclose(metrics.measure("error_mm", truth, off, self.weights), 5.0)
 
     def test_bits_of_a_sure_and_right_answer_are_the_outcomes_entropy(self):
         sure = np.column_stack([self.held.astype(float), np.full(60, 0.25)])
@@ -221,26 +230,12 @@ class TestMetrics:
             0.0, abs=1e-9
         )
 
-    def test_r_squared_and_distance(self):
-        truth, guess = self.rng.random((2, 60, 2))
-        expected = map(r2_score, self.repeated(truth), self.repeated(guess))
-        assert np.allclose(metrics.measure("r2", truth, guess, self.weights), list(expected))
-        off = truth + np.array([0.003, 0.004])
-        assert np.allclose(metrics.measure("error_mm", truth, off, self.weights), 5.0)
-
     def test_angles_wrap(self):
         truth = np.array([[0.01, np.pi / 2]])
         angle = 4 * (np.pi / 2 - 0.01)
         guess = np.array([[np.cos(angle), np.sin(angle)]])
         error = metrics.measure("error_deg", truth, guess, np.ones((1, 1)))
         assert error[0] == pytest.approx(np.degrees(0.02))
-
-    def test_balanced_accuracy(self):
-        truth, guess = self.rng.integers(3, size=(2, 60))
-        expected = map(balanced_accuracy_score, self.repeated(truth), self.repeated(guess))
-        assert np.allclose(
-            metrics.measure("balanced_accuracy", truth, guess, self.weights), list(expected)
-        )
 
 
 def write(path, records):
