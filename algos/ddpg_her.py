@@ -13,7 +13,7 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
@@ -158,25 +158,19 @@ class GoalInputs:
         return torch.cat([scale(part.clamp(-self.limit, self.limit)) for scale, part in parts], dim=1)
 
 
-class GoalStats(NamedTuple):
-    """Moments of what a goal environment's observations are made of."""
-
-    obs: Normalizer
-    goal: Normalizer
-
-    @classmethod
-    def of(cls, spaces: Spaces, clip: float, comm: Communicator) -> GoalStats:
-        """Before anything was seen; normalised values will be cut at ±`clip`."""
-        n_goal, n_obs = goal_size(spaces.observation), flat_size(spaces.observation)
-        return cls(*(Normalizer(n, comm, clip) for n in (n_obs - n_goal, n_goal)))
-
-    def inputs(self, limit: float) -> GoalInputs:
-        """Of networks, as of now."""
-        return GoalInputs(self.obs.scaling(), self.goal.scaling(), limit)
+def _stats(config: DDPGHERConfig, spaces: Spaces, comm: Communicator) -> list[Normalizer]:
+    """Moments of observations and of goals, before anything was seen."""
+    n_goal, n_obs = goal_size(spaces.observation), flat_size(spaces.observation)
+    return [Normalizer(n, comm, config.norm_clip) for n in (n_obs - n_goal, n_goal)]
 
 
 def _policy(
-    config: DDPGHERConfig, spaces: Spaces, actor: MLP, stats: GoalStats, noise_factor: float = 1.0
+    config: DDPGHERConfig,
+    spaces: Spaces,
+    actor: MLP,
+    obs_stats: Normalizer,
+    goal_stats: Normalizer,
+    noise_factor: float = 1.0,
 ) -> Policy:
     """With that fraction of the noise."""
     noise = partial(
@@ -184,7 +178,8 @@ def _policy(
         noise_eps=noise_factor * config.noise_eps,
         random_eps=noise_factor * config.random_eps,
     )
-    return Policy(on_cpu(actor), stats.inputs(config.clip_obs), noise, spaces)
+    inputs = GoalInputs(obs_stats.scaling(), goal_stats.scaling(), config.clip_obs)
+    return Policy(on_cpu(actor), inputs, noise, spaces)
 
 
 class DDPGHER(Learner):
@@ -204,24 +199,20 @@ class DDPGHER(Learner):
             raise ValueError("max_episode_steps: found none, allowed environments with a limit")
         self.gamma = 1.0 - 1.0 / steps if config.gamma is None else config.gamma
         goals: Any = space["desired_goal"]  # type: ignore[index]
-        her = (
-            0.0 if np.array_equal(goals.low, goals.high) else REPLAY_P
-        )  # one goal is its own hindsight
+        is_single = np.array_equal(goals.low, goals.high)  # then it is its own hindsight
+        her = 0.0 if is_single else REPLAY_P
         self.replay_p = her if config.replay_p is None else config.replay_p
         self.config = dataclasses.replace(config, gamma=self.gamma, replay_p=self.replay_p)
         self.actor = new_actor(config.hidden, self.spaces, generator).to(self.device)
-        n_inputs, names = (
-            self._n_obs + n_privileged + n_actions,
-            self.spaces.inputs(PRIVILEGED, "action"),
-        )
+        n_inputs = self._n_obs + n_privileged + n_actions
+        names = self.spaces.inputs(PRIVILEGED, "action")
         self.critic = MLP((n_inputs, *config.hidden, 1), generator, inputs=names).to(self.device)
         self.target_actor, self.target_critic = copy.deepcopy((self.actor, self.critic))
         self.adam = FlatAdam((self.actor, config.actor_lr), (self.critic, config.critic_lr))
         self._target_vector = flatten(self.target_actor, self.target_critic).requires_grad_(False)
         comm.broadcast_(self.adam.vector)
         comm.broadcast_(self._target_vector)
-        self.stats = GoalStats.of(self.spaces, config.norm_clip, comm)
-        self.obs_stats, self.goal_stats = self.stats
+        self.obs_stats, self.goal_stats = _stats(config, self.spaces, comm)
         self.privileged_stats = flat_stats(self.spaces.privileged, config.norm_clip, comm)
         sizes, rewards = (self._n_obs - n_goal, n_goal, n_actions, n_privileged), workers.compute_reward
         rng = np.random.default_rng([seed, comm.rank, rollout.LEARN])
@@ -251,7 +242,8 @@ class DDPGHER(Learner):
 
     def policy(self) -> Policy:
         noise_factor = self.progress_remaining if self.config.anneal_noise else 1.0
-        return _policy(self.config, self.spaces, self.actor, self.stats, noise_factor)
+        parts = self.actor, self.obs_stats, self.goal_stats
+        return _policy(self.config, self.spaces, *parts, noise_factor)
 
     def _player(self, purpose: int) -> PlayEpisode[GoalObs]:
         """Plays episodes of this rank's own."""
@@ -345,7 +337,8 @@ class DDPGHER(Learner):
         """The critic's inputs but for actions (n, obs + goal + privileged), actions (n, d) and the
         critic's targets (n,)."""
         config, limit = self.config, self.config.clip_obs
-        scaled, scale_privileged = self.stats.inputs(limit), self.privileged_stats.scaling()
+        scaled = GoalInputs(self.obs_stats.scaling(), self.goal_stats.scaling(), limit)
+        scale_privileged = self.privileged_stats.scaling()
         inputs, next_inputs = (
             torch.cat([scaled(obs, batch.goal), scale_privileged(values.clamp(-limit, limit))], dim=1)
             for obs, values in ((batch.obs, batch.privileged), (batch.next_obs, batch.next_privileged))
@@ -389,6 +382,6 @@ class DDPGHER(Learner):
     @staticmethod
     def saved_policy(config: DDPGHERConfig, spaces: Spaces, saved: dict[str, Any]) -> Policy:
         actor = new_actor(config.hidden, spaces, torch.Generator())
-        stats = GoalStats.of(spaces, config.norm_clip, Communicator())
-        restore({"actor": actor, "obs_stats": stats.obs, "goal_stats": stats.goal}, saved)
-        return _policy(config, spaces, actor, stats)
+        obs_stats, goal_stats = _stats(config, spaces, Communicator())
+        restore({"actor": actor, "obs_stats": obs_stats, "goal_stats": goal_stats}, saved)
+        return _policy(config, spaces, actor, obs_stats, goal_stats)

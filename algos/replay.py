@@ -120,10 +120,9 @@ class Replay:
                 f"gave: an array with a reward for each row of goals, here {_short(lived)}"
             )
 
-    def _shapes(self, n_boolean: int | None = None) -> dict[str, tuple[tuple[int, int], type]]:
+    def _shapes(self) -> dict[str, tuple[tuple[int, int], type]]:
         """Shape and type of every column; a row is one step of one slot."""
-        n_boolean = self.n_boolean if n_boolean is None else n_boolean
-        n_obs, n_goal, n_action, n_privileged = self.sizes
+        n_boolean, (n_obs, n_goal, n_action, n_privileged) = self.n_boolean, self.sizes
         rows = self.n_slots * self._rows
         return {
             "obs": ((rows, n_obs - n_boolean), np.float32),

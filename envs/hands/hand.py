@@ -302,9 +302,8 @@ class Hand:
     """Targets by actuator of the open hand, from where fingers that close in groups set off, rad."""
     closed: dict[str, float] = field(default_factory=dict)
     """Targets of the same actuators where the hand is closed, rad."""
-    groups: tuple[tuple[str, ...], ...] = ()
-    """The actuators that close together, each in one group."""
-    group_names: tuple[str, ...] = ()
+    groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    """The actuators that close together, each in one group, by what that is called."""
     notes: tuple[str, ...] = ()
     """What to know of it: what was left out or put in of its model, and what it cannot do."""
     finger_length: float = 0.1
@@ -322,7 +321,7 @@ class Hand:
         """The hand with its slides standing still and fingers that close and open again, from where
         they are `start` of the way from open to closed: all by one action ("grip") or group by group
         ("fingers")."""
-        action, names = self.closing(np.zeros(0), np.zeros((0, 2)), CLOSING_STEP), self.group_names
+        action, names = self.closing(np.zeros(0), np.zeros((0, 2)), CLOSING_STEP), tuple(self.groups)
         opened = action.open + start * (action.closed - action.open)
         pose = dict(zip(self.actuated, opened.tolist(), strict=True))
         pose |= {coupling.joint: coupling.at(pose[coupling.driver]) for coupling in self.couplings}
@@ -340,7 +339,7 @@ class Hand:
             np.array([ends.get(name, self.start.get(joint, 0.0)) for name, joint in driven])
             for ends in (self.opened, self.closed)
         )
-        groups = tuple(np.array([self.actuators.index(n) for n in group]) for group in self.groups)
+        groups = tuple(np.array([*map(self.actuators.index, own)]) for own in self.groups.values())
         return ClosingAction(slide_step, slide_limits, closing_step, groups, opened, closed)
 
     def start_above(self, width: float, height: float) -> Hand:

@@ -51,9 +51,8 @@ def load(path: Path) -> Hand:
         parts = Parts(data, path.parent)
         hand = _hand(parts, path)
         if parts.is_own:
-            timestep = number(
-                table(data, "scene").get("timestep", TIMESTEP), "scene.timestep", 1e-5, 1.0
-            )
+            timestep = table(data, "scene").get("timestep", TIMESTEP)
+            timestep = number(timestep, "scene.timestep", 1e-5, 1.0)
             with models.quiet():
                 hand = replace(hand, notes=hand.notes + checks.examine(hand, parts, timestep))
         return hand
@@ -62,7 +61,7 @@ def load(path: Path) -> Hand:
 def _hand(parts: Parts, path: Path) -> Hand:
     data, sides = parts.data, surfaces.of(parts)
     mount, at = _hung(parts)
-    grasps, groups = _grasps(parts, at, data.get("grasp", [])), _groups(parts)
+    grasps = _grasps(parts, at, data.get("grasp", []))
     kept = () if grasps else _grasps(parts, at, _kept(path))
     actuators = (*SLIDES, *parts.driven.values())
     hand = Hand(
@@ -88,8 +87,7 @@ def _hand(parts: Parts, path: Path) -> Hand:
         grasps=grasps or kept,
         opened={parts.driven[joint]: angle for joint, angle in parts.opened.items()},
         closed={parts.driven[joint]: angle for joint, angle in parts.closed.items()},
-        groups=tuple(groups.values()),
-        group_names=tuple(groups),
+        groups=_groups(parts),
         notes=_notes(parts),
         finger_length=_finger_length(parts, sides),
         reach=_reach(parts),
@@ -312,4 +310,4 @@ def _with_actions(data: dict[str, Any], hand: Hand) -> Hand:
         np.array([interval(pair, "slides.limits") for pair in limits]),
         number(actions.get("step", CLOSING_STEP), "actions.step", 0.0),
     )
-    return replace(hand, action_map=action, action_names=(*SLIDES, *hand.group_names))
+    return replace(hand, action_map=action, action_names=(*SLIDES, *hand.groups))

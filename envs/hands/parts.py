@@ -97,11 +97,10 @@ class Parts:
     @cached_property
     def mount(self) -> Mount:
         """Of the model where its file has it."""
-        ranges = {
-            joint: interval(value, f"ranges.{pattern}")
-            for pattern, value in table(self.data, "ranges").items()
-            for joint in self.matching(pattern, "ranges")
-        }
+        ranges: dict[str, tuple[float, ...]] = {}
+        for pattern, value in table(self.data, "ranges").items():
+            joints = self.matching(pattern, "ranges")
+            ranges |= dict.fromkeys(joints, interval(value, f"ranges.{pattern}"))
         return replace(
             self.asked,
             palm=self.palm_frame.link,
@@ -133,14 +132,10 @@ class Parts:
         move."""
         named = strings(self.data["passive"], "passive") if "passive" in self.data else ()
         found = [joint for pattern in named for joint in self.matching(pattern, "passive")]
-        moved = {
-            joint
-            for key in ("opened", "closed", "start")
-            for joint in self.angles(table(self.data, key), key, False)
-        }
-        return tuple(
-            dict.fromkeys([*found, *(j for j in mounting.in_loops(self.raw) if j not in moved)])
-        )
+        keys = "opened", "closed", "start"
+        moved = set().union(*(self.angles(table(self.data, key), key, False) for key in keys))
+        found += [joint for joint in mounting.in_loops(self.raw) if joint not in moved]
+        return tuple(dict.fromkeys(found))
 
     @cached_property
     def spec(self) -> mujoco.MjSpec:

@@ -79,9 +79,8 @@ def _ask(job: str, what: str, args: tuple[Any, ...], beside: Path) -> Any:
         _run(what, folder)
         kind, result = pickle.loads(Path(folder, RESULT).read_bytes())
     if kind:
-        raise KINDS[kind](
-            result.replace(f"{beside.absolute()}/", "" if beside == Path() else f"{beside}/")
-        )
+        asked = "" if beside == Path() else f"{beside}/"
+        raise KINDS[kind](result.replace(f"{beside.absolute()}/", asked))
     return result
 
 

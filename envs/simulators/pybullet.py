@@ -158,9 +158,7 @@ class PyBulletSimulator(Simulator):
         limits, gains = [], []
         for actuator, joint in zip(hand.actuators, hand.actuated, strict=True):
             servo, moved = model.actuator(actuator), model.joint(joint)
-            arm = float(
-                servo.gainprm[0] / -servo.biasprm[1]
-            )  # force on the joint by force of the servo
+            arm = float(servo.gainprm[0] / -servo.biasprm[1])  # force on the joint by the servo's
             damping = model.dof_damping[moved.dofadr[0]] - servo.biasprm[2]
             unlimited = servo.gainprm[0] * np.ptp(moved.range)
             limits.append(float(servo.forcerange[1] if servo.forcelimited[0] else unlimited) * arm)

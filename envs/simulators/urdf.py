@@ -32,10 +32,7 @@ def from_model(model: mujoco.MjModel, folder: Path) -> str:
     """The text, with the convex hulls of meshes as files in `folder`; ValueError when the model has a
     joint or a shape that URDF has not."""
     if loops := np.isin(model.eq_type, _LOOPS).sum():
-        raise ValueError(
-            f"simulator: found 'pybullet' with {loops} closed loops in the hand's model, allowed for "
-            "PyBullet: none"
-        )
+        raise _unknown(f"{loops} closed loops in the hand's model", "none")
     robot = Element("robot", name="hand")
     _link(robot, WORLD, 0.0, np.zeros(3))
     for body in range(1, model.nbody):
@@ -43,6 +40,10 @@ def from_model(model: mujoco.MjModel, folder: Path) -> str:
         _add_joints(robot, model, body)
     ElementTree.indent(robot)  # Bullet reads lines, and long ones not to their end
     return ElementTree.tostring(robot, encoding="unicode")
+
+
+def _unknown(found: str, allowed: str) -> ValueError:
+    return ValueError(f"simulator: found 'pybullet' with {found}, allowed for PyBullet: {allowed}")
 
 
 def _add_link(robot: Element, model: mujoco.MjModel, body: int, folder: Path) -> None:
@@ -86,11 +87,8 @@ def _shape(parent: Element, model: mujoco.MjModel, geom: int, folder: Path) -> N
         path.write_text(_hull(model, int(model.geom_dataid[geom])), encoding="utf-8")
         SubElement(parent, name, filename=str(path))
     else:
-        raise ValueError(
-            f"simulator: found 'pybullet' with a geom of body "
-            f"{model.body(model.geom_bodyid[geom]).name!r} that is an {name}, allowed for PyBullet: "
-            "box, capsule, cylinder, sphere, mesh"
-        )
+        found = f"a geom of body {model.body(model.geom_bodyid[geom]).name!r} that is an {name}"
+        raise _unknown(found, "box, capsule, cylinder, sphere, mesh")
 
 
 def _hull(model: mujoco.MjModel, mesh: int) -> str:
@@ -121,17 +119,13 @@ def _add_joints(robot: Element, model: mujoco.MjModel, body: int) -> None:
         _origin(joint, model.body_pos[body], model.body_quat[body])
     for number, index in enumerate(joints):
         if int(model.jnt_type[index]) not in _JOINTS or np.any(model.jnt_pos[index]):
-            raise ValueError(
-                f"simulator: found 'pybullet' with joint {model.joint(index).name!r}, whose anchor is "
-                "not its body's origin, allowed for PyBullet: hinges and slides at the origin"
-            )
-        is_last = index == joints[-1]
-        child = name if is_last else f"{name} {number}"
-        if not is_last:
-            _link(robot, child, 0.0, np.zeros(3))
-        joint = _joint(
-            robot, model.joint(index).name, _JOINTS[int(model.jnt_type[index])], parent, child
-        )
+            found = f"joint {model.joint(index).name!r}, whose anchor is not its body's origin"
+            raise _unknown(found, "hinges and slides at the origin")
+        child = name
+        if index != joints[-1]:
+            child = _link(robot, f"{name} {number}", 0.0, np.zeros(3)).attrib["name"]
+        kind = _JOINTS[int(model.jnt_type[index])]
+        joint = _joint(robot, model.joint(index).name, kind, parent, child)
         if number == 0:
             _origin(joint, model.body_pos[body], model.body_quat[body])
         SubElement(joint, "axis", xyz=_text(model.jnt_axis[index]))

@@ -86,7 +86,7 @@ class TestHand:
         hand = hands.get(GRIPPER)
         assert hand.digits == ("left", "right", "back")
         assert [s.segment for s in hand.surfaces] == ["proximal", "distal"] * 3 + ["palm"]
-        assert hand.group_names == ("closing of left", "closing of right", "closing of back")
+        assert [*hand.groups] == ["closing of left", "closing of right", "closing of back"]
         assert hand.actuated[:3] == hands.SLIDES
         assert len(hand.joints) == len(hand.actuated) == 9  # all joints got servos
 
