@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from collections.abc import Callable
 from contextlib import closing, suppress
@@ -14,9 +13,9 @@ import tyro
 
 from ..envs.grasp import GraspConfig, GraspEnv, setup
 from ..envs.simulators import SimulationError
-from ..envs.vector import previously
+from ..envs.vector import LocalPlayer
 from ..errors import InputError, input_errors
-from ..pictures.render import HOLD_SECONDS
+from ..pictures.render import staged
 from ..terminal import flags
 from ..terminal.console import console
 from ..terminal.help import About
@@ -91,18 +90,10 @@ def _waiting(hand: str, scene: GraspConfig) -> tuple[GraspEnv, Callable[[int], N
 
 def _playing(run: Path) -> tuple[GraspEnv, Callable[[int], None]]:
     """The policy of a run, in the episodes that `evaluate` plays."""
-    from ..runs import evaluation, policies  # import PyTorch
-
-    config, policy, *_ = policies.read_run(run)
-    if config.scene is None:
-        found = f"found a run on {config.run.env!r}"
-        raise InputError(f"{run}: {found}, allowed runs of grasping scenes")
-    scene = dataclasses.replace(config.scene, hold_seconds=HOLD_SECONDS)
-    env = dataclasses.replace(config, scene=scene).make_env(render_mode="rgb_array")
-    task = evaluation.task(policy)
+    env, task, _ = staged(run)
+    player = LocalPlayer(env)
 
     def play(number: int) -> None:
-        previously(task, env, number)
-        task(env, number, lambda: True)
+        player.play(task, number, lambda: True)
 
     return env, play

@@ -12,11 +12,12 @@ from typing import Any, Literal
 import numpy as np
 import torch
 
+from ..algos.rollout import Episode
 from ..envs import scripted
 from ..envs.grasp import READS, GraspConfig, GraspEnv
 from ..envs.hands import ScriptedGrasp
 from ..envs.simulators import Camera, Simulator
-from ..envs.vector import previously
+from ..envs.vector import Job, previously
 from ..errors import InputError
 from ..runs.files import MAKER, is_picture, replacing, require_ours
 from ..style import ROLES
@@ -67,24 +68,29 @@ def _beside(env: GraspEnv, camera: Camera) -> np.ndarray:
     return np.hstack([found, drawn])
 
 
+def staged(run: Path, hold_seconds: float = HOLD_SECONDS) -> tuple[GraspEnv, Job[Episode[Any]], int]:
+    """A run's own scene, with hold tests of so many seconds, who plays its policy there, and with how
+    many threads; InputError when that is no grasping scene."""
+    from ..runs import evaluation, policies
+
+    config, policy, *_ = policies.read_run(run)
+    if config.scene is None:
+        raise InputError(f"{run}: found a run on {config.run.env!r}, allowed runs of grasping scenes")
+    scene = replace(config.scene, hold_seconds=hold_seconds)
+    env: GraspEnv = replace(config, scene=scene).make_env(render_mode="rgb_array")
+    return env, evaluation.task(policy), config.run.threads
+
+
 class _Player:
     """Shows a run's policy in its own scene, with a line above: who plays, which start, what came of
     it."""
 
     def __init__(self, run: Path, hold_seconds: float, camera: Camera) -> None:
-        from ..runs import evaluation, policies
-
-        config, policy, *_ = policies.read_run(run)
-        if config.scene is None:
-            raise InputError(
-                f"{run}: found a run on {config.run.env!r}, allowed runs of grasping scenes"
-            )
-        self.name, self.label = run.name, ROLES.get(config.scene.touch, config.scene.touch)
-        self._threads, self._task = config.run.threads, evaluation.task(policy)
-        scene = replace(config.scene, hold_seconds=hold_seconds)
+        self.env, self._task, self._threads = staged(run, hold_seconds)
+        scene = self.env.config
+        self.name, self.label = run.name, ROLES.get(scene.touch, scene.touch)
         every = max(1, int(1 / FPS / scene.timestep + 1e-6))
         self.fps = 1 / (every * scene.timestep)
-        self.env = replace(config, scene=scene).make_env(render_mode="rgb_array")
         self._map = TaxelMap(self.env.hand, self.env.taxels, UNROLLED) if scene.touch in READS else None
         self._camera, self._successes = camera, 0
         self._show: Callable[[], None] = lambda: None

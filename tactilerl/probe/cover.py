@@ -50,6 +50,12 @@ class Starts:
         return self.succeeds[np.arange(len(self))[:, None], self.fires]
 
     @property
+    def worth(self) -> Array:
+        """(m,) in [0, 1]: the share of starts that each taxel alone would win. Of sets that are equally
+        good, the one whose taxels feel more is the likelier to feel starts that nobody has seen."""
+        return np.asarray(self.weights @ self.good)
+
+    @property
     def early(self) -> Array:
         """(m,) bool: taxels that fire in any start before the object has set off."""
         return np.asarray((self.fires < self.sets_off[:, None]).any(axis=0))
@@ -130,7 +136,7 @@ def greedy(
 ) -> list[int]:
     """`k` taxels one after another, then up to `rounds` swaps as long as one gains something; those
     `kept` stay."""
-    chosen, every, ties = list(kept), np.arange(starts.fires.shape[1]), _breadth(starts)
+    chosen, every, ties = list(kept), np.arange(starts.fires.shape[1]), starts.worth
 
     def best(rests: list[list[int]], redundancy: int) -> tuple[float, list[int]]:
         sets = np.array([[*rest, j] for rest in rests for j in every if j not in rest], int)
@@ -165,12 +171,6 @@ def choose(
     return Chosen(sorted(found), least, max(bound, least) if bound is not None else None)
 
 
-def _breadth(starts: Starts) -> Array:
-    """(m,) in [0, 1]: the share of starts that each taxel alone would win. Of sets that are equally
-    good, the one whose taxels feel more is the likelier to feel starts that nobody has seen."""
-    return np.asarray(starts.weights @ starts.good)
-
-
 def _exact(
     starts: Starts, k: int, redundancy: int, kept: Sequence[int], nodes: int
 ) -> tuple[list[int] | None, float | None]:
@@ -182,7 +182,7 @@ def _exact(
         return None, 0.0
     lower, upper = np.zeros(m + n), np.ones(m + n)
     lower[list(kept)] = 1.0
-    ties = 0.1 * starts.weights.min() / k * _breadth(starts)
+    ties = 0.1 * starts.weights.min() / k * starts.worth
     data, columns, limits = zip(*rows, strict=True)
     pointers = np.cumsum([0, *map(len, columns)])
     matrix = sparse.csr_array(

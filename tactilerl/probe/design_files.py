@@ -54,10 +54,6 @@ def write(found: Design, out: Path | None) -> list[Path]:
         return [out]
     from . import figures
 
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot make the folder {str(out)!r}: {error.strerror}") from error
     with locked(out):
         files = [out / f"design_{n}.toml" for n in found.chosen]
         for n, path in zip(found.chosen, files, strict=True):

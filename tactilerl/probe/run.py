@@ -37,21 +37,12 @@ def grasps(read: Options, held: ExitStack, show: Callable[[int], None]) -> tuple
         if not hands.is_hand(env):
             raise InputError(f"{source}: found grasps of {env!r}, allowed: {hands.allowed()}")
         _placed(read.analysis, hands.get(env))
-        return played, _held(out or source.parent, held)
+        held.enter_context(locked(out := out or source.parent))
+        return played, out
     _placed(read.analysis, hands.get(asked.env))
     name = f"{hands.file(asked.env).stem}_{asked.config.simulator}"
-    out = _held(out or Path("probes") / name, held)
+    held.enter_context(locked(out := out or Path("probes") / name))
     return files.play(out / "grasps.npz", asked, read.output.workers or free_cores(), show), out
-
-
-def _held(out: Path, held: ExitStack) -> Path:
-    """The folder, made and locked."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"cannot make the folder {str(out)!r}: {error.strerror}") from error
-    held.enter_context(locked(out))
-    return out
 
 
 @input_errors()

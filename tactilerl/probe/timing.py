@@ -61,7 +61,7 @@ def design(pool: Pool, workers: int, show: Callable[[int, int], None]) -> Design
         "beside": best and best["layout"],
         "rows": rows,
     }
-    return pool.design(chosen, starts.weights @ starts.good, about)
+    return pool.design(chosen, starts.worth, about)
 
 
 class _Judge:

@@ -168,7 +168,8 @@ def own_folder(path: Path) -> Path:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Keep other processes from writing to a folder; BusyError naming the one that does.
+    """Keep other processes from writing to a folder, made where there is none; BusyError naming the one
+    that does.
 
     The system releases the lock when the process ends, however it ends. What a process left that was
     killed while it wrote is dropped.
@@ -177,6 +178,7 @@ def locked(folder: Path) -> Iterator[None]:
     try:
         with ExitStack() as held:
             with writable(path):
+                folder.mkdir(parents=True, exist_ok=True)
                 held.enter_context(filelock.FileLock(path, timeout=PATIENCE))
                 with open(path, "w", encoding="utf-8", opener=no_link) as file:
                     file.write(f"process {os.getpid()} on {platform.node()}")

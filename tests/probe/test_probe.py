@@ -443,7 +443,7 @@ class TestBadInput:
             (["--taxel-dead", "0.6", "--taxel-stuck", "0.6"], "--taxel-stuck: found 1.2 with"),
             (["--joint-noise", "-1"], "--joint-noise: found -1"),
             (["--folds", "1"], "folds: found 1"),
-            (["--out", "/dev/null/x"], "cannot make the folder '/dev/null/x'"),
+            (["--out", "/dev/null/x"], "cannot write '/dev/null/x"),
             (["--from", "x.npz", "--friction", "2"], "--friction"),
         ],
     )
