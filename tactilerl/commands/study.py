@@ -270,16 +270,15 @@ class Compare:
         rows = parts.compare(a, b, self.score)
         differing = parts.differing(a, b)
         if self.json:
-            print(_json({"differing": differing, "rows": [one.as_dict() for one in rows]}))
+            print(_json({"differing": differing, "rows": rows}))
             return
         columns = ("", "runs", "steps", "pairs", "difference", "p", "p, Holm")
         table = Table(*columns, title=f"{self.a} − {self.b}: {self.score}", box=box.SIMPLE_HEAD)
         for one in rows:
-            gap = one.pairs.difference
-            shown = f"{gap.value:+.3f} ({gap.low:+.3f}–{gap.high:+.3f})"
-            sizes = f"{one.runs[0]} / {one.runs[1]}", f"{one.until:,.0f}", str(len(one.pairs))
-            p_values = one.pairs.p_value, one.p_holm
-            table.add_row(one.place, *sizes, shown, *(f"{p:.3f}" if p == p else "–" for p in p_values))
+            gap = "{value:+.3f} ({low:+.3f}–{high:+.3f})".format(**one)
+            sizes = "{} / {}".format(*one["runs"]), f"{one['until']:,.0f}", str(one["pairs"])
+            p_values = (f"{p:.3f}" if p == p else "–" for p in (one["p"], one["p_holm"]))
+            table.add_row(one["place"], *sizes, gap, *p_values)
         console.print(table)
         console.print(f"they differ in: {'; '.join(differing) or 'nothing'}")
 

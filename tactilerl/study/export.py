@@ -11,35 +11,30 @@ import pandas as pd
 
 from .. import statistics
 from ..statistics import Array
-from .analysis import Analysis, SetupResult
+from .analysis import Analysis
 from .grid import SCORES
+
+COLUMNS = ["setup", "setting", "arm", "score", "n", "estimate", "low", "high", "p_holm"]
 
 
 def scores(analysis: Analysis) -> bytes:
     """A row for each arm and score, and for each difference in pairs: its estimate, low and high."""
-    return pd.DataFrame(_rows(analysis)).to_csv(index=False, lineterminator="\n").encode()
+    table = pd.DataFrame(_rows(analysis), columns=COLUMNS)
+    return table.to_csv(index=False, lineterminator="\n").encode()
 
 
-def _rows(analysis: Analysis) -> Iterator[dict[str, Any]]:
+def _rows(analysis: Analysis) -> Iterator[tuple[Any, ...]]:
+    primary = analysis.study.primary.score
     for one in analysis.setups:
         for (cell, arm), group in one.groups.items():
             for score in SCORES:
-                mean = statistics.mean(group.scores[score], group.counts)._asdict()
-                yield _row(one, cell, one.setup.label(arm), score, len(group), mean)
+                mean = statistics.mean(group.scores[score], group.counts)
+                yield one.setup.name, cell, one.setup.label(arm), score, len(group), *mean, None
         difference = " − ".join(map(one.setup.label, one.setup.arms[:2]))
         for cell, found in one.comparisons.items():
-            verdict = found.verdict
-            primary = {analysis.study.primary.score: verdict.pairs}
-            for score, pairs in (primary | found.secondary).items():
-                row = _row(one, cell, difference, score, len(pairs), pairs.difference._asdict())
-                yield row | ({"p_holm": verdict.p_holm} if score in primary else {})
-
-
-def _row(
-    one: SetupResult, cell: str, arm: str, score: str, n: int, found: dict[str, float]
-) -> dict[str, Any]:
-    estimate = {"estimate": found["value"], "low": found["low"], "high": found["high"]}
-    return {"setup": one.setup.name, "setting": cell, "arm": arm, "score": score, "n": n} | estimate
+            for score, pairs in ({primary: found.verdict.pairs} | found.secondary).items():
+                p_holm = found.verdict.p_holm if score == primary else None
+                yield one.setup.name, cell, difference, score, len(pairs), *pairs.difference, p_holm
 
 
 def arrays(analysis: Analysis) -> bytes:
@@ -50,16 +45,15 @@ def arrays(analysis: Analysis) -> bytes:
     found: dict[str, Array] = {}
     for one in analysis.setups:
         for arm in one.setup.arms:
-            by_seed = [
-                dict(zip(group.seeds, group.scores[analysis.study.primary.score], strict=True))
-                for (_, other), group in one.groups.items()
+            table = pd.DataFrame({
+                cell: pd.Series(group.scores[analysis.study.primary.score], group.seeds)
+                for (cell, other), group in one.groups.items()
                 if other == arm
-            ]
-            seeds = [seed for seed in one.setup.seeds if all(seed in each for each in by_seed)]
-            if by_seed and seeds:
+            })  # fmt: skip
+            table = table.reindex(one.setup.seeds).dropna()
+            if table.size:
                 parts = [one.setup.name if len(analysis.setups) > 1 else "", one.setup.label(arm)]
-                table = [[each[seed] for each in by_seed] for seed in seeds]
-                found[", ".join(filter(None, parts))] = np.array(table)
+                found[", ".join(filter(None, parts))] = table.to_numpy()
     file = io.BytesIO()
     np.savez(file, **found)  # type: ignore[arg-type]
     return file.getvalue()

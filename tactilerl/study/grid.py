@@ -137,9 +137,7 @@ class Setup:
 
     def label(self, arm: str) -> str:
         """What an arm is called wherever it is shown: `touch`, `polyak 0.9`."""
-        if self.compare is None or self.is_touch:
-            return ROLES.get(arm, arm or "all")
-        return f"{self.compare.flag.replace('_', ' ')} {arm}"
+        return _told(self.compare.flag, arm) if self.compare else arm or "all"
 
     def runs(self, seed: int) -> Iterator[Run]:
         """Those of one seed, in order of the grid."""

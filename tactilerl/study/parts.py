@@ -7,39 +7,17 @@ Groups of runs are compared that have the same other names in both parts.
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from .. import statistics
 from ..errors import InputError
-from .records import Record, load
-from .verdicts import Pairs, in_pairs, scored, span
+from .records import Record, load, settings
+from .verdicts import in_pairs, scored, span
 
 UNTOLD = ("seed", "workers", "threads", "tensorboard")
 Place = tuple[str, ...]
 """Names of set-up, cell and arm that nobody chose."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """One group of runs in both parts."""
-
-    place: str
-    runs: tuple[int, int]
-    until: float
-    """Steps over which they are compared: those of the shortest run."""
-    pairs: Pairs
-    """Of the seeds that both have."""
-    p_holm: float
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
-        counts = {"runs": self.runs, "until": self.until, "pairs": len(self.pairs)}
-        p_values = {"p": self.pairs.p_value, "p_holm": self.p_holm}
-        return {"place": self.place, **counts, **self.pairs.difference._asdict(), **p_values}
 
 
 Part = dict[Place, list[Record]]
@@ -61,8 +39,10 @@ def read(text: str) -> Part:
     return part
 
 
-def compare(a: Part, b: Part, score: str) -> list[Row]:
-    """`a` minus `b`, in every group that both have."""
+def compare(a: Part, b: Part, score: str) -> list[dict[str, Any]]:
+    """`a` minus `b`, a row for every group that both have: its `place`, the `runs` of each, `until`
+    which step they are compared (the end of the shortest run), the number of `pairs` of the same seed,
+    the difference (`value`, `low`, `high`) and its `p` and `p_holm`."""
     if len(a) == len(b) == 1:
         pairs = [(next(iter(a)), next(iter(b)))]
     else:
@@ -70,7 +50,7 @@ def compare(a: Part, b: Part, score: str) -> list[Row]:
     if not pairs:
         names = (", ".join(" ".join(place) for place in part) for part in (a, b))
         raise InputError("compare: found {} in one and {} in the other, nothing in both".format(*names))
-    rows = []
+    rows: list[dict[str, Any]] = []
     for at_a, at_b in pairs:
         both = a[at_a], b[at_b]
         begin, end = span([*both[0], *both[1]])
@@ -82,19 +62,18 @@ def compare(a: Part, b: Part, score: str) -> list[Row]:
         compared, place = in_pairs(scored(score, *both)), " ".join(at_a) or "all"
         if not len(compared):
             raise InputError(f"compare: {place}: found no seed that both have, needed for pairs")
-        rows.append(Row(place, (len(both[0]), len(both[1])), end, compared, np.nan))
-    corrected = statistics.holm([row.pairs.p_value for row in rows])
-    return [replace(row, p_holm=float(p)) for row, p in zip(rows, corrected, strict=True)]
+        counts = {"runs": [*map(len, both)], "until": end, "pairs": len(compared)}
+        gap = compared.difference._asdict()
+        rows.append({"place": place, **counts, **gap, "p": compared.p_value})
+    corrected = statistics.holm([row["p"] for row in rows])
+    return [row | {"p_holm": float(p)} for row, p in zip(rows, corrected, strict=True)]
 
 
 def differing(a: Part, b: Part) -> list[str]:
     """What the first runs of both parts were told differently, besides the seed; and their commits."""
     configs = [next(iter(part.values()))[0].config or {} for part in (a, b)]
-    flat = [
-        {k: v for name in ("run", "scene", "learner") for k, v in (c.get(name) or {}).items()}
-        | {"commit": str((c.get("provenance") or [{}])[-1].get("commit"))[:12]}
-        for c in configs
-    ]
+    commits = [str((c.get("provenance") or [{}])[-1].get("commit"))[:12] for c in configs]
+    flat = [settings(c) | {"commit": made} for c, made in zip(configs, commits, strict=True)]
     names = [name for name in flat[0] | flat[1] if name not in UNTOLD]
     values = {name: [one.get(name) for one in flat] for name in names}
     return [f"{name} {x} − {y}" for name, (x, y) in values.items() if x != y]

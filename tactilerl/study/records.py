@@ -11,13 +11,12 @@ study to another, with rsync for example. A packed file has the JSON and CSV fil
 
 from __future__ import annotations
 
-import csv
 import io
 import json
 import math
 import os
 import tarfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from gzip import GzipFile
@@ -28,6 +27,7 @@ import filelock
 import numpy as np
 
 from ..errors import InputError
+from ..runs.config import PARTS
 from ..runs.files import LEFTOVER, MAX_JSON, content, damage_named, replacing, unzip, writable
 from ..runs.progress_csv import Row, parse
 from ..runs.run_dir import RunDir, as_record
@@ -102,6 +102,11 @@ def _asked(run: Run, config: dict[str, Any]) -> float:
         return math.inf
 
 
+def settings(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Every value of a config.json by its flag."""
+    return {flag: value for name in PARTS for flag, value in (config.get(name) or {}).items()}
+
+
 class StudyFiles:
     """The files of a study: a folder, or a packed file."""
 
@@ -138,7 +143,8 @@ class StudyFiles:
         """What there is of a run now."""
         name, nothing = f"{RUNS}/{run.name}", (list[Row](), "")
         config, unread = self._parsed(f"{name}/config.json", _config, None)
-        (rows, cut), damaged = self._parsed(f"{name}/progress.csv", _rows, nothing)
+        table = f"{name}/progress.csv"
+        (rows, cut), damaged = self._parsed(table, lambda data: parse(data.decode()), nothing)
         failure, _ = self._parsed(f"{name}.json", _failure, "")
         record = Record(run, "left", failure or unread or damaged or cut, config, rows)
         state: State = "interrupted" if config or unread else "left"
@@ -198,14 +204,9 @@ class StudyFiles:
 
 
 def _config(data: bytes) -> dict[str, Any]:
-    config = json.loads(data[: MAX_JSON + 1])
-    config = as_record(config)
+    config = as_record(json.loads(data[: MAX_JSON + 1]))
     config["run"].pop("out", None)
     return config
-
-
-def _rows(data: bytes) -> tuple[list[Row], str]:
-    return parse(data.decode())
 
 
 def _failure(data: bytes) -> str:
@@ -236,17 +237,13 @@ def collect(path: Path, out: Path | None = None) -> Path:
     """Pack what there is of a study into one file; returns it."""
     out = out or path / PACKED
     study, records = load(path)
-    files = {STUDY: _study(study)}
+    here, files = StudyFiles(path), {STUDY: _study(study)}
     for record in records:
         name = f"{RUNS}/{record.run.name}"
         if record.config is not None:
             files[f"{name}/config.json"] = json.dumps(record.config).encode()
         if record.rows:
-            text = io.StringIO()
-            writer = csv.DictWriter(text, list(record.rows[0]), lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(record.rows)
-            files[f"{name}/progress.csv"] = text.getvalue().encode()
+            files[f"{name}/progress.csv"] = here.read(f"{name}/progress.csv")
         if record.state == "failed":
             files[f"{name}.json"] = _failed(record.reason)
     with (

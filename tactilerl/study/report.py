@@ -36,7 +36,7 @@ def write(analysis: Analysis, folder: Path) -> Path:
     InputError where other files would be lost. report.html comes first: it says whose the folder is.
     """
     page, beside, images = folder / "report.html", dict[Path, bytes](), {}
-    require_ours(page, _is_report)
+    require_ours(page, lambda path: FOOTER in read(path))
     made = sections(analysis)
     for part in (part for section in made for part in section.parts):
         place = folder / ("tables" if isinstance(part, Table) else "figures") / part.name
@@ -55,10 +55,6 @@ def write(analysis: Analysis, folder: Path) -> Path:
         with replacing(path) as file:
             file.write(content)
     return page
-
-
-def _is_report(path: Path) -> bool:
-    return FOOTER in read(path)
 
 
 def _page(analysis: Analysis, made: list[Section], images: dict[str, str]) -> str:

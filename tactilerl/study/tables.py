@@ -17,6 +17,7 @@ from ..runs import config as configuration
 from ..statistics import Array, Estimate
 from .analysis import Analysis, SetupResult
 from .grid import SCORES
+from .records import settings
 from .summary import ENDINGS, MEANS, made_with, subject
 from .verdicts import THRESHOLDS
 
@@ -170,14 +171,14 @@ def deviations(analysis: Analysis) -> Table:
 def _differences(config: dict[str, Any]) -> Iterator[tuple[str, str, str]]:
     """(flag, value, default); nothing for a run of another version, with other algorithms."""
     try:
-        defaults = configuration.defaults(config["run"]["algo"], config["run"]["env"]).as_dict()
+        usual = configuration.defaults(config["run"]["algo"], config["run"]["env"])
     except (KeyError, InputError):
         return
-    for part in ("run", "scene", "learner"):
-        for flag, mine in (config.get(part) or {}).items():
-            default = (defaults[part] or {}).get(flag)
-            if mine != (list(default) if isinstance(default, tuple) else default):
-                yield flag, in_words(mine), in_words(default)
+    defaults = settings(usual.as_dict())
+    for flag, mine in settings(config).items():
+        default = defaults.get(flag)
+        if mine != (list(default) if isinstance(default, tuple) else default):
+            yield flag, in_words(mine), in_words(default)
 
 
 def in_words(value: Any) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 from .. import statistics
 from ..statistics import Array, Estimate
 from .grid import Looks, Setup, Study
-from .records import Record
+from .records import Record, settings
 
 SEED = 20_210_830  # of all resampling: the same records give the same report
 SIGHT = ("object_seen", "sight_noise", "sight_noise_kind")
@@ -244,7 +244,7 @@ def headroom(
 
 def _but_sight(config: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
     """All that makes a run, but its seed and how the object is seen; and that."""
-    parts = {name: dict(config.get(name) or {}) for name in ("run", "scene", "learner")}
-    parts["run"].pop("seed", None)
-    sight = [parts["scene"].pop(name, "exact") for name in SIGHT]
-    return parts, str(sight[0])
+    made = settings(config)
+    made.pop("seed", None)
+    seen, *_ = (made.pop(name, "exact") for name in SIGHT)
+    return made, str(seen)
