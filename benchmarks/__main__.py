@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import ast
+import re
 import sys
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
+from benchmarks.command import no_flags
 from tactilerl.errors import InputError
 
 HERE = Path(__file__).parent
 
 
-def found() -> dict[str, Path]:
-    """The files that have a `main`, by name."""
+def benchmarks() -> dict[str, Path]:
+    """The files that have a `main`, or `TABLES` to be printed, by name."""
     files = sorted(
         path
         for path in HERE.rglob("*.py")
         if path.parent != HERE or path.stem in ("figures", "tables", "times")
     )
-    return {path.stem: path for path in files if "\ndef main(" in path.read_text(encoding="utf-8")}
+    is_one = re.compile(r"^(def main\(|TABLES = )", re.MULTILINE)
+    return {path.stem: path for path in files if is_one.search(path.read_text(encoding="utf-8"))}
 
 
 def about(path: Path) -> str:
@@ -38,9 +42,17 @@ def usage(files: dict[str, Path]) -> str:
     return "\n".join(lines)
 
 
+def print_tables(module: Any) -> None:
+    """One after the other."""
+    no_flags(module.__doc__)
+    for name, show in module.TABLES.items():
+        print(f"\n### {name}\n")
+        show()
+
+
 def main() -> int | None:
     """Run the benchmark that is named."""
-    files = found()
+    files = benchmarks()
     if len(sys.argv) < 2 or sys.argv[1] not in files:
         print(usage(files))
         return 0 if sys.argv[1:] in ([], ["-h"], ["--help"]) else 2
@@ -48,7 +60,8 @@ def main() -> int | None:
     sys.argv[0] = f"python -m benchmarks {name}"
     module = ".".join(files[name].relative_to(HERE).with_suffix("").parts)
     try:
-        code: int | None = import_module(f"benchmarks.{module}").main()
+        found = import_module(f"benchmarks.{module}")
+        code: int | None = found.main() if hasattr(found, "main") else print_tables(found)
     except InputError as error:
         print(f"{sys.argv[0]}: error: {error}", file=sys.stderr)
         code = 2

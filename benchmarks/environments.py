@@ -18,6 +18,7 @@ from typing import Any
 from docstring_parser import parse_from_object
 
 from benchmarks.command import DOCS, data
+from benchmarks.printing import markdown
 from tactilerl.envs import hands, scenes
 from tactilerl.envs.grasp import GraspConfig, GraspEnv, setup
 from tactilerl.envs.hands import LinearAction
@@ -140,8 +141,7 @@ def _value(value: Any) -> str:
 
 
 def _table(head: tuple[str, ...], rows: Iterable[tuple[Any, ...]]) -> None:
-    for row in (head, ["---"] * len(head), *rows):
-        print(f"| {' | '.join(map(str, row))} |")
+    markdown(f"| {' | '.join(head)} |", rows)
 
 
 TABLES = {"all arguments": all_arguments}

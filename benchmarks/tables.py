@@ -16,7 +16,7 @@ from functools import partial
 from typing import Any
 
 from benchmarks import environments, times
-from benchmarks.command import DATA, DOCS, ROOT, data, no_flags
+from benchmarks.command import DOCS, ROOT, data, no_flags
 from benchmarks.learners import ablation, bounces, footprint, precision, scaling, steady
 from benchmarks.peers import clients, env, solve, updates
 from benchmarks.physics import hands, hard_cases, hold_verdict, scene_parts, speed_vs_error
@@ -91,11 +91,7 @@ PRINTED: dict[str, Callable[[], None]] = {
     **design_study.TABLES,
     **study_tables.TABLES,
     **results.TABLES,
-    **{
-        f"study faults, {flag}": _of("faults", faults.show, [flag])
-        for flag in faults.SWEEPS
-        if (DATA / "faults.json").exists()
-    },
+    **{f"study faults, {flag}": _of("faults", faults.show, [flag]) for flag in faults.SWEEPS},
     "times": _parts("times", times.show, "seconds"),
     **{f"gates {name}": _of("gates", partial(gates.show, name)) for name in gates.tables()},
     **environments.TABLES,
@@ -111,13 +107,8 @@ def table(name: str) -> str:
 
 
 def filled(text: str) -> str:
-    """A page with its tables written anew, but for times that have not been measured."""
-
-    def one(found: re.Match[str]) -> str:
-        is_kept = found[2] == "times" and not (DATA / "times.json").exists()
-        return found[0] if is_kept else found[1] + table(found[2]) + found[4]
-
-    return MARKED.sub(one, text)
+    """A page with its tables written anew."""
+    return MARKED.sub(lambda found: found[1] + table(found[2]) + found[4], text)
 
 
 def main() -> None:

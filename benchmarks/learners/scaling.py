@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
@@ -26,6 +27,7 @@ from benchmarks.peers.env import Steps, mj_step
 from benchmarks.printing import markdown
 from benchmarks.timing import Contender, per_second, rounds
 from tactilerl import envs
+from tactilerl.algos import mpi
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
@@ -34,6 +36,7 @@ from tactilerl.algos.side_by_side import SideBySide
 from tactilerl.envs import vector
 
 REPEATS = 3  # of each number of processes
+CYCLES = 3  # of each rank
 EPISODES = 12  # of a turn
 
 
@@ -104,13 +107,41 @@ def n_updates(learner: PPO | DDPGHER) -> int:
     return int(learner.update()["updates"])
 
 
+def rank_speed() -> None:
+    """Some cycles on the Shadow Hand on each rank; rank 0 prints how fast they were."""
+    torch.set_num_threads(1)
+    comm = mpi.world()
+    workers = vector.start(lambda: envs.make("shadow", task="reach-goal"))
+    learner = DDPGHER(DDPGHERConfig(), workers, comm, 0, 1)
+    learner.collect()
+    learner.update()
+    comm.all_gather(0)  # start together
+    started, updating = time.perf_counter(), 0.0
+    for _ in range(CYCLES):
+        learner.collect()
+        since = time.perf_counter()
+        learner.update()
+        updating += time.perf_counter() - since
+    comm.all_gather(0)  # and end together
+    seconds, config = time.perf_counter() - started, learner.config
+    transitions = comm.size * CYCLES * config.n_batches * config.batch_size
+    steps = comm.size * CYCLES * config.n_rollouts * learner.replay.max_steps
+    if comm.rank == 0:
+        print(
+            json.dumps(
+                {"transitions_per_s": transitions / updating, "env_steps_per_s": steps / seconds}
+            )
+        )
+    workers.close()
+
+
 def ranks() -> dict[str, Any]:
     """The same work for each of one and two ranks, in turn."""
     mpirun = str(Path(sys.executable).with_name("mpirun"))
     found: dict[int, list[dict[str, Any]]] = {1: [], 2: []}
     for _ in range(REPEATS):
         for n, results in found.items():
-            output = python("-m", "benchmarks.learners.rank_speed", launcher=(mpirun, "-n", str(n)))
+            output = python("-m", "benchmarks.learners.scaling", launcher=(mpirun, "-n", str(n)))
             results.append(json.loads(output.splitlines()[-1]))
     result: dict[str, Any] = {"ratios": {}}
     for key in ("transitions_per_s", "env_steps_per_s"):
@@ -150,3 +181,7 @@ PARTS: dict[str, Part] = {
 def main() -> None:
     """All parts or one."""
     run_parts(__doc__, PARTS, "mujoco", "pybullet", "torch", "numpy", "mpi4py")
+
+
+if __name__ == "__main__":  # a rank
+    rank_speed()

@@ -7,7 +7,6 @@ It returns when everything worked; else it ends with one line about what its cli
 
 from __future__ import annotations
 
-import subprocess
 import sys
 import traceback
 from collections.abc import Callable
@@ -40,14 +39,6 @@ def check(package: str) -> Callable[[Callable[[], None]], Callable[[], None]]:
         return run
 
     return noted
-
-
-def python(module: str, *arguments: str) -> None:
-    """A command of a module; RuntimeError with the last line that it said where it failed."""
-    command = [sys.executable, "-m", module, *arguments]
-    done = subprocess.run(command, capture_output=True, text=True)
-    if done.returncode:
-        raise RuntimeError(f"{module}: {done.stderr.strip().splitlines()[-1]}")
 
 
 def play(env: Any, steps: int = STEPS) -> None:

@@ -14,8 +14,8 @@ import numpy as np
 
 import tactilerl
 import tactilerl.envs
-from benchmarks.command import DATA
-from benchmarks.peers.client_check import CHECKS, STEPS, Check, check, play, python
+from benchmarks.command import DATA, python
+from benchmarks.peers.client_check import CHECKS, STEPS, Check, check, play
 
 HANDOVER, SHADOW = "tactilerl/Handover-v0", "tactilerl/Shadow-v0"
 TINY = {"hidden": (8,), "steps_per_epoch": STEPS, "n_passes": 1}
@@ -125,7 +125,7 @@ def zoo() -> None:
             ("rl_zoo3.train", ["-conf", str(config), "--device", "cpu"]),
             ("rl_zoo3.enjoy", ["-n", str(STEPS), "--no-render", "--device", "cpu"]),
         ):
-            python(module, *told, *more)
+            python("-m", module, *told, *more)
 
 
 # -- other libraries -------------------------------------------------------------------------
@@ -207,7 +207,7 @@ def rliable() -> None:
     from rliable import library, metrics
 
     with tempfile.TemporaryDirectory() as folder:
-        python("tactilerl", "study", "report", str(DATA / "faults.tar.gz"), "--out", folder)
+        python("-m", "tactilerl", "study", "report", str(DATA / "faults.tar.gz"), "--out", folder)
         scores = dict(np.load(next(Path(folder).rglob("scores.npz"))))
     found, intervals = library.get_interval_estimates(
         scores, lambda x: np.array([metrics.aggregate_iqm(x)]), reps=100

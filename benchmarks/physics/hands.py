@@ -133,7 +133,3 @@ def main() -> None:
     about = {"steps": STEPS, "grasps": GRASPS}
     run_one = partial(measure, options.seconds)
     show({"runs": run_missing(options.out, about, places, run_one, options.jobs)})
-
-
-if __name__ == "__main__":
-    main()

@@ -10,10 +10,9 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks.command import DATA, earlier, no_flags
+from benchmarks.command import DATA, earlier
 from benchmarks.printing import markdown
-from benchmarks.studies import study_tables
-from benchmarks.studies.study_tables import estimate, is_there, load
+from benchmarks.studies.study_tables import estimate, load
 from tactilerl import statistics
 from tactilerl.study import verdicts
 from tactilerl.study.verdicts import BySeed
@@ -93,14 +92,14 @@ def _share(one: BySeed, whole: BySeed) -> str:
     return estimate(statistics.share(pairs.treatment, pairs.control, counts), ".2f")
 
 
+def is_there(name: str, setup_name: str) -> bool:
+    """Has the study been collected, with runs of the set-up?"""
+    is_collected = (DATA / f"{name}.tar.gz").exists()
+    return is_collected and any(r.state == "done" and r.run.setup == setup_name for r in load(name)[1])
+
+
 TABLES = {
     f"design {learner}": partial(show, learner)
     for learner, study in STUDIES.items()
     if is_there(study, learner)
 }
-
-
-def main() -> None:
-    """All tables."""
-    no_flags(__doc__)
-    study_tables.show(TABLES)

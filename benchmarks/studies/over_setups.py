@@ -11,11 +11,12 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 import scipy.stats
 
 from benchmarks.command import parser, write
@@ -25,6 +26,8 @@ from tactilerl.statistics import Array, Estimate
 from tactilerl.study import records
 from tactilerl.study.analysis import Group, SetupResult, analyse
 
+FACTORS = ("hand", "simulator", "algorithm")
+COLUMNS = ["score", "treatment", *FACTORS, "cell"]
 Orders = dict[str, Estimate]
 """Rank correlation by what the cells are ordered by."""
 
@@ -60,22 +63,17 @@ def _mean_spearman(values: Array) -> Array:
         )
 
 
-def mixed_model(
-    scores: Array, is_treatment: Array, factors: Mapping[str, Sequence[str]], cells: Sequence[str]
-) -> list[Term]:
+def mixed_model(table: pd.DataFrame) -> list[Term]:
     """Is the treatment's effect the same over hands, simulators and algorithms? (statsmodels'
     MixedLM)
 
     score ~ treatment x (each factor of two or more levels) + random intercept per cell (set-up x
-    layout); every argument has one entry a run. Effects against the first level of each factor.
+    layout), of a table with a row a run and `COLUMNS`. Effects against the first level of each factor.
     ValueError where the model cannot be fitted.
     """
-    import pandas as pd
     from statsmodels.formula.api import mixedlm
 
-    varied = {name: levels for name, levels in factors.items() if len(set(levels)) > 1}
-    table = pd.DataFrame({"score": scores, "treatment": np.asarray(is_treatment, int), **varied})
-    table["cell"] = list(cells)
+    varied = [name for name in FACTORS if table[name].nunique() > 1]
     # Interactions of the treatment with each factor, not of the factors with each other.
     terms = " + ".join(f"C({name})" for name in varied)
     formula = "score ~ treatment" + (f" * ({terms})" if varied else "")
@@ -131,15 +129,13 @@ def mixed(setups: Sequence[SetupResult], score: str) -> list[Term]:
             "so the effect of one cannot be told from that of another"
         )
     rows = [
-        (reached, group.arm == one.setup.arms[0], *kinds[one.setup.name], one.setup.name + cell)
+        (reached, int(group.arm == one.setup.arms[0]), *kinds[one.setup.name], one.setup.name + cell)
         for one in compared
         for cell in one.comparisons
         for group in _pair(one, cell)
         for reached in group.scores[score]
     ]
-    scores, treated, hands, simulators, algorithms, cells = zip(*rows, strict=True)
-    axes = {"hand": hands, "simulator": simulators, "algorithm": algorithms}
-    return mixed_model(np.array(scores), np.array(treated), axes, cells)
+    return mixed_model(pd.DataFrame(rows, columns=COLUMNS))
 
 
 def _factors(one: SetupResult) -> tuple[str, str, str]:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from benchmarks.command import no_flags
 from benchmarks.printing import markdown
 from benchmarks.studies import study_tables
 from benchmarks.studies.study_tables import estimate, mean
@@ -60,11 +59,9 @@ def critic(name: str, setup_name: str, usual: str = "handover") -> None:
     other, sound = study_tables.load_setup(usual, usual)
     rows = []
     for arm in setup.arms:
-        both = (
-            verdicts.runs_of(found, setup, setup.cells[0], arm),
-            verdicts.runs_of(sound, other, other.cells[0], arm),
-        )
-        pairs = verdicts.in_pairs(verdicts.scored("area", *both))
+        seeing = verdicts.runs_of(found, setup, setup.cells[0], arm)
+        usual_runs = verdicts.runs_of(sound, other, other.cells[0], arm)
+        pairs = study_tables.paired(seeing, usual_runs)
         rows.append((style.ROLES[arm], *study_tables.compared(pairs)))
     markdown("| hand | pairs | critic sees the truth | what the policy sees | difference | p |", rows)
 
@@ -75,13 +72,3 @@ TABLES = study_tables.tables(
     ("results critic", critic, "variants", "critic"),
     ("results fingertips", study_tables.layouts, "variants", "fingertips"),
 )
-
-
-def main() -> None:
-    """All tables."""
-    no_flags(__doc__)
-    study_tables.show(TABLES)
-
-
-if __name__ == "__main__":
-    main()

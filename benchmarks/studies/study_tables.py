@@ -6,7 +6,7 @@ python -m benchmarks study_tables
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 from scipy.stats import spearmanr
 
-from benchmarks.command import ROOT, earlier, no_flags
+from benchmarks.command import DATA, earlier
 from benchmarks.printing import interval, markdown
 from benchmarks.studies import gates, over_setups
 from tactilerl import statistics, style
@@ -27,7 +27,6 @@ from tactilerl.study.analysis import analyse
 from tactilerl.study.grid import Setup, Study
 from tactilerl.study.records import Record
 
-DATA = ROOT / "docs" / "data"
 CHOSEN = re.compile(r"layout \S*_(\d+)\.toml")
 COLOURS = dict(zip(("main", "control"), style.ARMS, strict=False))
 SIGHTED = "no touch, but sight"
@@ -62,14 +61,6 @@ def load_setup(name: str, setup_name: str = "") -> tuple[Setup, list[Record]]:
     return setup, found
 
 
-def is_there(name: str, setup_name: str = "", *_: str) -> bool:
-    """Has the study been collected, with runs of the set-up?"""
-    if not (DATA / f"{name}.tar.gz").exists():
-        return False
-    own = (r for r in load(name)[1] if setup_name in ("", r.run.setup))
-    return any(r.state == "done" for r in own)
-
-
 def label(cell: str) -> str:
     """A cell as the tables call it: `layout 2`, `layout of the probe's 5`."""
     found = CHOSEN.fullmatch(cell)
@@ -100,10 +91,10 @@ def worth(name: str = "handover") -> None:
     rows: list[tuple[object, ...]] = []
     for other in setup.arms[1:]:
         runs = [verdicts.runs_of(found, setup, cell, arm) for arm in (setup.arms[0], other)]
-        pairs = {score: verdicts.in_pairs(verdicts.scored(score, *runs)) for score in ("area", "final")}
-        title, area = f"{style.ROLES['on']} − {style.ROLES[other]}", pairs["area"]
-        both = (estimate(pairs[score].difference, "+.2f") for score in ("area", "final"))
-        rows.append((title, len(area), next(both), f"{area.p_value:.3f}", next(both)))
+        area, final = (paired(*runs, score) for score in ("area", "final"))
+        gaps = (estimate(pairs.difference, "+.2f") for pairs in (area, final))
+        title = f"{style.ROLES['on']} − {style.ROLES[other]}"
+        rows.append((title, len(area), next(gaps), f"{area.p_value:.3f}", next(gaps)))
     share = verdicts.headroom(study, setup, cell, found, statistics.N_RESAMPLES)
     if share is not None:
         rows.append(("sight − no touch", share.n, estimate(share.room, "+.2f"), "", ""))
@@ -162,10 +153,7 @@ def between(name: str, setup_name: str = "") -> None:
     """Layouts with touch against each other, in pairs: what the paper says of them."""
     setup, found = load_setup(name, setup_name)
     runs = {cell: verdicts.runs_of(found, setup, cell, "main") for cell in setup.cells}
-    pairs = [
-        verdicts.in_pairs(verdicts.scored("area", *(runs[f"layout {each}"] for each in both)))
-        for both in BETWEEN
-    ]
+    pairs = [paired(runs[f"layout {a}"], runs[f"layout {b}"]) for a, b in BETWEEN]
     corrected = statistics.holm([each.p_value for each in pairs])
     rows = [
         (f"{a} − {b}", what, len(each), estimate(each.difference, "+.2f"), f"{p:.3f}")
@@ -182,10 +170,7 @@ def trained_with(name: str = "faults", without: str = "handover") -> None:
     rows = []
     for setup in study.setups:
         own = verdicts.runs_of(found, setup, setup.cells[0], "")
-        pairs = [
-            verdicts.in_pairs(verdicts.scored("area", own, verdicts.runs_of(sound, *place, arm)))
-            for arm in ("main", "control")
-        ]
+        pairs = [paired(own, verdicts.runs_of(sound, *place, arm)) for arm in ("main", "control")]
         differences = (estimate(each.difference, "+.2f") for each in pairs)
         rows.append((FAULTS[setup.name], len(pairs[0]), mean(pairs[0].treatment), *differences))
     head = "| trained with | pairs | mean success | − touch without faults | − no touch |"
@@ -275,6 +260,11 @@ def mean(values: Iterable[float]) -> str:
     return estimate(statistics.mean(found, verdicts.resamples(len(found))), ".2f") if len(found) else ""
 
 
+def paired(a: list[Record], b: list[Record], score: str = "area") -> verdicts.Pairs:
+    """The runs of both that have the same seed, by a score."""
+    return verdicts.in_pairs(verdicts.scored(score, a, b))
+
+
 def compared(pairs: verdicts.Pairs) -> tuple[object, ...]:
     """Their number, both means, the difference and p."""
     means = (f"{np.mean(each):.2f}" for each in (pairs.treatment, pairs.control))
@@ -340,10 +330,10 @@ def _layouts(axes: Axes, study: Study, found: list[Record]) -> None:
     axes.grid(axis="x", visible=False)
 
 
-def tables(*rows: tuple[Any, ...]) -> dict[str, Callable[[], None]]:
-    """By what the docs call them: what prints each table, of those whose runs were made. A row has the
-    name, a function, and its arguments, of which the first are a study and perhaps a set-up."""
-    return {name: partial(printing, *of) for name, printing, *of in rows if is_there(*of)}
+def tables(*rows: tuple[Any, ...]) -> dict[str, partial[None]]:
+    """By what the docs call them: what prints each table. A row has the name, a function, and its
+    arguments."""
+    return {name: partial(show, *of) for name, show, *of in rows}
 
 
 TABLES = tables(
@@ -366,20 +356,3 @@ TABLES = tables(
     ("study paper, ppo, between", between, "paper", "pybullet"),
     ("study paper, ppo, orders", orders, "paper", "pybullet", "MPL, PyBullet"),
 )
-
-
-def show(printed: Mapping[str, Callable[[], None]]) -> None:
-    """One after the other."""
-    for name, printing in printed.items():
-        print(f"\n### {name}\n")
-        printing()
-
-
-def main() -> None:
-    """All tables."""
-    no_flags(__doc__)
-    show(TABLES)
-
-
-if __name__ == "__main__":
-    main()

@@ -81,7 +81,6 @@ def test_times_of_commands_are_a_table(monkeypatch, tmp_path, capsys):
     times.main()
     table = capsys.readouterr().out
     assert "| `tactilerl env --env lqr` | " in table
-    monkeypatch.setattr(tables, "DATA", tmp_path)
     monkeypatch.setattr(command, "DATA", tmp_path)
     page = "<!-- table times -->\nold\n<!-- end -->\n"
     assert tables.filled(page) == page.replace("old\n", table)

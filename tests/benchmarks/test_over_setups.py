@@ -1,9 +1,11 @@
 """What set-ups say together, beside the studies: `python -m benchmarks over_setups`, and BCa."""
 
+import itertools
 import json
 import sys
 
 import numpy as np
+import pandas
 import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
@@ -37,34 +39,20 @@ class TestOverSetups:
         assert low < 0.5 < high
 
     def test_mixed_model_finds_what_was_put_in(self, rng):
-        rows = [
-            (hand, simulator, layout, treatment)
-            for hand in "ab" for simulator in "cd" for layout in range(6) for treatment in (0, 1)
-            for _ in range(10)
-        ]  # fmt: skip
-        offsets = dict(zip({row[:3] for row in rows}, rng.normal(0, 0.05, 24), strict=True))
-        scores = np.array(
-            [0.5 + 0.1 * t + 0.2 * t * (h == "b") + offsets[h, m, c] for h, m, c, t in rows]
-        )
-        scores += rng.normal(0, 0.02, len(rows))
-        factors = {
-            "hand": [r[0] for r in rows],
-            "simulator": [r[1] for r in rows],
-            "algorithm": ["x"] * len(rows),
-        }
-        cells = [f"{r[0]}{r[1]}{r[2]}" for r in rows]
-        terms = {
-            t.name: t
-            for t in over_setups.mixed_model(scores, np.array([r[3] for r in rows]), factors, cells)
-        }
+        rows = []
+        for at in itertools.product("ab", "cd", range(6)):
+            offset = rng.normal(0, 0.05)
+            for treatment in [0, 1] * 10:
+                gain = treatment * (0.1 + 0.2 * (at[0] == "b"))
+                score = 0.5 + gain + offset + rng.normal(0, 0.02)
+                rows.append((score, treatment, *at[:2], "x", str(at)))
+        table = pandas.DataFrame(rows, columns=over_setups.COLUMNS)
+        terms = {term.name: term for term in over_setups.mixed_model(table)}
         assert terms["treatment"].effect.value == pytest.approx(0.1, abs=0.01)
         assert terms["treatment:C(hand)[T.b]"].effect.value == pytest.approx(0.2, abs=0.01)
         assert terms["treatment:C(hand)[T.b]"].p_value < 0.001
-        assert (
-            terms["treatment:C(simulator)[T.d]"].effect.low
-            < 0
-            < terms["treatment:C(simulator)[T.d]"].effect.high
-        )
+        _, low, high = terms["treatment:C(simulator)[T.d]"].effect
+        assert low < 0 < high
         assert not [name for name in terms if "algorithm" in name]
 
 
