@@ -10,12 +10,6 @@ from scipy import stats
 
 from tactilerl import statistics as s
 
-RLIABLE = {
-    "median": metrics.aggregate_median,
-    "iqm": metrics.aggregate_iqm,
-    "mean": metrics.aggregate_mean,
-}
-
 
 @pytest.fixture
 def rng():
@@ -85,17 +79,6 @@ class TestIntervals:
         counts = s.resample(rng, n_runs, 50)
         written_out = [s.aggregate(np.repeat(scores, drawn), metric) for drawn in counts.T]
         assert_allclose(s.bootstrap(scores, metric, counts), written_out, atol=1e-12)
-
-    @pytest.mark.parametrize("metric", ["iqm", "mean"])
-    def test_same_resamples_same_interval_as_rliable(self, rng, metric):
-        scores = {"x": rng.random((10, 1))}
-        counts = drawn_like_rliable(5, 10, 400)
-        np.random.seed(5)  # noqa: NPY002
-        value, interval = library.get_interval_estimates(
-            scores, lambda x: np.array([RLIABLE[metric](x)]), reps=400
-        )
-        ours = s.estimate(scores["x"][:, 0], metric, counts)
-        assert_allclose(ours, [value["x"][0], *interval["x"][:, 0]], atol=1e-12)
 
     def test_curves_are_what_rliable_says_point_by_point(self, rng):
         curves = np.sort(rng.random((6, 4)), axis=1)

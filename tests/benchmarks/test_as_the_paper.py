@@ -51,15 +51,6 @@ def test_the_papers_numbers_stand_beside_ours(result, tables):
     assert row[-3:] == ["0.04", "39 %", "0.50"]
 
 
-def test_a_group_is_its_runs(result, tables):
-    expected = result.setups[1].groups["layout 2", "main"].scores["converged"]
-    rows = tables["mujoco_converged"].frame.to_numpy().tolist()
-    row = next(r for r in rows if r[:2] == ["layout 2", "touch"])
-    assert row[2] == "4"
-    assert row[3].startswith(f"{np.mean(expected):.2f} [")
-    assert row[5].startswith(f"{np.median(expected):.2f} [")
-
-
 def test_they_are_printed_and_drawn(folder, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(
         sys, "argv", ["as_the_paper", str(folder.path), "--figures", str(tmp_path / "f")]

@@ -76,34 +76,20 @@ class TestGrid:
         "change",
         [
             lambda data: data.update(name="../x"),
-            lambda data: data.update(name=None),
             lambda data: data.update(setups=[]),
             lambda data: data.update(setups={}),
             lambda data: data["setups"].append(data["setups"][0]),
             lambda data: data["setups"][0].update(name="../../../pwn"),
-            lambda data: data["setups"][0].update(name='"><img src=x onerror=alert(1)>'),
-            lambda data: data["setups"][0].update(measure="mean_return"),
-            lambda data: data["setups"][0].update(measure=["success_rate"]),
             lambda data: data["setups"][0].update(seeds="0-9"),
             lambda data: data["setups"][0].update(seeds=[True]),
-            lambda data: data["setups"][0].update(seeds=[-1]),
-            lambda data: data["setups"][0].update(seeds=[1, 1]),
-            lambda data: data["setups"][0].update(seeds=list(range(20_000))),
             lambda data: data["setups"][0].update(grid={"layout": 3}),
-            lambda data: data["setups"][0].update(grid={"layout": []}),
-            lambda data: data["setups"][0].update(grid={"layout": [{}]}),
-            lambda data: data["setups"][0].update(grid={"--help": [True]}),
             lambda data: data["setups"][0].update(flags=[]),
             lambda data: data["setups"][0].update(flags={"out": "/"}),
             lambda data: data["setups"][0].update(compare=3),
-            lambda data: data["setups"][0]["compare"].update(treatment="other"),
             lambda data: data["setups"][0]["compare"].update(flag=None),
             lambda data: data["setups"][0].update(more=1),
             lambda data: data["setups"][0].pop("seeds"),
-            lambda data: data.update(primary={"score": "best"}),
             lambda data: data.update(primary=3),
-            lambda data: data.update(looks={"pairs": []}),
-            lambda data: data.update(looks={"pairs": [1e9]}),
             lambda data: data.update(looks=[]),
         ],
     )
@@ -115,17 +101,15 @@ class TestGrid:
 
     def test_dictionary_and_back(self, tmp_path):
         study = read(tmp_path, GOOD)
-        assert grid.from_dict(study.as_dict()) == study
+        data = study.as_dict()
+        assert grid.from_dict(data) == study
+        del data["primary"], data["looks"]  # which version 0.2 had not
+        assert grid.from_dict(data) == study
         assert (study.primary.score, study.looks) == ("area", None)
         head = 'primary.score = "final"\nlooks.pairs = [2, 3]\n'
         decided = read(tmp_path, head + GOOD[: GOOD.index("[setups.ppo]")])
         assert grid.from_dict(json.loads(json.dumps(decided.as_dict()))) == decided
         assert decided.looks.spent(2) == pytest.approx([0.05 / 2 * 2 / 3, 0.05 / 2])
-
-    def test_a_study_of_0_2_has_neither_a_primary_score_nor_looks(self, tmp_path):
-        study = read(tmp_path, GOOD)
-        old = {k: v for k, v in study.as_dict().items() if k not in ("primary", "looks")}
-        assert grid.from_dict(old) == study
 
     @pytest.mark.parametrize("name", sorted(path.stem for path in ROOT.glob("studies/*.toml")))
     def test_the_studies_of_the_project_can_be_configured(self, name):

@@ -9,7 +9,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import tarfile
 import threading
 import time
 from pathlib import Path
@@ -79,32 +78,24 @@ class TestRun:
         for column in ("env_steps", "critic_loss", "test_success_rate"):
             np.testing.assert_array_equal(ours.column(column), theirs.column(column))
 
-    def test_another_run_in_its_folder_is_refused(self, undisturbed, tmp_path, capsys):
-        text = TINY.replace("n_batches = 2", "n_batches = 3")
-        args = ["study", "run", write(tmp_path, text), "--out", undisturbed]
-        fails_with(capsys, args, "n_batches: found 3")
-
-    def test_another_study_in_its_folder_is_refused(self, undisturbed, tmp_path, capsys):
-        text, study = TINY.replace('"tiny"', '"other"'), undisturbed / "study.json"
-        before = study.read_bytes()
-        args = ["study", "run", write(tmp_path, text), "--out", undisturbed]
-        fails_with(capsys, args, "holds the study 'tiny', not 'other'")
-        assert study.read_bytes() == before
+    @pytest.mark.parametrize(
+        ("old", "new", "words"),
+        [
+            ("n_batches = 2", "n_batches = 3", "n_batches: found 3"),
+            ('"tiny"', '"other"', "holds the study 'tiny', not 'other'"),
+        ],
+    )
+    def test_another_run_or_study_in_its_folder_is_refused(
+        self, undisturbed, tmp_path, capsys, old, new, words
+    ):
+        before = (undisturbed / "study.json").read_bytes()
+        args = ["study", "run", write(tmp_path, TINY.replace(old, new)), "--out", undisturbed]
+        fails_with(capsys, args, words)
+        assert (undisturbed / "study.json").read_bytes() == before
 
     def test_a_folder_that_holds_something_else_is_refused(self, tmp_path, capsys):
-        (tmp_path / "out").mkdir()
-        (tmp_path / "out" / "thesis.tex").write_text("")
-        fails_with(
-            capsys, ["study", "run", write(tmp_path), "--out", tmp_path / "out"], "holds no study"
-        )
-
-    def test_what_is_done_elsewhere_is_not_trained_here(self, undisturbed, tmp_path, capsys):
-        file, packed = write(tmp_path), tmp_path / "c.tar.gz"
-        assert main(["study", "collect", str(undisturbed), "--out", str(packed)]) == 0
-        with tarfile.open(packed) as archive:
-            archive.extractall(tmp_path / "b", filter="data")
-        assert main(["study", "run", str(file), "--out", str(tmp_path / "b")]) == 0
-        assert "2 runs, 0 to do" in capsys.readouterr().out
+        (tmp_path / "thesis.tex").write_text("")
+        fails_with(capsys, ["study", "run", write(tmp_path), "--out", tmp_path], "holds no study")
 
     def test_copied_folders_of_runs_are_a_merged_study(self, undisturbed, tmp_path, capsys):
         runs = StudyFiles(undisturbed).study().runs()
@@ -326,23 +317,15 @@ class TestSharing:
         assert [log.count("epoch    1") for log in logs] == [1] * 2
 
 
-def killed_at(moments, tmp_path):
-    """Run TINY again and again, killing the whole process group; then to its end."""
-    command = [*LAUNCH, str(write(tmp_path)), "--out", str(tmp_path / "out"), "--jobs", "2"]
-    for moment in moments:
-        process = subprocess.Popen(command, start_new_session=True, stdout=subprocess.DEVNULL)
-        try:
-            process.wait(moment)
-        except subprocess.TimeoutExpired:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-    assert subprocess.run(command, stdout=subprocess.DEVNULL, timeout=600).returncode == 0
-    return tmp_path / "out"
-
-
 @pytest.mark.slow
 def test_killed_once_and_run_again_the_tables_are_the_same(undisturbed, tmp_path):
-    assert learned(killed_at([9.0], tmp_path)) == learned(undisturbed)
+    command = [*LAUNCH, str(write(tmp_path)), "--out", str(tmp_path / "out"), "--jobs", "2"]
+    process = subprocess.Popen(command, start_new_session=True, stdout=subprocess.DEVNULL)
+    time.sleep(9)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    assert subprocess.run(command, stdout=subprocess.DEVNULL, timeout=600).returncode == 0
+    assert learned(tmp_path / "out") == learned(undisturbed)
 
 
 def test_stopping_by_sigterm_ends_the_runs_and_they_go_on(tmp_path, capsys):
