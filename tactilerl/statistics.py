@@ -53,17 +53,15 @@ def converged_rate(curves: Array) -> Array:
     """
     if np.nanmin(curves, initial=0.0) < 0 or np.nanmax(curves, initial=0.0) > 1:
         raise ValueError("curves: found rates outside of [0, 1], allowed from 0 to 1")
-    return np.array([_mode(curve[~np.isnan(curve)]) for curve in curves])
-
-
-def _mode(rates: Array) -> float:
-    if not len(rates):
-        return math.nan
-    # Rounded, for 0.58 * 50 is 28.999999999999996.
-    bins = np.minimum(np.floor(np.round(rates * N_BINS, 9)), N_BINS - 1).astype(int)
-    counts = np.bincount(bins)[bins]  # at each point, of its bin
-    last_of_fullest = np.flatnonzero(counts == counts.max())[-1]
-    return float(rates[bins == bins[last_of_fullest]].mean())
+    modes = np.full(len(curves), math.nan)
+    for run, curve in enumerate(curves):
+        if len(rates := curve[~np.isnan(curve)]):
+            # Rounded, for 0.58 * 50 is 28.999999999999996.
+            bins = np.minimum(np.floor(np.round(rates * N_BINS, 9)), N_BINS - 1).astype(int)
+            counts = np.bincount(bins)[bins]  # at each point, of its bin
+            last_of_fullest = np.flatnonzero(counts == counts.max())[-1]
+            modes[run] = rates[bins == bins[last_of_fullest]].mean()
+    return modes
 
 
 def final_rate(curves: Array, tail: float = TAIL) -> Array:

@@ -77,17 +77,12 @@ class Checkpoint:
             self._parts = data["experience"]
             for epoch in self._parts:
                 with damage_named(path := self._part(epoch, rank)):
+                    part = sealed.read_fields(path, "checkpoint", FORMAT, PART)
                     about = {**self._about, "epoch": epoch, "rank": rank}
-                    self._memory.add_experience(self._experience(path, about))
+                    if other := next((name for name in about if part[name] != about[name]), None):
+                        raise ValueError(f"it is the experience of another {other}")
+                    self._memory.add_experience(part["experience"])
         return int(data["epoch"])
-
-    @staticmethod
-    def _experience(path: Path, about: dict[str, Any]) -> Any:
-        """What a file holds, which could have been moved."""
-        data = sealed.read_fields(path, "checkpoint", FORMAT, PART)
-        if other := next((name for name in about if data[name] != about[name]), None):
-            raise ValueError(f"it is the experience of another {other}")
-        return data["experience"]
 
     def _part(self, epoch: int, rank: int) -> Path:
         return self.run_dir.experience_folder / f"{epoch:08d}-{rank:04d}.pt"

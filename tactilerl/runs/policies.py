@@ -47,7 +47,15 @@ def load_policy(path: str | Path) -> Policy:
     when there is no policy or its file is damaged.
     """
     path = Path(path)
-    return read_run(path).policy if path.is_dir() else _read_file(path)
+    if path.is_dir():
+        return read_run(path).policy
+    data = _fields(path)
+    with damage_named(path):
+        config_type, _ = algos.get(data["algo"])
+        told = recipes.current(data["algo"], json.loads(data["learner"]))
+        config: Any = typed.make(config_type, told, "learner")
+        config.validate()
+        return _policy(path, data["algo"], config, Spaces.from_json(data["spaces"]), data["state"])
 
 
 def save_policy(path: str | Path, algo: str, learner: Learner) -> None:
@@ -72,16 +80,6 @@ def save_policy(path: str | Path, algo: str, learner: Learner) -> None:
 
 def _fields(path: Path) -> dict[str, Any]:
     return sealed.read_fields(path, "policy", FORMAT, TYPES, "; for a run, give its folder")
-
-
-def _read_file(path: Path) -> Policy:
-    data = _fields(path)
-    with damage_named(path):
-        config_type, _ = algos.get(data["algo"])
-        told = recipes.current(data["algo"], json.loads(data["learner"]))
-        config: Any = typed.make(config_type, told, "learner")
-        config.validate()
-        return _policy(path, data["algo"], config, Spaces.from_json(data["spaces"]), data["state"])
 
 
 def _policy(path: Path, algo: str, config: Any, spaces: Spaces, state: dict[str, Any]) -> Policy:

@@ -78,11 +78,8 @@ class Record:
     @property
     def fraction(self) -> float:
         """Of its steps."""
-        return min(1.0, self._steps / _asked(self.run, self.config)) if self.config else 0.0
-
-    @property
-    def _steps(self) -> int:
-        return int(self.rows[-1]["env_steps"]) if self.rows else 0
+        done = int(self.rows[-1]["env_steps"]) if self.rows else 0
+        return min(1.0, done / _asked(self.run, self.config)) if self.config else 0.0
 
     @property
     def seconds(self) -> float:
@@ -146,10 +143,10 @@ class StudyFiles:
         table = f"{name}/progress.csv"
         (rows, cut), damaged = self._parsed(table, lambda data: parse(data.decode()), nothing)
         failure, _ = self._parsed(f"{name}.json", _failure, "")
-        record = Record(run, "left", failure or unread or damaged or cut, config, rows)
+        done = Record(run, "done", "", config, rows)
+        if done.fraction == 1:
+            return done
         state: State = "interrupted" if config or unread else "left"
-        if config and record.fraction == 1:
-            return Record(run, "done", "", config, rows)
         if self._packed is None and self.is_running(run):
             state = "running"
         elif failure:

@@ -10,12 +10,12 @@ import numpy as np
 
 from ..statistics import FEW_RUNS, FEWEST_PAIRS, Estimate
 from ..style import NAMES
-from .analysis import Analysis, Group, SetupResult
+from .analysis import Analysis, SetupResult
 from .grid import Setup
 from .records import Record
 from .verdicts import LEAST_ROOM, Headroom, Verdict
 
-STILL_RISING = 0.1  # final over converged rate
+STILL_RISING = 0.1  # final over converged rate, which then misses what the runs can do
 MEASURES = {
     "success_rate": "success rate of the training episodes",
     "test_success_rate": "success rate of the tests",
@@ -181,7 +181,8 @@ def warnings(analysis: Analysis, few: int = FEW_RUNS) -> list[str]:
             f"The smallest group has {plural(fewest, 'run')}. Intervals of a group with fewer "
             f"than {few} runs are too narrow: they contain the truth less often than they say."
         )
-    if rising := sum(map(_still_rises, groups)):
+    levels = [[one.estimate("iqm", s).value for s in ("final", "converged")] for one in groups]
+    if rising := sum(final - converged > STILL_RISING for final, converged in levels):
         found.append(
             f"In {rising} of {len(groups)} groups the runs end well above the level where they spent "
             "most epochs: they were too short for converged rates, the paper's measure, to mean much."
@@ -201,9 +202,3 @@ def warnings(analysis: Analysis, few: int = FEW_RUNS) -> list[str]:
     if diverged:
         found.append(f"Episodes diverged in {plural(diverged, 'run')}: see Runs.")
     return found
-
-
-def _still_rises(group: Group) -> bool:
-    """Does the converged rate miss what the runs can do at their end?"""
-    final, converged = (group.estimate("iqm", score).value for score in ("final", "converged"))
-    return final - converged > STILL_RISING
