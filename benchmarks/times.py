@@ -49,14 +49,11 @@ def measure() -> dict[str, float]:
 
 def show(seconds: dict[str, float]) -> None:
     """One table."""
-    shown = (f"`tactilerl {command.partition(' --out OUT')[0]}`" for command in seconds)
-    rows = zip(shown, map(spoken, seconds.values()), strict=True)
+    rows = []
+    for command, taken in seconds.items():
+        spoken = f"{taken:.0f} s" if taken < 100 else f"{taken / 60:.1f} min"
+        rows.append((f"`tactilerl {command.partition(' --out OUT')[0]}`", spoken))
     markdown("| command | time |", rows)
-
-
-def spoken(seconds: float) -> str:
-    """In the unit that people would say."""
-    return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.1f} min"
 
 
 def main() -> None:

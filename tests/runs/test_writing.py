@@ -1,11 +1,8 @@
 """What others own is never lost: what writes a file takes a new name, or replaces one of its own."""
 
 import os
-import runpy
 import shutil
-import sys
 from pathlib import Path
-from unittest import mock
 
 import numpy as np
 import pytest
@@ -25,7 +22,6 @@ seed = "0-{last}"
 [setups.ppo]
 env = "lqr"
 """
-ship = runpy.run_path(str(Path(__file__).parents[2] / "tools/ship_policy.py"))["main"]
 
 
 @pytest.fixture(scope="module")
@@ -51,11 +47,6 @@ def save(path):
     return 0
 
 
-def shipped(folder):
-    with mock.patch.object(sys, "argv", ["ship_policy.py", "run", folder]):
-        return ship()
-
-
 # What it writes, and how; a folder's first file says whose the folder is.
 WRITERS = {
     "x.toml": lambda name: main(["env", "--export", name]),
@@ -68,8 +59,6 @@ WRITERS = {
     "x.mp4": lambda name: main(["render", "examples", "--video", name]),
     "report/report.html": lambda name: main(["study", "report", "study", "--out", "report"]),
     "report/tables/runs.csv": lambda name: main(["study", "report", "study", "--out", "report"]),
-    "shipped/config.json": lambda name: shipped("shipped"),
-    "shipped/checkpoint.pt": lambda name: shipped("shipped"),
 }
 DRAWN = ("x.jpg", "x.png", "x.mp4")
 
