@@ -70,9 +70,9 @@ def run_contenders(
     tasks: Sequence[str],
     first_seed: int,
     jobs: int,
-) -> tuple[dict[str, Any], range, Path | None]:
-    """A command line for `run(contender, task, seed)`, seeds outermost: the runs, their seeds, and
-    where they are written."""
+) -> dict[str, Any]:
+    """A command line for `run(contender, task, seed)`, seeds outermost: what is written, with all
+    `runs`."""
     flags = parser(description)
     flags.add_argument("--jobs", type=count, default=jobs)
     flags.add_argument("--seeds", type=count, default=5)
@@ -82,7 +82,7 @@ def run_contenders(
     options = flags.parse_args()
     seeds = range(options.first_seed, options.first_seed + options.seeds)
     places = [(name, task, s) for s in seeds for task in options.tasks for name in options.only]
-    return run_missing(options.out, about, places, run, options.jobs), seeds, options.out
+    return {"runs": run_missing(options.out, about, places, run, options.jobs)}
 
 
 def run_missing(

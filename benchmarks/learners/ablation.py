@@ -18,7 +18,7 @@ import gymnasium as gym
 import numpy as np
 import stable_baselines3 as sb3
 
-from benchmarks.command import run_contenders, write
+from benchmarks.command import run_contenders
 from benchmarks.peers.contenders import Act, learn, play
 from benchmarks.printing import markdown
 from tactilerl import envs, statistics
@@ -96,47 +96,31 @@ def run(name: str, task: str, seed: int) -> dict[str, float]:
     return {"return": float(np.mean(returns)), "seconds": seconds}
 
 
-def summary(runs: dict[str, dict[str, float]], seeds: range) -> dict[str, Any]:
-    """Interquartile mean return of each contender on each task, with its interval and the cost."""
-    rng, table = np.random.default_rng(0), {}
-    for name in (*VARIANTS, *PEERS):
-        for task in TASKS:
-            found = [runs[key] for seed in seeds if (key := f"{name} {task} {seed}") in runs]
-            if not found:
-                continue
-            returns = np.array([row["return"] for row in found])
-            counts = statistics.resample(rng, len(found))
-            table.setdefault(name, {})[task] = {
-                "runs": len(found),
-                "return": list(statistics.estimate(returns, "iqm", counts)),
-                "seconds": float(np.median([row["seconds"] for row in found])),
-            }
-    return table
-
-
 def show(content: dict[str, Any]) -> None:
-    """As Markdown: contenders in rows, tasks in columns."""
-    table = content["table"]
-    tasks = [task for task in TASKS if any(task in row for row in table.values())]
-    rows = []
-    for name, row in table.items():
-        cells = [
-            "{} ({} to {})".format(*map(_short, row[t]["return"])) if t in row else "" for t in tasks
-        ]
-        rows.append((name.replace("stable-b", "Stable-B"), *cells))
-    head = " | ".join(task.rpartition("-")[0] for task in tasks)
-    markdown(f"| | {head} |", rows)
+    """Interquartile mean returns with intervals, as Markdown: contenders in rows, tasks in columns."""
+    rng, found, rows = np.random.default_rng(0), dict[str, dict[int, float]](), []
+    for key, row in content["runs"].items():
+        place, _, seed = key.rpartition(" ")
+        found.setdefault(place, {})[int(seed)] = row["return"]
+    tasks = [task for task in TASKS if any(place.endswith(f" {task}") for place in found)]
+    for name in (*VARIANTS, *PEERS):
+        cells = [_cell(rng, found.get(f"{name} {task}", {})) for task in tasks]
+        if any(cells):
+            rows.append((name.replace("stable-b", "Stable-B"), *cells))
+    markdown(f"| | {' | '.join(task.rpartition('-')[0] for task in tasks)} |", rows)
 
 
-def _short(value: float) -> str:
-    return f"{value:,.{0 if abs(value) >= 100 else 1}f}".replace("-", "−")
+def _cell(rng: np.random.Generator, by_seed: dict[int, float]) -> str:
+    if not by_seed:
+        return ""
+    returns = np.array([by_seed[seed] for seed in sorted(by_seed)])
+    found = statistics.estimate(returns, "iqm", statistics.resample(rng, len(returns)))
+    shown = (f"{x:,.{0 if abs(x) >= 100 else 1}f}".replace("-", "−") for x in found)
+    return "{} ({} to {})".format(*shown)
 
 
 def main() -> None:
     """What is missing of all contenders, tasks and seeds."""
     configs = {name: asdict(config) for name, config in VARIANTS.items()}
     about, names = {"steps": STEPS, "configs": configs}, [*VARIANTS, *PEERS]
-    runs, seeds, out = run_contenders(__doc__, about, run, names, TASKS, first_seed=0, jobs=2)
-    content = {**about, "table": summary(runs, seeds), "runs": runs}
-    show(content)
-    write(out, content)
+    show(run_contenders(__doc__, about, run, names, TASKS, first_seed=0, jobs=2))

@@ -17,7 +17,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from benchmarks.command import run_contenders, write
+from benchmarks.command import run_contenders
 from benchmarks.peers.contenders import learn
 from benchmarks.printing import markdown
 from tactilerl import envs
@@ -76,7 +76,4 @@ def show(content: dict[str, Any]) -> None:
 def main() -> None:
     """What is missing of all runs."""
     about = {"scene": SCENE, "steps": STEPS}
-    runs, _, out = run_contenders(__doc__, about, run, TOUCH, ("mpl",), first_seed=0, jobs=1)
-    content = {**about, "runs": runs}
-    show(content)
-    write(out, content)
+    show(run_contenders(__doc__, about, run, TOUCH, ("mpl",), first_seed=0, jobs=1))

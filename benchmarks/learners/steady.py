@@ -154,5 +154,4 @@ def main() -> None:
         "configs": {name: asdict(config) for name, config in VARIANTS.items()},
     }
     names = [*VARIANTS, PEER]
-    runs, *_ = run_contenders(__doc__, about, run, names, [*TASKS], first_seed=20, jobs=1)
-    markdown({"runs": runs})
+    markdown(run_contenders(__doc__, about, run, names, [*TASKS], first_seed=20, jobs=1))
