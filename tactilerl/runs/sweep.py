@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 from ..envs.observations import SensorConfig
@@ -28,8 +27,7 @@ def vary(run: RunConfig, sweep: tuple[str, ...]) -> tuple[str, list[Any], list[R
         raise InputError(f"--sweep {sweep[0]}: found no values, expected one or more")
     with input_errors(f"--sweep {sweep[0]}"):
         values = [type(USUAL[name])(text) for text in texts]
-    scenes = [dataclasses.replace(run.scene, **{name: value}) for value in values]
-    runs = [dataclasses.replace(run, scene=scene) for scene in scenes]
+    runs = [run.choose({name: value}) for value in values]
     with input_errors("--sweep"):
         for each in runs:
             each.validate()

@@ -28,9 +28,8 @@ PATIENCE = 300  # s
 def on_local(tmp_path_factory):
     """What the study comes to on this machine."""
     path = tmp_path_factory.mktemp("local")
-    assert (
-        main(["study", "run", str(write(path, LONG)), "--out", str(path / "out"), "--jobs", "2"]) == 0
-    )
+    args = ["study", "run", str(write(path, LONG)), "--out", str(path / "out"), "--jobs", "2"]
+    assert main(args) == 0
     return learned(path / "out")
 
 
@@ -96,20 +95,13 @@ def test_a_scheduler_that_is_killed_costs_no_bit(tmp_path, on_local):
     assert learned(out) == on_local
 
 
-def test_no_scheduler_there(tmp_path, capsys, monkeypatch):
+def test_no_scheduler_there(tmp_path, capsys):
     import dask
 
+    on = ["--on", "dask:tcp://127.0.0.1:9"]
     with dask.config.set({"distributed.comm.timeouts.connect": "1s"}):
-        args = [
-            "study",
-            "run",
-            write(tmp_path),
-            "--on",
-            "dask:tcp://127.0.0.1:9",
-            "--out",
-            tmp_path / "x",
-        ]
-        fails_with(capsys, args, "--on dask:tcp://127.0.0.1:9")
+        args = ["study", "run", write(tmp_path), "--out", tmp_path / "x", *on]
+        fails_with(capsys, args, " ".join(on))
     assert not (tmp_path / "x").exists()
 
 

@@ -50,6 +50,13 @@ def undisturbed(tmp_path_factory):
     return path / "out"
 
 
+@pytest.fixture
+def copied(undisturbed, tmp_path):
+    """The same in a folder that a test may change."""
+    shutil.copytree(undisturbed, tmp_path / "out")
+    return StudyFiles(tmp_path / "out")
+
+
 class TestRun:
     def test_every_run_is_done_and_nothing_is_left_to_do(self, undisturbed, tmp_path, capsys):
         assert main(["study", "status", str(undisturbed), "--json"]) == 0
@@ -94,9 +101,8 @@ class TestRun:
         assert "2 runs, 0 to do" in capsys.readouterr().out
         assert learned(tmp_path / "b") == learned(undisturbed)
 
-    def test_a_command_for_each_run_that_is_not_done(self, undisturbed, tmp_path, capsys):
-        out = tmp_path / "with space"
-        shutil.copytree(undisturbed, out)
+    def test_a_command_for_each_run_that_is_not_done(self, undisturbed, copied, tmp_path, capsys):
+        out = copied.path.rename(tmp_path / "with space")
         run = StudyFiles(out).study().runs()[0]
         shutil.rmtree(out / "runs" / run.name)
         todo = ["study", "todo", str(write(tmp_path)), "--out", str(out)]
@@ -173,11 +179,9 @@ class TestFailures:
         assert "2 runs, 0 to do" in capsys.readouterr().out
 
     def test_damaged_run_folders_cost_a_line_each_and_nothing_is_lost(
-        self, undisturbed, trained_here, tmp_path, capsys
+        self, copied, trained_here, tmp_path, capsys
     ):
-        shutil.copytree(undisturbed, tmp_path / "out")
-        folder = StudyFiles(tmp_path / "out")
-        first, second = (folder.run_dir(run) for run in folder.study().runs())
+        first, second = (copied.run_dir(run) for run in copied.study().runs())
         first.config_file.write_text("{")
         second.config_file.unlink()
         args = ["study", "run", str(write(tmp_path)), "--out", str(tmp_path / "out"), "--jobs", "1"]
@@ -188,31 +192,29 @@ class TestFailures:
         assert "exists but is not a run folder; choose another" in out
         assert first.checkpoint_file.exists()
         assert second.progress.path.exists()
-        assert [one.state for one in records.load(folder.path)[1]] == ["failed", "failed"]
+        assert [one.state for one in records.load(copied.path)[1]] == ["failed", "failed"]
 
     @pytest.mark.parametrize("harm", ["cut off", "gone"])
     def test_a_finished_run_that_is_no_longer_there_is_trained_again(
-        self, undisturbed, trained_here, tmp_path, capsys, harm
+        self, undisturbed, copied, trained_here, tmp_path, capsys, harm
     ):
-        shutil.copytree(undisturbed, tmp_path / "out")
-        folder = StudyFiles(tmp_path / "out")
-        run = folder.study().runs()[0]
-        table = folder.run_dir(run).progress.path
+        run = copied.study().runs()[0]
+        table = copied.run_dir(run).progress.path
         if harm == "gone":
-            shutil.rmtree(folder.run_dir(run).path)
+            shutil.rmtree(copied.run_dir(run).path)
         else:
             rows = table.read_text().splitlines(keepends=True)
             table.write_text("".join(rows[:-1]))
         state = {"gone": "left", "cut off": "interrupted"}[harm]
-        assert folder.record(run).state == state
-        assert main(["study", "report", str(folder.path), "--resamples", "100"]) == 0
+        assert copied.record(run).state == state
+        assert main(["study", "report", str(copied.path), "--resamples", "100"]) == 0
         assert f"Of 2 runs 1 {state}" in capsys.readouterr().out
-        args = ["study", "run", str(write(tmp_path)), "--out", str(folder.path), "--jobs", "1"]
+        args = ["study", "run", str(write(tmp_path)), "--out", str(copied.path), "--jobs", "1"]
         assert main(args) == (harm == "cut off")  # whose checkpoint has seen more: nothing is made up
         assert "2 runs, 1 to do" in capsys.readouterr().out
         if harm == "gone":
-            assert folder.record(run).state == "done"
-            assert learned(folder.path) == learned(undisturbed)
+            assert copied.record(run).state == "done"
+            assert learned(copied.path) == learned(undisturbed)
 
     def test_why_it_failed_is_of_this_attempt(self, tmp_path):
         log = tmp_path / "run.log"
@@ -251,12 +253,10 @@ def kill_first_child():
 
 class TestSharing:
     @pytest.fixture
-    def folder(self, undisturbed, tmp_path):
+    def folder(self, copied):
         """A study of which one run is missing."""
-        shutil.copytree(undisturbed, tmp_path / "out")
-        folder = StudyFiles(tmp_path / "out")
-        folder.run_dir(folder.study().runs()[0]).progress.path.unlink()
-        return folder
+        copied.run_dir(copied.study().runs()[0]).progress.path.unlink()
+        return copied
 
     @pytest.mark.parametrize("holder", ["train", "study run"])
     def test_a_run_that_somebody_else_trains_is_left_to_them(
