@@ -19,7 +19,7 @@ COLUMNS = ["setup", "setting", "arm", "score", "n", "estimate", "low", "high", "
 
 def scores(analysis: Analysis) -> bytes:
     """A row for each arm and score, and for each difference in pairs: its estimate, low and high."""
-    table = pd.DataFrame(_rows(analysis), columns=COLUMNS)
+    table = pd.DataFrame(_rows(analysis), columns=COLUMNS).dropna(axis="columns", how="all")
     return table.to_csv(index=False, lineterminator="\n").encode()
 
 
