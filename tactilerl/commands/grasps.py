@@ -16,7 +16,7 @@ from ..pictures import render
 from ..probe import grasp_search
 from ..runs.cores import free_cores
 from ..runs.files import replacing
-from ..terminal.console import progress
+from ..terminal.console import beside, progress
 
 LEAST = 0.5  # of the time that an object must be up for a found grasp to be of use
 MARK = "# Found by tactilerl for the file beside it, as long as that stays as it is.\n"
@@ -37,29 +37,26 @@ def require_grasp(name: str, scene: GraspConfig) -> None:
         file.write(
             f'{MARK}hand = "{digest}"\n\n{grasp_search.toml(hands.get(name), found.grasp)}\n'.encode()
         )
-    Console(stderr=True, markup=False, soft_wrap=True).print(f"kept in {kept}")
+    beside.print(f"kept in {kept}")
 
 
 def found_grasp(name: str, scene: GraspConfig) -> grasp_search.Found | None:
     """The best grasp that a search finds, and how it went; None, with a picture of the best, where that
     does not hold."""
-    screen = Console(stderr=True, markup=False, soft_wrap=True)
-    screen.print(f"{name} has no [[grasp]]: looking for one")
+    beside.print(f"{name} has no [[grasp]]: looking for one")
     with progress("trying grasps", sum(grasp_search.ROUNDS)) as tick:
         found = grasp_search.find(name, scene, free_cores(), tick)
-    up, size = (
-        f"{100 * found.share:.0f} % of the time",
-        f"a {1e3 * found.grasp.object_size:g} mm object",
-    )
+    up = f"{100 * found.share:.0f} % of the time"
+    size = f"a {1e3 * found.grasp.object_size:g} mm object"
     if found.share >= LEAST:
-        screen.print(f"found one: it holds {size} {up}, touched by {found.digits:.1f} digits")
+        beside.print(f"found one: it holds {size} {up}, touched by {found.digits:.1f} digits")
         if found.shift is not None:
-            screen.print(f"touched {1e3 * found.shift:.0f} mm beyond the middle of the last links")
+            beside.print(f"touched {1e3 * found.shift:.0f} mm beyond the middle of the last links")
         return found
-    screen.print(f"found no grasp that holds {size}: the best keeps it up {up}")
-    screen.print("look at [opened] and [closed], or at the force of the servos")
+    beside.print(f"found no grasp that holds {size}: the best keeps it up {up}")
+    beside.print("look at [opened] and [closed], or at the force of the servos")
     picture = Path(hands.file(name).with_suffix(".no_grasp.png").name)
-    draw(screen, "the best of them", name, scene, "grasp", picture, found.grasp)
+    draw(beside, "the best of them", name, scene, "grasp", picture, found.grasp)
     return None
 
 

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
-from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from ..envs.grasp import GraspConfig, setup
 from ..envs.simulators import Camera
 from ..errors import InputError, input_errors
 from ..pictures import render
 from ..terminal import flags
-from ..terminal.console import console
+from ..terminal.console import console, progress
 from ..terminal.help import About
 from .grasps import require_grasp
 from .scene import layout_notes, read_scene
@@ -93,15 +90,8 @@ def _film(args: list[str], read: RenderFlags, scene: GraspConfig) -> int:
         raise InputError(
             "render RUN: found scene flags, allowed only --hold-seconds: a run keeps its scene"
         )
-    columns = SpinnerColumn(), TextColumn("{task.completed:.0f} pictures"), TimeElapsedColumn()
-    bar = Progress(*columns, console=Console(stderr=True), disable=not sys.stderr.isatty())
-    with input_errors(), bar:
-        drawn = bar.add_task("")
-        film = render.film(
-            *(read.run, read.episodes, hold_seconds, read.camera, read.video),
-            tick=lambda: bar.advance(drawn),
-        )
-        for shown in film:
+    with input_errors(), progress("pictures") as tick:
+        for shown in render.film(read.run, read.episodes, hold_seconds, read.camera, read.video, tick):
             verdicts = ", ".join("success" if success else "no success" for success in shown)
             console.print(f"{read.video}: {verdicts} (hold tests of {hold_seconds:g} s)")
     return 0

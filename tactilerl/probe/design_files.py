@@ -49,23 +49,19 @@ def write(found: Design, out: Path | None) -> list[Path]:
     if out is None:
         return []
     if out.suffix == ".toml":
-        (n,) = found.chosen
-        _layout(found, n, out)
-        return [out]
+        return [_layout(found, max(found.chosen), out)]
     from . import figures
 
     with locked(out):
-        files = [out / f"design_{n}.toml" for n in found.chosen]
-        for n, path in zip(found.chosen, files, strict=True):
-            _layout(found, n, path)
-        with replacing(out / "design.json", is_result) as file:
+        files = [_layout(found, n, out / f"design_{n}.toml") for n in found.chosen]
+        files.append(out / "design.json")
+        with replacing(files[-1], is_result) as file:
             about = {"about": f"taxels {MADE}", **found.result}
             file.write((json.dumps(about, indent=1) + "\n").encode())
-        files.append(out / "design.json")
-        files += figures.save(figures.of_design(found), out, is_picture)
-    return files
+        return [*files, *figures.save(figures.of_design(found), out, is_picture)]
 
 
-def _layout(found: Design, n: int, path: Path) -> None:
+def _layout(found: Design, n: int, path: Path) -> Path:
     with replacing(path, is_layout) as file:
         file.write(found.layout(n).toml().encode())
+    return path

@@ -116,13 +116,10 @@ def _require_felt(starts: Starts, pool: Pool, workers: int) -> None:
     name, scene, hand = pool.env, pool.scenes[0].config, pool.hand
     if not starts.good.any():
         skin = Skin.of([places.skin("6mm", hand)])
-        seen = record(name, scene, skin, range(CHOICE, CHOICE + FEW), workers)
-        places_felt = sorted(
-            f"{hand.surfaces[place.surface].digit}.{hand.surfaces[place.surface].segment}"
-            for place, column in skin.index.items()
-            if seen.succeeds[np.arange(FEW), seen.fires[:, column]].any()
-        )
-        where = ", ".join(dict.fromkeys(places_felt)) or "nothing of the hand in time"
+        seen = record(name, scene, skin, range(CHOICE, CHOICE + FEW), workers).worth > 0
+        felt = {hand.surfaces[place.surface] for place, column in skin.index.items() if seen[column]}
+        where = ", ".join(sorted(f"{surface.digit}.{surface.segment}" for surface in felt))
+        where = where or "nothing of the hand in time"
         raise ValueError(
             f"skin: no taxel feels any start in time; arrivals meet {where}, where it has none"
         )

@@ -10,6 +10,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 console = Console(highlight=False, soft_wrap=True, markup=False)
+beside = Console(stderr=True, soft_wrap=True, markup=False)
+"""For what is no result."""
 COLUMNS = 100
 
 
