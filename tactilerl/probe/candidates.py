@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Annotated, Any
@@ -11,7 +12,6 @@ from ..envs.choices import require_known
 from ..envs.grasp import GraspConfig, setup
 from ..envs.hands import Hand
 from ..envs.layouts import Layout, Taxels
-from ..envs.objects import bounds
 from ..envs.state import Array
 from ..pictures import places
 from ..runs.config import WorkerCount
@@ -70,14 +70,11 @@ class DesignFlags:
     @property
     def numbers(self) -> range:
         """How many taxels, from and to."""
-        try:
-            low, high = bounds("taxels", self.taxels)
-            whole = int(low), int(high)
-        except (ValueError, OverflowError):
-            whole = low, high = 0, 1
-        if whole != (low, high) or not 1 <= low <= high <= 9999:
+        found = re.fullmatch(r"(\d{1,4})(?:\.\.(\d{1,4}))?", self.taxels)
+        low, high = (int(found[1]), int(found[2] or found[1])) if found else (0, 0)
+        if not 1 <= low <= high:
             raise ValueError(f"taxels: found {self.taxels!r}, allowed a number from 1 up, or LOW..HIGH")
-        return range(whole[0], whole[1] + 1)
+        return range(low, high + 1)
 
     def validate(self) -> None:
         """Raise ValueError naming the first invalid flag."""

@@ -82,14 +82,6 @@ class TestTrain:
         assert config["ranks"] == 1
         assert [row["epoch"] for row in progress(Path("run"))] == ["1", "2"]
 
-    def test_same_seed_same_run(self):
-        args = [*TOY, "--total-timesteps", "300"]
-        main([*args, "--out", "a"])
-        main([*args, "--out", "b"])
-        main([*args, "--out", "c", "--seed", "1"])
-        assert progress(Path("a")) == progress(Path("b")) != progress(Path("c"))
-        assert same_checkpoint(Path("a"), Path("b"))
-
     @pytest.mark.parametrize(
         ("hand", "algo"),
         [
@@ -173,6 +165,8 @@ class TestResume:
         assert "resumed  after epoch " in capsys.readouterr().out
         assert progress(Path("whole")) == progress(Path("parts"))
         assert same_checkpoint(Path("whole"), Path("parts"))
+        main([*toy, "--total-timesteps", "600", "--out", "other", "--seed", "1"])
+        assert progress(Path("other")) != progress(Path("whole"))
 
     @pytest.mark.parametrize(
         ("algo", "times"),
@@ -488,12 +482,6 @@ class TestOtherCommands:
     def test_evaluate(self, capsys):
         main(["train", "--env", "point-reach", *FAST, "--total-timesteps", "1", "--out", "run"])
         capsys.readouterr()
-        assert main(["evaluate", "run", "--episodes", "8", "--json"]) == 0
-        result = json.loads(capsys.readouterr().out)
-        low, high = result["success_rate_ci"]
-        assert low <= result["success_rate"] <= high
-        low, high = result["mean_return_ci"]
-        assert low <= result["mean_return"] <= high
         assert main(["evaluate", "run", "--episodes", "8"]) == 0
         told = capsys.readouterr().out
         assert "success rate" in told
