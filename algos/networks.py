@@ -9,8 +9,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -20,6 +19,7 @@ from torch.nn import functional
 
 from .mpi import Communicator
 
+TINY = np.finfo(np.float32).tiny  # below it, numbers have not all of float32's digits
 MOST_UNITS, MOST_WEIGHTS = 100_000, 10**8  # of hidden layers: more is a slip, and takes all memory
 
 
@@ -127,18 +127,6 @@ def _restored(sizes: Sequence[int], tanh: bool, values: Sequence[Any]) -> MLP:
     return network
 
 
-@contextmanager
-def _denormals_flushed() -> Iterator[None]:
-    """Numbers too small for all of float32's digits are zero, in this thread."""
-    smallest = np.finfo(np.float32).tiny
-    before = bool(smallest * np.float32(0.5) == 0)  # PyTorch sets it and does not tell it
-    torch.set_flush_denormal(True)
-    try:
-        yield
-    finally:
-        torch.set_flush_denormal(before)
-
-
 def flatten(*modules: nn.Module) -> nn.Parameter:
     """Move all parameters of `modules` into one vector, of which they become views.
 
@@ -203,8 +191,12 @@ class FlatAdam:
     def step(self) -> None:
         """One step along the gradient."""
         # Moments of units that are never active fade until they are denormal, and slow: zero then.
-        with _denormals_flushed():  # whoever steps physics must not notice
+        before = bool(TINY * np.float32(0.5) == 0)  # PyTorch sets it and does not tell it
+        torch.set_flush_denormal(True)
+        try:
             self._adam.step()
+        finally:
+            torch.set_flush_denormal(before)  # whoever steps physics must not notice
 
     def state_dict(self) -> dict[str, Any]:
         """Moments (n,) and steps (modules,). The parameters belong to the modules, step sizes and

@@ -130,6 +130,8 @@ class Layout:
                 position, normal = (tuple(v.tolist()) for v in surface.place(*offset))
                 point = Point(surface.link, position, normal, radius, name)
                 placed.append((point, index, (*offset, 0.0)))
+        with toml_files.blamed(f"layout {self.name!r}"):
+            taxel_files.require_distinct([point for point, *_ in placed])
         own = hand.sensors if self.name == MODEL else self.taxels
         points = [_of_link(point, hand) for point in own]
         placed += [_on_surface(point, hand) for point in points]
@@ -285,7 +287,6 @@ def parse(data: dict[str, Any], path: Path) -> Layout:
     if not all(isinstance(each, list) for each in tables) or not any(tables):
         raise ValueError("needs at least one [[patch]], [[taxel]] or [[sensor]] table")
     patches = tuple(_patch(patch, f"patch {i}") for i, patch in enumerate(tables[0], 1))
-    _require_distinct(patches)
     points = [taxel_files.point(taxel, i) for i, taxel in enumerate(tables[1])]
     for i, sensor in enumerate(tables[2]):
         points += taxel_files.mounted(sensor, i, path.parent)
@@ -321,21 +322,6 @@ def mm(metres: float) -> float:
     return round(1e3 * float(metres), 4) + 0.0  # no -0.0
 
 
-def _require_distinct(patches: tuple[Patch, ...]) -> None:
-    """ValueError when two patches put a taxel in the same place."""
-    seen: dict[tuple[str, str, tuple[float, float]], int] = {}
-    for count, patch in enumerate(patches, 1):
-        every = set(patch.digits or ["every digit"]), set(patch.segments or ["every segment"])
-        for place in product(*every, patch.offsets):
-            if place in seen:
-                digit, segment, (row, column) = place
-                raise ValueError(
-                    f"patch {count}: {digit}.{segment} has a taxel at "
-                    f"[{1e3 * row:g}, {1e3 * column:g}] mm already, from patch {seen[place]}"
-                )
-            seen[place] = count
-
-
 def _patch(data: Any, where: str) -> Patch:
     table({where: data}, where, {"digits", "segments", "offsets_mm", "radius_mm"})
     digits, segments = (
@@ -347,6 +333,4 @@ def _patch(data: Any, where: str) -> Patch:
         raise ValueError(f"{where}: found {offsets!r}, expected [[row, column], ...]")
     places = (vector(offset, 2, f"{where}: [row, column]", -50, 50) for offset in offsets)
     metres = tuple((1e-3 * row, 1e-3 * column) for row, column in places)
-    if len(set(metres)) < len(metres):
-        raise ValueError(f"{where}: the same [row, column] is given twice")
     return Patch(digits, segments, metres, 1e-3 * radius)

@@ -74,7 +74,8 @@ def require_distinct(points: Sequence[Point]) -> None:
         seen: dict[Any, int] = {}
         for index, each in enumerate(points):
             if (first := seen.setdefault(of(each), index)) != index:
-                raise ValueError(f"taxels {first + 1} and {index + 1}: found the same {what}")
+                which = f"taxels {first + 1} and {index + 1}, {each.name}"
+                raise ValueError(f"{which}: found the same {what}")
 
 
 def read(path: Path, link: str | None = None) -> tuple[Point, ...]:

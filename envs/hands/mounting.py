@@ -251,12 +251,6 @@ def loops(spec: mujoco.MjSpec) -> list[set[str]]:
     return found
 
 
-def in_loops(spec: mujoco.MjSpec) -> list[str]:
-    """The joints of those bodies."""
-    bodies = set().union(*loops(spec))
-    return [joint.name for joint in spec.joints if joint.parent.name in bodies]
-
-
 def is_loose(body: mujoco.MjsBody) -> bool:
     """Does it move by itself, or is it moved from outside?"""
     return bool(body.mocap) or any(joint.type == FREE for joint in body.joints)

@@ -134,7 +134,8 @@ class Parts:
         found = [joint for pattern in named for joint in self.matching(pattern, "passive")]
         keys = "opened", "closed", "start"
         moved = set().union(*(self.angles(table(self.data, key), key, False) for key in keys))
-        found += [joint for joint in mounting.in_loops(self.raw) if joint not in moved]
+        looped = set().union(*mounting.loops(self.raw))
+        found += [j.name for j in self.raw.joints if j.parent.name in looped and j.name not in moved]
         return tuple(dict.fromkeys(found))
 
     @cached_property

@@ -50,8 +50,9 @@ def _add_link(robot: Element, model: mujoco.MjModel, body: int, folder: Path) ->
     link = _link(robot, model.body(body).name, model.body_mass[body], model.body_inertia[body])
     _origin(link[0], model.body_ipos[body], model.body_iquat[body])
     first = model.body_geomadr[body]
+    in_pairs = {*model.pair_geom1, *model.pair_geom2}
     for geom in range(first, first + model.body_geomnum[body]):
-        if _collides(model, geom):
+        if model.geom_contype[geom] or model.geom_conaffinity[geom] or geom in in_pairs:
             collision = SubElement(link, "collision")
             _origin(collision, model.geom_pos[geom], model.geom_quat[geom])
             _shape(SubElement(collision, "geometry"), model, geom, folder)
@@ -65,12 +66,6 @@ def _link(robot: Element, name: str, mass: float, inertia: Array) -> Element:
     xx, yy, zz = (repr(float(value)) for value in inertia)
     SubElement(inertial, "inertia", ixx=xx, iyy=yy, izz=zz, ixy="0", ixz="0", iyz="0")
     return link
-
-
-def _collides(model: mujoco.MjModel, geom: int) -> bool:
-    """By its own filter, or because a contact pair names it."""
-    in_pair = geom in model.pair_geom1 or geom in model.pair_geom2
-    return bool(model.geom_contype[geom] or model.geom_conaffinity[geom] or in_pair)
 
 
 def _shape(parent: Element, model: mujoco.MjModel, geom: int, folder: Path) -> None:

@@ -106,9 +106,12 @@ GOOD = 'digits = ["thumb"]\nsegments = ["distal"]\noffsets_mm = [[0, 0]]\nradius
         ("[[patch]]\n" + GOOD.replace("2.0", "nan"), "radius_mm: found nan"),
         ("[[patch]]\n" + GOOD.replace("[[0, 0]]", "[[0]]"), "[row, column]: found [0], expected 2"),
         ("[[patch]]\n" + GOOD.replace("[[0, 0]]", "[[0, 80]]"), "from -50 to 50"),
-        ("[[patch]]\n" + GOOD.replace("[[0, 0]]", "[[0, 0], [0, 0]]"), "given twice"),
+        (
+            "[[patch]]\n" + GOOD.replace("[[0, 0]]", "[[0, 0], [0, 0]]"),
+            "taxels 1 and 2, thumb.distal[+0,+0 mm]",
+        ),
         ("[[patch]]\n" + GOOD.replace("[[0, 0]]", '"centre"'), "offsets_mm"),
-        (2 * ("[[patch]]\n" + GOOD), "patch 2: thumb.distal has a taxel at [0, 0] mm already"),
+        (2 * ("[[patch]]\n" + GOOD), "taxels 1 and 2, thumb.distal[+0,+0 mm]: found the same"),
         ("[[patch]]\n" + GOOD.replace("2.0", "9" * 400), "radius_mm: found 9"),
     ],
 )
