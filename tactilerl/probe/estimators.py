@@ -75,21 +75,17 @@ def folds(held: Array, n: int, groups: Array | None, seed: int) -> list[Fold]:
 
 def probabilities(features: Array, targets: Array, kept: list[Fold]) -> Array:
     """(n, 2): probability that each grasp holds, and the share that held in its training folds."""
-    predicted = np.full((len(targets), 2), np.nan)
-    for train, test in kept:
-        model = _classifier().fit(features[train], targets[train])
-        predicted[test, 0] = model.predict_proba(features[test])[:, 1]
-        predicted[test, 1] = targets[train].mean()
-    return predicted
-
-
-def _classifier() -> Any:
     inner = StratifiedKFold(INNER_FOLDS, shuffle=True, random_state=0)
     chosen = LogisticRegressionCV(
         Cs=PENALTIES, l1_ratios=(0.0,), cv=inner, scoring="neg_log_loss", tol=1e-3, max_iter=1000,
         use_legacy_attributes=False,
     )  # fmt: skip
-    return make_pipeline(StandardScaler(), chosen)
+    model, predicted = make_pipeline(StandardScaler(), chosen), np.full((len(targets), 2), np.nan)
+    for train, test in kept:
+        model.fit(features[train], targets[train])
+        predicted[test, 0] = model.predict_proba(features[test])[:, 1]
+        predicted[test, 1] = targets[train].mean()
+    return predicted
 
 
 def values(features: Array, targets: Array, kept: list[Fold]) -> Array:

@@ -71,7 +71,7 @@ def analyse(read: Options, played: files.Played, out: Path) -> dict[str, Any]:
         for noise, name in itertools.product(asking.joint_noise, readings):
             gained = analysis.hold_gain(samples, noise, name)
             gains[f"{noise:g} {name}"] = gained.astype(np.float32)
-        spots = [asdict(place) for place in places.of(taxels[probe.densest])]
+        densest = probe.densest
         result = {
             **{name: settings[name] for name in ("env", "simulator", "touch_rule", "seed")},
             "playing": settings,
@@ -86,7 +86,12 @@ def analyse(read: Options, played: files.Played, out: Path) -> dict[str, Any]:
             "table": analysis.table(samples),
             "differences": analysis.differences(probe, asked, samples),
             "shuffled": analysis.shuffled_gain(probe),
-            "worth": selection.worth(probe) | {"places": spots},
+            "worth": {
+                "layout": densest,
+                "joint_noise": asking.joint_noise[-1],
+                "bits": selection.bits(probe, readings[densest]).tolist(),
+                "places": [asdict(place) for place in places.of(taxels[densest])],
+            },
         }
     with replacing(out / "gains.npz") as file:
         np.savez_compressed(file, **gains)

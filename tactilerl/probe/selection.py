@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -27,16 +26,9 @@ PENALTY = 100.0
 REDUNDANT = 1e-6  # share of a candidate's variance that the others leave unexplained
 
 
-def worth(probe: Probe) -> dict[str, Any]:
-    """What each taxel of the densest layout would tell alone, beyond the angles with the last of the
-    noises: bits a grasp, less what a taxel of noise would seem to tell."""
-    noise, layout = probe.choices.joint_noise[-1], probe.densest
-    told = bits(probe, probe.readings[layout])
-    return {"layout": layout, "joint_noise": noise, "bits": told.tolist()}
-
-
 def bits(probe: Probe, skin: Array) -> Array:
-    """The same of each taxel (m,) of a skin (n, m)."""
+    """What each taxel of a skin (n, m) would tell alone, beyond the angles with the last of the noises:
+    bits a grasp (m,), less what a taxel of noise would seem to tell."""
     known = StandardScaler().fit_transform(probe.features(probe.choices.joint_noise[-1], JOINTS))
     held = probe.grasps.held
     with threadpool_limits(1):  # as everywhere here: the digits do not depend on the cores

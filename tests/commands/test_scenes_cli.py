@@ -91,10 +91,6 @@ class TestEvaluateWithOtherSensors:
         assert swept["points"][0]["mean_return"] == plain["mean_return"]
         assert main(["evaluate", "run", "--episodes", "1", "--workers", "1", *given[:3]]) == 0
         assert "taxel-stuck" in capsys.readouterr().out
-        assert (
-            main(["evaluate", "run", "--episodes", "1", "--taxel-dead", "0.2", "--workers", "1"]) == 0
-        )
-        assert "taxel-dead 0.2" in capsys.readouterr().out
 
     @pytest.mark.parametrize(
         ("given", "named"),
