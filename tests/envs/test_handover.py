@@ -217,25 +217,3 @@ class TestActions:
             asked.append(env.step(np.array([action]))[0]["observation"][at])
         np.testing.assert_allclose(asked, [0.0, 0.5, 1.0, 0.8], atol=1e-6)
         env.close()
-
-
-@pytest.mark.parametrize(
-    ("choices", "named"),
-    [
-        ({"handover_reach": 0.4}, "handover_reach: found 0.4"),
-        ({"handover_reach": "0.02..0.4"}, "handover_reach: found 0.4, allowed from 0 to 0.3"),
-        ({"handover_reach": "0.04..0.02"}, "handover_reach: found '0.04..0.02', allowed LOW..HIGH"),
-        ({"task": "lift-and-hold", "handover_reach": 0.05}, "handover_reach: found 0.05"),
-        ({"start_closing": 1.0}, "start_closing: found 1.0, allowed from 0 to below 1"),
-        ({"actions": "thumb"}, "actions: found 'thumb', allowed: all, fingers, grip"),
-        ({"reward": "staged"}, "reward: found 'staged'"),
-        ({"max_episode_steps": 20}, "max_episode_steps: found 20, allowed 53 or more in a handover"),
-        ({"control_dt": 1 / 80, "timestep": 1 / 240}, "control_dt: found 0.0125 s, allowed 0.041 s"),
-        ({"history": "four"}, "history: found 'four'"),
-        ({"observe_targets": "no"}, "observe_targets: found 'no'"),
-        ({"joint_noise": True}, "joint_noise: found True"),
-    ],
-)
-def test_what_cannot_be_is_named(choices, named):
-    with pytest.raises(ValueError, match=named):
-        make(**choices)

@@ -108,27 +108,3 @@ def test_a_fixed_object_draws_nothing():
     items = Items(ObjectConfig(object_size=(0.03,), friction=0.4))
     assert not items.vary
     assert items.draw(None) is items.first
-
-
-@pytest.mark.parametrize(
-    ("choices", "named"),
-    [
-        ({"object": "box,torus"}, "object: found 'torus', allowed: box, sphere, cylinder"),
-        ({"object": "box,box"}, "object: found 'box,box', allowed each kind once"),
-        ({"object_size": "0.05..0.04"}, r"object_size: found '0.05..0.04', allowed LOW..HIGH with LOW"),
-        ({"object_size": "0.04..0.09"}, "object_size: found 0.09 m, allowed up to 0.08 m across"),
-        (
-            {"object_size": ("0.04..0.05", 0.05), "object": "box,cylinder"},
-            "object_size: found 2 numbers",
-        ),
-        ({"friction": "low"}, "friction: found 'low', allowed a number or LOW..HIGH"),
-        ({"friction": "0..1"}, "friction: found 0.0, allowed above 0, up to 10"),
-        ({"object_density": "1..2..3"}, "object_density: found '1..2..3'"),
-        ({"object_density": "1..1e300"}, "object_density: found 1e[+]300, allowed from 1 to 100000"),
-        ({"start_yaw": 4.0}, "start_yaw: found 4.0, allowed from 0 to 3.142"),
-        ({"start_offset": 0.02, "jitter": False}, "start_offset: found 0.02, allowed only with jitter"),
-    ],
-)
-def test_objects_that_cannot_be_are_named(choices, named):
-    with pytest.raises(ValueError, match=named):
-        envs.make("shadow", **choices)

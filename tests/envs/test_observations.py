@@ -206,31 +206,6 @@ class TestHistory:
         assert is_bit[-2 * 79 :].all()
 
 
-@pytest.mark.parametrize(
-    ("choices", "named"),
-    [
-        (
-            {"object_seen": "blurred"},
-            "object_seen: found 'blurred', allowed: exact, noisy, start",
-        ),
-        ({"sight_noise": (0.01, 0.1)}, "sight_noise: found .* allowed only with object_seen noisy"),
-        ({"object_seen": "hidden", "sight_noise_kind": "held"}, "sight_noise_kind: found held"),
-        ({"object_seen": "noisy", "sight_noise": (-0.01, 0.1)}, "sight_noise: found -0.01"),
-        ({"taxel_false_on": 1.1}, "taxel_false_on: found 1.1, allowed from 0 to 1"),
-        ({"taxel_dead": 0.6, "taxel_stuck": 0.6}, "taxel_stuck: found 1.2 with taxel_dead"),
-        ({"history": 0}, "history: found 0, allowed from 1 to 100"),
-        (
-            {"touch": "off", "taxel_dead": 0.1},
-            "taxel_dead: found 0.1, allowed only with touch",
-        ),
-        ({"touch": "absent", "taxel_delay": 1}, "taxel_delay: found 1, allowed only with touch on"),
-    ],
-)
-def test_what_cannot_be_is_named(choices, named):
-    with pytest.raises(ValueError, match=named):
-        make(**choices)
-
-
 class TestTargets:
     def test_of_increments_how_far_each_group_is_to_be_closed(self):
         env = make("mpl", observe_targets=True)

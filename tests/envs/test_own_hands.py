@@ -47,6 +47,9 @@ def own(tmp_path):
     return change
 
 
+CIRCLE = "[couplings]\nleft_tip = {follows = 'left_knuckle', ratio = 1}\n" \
+         "left_knuckle = {follows = 'left_tip', ratio = 1}\n"  # fmt: skip
+CLOSING = "[actions]\nkind = 'closing'\n[slides]\nlimits = [[0, 1], [0, 1], [1, 0]]\n"
 WRONG = [
     ("toml", 'palm = "palm"', 'palm = "hand"', "palm: found no body 'hand' in the model, allowed:"),
     ("toml", '"left_1", "left_2"', '"left_9"', "digits.left: found no body 'left_9'"),
@@ -72,12 +75,15 @@ WRONG = [
     ("toml", "[digits]", "[masses]\nlef_1 = 0.1\n[digits]", "masses: found 'lef_1', allowed: "),
     ("toml", "[digits]", "[start_closing]\nlfet = 0.2\n[digits]", "start_closing: unknown key 'lfet'"),
     ("toml", "[digits]", "[pitch.rows]\nmidle = 0.01\n[digits]", "rows: unknown key 'midle'"),
-    (
-        "toml",
-        "[digits]",
-        "[couplings.left_tip]\nfollows = [1]\n[digits]",
-        "couplings: found no joint '[1]'",
-    ),
+    ("toml", "[digits]", "[couplings.left_tip]\nfollows = [1]\n[digits]", "found no joint '[1]'"),
+    ("toml", "palm = ", 'drop = ["*"]\npalm = ', "model: found 0 bodies at its root"),
+    ("toml", "palm = ", 'drop = ["no*"]\npalm = ', "drop: found 'no*', which nothing in the model is"),
+    ("toml", "[opened]", f"{CIRCLE}[opened]", "couplings: found a circle: left_tip follows left_"),
+    ("toml", "[opened]", "[place]\nat = [0, 0, 1e8]\n[opened]", "place.at: found [0, 0, 1000000"),
+    ("toml", '"left_1", "left_2"', '"left_1", "left_1"', "expected each name once"),
+    ("toml", '"left_1", "left_2"', '"left_1", "back_1"', "found 'back_1', which is a link of left"),
+    ("toml", "[opened]", f"{CLOSING}[opened]", "slides.limits: found [1, 0], expected the lower end"),
+    ("toml", "[opened]", "[actions]\ngroups = [['left'], ['left']]\n[opened]", "expected each name"),
 ]
 
 

@@ -29,19 +29,6 @@ def test_goals_are_drawn_within_their_range_and_starts_stay(hand, simulator):
     fixed.close(), drawn.close()
 
 
-@pytest.mark.parametrize(
-    ("choices", "named"),
-    [
-        ({"goal_range": 0.09}, "goal_range: found 0.09 m, allowed from 0 to goal_height, 0.08 m"),
-        ({"goal_range": -0.01}, "goal_range: found -0.01 m"),
-        ({"goal_range": 0.01, "task": "lift-and-hold"}, "goal_range: .* only with task reach-goal"),
-    ],
-)
-def test_goals_that_cannot_be_are_named(choices, named):
-    with pytest.raises(ValueError, match=named):
-        envs.make("shadow", **{"task": "reach-goal", **choices})
-
-
 @pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
 def test_the_objects_velocity_is_what_its_poses_say(simulator):
     """Of a turned box that falls and spins in free space."""
