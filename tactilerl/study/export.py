@@ -53,7 +53,7 @@ def arrays(analysis: Analysis) -> bytes:
             table = table.reindex(one.setup.seeds).dropna()
             if table.size:
                 parts = [one.setup.name if len(analysis.setups) > 1 else "", one.setup.label(arm)]
-                found[", ".join(filter(None, parts))] = table.to_numpy()
+                found[", ".join(filter(None, parts))] = np.ascontiguousarray(table)
     file = io.BytesIO()
     np.savez(file, **found)  # type: ignore[arg-type]
     return file.getvalue()
