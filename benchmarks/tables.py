@@ -17,7 +17,7 @@ from typing import Any
 
 from benchmarks import environments, times
 from benchmarks.command import DOCS, ROOT, data, no_flags
-from benchmarks.learners import ablation, bounces, footprint, precision, scaling, steady
+from benchmarks.learners import ablation, bounces, footprint, precision, scaling, steady, targets
 from benchmarks.peers import clients, env, solve, updates
 from benchmarks.physics import hands, hard_cases, hold_verdict, scene_parts, speed_vs_error
 from benchmarks.studies import (
@@ -81,6 +81,7 @@ PRINTED: dict[str, Callable[[], None]] = {
     "hard cases, long": _of("hard_cases_long", hard_cases.show),
     "ablation": _of("ablation", ablation.show),
     "steady": _of("steady", steady.markdown),
+    "targets": _of("targets", targets.markdown),
     "pairs": _of("pairs", pairs.show),
     "error rates": _parts("error_rates", error_rates.show_p_values, "p_values"),
     "looks": _parts("error_rates", error_rates.show_looks, "looks", "p_values"),
