@@ -5,7 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from typing import Annotated, Any
+
+import numpy as np
 
 from ..envs import hands, layouts, scenes, tasks, typed
 from ..envs.choices import require_known
@@ -21,6 +24,7 @@ from .recording import Skin
 MOST = 250_000  # starts
 USUAL = {True: 200, False: 2_000}  # handovers, or grasps
 BESIDE = tuple("123456")
+BESIDE_EACH_OTHER = 0.9  # share of the sum of radii; a chord is shorter than the skin under it
 MADE = "placed by tactilerl"
 """Stands in the description of every layout that was designed."""
 
@@ -40,7 +44,8 @@ class DesignFlags:
     skin: str = "4mm"
     """What to choose from: the spacing of a grid over all surfaces, a layout, or a layout file."""
     radius: Annotated[float, "[0.1, 20]"] | None = None
-    """Radius of the taxels, mm; default: the hand's own, or that of the layout."""
+    """Radius of the taxels, mm, of which no two then overlap; default: the hand's own, or that of the
+    layout."""
     only: tuple[str, ...] = ()
     """Only on these segments, digits, or segments of digits, such as palm distal index.middle."""
     leave_out: tuple[str, ...] = ()
@@ -184,6 +189,18 @@ class Pool:
         """Is the question when to close? Where an object is handed over; elsewhere it is whether a
         grasp will hold."""
         return tasks.TASKS[self.scenes[0].config.task].giver is not None
+
+    @cached_property
+    def overlap(self) -> Array | None:
+        """(m, m) bool, of its columns: which two do not fit beside each other? None where nobody said
+        how large the sensors are."""
+        if self.flags.radius is None:
+            return None
+        taxels = self.skin.taxels.take(self.columns)
+        apart = np.linalg.norm(taxels.positions[:, None] - taxels.positions, axis=2)
+        needed = BESIDE_EACH_OTHER * (taxels.radii[:, None] + taxels.radii)
+        is_same_link = taxels.link_index[:, None] == taxels.link_index
+        return np.asarray(is_same_link & (apart < needed) & ~np.eye(len(taxels), dtype=bool))
 
     @property
     def n_starts(self) -> int:

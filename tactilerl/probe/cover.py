@@ -132,14 +132,35 @@ def value(starts: Starts, taxels: Sequence[int], aim: Aim = FIRST) -> float:
 
 
 def greedy(
-    starts: Starts, k: int, aim: Aim = FIRST, kept: Sequence[int] = (), rounds: int = ROUNDS
+    starts: Starts,
+    k: int,
+    aim: Aim = FIRST,
+    kept: Sequence[int] = (),
+    rounds: int = ROUNDS,
+    overlap: Array | None = None,
 ) -> list[int]:
     """`k` taxels one after another, then up to `rounds` swaps as long as one gains something; those
-    `kept` stay."""
+    `kept` stay, and no two are chosen that `overlap`, bool (m, m). ValueError where there is no
+    room."""
     chosen, every, ties = list(kept), np.arange(starts.fires.shape[1]), starts.worth
+    overlap = np.zeros((len(every),) * 2, bool) if overlap is None else overlap
 
     def best(rests: list[list[int]], redundancy: int) -> tuple[float, list[int]]:
-        sets = np.array([[*rest, j] for rest in rests for j in every if j not in rest], int)
+        fits = (~overlap[rest].any(axis=0) for rest in rests)
+        sets = np.array(
+            [
+                [*rest, j]
+                for rest, own in zip(rests, fits, strict=True)
+                for j in every[own]
+                if j not in rest
+            ],
+            int,
+        )
+        if not len(sets):
+            allowed = (
+                f"allowed up to {len(chosen) - len(kept)}; there is no room for more of this radius"
+            )
+            raise ValueError(f"taxels: found {k - len(kept)}, {allowed}")
         found = starts.weights @ scores(starts, sets, aim._replace(redundancy=redundancy))
         at = int(np.argmax(found.round(12) + 1e-9 * ties[sets[:, -1]]))
         return float(found[at]), sets[at].tolist()
@@ -156,23 +177,34 @@ def greedy(
 
 
 def choose(
-    starts: Starts, k: int, aim: Aim = FIRST, kept: Sequence[int] = (), nodes: int = 200
+    starts: Starts,
+    k: int,
+    aim: Aim = FIRST,
+    kept: Sequence[int] = (),
+    nodes: int = 200,
+    overlap: Array | None = None,
 ) -> Chosen:
-    """The best `k` taxels, by mixed-integer programming; where that takes more than `nodes` nodes of
-    the search, or taxels may fail, by `greedy`, and then with a bound or without."""
-    found = greedy(starts, k, aim, kept)
+    """The best `k` taxels of which no two `overlap`, by mixed-integer programming; where that takes
+    more than `nodes` nodes of the search, or taxels may fail, by `greedy`, and then with a bound or
+    without."""
+    found = greedy(starts, k, aim, kept, overlap=overlap)
     least = value(starts, found, aim)
     if aim.false_on:
         return Chosen(sorted(found), least, None)
     # With dead taxels a set is worth a mean over its subsets, so no more than the best without.
-    taxels, bound = _exact(starts, k, aim.redundancy if aim.is_certain else 1, kept, nodes)
+    taxels, bound = _exact(starts, k, aim.redundancy if aim.is_certain else 1, kept, nodes, overlap)
     if taxels is not None and (reached := value(starts, taxels, aim)) >= least - 1e-12:
         found, least = taxels, reached
     return Chosen(sorted(found), least, max(bound, least) if bound is not None else None)
 
 
 def _exact(
-    starts: Starts, k: int, redundancy: int, kept: Sequence[int], nodes: int
+    starts: Starts,
+    k: int,
+    redundancy: int,
+    kept: Sequence[int],
+    nodes: int,
+    overlap: Array | None,
 ) -> tuple[list[int] | None, float | None]:
     """Taxels and bound. A variable for each taxel, and for each start one for each run of moments
     between those that are too early: which of them holds the first firings?"""
@@ -180,6 +212,8 @@ def _exact(
     m, n = starts.fires.shape[1], len(gains)
     if not n:
         return None, 0.0
+    pairs = [] if overlap is None else np.argwhere(np.triu(overlap)).tolist()
+    rows += [([1.0, 1.0], pair, 1.0) for pair in pairs if not {*pair} <= {*kept}]
     lower, upper = np.zeros(m + n), np.ones(m + n)
     lower[list(kept)] = 1.0
     ties = 0.1 * starts.weights.min() / k * starts.worth

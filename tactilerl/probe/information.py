@@ -29,7 +29,7 @@ def design(pool: Pool, workers: int, show: Callable[[int, int], None]) -> Design
     has, skin = np.split(felt[:, pool.columns], [pool.n_kept], axis=1)
     probe = analysis.Probe(grasps, readings, AnalysisFlags(), flags.seed, workers)
     with estimators.expected_warnings():
-        path, best, told = selection.select(probe, skin, numbers, has)
+        path, best, told = selection.select(probe, skin, numbers, has, pool.overlap)
         worth = selection.bits(probe, skin)
     rows = [_row(name, readings[name].shape[1], gains) for name, gains in told.items()]
     first = max(rows, key=lambda row: row["gain"], default=None)

@@ -36,20 +36,25 @@ def bits(probe: Probe, skin: Array) -> Array:
     return np.maximum(score - 1.0, 0.0) / (2.0 * len(held) * math.log(2.0))
 
 
-def forward(known: Array, candidates: Array, held: Array, n: int) -> list[int]:
+def forward(
+    known: Array, candidates: Array, held: Array, n: int, overlap: Array | None = None
+) -> list[int]:
     """Indices of up to `n` candidates (n, m), in the order in which they were chosen; fewer when
-    the others tell nothing new. Of candidates that are alike one is chosen at most."""
+    the others tell nothing new. Of candidates that are alike, or `overlap`, bool (h + m, h + m) where
+    the hand has h already, one is chosen at most."""
     features, pool = StandardScaler().fit_transform(known), candidates.astype(float)
     chosen: list[int] = []
-    is_free = np.ones(candidates.shape[1], bool)
-    for _ in range(min(n, candidates.shape[1])):
+    m = candidates.shape[1]
+    overlap = np.zeros((m, m), bool) if overlap is None else overlap
+    is_free = ~overlap[:-m, -m:].any(axis=0)
+    for _ in range(min(n, m)):
         score = np.where(is_free, _scores(features, pool, held), 0.0)
         best = int(np.argmax(score))
         if not score[best] > 0.0:
             break
         chosen.append(best)
         column = pool[:, best]
-        is_free &= (pool != column[:, None]).any(axis=0)
+        is_free &= (pool != column[:, None]).any(axis=0) & ~overlap[-m + best, -m:]
         features = np.column_stack([features, (column - column.mean()) / column.std()])
     return chosen
 
@@ -73,11 +78,12 @@ def _scores(features: Array, candidates: Array, held: Array) -> Array:
 
 
 def select(
-    probe: Probe, skin: Array, numbers: Sequence[int], has: Array
+    probe: Probe, skin: Array, numbers: Sequence[int], has: Array, overlap: Array | None = None
 ) -> tuple[list[int], dict[int, Array], dict[str, Array]]:
     """The taxels of `skin` (n, m) chosen from all grasps, in order; and gains in AUC over the angles
     with the last of the noises: of the best so many, and of each of the probe's layouts. `has` (n, h)
-    are readings of taxels that the hand has already.
+    are readings of taxels that the hand has already, and `overlap` (h + m, h + m) says which do not fit
+    beside each other.
 
     Each grasp is predicted from taxels that were chosen without it. Gains are (1 + resamples,): of all
     grasps, then of each bootstrap sample.
@@ -89,7 +95,7 @@ def select(
     in_threads = Parallel(probe.jobs, prefer="threads")
     with threadpool_limits(1):
         *paths, final = in_threads(
-            delayed(forward)(known[train], skin[train], held[train], max(numbers))
+            delayed(forward)(known[train], skin[train], held[train], max(numbers), overlap)
             for train in (*(train for train, _ in kept), np.arange(len(held)))
         )
 

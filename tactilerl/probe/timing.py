@@ -47,7 +47,9 @@ def design(pool: Pool, workers: int, show: Callable[[int, int], None]) -> Design
     rows.append(judge.row("whole skin", pool.columns))
     chosen = {}
     for n in flags.numbers:
-        picked = cover.choose(starts, n + pool.n_kept, flags.aim, range(pool.n_kept))
+        picked = cover.choose(
+            starts, n + pool.n_kept, flags.aim, range(pool.n_kept), overlap=pool.overlap
+        )
         chosen[n] = [i for i in picked.taxels if i >= pool.n_kept]
         own = [pool.columns[i] for i in picked.taxels]
         row = judge.row("chosen", own)

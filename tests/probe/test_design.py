@@ -79,6 +79,23 @@ class TestCover:
         assert 5 in found.taxels
         assert found.value == pytest.approx(best)
 
+    @pytest.mark.parametrize("aim", [Aim(), Aim(1, 0.2, 0.05)])
+    def test_no_two_overlap(self, aim):
+        starts, overlap = some(np.random.default_rng(4)), np.zeros((8, 8), bool)
+        free = cover.choose(starts, 3, aim)
+        overlap[np.ix_(free.taxels, free.taxels)] = ~np.eye(3, dtype=bool)
+        found = cover.choose(starts, 3, aim, overlap=overlap)
+        fitting = [x for x in itertools.combinations(range(8), 3) if not overlap[np.ix_(x, x)].any()]
+        assert tuple(found.taxels) in fitting
+        assert found.value <= free.value
+        if aim.is_certain:
+            assert found.value == pytest.approx(max(cover.value(starts, x) for x in fitting))
+
+    def test_no_room(self):
+        starts, overlap = some(np.random.default_rng(5)), ~np.eye(8, dtype=bool)
+        with pytest.raises(ValueError, match="taxels: found 3, allowed up to 1"):
+            cover.choose(starts, 3, overlap=overlap)
+
 
 class TestCandidates:
     def test_only_some_digits_and_segments(self):
