@@ -21,6 +21,7 @@ TRAINING := $(VENV)/.installed-train
 $(TRAINING): setup.cfg pyproject.toml constraints.txt tools/install_torch.py
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "$(PYTHON): needs Python 3.11 or newer (make PYTHON=python3.12)" >&2; exit 1; }
+	@echo "setting up $(VENV) with PyTorch and MuJoCo: a few minutes"
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python tools/install_torch.py --constraint constraints.txt --index $(TORCH_INDEX) $(CUDA:%=--cuda)
 	$(INSTALL) --editable .

@@ -139,10 +139,10 @@ def _which(row: dict[str, Any]) -> str:
 
 
 def _bound(row: dict[str, Any]) -> str:
-    """How good a set of as many could be."""
+    """How good a set of the same size could be."""
     told = f"{row['taxels']} chosen: {row['chosen_from']:.3f} of the starts they were chosen from"
     if row["bound"] is None:
         return f"{told}, by greedy search with swaps"
     if row["bound"] - row["chosen_from"] < EXACT:
-        return f"{told}; no set of as many has more"
+        return f"{told}; no set of the same size has more"
     return f"{told}, by greedy search with swaps; none has more than {row['bound']:.3f}"

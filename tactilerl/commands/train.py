@@ -41,8 +41,7 @@ def main(args: list[str]) -> int:
 
 def _summary(config: RunConfig, usual: RunConfig, ranks: int, notes: list[str]) -> str:
     """What matters first and what is not as usual, a paragraph per part; config.json has the rest."""
-    several = f"{ranks} processes" if ranks > 1 else "1 process (mpirun -n 2 tactilerl ... for two)"
-    lines = [f"tactilerl train: {several}"]
+    lines = [f"tactilerl train: {ranks} process{'es' * (ranks > 1)}"]
     before = usual.as_dict()
     for part, values in config.as_dict().items():
         pairs = "  ".join(
