@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import Field, fields, is_dataclass
 from itertools import dropwhile, takewhile
@@ -55,6 +56,11 @@ def parse(kind: type[T], args: Sequence[str], prog: str, about: help.About, defa
     return read
 
 
+CHOICE = re.compile(r"invalid choice ('.*') for argument '(--\S+)'\. Expected one of \((.*)\)\.")
+NUMBER = re.compile(r"Error parsing (--\S+): (.*\b(?:int|INT|float|FLOAT)\b.*?)('.*')(?:\]\.)?")
+"""What tyro says of values of other types."""
+
+
 def peek(args: Sequence[str], flag: str, default: str = "") -> str:
     """The value of one flag before all are known: it decides which others there are.
 
@@ -80,6 +86,13 @@ def _reason(said: str) -> str:
     lines = (line.strip(" │╭╮╰╯─|+") for line in said.splitlines()[1:])
     texts = (line if line.strip("-") else "" for line in lines)  # a rule is dashes in plain ASCII
     reason = " ".join(takewhile(bool, dropwhile(not_, texts))).replace("command-part.", "")
+    if choice := CHOICE.fullmatch(reason):
+        allowed = ", ".join(re.findall(r"'([^']*)'", choice[3]))
+        return f"{choice[2]}: found {choice[1]}, allowed: {allowed}"
+    if number := NUMBER.fullmatch(reason):
+        is_whole = re.search(r"\bint\b|\bINT\b", number[2]) and not re.search("FLOAT", number[2])
+        allowed = "a whole number" if is_whole else "a number"
+        return f"{number[1]}: found {number[3]}, allowed {allowed}"
     return reason or "found flags that are not allowed"
 
 
