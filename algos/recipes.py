@@ -66,3 +66,11 @@ def current(algorithm: str, told: dict[str, Any]) -> dict[str, Any]:
     """Hyperparameters that an earlier version may have written, as this one has them."""
     gone = GONE.get(algorithm, {}).items()
     return SINCE.get(algorithm, {}) | {name: v for name, v in told.items() if (name, v) not in gone}
+
+
+def comparable(algorithm: str, told: dict[str, Any]) -> dict[str, Any]:
+    """The same, where what means the same is the same: an interval of a whole cycle is none."""
+    values = current(algorithm, told)
+    if "n_batches" in values and (values["target_update_interval"] or 0) >= values["n_batches"]:
+        values["target_update_interval"] = None
+    return values

@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Annotated, Any
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from ..envs import hands, layouts, scenes, tasks, typed
 from ..envs.choices import require_known
@@ -197,7 +198,7 @@ class Pool:
         if self.flags.radius is None:
             return None
         taxels = self.skin.taxels.take(self.columns)
-        apart = np.linalg.norm(taxels.positions[:, None] - taxels.positions, axis=2)
+        apart = cdist(taxels.positions, taxels.positions)
         needed = BESIDE_EACH_OTHER * (taxels.radii[:, None] + taxels.radii)
         is_same_link = taxels.link_index[:, None] == taxels.link_index
         return np.asarray(is_same_link & (apart < needed) & ~np.eye(len(taxels), dtype=bool))

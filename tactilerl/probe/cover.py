@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -187,12 +188,19 @@ def choose(
     """The best `k` taxels of which no two `overlap`, by mixed-integer programming; where that takes
     more than `nodes` nodes of the search, or taxels may fail, by `greedy`, and then with a bound or
     without."""
-    found = greedy(starts, k, aim, kept, overlap=overlap)
+    # With dead taxels a set is worth a mean over its subsets, so no more than the best without.
+    redundancy = aim.redundancy if aim.is_certain else 1
+    exact = partial(_exact, starts, k, redundancy, kept, nodes, overlap)
+    try:
+        found = greedy(starts, k, aim, kept, overlap=overlap)
+    except ValueError:  # it left no room for as many, which there may be
+        if (fitting := exact()[0]) is None:
+            raise
+        found = fitting
     least = value(starts, found, aim)
     if aim.false_on:
         return Chosen(sorted(found), least, None)
-    # With dead taxels a set is worth a mean over its subsets, so no more than the best without.
-    taxels, bound = _exact(starts, k, aim.redundancy if aim.is_certain else 1, kept, nodes, overlap)
+    taxels, bound = exact()
     if taxels is not None and (reached := value(starts, taxels, aim)) >= least - 1e-12:
         found, least = taxels, reached
     return Chosen(sorted(found), least, max(bound, least) if bound is not None else None)

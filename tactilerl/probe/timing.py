@@ -56,7 +56,7 @@ def design(pool: Pool, workers: int, show: Callable[[int, int], None]) -> Design
         row |= {"taxels": n, "chosen_from": picked.value, "bound": picked.bound}
         if best is not None:
             row["difference"] = judge.difference(own, beside[best["layout"]])
-        rows += [row, judge.random(n, pool.columns, pool.n_kept, rng)]
+        rows += [row, judge.random(n, pool, rng)]
     about = {
         "question": "timing",
         "hopeless": float(np.mean(~judge.starts.succeeds.any(axis=1))),
@@ -81,13 +81,9 @@ class _Judge:
             row[f"{name}_interval"] = self._interval(scores)
         return row
 
-    def random(
-        self, n: int, columns: list[int], n_kept: int, rng: np.random.Generator
-    ) -> dict[str, Any]:
-        """Means over random sets of as many."""
-        kept, free = columns[:n_kept], columns[n_kept:]
-        drawn = (kept + rng.choice(free, n, replace=False).tolist() for _ in range(RANDOM_SETS))
-        every = [self._scores(taxels) for taxels in drawn]
+    def random(self, n: int, pool: Pool, rng: np.random.Generator) -> dict[str, Any]:
+        """Means over random sets of the same size, or as many of it as find room."""
+        every = [self._scores(_drawn(n, pool, rng)) for _ in range(RANDOM_SETS)]
         means = {name: np.mean([scores[name] for scores in every], axis=0) for name in every[0]}
         shares = {name: float(self.starts.weights @ scores) for name, scores in means.items()}
         return {"layout": "random", "taxels": n, **shares}
@@ -111,6 +107,18 @@ class _Judge:
 
     def _mean(self, scores: Array) -> statistics.Estimate:
         return statistics.mean(len(scores) * self.starts.weights * scores, self._counts)
+
+
+def _drawn(n: int, pool: Pool, rng: np.random.Generator) -> list[int]:
+    """Columns of the kept taxels and of `n` random ones that do not overlap."""
+    kept, free = pool.columns[: pool.n_kept], pool.columns[pool.n_kept :]
+    if pool.overlap is None:
+        return kept + rng.choice(free, n, replace=False).tolist()
+    drawn = list(range(pool.n_kept))
+    for taxel in pool.n_kept + rng.permutation(len(free)):
+        if len(drawn) < pool.n_kept + n and not pool.overlap[taxel, drawn].any():
+            drawn.append(int(taxel))
+    return [pool.columns[taxel] for taxel in drawn]
 
 
 def _require_felt(starts: Starts, pool: Pool, workers: int) -> None:

@@ -168,7 +168,8 @@ class RunConfig:
         """The first field in which `other`, another's identity, is another run; None if none."""
         for part, mine in self.identity().items():
             a, b = mine or {}, other.get(part) or {}
-            b = recipes.current(self.run.algo, b) if part == "learner" else b
+            if part == "learner":
+                a, b = (recipes.comparable(self.run.algo, values) for values in (a, b))
             for key in {**a, **b}:
                 if a.get(key) != b.get(key):
                     return f"{key}: found {b.get(key)!r}, the run was made with {a.get(key)!r}"

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterable, Mapping
 from contextlib import closing
 
+from ..algos import recipes
 from ..algos.mpi import Communicator
 from ..envs import plugins
 from ..errors import InputError, input_errors
@@ -54,8 +55,11 @@ def require_same(records: Iterable[Record], configs: Mapping[str, RunConfig]) ->
     """InputError where a folder holds another run than the study file now asks for. Values that only
     one version knows do not count."""
     for record in records:
-        for part, wanted in configs[record.run.name].identity().items():
+        config = configs[record.run.name]
+        for part, wanted in config.identity().items():
             made = (record.config or {}).get(part) or {}
+            if part == "learner" and made:
+                wanted, made = (recipes.comparable(config.run.algo, each) for each in (wanted, made))
             for key, value in (wanted or {}).items():
                 if key in made and made[key] != value:
                     raise InputError(

@@ -237,6 +237,13 @@ class TestTargetUpdates:
 
     def test_runs_of_earlier_versions_move_them_once_per_cycle(self):
         assert recipes.current("ddpg_her", {})["target_update_interval"] is None
+        steady = dataclasses.asdict(recipes.recipe("ddpg_her", "steady"))
+        before = {name: steady[name] for name in steady if name != "target_update_interval"}
+        assert recipes.comparable("ddpg_her", steady) == recipes.comparable("ddpg_her", before)
+        longer = {"n_batches": 240}
+        assert recipes.comparable("ddpg_her", steady | longer) != recipes.comparable(
+            "ddpg_her", before | longer
+        )
 
 
 class TestRecipes:

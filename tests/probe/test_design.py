@@ -91,6 +91,14 @@ class TestCover:
         if aim.is_certain:
             assert found.value == pytest.approx(max(cover.value(starts, x) for x in fitting))
 
+    def test_room_that_greedy_does_not_leave(self):
+        succeeds = np.zeros((3, NEVER + 1), bool)
+        succeeds[:, 5] = True
+        starts = starts_of([[5, 5, NEVER], [NEVER, 5, 5], [5, NEVER, 5]], succeeds)
+        starts.weights[:] = 0.4, 0.4, 0.2
+        overlap = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], bool)  # a row of three
+        assert cover.choose(starts, 2, overlap=overlap).taxels == [0, 2]
+
     def test_no_room(self):
         starts, overlap = some(np.random.default_rng(5)), ~np.eye(8, dtype=bool)
         with pytest.raises(ValueError, match="taxels: found 3, allowed up to 1"):
