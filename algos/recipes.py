@@ -71,6 +71,6 @@ def current(algorithm: str, told: dict[str, Any]) -> dict[str, Any]:
 def comparable(algorithm: str, told: dict[str, Any]) -> dict[str, Any]:
     """The same, where what means the same is the same: an interval of a whole cycle is none."""
     values = current(algorithm, told)
-    if "n_batches" in values and (values["target_update_interval"] or 0) >= values["n_batches"]:
+    if "n_batches" in values and (values.get("target_update_interval") or 0) >= values["n_batches"]:
         values["target_update_interval"] = None
     return values
