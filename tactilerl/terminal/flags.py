@@ -90,8 +90,7 @@ def _reason(said: str) -> str:
         allowed = ", ".join(re.findall(r"'([^']*)'", choice[3]))
         return f"{choice[2]}: found {choice[1]}, allowed: {allowed}"
     if number := NUMBER.fullmatch(reason):
-        is_whole = re.search(r"\bint\b|\bINT\b", number[2]) and not re.search("FLOAT", number[2])
-        allowed = "a whole number" if is_whole else "a number"
+        allowed = "a number" if "float" in number[2].lower() else "a whole number"
         return f"{number[1]}: found {number[3]}, allowed {allowed}"
     return reason or "found flags that are not allowed"
 

@@ -11,8 +11,8 @@ from one_line import fails_with
 import tactilerl
 from tactilerl.commands.cli import main
 from tactilerl.envs import hands, layouts
-from tactilerl.probe import cover
-from tactilerl.probe.candidates import DesignFlags, candidates
+from tactilerl.probe import cover, selection, timing
+from tactilerl.probe.candidates import DesignFlags, Pool, candidates
 from tactilerl.probe.cover import NEVER, Aim, Starts
 
 FEW = ["--starts", "4", "--test-starts", "4", "--workers", "1", "--seed", "7", "--beside", "2"]
@@ -103,6 +103,28 @@ class TestCover:
         starts, overlap = some(np.random.default_rng(5)), ~np.eye(8, dtype=bool)
         with pytest.raises(ValueError, match="taxels: found 3, allowed up to 1"):
             cover.choose(starts, 3, overlap=overlap)
+
+
+class TestSizes:
+    """Sensors of a radius of their own."""
+
+    def test_random_sets_do_not_overlap(self):
+        pool = Pool.of(DesignFlags(scene=("handover",), radius=10.0))
+        assert pool.overlap.any()
+        for seed in range(5):
+            drawn = timing._drawn(8, pool, np.random.default_rng(seed))
+            at = [pool.columns.index(column) for column in drawn]
+            assert len(set(drawn)) == 8
+            assert not pool.overlap[np.ix_(at, at)].any()
+
+    def test_what_tells_most_of_a_lift_does_not_overlap(self):
+        rng = np.random.default_rng(0)
+        held = rng.random(400) < 0.5
+        told = (rng.random((400, 4)) < np.where(held, 0.8, 0.2)[:, None]).astype(float)
+        known, overlap = rng.normal(size=(400, 1)), ~np.eye(5, dtype=bool)
+        overlap[0, 1] = overlap[1, 0] = overlap[2, 4] = overlap[4, 2] = False
+        assert len(selection.forward(known, told, held, 3)) == 3
+        assert selection.forward(known, told, held, 3, overlap) == [0]  # the others touch what is there
 
 
 class TestCandidates:
