@@ -31,8 +31,9 @@ def design(pool: Pool, workers: int, show: Callable[[int, int], None]) -> Design
     with estimators.expected_warnings():
         path, best, told = selection.select(probe, skin, numbers, has, pool.overlap)
         worth = selection.bits(probe, skin)
-    if pool.overlap is not None and len(path) < numbers[-1]:
-        allowed = f"allowed up to {len(path)}; no more of this radius find room or tell anything"
+    if len(path) < numbers[-1]:
+        room = "" if pool.overlap is None else " and have room"
+        allowed = f"allowed up to the {len(path)} candidates that tell anything{room}"
         raise ValueError(f"taxels: found {numbers[-1]}, {allowed}")
     rows = [_row(name, readings[name].shape[1], gains) for name, gains in told.items()]
     first = max(rows, key=lambda row: row["gain"], default=None)

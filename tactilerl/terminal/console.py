@@ -27,9 +27,10 @@ def paragraph(label: str, text: str) -> str:
 def progress(
     what: str, total: int | None = None, is_shown: bool = True
 ) -> Iterator[Callable[..., None]]:
-    """A bar on standard error, where that is a terminal. Calls of what it yields say how much is done,
-    and perhaps of how much; without arguments, one more."""
+    """A bar on standard error, or one line where that is no terminal. Calls of what it yields say how
+    much is done, and perhaps of how much; without arguments, one more."""
     screen = Console(stderr=True)
+    begun = iter([f"{what} ..."] if is_shown and not screen.is_terminal else [])
     columns = TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     with Progress(
         *columns, console=screen, transient=True, disable=not (is_shown and screen.is_terminal)
@@ -37,6 +38,8 @@ def progress(
         task = bar.add_task("", total=total)
 
         def show(done: int | None = None, of: int | None = None) -> None:
+            for line in begun:
+                screen.print(line)
             bar.update(task, completed=done, total=of, advance=1 if done is None else None)
 
         yield show

@@ -214,6 +214,11 @@ class TestCommand:
         assert Path("mine.toml").read_text() == mine
         assert [*Path().iterdir()] == [Path("mine.toml")]
 
+    def test_more_taxels_than_tell_anything_of_a_lift(self, capsys):
+        scene = ["--scene", "dark_mpl", "--skin", "8mm", "--only", "palm", "--beside", "6"]
+        assert main(["design", *scene, "--taxels", "2", "--starts", "20", "--workers", "1"]) == 2
+        assert "taxels: found 2, allowed up to the 0 candidates" in capsys.readouterr().err
+
     def test_a_scene_that_touch_cannot_help(self, capsys):
         Path("seen.toml").write_text(
             'base = "handover"\n[scene]\nobject_seen = "noisy"\nsight_noise = [0.001, 0.001]\n'
