@@ -30,12 +30,9 @@ def tables(result):
     return {part.name: part for part in parts if isinstance(part, Table)}
 
 
-def test_the_papers_comparison(result, tables):
+def test_the_papers_comparison(tables):
     row = next(r for r in tables["pybullet_paper"].rows if r["Config."] == "layout 2")
     assert float(row["Difference of IQMs"].split()[0]) > 0.1
-    both = [result.setups[0].groups["layout 2", arm] for arm in ("main", "control")]
-    rates, drawn = [one.scores["converged"] for one in both], tuple(one.counts for one in both)
-    assert as_the_paper.probability_of_improvement(*rates, drawn).value == 1
     assert row["P(improvement)"].startswith("1.00 ")
 
 
