@@ -13,6 +13,7 @@ import torch
 from filelock import FileLock
 
 from tactilerl.commands.cli import main
+from tactilerl.envs.hands import HANDS, loading, sandbox
 from tactilerl.envs.simulators import mujoco
 from tactilerl.study import runner
 
@@ -86,6 +87,24 @@ def _one_thread():
 def in_tmp(monkeypatch, tmp_path):
     """A working directory of its own, where what is written is nobody's."""
     monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(params=["mujoco", "pybullet"])
+def simulator(request):
+    """Each of them in turn."""
+    return request.param
+
+
+@pytest.fixture(params=HANDS)
+def hand(request):
+    """Each of the library's in turn."""
+    return request.param
+
+
+@pytest.fixture
+def read_here(monkeypatch):
+    """Hands are read in this process, which is faster; test_hostile_hands.py tests the usual way."""
+    monkeypatch.setattr(sandbox, "load", loading.load)
 
 
 @pytest.fixture
