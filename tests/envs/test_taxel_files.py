@@ -83,6 +83,8 @@ HOSTILE = {
              *(ICUB.replace("-0.9 0.0", normal) for normal in ("nan 0.0", "-0.9", "x 0.0")),
              ICUB.replace("0.001", "5")],
     ".csv": ["", "a,b", ",".join(taxel_formats.COLUMNS),
+             *(f"{','.join(taxel_formats.COLUMNS)}\n{rows}" for rows in (
+                 "a,1,2", "a,0,0,0,0,0,0,.002", "a,0,0,0,0,0,1,9", 2 * "a,0,0,0,0,0,1,.002\n")),
              WHOLE[".csv"].decode().replace("0.", "nan")],
     ".npz": ["", "PK"],
 }  # fmt: skip

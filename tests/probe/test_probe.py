@@ -15,15 +15,15 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from tactilerl import statistics
 from tactilerl.commands.cli import main
 from tactilerl.envs import hands, layouts, scripted
-from tactilerl.envs.observations import TaxelFaults
 from tactilerl.errors import BUSY, InputError
 from tactilerl.pictures import places
 from tactilerl.probe import analysis, estimators, figures, files, grasps, metrics, selection
 from tactilerl.probe.grasps import Scenes, drawn_start, moment, stack
 from tactilerl.probe.options import AnalysisFlags, GraspFlags
-from tactilerl.probe.readings import Grasps, with_faults
+from tactilerl.probe.readings import Grasps
 from tactilerl.runs.files import locked
 
+GRIPPER = str(Path(__file__).parents[1] / "hands" / "gripper.toml")
 DRAWN = GraspFlags(
     env="mpl", simulator="mujoco", seed=1, object_size=(0.04, 0.05), friction=(1.0,), start_offset=0.02,
     start_yaw=0.5, closing=(0.7, 1.1),
@@ -75,15 +75,16 @@ class TestGrasps:
 
 
 class TestReadings:
-    def test_are_those_of_the_environment(self):
+    @pytest.mark.parametrize("hand", ["mpl", GRIPPER])
+    def test_are_those_of_the_environment(self, hand, read_here):
+        """Of capsules, of boxes and of hulls: many at once as one by one."""
         one = dict(object_size=(0.05,), start_offset=0.0, start_yaw=0.1, closing=(1, 1), seed=0)
-        scenes, felt, records = Scenes(replace(DRAWN, **one)), [], []
+        scenes, felt, records = Scenes(replace(DRAWN, env=hand, **one)), [], []
         env = scenes.scene(0)
         for number in range(2):  # the scene is left at the end of a hold
             grasps.play(scenes, number)
             felt.append(env.taxel_readings())
             records.append(moment(env))
-        scenes.close()
         assert np.array(felt).any()
         assert np.array_equal(Grasps(env.hand, stack(records)).feel(env.taxels), np.array(felt))
 
@@ -102,8 +103,14 @@ class TestReadings:
         assert np.allclose(before[1], after[1])
 
 
+def test_joint_noise_has_its_size():
+    hand = hands.get("shadow")
+    grasps = Grasps(hand, synthetic(hand, np.zeros(2000)))  # whose joints never differ
+    noise = analysis.Probe(grasps, {}, AnalysisFlags(), seed=0, jobs=1).features(0.05, "joints")
+    assert noise.std() == pytest.approx(0.05, rel=0.02)
+
+
 class TestPlaces:
-    @pytest.mark.parametrize("hand", hands.HANDS)
     def test_a_layout_written_from_its_places_is_the_same_layout(self, hand, tmp_path):
         hand = hands.get(hand)
         for layout in (layouts.load("1"), layouts.load("6"), places.dense_skin(hand, 0.004)):
@@ -128,7 +135,6 @@ class TestPlaces:
         # Bone of 32 mm around its centre, radius 11 mm: rows -16 to 16, columns -10 to 10, every 2.
         assert len(rows) == 17 * 11
 
-    @pytest.mark.parametrize("hand", hands.HANDS)
     def test_the_skin_reaches_as_far_as_the_papers_layouts(self, hand):
         """Over the round fingertips too: no taxel of layout 1 is far out beyond the skin."""
         built = hands.get(hand)
@@ -138,7 +144,6 @@ class TestPlaces:
             assert min(np.hypot(o.row - place.row, o.column - place.column) for o in beside) < 2.5
 
 
-@pytest.mark.parametrize("hand", hands.HANDS)
 def test_grasps_start_where_nothing_overlaps(hand):
     """Of 100 widely perturbed starts none is more than 0.1 mm deep in the object."""
     drawn = GraspFlags(env=hand, simulator="mujoco", object_size=(0.04, 0.05), friction=(1.0,))
@@ -151,7 +156,6 @@ def test_grasps_start_where_nothing_overlaps(hand):
         thing, ground = model.geom("object").id, model.geom("ground").id
         touching = [c for c in data.contact if thing in c.geom and ground not in c.geom]
         deepest.append(max((-c.dist for c in touching), default=0.0))
-    scenes.close()
     assert max(deepest) < 1e-4
 
 
@@ -170,31 +174,9 @@ def test_in_pybullet_a_grasp_at_rest_is_called_early_and_alike():
 
         simulator.step = counted
         held[verdict] = [bool(grasps.play(env, k)["held"]) for k in range(3)]
-        env.close()
     assert held["full"] == held["settled"]
     assert any(held["full"])
     assert n_steps["settled"] < 0.8 * n_steps["full"]
-
-
-class TestFaults:
-    readings = np.random.default_rng(0).random((4000, 20)) < 0.5
-
-    def test_without_any_readings_stay(self):
-        felt = with_faults(self.readings, TaxelFaults(), np.random.default_rng(0))
-        assert np.array_equal(felt, self.readings)
-
-    def test_false_readings_come_as_often_as_asked(self):
-        faults = TaxelFaults(taxel_false_on=0.2, taxel_false_off=0.1)
-        felt = with_faults(self.readings, faults, np.random.default_rng(0))
-        assert felt[~self.readings].mean() == pytest.approx(0.2, abs=0.01)
-        assert felt[self.readings].mean() == pytest.approx(0.9, abs=0.01)
-
-    def test_joint_noise_has_its_size(self):
-        hand = hands.get("shadow")
-        grasps = Grasps(hand, synthetic(hand, np.zeros(2000)))  # whose joints never differ
-        probe = analysis.Probe(grasps, {}, AnalysisFlags(), seed=0, jobs=1)
-        noise = probe.features(0.05, "joints")
-        assert noise.std() == pytest.approx(0.05, rel=0.02)
 
 
 class TestMetrics:
@@ -418,10 +400,6 @@ class TestBadInput:
         assert "link_positions is missing" in error(capsys, "--from", str(one_taxel))
         assert "does not exist" in error(capsys, "--from", "nowhere.npz")
 
-    def test_unknown_layout(self, tmp_path, capsys, in_tmp):
-        assert "unknown layout '7'" in error(capsys, "--layout", "2", "7")
-        assert not list(tmp_path.iterdir())
-
     def test_fewer_grasps_than_folds_and_all_alike(self, one_taxel, capsys):
         records = synthetic(hands.get("shadow"), np.arange(20) < 3)
         write(one_taxel, records)
@@ -436,6 +414,7 @@ class TestBadInput:
         ("args", "message"),
         [
             (["--env", "hook"], "env: found 'hook'"),
+            (["--layout", "2", "7"], "unknown layout '7'"),
             (["--grasps", "0"], "grasps: found 0"),
             (["--closing", "1", "0.5"], "closing: found 1.0 0.5"),
             (["--object-size", "0.2"], "--object-size: found 0.2"),
