@@ -8,8 +8,6 @@ from tactilerl.envs import objects, tasks
 from tactilerl.envs.simulators import Giver
 from tactilerl.probe.reflexes import Reflex
 
-SIMULATORS = ["mujoco", "pybullet"]
-PAIRS = [(hand, simulator) for hand in ("mpl", "shadow", "allegro") for simulator in SIMULATORS]
 STILL = {"jitter": False, "start_offset": objects.OFFSET}
 LATE = tasks.Handover.waits[1] + tasks.Handover.stays + 1
 
@@ -22,9 +20,7 @@ def heights(env, seed=0, steps=LATE):
     """Of the object's upper side over the palm's skin, m, after each step with the hand left open."""
     env.reset(seed=seed)
     found, done = [], False
-    for _ in range(steps):
-        if done:
-            break
+    while not done and len(found) < steps:
         *_, terminated, truncated, _ = env.step(np.zeros(env.action_space.shape))
         done = terminated or truncated
         top = env.simulator.state().object_position[2] + env.shape.half_size[2]
@@ -39,7 +35,6 @@ class TestGiver:
         pull = giver.pull(rest, np.zeros(3), np.array([0.0, 0.0, 0.2]))
         np.testing.assert_allclose(pull, [0.4, 1.0, -0.4])
 
-    @pytest.mark.parametrize("simulator", SIMULATORS)
     def test_moves_the_object_as_the_spring_would(self, simulator):
         """On its way, far from the hand, against the same spring stepped on its own."""
         env = make(simulator=simulator, object_size=(0.04,), **STILL)
@@ -56,13 +51,10 @@ class TestGiver:
                 rest += np.clip(goal - rest, -giver.speed * dt, giver.speed * dt)
                 velocity += dt * giver.pull(rest, position, velocity) / mass
                 position += dt * velocity
-            np.testing.assert_allclose(
-                sim.state().object_position, position, atol=2.4e-3
-            )  # a step of 4 ms
+            # A step of 4 ms:
+            np.testing.assert_allclose(sim.state().object_position, position, atol=2.4e-3)
         assert position[2] - start[2] > 0.03
-        env.close()
 
-    @pytest.mark.parametrize("simulator", SIMULATORS)
     def test_after_letting_go_the_object_falls_freely(self, simulator):
         env = make(simulator=simulator)
         env.reset(seed=0)
@@ -76,11 +68,9 @@ class TestGiver:
         env.reset(seed=0)
         sim.step(targets, 10)
         assert np.abs(sim.state().object_velocity).max() < 1e-3  # and so it is in the next episode
-        env.close()
 
 
 class TestEpisode:
-    @pytest.mark.parametrize(("hand", "simulator"), PAIRS)
     def test_waits_arrives_and_falls(self, hand, simulator):
         env = make(hand, simulator)
         found = heights(env)
@@ -90,7 +80,6 @@ class TestEpisode:
         assert np.abs(held_up).max() < 0.01
         assert np.ptp(held_up) < 2e-3
         assert found[-1] < -env.task.fallen + 0.1
-        env.close()
 
     def test_the_hand_hardly_notices_and_the_taxels_do(self):
         env = make(**STILL)
@@ -105,7 +94,6 @@ class TestEpisode:
         assert np.abs(after - before)[3:].max() < 0.01  # rad
         assert felt[env.task.sets_off - 2] == 0
         assert felt[-1] > 0
-        env.close()
 
     def test_times_are_drawn_and_the_same_whatever_is_sensed(self):
         both = make(), make(touch="off")
@@ -115,16 +103,12 @@ class TestEpisode:
             assert a == b
             drawn.append(a)
         assert (min(drawn), max(drawn)) == tasks.Handover.waits
-        for env in both:
-            env.close()
 
-    @pytest.mark.parametrize("simulator", SIMULATORS)
     def test_an_episode_leaves_nothing_to_the_next(self, simulator):
         env = make(simulator=simulator)
         first = heights(env, seed=3)
         heights(env, seed=4, steps=20)  # cut off while somebody holds the object
         np.testing.assert_array_equal(heights(env, seed=3), first)
-        env.close()
 
     def test_outcomes_and_rewards(self):
         env = make()
@@ -138,7 +122,6 @@ class TestEpisode:
         goals = np.array([[value] for value in tasks.OUTCOMES.values()])
         rewards = dict(zip(tasks.OUTCOMES, env.compute_reward(goals, goals, {}), strict=True))
         assert (rewards["held"], rewards["missed"], rewards["undecided"]) == (1000.0, -100.0, 0.0)
-        env.close()
 
     def test_where_it_is_held_is_drawn_from_a_range(self):
         still, env = make(**STILL), make(**STILL, handover_reach="0.02..0.04")
@@ -152,30 +135,22 @@ class TestEpisode:
         assert reach.min() >= 0.02
         assert reach.max() <= 0.04
         assert np.ptp(reach) > 0.01
-        still.close(), env.close()
 
     def test_a_hold_test_at_the_last_step_counts(self):
         short = make(max_episode_steps=tasks.Handover.waits[1] + 18)
         assert all(Reflex("touch", 1, 1.0).play(short, seed) for seed in range(4))
-        short.close()
 
     def test_a_hand_whose_actuators_have_groups_of_their_own_stays_strong(self):
         """The giver is switched off by its group."""
-        env = envs.make("mpl", simulator="mujoco")
-        env.reset(seed=0)
-        assert env.simulator.model.opt.disableactuator == 0
-        env.close()
         env = make()
         env.simulator.let_go()
         model, giver = env.simulator.model, env.simulator._giver
         switched_off = model.opt.disableactuator >> model.actuator_group & 1
         assert switched_off[giver].all()
         assert switched_off.sum() == len(giver)
-        env.close()
 
 
 class TestActions:
-    @pytest.mark.parametrize("hand", ["mpl", "shadow", "allegro"])
     def test_grip_is_one_action_that_closes_the_whole_hand(self, hand):
         env = make(hand)
         assert env.action_space.shape == (1,)
@@ -193,7 +168,6 @@ class TestActions:
         for _ in range(4):
             back = env.hand.action_map(-np.ones(1), back)
         np.testing.assert_allclose(back, start, atol=1e-12)  # it opens as far as it was at first
-        env.close()
 
     def test_fingers_close_one_by_one(self):
         env = make(actions="fingers")
@@ -203,17 +177,11 @@ class TestActions:
         moved = [env.hand.action_map(np.eye(n)[i], start) != start for i in range(n)]
         assert (np.sum(moved, axis=0) <= 1).all()
         assert all(m.any() for m in moved)
-        env.close()
 
     def test_what_was_asked_for_is_observed(self):
-        env = make(joint_noise=0.0, joint_noise_held=0.0, slide_noise=0.0, slide_noise_held=0.0)
-        names = env.observation_names()
-        (at,) = (
-            i for i, name in enumerate(names) if name.startswith("asked for") and "(t-" not in name
-        )
-        obs, _ = env.reset(seed=0)
-        asked = [obs["observation"][at]]
+        env = make()
+        (at,) = env.observation_entries("targets")
+        asked = [env.reset(seed=0)[0]["observation"][at]]
         for action in (1.0, 1.0, -0.4):
             asked.append(env.step(np.array([action]))[0]["observation"][at])
         np.testing.assert_allclose(asked, [0.0, 0.5, 1.0, 0.8], atol=1e-6)
-        env.close()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tactilerl import envs
-from tactilerl.envs.objects import Items, ObjectConfig, make
+from tactilerl.envs.objects import make
 
 VARIED = {
     "object": "box,sphere,cylinder",
@@ -46,9 +46,7 @@ def test_an_episode_is_that_of_an_environment_made_for_its_object(hand, simulato
         )  # fmt: skip
         assert alike.reset(seed=seed)[1]["object"] == told
         np.testing.assert_array_equal(seen, rollout(alike, seed)[0])
-        alike.close()
     assert kinds == {"box", "sphere", "cylinder"}
-    varied.close()
 
 
 @pytest.mark.parametrize("hand", ["shadow", "mpl"])
@@ -84,7 +82,6 @@ def test_objects_are_drawn_within_what_was_asked_for_and_starts_stay(hand, simul
     varied.reset(seed=3)
     height = varied.simulator.state().object_position[2]
     assert height == pytest.approx(seen[3]["size"][2] / 2)
-    varied.close()
 
 
 @pytest.mark.parametrize(("hand", "simulator"), BOTH)
@@ -101,10 +98,3 @@ def test_starts_further_off_are_drawn_and_free_of_the_hand(hand, simulator):
     reached = np.abs(places).max(axis=0)
     assert (reached <= [0.02, 0.02, 1.5]).all()
     assert (reached > [0.015, 0.015, 1.2]).all()
-    env.close()
-
-
-def test_a_fixed_object_draws_nothing():
-    items = Items(ObjectConfig(object_size=(0.03,), friction=0.4))
-    assert not items.vary
-    assert items.draw(None) is items.first

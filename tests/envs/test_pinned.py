@@ -51,7 +51,6 @@ def bits(hand, simulator, choices):
             digest.update(f"{reward:.4f} {terminated}".encode())
             if terminated:
                 break
-    env.close()
     return digest.hexdigest()[:16]
 
 
