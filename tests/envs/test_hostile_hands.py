@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 from one_line import fails_with
 
-from tactilerl.commands.cli import main
 from tactilerl.envs import hands
-from tactilerl.envs.hands import loading, sandbox
+from tactilerl.envs.hands import sandbox
 
 FILES = Path(__file__).parents[1] / "hands"
 TOML, MODEL = ((FILES / name).read_text() for name in ("gripper.toml", "gripper.xml"))
@@ -18,7 +17,6 @@ WORLD, PALM = "<worldbody>", '<geom type="cylinder" size="0.045 0.012"/>'
 ENTITIES = "".join(f'<!ENTITY a{i + 1} "{10 * f"&a{i};"}">' for i in range(11))
 BOMB = f'<!DOCTYPE m [<!ENTITY a0 "x">{ENTITIES}]>'
 GRID = '<flexcomp name="f" type="grid" count="200 200 1" spacing=".01 .01 .01" mass="1"/>'
-MANY = "".join(f'<body name="b{i}"><geom size=".01"/></body>' for i in range(3000))
 DEEP = 2000 * '<body><geom size=".01"/>' + 2000 * "</body>"
 
 
@@ -39,22 +37,14 @@ def hand(tmp_path, monkeypatch):
     assert not list((tmp_path / "here").iterdir())
 
 
-@pytest.fixture
-def read_here(monkeypatch):
-    """Hands are read in this process, which is faster."""
-    monkeypatch.setattr(sandbox, "load", loading.load)
-
-
+TIP = 'name="tip" '
 HOSTILE = [
     (MODEL.replace(WORLD, f'{WORLD}<replicate count="100000000"><body/></replicate>', 1), "to read"),
     (MODEL.replace(PALM, PALM + GRID), "longer than 5 s to read"),
     (MODEL.replace(PALM, PALM + DEEP), "nesting is too deep"),
     (BOMB + MODEL[MODEL.index("<mujoco") :].replace("left_1", "&a11;"), "not valid XML"),
     (MODEL.replace(WORLD, f'<include file="pipe"/>{WORLD}', 1), "'../pipe'"),
-    (
-        MODEL.replace('name="tip" vertex', 'name="tip" file="pipe.stl"/><mesh name="x" vertex'),
-        "no file",
-    ),
+    (MODEL.replace(TIP, f'{TIP}file="pipe.stl"/><mesh name="x" '), "no file"),
 ]
 
 
@@ -63,21 +53,6 @@ def test_a_hostile_model_is_one_line(hand, model, complaint, capfd):
     for pipe in ("../pipe", "../pipe.stl"):
         os.mkfifo(pipe)
     fails_with(capfd, ["env", "--env", hand(model=model)], complaint)
-
-
-def test_thousands_of_bodies_are_a_hand_or_one_line(hand, capfd):
-    """Which of the two depends on how fast the machine is."""
-    code = main(["env", "--env", hand(model=MODEL.replace(PALM, PALM + MANY))])
-    assert code in (0, 2)
-    assert len(capfd.readouterr().err.splitlines()) == code // 2
-
-
-def test_a_sensor_far_away_is_refused(hand, capfd, tmp_path, read_here):
-    (tmp_path / "pad.csv").write_text("link,x,y,z,nx,ny,nz,radius\na,0,0,0,0,0,1,.002\n")
-    sensor = '[[sensor]]\nfile = "pad.csv"\nlinks = ["left_2"]\nposition = [1e8, 0, 0]\n'
-    (tmp_path / "layout.toml").write_text(sensor)
-    flags = ["--env", hand(), "--layout", "../layout.toml"]
-    fails_with(capfd, ["env", *flags], "sensor 1: position: found [100000000.0, 0, 0], expected 3 nu")
 
 
 def test_a_hand_is_read_once_and_again_when_a_file_changes(hand, monkeypatch):

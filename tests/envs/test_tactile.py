@@ -15,9 +15,9 @@ GRIPPER = str(Path(__file__).parents[1] / "hands" / "gripper.toml")
 BALL, DEEP = 0.03, 1e-4  # m: radius, and how far it is in the hand
 
 
-def pressed(hand, taxels, kind, half):
-    """For each taxel, in turn in the middle of where an object presses: what the sensors say, and what
-    the rule says."""
+def pressed(hand, taxels, kind, half, gap=-DEEP):
+    """For each taxel, in turn in the middle of where an object presses, or is a gap away (m): what the
+    sensors say, and what the rule says."""
     spec = tactile.spec(hand, taxels)
     body = spec.worldbody.add_body(name="thing", mocap=True)
     geom = mujoco.mjtGeom.mjGEOM_SPHERE if kind == "sphere" else mujoco.mjtGeom.mjGEOM_BOX
@@ -36,7 +36,7 @@ def pressed(hand, taxels, kind, half):
         if kind == "box":  # its face on the taxel
             turn = np.linalg.svd(normal[None])[2].T[:, [1, 2, 0]]
             turn *= np.sign(np.linalg.det(turn))
-        at = place + (half[2] - DEEP) * normal
+        at = place + (half[2] + gap) * normal
         data.mocap_pos[0] = at
         mujoco.mju_mat2Quat(data.mocap_quat[0], turn.ravel())
         mujoco.mj_forward(model, data)
@@ -64,6 +64,14 @@ def test_the_skin_rule_is_what_mujocos_sensor_says(name, kind, half):
         felt += sensor.sum()
     assert felt > 1.5 * len(taxels)  # neighbours too
     assert np.mean(alike) > 0.97
+
+
+@pytest.mark.parametrize(("gap", "on"), [(touch.SKIN - 1e-4, True), (touch.SKIN + 1e-4, False)])
+def test_boxes_and_hulls_feel_what_is_within_their_skin(gap, on):
+    hand = hands.get(GRIPPER)
+    taxels = layouts.load("5").place(hand)
+    for index, _, rule in pressed(hand, taxels, "box", (0.02,) * 3, gap):
+        assert rule[index] == on, taxels.names[index]
 
 
 @pytest.mark.parametrize("layout", ["1", "4", "5"])
