@@ -2,7 +2,6 @@
 
 import importlib
 import json
-import re
 import sys
 from dataclasses import replace
 
@@ -15,7 +14,6 @@ from benchmarks.peers import clients
 from benchmarks.peers.client_check import Check
 from benchmarks.physics import hold_verdict
 from benchmarks.physics.speed_vs_error import Setting, environment
-from tactilerl.commands import cli
 
 
 @pytest.mark.pybullet
@@ -84,10 +82,3 @@ def test_times_of_commands_are_a_table(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(command, "DATA", tmp_path)
     page = "<!-- table times -->\nold\n<!-- end -->\n"
     assert tables.filled(page) == page.replace("old\n", table)
-
-
-@pytest.mark.parametrize("line", times.COMMANDS)
-def test_the_commands_that_are_timed_exist(line, capsys):
-    with pytest.raises(SystemExit):
-        cli.main([*line.split(), "--help-all"])
-    assert set(re.findall(r"--[\w-]+", line)) <= set(re.findall(r"--[\w-]+", capsys.readouterr().out))

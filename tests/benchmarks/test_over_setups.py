@@ -23,12 +23,6 @@ def rng():
 
 
 class TestOverSetups:
-    def test_rank_agreement_is_spearmans(self, rng):
-        values = rng.random((2, 6))
-        assert over_setups.rank_agreement(values).value == pytest.approx(
-            stats.spearmanr(*values).statistic
-        )
-
     def test_same_and_opposite_order(self, rng):
         order = np.arange(5.0)
         sure = np.repeat(np.stack([order, order * 2])[..., None], 100, axis=2)

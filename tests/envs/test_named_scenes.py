@@ -19,21 +19,16 @@ SHORT = ["--total-timesteps", "1", "--steps-per-epoch", "60", "--n-passes", "1",
 
 @pytest.mark.parametrize("name", scenes.names())
 class TestEach:
-    def test_says_who_learns_there_and_why(self, name):
+    def test_says_who_learns_there_and_why_and_is_registered(self, name):
         named = scenes.load(name)
         assert named.about.endswith(".")
         assert named.env in HANDS
-        config = defaults(named.train["algo"], named.env, scene=name)
-        assert config.scene is not None
-        config.scene.validate()
+        scene = defaults(named.train["algo"], named.env, scene=name).scene
         for field, value in named.scene.items():
-            found = getattr(config.scene, field)
+            found = getattr(scene, field)
             assert list(found) == value if isinstance(value, list) else str(found) == str(value)
-
-    def test_is_registered_with_gymnasium(self, name):
         env = gym.make(scenes.gymnasium_id(name))
-        assert env.unwrapped.config == defaults("ppo", scenes.load(name).env, scene=name).scene
-        env.close()
+        assert env.unwrapped.config == scene
 
     def test_is_listed_and_described(self, name, capsys):
         assert main(["env", "--scene", name]) == 0
@@ -76,7 +71,6 @@ def test_another_hand_and_simulator_in_the_same_scene():
     env = tactilerl.make("shadow", scene="handover", simulator="pybullet", layout=4)
     assert env.action_space.shape == (1,)
     assert env.unwrapped.simulator.creeps is False
-    env.close()
 
 
 class TestOwnFile:
@@ -99,14 +93,11 @@ class TestOwnFile:
             ("env = 3", "env: found 3, allowed a str"),
             ('base = "handover"\nscaled = ["history"]', "scaled: found 'history', allowed: "),
             ('base = "handover"\nscaled = ["handover_reach"]', "scaled: found 'handover_reach'"),
-            ('base = "handover"\n[scene]\nhandover_reach = "0.3..x"', "handover_reach: found '0.3..x'"),
             ('env = "foot"', "found 'foot'"),
             ('base = "mine.toml"', "base: found 'mine.toml', allowed: dark_mpl"),
             ("[scene]\ncolour = 3", "colour"),
             ("[scene]\nlayout = 99", "layout"),
-            ('[scene]\ntask = "juggle"', "task: found 'juggle'"),
             ("[train]\ncolour = 3", "colour"),
-            ('base = "handover"\n[train]\nenv = "shadow"', "env"),
             ('base = "handover"\n[train]\nout = "x"', "out"),
             ("[scene]\nhistory = 2.5", "history: found 2.5"),
             ('[train]\nalgo = "magic"', "magic"),

@@ -5,23 +5,17 @@ import pytest
 from tactilerl import envs
 
 REACH, HANDOVER = {"task": "reach-goal"}, {"scene": "handover"}
-FORCE = {"touch_rule": "force"}
 WRONG = [
     ({"control_dt": 0.005}, "control_dt"),
     ({"timestep": float("nan")}, "timestep"),
-    ({"layout": "9"}, "layout"),
     ({"hold_seconds": 0.0}, "hold_seconds"),
-    ({"hold_verdict": "maybe"}, "hold_verdict"),
-    ({"touch": "half"}, "touch"),
     ({"task": "fly"}, "task"),
     ({"reward": "sparse"}, "reward"),
     *(({name: 1e300}, name) for name in ("hold_seconds", "joint_noise", "slide_noise", "finger_gain")),
     *(({name: 1e300}, name) for name in ("timestep", "control_dt", "lift_clearance", "goal_height")),
     ({"history": 0}, "history: found 0, allowed from 1 to 100"),
-    ({"history": "four"}, "history: found 'four'"),
     ({"observe_targets": "no"}, "observe_targets: found 'no'"),
     ({"joint_noise": True}, "joint_noise: found True"),
-    ({"actions": "thumb"}, "actions: found 'thumb', allowed: all, fingers, grip"),
     ({"start_closing": 1.0}, "start_closing: found 1.0, allowed from 0 to below 1"),
     ({"object_seen": "blurred"}, "object_seen: found 'blurred', allowed: exact, noisy, start"),
     ({"sight_noise": (0.01, 0.1)}, "sight_noise: found .* allowed only with object_seen noisy"),
@@ -31,8 +25,8 @@ WRONG = [
     ({"taxel_dead": 0.6, "taxel_stuck": 0.6}, "taxel_stuck: found 1.2 with taxel_dead"),
     ({"touch": "off", "taxel_dead": 0.1}, "taxel_dead: found 0.1, allowed only with touch"),
     ({"touch": "absent", "taxel_delay": 1}, "taxel_delay: found 1, allowed only with touch on"),
-    (FORCE | {"taxel_stuck": 0.1}, "taxel_stuck: found 0.1, allowed only with Boolean taxels"),
-    (FORCE | {"taxel_false_on": 0.1}, "taxel_false_on: found 0.1, allowed only with Boolean taxels"),
+    ({"touch_rule": "force", "taxel_stuck": 0.1}, "taxel_stuck: .* only with Boolean taxels"),
+    ({"touch_rule": "force", "taxel_false_on": 0.1}, "taxel_false_on: .* only with Boolean taxels"),
     ({"object": "box,torus"}, "object: found 'torus', allowed: box, sphere, cylinder"),
     ({"object": "box,box"}, "object: found 'box,box', allowed each kind once"),
     ({"object": "box,cylinder", "object_size": ("0.04..0.05", 0.05)}, "object_size: found 2 numbers"),
@@ -42,23 +36,16 @@ WRONG = [
     ({"object_size": (0.02, 0.02, 0.16)}, "object_size: found 0.16 m, allowed up to 0.15 m in height"),
     ({"object_density": "1..2..3"}, "object_density: found '1..2..3'"),
     ({"object_density": "1..1e300"}, "object_density: found 1e[+]300, allowed from 1 to 100000"),
-    ({"friction": "low"}, "friction: found 'low', allowed a number or LOW..HIGH"),
     ({"friction": "0..1"}, "friction: found 0.0, allowed above 0, up to 10"),
     ({"start_yaw": 4.0}, "start_yaw: found 4.0, allowed from 0 to 3.142"),
     ({"start_offset": 0.02, "jitter": False}, "start_offset: found 0.02, allowed only with jitter"),
     (REACH | {"goal_range": 0.09}, "goal_range: found 0.09 m, allowed from 0 to goal_height, 0.08 m"),
-    (REACH | {"goal_range": -0.01}, "goal_range: found -0.01 m"),
     ({"goal_range": 0.01}, "goal_range: .* only with task reach-goal"),
     ({"handover_reach": 0.05}, "handover_reach: found 0.05"),
-    (HANDOVER | {"handover_reach": 0.4}, "handover_reach: found 0.4"),
     (HANDOVER | {"handover_reach": "0.02..0.4"}, "handover_reach: found 0.4, allowed from 0 to 0.3"),
-    (HANDOVER | {"handover_reach": "0.04..0.02"}, "found '0.04..0.02', allowed LOW..HIGH"),
     (HANDOVER | {"reward": "staged"}, "reward: found 'staged'"),
     (HANDOVER | {"max_episode_steps": 20}, "max_episode_steps: found 20, allowed 53 or more"),
-    (
-        HANDOVER | {"control_dt": 0.0125, "timestep": 0.0025},
-        "found 0.0125 s, allowed 0.041 s",
-    ),
+    (HANDOVER | {"control_dt": 0.0125, "timestep": 0.0025}, "found 0.0125 s, allowed 0.041 s"),
 ]
 
 

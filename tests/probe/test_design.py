@@ -10,7 +10,7 @@ from one_line import fails_with
 
 import tactilerl
 from tactilerl.commands.cli import main
-from tactilerl.envs import hands, layouts
+from tactilerl.envs import hands
 from tactilerl.probe import cover, selection, timing
 from tactilerl.probe.candidates import DesignFlags, Pool, candidates
 from tactilerl.probe.cover import NEVER, Aim, Starts
@@ -73,9 +73,8 @@ class TestCover:
     def test_what_the_hand_has_stays(self):
         starts = some(np.random.default_rng(3))
         found = cover.choose(starts, 3, kept=[5])
-        best = max(
-            cover.value(starts, [5, *x]) for x in itertools.combinations([0, 1, 2, 3, 4, 6, 7], 2)
-        )
+        others = itertools.combinations([0, 1, 2, 3, 4, 6, 7], 2)
+        best = max(cover.value(starts, [5, *x]) for x in others)
         assert 5 in found.taxels
         assert found.value == pytest.approx(best)
 
@@ -138,9 +137,8 @@ class TestCandidates:
         assert where(only=("index.distal",)) == {("index", "distal")}
         assert {digit for digit, _ in where(only=("index",))} == {"index"}
         assert {segment for _, segment in where(only=("palm", "middle"))} == {"palm", "middle"}
-        assert not {"thumb", "palm"} & {
-            name for at in where(leave_out=("thumb", "palm")) for name in at
-        }
+        left = where(leave_out=("thumb", "palm"))
+        assert not {"thumb", "palm"} & {name for at in left for name in at}
 
     def test_a_radius_of_ones_own(self):
         taxels = candidates(DesignFlags(radius=4.0, skin="6"), hands.get("mpl"))
@@ -170,26 +168,20 @@ class TestCommand:
                      "--search", "1", "--workers", "1"]) == 0  # fmt: skip
 
     def test_from_python(self):
-        layout = tactilerl.design(
-            scene="handover", taxels=2, starts=4, test_starts=4, skin="8mm", beside=(), workers=1
-        )
-        assert isinstance(layout, layouts.Layout)
-        env = tactilerl.make(scene="handover", layout=layout)
-        assert len(env.unwrapped.taxels) == 2
-        env.close()
+        few = dict(starts=4, test_starts=4, skin="8mm", beside=(), workers=1)
+        layout = tactilerl.design(scene="handover", taxels=2, **few)
+        assert len(tactilerl.make(scene="handover", layout=layout).unwrapped.taxels) == 2
 
     @pytest.mark.parametrize(
         ("args", "named"),
         [
             (["--taxels", "0"], "taxels: found '0'"),
-            (["--taxels", "2..x"], "taxels: found '2..x'"),
             (["--taxels", "3..2"], "taxels: found '3..2'"),
             (["--taxels", "1e9"], "taxels: found '1e9'"),
             (["--taxels", "99", "--skin", "5"], "taxels: found 99, allowed up to the 19 that may be"),
             (["--only", "toe"], "toe: unknown"),
             (["--only", "index", "--not", "index"], "only: found 'index --not index', which leaves no"),
             (["--skin", "xmm"], "skin: found 'xmm'"),
-            (["--skin", "9"], "unknown layout '9'"),
             (["--beside", "9"], "unknown layout '9'"),
             (["--keep", "gone.toml"], "gone.toml"),
             (["--scene", "foot"], "scene: found 'foot'"),
@@ -197,7 +189,6 @@ class TestCommand:
             (["--scene", "handover", "--scene", "dark_mpl"], "scene: found handovers beside other"),
             (["--weights", "1", "2"], "weights: found 2"),
             (["--env", "foot"], "env: found 'foot'"),
-            (["--simulator", "foot"], "simulator: found 'foot'"),
             (["--redundancy", "2", "--taxel-dead", "0.1"], "redundancy: found"),
             (["--taxels", "1..2", "--out", "x.toml"], "--out: found 'x.toml'"),
             (["--out", "x.png"], "--out: found 'x.png'"),

@@ -51,27 +51,21 @@ class TestReflexes:
     def test_every_sense_has_as_many_candidates(self, scene):
         env = envs.make(scene=scene)
         assert {len(reflexes.candidates(env, sense)) for sense in reflexes.SENSES} == {15}
-        env.close()
 
-    def test_a_blind_one_does_the_same_whatever_it_is_told(self, monkeypatch):
-        env = envs.make(scene="handover", touch="absent")
-        played = []
+    def test_a_blind_one_does_the_same_whatever_it_is_told(self):
+        env, played = envs.make(scene="handover", touch="absent"), []
         step_to = env.step_to
+        for told in (1.0, np.nan):
 
-        def blindfolded(targets):
-            played[-1].append(targets.copy())
-            obs, *rest = step_to(targets)
-            return {**obs, "observation": obs["observation"] * np.nan}, *rest
+            def noted(targets, told=told):
+                played[-1].append(targets.copy())
+                obs, *rest = step_to(targets)
+                return {**obs, "observation": told * obs["observation"]}, *rest
 
-        for told in (step_to, blindfolded):
             played.append([])
-            monkeypatch.setattr(
-                env, "step_to", lambda t, told=told: (played[-1].append(t.copy()), told(t))[1]
-            )
+            env.step_to = noted
             Reflex("time", 20, 1.0).play(env, 1)
-        whole, blind = (np.unique(np.array(p), axis=0) for p in played)
-        np.testing.assert_array_equal(whole, blind)
-        env.close()
+        np.testing.assert_array_equal(*played)
 
     def test_touch_goes_when_taxels_fire_and_not_before(self):
         env = envs.make(scene="handover")
@@ -81,12 +75,10 @@ class TestReflexes:
         assert Reflex("touch", 1, 1.0).play(env, 2)
         went = next(i for i, targets in enumerate(steps) if not np.array_equal(targets, steps[0]))
         assert env.task.sets_off < went < env.task.sets_off + env.task.stays
-        env.close()
 
     def test_without_taxels_on_the_palm_touch_feels_nothing(self):
         env = envs.make(scene="handover", layout="zhang")
         assert sum(Reflex("touch", 1, 1.0).play(env, seed) for seed in range(10)) <= 2
-        env.close()
 
 
 def test_in_a_handover_touch_decides(capsys):
@@ -119,11 +111,9 @@ def test_a_table_and_a_sentence(capsys):
     ("args", "named"),
     [
         (["--starts", "0"], "--starts: found 0, allowed 1 or more"),
-        (["--search", "0"], "--search: found 0, allowed 1 or more"),
         (["--seed", "-1"], "--seed: found -1"),
         (["--env", "lqr"], "--env: found 'lqr'"),
         (["--scene", "handover", "--touch", "off"], "--touch: leave it out"),
-        (["--scene", "nowhere"], "scene: found 'nowhere'"),
     ],
 )
 def test_bad_input(args, named, capsys):
