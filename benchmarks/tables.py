@@ -87,6 +87,7 @@ PRINTED: dict[str, Callable[[], None]] = {
     "looks": _parts("error_rates", error_rates.show_looks, "looks", "p_values"),
     "coverage": _parts("coverage", coverage.show, "coverage"),
     "design goals": _parts("design", design.show_goals, "goals"),
+    "design waits": _parts("design", design.show_layouts, "layouts"),
     "design ways": _parts("design", design.show_ways, "ways"),
     "design transfers": _parts("design", design.show_transfers, "transfers"),
     **design_study.TABLES,

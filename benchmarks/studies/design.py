@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.command import DATA, ROOT, run_parts
+from benchmarks.command import DATA, ROOT, earlier, run_parts
 from benchmarks.printing import interval, markdown
 from benchmarks.studies import design_study, importance
 from tactilerl import statistics
@@ -35,6 +35,7 @@ GOALS = (("handover_anywhere", 4, 500), ("handover", 1, 200), ("handover_fingers
 ANYWHERE, BESIDE = "handover_anywhere", "1"
 CHOICE, TEST, PYBULLET = 200, 300, 60  # starts; PyBullet is several times as slow
 WAYS = (1, 2, 4, 8, 14)
+WAITS = (0.1, 0.2, 0.3, 0.4, 0.5)  # how far the hand is closed while it waits
 DENSE = DATA / "chosen" / "anywhere_skin.toml"
 JUDGED = 2_000_000 * SEED + timing.TEST  # the first start to judge on
 Row = dict[str, Any]
@@ -171,13 +172,15 @@ def show_ways(result: dict[str, Any]) -> None:
     print(f"\nall candidates: {result['whole skin']:.2f}")
 
 
-def judged(sets: dict[str, Layout], env: str, n: int, **choices: Any) -> dict[str, Any]:
+def judged(
+    sets: dict[str, Layout], env: str, n: int, first: int = JUDGED, **choices: Any
+) -> dict[str, Any]:
     """Success and share felt of layouts in the same unseen starts."""
     hand = hands.get(env)
     placed = {name: layout.place(hand) for name, layout in sets.items()}
     skin = Skin.of(placed.values())
     config = setup(env, **{**scenes.load(ANYWHERE).on(env), **choices})
-    found = record(env, config, skin, range(JUDGED, JUDGED + n), free_cores())
+    found = record(env, config, skin, range(first, first + n), free_cores())
     result = {}
     for name, taxels in placed.items():
         columns = skin.columns(taxels)
@@ -230,17 +233,30 @@ def show_transfers(result: dict[str, Any]) -> None:
 
 
 def layouts_of_study() -> dict[str, Any]:
-    """The scripted baseline of every layout of studies/design.toml."""
+    """The scripted baseline of every layout of studies/design.toml, by how far closed the hand waits;
+    and where it waits as suited it best in other starts."""
     grid = toml_files.read(ROOT / "studies" / "design.toml", "study")["setups"]["ppo"]["grid"]
     found = {design_study.title(str(each)): layouts.load(str(each)) for each in grid["layout"]}
-    return judged(found, "mpl", GOALS[0][2])
+    n, first = GOALS[0][2], JUDGED - timing.TEST + timing.CHOICE
+    result = judged(found, "mpl", n)
+    waits = {w: judged(found, "mpl", n, start_closing=w) for w in WAITS}
+    before = {w: judged(found, "mpl", CHOICE, first, start_closing=w) for w in WAITS}
+    for name, row in result.items():
+        row["waits"] = {str(w): made[name]["success"] for w, made in waits.items()}
+        best = max(WAITS, key=lambda w: before[w][name]["success"])
+        row["best"] = {"start_closing": best, **waits[best][name]}
+    return result
 
 
 def show_layouts(result: dict[str, Any]) -> None:
     """As Markdown."""
+    print("\n### Success at the first touch, by how far closed the hand waits\n")
+    trained = earlier(DATA / "waiting.json")
     markdown(
-        "| layout | taxels | success at the first touch | felt |",
-        ((name, row["taxels"], interval(row["success"], *row["interval"]), f"{row['felt']:.2f}")
+        f"| layout | {' | '.join(f'{w:g}' for w in WAITS)} | at its best | trained hands wait at |",
+        ((name, *(f"{value:.2f}" for value in row["waits"].values()),
+          interval(row["best"]["success"], *row["best"]["interval"]),
+          design_study.estimated(np.array(trained[name])) if name in trained else "")
          for name, row in result.items()),
     )  # fmt: skip
 

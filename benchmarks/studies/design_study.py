@@ -12,14 +12,17 @@ import numpy as np
 
 from benchmarks.command import DATA, earlier
 from benchmarks.printing import markdown
+from benchmarks.studies.over_setups import rank_agreement
 from benchmarks.studies.study_tables import estimate, load
 from tactilerl import statistics
+from tactilerl.statistics import Array
 from tactilerl.study import verdicts
 from tactilerl.study.verdicts import BySeed
 
 STUDIES = {"ppo": "design", "ddpg_her": "design_ddpg_her"}
 SKIN, PAPER = "the dense skin", "layout 1"
 FILE = re.compile(r"docs/data/chosen/anywhere_(.+)\.toml")
+N_RESAMPLES = 10_000
 Row = tuple[object, ...]
 
 
@@ -52,7 +55,7 @@ def show(learner: str) -> None:
     """Each layout: what it learned, and in pairs with layout 1 and with the dense skin."""
     finals = learned(learner)
     areas = learned(learner, "area")
-    scripted = earlier(DATA / "design.json").get("layouts", {})
+    scripted = baselines()
     differences = {
         name: verdicts.in_pairs([one, finals[PAPER]]) for name, one in finals.items() if name != PAPER
     }
@@ -63,23 +66,57 @@ def show(learner: str) -> None:
         pairs = differences.get(name)
         rows.append((
             name,
-            f"{scripted[name]['success']:.2f}" if name in scripted else "",
+            *(f"{baseline[name]:.2f}" if name in baseline else "" for baseline in scripted.values()),
             len(final),
-            _mean(areas[name]),
-            _mean(final),
+            estimated(np.array([*areas[name].values()])),
+            estimated(np.array([*final.values()])),
             estimate(pairs.difference, "+.2f") if pairs else "",
             f"{p_values[name]:.3f}" if pairs else "",
             _share(final, finals.get(SKIN, {})) if name != SKIN else "",
         ))  # fmt: skip
     markdown(
-        "| layout | scripted baseline | runs | success over the run | over its last tenth "
+        f"| layout | {' | '.join(scripted)} | runs | success over the run | over its last tenth "
         "| − layout 1 | p, Holm | share of the dense skin's |",
         rows,
     )
 
 
-def _mean(scores: BySeed) -> str:
-    found = np.array([*scores.values()])
+def baselines() -> dict[str, dict[str, float]]:
+    """Success of a scripted hand that closes at the first touch, by layout: where it waits as the scene
+    begins, and where it waits as suits the layout best."""
+    found = earlier(DATA / "design.json")["layouts"]
+    return {
+        "scripted": {name: row["success"] for name, row in found.items()},
+        "scripted, waiting at its best": {name: row["best"]["success"] for name, row in found.items()},
+    }
+
+
+def show_order(learner: str) -> None:
+    """Do scripted hands put the layouts into the order in which they are learned?"""
+    finals = learned(learner)
+    rows: list[Row] = []
+    for name, baseline in baselines().items():
+        shared = [layout for layout in finals if layout in baseline]
+        runs = [np.array([*finals[layout].values()]) for layout in shared]
+        counts = [verdicts.resamples(len(one), N_RESAMPLES) for one in runs]
+        drawn = np.array(
+            [statistics.bootstrap(x, "mean", n) for x, n in zip(runs, counts, strict=True)]
+        )
+        scripted = np.array([baseline[layout] for layout in shared])
+        means = np.array([one.mean() for one in runs])
+        same = np.broadcast_to(scripted[:, None], drawn.shape)
+        order = rank_agreement(np.array([scripted, means]), np.array([same, drawn]))
+        gap = np.abs(scripted - means)
+        rows.append(
+            (name, len(shared), estimate(order, ".2f"), f"{gap.mean():.2f}", f"{gap.max():.2f}")
+        )
+    markdown(
+        "| baseline | layouts | rank correlation with success learned | mean gap | largest |", rows
+    )
+
+
+def estimated(found: Array) -> str:
+    """The mean of runs (n,)."""
     return estimate(statistics.mean(found, verdicts.resamples(len(found))), ".2f")
 
 
@@ -99,7 +136,8 @@ def is_there(name: str, setup_name: str) -> bool:
 
 
 TABLES = {
-    f"design {learner}": partial(show, learner)
+    f"design {kind}{learner}": partial(table, learner)
+    for kind, table in (("", show), ("order ", show_order))
     for learner, study in STUDIES.items()
     if is_there(study, learner)
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,10 +26,12 @@ ABOUT = About(
     "Where should a hand's few taxels go? Plays each start of a scene once with a dense skin, chooses "
     "the taxels by which most starts succeed, and judges them on other starts, without training.",
     first=("scene", "env", "simulator", "taxels", "skin", "radius", "only", "leave_out", "keep",
-           "redundancy", "taxel_dead", "false_on", "starts", "test_starts", "seed", "out", "json"),
+           "redundancy", "start_closing", "taxel_dead", "false_on", "starts", "test_starts", "seed",
+           "out", "json"),
     examples=(
         "tactilerl design --scene handover_anywhere --taxels 4 --out four.toml",
         "tactilerl design --scene handover --taxels 1..12 --only palm --out my_design",
+        "tactilerl design --scene handover_anywhere --start-closing 0.2 0.3 0.4",
     ),
 )  # fmt: skip
 
@@ -75,13 +78,19 @@ def main(args: list[str]) -> int:
         print(json.dumps(found.result))
         return 0
     _print(found)
-    for path in written:
-        hint = f"    tactilerl train --scene {found.result['scenes'][0]} --layout {pasted(path)}"
-        console.print(f"{path}{hint if path.suffix == '.toml' else ''}")
+    for path, n in itertools.zip_longest(written, found.chosen):
+        console.print(f"{path}{_hint(found, path, n) if path.suffix == '.toml' else ''}")
     return 0
 
 
-LISTS = ("--scene", "--only", "--not", "--beside", "--weights")
+def _hint(found: Design, path: Path, n: int) -> str:
+    """What trains the hand with the layout."""
+    closing = found.waits_at(n)
+    waits = "" if closing is None else f" --start-closing {closing:g}"
+    return f"    tactilerl train --scene {found.result['scenes'][0]} --layout {pasted(path)}{waits}"
+
+
+LISTS = ("--scene", "--only", "--not", "--beside", "--weights", "--start-closing")
 
 
 def _gathered(args: Sequence[str]) -> list[str]:
@@ -115,6 +124,9 @@ def _print(found: Design) -> None:
     table = Table("taxels", "which", measure, "95 % interval")
     if key == "success":
         table.add_column("felt")
+    waits = any("start_closing" in row for row in result["rows"])
+    if waits:
+        table.add_column("waits at")
     if result["beside"] is not None:
         table.add_column(f"more than layout {layouts.short(result['beside'])}")
     for row in result["rows"]:
@@ -122,6 +134,7 @@ def _print(found: Design) -> None:
         cells = [str(row["taxels"]), _which(row), f"{row[key]:.2f}"]
         cells.append(f"{low:.2f} – {high:.2f}" if low != "" else "")
         cells += [f"{row['felt']:.2f}"] if "felt" in row else []
+        cells += [f"{row['start_closing']:g}" if "start_closing" in row else ""] if waits else []
         if "difference" in row:
             cells.append("{:+.2f} ({:+.2f} to {:+.2f})".format(*row["difference"][key]))
         table.add_row(*cells)

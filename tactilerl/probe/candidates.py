@@ -61,6 +61,9 @@ class DesignFlags:
     """Probability that a taxel is dead."""
     false_on: Annotated[float, "[0, 1)"] = 0.0
     """Probability that a taxel fires in a step without being touched."""
+    start_closing: tuple[Annotated[float, "[0, 1)"], ...] = ()
+    """How far the hand is closed while it waits; of several, each set of taxels waits as suits it best;
+    default: the scene's."""
     beside: tuple[str, ...] = BESIDE
     """Layouts to compare with."""
     starts: Annotated[int, f"[1, {MOST}]"] | None = None
@@ -149,8 +152,15 @@ class Design:
     def layout(self, n: int) -> Layout:
         """A layout of `n` taxels, and those that were there already."""
         taxels = self.pool.take(sorted([*self.chosen[n], *self.kept]))
-        where = ", ".join(self.result["scenes"])
-        return layouts.of_taxels(taxels, self.hand, f"{n} taxel{'s' * (n > 1)} {MADE} for {where}")
+        about = f"{n} taxel{'s' * (n > 1)} {MADE} for {', '.join(self.result['scenes'])}"
+        if (closing := self.waits_at(n)) is not None:
+            about += f" --start-closing {closing:g}"
+        return layouts.of_taxels(taxels, self.hand, about)
+
+    def waits_at(self, n: int) -> float | None:
+        """How far the hand with `n` taxels is closed while it waits; None for as the scene has it."""
+        rows = (row for row in self.result["rows"] if row["layout"] == "chosen" and row["taxels"] == n)
+        return next((row["start_closing"] for row in rows if "start_closing" in row), None)
 
 
 @dataclass(frozen=True)
@@ -254,6 +264,9 @@ def _scenes(flags: DesignFlags) -> tuple[str, list[Scene]]:
             )
         config = setup(hand, **{**named.on(hand), **choices})
         typed.validate(config)
+        if flags.start_closing and config.actions == "all":
+            allowed = "allowed only with scenes whose actions are fingers or grip"
+            raise ValueError(f"start_closing: found {list(flags.start_closing)}, {allowed}")
         found.append(Scene(name, config, weight / sum(weights)))
     if len({tasks.TASKS[scene.config.task].giver is None for scene in found}) > 1:
         raise ValueError("scene: found handovers beside other tasks, allowed one kind")

@@ -21,7 +21,7 @@ def design(
         return timing.design(pool, workers, show)
     if len(pool.scenes) > 1:
         raise ValueError(f"scene: found {len(pool.scenes)}, allowed one, or several handovers")
-    of_handovers = ("redundancy", "taxel_dead", "false_on", "test_starts", "weights")
+    of_handovers = ("redundancy", "taxel_dead", "false_on", "test_starts", "weights", "start_closing")
     typed.allow_only_with("a handover", flags, *of_handovers)
     if find_spec("sklearn") is None:
         raise ValueError(

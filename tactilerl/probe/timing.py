@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,38 +19,28 @@ from .recording import Skin, record
 CHOICE, TEST = 500_000, 750_000  # starts to choose from, to judge on, and of the gate are all different
 RANDOM_SETS = 20
 FEW = 20  # starts, to say where arrivals are felt
+ByWait = dict[float | None, Starts]
+"""Starts by how far the hand is closed while it waits; None for as the scene has it."""
 
 
 def design(pool: Pool, workers: int, show: Callable[[int, int], None]) -> Design:
     """Choose taxels; ValueError where nobody feels a start in time, or touch cannot help."""
     flags, done = pool.flags, iter(range(1, 10**9))
-    total = len(pool.scenes) * (pool.n_starts + flags.test_starts)
-
-    def played(first: int, n: int) -> Starts:
-        first += 2 * gate.SEARCH * flags.seed
-        numbers, every = range(first, first + n), flags.false_on > 0
-        tick = lambda: show(next(done), total)  # noqa: E731
-        parts = [
-            vars(record(pool.env, one.config, pool.skin, numbers, workers, every, tick, one.weight))
-            for one in pool.scenes
-        ]
-        return Starts(**{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
-
-    choice = played(CHOICE, pool.n_starts)
-    pool = pool.without(choice.early)
-    starts = choice.take(pool.columns)
-    _require_felt(starts, pool, workers)
-    judge = _Judge(played(TEST, flags.test_starts), flags.aim)
+    n_recordings = len(pool.scenes) * max(1, len(flags.start_closing))
+    total = n_recordings * (pool.n_starts + flags.test_starts)
+    tick = lambda: show(next(done), total)  # noqa: E731
+    choice = _played(pool, CHOICE, pool.n_starts, workers, tick)
+    pool = pool.without(np.any([starts.early for starts in choice.values()], axis=0))
+    _require_felt(choice, pool, workers)
+    judge = _Judge(choice, _played(pool, TEST, flags.test_starts, workers, tick), flags.aim)
     rng = np.random.default_rng(flags.seed)
     beside = {name: pool.skin.columns(taxels) for name, taxels in pool.beside.items()}
     rows = [judge.row(name, columns) for name, columns in beside.items()]
     best = max(rows, key=lambda row: row["success"], default=None)
     rows.append(judge.row("whole skin", pool.columns))
-    chosen = {}
+    chosen: dict[int, list[int]] = {}
     for n in flags.numbers:
-        picked = cover.choose(
-            starts, n + pool.n_kept, flags.aim, range(pool.n_kept), overlap=pool.overlap
-        )
+        picked = _choose(choice, pool, n)
         chosen[n] = [i for i in picked.taxels if i >= pool.n_kept]
         own = [pool.columns[i] for i in picked.taxels]
         row = judge.row("chosen", own)
@@ -57,27 +48,66 @@ def design(pool: Pool, workers: int, show: Callable[[int, int], None]) -> Design
         if best is not None:
             row["difference"] = judge.difference(own, beside[best["layout"]])
         rows += [row, judge.random(n, pool, rng)]
+    whole, most = (judge.wait(columns) for columns in (pool.columns, own))
     about = {
         "question": "timing",
-        "hopeless": float(np.mean(~judge.starts.succeeds.any(axis=1))),
+        "hopeless": float(np.mean(~judge.test[whole].succeeds.any(axis=1))),
         "beside": best and best["layout"],
         "rows": rows,
     }
-    return pool.design(chosen, starts.worth, about)
+    return pool.design(chosen, choice[most].take(pool.columns).worth, about)
+
+
+def _played(pool: Pool, first: int, n: int, workers: int, tick: Callable[[], None]) -> ByWait:
+    """`n` starts of each scene with the whole skin, for each way to wait."""
+    flags, found = pool.flags, dict[float | None, Starts]()
+    first += 2 * gate.SEARCH * flags.seed
+    numbers, every = range(first, first + n), flags.false_on > 0
+    for wait in flags.start_closing or (None,):
+        parts = []
+        for one in pool.scenes:
+            scene = one.config if wait is None else replace(one.config, start_closing=wait)
+            starts = record(pool.env, scene, pool.skin, numbers, workers, every, tick, one.weight)
+            parts.append(vars(starts))
+        joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        found[wait] = Starts(**joined)
+    return found
+
+
+def _choose(choice: ByWait, pool: Pool, n: int) -> cover.Chosen:
+    """The best `n` taxels of all ways to wait, and the bound of all."""
+    aim, kept = pool.flags.aim, range(pool.n_kept)
+    found = [
+        cover.choose(starts.take(pool.columns), n + pool.n_kept, aim, kept, overlap=pool.overlap)
+        for starts in choice.values()
+    ]
+    bounds = [one.bound for one in found if one.bound is not None]
+    best = max(found, key=lambda one: one.value)
+    return best._replace(bound=max(bounds) if len(bounds) == len(found) else None)
 
 
 class _Judge:
-    """What sets of taxels win in starts from which none of them was chosen."""
+    """What sets of taxels win in starts from which none of them was chosen. A set waits as suited it
+    best in those to choose from."""
 
-    def __init__(self, starts: Starts, aim: Aim) -> None:
-        self.starts, self._aim = starts, aim
-        self._counts = statistics.resample(np.random.default_rng(0), len(starts), 10_000)
+    def __init__(self, choice: ByWait, test: ByWait, aim: Aim) -> None:
+        self.test, self._choice, self._aim = test, choice, aim
+        self._weights = next(iter(test.values())).weights
+        self._counts = statistics.resample(np.random.default_rng(0), len(self._weights), 10_000)
+
+    def wait(self, taxels: list[int]) -> float | None:
+        """How far the hand is closed meanwhile; None for as the scene has it."""
+        if len(self._choice) == 1:
+            return next(iter(self._choice))
+        return max(self._choice, key=lambda w: cover.value(self._choice[w], taxels, self._aim))
 
     def row(self, layout: str, taxels: list[int]) -> dict[str, Any]:
         """Success and share felt, with intervals."""
         row: dict[str, Any] = {"layout": layout, "taxels": len(taxels)}
+        if (wait := self.wait(taxels)) is not None:
+            row["start_closing"] = wait
         for name, scores in self._scores(taxels).items():
-            row[name] = float(self.starts.weights @ scores)
+            row[name] = float(self._weights @ scores)
             row[f"{name}_interval"] = self._interval(scores)
         return row
 
@@ -85,7 +115,7 @@ class _Judge:
         """Means over random sets of the same size, or as many of it as find room."""
         every = [self._scores(_drawn(n, pool, rng)) for _ in range(RANDOM_SETS)]
         means = {name: np.mean([scores[name] for scores in every], axis=0) for name in every[0]}
-        shares = {name: float(self.starts.weights @ scores) for name, scores in means.items()}
+        shares = {name: float(self._weights @ scores) for name, scores in means.items()}
         return {"layout": "random", "taxels": n, **shares}
 
     def difference(self, a: list[int], b: list[int]) -> dict[str, Any]:
@@ -95,18 +125,19 @@ class _Judge:
 
     def _scores(self, taxels: list[int]) -> dict[str, Array]:
         """(n,) of each start: does it succeed, or how probably? Is it felt?"""
-        success = cover.scores(self.starts, np.array([taxels], int), self._aim)[:, 0]
-        return {"success": success, "felt": self.starts.felt(taxels).astype(float)}
+        starts = self.test[self.wait(taxels)]
+        success = cover.scores(starts, np.array([taxels], int), self._aim)[:, 0]
+        return {"success": success, "felt": starts.felt(taxels).astype(float)}
 
     def _interval(self, scores: Array) -> list[float]:
         """Wilson's where starts succeed or not and count alike, else the bootstrap's."""
         n = len(scores)
-        if np.allclose(self.starts.weights, 1 / n) and np.isin(scores, (0.0, 1.0)).all():
+        if np.allclose(self._weights, 1 / n) and np.isin(scores, (0.0, 1.0)).all():
             return list(statistics.wilson_interval(round(scores.sum()), n))
         return list(self._mean(scores)[1:])
 
     def _mean(self, scores: Array) -> statistics.Estimate:
-        return statistics.mean(len(scores) * self.starts.weights * scores, self._counts)
+        return statistics.mean(len(scores) * self._weights * scores, self._counts)
 
 
 def _drawn(n: int, pool: Pool, rng: np.random.Generator) -> list[int]:
@@ -121,9 +152,14 @@ def _drawn(n: int, pool: Pool, rng: np.random.Generator) -> list[int]:
     return [pool.columns[taxel] for taxel in drawn]
 
 
-def _require_felt(starts: Starts, pool: Pool, workers: int) -> None:
+def _require_felt(choice: ByWait, pool: Pool, workers: int) -> None:
     """ValueError where no candidate feels anything in time, or touch has nothing to win."""
-    name, scene, hand = pool.env, pool.scenes[0].config, pool.hand
+    name, hand = pool.env, pool.hand
+    worth = {wait: cover.value(starts, pool.columns) for wait, starts in choice.items()}
+    wait = max(worth, key=worth.__getitem__)
+    starts, scene = choice[wait].take(pool.columns), pool.scenes[0].config
+    if wait is not None:
+        scene = replace(scene, start_closing=wait)
     if not starts.good.any():
         skin = Skin.of([places.skin("6mm", hand)])
         seen = record(name, scene, skin, range(CHOICE, CHOICE + FEW), workers).worth > 0
@@ -135,10 +171,9 @@ def _require_felt(starts: Starts, pool: Pool, workers: int) -> None:
         )
     n = min(len(starts), 100)
     without = gate.examine(name, scene, n, max(1, n // 20), 0, workers, senses=("joints", "sight"))
-    whole = cover.value(starts, range(starts.fires.shape[1]))
     best = max(without, key=lambda each: each.rate)
-    if whole - best.rate < gate.TELLS:
+    if worth[wait] - best.rate < gate.TELLS:
         raise ValueError(
             f"scene: touch cannot help here: a hand that goes by {best.name} succeeds in "
-            f"{best.rate:.2f} of the starts, one that feels with the whole skin in {whole:.2f}"
+            f"{best.rate:.2f} of the starts, one that feels with the whole skin in {worth[wait]:.2f}"
         )

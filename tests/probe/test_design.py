@@ -172,9 +172,28 @@ class TestCommand:
         layout = tactilerl.design(scene="handover", taxels=2, **few)
         assert len(tactilerl.make(scene="handover", layout=layout).unwrapped.taxels) == 2
 
+    def test_every_set_waits_as_suits_it_best(self, capsys):
+        args = ["design", "--scene", "handover_anywhere", *FEW, "--starts", "8"]
+        rows = {}
+        for waits in ("0.2", "0.35", "0.2,0.35"):
+            assert main([*args, "--taxels", "2", "--start-closing", waits, "--json"]) == 0
+            found = json.loads(capsys.readouterr().out)["rows"]
+            rows[waits] = {row["layout"]: row for row in found}
+        alone = [rows[wait]["chosen"]["chosen_from"] for wait in ("0.2", "0.35")]
+        assert alone[0] != alone[1]
+        best = str(rows["0.2,0.35"]["chosen"]["start_closing"])
+        assert (
+            rows["0.2,0.35"]["chosen"]["chosen_from"]
+            == rows[best]["chosen"]["chosen_from"]
+            == max(alone)
+        )
+        assert rows["0.2,0.35"]["chosen"]["success"] == rows[best]["chosen"]["success"]
+
     @pytest.mark.parametrize(
         ("args", "named"),
         [
+            (["--start-closing", "1"], "start-closing"),
+            (["--scene", "dark_mpl", "--start-closing", "0.3"], "start-closing: found [0.3]"),
             (["--taxels", "0"], "taxels: found '0'"),
             (["--taxels", "3..2"], "taxels: found '3..2'"),
             (["--taxels", "1e9"], "taxels: found '1e9'"),
