@@ -1,6 +1,17 @@
-"""How a command ends that was given what is not allowed."""
+"""How a command ends: with what it prints, or with one line where it was given what is not allowed."""
+
+import os
+import subprocess
+import sys
 
 from tactilerl.commands.cli import main
+
+
+def printed(capsys, args, code=0):
+    """What a command prints that ends with this exit code."""
+    capsys.readouterr()
+    assert main([*map(str, args)]) == code
+    return capsys.readouterr().out
 
 
 def fails_with(capsys, args, *words, code=2):
@@ -15,3 +26,11 @@ def fails_with(capsys, args, *words, code=2):
     for word in words:
         assert word in err, err
     return err
+
+
+def python(*args, **environment):
+    """A Python of its own, without a display, that finds what this one does: how it ended."""
+    screens = ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY")
+    kept = {name: value for name, value in os.environ.items() if name not in screens}
+    environment = {**kept, "PYTHONPATH": os.pathsep.join(sys.path), **environment}
+    return subprocess.run([sys.executable, *args], env=environment, capture_output=True, text=True)

@@ -10,6 +10,7 @@ from pathlib import Path
 from threading import Thread
 
 import pytest
+from one_line import python
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -19,14 +20,11 @@ def write_wheel(folder, name, version, *requirements):
     folder.mkdir(parents=True, exist_ok=True)
     needs = "".join(f"Requires-Dist: {requirement}\n" for requirement in requirements)
     info = f"{name}-{version}.dist-info"
+    about = f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n{needs}"
+    kind = "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
     with zipfile.ZipFile(folder / f"{name}-{version}-py3-none-any.whl", "w") as wheel:
-        wheel.writestr(
-            f"{info}/METADATA", f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n{needs}"
-        )
-        wheel.writestr(
-            f"{info}/WHEEL", "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
-        )
-        wheel.writestr(f"{info}/RECORD", "")
+        for file, text in (("METADATA", about), ("WHEEL", kind), ("RECORD", "")):
+            wheel.writestr(f"{info}/{file}", text)
 
 
 @pytest.fixture
@@ -93,7 +91,7 @@ def test_cuda_comes_when_it_is_asked_for(install, served):
     assert installed == ["nvidia_cublas-1.0.dist-info", "torch-2.0.dist-info"]
 
 
-def test_the_wheel_has_every_file_and_runs_outside_the_checkout(tmp_path):
+def test_the_wheel_has_every_file_and_runs_outside_the_checkout(tmp_path, in_tmp):
     pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
     offline = ["--no-deps", "--no-build-isolation", "--no-index"]
     subprocess.run([*pip, "wheel", *offline, "--wheel-dir", tmp_path, str(ROOT)], check=True)
@@ -109,12 +107,9 @@ def test_the_wheel_has_every_file_and_runs_outside_the_checkout(tmp_path):
     package = tmp_path / "site/tactilerl"
     found = {p.relative_to(package).as_posix() for p in package.rglob("*") if p.suffix in shipped}
     assert found == expected
-    environment = os.environ | {"PYTHONPATH": str(package.parent)}
     code = "import tactilerl; print(tactilerl.__file__); from tactilerl.commands.cli import main; "
     code += "main(['env', '--env', 'lqr'])"
-    result = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True
-    )
+    result = python("-c", code, PYTHONPATH=str(package.parent))
     assert result.returncode == 0, result.stderr
     assert result.stdout.startswith(str(package))
     assert "lqr" in result.stdout

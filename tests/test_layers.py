@@ -19,11 +19,7 @@ ALLOWED = {
     "mpi4py": ("algos/mpi.py", "tactilerl/study/engine.py"),
     "dask": ("tactilerl/study/engine.py",),
     "dask_jobqueue": ("tactilerl/study/engine.py",),
-    "matplotlib": (
-        "benchmarks/",
-        "tactilerl/probe/figures.py",
-        "tactilerl/study/figures.py",
-    ),
+    "matplotlib": ("benchmarks/", "tactilerl/probe/figures.py", "tactilerl/study/figures.py"),
     "sklearn": ("tactilerl/probe/",),
     "torch": ("algos/", "tactilerl/", "benchmarks/"),
     "tyro": (
@@ -122,10 +118,6 @@ def test_third_party_packages_stay_where_they_belong():
             top = module.partition(".")[0]
             if level == 0 and top in ALLOWED and not name.startswith("tactilerl/algos"):
                 assert name.startswith(ALLOWED[top]), f"{name} imports {top}"
-
-
-def test_no_file_is_called_utils():
-    assert not [path for path in sources("envs", "algos", "tactilerl") if "util" in path.stem]
 
 
 @pytest.mark.parametrize("name", ["ppo.py", "ddpg_her.py"])

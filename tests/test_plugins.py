@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from one_line import fails_with
+from one_line import fails_with, printed
 
 import tactilerl
 from tactilerl.commands.cli import main
@@ -83,8 +83,8 @@ def _installed(tmp_path, monkeypatch):
 
 @pytest.mark.usefixtures("_installed")
 def test_an_installed_package_adds_a_task_a_touch_rule_and_a_hand(capsys):
-    assert main(["env", "--env", "claw", "--task", "easy", "--touch-rule", "numb", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["taxels"] > 0
+    theirs = ["--env", "claw", "--task", "easy", "--touch-rule", "numb"]
+    assert json.loads(printed(capsys, ["env", *theirs, "--json"]))["taxels"] > 0
     env = tactilerl.make("claw", task="easy", touch_rule="numb")
     assert type(env.task).__name__ == "Easy"
     env.close()
@@ -103,8 +103,8 @@ def test_what_an_installed_package_promises_and_does_not_have_is_one_line(capsys
 
 
 def test_the_cup_of_the_example_breaks_when_it_is_pressed(capsys):
-    assert main(["gate", *CUP, "--starts", "4", "--search", "1", "--json"]) == 0
-    rates = {row["name"]: row["rate"] for row in json.loads(capsys.readouterr().out)["reflexes"]}
+    found = printed(capsys, ["gate", *CUP, "--starts", "4", "--search", "1", "--json"])
+    rates = {row["name"]: row["rate"] for row in json.loads(found)["reflexes"]}
     assert rates["touch"] > 0.7 > rates["blind"]
     env = tactilerl.make(scene=CUP[-1], finger_gain=1.0)
     env.reset(seed=0)
@@ -119,14 +119,16 @@ def test_the_cup_of_the_example_breaks_when_it_is_pressed(capsys):
 
 
 def test_a_run_is_trained_evaluated_and_listed_with_import(capsys):
-    assert main(["train", *CUP, *TINY, "--workers", "1", "--out", "cup"]) == 0
-    assert "evaluate cup --import own_task" in capsys.readouterr().out
+    """Without, its task is unknown."""
+    out = printed(capsys, ["train", *CUP, *TINY, "--workers", "1", "--out", "cup"])
+    assert "evaluate cup --import own_task" in out
     assert main(["evaluate", "cup", "--episodes", "2", "--import", "own_task"]) == 0
     scene = EXAMPLES / "own_task.toml"
     Path("s.toml").write_text(f'name = "s"\n[setups.cup]\nscene = "{scene}"\n')
-    capsys.readouterr()
-    assert main(["study", "todo", "s.toml", "--import", "own_task"]) == 0
-    assert "--import=own_task" in capsys.readouterr().out
+    todo = ["study", "todo", "s.toml", "--import", "own_task"]
+    assert "--import=own_task" in printed(capsys, todo)
+    del tasks.TASKS["hold-cup"]
+    fails_with(capsys, ["evaluate", "cup"], "task: found 'hold-cup'", "--import MODULE")
 
 
 def test_a_set_up_of_a_study_says_what_is_imported(capsys):
@@ -135,23 +137,15 @@ def test_a_set_up_of_a_study_says_what_is_imported(capsys):
     todo = ["study", "todo", "s.toml"]
     fails_with(capsys, todo, "imports the module 'own_task'", "--trust")
     assert "own_task" not in sys.modules
-    assert main([*todo, "--trust"]) == 0
-    assert "--import=own_task" in (command := capsys.readouterr().out)
+    assert "--import=own_task" in (command := printed(capsys, [*todo, "--trust"]))
     assert main([*shlex.split(command)[1:], *TINY]) == 0
     assert main(["study", "status", "studies/s"]) == 0  # which imports nothing
 
 
 @pytest.mark.pybullet
 def test_worker_processes_import_it_too():
-    assert (
-        main(["train", *CUP, *TINY, "--simulator", "pybullet", "--workers", "2", "--out", "cup"]) == 0
-    )
-
-
-def test_without_the_module_the_task_is_unknown(capsys):
-    main(["train", *CUP, *TINY, "--workers", "1", "--out", "cup"])
-    del tasks.TASKS["hold-cup"]
-    fails_with(capsys, ["evaluate", "cup"], "task: found 'hold-cup'", "--import MODULE")
+    processes = ["--simulator", "pybullet", "--workers", "2"]
+    assert main(["train", *CUP, *TINY, *processes, "--out", "cup"]) == 0
 
 
 def test_a_module_that_cannot_be_imported_is_one_line(capsys):

@@ -25,18 +25,12 @@ def drawn_like_rliable(seed, n_runs, n_resamples):
 
 class TestRates:
     def test_converged_rate_is_the_level_where_the_curve_stays(self):
-        curve = [0.0, 0.1, 0.35, 0.61, 0.62, 0.61, 0.9]
-        assert_allclose(
-            s.converged_rate(np.array([curve])), [np.mean([0.61, 0.61])]
-        )  # 0.62 is the next bin
+        curve = [0.0, 0.1, 0.35, 0.61, 0.62, 0.61, 0.9]  # 0.62 is the next bin
+        assert_allclose(s.converged_rate(np.array([curve])), [0.61])
 
     def test_of_equally_full_bins_the_last_one_visited(self):
         assert_allclose(s.converged_rate(np.array([[0.9, 0.9, 0.1, 0.1]])), [0.1])
         assert_allclose(s.converged_rate(np.array([[0.1, 0.1, 0.9, 0.9]])), [0.9])
-
-    def test_a_level_curve_converges_to_its_level_on_any_edge(self):
-        levels = np.arange(101) / 100
-        assert_allclose(s.converged_rate(np.repeat(levels[:, None], 5, axis=1)), levels)
 
     def test_a_rate_on_an_edge_belongs_to_the_bin_above(self):
         assert_allclose(s.converged_rate(np.array([[0.58, 0.5999, 0.57]])), [np.mean([0.58, 0.5999])])
@@ -89,43 +83,31 @@ class TestIntervals:
             expected = library.get_interval_estimates(
                 {"x": point[:, None]}, lambda x: np.array([metrics.aggregate_iqm(x)]), reps=300
             )
-            assert_allclose(
-                [value, *interval], [expected[0]["x"][0], *expected[1]["x"][:, 0]], atol=1e-12
-            )
+            theirs = [expected[0]["x"][0], *expected[1]["x"][:, 0]]
+            assert_allclose([value, *interval], theirs, atol=1e-12)
 
     @pytest.mark.parametrize("scores", [[0.4], [0.4, 0.4, 0.4]])
     def test_runs_alike_have_no_width(self, rng, scores):
         counts = s.resample(rng, len(scores), 100)
         assert_allclose(s.estimate(np.array(scores), "iqm", counts), [0.4] * 3)
 
-    def test_an_interval_of_many_normal_runs_contains_the_truth_as_often_as_it_says(self, rng):
-        counts = s.resample(rng, 40, 500)
-        intervals = [s.estimate(rng.normal(0.5, 0.1, 40), "mean", counts)[1:] for _ in range(400)]
-        assert 0.90 < np.mean([low <= 0.5 <= high for low, high in intervals]) < 0.98
 
-
-class TestComparisons:
-    def test_holm(self):
-        assert_allclose(s.holm([0.01, 0.04, 0.03]), [0.03, 0.06, 0.06])
-        assert_allclose(s.holm([0.01, np.nan, 0.04]), [0.02, np.nan, 0.04])
-        assert len(s.holm([])) == 0
+def test_holm():
+    assert_allclose(s.holm([0.01, 0.04, 0.03]), [0.03, 0.06, 0.06])
+    assert_allclose(s.holm([0.01, np.nan, 0.04]), [0.02, np.nan, 0.04])
+    assert len(s.holm([])) == 0
 
 
 class TestPairs:
-    @pytest.mark.parametrize("n", [2, 3, 6, 10])
+    @pytest.mark.parametrize("n", [2, 3, 6, 16])
     def test_sign_flips_are_scipys_exact_test(self, rng, n):
+        """With up to 16 pairs."""
         differences = rng.normal(0.5, 1, n)
         theirs = stats.permutation_test(
-            (differences,), lambda x, axis: x.mean(axis), permutation_type="samples", vectorized=True
-        )
+            (differences,), lambda x, axis: x.mean(axis), permutation_type="samples", vectorized=True,
+            n_resamples=2**16,
+        )  # fmt: skip
         assert s.sign_flip_p(differences, rng) == pytest.approx(theirs.pvalue)
-
-    def test_every_way_to_exchange_labels_is_there_once(self, rng):
-        signs = s.sign_flips(5, rng)
-        both = {tuple(row) for row in np.concatenate([signs, -signs])}
-        assert len(both) == 2**5 == 2 * len(signs)
-        assert (signs[0] == 1).all()
-        assert s.sign_flips(16, rng).shape == (2**15, 16)
 
     def test_beyond_16_pairs_some_ways_stand_for_all(self, rng):
         differences = rng.normal(0.4, 1, 17)
@@ -139,10 +121,6 @@ class TestPairs:
         assert s.sign_flip_p(np.ones(3), rng) == pytest.approx(0.25)
         assert s.sign_flip_p(np.zeros(6), rng) == 1
         assert math.isnan(s.sign_flip_p(np.ones(1), rng))
-
-    def test_it_keeps_its_level(self, rng):
-        p = np.array([s.sign_flip_p(rng.standard_t(2, 7), rng) for _ in range(1000)])
-        assert 0.03 < np.mean(p <= 0.05) < 0.07  # 3 of 64 ways: 0.047
 
     def test_an_expanded_interval_is_a_t_interval_for_normal_samples(self, rng):
         samples = rng.normal(0, 1, 40)
@@ -193,10 +171,6 @@ class TestLooks:
         as_far = np.abs(signs @ differences) >= differences.sum()
         assert first.p_value == pytest.approx(2 / 32)
         assert second.p_value == pytest.approx(np.mean(stopped | as_far))
-
-    def test_it_ends_where_it_stops(self, rng):
-        found = s.sequential_sign_flips(np.ones(12), [(9, 0.02), (12, 0.05)], 12, rng)
-        assert len(found) == 1
 
     @pytest.mark.parametrize("n", [12, 18])
     def test_all_looks_together_keep_the_level(self, rng, n):

@@ -14,7 +14,7 @@ from tactilerl.algos import DivergenceError, recipes
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig, explore, largest_return, td_targets
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
-from tactilerl.envs import typed, vector
+from tactilerl.envs import vector
 from tactilerl.runs import training
 
 
@@ -85,7 +85,6 @@ SMALL = dict(hidden=(16, 16), buffer_size=200, batch_size=8, n_cycles=2, n_batch
 def make(env=None, seed=0, comm=None, **choices):
     config = DDPGHERConfig(**{**SMALL, **choices})
     workers = vector.start(lambda: env or GoalEnv())
-    typed.validate(config)
     return DDPGHER(config, workers, comm or Communicator(), seed, total_timesteps=100)
 
 
@@ -103,16 +102,18 @@ def trained(cycles=3, learner=None, **choices):
 
 
 class TestTargets:
-    def test_by_hand(self):
-        rewards, values = torch.tensor([0.0, -1.0, -1.0]), torch.tensor([-2.0, -3.0, 5.0])
-        got = td_targets(rewards, values, torch.tensor([0.0, 0.0, 1.0]), 0.5, None)
-        assert got.tolist() == [-1.0, -2.5, -1.0]
-
-    def test_clip(self):
-        """gamma .9: returns of rewards from -1 to 0 lie between -10 and 0."""
-        rewards, values = torch.tensor([0.0, -1.0, -1.0]), torch.tensor([3.0, -99.0, -5.0])
-        got = td_targets(rewards, values, torch.zeros(3), 0.9, (-1.0, 0.0))
-        torch.testing.assert_close(got, torch.tensor([0.0, -10.0, -5.5]))
+    @pytest.mark.parametrize(
+        ("values", "terminal", "gamma", "bounds", "targets"),
+        [
+            ([-2.0, -3.0, 5.0], [0.0, 0.0, 1.0], 0.5, None, [-1.0, -2.5, -1.0]),
+            # Clipped: with gamma .9, returns of rewards from -1 to 0 lie between -10 and 0.
+            ([3.0, -99.0, -5.0], [0.0, 0.0, 0.0], 0.9, (-1.0, 0.0), [0.0, -10.0, -5.5]),
+        ],
+    )
+    def test_by_hand(self, values, terminal, gamma, bounds, targets):
+        rewards, values, terminal = map(torch.tensor, ([0.0, -1.0, -1.0], values, terminal))
+        got = td_targets(rewards, values, terminal, gamma, bounds)
+        torch.testing.assert_close(got, torch.tensor(targets))
 
     def test_bounds_follow_the_rewards_seen(self):
         """gamma .8: 5 times the lowest and the highest, at least from -1 to 0."""
@@ -215,10 +216,6 @@ class TestUnitOfRewards:
 
 
 class TestTargetUpdates:
-    def test_once_per_cycle_unless_told(self):
-        once, told = make(), make(target_update_interval=SMALL["n_batches"])
-        assert torch.equal(trained(learner=once)._target_vector, trained(learner=told)._target_vector)
-
     def test_after_every_interval_and_at_the_end_of_a_cycle(self):
         learner = make(n_batches=5, target_update_interval=2, polyak=0.5)
         learner.collect()
@@ -241,14 +238,8 @@ class TestTargetUpdates:
         before = {name: steady[name] for name in steady if name != "target_update_interval"}
         assert recipes.comparable("ddpg_her", steady) == recipes.comparable("ddpg_her", before)
         longer = {"n_batches": 240}
-        assert recipes.comparable("ddpg_her", steady | longer) != recipes.comparable(
-            "ddpg_her", before | longer
-        )
-
-
-class TestRecipes:
-    def test_the_papers_is_the_default(self):
-        assert recipes.recipe("ddpg_her") == DDPGHERConfig()
+        now, then = (recipes.comparable("ddpg_her", chosen | longer) for chosen in (steady, before))
+        assert now != then
 
 
 class TestFallsOverTheRun:
@@ -381,10 +372,7 @@ class TestUpdate:
     def test_test_episodes_learn_nothing(self):
         learner = trained()
         before = learner.adam.vector.clone(), learner.env_steps, len(learner.replay)
-        seen = learner.test()
-        assert set(seen) == {
-            *("test_success_rate", "test_mean_return", "test_diverged", "test_warnings"),
-        }
+        assert 0 <= learner.test()["test_success_rate"] <= 1
         assert torch.equal(before[0], learner.adam.vector)
         assert before[1:] == (learner.env_steps, len(learner.replay))
 
@@ -464,32 +452,18 @@ class TestTruth:
             make(Told(GoalEnv(), gym.spaces.Discrete(3)))
 
 
-class Noisy(gym.ObservationWrapper):
-    """Taxels that are not Boolean any more."""
+def test_the_outermost_wrappers_reward_counts():
+    class Doubled(gym.Wrapper):
+        def step(self, action):
+            obs, reward, *rest = super().step(action)
+            return obs, 2 * reward, *rest
 
-    def observation(self, observation):
-        observation["observation"][-1] += 0.25
-        return observation
+        def compute_reward(self, achieved, desired, info):
+            return 2 * self.unwrapped.compute_reward(achieved, desired, info)
 
-
-class TestWrappers:
-    def test_noise_on_boolean_entries_is_learned_from(self):
-        learner = trained(2, make(Noisy(GoalEnv())))
-        last = learner.replay.sample(50, 0.5).obs[:, -1]
-        assert set(np.unique(last)) == {0.25, 1.25}
-
-    def test_the_outermost_reward_counts(self):
-        class Doubled(gym.Wrapper):
-            def step(self, action):
-                obs, reward, *rest = super().step(action)
-                return obs, 2 * reward, *rest
-
-            def compute_reward(self, achieved, desired, info):
-                return 2 * self.unwrapped.compute_reward(achieved, desired, info)
-
-        learner = make(Doubled(GoalEnv()))
-        learner.check()
-        assert set(np.unique(trained(2, learner).replay.sample(50, 0.5).reward)) == {-2.0, 0.0}
+    learner = make(Doubled(GoalEnv()))
+    learner.check()
+    assert set(np.unique(trained(2, learner).replay.sample(50, 0.5).reward)) == {-2.0, 0.0}
 
 
 class TestHardCases:
@@ -541,24 +515,8 @@ class TestHardCases:
         with pytest.raises(ValueError, match="compute_reward"):
             make(GoalEnv(reward=-0.37)).check()
 
-    def test_environments_without_goals_or_time_limit_are_refused(self):
+    def test_an_environment_without_a_time_limit_is_refused(self):
         env = GoalEnv()
         env.max_episode_steps = None
         with pytest.raises(ValueError, match="max_episode_steps"):
             make(env)
-        env = GoalEnv()
-        env.observation_space = gym.spaces.Box(-1, 1, (3,), np.float32)
-        with pytest.raises(ValueError, match="goal environment"):
-            make(env)
-
-    @pytest.mark.parametrize(
-        ("choices", "words"),
-        [
-            (dict(gamma=1.0), "gamma: found 1.0, allowed from 0 to below 1"),
-            (dict(noise_eps=math.nan), "noise_eps: found nan"),
-            (dict(buffer_size=4), "buffer_size: found 4, allowed 5"),
-        ],
-    )
-    def test_bad_values(self, choices, words):
-        with pytest.raises(ValueError, match=words):
-            make(**choices)

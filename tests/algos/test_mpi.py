@@ -47,7 +47,6 @@ import numpy as np, torch
 from tactilerl import envs
 from tactilerl.algos import mpi
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
-from tactilerl.algos import mpi
 from tactilerl.commands.cli import main
 from tactilerl.envs import vector
 comm, alone = mpi.world(), mpi.Communicator()

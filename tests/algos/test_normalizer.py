@@ -56,13 +56,6 @@ def test_clip_and_before_the_first_update():
     assert stats.scaling()(torch.tensor([[-1.0, 99.0]])).tolist() == [[-1.0, 5.0]]
 
 
-def test_columns_as_they_are():
-    stats = Normalizer(2, Communicator(), clip=5.0, as_is=np.array([False, True]))
-    for rows in np.random.default_rng(0).normal(3.0, 2.0, (4, 50, 2)):
-        stats.update(rows)
-    assert stats.scaling()(torch.tensor([[3.0, 1.0]]))[0].tolist() == [pytest.approx(0.0, abs=0.2), 1.0]
-
-
 def test_a_rank_without_rows_and_no_rows_at_all():
     stats = fed([np.zeros((0, 2)), np.ones((4, 2)), np.zeros((0, 2))], 2)
     assert stats.count == 4

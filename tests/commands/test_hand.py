@@ -6,7 +6,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from one_line import fails_with
+from one_line import fails_with, printed
 
 from tactilerl.commands.cli import main
 from tactilerl.envs import hands
@@ -62,22 +62,19 @@ def test_a_gripper():
     assert all(angle > 0 for angle in about["closed"].values())
 
 
-def test_a_gripper_that_is_open_at_the_end_of_its_slides():
-    slides = MODEL
-    for s in (-1, 1):
-        turns = f'axis="0 {s} 0" range="0 1.5"'
-        slides = slides.replace(turns, f'type="slide" axis="0 0 {s}" range="0 0.03"', 1)
-    about, _ = guessed(slides)
-    assert about["opened"]["l_a"] == about["opened"]["r_a"] == 0.03
-    assert about["closed"]["l_a"] == about["closed"]["r_a"] == 0
+SLIDES = MODEL
+for s in (-1, 1):
+    turns, slides = f'axis="0 {s} 0" range="0 1.5"', f'type="slide" axis="0 0 {s}" range="0 0.03"'
+    SLIDES = SLIDES.replace(turns, slides, 1)
+HINGES = MODEL.replace('range="0 1.5"', 'range="-1.5 0.1"')
 
 
-def test_a_gripper_that_is_open_at_the_end_of_its_hinges():
-    """Whatever the range says: two digits close where they meet."""
-    model = MODEL.replace('range="0 1.5"', 'range="-1.5 0.1"')
+@pytest.mark.parametrize(("model", "opened", "closed"), [(SLIDES, 0.03, 0), (HINGES, -1.5, 0.1)])
+def test_a_gripper_closes_where_its_digits_meet(model, opened, closed):
+    """Whatever the range says."""
     about, _ = guessed(model)
-    assert about["opened"]["l_a"] == about["opened"]["r_a"] == -1.5
-    assert about["closed"]["l_a"] == about["closed"]["r_a"] == pytest.approx(0.1)
+    assert about["opened"]["l_a"] == about["opened"]["r_a"] == opened
+    assert about["closed"]["l_a"] == about["closed"]["r_a"] == pytest.approx(closed)
 
 
 def test_digits_around_a_palm_close_on_each_other():
@@ -132,8 +129,7 @@ def test_from_model_to_training(monkeypatch, capsys):
     monkeypatch.setattr(grasp_search, "ROUNDS", (24, 6))
     monkeypatch.setattr(grasp_search, "STARTS", 2)
     Path("hand.xml").write_text(MODEL)
-    assert main(["hand", "hand.xml", "--out", "mine.toml"]) == 0
-    said = capsys.readouterr().out
+    said = printed(capsys, ["hand", "hand.xml", "--out", "mine.toml"])
     assert "digits.thumb: " in said
     assert "mujoco: " in said
     assert "next: tactilerl doctor --env mine.toml" in said
@@ -156,10 +152,9 @@ def test_what_a_model_does_not_say_is_asked_for(capsys):
 
 def test_the_length_of_fingers_is_from_joint_to_joint():
     """Where links are of any shape, which overlap; the scene's lengths go by it."""
-    box = TIP.replace("capsule", "box").replace(
-        'size="0.008" fromto="0 0 0 0.03 0 0"', 'size="0.04 .01 .01"'
-    )
-    guessed(MODEL.replace(TIP, box))
+    capsule = 'type="capsule" size="0.008" fromto="0 0 0 0.03 0 0"'
+    assert capsule in TIP
+    guessed(MODEL.replace(TIP, TIP.replace(capsule, 'type="box" size="0.04 .01 .01"')))
     hand = hands.get("hand.toml")
     tip = hand.fingertips[0][1]
     assert hand.finger_length == pytest.approx(0.05 + math.hypot(*tip), abs=1e-3)

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from one_line import fails_with
+from one_line import fails_with, printed
 
 from tactilerl.commands.cli import main
 
@@ -14,9 +14,9 @@ HER = ["--algo", "ddpg_her", "--hidden", "8", "--n-cycles", "1", "--n-batches", 
 HER += ["--n-test-rollouts", "1", "--batch-size", "8", "--n-rollouts", "1"]
 COMMON = ["--task", "reach-goal", "--max-episode-steps", "6", "--workers", "1", "--seed", "5"]
 HARD = ["--object-seen", "noisy", "--sight-noise", "0.02", "0.2", "--sight-noise-kind", "held"]
-HARD += ["--history", "2", "--joint-noise", "0.05", "--taxel-false-on", "0.1"]
-HARD += ["--taxel-false-off", "0.1"]
-HARD += ["--taxel-dead", "0.1", "--taxel-stuck", "0.1", "--taxel-delay", "1", "--goal-range", "0.02"]
+HARD += ["--history", "2", "--joint-noise", "0.05", "--goal-range", "0.02", "--taxel-delay", "1"]
+HARD += ["--taxel-false-on", "0.1", "--taxel-false-off", "0.1"]
+HARD += ["--taxel-dead", "0.1", "--taxel-stuck", "0.1"]
 HARD += ["--object", "box,sphere", "--object-size", "0.04..0.05", "--friction", "0.5..1"]
 HARD += ["--object-density", "400..800", "--start-offset", "0.02", "--start-yaw", "0.5"]
 
@@ -31,9 +31,8 @@ def test_every_flag_trains_resumes_and_is_evaluated(learner, env, simulator, cap
     assert saved["object_size"] == ["0.04..0.05"]
     assert saved["sight_noise"] == [0.02, 0.2]
     assert main(["train", "--resume", "run", "--total-timesteps", "24"]) == 0
-    capsys.readouterr()
-    assert main(["evaluate", "run", "--episodes", "6", "--json", "--workers", "1"]) == 0
-    assert json.loads(capsys.readouterr().out)["episodes"] == 6
+    found = printed(capsys, ["evaluate", "run", "--episodes", "6", "--json", "--workers", "1"])
+    assert json.loads(found)["episodes"] == 6
 
 
 @pytest.mark.parametrize("learner", [PPO, HER], ids=["ppo", "ddpg_her"])
@@ -62,14 +61,13 @@ def test_a_scenes_training_is_checked_even_where_flags_override_it(train, named,
 
 class TestEvaluateWithOtherSensors:
     @pytest.fixture
-    def trained(self, capsys):
+    def trained(self):
         scene = ["--env", "shadow", *COMMON, "--layout", "5", "--reward", "dense"]
         main(["train", *HER, *scene, "--total-timesteps", "12", "--out", "run"])
-        capsys.readouterr()
 
     def evaluated(self, capsys, *given):
-        assert main(["evaluate", "run", "--episodes", "2", "--workers", "1", "--json", *given]) == 0
-        return json.loads(capsys.readouterr().out)
+        evaluate = ["evaluate", "run", "--episodes", "2", "--workers", "1", "--json"]
+        return json.loads(printed(capsys, [*evaluate, *given]))
 
     def test_flags_override_the_saved_scene_for_once(self, trained, capsys):
         before = Path("run/config.json").read_text()
@@ -89,8 +87,8 @@ class TestEvaluateWithOtherSensors:
         assert [point["taxel_stuck"] for point in swept["points"]] == [0, 0.5, 1]
         plain = self.evaluated(capsys)
         assert swept["points"][0]["mean_return"] == plain["mean_return"]
-        assert main(["evaluate", "run", "--episodes", "1", "--workers", "1", *given[:3]]) == 0
-        assert "taxel-stuck" in capsys.readouterr().out
+        table = printed(capsys, ["evaluate", "run", "--episodes", "1", "--workers", "1", *given[:3]])
+        assert "taxel-stuck" in table
 
     @pytest.mark.parametrize(
         ("given", "named"),
@@ -107,8 +105,7 @@ class TestEvaluateWithOtherSensors:
         fails_with(capsys, ["evaluate", "run", "--episodes", "1", *given], named)
 
     def test_a_run_without_a_hand_has_no_sensors(self, capsys):
-        learner = ["--algo", "ppo", "--hidden", "8", "--steps-per-epoch", "16", "--n-passes", "1"]
-        main(["train", *learner, "--env", "lqr", "--total-timesteps", "16", "--out", "run"])
+        main(["train", *PPO, "--env", "lqr", "--total-timesteps", "16", "--out", "run"])
         fails_with(capsys, ["evaluate", "run", "--taxel-dead", "0.1"], "--taxel-dead")
         sweep = ["evaluate", "run", "--sweep", "taxel-dead", "0.1"]
         fails_with(capsys, sweep, "found a run on 'lqr'")

@@ -6,7 +6,7 @@ import subprocess
 import sys
 
 import pytest
-from one_line import fails_with
+from one_line import fails_with, python
 
 DRAG = """
 import threading, time
@@ -48,15 +48,9 @@ env.close()
 """
 
 
-def run(command, **environment):
-    kept = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
-    environment = {**kept, "PYTHONPATH": os.pathsep.join(sys.path), **environment}
-    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=100)
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there is a display")
 def test_without_a_display_one_line():
-    done = run([sys.executable, "-m", "tactilerl", "view", "--env", "shadow"])
+    done = python("-m", "tactilerl", "view", "--env", "shadow")
     assert done.returncode == 2
     assert done.stderr.startswith("tactilerl: error: view: no window")
     assert done.stderr.count("\n") == 1
@@ -79,7 +73,9 @@ def test_bad_input(args, named, capsys):
 @pytest.mark.skipif(shutil.which("xvfb-run") is None, reason="needs xvfb-run")
 def test_the_mouse_is_felt_and_time_stands_still_or_slows_down():
     display = ["xvfb-run", "-a", "-s", "-screen 0 640x480x24"]
-    done = run([*display, sys.executable, "-c", DRAG])
+    command = [*display, sys.executable, "-c", DRAG]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=100)
     assert done.returncode == 0, done.stderr
     assert done.stdout.split("\n")[:5] == [
         "felt True left False", "lit True", "paused True", "slow True", "closed"

@@ -19,7 +19,7 @@ import filelock
 import numpy as np
 import pytest
 import torch
-from one_line import fails_with
+from one_line import fails_with, printed, python
 
 from tactilerl.commands.cli import main
 from tactilerl.errors import BUSY, InputError
@@ -62,12 +62,6 @@ def edit(path, change):
     sealed.write(path, content)
 
 
-def make_special(path, kind):
-    """A file that has no end, or whose other end nobody writes to."""
-    path.unlink()
-    os.mkfifo(path) if kind == "pipe" else path.symlink_to("/dev/zero")
-
-
 class TestCheckpoint:
     @pytest.mark.parametrize(
         ("change", "words"),
@@ -95,10 +89,7 @@ class TestCheckpoint:
             return config
 
         CONFIG.write_text(json.dumps(older(json.loads(CONFIG.read_text()))))
-        edit(
-            CHECKPOINT,
-            lambda saved: saved.update(config=json.dumps(older(json.loads(saved["config"])))),
-        )
+        edit(CHECKPOINT, lambda c: c.update(config=json.dumps(older(json.loads(c["config"])))))
         assert main(["evaluate", "run", "--episodes", "2", "--workers", "1"]) == 0
 
     @pytest.mark.parametrize(("name", "value"), [("epoch", 2), ("rank", 1), ("config", "{}")])
@@ -154,19 +145,15 @@ class TestCheckpoint:
         torch.save(torch.load(CHECKPOINT, weights_only=True), CHECKPOINT)
         fails_with(capsys, RESUME, "checkpoint.pt", "no checksum", "before 0.2")
 
-    def test_missing_checkpoint_of_a_run_with_progress(self, ppo, her_copy, capsys):
-        for run in ("run", "her"):
-            Path(run, "checkpoint.pt").unlink()
-            before = Path(run, "progress.csv").read_bytes()
-            fails_with(capsys, ["train", "--resume", run], "checkpoint.pt: missing, but")
-            assert Path(run, "progress.csv").read_bytes() == before
-
-
-@pytest.fixture
-def her_copy(made):
-    """A run whose progress is its experience."""
-    shutil.copytree(made / "her", "her")
-    Path("her/progress.csv").write_bytes(b"")
+    @pytest.mark.parametrize("algo", ["ppo", "her"])
+    def test_missing_checkpoint_of_a_run_with_progress(self, made, capsys, algo):
+        shutil.copytree(made / algo, "run")
+        if algo == "her":  # whose progress is its experience
+            TABLE.write_bytes(b"")
+        before = TABLE.read_bytes()
+        CHECKPOINT.unlink()
+        fails_with(capsys, RESUME, "checkpoint.pt: missing, but")
+        assert TABLE.read_bytes() == before
 
 
 class TestProgress:
@@ -243,35 +230,32 @@ class TestWriting:
     def test_hints_can_be_pasted(self, ppo, capsys, monkeypatch, name):
         shutil.copytree("run", f"./{name}")
         hint = f"tactilerl train --resume {files.pasted(name)}"
-        assert main(shlex.split(hint)[1:]) == 0
-        assert f"tactilerl evaluate {files.pasted(name)}" in capsys.readouterr().out
+        out = printed(capsys, shlex.split(hint)[1:])
+        assert f"tactilerl evaluate {files.pasted(name)}" in out
 
 
 class TestReading:
     @pytest.mark.parametrize("kind", ["pipe", "device"])
     @pytest.mark.parametrize("path", [CHECKPOINT, CONFIG, TABLE, PART])
     def test_what_is_no_file_is_not_waited_for(self, her, capsys, path, kind):
-        make_special(path, kind)
+        """A pipe that nobody writes to, or a device that has no end."""
+        path.unlink()
+        os.mkfifo(path) if kind == "pipe" else path.symlink_to("/dev/zero")
         fails_with(capsys, RESUME, path.name)
 
     def test_what_unpacks_to_much_more(self):
         text, arrays = Path("x.gz"), Path("x.npz")
         text.write_bytes(gzip.compress(b"some text"))
-        np.savez_compressed(arrays, a=np.arange(6).reshape(2, 3), b=np.array("text"))
+        np.savez_compressed(arrays, a=np.array([[0, 1], [2, 3]]), b=np.array("text"))
         assert files.unzip(text) == b"some text"
-        assert [x.tolist() for x in files.read_arrays(arrays).values()] == [
-            [[0, 1, 2], [3, 4, 5]],
-            "text",
-        ]
+        assert [x.tolist() for x in files.read_arrays(arrays).values()] == [[[0, 1], [2, 3]], "text"]
         text.write_bytes(gzip.compress(bytes(60_000_000), 1))
         np.savez_compressed(arrays, a=np.zeros(10_000_000))
         for read, path in ((files.unzip, text), (files.read_arrays, arrays)):
             with pytest.raises(ValueError, match="unpacks to more than"):
                 read(path)
 
-    @pytest.mark.parametrize(
-        "name", ["../x", "a/b", "", ".x", "x\n", 3, None, ["x"], "é" * 200, '"><img src=x>', "$x^$"]
-    )
+    @pytest.mark.parametrize("name", ["../x", "a/b", "", ".x", "x\n", None, '"><img src=x>', "$x^$"])
     def test_names_that_lead_elsewhere(self, name):
         with pytest.raises(InputError, match="run: found"):
             files.require_name(name, "run")
@@ -296,10 +280,8 @@ class TestLock:
         seen = []
 
         def append(table, row):
-            with (
-                pytest.raises(InputError, match=f"process {os.getpid()} on "),
-                files.locked(Path("new")),
-            ):
+            ours = f"process {os.getpid()} on "
+            with pytest.raises(InputError, match=ours), files.locked(Path("new")):
                 pass
             seen.append(row)
 
@@ -366,7 +348,6 @@ class TestConfig:
             ("run", "more", 1, "run: found an unknown field 'more'"),
             ("learner", "hidden", [8, "8"], "hidden: found tuple"),
             ("learner", "hidden", [10**30], "hidden: found a number"),
-            ("learner", "gamma", float("nan"), "gamma: found nan"),
             ("learner", "truncation", "never", "truncation: found 'never'"),
             (None, "ranks", float("inf"), "ranks: found inf"),
             (None, "scene", [], "scene: found list"),
@@ -393,15 +374,13 @@ class TestProvenance:
         data = json.loads(CONFIG.read_text())
         data["provenance"][0]["versions"]["torch"] = "1.0"
         CONFIG.write_text(json.dumps(data))
-        capsys.readouterr()
-        assert main([*RESUME, "--total-timesteps", "240"]) == 0
-        assert f"versions torch 1.0 -> {torch.__version__}; from epoch 4 on" in capsys.readouterr().out
+        out = printed(capsys, [*RESUME, "--total-timesteps", "240"])
+        assert f"versions torch 1.0 -> {torch.__version__}; from epoch 4 on" in out
         first, second = json.loads(CONFIG.read_text())["provenance"]
         assert first == data["provenance"][0]
         assert (second["epoch"], second["env_steps"]) == (3, 180)
         assert second["versions"]["torch"] == torch.__version__
-        assert main([*RESUME, "--total-timesteps", "300"]) == 0
-        assert "versions torch" not in capsys.readouterr().out
+        assert "versions torch" not in printed(capsys, [*RESUME, "--total-timesteps", "300"])
         assert json.loads(CONFIG.read_text())["provenance"] == [first, second]
 
     def test_the_commit_is_of_the_repository_that_tracks_the_package(self, tmp_path, monkeypatch):
@@ -446,7 +425,7 @@ class TestTerminal:
 
     def test_an_interrupt_ends_the_process_at_once_with_one_line(self):
         code = "import os, signal, tactilerl.__main__\nos.kill(os.getpid(), signal.SIGINT)"
-        result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+        result = python("-c", code)
         assert (result.returncode, result.stderr) == (130, "tactilerl: interrupted\n")
 
     @pytest.mark.parametrize(("env", "again"), [("lqr", ""), ("cut:Cut-v0", " --env cut:Cut-v0")])

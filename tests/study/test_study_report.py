@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pandas
 import pytest
-from one_line import fails_with
+from one_line import fails_with, printed
 from rliable import library, metrics
 from study_records import fail, interrupt, make_study
 
@@ -72,6 +72,10 @@ def rewrite(path, name, change):
             archive.addfile(entry, io.BytesIO(data))
 
 
+def reported(capsys, path):
+    return printed(capsys, ["study", "report", path, "--resamples", "100"])
+
+
 def parts(result, kind):
     return [p for section in report.sections(result) for p in section.parts if isinstance(p, kind)]
 
@@ -103,15 +107,13 @@ class TestNumbers:
         found = analysis.analyse(*records.load(folder.path), 100).setups[0].comparisons[lost.cell]
         assert found.verdict.pairs.seeds == [0, 2]
         assert all(len(pairs) == 2 for pairs in found.secondary.values())
-        assert main(["study", "report", str(folder.path), "--resamples", "100"]) == 0
-        assert "2 of 3 pairs" in capsys.readouterr().out
+        assert "2 of 3 pairs" in reported(capsys, folder.path)
 
     def test_a_group_is_its_runs(self, folder, result):
         group = result.setups[1].groups["layout 2", "main"]
         _, own = records.load(folder.path)
-        arms = [
-            verdicts.runs_of(own, result.setups[1].setup, "layout 2", a) for a in ("main", "control")
-        ]
+        place = own, result.setups[1].setup, "layout 2"
+        arms = [verdicts.runs_of(*place, arm) for arm in ("main", "control")]
         expected = list(verdicts.scored("converged", *arms)[0].values())
         assert group.seeds == [0, 1, 2, 3]
         np.testing.assert_allclose(group.scores["converged"], expected)
@@ -140,10 +142,9 @@ class TestFiles:
         first = path.read_bytes()
         records.collect(folder.path, out=path)
         assert path.read_bytes() == first
-        args = ["--out", str(tmp_path / "from_file"), "--resamples", str(RESAMPLES)]
-        assert main(["study", "report", str(path), *args]) == 0
+        args = ["--out", tmp_path / "from_file", "--resamples", RESAMPLES]
+        assert "smallest group has 4 runs" in printed(capsys, ["study", "report", path, *args])
         assert contents(tmp_path / "from_file") == contents(written.parent)
-        assert "smallest group has 4 runs" in capsys.readouterr().out
 
     def test_every_table_and_figure_in_every_format(self, result, written):
         names = {p.relative_to(written.parent).as_posix() for p in written.parent.rglob("*.*")}
@@ -198,8 +199,7 @@ class TestWarnings:
         progress = folder.run_dir(runs[3]).progress.path
         progress.write_text(progress.read_text().replace(",0.0,100.0", ",1.0,100.0"))
         folder.run_dir(runs[4]).config_file.write_text("{")
-        assert main(["study", "report", str(folder.path), "--resamples", "100"]) == 0
-        out = capsys.readouterr().out
+        out = reported(capsys, folder.path)
         assert "Of 24 runs 1 failed, 2 interrupted" in out
         assert "pybullet: versions or commits differ" in out
         assert "diverged in 1 run" in out
@@ -222,8 +222,7 @@ class TestWarnings:
         folder = make_study(tmp_path / "s", n_seeds=1)
         for file in folder.path.rglob("progress.csv"):
             file.write_text(file.read_text().replace("test_success_rate", "another"))
-        assert main(["study", "report", str(folder.path), "--resamples", "100"]) == 0
-        assert "mujoco: no finished run with a test_success_rate" in capsys.readouterr().out
+        assert "mujoco: no finished run with a test_success_rate" in reported(capsys, folder.path)
 
     def test_runs_that_still_rise_are_said(self, tmp_path, result):
         assert "final rates" not in " ".join(summary.warnings(result, 10))
@@ -245,9 +244,7 @@ class TestWarnings:
         (tmp_path / "old.tar.gz").write_bytes(gzip.compress(b"run,state,reason,record\n"))
         fails_with(capsys, ["study", "status", tmp_path / "old.tar.gz"], "convert_collected.py")
 
-    @pytest.mark.parametrize(
-        "row", ["1,inf", "1,-1", "1,1000,7", "1,1000,-1", "1,1000,0.5\n1,40000,0.5"]
-    )
+    @pytest.mark.parametrize("row", ["1,inf", "1,-1", "1,1000,7", "1,1000,0.5\n1,40000,0.5"])
     def test_rows_that_no_run_writes(self, tmp_path, row):
         """In a folder and in a collected file, the run is not done."""
         folder = make_study(tmp_path / "s", n_seeds=1)
@@ -270,8 +267,7 @@ class TestWarnings:
         for value in ('"abc"', "1e999", "[1]", "null", "[" * 100_000):
             path.write_text(text.replace(old, f'"total_timesteps": {value}'))
             assert main(["study", "status", str(folder.path), "--json"]) == 0
-        assert main(["study", "report", str(folder.path), "--resamples", "100"]) == 0
-        assert "Of 12 runs 1 interrupted" in capsys.readouterr().out
+        assert "Of 12 runs 1 interrupted" in reported(capsys, folder.path)
 
     @pytest.mark.parametrize("content", [b"", b"{", b'{"name": 1}', b"\xff\xfe", b"[" * 100_000])
     def test_damaged_study_or_collected_file(self, tmp_path, capsys, content):
@@ -289,11 +285,9 @@ class TestWarnings:
 
 class TestPlan:
     def test_pairs_from_the_spread_of_differences_within_cells(self, folder, result, capsys):
-        assert main(["study", "plan", str(folder.path), "--effect", "0.1", "--json"]) == 0
-        needs = json.loads(capsys.readouterr().out)
-        assert [(need["setup"], need["score"]) for need in needs][:2] == [
-            ("pybullet", "area"), ("pybullet", "final")
-        ]  # fmt: skip
+        needs = json.loads(printed(capsys, ["study", "plan", folder.path, "--effect", "0.1", "--json"]))
+        first = [(need["setup"], need["score"]) for need in needs[:2]]
+        assert first == [("pybullet", "area"), ("pybullet", "final")]
         found = [one.verdict.pairs for one in result.setups[0].comparisons.values()]
         gaps = [pairs.treatment - pairs.control for pairs in found]
         sd = np.sqrt(np.mean([gap.var(ddof=1) for gap in gaps]))
@@ -307,8 +301,8 @@ class TestPlan:
         needs = planning.plan(*records.load(folder.path), 0.05, 0.8, 0.05)
         best = planning.best(needs)["mujoco"]
         assert best.needed == min(need.needed for need in needs if need.setup == "mujoco")
-        assert main(["study", "plan", str(folder.path), "--effect", "0.05"]) == 0
-        assert f"mujoco: {best.score} needs the fewest pairs" in capsys.readouterr().out
+        out = printed(capsys, ["study", "plan", folder.path, "--effect", "0.05"])
+        assert f"mujoco: {best.score} needs the fewest pairs" in out
 
     @pytest.mark.parametrize(
         ("case", "n"),
@@ -330,15 +324,12 @@ class TestPlan:
 
     def test_table_and_bad_flags(self, folder, capsys, monkeypatch):
         monkeypatch.setattr(console, "width", 80)
-        assert main(["study", "plan", str(folder.path)]) == 0
-        assert "…" not in (shown := capsys.readouterr().out)
+        assert "…" not in (shown := printed(capsys, ["study", "plan", folder.path]))
         assert max(map(len, shown.splitlines())) <= 80
         assert "converged" in shown
         fails_with(capsys, ["study", "plan", folder.path, "--power", "1"], "--power")
-
-    def test_resamples_that_no_memory_holds(self, folder, capsys):
-        args = ["study", "report", folder.path, "--resamples", "999999999999"]
-        fails_with(capsys, args, "--resamples", "999999999999")
+        report = ["study", "report", folder.path, "--resamples", "999999999999"]
+        fails_with(capsys, report, "--resamples", "999999999999")  # which no memory holds
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")
@@ -351,14 +342,10 @@ def test_a_browser_shows_every_table_and_figure(result, written, tmp_path, width
     switches += ["--disable-background-networking", "--disable-component-update", "--disable-sync"]
     switches += [f"--user-data-dir={tmp_path / 'profile'}", "--window-size=1800,1000"]
     switches += ["--enable-logging=stderr", f"--screenshot={tmp_path / 'page.png'}"]
-    environment = os.environ | {"HOME": str(tmp_path)}
     shown = subprocess.run(
-        [CHROMIUM, *switches, page.as_uri()],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        env=environment,
-    )
+        [CHROMIUM, *switches, page.as_uri()], env=os.environ | {"HOME": str(tmp_path)},
+        capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
     console = [line for line in shown.stderr.splitlines() if "CONSOLE" in line]
     assert len(console) == 1, console
     found = json.loads(re.search(r"FOUND(.*)END", console[0])[1])
@@ -382,8 +369,7 @@ def test_committed_reports_come_out_of_their_data(tmp_path, name):
 
 class TestForReadersAndPrograms:
     def test_answers_are_sentences_and_p_is_corrected_once(self, folder, capsys, written):
-        assert main(["study", "status", str(folder.path)]) == 0
-        assert "layout 1: " in (out := capsys.readouterr().out)
+        assert "layout 1: " in (out := printed(capsys, ["study", "status", folder.path]))
         assert "too few runs to find a difference at 0.05" in out
         table = (written.parent / "tables/pybullet_comparisons.csv").read_text().splitlines()
         assert table[0].startswith("Setting,Pairs,Mean success,p,")

@@ -15,13 +15,13 @@ from pathlib import Path
 
 import filelock
 import pytest
-from one_line import fails_with
+from one_line import fails_with, printed, python
 from tiny_study import TINY, learned, write
 
 from benchmarks.studies import reproduce
 from tactilerl.commands.cli import main
 from tactilerl.errors import InputError
-from tactilerl.study import analysis, engine, records, report, runner
+from tactilerl.study import engine, records, runner
 from tactilerl.study.records import StudyFiles
 
 ROOT = Path(__file__).parents[2]
@@ -59,14 +59,12 @@ def copied(undisturbed, tmp_path):
 
 class TestRun:
     def test_every_run_is_done_and_nothing_is_left_to_do(self, undisturbed, tmp_path, capsys):
-        assert main(["study", "status", str(undisturbed), "--json"]) == 0
-        status = json.loads(capsys.readouterr().out)
+        status = json.loads(printed(capsys, ["study", "status", undisturbed, "--json"]))
         assert (status["runs"], status["done"], status["failed"], status["eta_s"]) == (2, 2, 0, 0)
         before = {p: p.stat().st_mtime_ns for p in undisturbed.rglob("progress.csv")}
         assert len(before) == 2
-        assert main(["study", "run", str(write(tmp_path)), "--out", str(undisturbed)]) == 0
-        out = capsys.readouterr().out
-        assert "2 runs, 0 to do" in out
+        again = ["study", "run", write(tmp_path), "--out", undisturbed]
+        assert "2 runs, 0 to do" in printed(capsys, again)
         assert {p: p.stat().st_mtime_ns for p in undisturbed.rglob("progress.csv")} == before
 
     @pytest.mark.parametrize(
@@ -97,8 +95,8 @@ class TestRun:
         states = [[one.state for one in records.load(tmp_path / place)[1]] for place in "ab"]
         assert states == [["done", "left"], ["left", "done"]]
         shutil.copytree(tmp_path / "a/runs", tmp_path / "b/runs", dirs_exist_ok=True)  # as rsync does
-        assert main(["study", "run", str(write(tmp_path)), "--out", str(tmp_path / "b")]) == 0
-        assert "2 runs, 0 to do" in capsys.readouterr().out
+        args = ["study", "run", write(tmp_path), "--out", tmp_path / "b"]
+        assert "2 runs, 0 to do" in printed(capsys, args)
         assert learned(tmp_path / "b") == learned(undisturbed)
 
     def test_a_command_for_each_run_that_is_not_done(self, undisturbed, copied, tmp_path, capsys):
@@ -106,14 +104,11 @@ class TestRun:
         run = StudyFiles(out).study().runs()[0]
         shutil.rmtree(out / "runs" / run.name)
         todo = ["study", "todo", str(write(tmp_path)), "--out", str(out)]
-        assert main(todo) == 0
-        (command,) = capsys.readouterr().out.splitlines()
+        (command,) = printed(capsys, todo).splitlines()
         program, *args = shlex.split(command)
         assert program == "tactilerl"
         assert main(args) == main(args) == 0
-        capsys.readouterr()
-        assert main(todo) == 0
-        assert capsys.readouterr().out == ""
+        assert printed(capsys, todo) == ""
         assert learned(out) == learned(undisturbed)
 
 
@@ -148,9 +143,9 @@ class TestBeforeItStarts:
         monkeypatch.setattr("sys.stdin.isatty", lambda: is_terminal, raising=False)
         monkeypatch.setattr("builtins.input", lambda text: asked.append(text) or says)
         monkeypatch.setattr(engine, "run_all", lambda jobs, **options: started.extend(jobs) or {})
-        args = ["study", "run", str(write(tmp_path, text)), "--out", str(tmp_path / "out")]
-        assert main([*args, "--jobs", "2", *more]) == (0 if starts else 1)
-        found = re.search(r"200,000,000,000 steps to do: about (\d+):", capsys.readouterr().out)
+        args = ["study", "run", write(tmp_path, text), "--out", tmp_path / "out", "--jobs", "2", *more]
+        out = printed(capsys, args, code=0 if starts else 1)
+        found = re.search(r"200,000,000,000 steps to do: about (\d+):", out)
         assert int(found[1]) > 100
         assert (len(asked), len(started)) == (says is not None, 2 * starts)
         assert (tmp_path / "out").exists() == starts
@@ -168,15 +163,13 @@ class TestFailures:
         text += 'hidden = [8]\ntotal_timesteps = 200\n[setups.y]\nenv = "lqr"\nsteps_per_epoch = 60\n'
         text += "n_passes = 1\nhidden = [8]\ntotal_timesteps = 60\n"
         out = tmp_path / "out"
-        run = ["study", "run", str(write(tmp_path, text)), "--out", str(out), "--jobs", "1", "--trust"]
-        assert main(run) == 1
-        said = capsys.readouterr().out
+        run = ["study", "run", write(tmp_path, text), "--out", out, "--jobs", "1", "--trust"]
+        said = printed(capsys, run, code=1)
         assert "failed: x_s0: stopped:" in said
         assert "[2/2] y_s0 done" in said
         log = (out / "runs" / "x_s0.log").read_text()
         assert log.count("tactilerl train:") == 2
-        assert main(run) == 1
-        assert "2 runs, 0 to do" in capsys.readouterr().out
+        assert "2 runs, 0 to do" in printed(capsys, run, code=1)
 
     def test_damaged_run_folders_cost_a_line_each_and_nothing_is_lost(
         self, copied, trained_here, tmp_path, capsys
@@ -184,9 +177,8 @@ class TestFailures:
         first, second = (copied.run_dir(run) for run in copied.study().runs())
         first.config_file.write_text("{")
         second.config_file.unlink()
-        args = ["study", "run", str(write(tmp_path)), "--out", str(tmp_path / "out"), "--jobs", "1"]
-        assert main(args) == 1
-        out = capsys.readouterr().out
+        args = ["study", "run", write(tmp_path), "--out", tmp_path / "out", "--jobs", "1"]
+        out = printed(capsys, args, code=1)
         assert "2 runs, 2 to do" in out
         assert "config.json: not a run's configuration" in out
         assert "exists but is not a run folder; choose another" in out
@@ -207,11 +199,11 @@ class TestFailures:
             table.write_text("".join(rows[:-1]))
         state = {"gone": "left", "cut off": "interrupted"}[harm]
         assert copied.record(run).state == state
-        assert main(["study", "report", str(copied.path), "--resamples", "100"]) == 0
-        assert f"Of 2 runs 1 {state}" in capsys.readouterr().out
-        args = ["study", "run", str(write(tmp_path)), "--out", str(copied.path), "--jobs", "1"]
-        assert main(args) == (harm == "cut off")  # whose checkpoint has seen more: nothing is made up
-        assert "2 runs, 1 to do" in capsys.readouterr().out
+        report = ["study", "report", copied.path, "--resamples", "100"]
+        assert f"Of 2 runs 1 {state}" in printed(capsys, report)
+        args = ["study", "run", write(tmp_path), "--out", copied.path, "--jobs", "1"]
+        code = int(harm == "cut off")  # whose checkpoint has seen more: nothing is made up
+        assert "2 runs, 1 to do" in printed(capsys, args, code)
         if harm == "gone":
             assert copied.record(run).state == "done"
             assert learned(copied.path) == learned(undisturbed)
@@ -265,16 +257,13 @@ class TestSharing:
         """Without a process, a line in its log or a failure."""
         run = folder.study().runs()[0]
         log = folder.beside(run, "log").read_bytes()
-        lock = {
-            "train": folder.run_dir(run).path / ".lock",
-            "study run": folder.beside(run, "lock"),
-        }[holder]
+        in_training, in_study = folder.run_dir(run).path / ".lock", folder.beside(run, "lock")
         monkeypatch.setattr(runner, "_process", None)
         monkeypatch.setattr(engine, "PATIENCE", 0)
-        with filelock.FileLock(lock):
+        args = ["study", "run", write(tmp_path), "--out", folder.path]
+        with filelock.FileLock(in_training if holder == "train" else in_study):
             assert (folder.record(run).state == "running") == (holder == "train")
-            assert main(["study", "run", str(write(tmp_path)), "--out", str(folder.path)]) == 0
-        assert "1 runs are trained by another" in capsys.readouterr().out
+            assert "1 runs are trained by another" in printed(capsys, args)
         assert folder.record(run).state == "interrupted"
         assert folder.beside(run, "log").read_bytes() == log
 
@@ -335,11 +324,8 @@ def test_stopping_by_sigterm_ends_the_runs_and_they_go_on(tmp_path, capsys):
 
 def descendants(pid):
     """Processes below this one (Linux)."""
-    found = [
-        int(n)
-        for path in Path("/proc").glob(f"{pid}/task/*/children")
-        for n in path.read_text().split()
-    ]
+    tasks = Path("/proc").glob(f"{pid}/task/*/children")
+    found = [int(n) for path in tasks for n in path.read_text().split()]
     return found + [below for child in found for below in descendants(child)]
 
 
@@ -407,18 +393,9 @@ def test_controls_of_layouts_with_as_many_taxels_are_the_same_run(same):
 
 
 def test_a_benchmark_ends_with_one_line_over_bad_input(tmp_path):
-    command = [sys.executable, "-m", "benchmarks", "reproduce", str(tmp_path / "gone.tar.gz"), "x"]
-    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    result = python("-m", "benchmarks", "reproduce", str(tmp_path / "gone.tar.gz"), "x")
     assert (result.returncode, result.stderr.count("\n")) == (2, 1)
     assert "gone.tar.gz' is not a study's folder" in result.stderr
-
-
-def test_a_report_of_a_real_study(undisturbed, tmp_path):
-    result = analysis.analyse(*records.load(undisturbed), 200)
-    text = report.write(result, tmp_path / "report").read_text()
-    assert "2 of 2 runs are done" in text
-    assert "polyak 0.95 − polyak 0.9 in pairs: point-reach, DDPG+HER" in text
-    assert "too few runs to find a difference" in text
 
 
 class TestAfterAnUpgrade:
@@ -438,9 +415,8 @@ class TestAfterAnUpgrade:
             config["learner"].pop(unknown, None)
             path.write_text(json.dumps(config))
         before = {path: path.read_bytes() for path in old.glob("runs/**/*.*")}
-        assert main(["study", "run", str(old / "study.toml"), "--out", str(old)]) == 0
-        assert "4 runs, 0 to do" in capsys.readouterr().out
+        args = ["study", "run", old / "study.toml", "--out", old]
+        assert "4 runs, 0 to do" in printed(capsys, args)
         assert {path: path.read_bytes() for path in before} == before
-        assert main(["study", "report", str(old), "--resamples", "100"]) == 0
-        assert "in no figure" not in capsys.readouterr().out
+        assert "in no figure" not in printed(capsys, ["study", "report", old, "--resamples", "100"])
         assert [one.state for one in records.load(records.collect(old))[1]] == ["done"] * 4

@@ -6,10 +6,9 @@ import shutil
 
 import numpy as np
 import pytest
-from one_line import fails_with
+from one_line import fails_with, printed
 from study_records import PAPER_LIKE, fail, make_study
 
-from tactilerl.commands.cli import main
 from tactilerl.study import looks, records, summary, verdicts
 from tactilerl.study.grid import Contrast, Looks, Run, Setup
 from tactilerl.study.runner import RunJob
@@ -53,20 +52,19 @@ def leave_out(folder, is_out):
 class TestTake:
     plan = Looks([6, 9, 12])
 
-    def test_a_clear_difference_ends_at_the_first_look_that_can_tell(self):
-        taken = verdicts.take(self.plan, np.full(12, 0.2) + 0.01 * np.arange(12), [6, 9, 12])
-        # With six pairs 1 of 32 ways is more than may be spent by then.
-        assert [one.ending for one in taken] == ["", "difference"]
-        assert taken[-1].n == 9
-        assert taken[-1].p_value == pytest.approx(2 / 2**9)
-
-    def test_so_does_ruling_out_what_matters(self):
-        taken = verdicts.take(self.plan, 0.01 * np.tile([1.0, -1.0], 6), [6, 9, 12])
-        assert [one.ending for one in taken] == ["no difference"]
-
-    def test_what_is_unclear_goes_on_to_the_last(self):
-        taken = verdicts.take(self.plan, 0.4 * np.tile([1.0, -1.0], 6), [6, 9, 12])
-        assert [one.ending for one in taken] == ["", "", "last look"]
+    @pytest.mark.parametrize(
+        ("gaps", "endings"),
+        [
+            # With six pairs 1 of 32 ways is more than may be spent by then.
+            (0.2 + 0.01 * np.arange(12), ["", "difference"]),
+            (0.01 * np.tile([1.0, -1.0], 6), ["no difference"]),
+            (0.4 * np.tile([1.0, -1.0], 6), ["", "", "last look"]),
+        ],
+    )
+    def test_it_ends_at_the_first_look_that_can_tell(self, gaps, endings):
+        taken = verdicts.take(self.plan, gaps, [6, 9, 12])
+        assert [one.ending for one in taken] == endings
+        assert taken[-1].n == [6, 9, 12][len(endings) - 1]
 
     def test_a_corrected_interval_is_wider(self):
         gaps = 0.4 * np.random.default_rng(0).standard_normal(12)
@@ -102,11 +100,8 @@ class TestStudyWithLooks:
         told = [one for one in said if "layout 2: Touch raised mean success by 0." in one]
         assert any("Look 2 of 3" in one for one in told)
 
-        capsys.readouterr()
-        assert main(["study", "status", str(folder.path)]) == 0
-        assert "nothing left to do" in capsys.readouterr().out
-        assert main(["study", "report", str(folder.path), "--resamples", "100"]) == 0
-        out = capsys.readouterr().out
+        assert "nothing left to do" in printed(capsys, ["study", "status", folder.path])
+        out = printed(capsys, ["study", "report", folder.path, "--resamples", "100"])
         assert "stopped for a difference" in out
         assert "they are in no figure" not in out  # what was left out is not missing
 
@@ -144,9 +139,8 @@ class TestHeadroom:
         assert room.room.value == pytest.approx(np.mean(sight))
         assert room.share.value == pytest.approx(np.mean(touch) / np.mean(sight))
         assert room.share.low < room.share.value < room.share.high
-        assert main(["study", "report", str(folder.path), "--resamples", "100"]) == 0
         words = "touch gives" if room.is_enough else "this scene cannot tell"
-        assert words in capsys.readouterr().out
+        assert words in printed(capsys, ["study", "report", folder.path, "--resamples", "100"])
 
     def test_a_scene_that_sight_does_not_open_cannot_tell(self):
         little = verdicts.Headroom(8, verdicts.Estimate(0.29, 0.2, 0.4), verdicts.Estimate(0.5, 0, 1))
@@ -165,15 +159,13 @@ def folder(tmp_path_factory):
 
 
 class TestCompare:
-    def compare(self, capsys, *args):
-        assert main(["study", "compare", *map(str, args), "--json"]) == 0
-        return json.loads(capsys.readouterr().out)
+    def compare(self, capsys, *parts):
+        return json.loads(printed(capsys, ["study", "compare", *parts, "--json"]))
 
     def test_two_cells_of_one_study_in_pairs(self, folder, capsys):
         found = self.compare(capsys, f"{folder.path}:layout 2", f"{folder.path}:layout 5")
-        assert [row["place"] for row in found["rows"]] == [
-            "pybullet touch", "pybullet no touch", "mujoco touch", "mujoco no touch"
-        ]  # fmt: skip
+        places = ["pybullet touch", "pybullet no touch", "mujoco touch", "mujoco no touch"]
+        assert [row["place"] for row in found["rows"]] == places
         assert found["differing"] == ["layout 2 − 5"]
         assert found["rows"][0]["pairs"] == 4
         assert found["rows"][0]["value"] > 0.1
@@ -202,15 +194,16 @@ class TestCompare:
         fails_with(capsys, args, "found no steps that all have")
 
     @pytest.mark.parametrize(
-        ("chosen", "words"),
-        [("layout 7", ["'layout 7'", "layout 2"]), ("pybullet,mujoco", ["no finished"])],
+        ("one", "other", "words"),
+        [
+            ("layout 7", "", ["'layout 7'", "layout 2"]),
+            ("pybullet,mujoco", "", ["no finished"]),
+            ("pybullet", "layout 2", ["nothing in both"]),
+        ],
     )
-    def test_no_such_part(self, folder, capsys, chosen, words):
-        fails_with(capsys, ["study", "compare", f"{folder.path}:{chosen}", folder.path], *words)
-
-    def test_parts_with_nothing_in_common(self, folder, capsys):
-        args = ["study", "compare", f"{folder.path}:pybullet", f"{folder.path}:layout 2"]
-        fails_with(capsys, args, "nothing in both")
+    def test_no_such_parts(self, folder, capsys, one, other, words):
+        args = ["study", "compare", f"{folder.path}:{one}", f"{folder.path}:{other}"]
+        fails_with(capsys, args, *words)
 
 
 class TestErrorsOfLooks:
@@ -223,10 +216,8 @@ class TestErrorsOfLooks:
 
     def test_a_small_p_counts_only_where_the_test_stopped(self):
         """Neither while it goes on nor where it stopped for want of a difference."""
-        valid = {
-            ending: self.verdict(ending, 0.02).valid_p for ending in ("", "no difference", "last look")
-        }
-        assert valid == {"": 1.0, "no difference": 1.0, "last look": 0.02}
+        for ending, p in (("", 1.0), ("no difference", 1.0), ("last look", 0.02)):
+            assert self.verdict(ending, 0.02).valid_p == p
         assert not self.verdict("", 0.02).is_difference
 
     def test_at_the_last_look_holm_may_find_what_bonferroni_did_not(self):
@@ -258,10 +249,8 @@ class TestCommonRange:
 
     def record(self, steps, rates, seed=0):
         run = Run(f"r{seed}", "one", "all", "main", seed, "success_rate", {})
-        rows = [
-            {"env_steps": str(step), "success_rate": str(rate)}
-            for step, rate in zip(steps, rates, strict=True)
-        ]
+        points = zip(map(str, steps), map(str, rates), strict=True)
+        rows = [dict(zip(("env_steps", "success_rate"), point, strict=True)) for point in points]
         return records.Record(run, "done", "", {}, rows)
 
     def test_it_begins_and_ends_where_all_have_a_rate(self):
@@ -295,6 +284,5 @@ class TestCommonRange:
         study, found = records.load(folder.path)
         found = verdicts.judge(study, study.setups[0], found)["layout 2"].pairs.difference
         parts = [f"{folder.path}:pybullet,layout 2,{arm}" for arm in ("touch", "no touch")]
-        assert main(["study", "compare", *parts, "--json"]) == 0
-        (row,) = json.loads(capsys.readouterr().out)["rows"]
+        (row,) = json.loads(printed(capsys, ["study", "compare", *parts, "--json"]))["rows"]
         assert [row[name] for name in ("value", "low", "high")] == pytest.approx(list(found))
