@@ -291,7 +291,6 @@ class TestBadInput:
         ("args", "words"),
         [
             (["fly"], ["unknown command 'fly'", "allowed: train"]),
-            (["train", "--env", "nope"], ["unknown environment 'nope'", "allowed: shadow"]),
             (["train", "--env", "CartPole-v1"], ["action space", "allowed Box"]),
             (["train", "--algo", "sac"], ["unknown algorithm 'sac'", "allowed: ppo, ddpg_her"]),
             ([*HER, "--env", "lqr"], ["observation space", "goal environment"]),
@@ -311,16 +310,13 @@ class TestBadInput:
             (["probe", "--closing", "0.1"], ["--closing", "'0.1'"]),
             (["evaluate"], ["Run folder", "tactilerl evaluate --help"]),
             (["train", "--device", "cuda:99"], ["device", "cuda:99"]),
-            (["train", "--workers", "0"], ["workers: found 0, allowed from 1 to 256"]),
             (["train", "--gamma", "nan"], ["gamma: found nan"]),
             (["train", "--object-size", "0.3"], ["--object-size: found 0.3", "up to 0.08 m across"]),
-            (["train", "--object", "sphere", "--object-size", "0.03", "0.04"], ["found 2 numbers"]),
             (["train", "--resume="], ["--resume: found nothing"]),
             (["train", "--resume", "nowhere"], ["'nowhere' is not a run folder"]),
             (["evaluate", "nowhere", "--episodes", "0"], ["--episodes: found 0"]),
             (["doctor", "--seconds", "0.01"], ["--seconds: found 0.01", "0.05 to 60"]),
             (["render", "none", "--video", "x.gif"], ["--video: found 'x.gif'", ".mp4"]),
-            (["render", "none", "--video", "no/x.mp4"], ["--video: found no folder no"]),
             (["render", "--out", "no/x.png"], ["--out: found no folder no"]),
             (["render", "--out", "x.foo"], ["--out: found 'x.foo'", ".png"]),
             (["render", "none", "--layout", "1"], ["found scene flags"]),
@@ -331,20 +327,13 @@ class TestBadInput:
             ([*TOY, "--device", "meta"], ["device: found 'meta'"]),
             ([*TOY, "--seed", "9" * 5000], ["seed"]),
             ([*TOY, "--out", "x" * 5000], ["name too long"]),
-            (["evaluate", "x" * 5000], ["name too long"]),
             ([*TOY, "--trust"], ["--trust: found without --resume"]),
             (["train", "--out", "a\0b"], ["allowed no character 0"]),
             (["train", "--resume", "nowhere", "--scene", "handover"], ["scene: found with resume"]),
             (["doctor", "--taxel-dead", "0.9"], ["--taxel-dead: found 0.9, which has no effect here"]),
-            (["doctor", "--touch", "off"], ["--touch: "]),
-            (["train", "--touch", "off", "--taxel-dead", "0.1"], ["--taxel-dead: found 0.1, allowed"]),
-            (["train", "--sight-noise", "0.1", "0.1"], ["--sight-noise: found (0.1, 0.1), allowed"]),
-            (["train", "--object-size", "0.05..0.04"], ["--object-size: found '0.05..0.04'"]),
             (["train", "--friction", "rough"], ["friction: found 'rough'"]),
-            (["train", "--touch-rule", "force", "--taxel-stuck", "0.1"], ["--taxel-stuck: found 0.1"]),
             (["train", "--touch-rule", "smell"], ["found 'smell', allowed: skin, contact, force"]),
             (["train", "--task", "fly"], ["task: found 'fly', allowed: lift-and-hold, reach-goal"]),
-            (["train", "--history", "0"], ["history: found 0"]),
             (["doctor", "--object-size", "0.04..0.05"], ["object: found several, or a range"]),
         ],
     )
@@ -461,12 +450,6 @@ class TestBadInput:
 
 
 class TestOtherCommands:
-    def test_evaluate(self, capsys):
-        main(["train", "--env", "point-reach", *FAST, "--total-timesteps", "1", "--out", "run"])
-        told = printed(capsys, ["evaluate", "run", "--episodes", "8"])
-        assert "success rate" in told
-        assert " ".join(told.split()).endswith("without exploration noise; --stochastic plays with it")
-
     def test_an_evaluation_counts_faults_and_has_wilsons_interval(self):
         played = {"held": 1, "return": 1.0, "length": 5, "diverged": 0, "warnings": 2}
         episodes = [{**played, "success": float(i < 8)} for i in range(9)]

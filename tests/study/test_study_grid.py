@@ -132,7 +132,6 @@ class TestBadFiles:
             ("batch-size = [16, 32]", "batch-size = [16, 16]", ["grid: batch_size", "16 twice"]),
             ("batch-size = [16, 32]", "batch-sise = [16, 32]", ["reach", "batch-sise"]),
             ("batch-size = [16, 32]", "batch-size = [16, 0]", ["batch_size-0", "batch_size: found 0"]),
-            ("batch-size = [16, 32]", 'batch-size = [16, "many"]', ["batch_size-many", "batch-size"]),
             ("batch-size = [16, 32]", "workers = [1, 2]", ["setups.reach: workers", "leave it out"]),
             ('"0-1, 7"', '"9-0"', ["seed", "9-0"]),
             ('"0-1, 7"', '"0-3,2"', ["seed", "twice"]),

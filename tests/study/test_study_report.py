@@ -381,13 +381,6 @@ class TestForReadersAndPrograms:
         table = tables.Table("x", "x", [{"Setting": "all", "Group": "all", "n": "1"}])
         assert list(table.frame) == ["n"]
 
-    @pytest.mark.parametrize(
-        ("value", "words"),
-        [(["0.04..0.05"], "0.04 to 0.05"), ((64, 64), "64, 64"), (None, "none"), (True, "yes")],
-    )
-    def test_settings_are_written_for_people(self, value, words):
-        assert tables.in_words(value) == words
-
     def test_versions_that_cannot_change_a_result_are_no_difference(self):
         made = {"commit": "a", "versions": {"torch": "2", "mpi4py": "4", "pybullet": "3"}}
         config = {"ranks": 1, "scene": {"simulator": "mujoco"}, "provenance": [made]}
