@@ -10,7 +10,7 @@ from one_line import fails_with, printed
 
 from tactilerl.commands.cli import main
 from tactilerl.envs import hands
-from tactilerl.envs.hands import describing, loading, sandbox
+from tactilerl.envs.hands import describing, sandbox
 from tactilerl.probe import grasp_search
 
 sys.path.append(str(Path(__file__).parents[1] / "envs"))
@@ -29,8 +29,7 @@ size="0.045 0.04 0.012"/>{PERSON}{THUMB}</body></worldbody></mujoco>"""
 
 
 @pytest.fixture(autouse=True)
-def _read_here(monkeypatch, in_tmp):
-    monkeypatch.setattr(sandbox, "load", loading.load)
+def _described_here(monkeypatch, read_here, in_tmp):
     monkeypatch.setattr(sandbox, "describe", describing.describe)
 
 
