@@ -1,5 +1,5 @@
-"""Shared by all tests: what is skipped without PyBullet, one thread of PyTorch, MPI allowed for root,
-studies without processes, a MuJoCo that warns."""
+"""Shared by all tests: each hand and each simulator, what is skipped without PyBullet, one thread of
+PyTorch, MPI allowed for root, studies without processes, a MuJoCo that warns."""
 
 import os
 import signal

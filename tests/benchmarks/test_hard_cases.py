@@ -79,13 +79,3 @@ def test_without_a_reset_there_is_one_episode_and_it_leaves_figures_on_the_way(m
         (80, 1920),
         (100, 2400),
     ]
-
-
-def test_cases_already_in_the_file_are_kept(monkeypatch, tmp_path):
-    out = tmp_path / "hard.json"
-    for case, steps in (("full squeeze", "2"), ("pressed down", "3")):
-        flags = ["--hand", "mpl", "--simulator", "mujoco", "--case", case, "--steps", steps]
-        monkeypatch.setattr(sys, "argv", ["hard_cases.py", *flags, "--out", str(out)])
-        assert hard_cases.main() == 0
-    rows = json.loads(out.read_text())["mpl in mujoco"]
-    assert {name: row["steps"] for name, row in rows.items()} == {"full squeeze": 2, "pressed down": 3}
