@@ -58,7 +58,8 @@ def parse(kind: type[T], args: Sequence[str], prog: str, about: help.About, defa
 
 CHOICE = re.compile(r"invalid choice ('.*') for argument '(--\S+)'\. Expected one of \((.*)\)\.")
 NUMBER = re.compile(r"Error parsing (--\S+): (.*\b(?:int|INT|float|FLOAT)\b.*?)('.*')(?:\]\.)?")
-"""What tyro says of values of other types."""
+NUMBERS = re.compile(r"Error parsing (--\S+): Could not find valid parse for arguments: \[(.*)\]")
+"""What tyro says of values of other types; any other list can be parsed."""
 
 
 def peek(args: Sequence[str], flag: str, default: str = "") -> str:
@@ -92,6 +93,8 @@ def _reason(said: str) -> str:
     if number := NUMBER.fullmatch(reason):
         allowed = "a number" if "float" in number[2].lower() else "a whole number"
         return f"{number[1]}: found {number[3]}, allowed {allowed}"
+    if numbers := NUMBERS.fullmatch(reason):
+        return f"{numbers[1]}: found {numbers[2]}, allowed numbers"
     return reason or "found flags that are not allowed"
 
 

@@ -192,7 +192,8 @@ class TestCommand:
     @pytest.mark.parametrize(
         ("args", "named"),
         [
-            (["--start-closing", "1"], "start-closing"),
+            (["--start-closing", "1"], "start-closing: found 1.0, allowed from 0 to below 1"),
+            (["--start-closing", "0.2", "x"], "start-closing: found '0.2', 'x', allowed numbers"),
             (["--scene", "dark_mpl", "--start-closing", "0.3"], "start-closing: found [0.3]"),
             (["--taxels", "0"], "taxels: found '0'"),
             (["--taxels", "3..2"], "taxels: found '3..2'"),
