@@ -251,14 +251,18 @@ def layouts_of_study() -> dict[str, Any]:
 def show_layouts(result: dict[str, Any]) -> None:
     """As Markdown."""
     print("\n### Success at the first touch, by how far closed the hand waits\n")
-    trained = earlier(DATA / "waiting.json")
-    markdown(
-        f"| layout | {' | '.join(f'{w:g}' for w in WAITS)} | at its best | trained hands wait at |",
-        ((name, *(f"{value:.2f}" for value in row["waits"].values()),
-          interval(row["best"]["success"], *row["best"]["interval"]),
-          design_study.estimated(np.array(trained[name])) if name in trained else "")
-         for name, row in result.items()),
-    )  # fmt: skip
+    trained = {
+        name: design_study.estimated(np.array(closed))
+        for name, closed in earlier(DATA / "waiting.json").items()
+    }
+    rows = [
+        (name, *(f"{value:.2f}" for value in row["waits"].values()),
+         interval(row["best"]["success"], *row["best"]["interval"]), trained.pop(name, ""))
+        for name, row in result.items()
+    ]  # fmt: skip
+    rows += [(name, *[""] * (len(WAITS) + 1), closed) for name, closed in trained.items()]
+    waits = " | ".join(f"{wait:g}" for wait in WAITS)
+    markdown(f"| layout | {waits} | at its best | trained hands wait at |", rows)
 
 
 def main() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ import tyro
 from rich.table import Table
 
 from ..envs import layouts
-from ..errors import input_errors
+from ..errors import InputError, input_errors
 from ..probe import design, design_files
 from ..probe.candidates import Design, DesignFlags
 from ..runs.cores import free_cores
@@ -78,8 +77,9 @@ def main(args: list[str]) -> int:
         print(json.dumps(found.result))
         return 0
     _print(found)
-    for path, n in itertools.zip_longest(written, found.chosen):
-        console.print(f"{path}{_hint(found, path, n) if path.suffix == '.toml' else ''}")
+    numbers = dict(zip(written, found.chosen, strict=False))  # layouts come first
+    for path in written:
+        console.print(f"{path}{_hint(found, path, numbers[path]) if path in numbers else ''}")
     return 0
 
 
@@ -106,6 +106,8 @@ def _gathered(args: Sequence[str]) -> list[str]:
         elif arg.startswith("--"):
             current = rest
         current += [arg] if current is rest else [part for part in arg.split(",") if part]
+    if lists.get("--start-closing") == []:
+        raise InputError("--start-closing: found nothing, expected one or more numbers")
     return [*rest, *(part for name, values in lists.items() for part in (name, *values))]
 
 

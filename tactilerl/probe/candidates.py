@@ -88,6 +88,8 @@ class DesignFlags:
     def validate(self) -> None:
         """Raise ValueError naming the first invalid flag."""
         typed.require(type(self), vars(self))
+        if len(set(self.start_closing)) < len(self.start_closing):
+            raise ValueError(f"start_closing: found {list(self.start_closing)}, allowed each once")
         if self.numbers and self.redundancy > 1 and (self.taxel_dead or self.false_on):
             raise ValueError("redundancy: found with taxel_dead or false_on, allowed one of both")
 
@@ -154,7 +156,7 @@ class Design:
         taxels = self.pool.take(sorted([*self.chosen[n], *self.kept]))
         about = f"{n} taxel{'s' * (n > 1)} {MADE} for {', '.join(self.result['scenes'])}"
         if (closing := self.waits_at(n)) is not None:
-            about += f" --start-closing {closing:g}"
+            about += f", waiting {closing:g} closed"
         return layouts.of_taxels(taxels, self.hand, about)
 
     def waits_at(self, n: int) -> float | None:

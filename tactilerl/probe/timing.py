@@ -30,6 +30,7 @@ def design(pool: Pool, workers: int, show: Callable[[int, int], None]) -> Design
     total = n_recordings * (pool.n_starts + flags.test_starts)
     tick = lambda: show(next(done), total)  # noqa: E731
     choice = _played(pool, CHOICE, pool.n_starts, workers, tick)
+    # The same candidates for all ways to wait.
     pool = pool.without(np.any([starts.early for starts in choice.values()], axis=0))
     _require_felt(choice, pool, workers)
     judge = _Judge(choice, _played(pool, TEST, flags.test_starts, workers, tick), flags.aim)
@@ -48,14 +49,14 @@ def design(pool: Pool, workers: int, show: Callable[[int, int], None]) -> Design
         if best is not None:
             row["difference"] = judge.difference(own, beside[best["layout"]])
         rows += [row, judge.random(n, pool, rng)]
-    whole, most = (judge.wait(columns) for columns in (pool.columns, own))
+    can = np.any([starts.succeeds.any(axis=1) for starts in judge.test.values()], axis=0)
     about = {
         "question": "timing",
-        "hopeless": float(np.mean(~judge.test[whole].succeeds.any(axis=1))),
+        "hopeless": float(np.mean(~can)),
         "beside": best and best["layout"],
         "rows": rows,
     }
-    return pool.design(chosen, choice[most].take(pool.columns).worth, about)
+    return pool.design(chosen, choice[judge.wait(own)].take(pool.columns).worth, about)
 
 
 def _played(pool: Pool, first: int, n: int, workers: int, tick: Callable[[], None]) -> ByWait:

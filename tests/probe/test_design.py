@@ -188,11 +188,15 @@ class TestCommand:
             == max(alone)
         )
         assert rows["0.2,0.35"]["chosen"]["success"] == rows[best]["chosen"]["success"]
+        assert main([*args, "--start-closing", "0.35"]) == 0
+        assert "waits at" in capsys.readouterr().out
 
     @pytest.mark.parametrize(
         ("args", "named"),
         [
             (["--start-closing", "1"], "start-closing: found 1.0, allowed from 0 to below 1"),
+            (["--start-closing", "0.2,0.2"], "start-closing: found [0.2, 0.2], allowed each once"),
+            (["--start-closing"], "start-closing: found nothing"),
             (["--start-closing", "0.2", "x"], "start-closing: found '0.2', 'x', allowed numbers"),
             (["--scene", "dark_mpl", "--start-closing", "0.3"], "start-closing: found [0.3]"),
             (["--taxels", "0"], "taxels: found '0'"),
