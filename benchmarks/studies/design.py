@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.command import DATA, ROOT, earlier, run_parts
+from benchmarks.command import DATA, ROOT, data, run_parts
 from benchmarks.printing import interval, markdown
 from benchmarks.studies import design_study, importance
 from tactilerl import statistics
@@ -238,23 +238,23 @@ def layouts_of_study() -> dict[str, Any]:
     grid = toml_files.read(ROOT / "studies" / "design.toml", "study")["setups"]["ppo"]["grid"]
     found = {design_study.title(str(each)): layouts.load(str(each)) for each in grid["layout"]}
     n, first = GOALS[0][2], JUDGED - timing.TEST + timing.CHOICE
-    result = judged(found, "mpl", n)
     waits = {w: judged(found, "mpl", n, start_closing=w) for w in WAITS}
     before = {w: judged(found, "mpl", CHOICE, first, start_closing=w) for w in WAITS}
-    for name, row in result.items():
-        row["waits"] = {str(w): made[name]["success"] for w, made in waits.items()}
+    usual, result = setup("mpl", **scenes.load(ANYWHERE).on("mpl")).start_closing, {}
+    for name in found:
         best = max(WAITS, key=lambda w: before[w][name]["success"])
-        row["best"] = {"start_closing": best, **waits[best][name]}
+        result[name] = {
+            **waits[usual][name],
+            "waits": {str(w): made[name]["success"] for w, made in waits.items()},
+            "best": {"start_closing": best, **waits[best][name]},
+        }
     return result
 
 
 def show_layouts(result: dict[str, Any]) -> None:
     """As Markdown."""
     print("\n### Success at the first touch, by how far closed the hand waits\n")
-    trained = {
-        name: design_study.estimated(np.array(closed))
-        for name, closed in earlier(DATA / "waiting.json").items()
-    }
+    trained = {name: design_study.estimated(closed) for name, closed in data("waiting").items()}
     rows = [
         (name, *(f"{value:.2f}" for value in row["waits"].values()),
          interval(row["best"]["success"], *row["best"]["interval"]), trained.pop(name, ""))

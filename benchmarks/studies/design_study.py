@@ -6,16 +6,16 @@ python -m benchmarks design_study
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from functools import partial
 
 import numpy as np
 
-from benchmarks.command import DATA, earlier
+from benchmarks.command import DATA, data
 from benchmarks.printing import markdown
 from benchmarks.studies.over_setups import rank_agreement
 from benchmarks.studies.study_tables import estimate, load
 from tactilerl import statistics
-from tactilerl.statistics import Array
 from tactilerl.study import verdicts
 from tactilerl.study.verdicts import BySeed
 
@@ -68,8 +68,8 @@ def show(learner: str) -> None:
             name,
             *(f"{baseline[name]:.2f}" if name in baseline else "" for baseline in scripted.values()),
             len(final),
-            estimated(np.array([*areas[name].values()])),
-            estimated(np.array([*final.values()])),
+            estimated(areas[name].values()),
+            estimated(final.values()),
             estimate(pairs.difference, "+.2f") if pairs else "",
             f"{p_values[name]:.3f}" if pairs else "",
             _share(final, finals.get(SKIN, {})) if name != SKIN else "",
@@ -84,7 +84,7 @@ def show(learner: str) -> None:
 def baselines() -> dict[str, dict[str, float]]:
     """Success of a scripted hand that closes at the first touch, by layout: where it waits as the scene
     begins, and where it waits as suits the layout best."""
-    found = earlier(DATA / "design.json")["layouts"]
+    found = data("design")["layouts"]
     return {
         "scripted": {name: row["success"] for name, row in found.items()},
         "scripted, waiting at its best": {name: row["best"]["success"] for name, row in found.items()},
@@ -115,8 +115,9 @@ def show_order() -> None:
     )
 
 
-def estimated(found: Array) -> str:
-    """The mean of runs (n,)."""
+def estimated(scores: Iterable[float]) -> str:
+    """The mean of runs."""
+    found = np.array([*scores])
     return estimate(statistics.mean(found, verdicts.resamples(len(found))), ".2f")
 
 

@@ -15,6 +15,7 @@ import tactilerl
 from benchmarks.command import on_one_thread, parser, write
 from benchmarks.printing import markdown
 from benchmarks.studies.design_study import title
+from tactilerl.errors import input_errors
 from tactilerl.study.grid import Run
 from tactilerl.study.records import StudyFiles
 
@@ -27,6 +28,8 @@ def waits(folder: Path, run: Run) -> float:
     choices = {flag: run.flags[flag] for flag in ("scene", "layout", "touch") if flag in run.flags}
     env = tactilerl.make(**choices)
     base, policy = env.unwrapped, tactilerl.load_policy(folder)
+    if base.task.giver is None:
+        raise ValueError(f"{run.name}: found the task {base.config.task}, allowed handover")
     start, found = base.config.start_closing, []
     for number in range(FIRST, FIRST + STARTS):
         obs, _ = env.reset(seed=number)
@@ -46,9 +49,10 @@ def main() -> None:
     on_one_thread()
     files, found = StudyFiles(options.study), dict[str, list[float]]()
     for run in files.study().runs():
-        name = title(str(run.flags["layout"])) if "touch" not in run.flags else "no touch"
+        name = title(str(run.flags.get("layout"))) if "touch" not in run.flags else "no touch"
         if files.record(run).is_finished:
-            found.setdefault(name, []).append(waits(files.run_dir(run).path, run))
+            with input_errors():
+                found.setdefault(name, []).append(waits(files.run_dir(run).path, run))
     markdown(
         "| layout | runs | closed by |", ((n, len(x), f"{np.mean(x):.2f}") for n, x in found.items())
     )

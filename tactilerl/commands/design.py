@@ -106,8 +106,9 @@ def _gathered(args: Sequence[str]) -> list[str]:
         elif arg.startswith("--"):
             current = rest
         current += [arg] if current is rest else [part for part in arg.split(",") if part]
-    if lists.get("--start-closing") == []:
-        raise InputError("--start-closing: found nothing, expected one or more numbers")
+    for name, values in lists.items():
+        if not values and name != "--beside":  # with nothing
+            raise InputError(f"{name}: found nothing, expected one or more values")
     return [*rest, *(part for name, values in lists.items() for part in (name, *values))]
 
 

@@ -197,6 +197,7 @@ class TestCommand:
             (["--start-closing", "1"], "start-closing: found 1.0, allowed from 0 to below 1"),
             (["--start-closing", "0.2,0.2"], "start-closing: found [0.2, 0.2], allowed each once"),
             (["--start-closing"], "start-closing: found nothing"),
+            (["--only", "--seed", "1"], "only: found nothing"),
             (["--start-closing", "0.2", "x"], "start-closing: found '0.2', 'x', allowed numbers"),
             (["--scene", "dark_mpl", "--start-closing", "0.3"], "start-closing: found [0.3]"),
             (["--taxels", "0"], "taxels: found '0'"),
