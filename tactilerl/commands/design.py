@@ -85,9 +85,11 @@ def main(args: list[str]) -> int:
 
 def _hint(found: Design, path: Path, n: int) -> str:
     """What trains the hand with the layout."""
-    closing = found.waits_at(n)
-    waits = "" if closing is None else f" --start-closing {closing:g}"
-    return f"    tactilerl train --scene {found.result['scenes'][0]} --layout {pasted(path)}{waits}"
+    asked, closing = found.result["asking"], found.waits_at(n)
+    parts = [f"    tactilerl train --scene {pasted(asked['scene'][0])}"]
+    parts += [f"--{flag} {pasted(asked[flag])}" for flag in ("env", "simulator") if asked[flag]]
+    parts.append(f"--layout {pasted(path)}")
+    return " ".join(parts + ([] if closing is None else [f"--start-closing {closing:g}"]))
 
 
 LISTS = ("--scene", "--only", "--not", "--beside", "--weights", "--start-closing")

@@ -188,8 +188,14 @@ class TestCommand:
             == max(alone)
         )
         assert rows["0.2,0.35"]["chosen"]["success"] == rows[best]["chosen"]["success"]
-        assert main([*args, "--start-closing", "0.35"]) == 0
-        assert "waits at" in capsys.readouterr().out
+        args += ["--start-closing", "0.35", "--env", "mpl", "--simulator", "mujoco", "--out", "c.toml"]
+        assert main(args) == 0
+        said = capsys.readouterr().out
+        assert "waits at" in said
+        assert (
+            "train --scene handover_anywhere --env mpl --simulator mujoco --layout c.toml "
+            "--start-closing 0.35"
+        ) in said
 
     @pytest.mark.parametrize(
         ("args", "named"),
