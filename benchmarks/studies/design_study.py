@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarks.command import DATA, data
 from benchmarks.printing import markdown
-from benchmarks.studies.over_setups import rank_agreement
+from benchmarks.studies.agreement import rank_agreement
 from benchmarks.studies.study_tables import estimate, load
 from tactilerl import statistics
 from tactilerl.study import verdicts

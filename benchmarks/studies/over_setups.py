@@ -17,12 +17,12 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-import scipy.stats
 
 from benchmarks.command import parser, write
 from benchmarks.printing import markdown
+from benchmarks.studies import agreement
 from tactilerl import statistics
-from tactilerl.statistics import Array, Estimate
+from tactilerl.statistics import Estimate
 from tactilerl.study import records
 from tactilerl.study.analysis import Group, SetupResult, analyse
 
@@ -38,29 +38,6 @@ class Term(NamedTuple):
     name: str
     effect: Estimate
     p_value: float
-
-
-def rank_agreement(values: Array, resampled: Array | None = None) -> Estimate:
-    """Do set-ups put the cells (layouts) into the same order? Mean Spearman correlation over pairs
-    of set-ups.
-
-    `values` (setups, cells) and, for the interval, `resampled` (setups, cells, n_resamples).
-    Resampling adds noise to the ranks, so the interval leans towards 0. NaN where a set-up has all
-    cells alike.
-    """
-    value = float(_mean_spearman(values[..., None])[0])
-    drawn = np.empty(0) if resampled is None else _mean_spearman(resampled)
-    return Estimate(value, *statistics.percentile_interval(drawn))
-
-
-def _mean_spearman(values: Array) -> Array:
-    """(setups, cells, n) → (n,)"""
-    ranks = scipy.stats.rankdata(values, axis=1)
-    first, second = np.triu_indices(len(values), k=1)
-    with warnings.catch_warnings(action="ignore", category=scipy.stats.ConstantInputWarning):
-        return np.asarray(
-            scipy.stats.pearsonr(ranks[first], ranks[second], axis=1).statistic.mean(axis=0)
-        )
 
 
 def mixed_model(table: pd.DataFrame) -> list[Term]:
@@ -108,7 +85,7 @@ def agreements(setups: Sequence[SetupResult], score: str) -> Orders:
                 for row in runs
             ]
             values = np.array([[each.mean() for each in row] for row in runs])
-            found[name] = rank_agreement(values, np.array(drawn))
+            found[name] = agreement.rank_agreement(values, np.array(drawn))
     return found
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks.command import parser, write
 from benchmarks.printing import interval, markdown
-from benchmarks.studies.over_setups import rank_agreement
+from benchmarks.studies.agreement import rank_agreement
 from benchmarks.studies.probe_tables import in_words
 
 

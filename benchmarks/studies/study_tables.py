@@ -15,13 +15,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
-from scipy.stats import spearmanr
 
 from benchmarks.command import DATA, earlier
 from benchmarks.printing import interval, markdown
 from benchmarks.studies import gates, over_setups
+from benchmarks.studies.agreement import foretold
 from tactilerl import statistics, style
-from tactilerl.statistics import Array, Estimate
+from tactilerl.statistics import Estimate
 from tactilerl.study import records, verdicts
 from tactilerl.study.analysis import analyse
 from tactilerl.study.grid import Setup, Study
@@ -216,19 +216,10 @@ def orders(name: str, setup_name: str = "", pair: str = PAIR) -> None:
         known = [i for i, cell in enumerate(areas) if cell in predictor]
         if known:
             values = np.array([predictor[cell] for cell in np.array(list(areas))[known]])
-            found_order = rank_correlation(values, learned[known])
+            found_order = foretold([values], [learned[known]])
             rows.append((title, len(known), len(seeds), estimate(found_order, ".2f")))
     order = "rank correlation with the mean success over the run"
     markdown(f"| predictor | layouts | seeds | {order} |", rows)
-
-
-def rank_correlation(predictor: Array, learned: Array) -> Estimate:
-    """Spearman's, of predictions (layouts,) with the means of `learned` (layouts, seeds); the interval
-    is a bootstrap over seeds."""
-    counts = verdicts.resamples(learned.shape[1])[:, :2000]
-    drawn = [spearmanr(predictor, each).statistic for each in (learned @ counts.astype(float)).T]
-    value = spearmanr(predictor, learned.mean(axis=1)).statistic
-    return Estimate(float(value), *statistics.percentile_interval(np.array(drawn)))
 
 
 def reflexes(scene: str) -> dict[str, float]:

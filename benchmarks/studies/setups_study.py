@@ -1,0 +1,196 @@
+"""Does the answer depend on the set-up? The tables of docs/setups.md, from studies/setups.toml.
+
+python -m benchmarks setups_study --out docs/data/setups.json
+
+Twelve set-ups: three hands, two simulators, two learners. The file has what takes minutes: the shares
+of variance with their intervals.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.stats
+
+from benchmarks.command import DATA, data, parser, write
+from benchmarks.printing import markdown
+from benchmarks.studies import agreement
+from benchmarks.studies.study_tables import estimate, load, mean
+from tactilerl import statistics
+from tactilerl.statistics import Array
+from tactilerl.study import verdicts
+from tactilerl.study.records import Record
+from tactilerl.study.verdicts import BySeed
+
+NAME = "setups"
+LAYOUTS = ("layout 1", "layout 2", "layout 5", "8 chosen")
+CHOSEN, NONE = LAYOUTS[-1], "no touch"
+FILE = re.compile(r"docs/data/chosen/(?:\w+_)?anywhere_(\d+)\.toml")
+HANDS = {"mpl": "MPL hand", "shadow": "Shadow Hand", "allegro": "Allegro Hand"}
+SIMULATORS = {"mujoco": "MuJoCo", "pybullet": "PyBullet"}
+LEARNERS = {"ppo": "PPO", "ddpg_her": "DDPG+HER"}
+CLOSE = 0.05  # to the best layout, for a layout to be as good
+
+
+class SetUp(NamedTuple):
+    """What the paper changed all at once."""
+
+    learner: str
+    hand: str
+    simulator: str
+
+    def __str__(self) -> str:
+        return f"{HANDS[self.hand]}, {SIMULATORS[self.simulator]}, {LEARNERS[self.learner]}"
+
+
+Learned = dict[SetUp, dict[str, BySeed]]
+"""A score by set-up, layout (or no touch) and seed."""
+
+
+def place(record: Record) -> tuple[SetUp, str]:
+    """The set-up of a run and its layout, as the tables call them."""
+    config = record.config or {}
+    run, scene = config["run"], config["scene"]
+    layout = scene["layout"]
+    found = FILE.fullmatch(layout)
+    title = f"{found[1]} chosen" if found else f"layout {layout}"
+    return SetUp(run["algo"], run["env"], scene["simulator"]), title if scene["touch"] == "on" else NONE
+
+
+def learned(score: str) -> Learned:
+    """Of every run that is done, over the steps that all runs of its set-up have."""
+    groups: dict[SetUp, dict[str, list[Record]]] = defaultdict(lambda: defaultdict(list))
+    for record in load(NAME)[1]:
+        if record.is_finished:
+            setup, layout = place(record)
+            groups[setup][layout].append(record)
+    return {
+        setup: dict(zip(runs, verdicts.scored(score, *runs.values()), strict=True))
+        for setup, runs in sorted(groups.items(), key=lambda item: _order(item[0]))
+    }
+
+
+def _order(setup: SetUp) -> tuple[int, ...]:
+    named = (LEARNERS, HANDS, SIMULATORS)
+    return tuple([*names].index(part) for part, names in zip(setup, named, strict=True))
+
+
+def gains(of: dict[str, BySeed]) -> Array:
+    """Each layout minus no touch in the seeds that all of them have, (layouts, seeds)."""
+    seeds = sorted(set.intersection(*(set(of[name]) for name in (*LAYOUTS, NONE))))
+    return np.array([[of[layout][seed] - of[NONE][seed] for seed in seeds] for layout in LAYOUTS])
+
+
+def show_worth() -> None:
+    """Does touch help in every set-up? Its gain is the mean over the layouts within each seed."""
+    found = learned("area")
+    gain = {setup: gains(of).mean(axis=0) for setup, of in found.items()}
+    # Five pairs cannot fall below 0.06 when signs are flipped, so this is a t test.
+    p_values = [scipy.stats.ttest_1samp(each, 0).pvalue for each in gain.values()]
+    rows = [
+        (setup, len(gain[setup]), mean(of[NONE].values()), difference(gain[setup]), f"{p:.3f}")
+        for (setup, of), p in zip(found.items(), statistics.holm(p_values), strict=True)
+    ]
+    markdown("| set-up | seeds | no touch | touch − no touch | p, Holm |", rows)
+
+
+def show_layouts(score: str = "area") -> None:
+    """What each layout reaches; the chosen taxels against the best of the others."""
+    rows = []
+    for setup, of in learned(score).items():
+        gain = gains(of)
+        means = gain.mean(axis=1)
+        best = int(np.argmax(means[:-1]))
+        behind = gain[-1] - gain[best]
+        levels = (f"{np.mean([*of[layout].values()]):.2f}" for layout in LAYOUTS)
+        rows.append((setup, *levels, LAYOUTS[best], difference(behind)))
+    head = f"| set-up | {' | '.join(LAYOUTS)} | best of the paper's | {CHOSEN} − it |"
+    markdown(head, rows)
+
+
+def show_order() -> None:
+    """Do the set-ups put the layouts into the same order?"""
+    rows = []
+    for score, title in (("area", "mean over the run"), ("final", "last tenth")):
+        each = [gains(of) for of in learned(score).values()]
+        order = agreement.agreement_of(each)
+        concordance, p = agreement.concordance(np.array([one.mean(axis=1) for one in each]))
+        rows.append((title, len(each), f"{concordance:.2f}", f"{p:.4f}", estimate(order, ".2f")))
+    head = "| gain by | set-ups | Kendall's W | p, by permutation | mean rank correlation of two |"
+    markdown(head, rows)
+
+
+def show_variance(shares: dict[str, Sequence[float]]) -> None:
+    """Of the gains: what takes which share of their variance."""
+    rows = [(name, estimate(statistics.Estimate(*share), ".2f")) for name, share in shares.items()]
+    markdown("| part of the gain's variance | share |", rows)
+
+
+def predictors() -> dict[str, dict[SetUp, dict[str, float]]]:
+    """What might foretell the order of layouts, by name: by set-up and layout."""
+    of_hands = data("setups_layouts")
+    found: dict[str, dict[SetUp, dict[str, float]]] = defaultdict(dict)
+    for setup in learned("area"):
+        rows = of_hands[setup.hand]
+        for title, column in PREDICTORS.items():
+            found[title][setup] = {layout: rows[layout][column] for layout in LAYOUTS}
+    return dict(found)
+
+
+PREDICTORS = {
+    "number of taxels": "taxels",
+    "share of starts felt in time": "felt",
+    "scripted hand that closes at the first touch": "success",
+    "the same, waiting at its best": "best",
+}
+
+
+def show_predictors() -> None:
+    """What foretells the order of layouts? Rank correlation within set-ups, averaged over them."""
+    each = {setup: gains(of) for setup, of in learned("area").items()}
+    rows = []
+    for title, values in predictors().items():
+        told = {s: np.array([values[s][layout] for layout in LAYOUTS]) for s in each}
+        told = {s: one for s, one in told.items() if np.ptp(one) > 0}  # no order, nothing to foretell
+        order = agreement.foretold([told[s] for s in told], [each[s] for s in told])
+        rows.append((title, len(told), estimate(order, ".2f")))
+    markdown("| predictor | set-ups | mean rank correlation with the gain |", rows)
+
+
+def difference(samples: Array) -> str:
+    """The mean of differences within pairs."""
+    return estimate(statistics.mean(samples, verdicts.resamples(len(samples))), "+.2f")
+
+
+def variance_shares(of: Learned) -> dict[str, Any]:
+    """By a mixed model of the gains."""
+    rows = [
+        (float(gain), str(setup), layout, f"{setup} {seed}")
+        for setup, found in of.items()
+        for layout, row in zip(LAYOUTS, gains(found), strict=True)
+        for seed, gain in enumerate(row)
+    ]
+    return {name: list(share) for name, share in agreement.variance_shares(rows).items()}
+
+
+def main() -> None:
+    """All tables; JSON with what takes minutes."""
+    options = parser(__doc__).parse_args()
+    shares = variance_shares(learned("area"))
+    write(options.out, {"variance": shares})
+    for show in TABLES.values():
+        show()
+
+
+TABLES = {
+    "setups worth": show_worth,
+    "setups layouts": show_layouts,
+    "setups order": show_order,
+    "setups predictors": show_predictors,
+}
+if (DATA / f"{NAME}.json").exists():
+    TABLES["setups variance"] = lambda: show_variance(data(NAME)["variance"])
