@@ -32,6 +32,7 @@ from benchmarks.studies import (
     probe_hold,
     probe_tables,
     results,
+    setups_study,
     study_tables,
 )
 
@@ -88,9 +89,11 @@ PRINTED: dict[str, Callable[[], None]] = {
     "coverage": _parts("coverage", coverage.show, "coverage"),
     "design goals": _parts("design", design.show_goals, "goals"),
     "design waits": _parts("design", design.show_layouts, "layouts"),
+    "design hands": _parts("design", design.show_hands, "hands"),
     "design ways": _parts("design", design.show_ways, "ways"),
     "design transfers": _parts("design", design.show_transfers, "transfers"),
     **design_study.TABLES,
+    **setups_study.TABLES,
     **study_tables.TABLES,
     **results.TABLES,
     **{f"study faults, {flag}": _of("faults", faults.show, [flag]) for flag in faults.SWEEPS},

@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks.command import DATA, ROOT, data, run_parts
 from benchmarks.printing import interval, markdown
-from benchmarks.studies import design_study, importance
+from benchmarks.studies import design_study, gates, importance, setups_study
 from tactilerl import statistics
 from tactilerl.envs import hands, layouts, scenes, toml_files, vector
 from tactilerl.envs.grasp import GraspEnv, setup
@@ -233,14 +233,28 @@ def show_transfers(result: dict[str, Any]) -> None:
 
 
 def layouts_of_study() -> dict[str, Any]:
-    """The scripted baseline of every layout of studies/design.toml, by how far closed the hand waits;
-    and where it waits as suited it best in other starts."""
-    grid = toml_files.read(ROOT / "studies" / "design.toml", "study")["setups"]["ppo"]["grid"]
-    found = {design_study.title(str(each)): layouts.load(str(each)) for each in grid["layout"]}
+    """The scripted baseline of every layout of studies/design.toml."""
+    study = toml_files.read(ROOT / "studies" / "design.toml", "study")
+    return baselines("mpl", study["setups"]["ppo"]["grid"]["layout"])
+
+
+def layouts_of_hands() -> dict[str, Any]:
+    """The same of every hand's layouts in studies/setups.toml."""
+    study = toml_files.read(ROOT / "studies" / "setups.toml", "study")["setups"]
+    return {
+        hand: baselines(hand, ["1", *study[f"ppo_{hand}_layouts"]["grid"]["layout"]])
+        for hand in gates.HANDS
+    }
+
+
+def baselines(env: str, names: Iterable[str]) -> dict[str, Any]:
+    """A hand that closes at the first touch, by layout and by how far closed it waits; and where it
+    waits as suited the layout best in other starts."""
+    found = {design_study.title(str(each)): layouts.load(str(each)) for each in names}
     n, first = GOALS[0][2], JUDGED - timing.TEST + timing.CHOICE
-    waits = {w: judged(found, "mpl", n, start_closing=w) for w in WAITS}
-    before = {w: judged(found, "mpl", CHOICE, first, start_closing=w) for w in WAITS}
-    usual, result = setup("mpl", **scenes.load(ANYWHERE).on("mpl")).start_closing, {}
+    waits = {w: judged(found, env, n, start_closing=w) for w in WAITS}
+    before = {w: judged(found, env, CHOICE, first, start_closing=w) for w in WAITS}
+    usual, result = setup(env, **scenes.load(ANYWHERE).on(env)).start_closing, {}
     for name in found:
         best = max(WAITS, key=lambda w: before[w][name]["success"])
         result[name] = {
@@ -265,11 +279,26 @@ def show_layouts(result: dict[str, Any]) -> None:
     markdown(f"| layout | {waits} | at its best | trained hands wait at |", rows)
 
 
+def show_hands(result: dict[str, Any]) -> None:
+    """As Markdown."""
+    print("\n### The same with every hand\n")
+    rows = [
+        (setups_study.HANDS[hand], name, row["taxels"],
+         *(f"{value:.2f}" for value in row["waits"].values()),
+         interval(row["best"]["success"], *row["best"]["interval"]))
+        for hand, of_hand in result.items()
+        for name, row in of_hand.items()
+    ]  # fmt: skip
+    waits = " | ".join(f"{wait:g}" for wait in WAITS)
+    markdown(f"| hand | layout | taxels | {waits} | at its best |", rows)
+
+
 def main() -> None:
     """All parts, or one with --only."""
     parts = {
         "goals": (goals, show_goals),
         "layouts": (layouts_of_study, show_layouts),
+        "hands": (layouts_of_hands, show_hands),
         "ways": (ways, show_ways),
         "transfers": (transfers, show_transfers),
     }

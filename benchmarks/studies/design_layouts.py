@@ -1,4 +1,5 @@
-"""The layouts of studies/design.toml: chosen taxels, the dense skin they come from, random sets of it.
+"""The layouts of studies/design.toml and setups.toml: chosen taxels, the dense skin they come from,
+random sets of it; and what is chosen for the other hands.
 
 python -m benchmarks design_layouts
 """
@@ -16,6 +17,7 @@ from tactilerl.runs.cores import free_cores
 NUMBERS = (1, 2, 4, 8, 14)
 RANDOM = (4, 8)
 SETS = 3
+OTHERS, EIGHT = ("shadow", "allegro"), 8  # hands that carry no taxels chosen for the MPL hand
 FOLDER = DATA / "chosen"
 
 
@@ -26,6 +28,9 @@ def main() -> None:
     made = design.design(flags, free_cores())
     for n in NUMBERS:
         _write(f"anywhere_{n}", made.layout(n).toml())
+    for other in OTHERS:
+        eight = candidates.DesignFlags(env=other, taxels=str(EIGHT), beside=())
+        _write(f"{other}_anywhere_{EIGHT}", design.design(eight, free_cores()).layout(EIGHT).toml())
     hand = hands.get(made.result["env"])
     skin = candidates.candidates(flags, hand)
 

@@ -21,7 +21,7 @@ from tactilerl.study.verdicts import BySeed
 
 STUDIES = {"ppo": "design", "ddpg_her": "design_ddpg_her"}
 SKIN, PAPER = "the dense skin", "layout 1"
-FILE = re.compile(r"docs/data/chosen/anywhere_(.+)\.toml")
+FILE = re.compile(r"docs/data/chosen/(?:[a-z]+_)?anywhere_(.+)\.toml")
 N_RESAMPLES = 10_000
 Row = tuple[object, ...]
 

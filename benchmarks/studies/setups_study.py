@@ -1,4 +1,4 @@
-"""Does the answer depend on the set-up? The tables of docs/setups.md, from studies/setups.toml.
+"""Does the answer depend on the set-up? Tables of the study `setups`, from its collected runs.
 
 python -m benchmarks setups_study --out docs/data/setups.json
 
@@ -8,9 +8,8 @@ of variance with their intervals.
 
 from __future__ import annotations
 
-import re
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +18,7 @@ import scipy.stats
 from benchmarks.command import DATA, data, parser, write
 from benchmarks.printing import markdown
 from benchmarks.studies import agreement
+from benchmarks.studies.design_study import title
 from benchmarks.studies.study_tables import estimate, load, mean
 from tactilerl import statistics
 from tactilerl.statistics import Array
@@ -29,7 +29,6 @@ from tactilerl.study.verdicts import BySeed
 NAME = "setups"
 LAYOUTS = ("layout 1", "layout 2", "layout 5", "8 chosen")
 CHOSEN, NONE = LAYOUTS[-1], "no touch"
-FILE = re.compile(r"docs/data/chosen/(?:\w+_)?anywhere_(\d+)\.toml")
 HANDS = {"mpl": "MPL hand", "shadow": "Shadow Hand", "allegro": "Allegro Hand"}
 SIMULATORS = {"mujoco": "MuJoCo", "pybullet": "PyBullet"}
 LEARNERS = {"ppo": "PPO", "ddpg_her": "DDPG+HER"}
@@ -55,10 +54,8 @@ def place(record: Record) -> tuple[SetUp, str]:
     """The set-up of a run and its layout, as the tables call them."""
     config = record.config or {}
     run, scene = config["run"], config["scene"]
-    layout = scene["layout"]
-    found = FILE.fullmatch(layout)
-    title = f"{found[1]} chosen" if found else f"layout {layout}"
-    return SetUp(run["algo"], run["env"], scene["simulator"]), title if scene["touch"] == "on" else NONE
+    layout = title(scene["layout"]) if scene["touch"] == "on" else NONE
+    return SetUp(run["algo"], run["env"], scene["simulator"]), layout
 
 
 def learned(score: str) -> Learned:
@@ -115,11 +112,11 @@ def show_layouts(score: str = "area") -> None:
 def show_order() -> None:
     """Do the set-ups put the layouts into the same order?"""
     rows = []
-    for score, title in (("area", "mean over the run"), ("final", "last tenth")):
+    for score, name in (("area", "mean over the run"), ("final", "last tenth")):
         each = [gains(of) for of in learned(score).values()]
         order = agreement.agreement_of(each)
         concordance, p = agreement.concordance(np.array([one.mean(axis=1) for one in each]))
-        rows.append((title, len(each), f"{concordance:.2f}", f"{p:.4f}", estimate(order, ".2f")))
+        rows.append((name, len(each), f"{concordance:.2f}", f"{p:.4f}", estimate(order, ".2f")))
     head = "| gain by | set-ups | Kendall's W | p, by permutation | mean rank correlation of two |"
     markdown(head, rows)
 
@@ -130,34 +127,25 @@ def show_variance(shares: dict[str, Sequence[float]]) -> None:
     markdown("| part of the gain's variance | share |", rows)
 
 
-def predictors() -> dict[str, dict[SetUp, dict[str, float]]]:
-    """What might foretell the order of layouts, by name: by set-up and layout."""
-    of_hands = data("setups_layouts")
-    found: dict[str, dict[SetUp, dict[str, float]]] = defaultdict(dict)
-    for setup in learned("area"):
-        rows = of_hands[setup.hand]
-        for title, column in PREDICTORS.items():
-            found[title][setup] = {layout: rows[layout][column] for layout in LAYOUTS}
-    return dict(found)
-
-
-PREDICTORS = {
-    "number of taxels": "taxels",
-    "share of starts felt in time": "felt",
-    "scripted hand that closes at the first touch": "success",
-    "the same, waiting at its best": "best",
+PREDICTORS: dict[str, Callable[[dict[str, Any]], float]] = {
+    "number of taxels": lambda row: row["taxels"],
+    "share of starts felt in time": lambda row: row["felt"],
+    "hand that closes at the first touch": lambda row: row["success"],
+    "the same, waiting at its best": lambda row: row["best"]["success"],
 }
+"""What might foretell the order of a hand's layouts (`python -m benchmarks design --only hands`)."""
 
 
 def show_predictors() -> None:
     """What foretells the order of layouts? Rank correlation within set-ups, averaged over them."""
+    of_hands = data("design")["hands"]
     each = {setup: gains(of) for setup, of in learned("area").items()}
     rows = []
-    for title, values in predictors().items():
-        told = {s: np.array([values[s][layout] for layout in LAYOUTS]) for s in each}
-        told = {s: one for s, one in told.items() if np.ptp(one) > 0}  # no order, nothing to foretell
-        order = agreement.foretold([told[s] for s in told], [each[s] for s in told])
-        rows.append((title, len(told), estimate(order, ".2f")))
+    for name, read in PREDICTORS.items():
+        told = {s: np.array([read(of_hands[s.hand][layout]) for layout in LAYOUTS]) for s in each}
+        told = {s: one for s, one in told.items() if np.ptp(one) > 0}  # else there is no order
+        order = agreement.foretold([*told.values()], [each[setup] for setup in told])
+        rows.append((name, len(told), estimate(order, ".2f")))
     markdown("| predictor | set-ups | mean rank correlation with the gain |", rows)
 
 

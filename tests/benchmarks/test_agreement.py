@@ -1,4 +1,4 @@
-"""Do set-ups agree? The statistics of docs/setups.md, on gains whose parts are known."""
+"""Do set-ups agree? Statistics of several set-ups, on gains whose parts are known."""
 
 import itertools
 
