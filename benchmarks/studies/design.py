@@ -19,8 +19,8 @@ import numpy as np
 
 from benchmarks.command import DATA, ROOT, data, run_parts
 from benchmarks.printing import interval, markdown
-from benchmarks.studies import design_study, gates, importance, setups_study
-from tactilerl import statistics
+from benchmarks.studies import design_study, gates, importance
+from tactilerl import statistics, style
 from tactilerl.envs import hands, layouts, scenes, toml_files, vector
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.layouts import Layout
@@ -283,7 +283,7 @@ def show_hands(result: dict[str, Any]) -> None:
     """As Markdown."""
     print("\n### The same with every hand\n")
     rows = [
-        (setups_study.HANDS[hand], name, row["taxels"],
+        (style.NAMES[hand], name, row["taxels"],
          *(f"{value:.2f}" for value in row["waits"].values()),
          interval(row["best"]["success"], *row["best"]["interval"]))
         for hand, of_hand in result.items()

@@ -20,19 +20,16 @@ from benchmarks.printing import markdown
 from benchmarks.studies import agreement
 from benchmarks.studies.design_study import title
 from benchmarks.studies.study_tables import estimate, load, mean
-from tactilerl import statistics
+from tactilerl import statistics, style
 from tactilerl.statistics import Array
 from tactilerl.study import verdicts
 from tactilerl.study.records import Record
 from tactilerl.study.verdicts import BySeed
 
-NAME = "setups"
 LAYOUTS = ("layout 1", "layout 2", "layout 5", "8 chosen")
-CHOSEN, NONE = LAYOUTS[-1], "no touch"
-HANDS = {"mpl": "MPL hand", "shadow": "Shadow Hand", "allegro": "Allegro Hand"}
-SIMULATORS = {"mujoco": "MuJoCo", "pybullet": "PyBullet"}
-LEARNERS = {"ppo": "PPO", "ddpg_her": "DDPG+HER"}
-CLOSE = 0.05  # to the best layout, for a layout to be as good
+CHOSEN, NONE, SIGHT = LAYOUTS[-1], "no touch", "sight"
+ORDER = ("ppo", "ddpg_her", "mpl", "shadow", "allegro", "mujoco", "pybullet")
+LEAST_SIGHT, LEAST_GAIN = 0.85, 0.3  # of the pilot, for a set-up to take part
 
 
 class SetUp(NamedTuple):
@@ -43,7 +40,7 @@ class SetUp(NamedTuple):
     simulator: str
 
     def __str__(self) -> str:
-        return f"{HANDS[self.hand]}, {SIMULATORS[self.simulator]}, {LEARNERS[self.learner]}"
+        return ", ".join(style.NAMES[part] for part in (self.hand, self.simulator, self.learner))
 
 
 Learned = dict[SetUp, dict[str, BySeed]]
@@ -51,29 +48,37 @@ Learned = dict[SetUp, dict[str, BySeed]]
 
 
 def place(record: Record) -> tuple[SetUp, str]:
-    """The set-up of a run and its layout, as the tables call them."""
+    """The set-up of a run, and its layout as the tables call it."""
     config = record.config or {}
     run, scene = config["run"], config["scene"]
     layout = title(scene["layout"]) if scene["touch"] == "on" else NONE
+    if scene["object_seen"] != "hidden":
+        layout = SIGHT
     return SetUp(run["algo"], run["env"], scene["simulator"]), layout
 
 
-def learned(score: str) -> Learned:
+def learned(score: str, name: str = "setups") -> Learned:
     """Of every run that is done, over the steps that all runs of its set-up have."""
     groups: dict[SetUp, dict[str, list[Record]]] = defaultdict(lambda: defaultdict(list))
-    for record in load(NAME)[1]:
+    for record in load(name)[1]:
         if record.is_finished:
             setup, layout = place(record)
             groups[setup][layout].append(record)
     return {
         setup: dict(zip(runs, verdicts.scored(score, *runs.values()), strict=True))
-        for setup, runs in sorted(groups.items(), key=lambda item: _order(item[0]))
+        for setup, runs in sorted(groups.items(), key=lambda item: [*map(ORDER.index, item[0])])
     }
 
 
-def _order(setup: SetUp) -> tuple[int, ...]:
-    named = (LEARNERS, HANDS, SIMULATORS)
-    return tuple([*names].index(part) for part, names in zip(setup, named, strict=True))
+def show_pilot() -> None:
+    """Which set-ups can tell what touch is worth?"""
+    rows = []
+    for setup, of in learned("final", "setups_pilot").items():
+        sight, touch, none = (np.array([*of[name].values()]) for name in (SIGHT, LAYOUTS[0], NONE))
+        takes_part = sight.mean() >= LEAST_SIGHT and touch.mean() - none.mean() >= LEAST_GAIN
+        each = (", ".join(f"{one:.2f}" for one in group) for group in (sight, touch, none))
+        rows.append((setup, *each, "yes" if takes_part else "no"))
+    markdown("| set-up | sight | touch | no touch | takes part |", rows)
 
 
 def gains(of: dict[str, BySeed]) -> Array:
@@ -174,11 +179,14 @@ def main() -> None:
         show()
 
 
-TABLES = {
-    "setups worth": show_worth,
-    "setups layouts": show_layouts,
-    "setups order": show_order,
-    "setups predictors": show_predictors,
-}
-if (DATA / f"{NAME}.json").exists():
-    TABLES["setups variance"] = lambda: show_variance(data(NAME)["variance"])
+TABLES: dict[str, Callable[[], None]] = {}
+if (DATA / "setups_pilot.tar.gz").exists():
+    TABLES["setups pilot"] = show_pilot
+if (DATA / "setups.tar.gz").exists():
+    TABLES |= {
+        "setups worth": show_worth,
+        "setups layouts": show_layouts,
+        "setups order": show_order,
+        "setups variance": lambda: show_variance(data("setups")["variance"]),
+        "setups predictors": show_predictors,
+    }

@@ -41,7 +41,7 @@ def test_every_set_up_has_its_layouts_and_no_touch(study, monkeypatch):
 def test_tables_say_what_was_put_in(told, study, monkeypatch):
     order = {"8 chosen": 0.3, "layout 1": 0.2, "layout 2": 0.15, "layout 5": 0.1, "no touch": 0.0}
     found = {
-        setup: {layout: {seed: 0.2 + gain + seed / 100 for seed in range(3)}
+        setup: {layout: {seed: 0.2 + gain * (0.9 + seed / 10) for seed in range(3)}
                 for layout, gain in order.items()}
         for setup in setups_study.learned("area")
     }  # fmt: skip
@@ -49,7 +49,8 @@ def test_tables_say_what_was_put_in(told, study, monkeypatch):
     worth = told(setups_study.show_worth)
     assert worth["MPL hand, MuJoCo, PPO"][2].startswith("+0.19")
     best = told(setups_study.show_layouts)["Allegro Hand, PyBullet, DDPG+HER"]
-    assert best[-2:] == ["layout 1", "+0.10 (+0.10 to +0.10)"]
+    assert best[-2] == "layout 1"
+    assert best[-1].startswith("+0.10 (+0.0")
     _, concordance, p, correlation = told(setups_study.show_order)["mean over the run"]
     assert (concordance, float(p), correlation) == (
         "1.00",
@@ -63,7 +64,7 @@ def test_what_foretells_the_order(told, monkeypatch):
     row = {name: {"taxels": -value, "felt": value, "success": value, "best": {"success": 1 - value}}
            for name, value in reached.items()}  # fmt: skip
     monkeypatch.setattr(
-        setups_study, "data", lambda name: {"hands": dict.fromkeys(setups_study.HANDS, row)}
+        setups_study, "data", lambda name: {"hands": dict.fromkeys(("mpl", "shadow", "allegro"), row)}
     )
     of = {name: dict.fromkeys(range(3), value) for name, value in reached.items()}
     found = dict.fromkeys(setups_study.learned("area"), of | {"no touch": dict.fromkeys(range(3), 0.1)})
