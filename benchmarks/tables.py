@@ -89,6 +89,7 @@ PRINTED: dict[str, Callable[[], None]] = {
     "coverage": _parts("coverage", coverage.show, "coverage"),
     "design goals": _parts("design", design.show_goals, "goals"),
     "design waits": _parts("design", design.show_layouts, "layouts"),
+    "design hands": _parts("design", design.show_hands, "hands"),
     "design ways": _parts("design", design.show_ways, "ways"),
     "design transfers": _parts("design", design.show_transfers, "transfers"),
     **design_study.TABLES,
