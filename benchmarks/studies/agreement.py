@@ -62,15 +62,12 @@ def agreement_of(gains: Sequence[Array]) -> Estimate:
 def foretold(predictors: Sequence[Array], gains: Sequence[Array]) -> Estimate:
     """Spearman correlation of a predictor (cells,) with the means of the gains (cells, seeds), averaged
     over set-ups. The interval is a bootstrap over seeds."""
-    values = [
-        scipy.stats.spearmanr(told, one.mean(axis=1)).statistic
-        for told, one in zip(predictors, gains, strict=True)
-    ]
-    drawn = [
-        _mean_spearman(np.array([np.broadcast_to(told[:, None], means.shape), means]))
-        for told, means in zip(predictors, _bootstrapped(gains), strict=True)
-    ]
-    return Estimate(float(np.mean(values)), *statistics.percentile_interval(np.mean(drawn, axis=0)))
+    each = []
+    for told, one, drawn in zip(predictors, gains, _bootstrapped(gains), strict=True):
+        means = np.column_stack([one.mean(axis=1), drawn])
+        each.append(_mean_spearman(np.array([np.broadcast_to(told[:, None], means.shape), means])))
+    correlations = np.mean(each, axis=0)
+    return Estimate(float(correlations[0]), *statistics.percentile_interval(correlations[1:]))
 
 
 def concordance(values: Array, n_permutations: int = N_PERMUTATIONS) -> tuple[float, float]:

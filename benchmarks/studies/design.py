@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks.command import DATA, ROOT, data, run_parts
 from benchmarks.printing import interval, markdown
-from benchmarks.studies import design_study, gates, importance
+from benchmarks.studies import design_study, gates, importance, study_tables
 from tactilerl import statistics, style
 from tactilerl.envs import hands, layouts, scenes, toml_files, vector
 from tactilerl.envs.grasp import GraspEnv, setup
@@ -268,29 +268,31 @@ def baselines(env: str, names: Iterable[str]) -> dict[str, Any]:
 def show_layouts(result: dict[str, Any]) -> None:
     """As Markdown."""
     print("\n### Success at the first touch, by how far closed the hand waits\n")
-    trained = {name: design_study.estimated(closed) for name, closed in data("waiting").items()}
-    rows = [
-        (name, *(f"{value:.2f}" for value in row["waits"].values()),
-         interval(row["best"]["success"], *row["best"]["interval"]), trained.pop(name, ""))
-        for name, row in result.items()
-    ]  # fmt: skip
+    trained = {name: study_tables.mean(closed) for name, closed in data("waiting").items()}
+    rows = [(name, *_by_wait(row), trained.pop(name, "")) for name, row in result.items()]
     rows += [(name, *[""] * (len(WAITS) + 1), closed) for name, closed in trained.items()]
-    waits = " | ".join(f"{wait:g}" for wait in WAITS)
-    markdown(f"| layout | {waits} | at its best | trained hands wait at |", rows)
+    markdown(f"| layout | {BY_WAIT} | trained hands wait at |", rows)
 
 
 def show_hands(result: dict[str, Any]) -> None:
     """As Markdown."""
     print("\n### The same with every hand\n")
     rows = [
-        (style.NAMES[hand], name, row["taxels"],
-         *(f"{value:.2f}" for value in row["waits"].values()),
-         interval(row["best"]["success"], *row["best"]["interval"]))
+        (style.NAMES[hand], name, row["taxels"], *_by_wait(row))
         for hand, of_hand in result.items()
         for name, row in of_hand.items()
-    ]  # fmt: skip
-    waits = " | ".join(f"{wait:g}" for wait in WAITS)
-    markdown(f"| hand | layout | taxels | {waits} | at its best |", rows)
+    ]
+    markdown(f"| hand | layout | taxels | {BY_WAIT} |", rows)
+
+
+BY_WAIT = " | ".join(f"{wait:g}" for wait in WAITS) + " | at its best"
+
+
+def _by_wait(row: Row) -> tuple[str, ...]:
+    """A layout's success, under `BY_WAIT`."""
+    best = row["best"]
+    waits = (f"{value:.2f}" for value in row["waits"].values())
+    return *waits, interval(best["success"], *best["interval"])
 
 
 def main() -> None:

@@ -6,7 +6,6 @@ python -m benchmarks design_study
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
 from functools import partial
 
 import numpy as np
@@ -14,7 +13,7 @@ import numpy as np
 from benchmarks.command import DATA, data
 from benchmarks.printing import markdown
 from benchmarks.studies.agreement import rank_agreement
-from benchmarks.studies.study_tables import estimate, load
+from benchmarks.studies.study_tables import estimate, load, mean
 from tactilerl import statistics
 from tactilerl.study import verdicts
 from tactilerl.study.verdicts import BySeed
@@ -68,8 +67,8 @@ def show(learner: str) -> None:
             name,
             *(f"{baseline[name]:.2f}" if name in baseline else "" for baseline in scripted.values()),
             len(final),
-            estimated(areas[name].values()),
-            estimated(final.values()),
+            mean(areas[name].values()),
+            mean(final.values()),
             estimate(pairs.difference, "+.2f") if pairs else "",
             f"{p_values[name]:.3f}" if pairs else "",
             _share(final, finals.get(SKIN, {})) if name != SKIN else "",
@@ -113,12 +112,6 @@ def show_order() -> None:
     markdown(
         "| baseline | layouts | rank correlation with success learned | mean gap | largest |", rows
     )
-
-
-def estimated(scores: Iterable[float]) -> str:
-    """The mean of runs."""
-    found = np.array([*scores])
-    return estimate(statistics.mean(found, verdicts.resamples(len(found))), ".2f")
 
 
 def _share(one: BySeed, whole: BySeed) -> str:

@@ -94,22 +94,22 @@ def show_worth() -> None:
     # Five pairs cannot fall below 0.06 when signs are flipped, so this is a t test.
     p_values = [scipy.stats.ttest_1samp(each, 0).pvalue for each in gain.values()]
     rows = [
-        (setup, len(gain[setup]), mean(of[NONE].values()), difference(gain[setup]), f"{p:.3f}")
+        (setup, len(gain[setup]), mean(of[NONE].values()), mean(gain[setup], "+.2f"), f"{p:.3f}")
         for (setup, of), p in zip(found.items(), statistics.holm(p_values), strict=True)
     ]
     markdown("| set-up | seeds | no touch | touch − no touch | p, Holm |", rows)
 
 
-def show_layouts(score: str = "area") -> None:
+def show_layouts() -> None:
     """What each layout reaches; the chosen taxels against the best of the others."""
     rows = []
-    for setup, of in learned(score).items():
+    for setup, of in learned("area").items():
         gain = gains(of)
         means = gain.mean(axis=1)
         best = int(np.argmax(means[:-1]))
         behind = gain[-1] - gain[best]
         levels = (f"{np.mean([*of[layout].values()]):.2f}" for layout in LAYOUTS)
-        rows.append((setup, *levels, LAYOUTS[best], difference(behind)))
+        rows.append((setup, *levels, LAYOUTS[best], mean(behind, "+.2f")))
     head = f"| set-up | {' | '.join(LAYOUTS)} | best of the paper's | {CHOSEN} − it |"
     markdown(head, rows)
 
@@ -154,11 +154,6 @@ def show_predictors() -> None:
     markdown("| predictor | set-ups | mean rank correlation with the gain |", rows)
 
 
-def difference(samples: Array) -> str:
-    """The mean of differences within pairs."""
-    return estimate(statistics.mean(samples, verdicts.resamples(len(samples))), "+.2f")
-
-
 def variance_shares(of: Learned) -> dict[str, Any]:
     """By a mixed model of the gains."""
     rows = [
@@ -170,12 +165,21 @@ def variance_shares(of: Learned) -> dict[str, Any]:
     return {name: list(share) for name, share in agreement.variance_shares(rows).items()}
 
 
+STUDY: dict[str, Callable[[], None]] = {
+    "setups worth": show_worth,
+    "setups layouts": show_layouts,
+    "setups order": show_order,
+    "setups predictors": show_predictors,
+}
+
+
 def main() -> None:
-    """All tables; JSON with what takes minutes."""
+    """All tables of the study; JSON with what takes minutes."""
     options = parser(__doc__).parse_args()
     shares = variance_shares(learned("area"))
     write(options.out, {"variance": shares})
-    for show in TABLES.values():
+    show_variance(shares)
+    for show in STUDY.values():
         show()
 
 
@@ -183,10 +187,4 @@ TABLES: dict[str, Callable[[], None]] = {}
 if (DATA / "setups_pilot.tar.gz").exists():
     TABLES["setups pilot"] = show_pilot
 if (DATA / "setups.tar.gz").exists():
-    TABLES |= {
-        "setups worth": show_worth,
-        "setups layouts": show_layouts,
-        "setups order": show_order,
-        "setups variance": lambda: show_variance(data("setups")["variance"]),
-        "setups predictors": show_predictors,
-    }
+    TABLES |= {**STUDY, "setups variance": lambda: show_variance(data("setups")["variance"])}

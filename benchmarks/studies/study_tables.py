@@ -245,10 +245,10 @@ def probed(pair: str) -> dict[str, float]:
     return gains | {f"layout of the probe's {n}": chosen[n] for n in (5, 10) if n in chosen}
 
 
-def mean(values: Iterable[float]) -> str:
-    """With its interval over runs."""
+def mean(values: Iterable[float], form: str = ".2f") -> str:
+    """With its interval over runs, or over differences within pairs."""
     found = np.array(list(values))
-    return estimate(statistics.mean(found, verdicts.resamples(len(found))), ".2f") if len(found) else ""
+    return estimate(statistics.mean(found, verdicts.resamples(len(found))), form) if len(found) else ""
 
 
 def paired(a: list[Record], b: list[Record], score: str = "area") -> verdicts.Pairs:

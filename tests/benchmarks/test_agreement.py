@@ -32,6 +32,9 @@ class TestOrder:
         w, p = agreement.concordance(np.tile([[1.0, 2, 3], [3, 2, 1]], (2, 1)), 5000)
         assert w == pytest.approx(0)
         assert p == pytest.approx(1)
+        # One of the six orders of three is that of the other set-up.
+        _, p = agreement.concordance(np.tile([1.0, 2, 3], (2, 1)), 20_000)
+        assert p == pytest.approx(1 / 6, abs=0.01)
 
     def test_p_values_of_noise_are_uniform(self, rng):
         found = [agreement.concordance(rng.normal(size=(5, 4)), 500)[1] for _ in range(200)]
