@@ -32,7 +32,7 @@ def test_every_set_up_has_its_layouts_and_no_touch(study, monkeypatch):
     monkeypatch.setattr(setups_study, "load", lambda name: study)
     found = setups_study.learned("area")
     assert [str(setup) for setup in found][:2] == ["MPL hand, MuJoCo, PPO", "MPL hand, PyBullet, PPO"]
-    assert len(found) == 10
+    assert len(found) == 9
     for setup, of in found.items():
         assert set(of) == {*setups_study.LAYOUTS, "no touch"}, setup
         assert setups_study.gains(of).shape == (4, 3)
