@@ -16,7 +16,7 @@ from adjustText import adjust_text
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from benchmarks.command import DOCS, data, no_flags
-from benchmarks.studies import faults, probe_tables, study_tables
+from benchmarks.studies import faults, probe_tables, setups_study, study_tables
 from tactilerl.envs import hands, layouts
 from tactilerl.pictures.hand_map import TaxelMap
 from tactilerl.pictures.places import Place
@@ -147,6 +147,8 @@ def main() -> None:
         layouts_unrolled()
         fault_curves()
         study_tables.draw(IMAGES)
+        if setups_study.IS_THERE:
+            setups_study.draw(IMAGES)
         for name, pair in CHOSEN.items():
             chosen_taxels(name, probes[pair])
     probe_tables.figure(probes, IMAGES / "probe_selection.png")

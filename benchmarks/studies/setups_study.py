@@ -2,18 +2,21 @@
 
 python -m benchmarks setups_study --out docs/data/setups.json
 
-Twelve set-ups: three hands, two simulators, two learners. The file has what takes minutes: the shares
-of variance with their intervals.
+Set-ups differ in hand, simulator and learner. The file has what takes minutes: the shares of variance
+with their intervals.
 """
 
 from __future__ import annotations
 
+import textwrap
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.stats
+from matplotlib.figure import Figure
 
 from benchmarks.command import DATA, data, parser, write
 from benchmarks.printing import markdown
@@ -29,6 +32,7 @@ from tactilerl.study.verdicts import BySeed
 LAYOUTS = ("layout 1", "layout 2", "layout 5", "8 chosen")
 CHOSEN, NONE, SIGHT = LAYOUTS[-1], "no touch", "sight"
 ORDER = ("ppo", "ddpg_her", "mpl", "shadow", "allegro", "mujoco", "pybullet")
+IS_THERE = (DATA / "setups.tar.gz").exists()
 LEAST_SIGHT, LEAST_GAIN = 0.85, 0.3  # of the pilot, for a set-up to take part
 
 
@@ -141,17 +145,50 @@ PREDICTORS: dict[str, Callable[[dict[str, Any]], float]] = {
 """What might foretell the order of a hand's layouts (`python -m benchmarks design --only hands`)."""
 
 
+def predicted(name: str, setups: Iterable[SetUp]) -> dict[SetUp, Array]:
+    """What a predictor says of the four layouts in each set-up."""
+    of_hands, read = data("design")["hands"], PREDICTORS[name]
+    return {s: np.array([read(of_hands[s.hand][layout]) for layout in LAYOUTS]) for s in setups}
+
+
 def show_predictors() -> None:
     """What foretells the order of layouts? Rank correlation within set-ups, averaged over them."""
-    of_hands = data("design")["hands"]
     each = {setup: gains(of) for setup, of in learned("area").items()}
     rows = []
-    for name, read in PREDICTORS.items():
-        told = {s: np.array([read(of_hands[s.hand][layout]) for layout in LAYOUTS]) for s in each}
-        told = {s: one for s, one in told.items() if np.ptp(one) > 0}  # else there is no order
+    for name in PREDICTORS:
+        told = {s: one for s, one in predicted(name, each).items() if np.ptp(one) > 0}  # else no order
         order = agreement.foretold([*told.values()], [each[setup] for setup in told])
         rows.append((name, len(told), estimate(order, ".2f")))
     markdown("| predictor | set-ups | mean rank correlation with the gain |", rows)
+
+
+def draw(folder: Path) -> None:
+    """What each predictor says of a layout, and what the layout gained in learning (setups.png)."""
+    each = {setup: gains(of).mean(axis=1) for setup, of in learned("area").items()}
+    picture = Figure(figsize=(9, 3.4), layout="constrained")
+    panels = picture.subplots(1, len(PREDICTORS), sharey=True)
+    for axes, name in zip(panels, PREDICTORS, strict=True):
+        for setup, told in predicted(name, each).items():
+            at = np.argsort(told, kind="stable")
+            axes.plot(told[at], each[setup][at], label=str(setup), **look(setup))
+        axes.set_xlabel(textwrap.fill(name, 22))
+    panels[0].set(xscale="log", ylabel="gain in success over the run")
+    panels[0].set_xticks((10, 30, 100), ("10", "30", "100"))
+    panels[0].minorticks_off()
+    picture.suptitle("Arrivals anywhere: what four layouts gain in each set-up", **style.HEAD)
+    picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    picture.savefig(folder / "setups.png", dpi=style.DPI, metadata={"Software": None})
+
+
+def look(setup: SetUp) -> dict[str, Any]:
+    """A colour for the hand, a line for the learner, a marker for the simulator."""
+    return {
+        "color": style.OTHERS[ORDER.index(setup.hand) - ORDER.index("mpl")],
+        "linestyle": {"ppo": "-", "ddpg_her": "--"}[setup.learner],
+        "marker": {"mujoco": "o", "pybullet": "s"}[setup.simulator],
+        "linewidth": 1,
+        "markersize": 4,
+    }
 
 
 def variance_shares(of: Learned) -> dict[str, Any]:
@@ -186,5 +223,5 @@ def main() -> None:
 TABLES: dict[str, Callable[[], None]] = {}
 if (DATA / "setups_pilot.tar.gz").exists():
     TABLES["setups pilot"] = show_pilot
-if (DATA / "setups.tar.gz").exists():
+if IS_THERE:
     TABLES |= {**STUDY, "setups variance": lambda: show_variance(data("setups")["variance"])}
