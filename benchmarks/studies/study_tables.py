@@ -18,12 +18,11 @@ from matplotlib.ticker import EngFormatter
 
 from benchmarks.command import DATA, earlier
 from benchmarks.printing import interval, markdown
-from benchmarks.studies import gates, over_setups
-from benchmarks.studies.agreement import foretold
+from benchmarks.studies import gates
+from benchmarks.studies.agreement import agreement_of, foretold
 from tactilerl import statistics, style
-from tactilerl.statistics import Estimate
+from tactilerl.statistics import Array, Estimate
 from tactilerl.study import records, verdicts
-from tactilerl.study.analysis import analyse
 from tactilerl.study.grid import Setup, Study
 from tactilerl.study.records import Record
 
@@ -126,13 +125,10 @@ def over_layouts(name: str) -> None:
     study, found = load(name)
     rows, p_values = [], []
     for setup in study.setups:
-        arms = []
-        cells = [verdicts.both_arms(found, setup, cell, "area") for cell in setup.cells]
-        for areas in zip(*cells, strict=True):
-            whole = [seed for seed in areas[0] if all(seed in each for each in areas)]
-            arms.append({seed: float(np.mean([each[seed] for each in areas])) for seed in whole})
-        pairs = verdicts.in_pairs(arms)
-        if len(pairs):
+        seeds, arms = in_whole_seeds(found, setup)
+        if seeds:
+            means = arms.mean(axis=1)
+            pairs = verdicts.in_pairs([dict(zip(seeds, map(float, one), strict=True)) for one in means])
             rows.append((SETUPS[setup.name], *compared(pairs)))
             p_values.append(pairs.p_value)
     corrected = [f"{p:.3f}" for p in statistics.holm(p_values)]
@@ -140,12 +136,25 @@ def over_layouts(name: str) -> None:
     markdown(head, [(*row, p) for row, p in zip(rows, corrected, strict=True)])
 
 
+def in_whole_seeds(found: list[Record], setup: Setup) -> tuple[list[int], Array]:
+    """Seeds that every cell has with touch and without, and what both reach, (2, cells, seeds)."""
+    cells = [verdicts.both_arms(found, setup, cell, "area") for cell in setup.cells]
+    seeds = sorted(set.intersection(*(set(arm) for cell in cells for arm in cell)))
+    arms = [[[cell[arm][seed] for seed in seeds] for cell in cells] for arm in (0, 1)]
+    return seeds, np.array(arms)
+
+
 def agreement(name: str) -> None:
     """Do the set-ups put the layouts into the same order?"""
     study, found = load(name)
-    orders = over_setups.agreements(analyse(study, found).setups, study.primary.score)
-    titles = {"treatment": "mean with touch", "difference to the control": "touch − no touch"}
-    rows = [(titles[by], estimate(order, ".2f")) for by, order in orders.items()]
+    arms = [in_whole_seeds(found, setup)[1] for setup in study.setups]
+    rows = [
+        (by, estimate(agreement_of(each), ".2f"))
+        for by, each in (
+            ("mean with touch", [touch for touch, _ in arms]),
+            ("touch − no touch", [touch - control for touch, control in arms]),
+        )
+    ]
     markdown("| layouts ordered by | rank correlation of the set-ups |", rows)
 
 
