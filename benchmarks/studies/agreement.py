@@ -3,12 +3,11 @@ which share of the variance? Functions over arrays, for the tables of the docs."
 
 from __future__ import annotations
 
-import math
+import itertools
 import warnings
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-import pandas as pd
 import scipy.stats
 
 from tactilerl import statistics
@@ -16,7 +15,6 @@ from tactilerl.statistics import Array, Estimate
 from tactilerl.study import verdicts
 
 N_RESAMPLES = 2000  # of each set-up
-N_SIMULATED = 200
 N_PERMUTATIONS = 50_000
 
 
@@ -59,81 +57,122 @@ def agreement_of(gains: Sequence[Array]) -> Estimate:
     return rank_agreement(values, _bootstrapped(gains))
 
 
-def foretold(predictors: Sequence[Array], gains: Sequence[Array]) -> Estimate:
-    """Spearman correlation of a predictor (cells,) with the means of the gains (cells, seeds), averaged
-    over set-ups. The interval is a bootstrap over seeds."""
-    each = []
-    for told, one, drawn in zip(predictors, gains, _bootstrapped(gains), strict=True):
-        means = np.column_stack([one.mean(axis=1), drawn])
-        each.append(_mean_spearman(np.array([np.broadcast_to(told[:, None], means.shape), means])))
-    correlations = np.mean(each, axis=0)
-    return Estimate(float(correlations[0]), *statistics.percentile_interval(correlations[1:]))
+def foretold(predictor: Array, gains: Array) -> Estimate:
+    """Spearman correlation of a predictor (cells,) with the means of gains (cells, seeds), which are
+    resampled over seeds."""
+    (drawn,) = _bootstrapped([gains])
+    resampled = np.array([np.broadcast_to(predictor[:, None], drawn.shape), drawn])
+    return rank_agreement(np.array([predictor, gains.mean(axis=1)]), resampled)
 
 
-def concordance(values: Array, n_permutations: int = N_PERMUTATIONS) -> tuple[float, float]:
+def concordance(
+    values: Array, blocks: Sequence[str] | None = None, n_permutations: int = N_PERMUTATIONS
+) -> tuple[float, float]:
     """Kendall's W of the cells' order over set-ups, (setups, cells): 0 is no agreement, 1 the same
-    order everywhere. And its p-value, from shuffling the order of every set-up."""
+    order everywhere. And its p-value, from shuffling the order of every set-up, or of all set-ups of a
+    block, such as a hand, in the same way. A small p says that there is some agreement."""
     n_setups, n_cells = values.shape
     ranks = scipy.stats.rankdata(values, axis=1)
     friedman = scipy.stats.friedmanchisquare(*values.T).statistic
+    _, block = np.unique(blocks or np.arange(n_setups), return_inverse=True)
+    together = np.array([ranks[block == one].sum(axis=0) for one in range(block.max() + 1)])
     rng = np.random.default_rng(0)
-    shuffled = rng.permuted(np.broadcast_to(ranks, (n_permutations, *ranks.shape)), axis=2)
+    shuffled = rng.permuted(np.broadcast_to(together, (n_permutations, *together.shape)), axis=2)
     # Of ranks whose row sums are alike, the variance of the column sums orders W.
     spread = np.round(shuffled.sum(axis=1).var(axis=1), 9)
-    as_large = int((spread >= np.round(ranks.sum(axis=0).var(), 9)).sum())
-    p_value = (1 + as_large) / (1 + n_permutations)
+    p_value = _share_as_large(spread, np.round(ranks.sum(axis=0).var(), 9))
     return float(friedman / (n_setups * (n_cells - 1))), p_value
 
 
-PARTS = {
-    "set-up": ["setup"],
-    "layout": ["layout"],
-    "set-up × layout": ["setup", "layout"],
-    "seed within set-up": ["pair"],
-}
-"""Random effects of `variance_shares`, by what they are drawn for. A seed's gains share its run without
-touch."""
+def foretold_by_block(
+    predictors: Sequence[Array], values: Array, blocks: Sequence[str]
+) -> tuple[float, float]:
+    """Spearman correlation of a predictor (cells,) with the values (setups, cells), averaged over
+    set-ups. And its two-sided p-value, from all ways to reorder the predictor, which the set-ups of a
+    block share."""
+    told, reached = (_standard_ranks(np.asarray(each)) for each in (predictors, values))
+    orders = np.array([*itertools.permutations(range(values.shape[1]))])
+    sums = np.zeros(1)
+    for block in dict.fromkeys(blocks):
+        own = [i for i, one in enumerate(blocks) if one == block]
+        by_order = told[own[0]][orders] @ reached[own].sum(axis=0)
+        sums = np.add.outer(sums, by_order).ravel()
+    sums = np.round(sums / values.size, 9)
+    found = sums[0]  # of the order as it is
+    return float(found), float((np.abs(sums) >= abs(found)).mean())
 
 
-def variance_shares(
-    rows: Sequence[tuple[float, str, str, str]], n_simulated: int = N_SIMULATED
-) -> dict[str, Estimate]:
-    """Which share of the gains' variance do set-up, layout, and both together take?
+def _standard_ranks(values: Array) -> Array:
+    ranks = scipy.stats.rankdata(values, axis=-1)
+    return np.asarray(scipy.stats.zscore(ranks, axis=-1))
 
-    Of rows (gain, setup, layout, pair), by statsmodels' MixedLM. Intervals are a parametric bootstrap:
-    the model is fitted again to gains drawn from it.
-    """
-    from statsmodels.regression.mixed_linear_model import MixedLM
 
-    table = pd.DataFrame(rows, columns=["gain", "setup", "layout", "pair"])
-    effects = {name: "0 + " + ":".join(f"C({one})" for one in by) for name, by in PARTS.items()}
+def _share_as_large(drawn: Array, found: float) -> float:
+    return float((1 + (drawn >= found).sum()) / (1 + len(drawn)))
 
-    def fitted(gains: Array) -> tuple[dict[str, float], float]:
-        table["gain"] = gains
-        model = MixedLM.from_formula("gain ~ 1", table, groups=np.ones(len(table)), vc_formula=effects)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # a variance at its bound 0 is no fault
-            fit = model.fit(reml=True, method=["lbfgs"])
-        variances = dict(zip(model.exog_vc.names, map(float, fit.vcomp), strict=True))
-        found = {name: variances[name] for name in PARTS} | {"rest": float(fit.scale)}
-        return found, float(fit.params.iloc[0])
 
-    variances, centre = fitted(table["gain"].to_numpy())
-    members = {name: table.groupby(by).ngroup().to_numpy() for name, by in PARTS.items()}
-    members["rest"] = np.arange(len(table))
-    rng, drawn = np.random.default_rng(0), []
-    for _ in range(n_simulated):
-        gains = centre + sum(
-            math.sqrt(variances[name]) * rng.standard_normal(member.max() + 1)[member]
-            for name, member in members.items()
-        )
-        drawn.append(_shares(fitted(gains)[0]))
+# -- analysis of variance --------------------------------------------------------------------
+# Gains (setups, cells, seeds), a set-up's seeds its own; all parts are random effects. In a balanced
+# design the mean squares give what a mixed model fitted by REML gives, as long as no part is at 0:
+# there statsmodels' MixedLM does not converge.
+
+
+def mean_squares(gains: Array) -> dict[str, tuple[Array, int]]:
+    """Mean squares (...) of gains (..., setups, cells, seeds), and their degrees of freedom."""
+    n_setups, n_cells, n_seeds = gains.shape[-3:]
+    setup, cell, both, seed, whole = (
+        gains.mean(axis=axes, keepdims=True) for axes in ((-2, -1), (-3, -1), -1, -2, (-3, -2, -1))
+    )
+    effects = {
+        "set-up": (setup - whole, n_setups - 1),
+        "layout": (cell - whole, n_cells - 1),
+        "set-up × layout": (both - setup - cell + whole, (n_setups - 1) * (n_cells - 1)),
+        "seed within set-up": (seed - setup, n_setups * (n_seeds - 1)),
+        "rest": (gains - both - seed + setup, n_setups * (n_cells - 1) * (n_seeds - 1)),
+    }
     return {
-        name: Estimate(value, *statistics.percentile_interval(np.array([each[name] for each in drawn])))
-        for name, value in _shares(variances).items()
+        name: ((np.broadcast_to(effect, gains.shape) ** 2).sum(axis=(-3, -2, -1)) / df, df)
+        for name, (effect, df) in effects.items()
     }
 
 
-def _shares(variances: dict[str, float]) -> dict[str, float]:
-    whole = sum(variances.values())
-    return {name: variance / whole for name, variance in variances.items()}
+def variance_shares(gains: Array) -> dict[str, Estimate]:
+    """Which share of the variance of gains (setups, cells, seeds) does each part take? Intervals draw
+    each mean square from its χ² distribution (generalised pivots, Weerahandi 1993)."""
+    squares, rng = mean_squares(gains), np.random.default_rng(0)
+    drawn = {
+        name: np.append(square, square * df / rng.chisquare(df, N_PERMUTATIONS))
+        for name, (square, df) in squares.items()
+    }
+    return {
+        name: Estimate(float(share[0]), *statistics.percentile_interval(share[1:]))
+        for name, share in shares(drawn, *gains.shape).items()
+    }
+
+
+def shares(squares: dict[str, Array], n_setups: int, n_cells: int, n_seeds: int) -> dict[str, Array]:
+    """From mean squares, by what they are on average."""
+    setup, cell, both, seed, rest = squares.values()
+    variances = {
+        "set-up": (setup - seed - both + rest) / (n_cells * n_seeds),
+        "layout": (cell - both) / (n_setups * n_seeds),
+        "set-up × layout": (both - rest) / n_seeds,
+        "seed within set-up": (seed - rest) / n_cells,
+        "rest": rest,
+    }
+    cut = {name: np.maximum(variance, 0.0) for name, variance in variances.items()}
+    return {name: variance / sum(cut.values()) for name, variance in cut.items()}
+
+
+def differ(gains: Array, n_simulated: int = 5000) -> float:
+    """p-value of: the differences between cells are the same in all set-ups, of gains (setups, cells,
+    seeds). The F test of their interaction, its null drawn with each set-up's own noise."""
+
+    def ratio(values: Array) -> Array:
+        squares = mean_squares(values)
+        return squares["set-up × layout"][0] / squares["rest"][0]
+
+    noise = gains - gains.mean(axis=1, keepdims=True) - gains.mean(axis=2, keepdims=True)
+    own = (noise + gains.mean(axis=(1, 2), keepdims=True)).std(axis=(1, 2), keepdims=True)
+    drawn = own * np.random.default_rng(0).standard_normal((n_simulated, *gains.shape))
+    return _share_as_large(ratio(drawn), float(ratio(gains)))

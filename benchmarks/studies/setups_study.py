@@ -1,9 +1,8 @@
 """Does the answer depend on the set-up? Tables of the study `setups`, from its collected runs.
 
-python -m benchmarks setups_study --out docs/data/setups.json
+python -m benchmarks setups_study
 
-Set-ups differ in hand, simulator and learner. The file has what takes minutes: the shares of variance
-with their intervals.
+Set-ups differ in hand, simulator and learner.
 """
 
 from __future__ import annotations
@@ -18,13 +17,13 @@ import numpy as np
 import scipy.stats
 from matplotlib.figure import Figure
 
-from benchmarks.command import DATA, data, parser, write
+from benchmarks.command import DATA, data, no_flags
 from benchmarks.printing import markdown
 from benchmarks.studies import agreement
 from benchmarks.studies.design_study import title
-from benchmarks.studies.study_tables import estimate, load, mean
+from benchmarks.studies.study_tables import estimate, load
 from tactilerl import statistics, style
-from tactilerl.statistics import Array
+from tactilerl.statistics import Array, Estimate
 from tactilerl.study import verdicts
 from tactilerl.study.records import Record
 from tactilerl.study.verdicts import BySeed
@@ -34,6 +33,7 @@ CHOSEN, NONE, SIGHT = LAYOUTS[-1], "no touch", "sight"
 ORDER = ("ppo", "ddpg_her", "mpl", "shadow", "allegro", "mujoco", "pybullet")
 IS_THERE = (DATA / "setups.tar.gz").exists()
 LEAST_SIGHT, LEAST_GAIN = 0.85, 0.3  # of the pilot, for a set-up to take part
+MARGIN = 0.05  # by which chosen taxels may be behind
 
 
 class SetUp(NamedTuple):
@@ -49,6 +49,8 @@ class SetUp(NamedTuple):
 
 Learned = dict[SetUp, dict[str, BySeed]]
 """A score by set-up, layout (or no touch) and seed."""
+Arms = dict[SetUp, Array]
+"""A score of each set-up, (layouts and no touch, seeds)."""
 
 
 def place(record: Record) -> tuple[SetUp, str]:
@@ -85,64 +87,120 @@ def show_pilot() -> None:
     markdown("| set-up | sight | touch | no touch | takes part |", rows)
 
 
-def gains(of: dict[str, BySeed]) -> Array:
-    """Each layout minus no touch in the seeds that all of them have, (layouts, seeds)."""
-    seeds = sorted(set.intersection(*(set(of[name]) for name in (*LAYOUTS, NONE))))
-    return np.array([[of[layout][seed] - of[NONE][seed] for seed in seeds] for layout in LAYOUTS])
+def in_whole_seeds(score: str) -> Arms:
+    """Set-ups with at least two seeds that have a run of each layout and one without touch."""
+    found: Arms = {}
+    for setup, of in learned(score).items():
+        runs = [of.get(name, {}) for name in (*LAYOUTS, NONE)]
+        seeds = sorted(set.intersection(*map(set, runs)))
+        if len(seeds) >= 2:
+            found[setup] = np.array([[by_seed[seed] for seed in seeds] for by_seed in runs])
+    return found
+
+
+def gains(score: str = "area") -> Arms:
+    """Touch minus no touch within seeds, (layouts, seeds)."""
+    return {setup: arms[:-1] - arms[-1] for setup, arms in in_whole_seeds(score).items()}
 
 
 def show_worth() -> None:
     """Does touch help in every set-up? Its gain is the mean over the layouts within each seed."""
-    found = learned("area")
-    gain = {setup: gains(of).mean(axis=0) for setup, of in found.items()}
-    # Five pairs cannot fall below 0.06 when signs are flipped, so this is a t test.
-    p_values = [scipy.stats.ttest_1samp(each, 0).pvalue for each in gain.values()]
-    rows = [
-        (setup, len(gain[setup]), mean(of[NONE].values()), mean(gain[setup], "+.2f"), f"{p:.3f}")
-        for (setup, of), p in zip(found.items(), statistics.holm(p_values), strict=True)
-    ]
+    found = in_whole_seeds("area")
+    # Five pairs cannot fall below 0.06 when signs are flipped, so these are t tests.
+    tests = [scipy.stats.ttest_1samp(each.mean(axis=0), 0) for each in gains().values()]
+    rows = []
+    corrected = statistics.holm([test.pvalue for test in tests])
+    for (setup, arms), test, p in zip(found.items(), tests, corrected, strict=True):
+        gain = arms[:-1].mean() - arms[-1].mean()
+        shown = estimate(Estimate(gain, *test.confidence_interval()), "+.2f")
+        rows.append((setup, arms.shape[1], f"{arms[-1].mean():.2f}", shown, p_value(p)))
     markdown("| set-up | seeds | no touch | touch − no touch | p, Holm |", rows)
 
 
+def p_value(p: float) -> str:
+    """As the tables show it."""
+    return "< 0.001" if p < 0.001 else f"{p:.3f}"
+
+
 def show_layouts() -> None:
-    """What each layout reaches; the chosen taxels against the best of the others."""
+    """What each layout reaches, and whether the chosen taxels are within MARGIN of every other."""
     rows = []
-    for setup, of in learned("area").items():
-        gain = gains(of)
-        means = gain.mean(axis=1)
-        best = int(np.argmax(means[:-1]))
-        behind = gain[-1] - gain[best]
-        levels = (f"{np.mean([*of[layout].values()]):.2f}" for layout in LAYOUTS)
-        rows.append((setup, *levels, LAYOUTS[best], mean(behind, "+.2f")))
-    head = f"| set-up | {' | '.join(LAYOUTS)} | best of the paper's | {CHOSEN} − it |"
-    markdown(head, rows)
+    for setup, arms in in_whole_seeds("area").items():
+        *others, chosen = layouts = arms[:-1]
+        at_least, is_within = compared(chosen, others)
+        n_dead = int((layouts < arms[-1].min()).sum())
+        levels = [f"{level:.2f}" for level in layouts.mean(axis=1)]
+        best = min(chosen.mean() - other.mean() for other in others)
+        ahead = (f"{value:+.2f}".replace("-", "−") for value in (best, at_least))
+        rows.append((setup, *levels, n_dead, *ahead, is_within))
+    last = f"{CHOSEN} − the best of the paper's | at least | within {MARGIN}"
+    markdown(f"| set-up | {' | '.join(LAYOUTS)} | runs below no touch | {last} |", rows)
+
+
+def compared(chosen: Array, others: Sequence[Array]) -> tuple[float, str]:
+    """By how much runs (seeds,) are ahead of all others at least; are they within MARGIN?
+
+    One-sided 95 % bounds of t tests against each of the others: "yes" takes all of them, "no" one.
+    """
+    tests = [scipy.stats.ttest_1samp(chosen - other, 0) for other in others]
+    at_least, at_most = np.min([test.confidence_interval(0.90) for test in tests], axis=0)
+    if at_most < -MARGIN:
+        return at_least, "no"
+    return at_least, "yes" if at_least > -MARGIN else "cannot tell"
+
+
+def show_chosen() -> None:
+    """The chosen taxels against each of the paper's layouts: the mean over these set-ups."""
+    found = [*gains().values()]
+    rows = []
+    for i, layout in enumerate(LAYOUTS[:-1]):
+        ahead = [each[-1] - each[i] for each in found]
+        value = np.mean([one.mean() for one in ahead])
+        error = np.sqrt(sum(one.var(ddof=1) / len(one) for one in ahead)) / len(ahead)
+        ends = scipy.stats.t.interval(0.95, sum(len(one) - 1 for one in ahead), value, error)
+        rows.append((layout, estimate(Estimate(float(value), *ends), "+.2f")))
+    markdown(f"| layout | {CHOSEN} − it, mean over the set-ups |", rows)
 
 
 def show_order() -> None:
     """Do the set-ups put the layouts into the same order?"""
     rows = []
-    for score, name in (("area", "mean over the run"), ("final", "last tenth")):
-        each = [gains(of) for of in learned(score).values()]
-        order = agreement.agreement_of(each)
-        concordance, p = agreement.concordance(np.array([one.mean(axis=1) for one in each]))
-        rows.append((name, len(each), f"{concordance:.2f}", f"{p:.4f}", estimate(order, ".2f")))
-    head = "| gain by | set-ups | Kendall's W | p, by permutation | mean rank correlation of two |"
-    markdown(head, rows)
+    for name, score, middle in (
+        ("mean over the run", "area", np.mean),
+        ("the same, median of the seeds", "area", np.median),
+        ("last tenth", "final", np.mean),
+    ):
+        each = gains(score)
+        values = np.array([middle(one, axis=1) for one in each.values()])
+        concordance, by_setup = agreement.concordance(values)
+        _, by_hand = agreement.concordance(values, [setup.hand for setup in each])
+        correlation = f"{agreement.rank_agreement(values).value:.2f}"
+        p_values = map(p_value, (by_setup, by_hand))
+        rows.append((name, f"{concordance:.2f}", correlation, *p_values))
+    markdown(
+        "| gain by | Kendall's W | mean rank correlation of two | p, by set-up | p, by hand |", rows
+    )
 
 
-def show_variance(shares: dict[str, Sequence[float]]) -> None:
-    """Of the gains: what takes which share of their variance."""
-    rows = [(name, estimate(statistics.Estimate(*share), ".2f")) for name, share in shares.items()]
-    markdown("| part of the gain's variance | share |", rows)
+def show_variance() -> None:
+    """What takes which share of the gains' variance? Do layouts differ alike everywhere (p)?"""
+    found = [*gains().values()]
+    n_seeds = min(one.shape[1] for one in found)
+    balanced = np.array([one[:, :n_seeds] for one in found])
+    rows = [
+        (name, estimate(share, ".2f"), p_value(agreement.differ(balanced)) if "×" in name else "")
+        for name, share in agreement.variance_shares(balanced).items()
+    ]
+    markdown("| part of the gain's variance | share | p |", rows)
 
 
 PREDICTORS: dict[str, Callable[[dict[str, Any]], float]] = {
     "number of taxels": lambda row: row["taxels"],
-    "share of starts felt in time": lambda row: row["felt"],
     "hand that closes at the first touch": lambda row: row["success"],
     "the same, waiting at its best": lambda row: row["best"]["success"],
 }
-"""What might foretell the order of a hand's layouts (`python -m benchmarks design --only hands`)."""
+"""What might foretell the order of a hand's layouts (`python -m benchmarks design --only hands`). The
+share of starts felt in time puts them into the same order as the second."""
 
 
 def predicted(name: str, setups: Iterable[SetUp]) -> dict[SetUp, Array]:
@@ -153,19 +211,20 @@ def predicted(name: str, setups: Iterable[SetUp]) -> dict[SetUp, Array]:
 
 def show_predictors() -> None:
     """What foretells the order of layouts? Rank correlation within set-ups, averaged over them."""
-    each = {setup: gains(of) for setup, of in learned("area").items()}
+    found = gains()
+    values = np.array([one.mean(axis=1) for one in found.values()])
     rows = []
     for name in PREDICTORS:
-        told = {s: one for s, one in predicted(name, each).items() if np.ptp(one) > 0}  # else no order
-        order = agreement.foretold([*told.values()], [each[setup] for setup in told])
-        rows.append((name, len(told), estimate(order, ".2f")))
-    markdown("| predictor | set-ups | mean rank correlation with the gain |", rows)
+        told = [*predicted(name, found).values()]
+        correlation, p = agreement.foretold_by_block(told, values, [setup.hand for setup in found])
+        rows.append((name, f"{correlation:.2f}".replace("-", "−"), p_value(p)))
+    markdown("| predictor | mean rank correlation with the gain | p, by hand |", rows)
 
 
 def draw(folder: Path) -> None:
     """What each predictor says of a layout, and what the layout gained in learning (setups.png)."""
-    each = {setup: gains(of).mean(axis=1) for setup, of in learned("area").items()}
-    picture = Figure(figsize=(9, 3.4), layout="constrained")
+    each = {setup: one.mean(axis=1) for setup, one in gains().items()}
+    picture = Figure(figsize=(8, 3.4), layout="constrained")
     panels = picture.subplots(1, len(PREDICTORS), sharey=True)
     for axes, name in zip(panels, PREDICTORS, strict=True):
         for setup, told in predicted(name, each).items():
@@ -191,37 +250,22 @@ def look(setup: SetUp) -> dict[str, Any]:
     }
 
 
-def variance_shares(of: Learned) -> dict[str, Any]:
-    """By a mixed model of the gains."""
-    rows = [
-        (float(gain), str(setup), layout, f"{setup} {seed}")
-        for setup, found in of.items()
-        for layout, row in zip(LAYOUTS, gains(found), strict=True)
-        for seed, gain in enumerate(row)
-    ]
-    return {name: list(share) for name, share in agreement.variance_shares(rows).items()}
-
-
-STUDY: dict[str, Callable[[], None]] = {
-    "setups worth": show_worth,
-    "setups layouts": show_layouts,
-    "setups order": show_order,
-    "setups predictors": show_predictors,
-}
-
-
-def main() -> None:
-    """All tables of the study; JSON with what takes minutes."""
-    options = parser(__doc__).parse_args()
-    shares = variance_shares(learned("area"))
-    write(options.out, {"variance": shares})
-    show_variance(shares)
-    for show in STUDY.values():
-        show()
-
-
 TABLES: dict[str, Callable[[], None]] = {}
 if (DATA / "setups_pilot.tar.gz").exists():
     TABLES["setups pilot"] = show_pilot
 if IS_THERE:
-    TABLES |= {**STUDY, "setups variance": lambda: show_variance(data("setups")["variance"])}
+    TABLES |= {
+        "setups worth": show_worth,
+        "setups order": show_order,
+        "setups variance": show_variance,
+        "setups predictors": show_predictors,
+        "setups layouts": show_layouts,
+        "setups chosen": show_chosen,
+    }
+
+
+def main() -> None:
+    """All tables."""
+    no_flags(__doc__)
+    for show in TABLES.values():
+        show()

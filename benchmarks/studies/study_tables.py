@@ -225,7 +225,7 @@ def orders(name: str, setup_name: str = "", pair: str = PAIR) -> None:
         known = [i for i, cell in enumerate(areas) if cell in predictor]
         if known:
             values = np.array([predictor[cell] for cell in np.array(list(areas))[known]])
-            found_order = foretold([values], [learned[known]])
+            found_order = foretold(values, learned[known])
             rows.append((title, len(known), len(seeds), estimate(found_order, ".2f")))
     order = "rank correlation with the mean success over the run"
     markdown(f"| predictor | layouts | seeds | {order} |", rows)

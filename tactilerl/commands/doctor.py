@@ -83,7 +83,7 @@ def main(args: list[str]) -> int:
         print(json.dumps([dataclasses.asdict(f) for f in figures]))
         return code
     table = Table(title=f"{name} in {scene.simulator}, rule {scene.touch_rule}: taxels during the hold")
-    for column in ("layout", "taxels", "held", "bits on", "steps with any", "never fired", ""):
+    for column in ("layout", "taxels", "held", "taxels on", "steps with any", "never fired", ""):
         table.add_column(column, justify="right")
     for f in figures:
         table.add_row(

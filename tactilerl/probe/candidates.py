@@ -62,8 +62,8 @@ class DesignFlags:
     false_on: Annotated[float, "[0, 1)"] = 0.0
     """Probability that a taxel fires in a step without being touched."""
     start_closing: tuple[Annotated[float, "[0, 1)"], ...] = ()
-    """How far the hand is closed while it waits; of several, each set of taxels waits as suits it best;
-    default: the scene's."""
+    """How far the hand is closed while it waits; of several, each set of taxels has what works best for
+    it; default: the scene's."""
     beside: tuple[str, ...] = BESIDE
     """Layouts to compare with."""
     starts: Annotated[int, f"[1, {MOST}]"] | None = None

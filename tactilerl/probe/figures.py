@@ -160,11 +160,19 @@ def _curve(result: dict[str, Any], title: str) -> Figure:
         if name == "chosen":
             low, high = np.array([row[f"{key}_interval"] for row in some]).T
             axes.fill_between(numbers, low, high, color=CHOSEN, alpha=0.15)
-    for row in result["rows"]:
-        if row["layout"] not in ("chosen", "random"):
-            axes.plot(row["taxels"], row[key], "s", color=INK)
-            name = layouts.short(row["layout"])
-            axes.annotate(name, (row["taxels"], row[key]), xytext=(5, -3), textcoords="offset points")
+    others = [row for row in result["rows"] if row["layout"] not in ("chosen", "random")]
+    axes.plot([row["taxels"] for row in others], [row[key] for row in others], "s", color=INK)
+    for i, row in enumerate(others):
+        # To the left where another of the same size has its name on the right.
+        alike = [o for o in others[:i] if o["taxels"] == row["taxels"]]
+        is_left = any(abs(o[key] - row[key]) < 0.03 for o in alike)
+        axes.annotate(
+            layouts.short(row["layout"]),
+            (row["taxels"], row[key]),
+            xytext=(-5 if is_left else 5, -3),
+            textcoords="offset points",
+            ha="right" if is_left else "left",
+        )
     axes.set_xscale("log")
     axes.margins(x=0.15)  # for what stands beside the last dot
     axes.set_xticks(TICKS, [str(tick) for tick in TICKS])

@@ -34,7 +34,6 @@ def design(pool: Pool, workers: int, show: Callable[[int, int], None]) -> Design
     pool = pool.without(np.any([starts.early for starts in choice.values()], axis=0))
     _require_felt(choice, pool, workers)
     judge = _Judge(choice, _played(pool, TEST, flags.test_starts, workers, tick), flags.aim)
-    rng = np.random.default_rng(flags.seed)
     beside = {name: pool.skin.columns(taxels) for name, taxels in pool.beside.items()}
     rows = [judge.row(name, columns) for name, columns in beside.items()]
     best = max(rows, key=lambda row: row["success"], default=None)
@@ -48,7 +47,7 @@ def design(pool: Pool, workers: int, show: Callable[[int, int], None]) -> Design
         row |= {"taxels": n, "chosen_from": picked.value, "bound": picked.bound}
         if best is not None:
             row["difference"] = judge.difference(own, beside[best["layout"]])
-        rows += [row, judge.random(n, pool, rng)]
+        rows += [row, judge.random(n, pool, np.random.default_rng([flags.seed, n]))]
     can = np.any([starts.succeeds.any(axis=1) for starts in judge.test.values()], axis=0)
     about = {
         "question": "timing",

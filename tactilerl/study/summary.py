@@ -118,8 +118,7 @@ def answer(setup: Setup, verdict: Verdict, score: str) -> str:
     elif found.low == found.high:  # as where no run learned anything
         said = "no difference was found, all pairs are alike"
     else:
-        bound = math.ceil(100 * max(-found.low, found.high)) / 100
-        said = f"no difference was found, and one above {bound:.2f} is ruled out"
+        said = f"no difference was found, and one above {max(-found.low, found.high):.2f} is ruled out"
     return f"{where}: {said} ({gap}; {told}).{look}"
 
 

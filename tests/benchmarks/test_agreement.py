@@ -1,10 +1,11 @@
 """Do set-ups agree? Statistics of several set-ups, on gains whose parts are known."""
 
-import itertools
-
 import numpy as np
+import pandas
 import pytest
 from numpy.testing import assert_allclose
+from statsmodels.formula.api import ols
+from statsmodels.stats.anova import anova_lm
 
 from benchmarks.studies import agreement
 
@@ -25,52 +26,94 @@ class TestOrder:
         assert low < 0.5 < high
 
     def test_one_order_everywhere_is_a_concordance_of_1(self):
-        w, p = agreement.concordance(np.tile([0.1, 0.4, 0.2, 0.3], (6, 1)), 5000)
+        w, p = agreement.concordance(np.tile([0.1, 0.4, 0.2, 0.3], (6, 1)), n_permutations=5000)
         assert w == pytest.approx(1)
         assert p < 0.001
         # Two set-ups in opposite order, twice.
-        w, p = agreement.concordance(np.tile([[1.0, 2, 3], [3, 2, 1]], (2, 1)), 5000)
+        w, p = agreement.concordance(np.tile([[1.0, 2, 3], [3, 2, 1]], (2, 1)), n_permutations=5000)
         assert w == pytest.approx(0)
         assert p == pytest.approx(1)
         # One of the six orders of three is that of the other set-up.
-        _, p = agreement.concordance(np.tile([1.0, 2, 3], (2, 1)), 20_000)
+        _, p = agreement.concordance(np.tile([1.0, 2, 3], (2, 1)), n_permutations=20_000)
         assert p == pytest.approx(1 / 6, abs=0.01)
 
     def test_p_values_of_noise_are_uniform(self, rng):
-        found = [agreement.concordance(rng.normal(size=(5, 4)), 500)[1] for _ in range(200)]
+        found = [
+            agreement.concordance(rng.normal(size=(5, 4)), n_permutations=500)[1] for _ in range(200)
+        ]
         assert 0.01 <= np.mean(np.array(found) <= 0.05) <= 0.1
 
     def test_w_is_as_the_mean_rank_correlation_says(self, rng):
         """r = (m W - 1) / (m - 1) of m set-ups (Kendall 1948)."""
         gains = rng.normal(size=(7, 4, 3)) + np.arange(4.0)[:, None]
-        w, _ = agreement.concordance(gains.mean(axis=2), 10)
+        w, _ = agreement.concordance(gains.mean(axis=2), n_permutations=10)
         assert agreement.agreement_of(gains).value == pytest.approx((7 * w - 1) / 6)
+
+    def test_set_ups_of_a_block_are_shuffled_together(self):
+        values = np.tile([1.0, 2, 3], (4, 1))
+        _, by_setup = agreement.concordance(values, n_permutations=20_000)
+        _, by_block = agreement.concordance(values, [*"aabb"], 20_000)
+        assert by_setup == pytest.approx(1 / 216, abs=0.003)
+        assert by_block == pytest.approx(1 / 6, abs=0.01)
 
     def test_what_foretells_the_order(self, rng):
         predictor = np.array([3.0, 1, 2, 0])
-        gains = [predictor[:, None] + rng.normal(0, noise, (4, 5)) for noise in (0.01, 0.02)]
-        assert_allclose(agreement.foretold([predictor, predictor], gains), [1, 1, 1])
-        assert agreement.foretold([predictor, -predictor], gains).value == pytest.approx(0)
+        gains = predictor[:, None] + rng.normal(0, 0.01, (4, 5))
+        assert_allclose(agreement.foretold(predictor, gains), [1, 1, 1])
+
+    def test_a_predictor_has_one_order_in_a_block(self):
+        order = np.array([3.0, 1, 2, 0])
+        values = np.array([order, order * 2, order, -order])
+        found, p = agreement.foretold_by_block([order] * 3, values[:3], [*"aab"])
+        assert found == pytest.approx(1)
+        assert p == pytest.approx(2 / 24**2)  # it, and the reverse
+        found, p = agreement.foretold_by_block([order] * 4, values, [*"aabb"])
+        assert found == pytest.approx(0.5)
+        assert p == pytest.approx(2 / 24, abs=0.01)  # block b says nothing
 
 
-def test_the_variance_is_shared_as_it_was_put_in(rng):
-    sds = {"set-up": 0.1, "layout": 0.1, "set-up × layout": 0.2, "seed within set-up": 0.05}
-    n_setups, n_layouts, n_seeds = 12, 12, 3
-    effects = {
-        "set-up": np.repeat(rng.normal(size=n_setups), n_layouts).reshape(n_setups, n_layouts, 1),
-        "layout": rng.normal(size=(1, n_layouts, 1)),
-        "set-up × layout": rng.normal(size=(n_setups, n_layouts, 1)),
-        "seed within set-up": rng.normal(size=(n_setups, 1, n_seeds)),
-    }
-    gains = 0.4 + rng.normal(0, 0.02, (n_setups, n_layouts, n_seeds))
-    for name, effect in effects.items():
-        gains += sds[name] * effect / effect.std()
-    rows = [
-        (gains[i, j, k], f"setup {i}", f"layout {j}", f"{i} {k}")
-        for i, j, k in itertools.product(*map(range, gains.shape))
-    ]
-    found = agreement.variance_shares(rows, 5)
-    whole = sum(sd**2 for sd in sds.values()) + 0.02**2
-    assert sum(share.value for share in found.values()) == pytest.approx(1)
-    for name, sd in sds.items():
-        assert found[name].value == pytest.approx(sd**2 / whole, abs=0.06), name
+SDS = {"set-up": 0.1, "layout": 0.1, "set-up × layout": 0.2, "seed within set-up": 0.05, "rest": 0.02}
+
+
+@pytest.fixture
+def gains(rng):
+    """500 studies of 9 set-ups, 4 layouts and 5 seeds."""
+    shapes = (9, 1, 1), (1, 4, 1), (9, 4, 1), (9, 1, 5), (9, 4, 5)
+    return 0.4 + sum(
+        sd * rng.normal(size=(500, *shape)) for sd, shape in zip(SDS.values(), shapes, strict=True)
+    )
+
+
+class TestVariance:
+    def test_mean_squares_are_those_of_statsmodels(self, gains):
+        rows = [(value, *at) for at, value in np.ndenumerate(gains[0])]
+        table = pandas.DataFrame(rows, columns=["gain", "setup", "layout", "seed"])
+        fit = ols("gain ~ C(setup) * C(layout) + C(setup):C(seed)", table).fit()
+        theirs = anova_lm(fit)
+        ours = agreement.mean_squares(gains[0])
+        for name, row in zip(ours, ("C(setup)", "C(layout)", "C(setup):C(layout)",
+                                    "C(setup):C(seed)", "Residual"), strict=True):  # fmt: skip
+            square, df = ours[name]
+            assert (square, df) == pytest.approx((theirs.mean_sq[row], theirs.df[row])), name
+
+    def test_the_variance_is_shared_as_it_was_put_in(self, gains):
+        squares = agreement.mean_squares(gains)
+        on_average = {name: square.mean(keepdims=True) for name, (square, _) in squares.items()}
+        whole = sum(sd**2 for sd in SDS.values())
+        for name, share in agreement.shares(on_average, 9, 4, 5).items():
+            assert share[0] == pytest.approx(SDS[name] ** 2 / whole, abs=0.02), name
+
+    def test_intervals_of_shares_hold_what_was_put_in(self, gains):
+        whole = sum(sd**2 for sd in SDS.values())
+        for name in ("layout", "set-up × layout"):
+            found = [agreement.variance_shares(one)[name] for one in gains[:60]]
+            holds = [each.low <= SDS[name] ** 2 / whole <= each.high for each in found]
+            assert 0.88 <= np.mean(holds) <= 1
+
+    def test_do_layouts_differ_alike_everywhere(self, gains, rng):
+        assert agreement.differ(gains[0], 500) < 0.01
+        layouts, noise = rng.normal(0, 0.1, (1, 4, 1)), np.linspace(0.02, 0.1, 9)[:, None, None]
+        p_values = [
+            agreement.differ(layouts + noise * rng.normal(size=(9, 4, 5)), 200) for _ in range(100)
+        ]
+        assert np.mean(np.array(p_values) <= 0.05) <= 0.12

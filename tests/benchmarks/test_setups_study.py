@@ -35,7 +35,17 @@ def test_every_set_up_has_its_layouts_and_no_touch(study, monkeypatch):
     assert len(found) == 9
     for setup, of in found.items():
         assert set(of) == {*setups_study.LAYOUTS, "no touch"}, setup
-        assert setups_study.gains(of).shape == (4, 3)
+    assert [each.shape for each in setups_study.gains().values()] == [(4, 3)] * 9
+
+
+def test_set_ups_without_two_whole_seeds_are_left_out(study, monkeypatch):
+    monkeypatch.setattr(setups_study, "load", lambda name: study)
+    found = setups_study.learned("area")
+    del found[setups_study.SetUp("ppo", "mpl", "mujoco")]["layout 2"]
+    del found[setups_study.SetUp("ppo", "mpl", "pybullet")]["no touch"][1]
+    monkeypatch.setattr(setups_study, "learned", lambda score: found)
+    shapes = [each.shape for each in setups_study.gains().values()]
+    assert shapes == [(4, 2), *[(4, 3)] * 7]
 
 
 def test_tables_say_what_was_put_in(told, study, monkeypatch):
@@ -48,20 +58,30 @@ def test_tables_say_what_was_put_in(told, study, monkeypatch):
     monkeypatch.setattr(setups_study, "learned", lambda score: found)
     worth = told(setups_study.show_worth)
     assert worth["MPL hand, MuJoCo, PPO"][2].startswith("+0.19")
-    best = told(setups_study.show_layouts)["Allegro Hand, PyBullet, DDPG+HER"]
-    assert best[-2] == "layout 1"
-    assert best[-1].startswith("+0.10 (+0.0")
-    _, concordance, p, correlation = told(setups_study.show_order)["mean over the run"]
-    assert (concordance, float(p), correlation) == (
-        "1.00",
-        pytest.approx(0, abs=0.001),
-        "1.00 (1.00 to 1.00)",
-    )
+    row = told(setups_study.show_layouts)["Allegro Hand, PyBullet, DDPG+HER"]
+    assert row[-3] == "+0.10"
+    assert row[-1] == "yes"
+    assert told(setups_study.show_chosen)["layout 2"][0].startswith("+0.15 (+0.1")
+    concordance, correlation, by_setup, by_hand = told(setups_study.show_order)["mean over the run"]
+    assert (concordance, correlation, by_setup) == ("1.00", "1.00", "< 0.001")
+    assert float(by_hand) == pytest.approx(1 / 576, abs=0.001)
+    assert told(setups_study.show_variance)["layout"][0].startswith("0.95")
+
+
+@pytest.mark.parametrize(
+    ("ahead", "said"),
+    [([0.1, 0.12, 0.11], "yes"), ([-0.2, -0.21, -0.2], "no"), ([-0.2, 0.2, 0.1], "cannot tell")],
+)
+def test_are_chosen_taxels_within_the_margin(ahead, said):
+    level = np.array([0.5, 0.6, 0.4])
+    at_least, is_within = setups_study.compared(level + ahead, [level, level - 0.3])
+    assert is_within == said
+    assert at_least < np.mean(ahead)
 
 
 def test_what_foretells_the_order(told, monkeypatch):
     reached = {"layout 1": 0.4, "layout 2": 0.3, "layout 5": 0.2, "8 chosen": 0.5}
-    row = {name: {"taxels": -value, "felt": value, "success": value, "best": {"success": 1 - value}}
+    row = {name: {"taxels": -value, "success": value, "best": {"success": 1 - value}}
            for name, value in reached.items()}  # fmt: skip
     monkeypatch.setattr(
         setups_study, "data", lambda name: {"hands": dict.fromkeys(("mpl", "shadow", "allegro"), row)}
@@ -70,8 +90,8 @@ def test_what_foretells_the_order(told, monkeypatch):
     found = dict.fromkeys(setups_study.learned("area"), of | {"no touch": dict.fromkeys(range(3), 0.1)})
     monkeypatch.setattr(setups_study, "learned", lambda score: found)
     rows = told(setups_study.show_predictors)
-    values = [float(estimate.split()[0].replace("−", "-")) for _, estimate in rows.values()]
-    assert np.allclose(values, [-1, 1, 1, -1])
+    values = [float(correlation.replace("−", "-")) for correlation, _ in rows.values()]
+    assert np.allclose(values, [-1, 1, -1])
 
 
 def test_figure_has_every_set_up_in_a_panel_for_each_predictor(study, monkeypatch, tmp_path):

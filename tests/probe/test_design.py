@@ -164,6 +164,9 @@ class TestCommand:
         rows = {(row["layout"], row["taxels"]): row for row in result["rows"]}
         assert rows["whole skin", result["candidates"]]["success"] == 1.0
         assert rows["chosen", 2]["success"] >= 0.5 > rows["random", 2]["success"]
+        assert main(["design", "--scene", "handover", "--taxels", "2", *FEW, "--json"]) == 0
+        alone = json.loads(capsys.readouterr().out)["rows"]
+        assert rows["random", 2] == next(row for row in alone if row["layout"] == "random")
         assert main(["gate", "--scene", "handover", "--layout", "a/design_1.toml", "--starts", "4",
                      "--search", "1", "--workers", "1"]) == 0  # fmt: skip
 
