@@ -22,6 +22,7 @@ NO_FAULTS: dict[str, Any] = {**dataclasses.asdict(TaxelFaults()), "taxel_delay":
 SENSES = {
     "blind": ("time", "a fixed time has passed"),
     "joints": ("joints", "the joints or the hand have moved"),
+    "active": ("active", "something stops a trial closing"),
     "sight": ("sight", "the object looks near in the scene"),
     "touch": ("touch", "enough taxels fire"),
     "sighted": ("sight", "the object is seen to be in place"),
@@ -67,6 +68,8 @@ def examine(
             rates = []
             with closing(make()) as example:
                 candidates = reflexes.candidates(example, sense)
+            if not candidates:
+                continue
             for reflex in candidates:
                 rates.append(_play(played_in, reflex, first + SEARCH, search).mean())
                 tick()

@@ -1,15 +1,16 @@
 """Scripted reflexes: what can be won in a scene with one sense and one decision, without learning?
 
 All do the same two things and differ in when they go over to the second. Where an object is handed
-over they wait, then close. Elsewhere they approach and close, then lift. Each has two values that a
-search may choose: when to go over, and how far to close.
+over they wait, then close; an active hand does not wait still, but closes and opens. Elsewhere they
+approach and close, then lift. Each has two values that a search may choose: when to go over, and how
+far to close.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain, product, repeat
+from itertools import chain, cycle, product, repeat
 from typing import Any
 
 import gymnasium as gym
@@ -23,13 +24,15 @@ from ..envs.state import Array
 BASELINE = 5  # readings: before, nothing has come to the hand yet
 RESOLUTION = 1e-4  # rad or m: what any joint's reading may be off by
 LATEST = 3  # actions before the end of an episode
-SENSES: dict[str, tuple[Sequence[float], Sequence[float]]] = {
+TRIAL = 3  # actions that an active hand closes, and as many that it opens
+SENSES: dict[str, tuple[Sequence[float], Sequence[float] | None]] = {
     "time": (range(6, 51, 3), (0, 2, 5)),
     "joints": (np.geomspace(2.0, 100.0, 15).tolist(), (-0.3, -0.1, -0.03)),
+    "active": (np.geomspace(0.01, 0.3, 15).tolist(), None),
     "touch": (range(1, 16), (2, 6, 12)),
     "sight": (np.linspace(-0.053, 0.003, 15).tolist(), (0, 2, 5)),
 }
-"""Thresholds that a search may choose from, of a handover and of a lift."""
+"""Thresholds that a search may choose from, of a handover and of a lift, if it has the sense."""
 CLOSINGS = (0.7, 0.85, 1.0, 1.15, 1.3)  # of a scripted grasp
 
 
@@ -52,7 +55,10 @@ class Reflex:
         reading = _Reading(base, obs)
         says, latest = getattr(reading, self.sense), base.max_episode_steps - LATEST - reading.n_second
         parts = _parts(base, self.closing, reading.shift(self.sense))
+        first: Iterator[Array]
         first, second = (chain(part, repeat(part[-1])) for part in parts)
+        if self.sense == "active":
+            first = cycle([parts[1][-1]] * TRIAL + [parts[0][-1]] * TRIAL)
         targets, is_over = first, False
         while not is_over:
             if targets is first and (says() >= self.threshold or reading.step >= latest):
@@ -113,12 +119,22 @@ class _Reading:
         first = seen[:BASELINE]
         return float((np.abs(seen[-1] - first.mean(0)) / (first.std(0) + RESOLUTION)).max())
 
+    def active(self) -> float:
+        """After a trial closing: how far the joints are from where the first one took them, rad."""
+        if self.step % (2 * TRIAL) != TRIAL or self.step == TRIAL:
+            return 0.0
+        now, first = (self._seen[step][self._joints] for step in (self.step, TRIAL))
+        return float(np.abs(now - first).mean())
+
 
 def candidates(env: GraspEnv, sense: str) -> list[Reflex]:
-    """Fifteen reflexes of a sense to choose from, for every sense as many."""
+    """Fifteen reflexes of a sense to choose from, for every sense as many; none if the scene has no use
+    for it."""
     handed, lifted = SENSES[sense]
     if env.task.giver is not None:
         return [Reflex(sense, threshold, 1.0) for threshold in handed]
+    if lifted is None:
+        return []
     return [Reflex(sense, *values) for values in product(lifted, CLOSINGS)]
 
 

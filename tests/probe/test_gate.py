@@ -50,7 +50,23 @@ class TestReflexes:
     @pytest.mark.parametrize("scene", ["handover", "dark_mpl"])
     def test_every_sense_has_as_many_candidates(self, scene):
         env = envs.make(scene=scene)
-        assert {len(reflexes.candidates(env, sense)) for sense in reflexes.SENSES} == {15}
+        found = {sense: len(reflexes.candidates(env, sense)) for sense in reflexes.SENSES}
+        assert found.pop("active") == (15 if scene == "handover" else 0)
+        assert {*found.values()} == {15}
+
+    @pytest.mark.pybullet
+    def test_an_active_one_stays_closed_when_something_stops_it(self):
+        env, steps = envs.make(scene="handover", simulator="pybullet", touch="absent"), []
+        step_to = env.step_to
+        env.step_to = lambda targets: (steps.append(targets.copy()), step_to(targets))[1]
+        assert Reflex("active", 0.03, 1.0).play(env, 1)
+        is_closed = [not np.array_equal(targets, env.hand.start_targets()) for targets in steps]
+        came = env.task.sets_off
+        cycle = [True] * reflexes.TRIAL + [False] * reflexes.TRIAL
+        assert is_closed[:came] == (cycle * 9)[:came]
+        went = next(i for i in range(len(steps)) if is_closed[i : i + 4] == [True] * 4)
+        assert came < went + reflexes.TRIAL <= came + env.task.stays + 2
+        assert all(is_closed[went:])
 
     def test_a_blind_one_does_the_same_whatever_it_is_told(self):
         env, played = envs.make(scene="handover", touch="absent"), []
@@ -85,7 +101,7 @@ def test_in_a_handover_touch_decides(capsys):
     assert main(["gate", "--scene", "handover", *FEW, "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     rates = {row["name"]: row["rate"] for row in said["reflexes"]}
-    assert set(rates) == {"blind", "joints", "touch", "sighted"}
+    assert set(rates) == {"blind", "joints", "active", "touch", "sighted"}
     assert min(rates["touch"], rates["sighted"]) > 0.7
     assert max(rates["blind"], rates["joints"]) < 0.6
     assert said["verdict"].startswith("Touch can win 0.")
