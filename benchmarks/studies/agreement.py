@@ -1,4 +1,4 @@
-"""Do set-ups agree on the order of their cells, such as layouts? What foretells it, and what takes
+"""Do set-ups agree on the order of their cells, such as layouts? What predicts it, and what takes
 which share of the variance? Functions over arrays, for the tables of the docs."""
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def agreement_of(gains: Sequence[Array]) -> Estimate:
     return rank_agreement(values, _bootstrapped(gains))
 
 
-def foretold(predictor: Array, gains: Array) -> Estimate:
+def predicts_order(predictor: Array, gains: Array) -> Estimate:
     """Spearman correlation of a predictor (cells,) with the means of gains (cells, seeds), which are
     resampled over seeds."""
     (drawn,) = _bootstrapped([gains])
@@ -84,7 +84,7 @@ def concordance(
     return float(friedman / (n_setups * (n_cells - 1))), p_value
 
 
-def foretold_by_block(
+def predicted_by_block(
     predictors: Sequence[Array], values: Array, blocks: Sequence[str]
 ) -> tuple[float, float]:
     """Spearman correlation of a predictor (cells,) with the values (setups, cells), averaged over

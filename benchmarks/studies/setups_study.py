@@ -107,7 +107,8 @@ def show_worth() -> None:
     """Does touch help in every set-up? Its gain is the mean over the layouts within each seed."""
     found = in_whole_seeds("area")
     # Five pairs cannot fall below 0.06 when signs are flipped, so these are t tests.
-    tests = [scipy.stats.ttest_1samp(each.mean(axis=0), 0) for each in gains().values()]
+    each = ((arms[:-1] - arms[-1]).mean(axis=0) for arms in found.values())
+    tests = [scipy.stats.ttest_1samp(gain, 0) for gain in each]
     rows = []
     corrected = statistics.holm([test.pvalue for test in tests])
     for (setup, arms), test, p in zip(found.items(), tests, corrected, strict=True):
@@ -140,11 +141,12 @@ def show_layouts() -> None:
 def compared(chosen: Array, others: Sequence[Array]) -> tuple[float, str]:
     """By how much runs (seeds,) are ahead of all others at least; are they within MARGIN?
 
-    One-sided 95 % bounds of t tests against each of the others: "yes" takes all of them, "no" one.
+    One-sided 95 % bounds of t tests against each of the others: "yes" takes all of them, "no" one that
+    is corrected for their number.
     """
     tests = [scipy.stats.ttest_1samp(chosen - other, 0) for other in others]
-    at_least, at_most = np.min([test.confidence_interval(0.90) for test in tests], axis=0)
-    if at_most < -MARGIN:
+    at_least = min(test.confidence_interval(0.90).low for test in tests)
+    if min(test.confidence_interval(1 - 0.1 / len(others)).high for test in tests) < -MARGIN:
         return at_least, "no"
     return at_least, "yes" if at_least > -MARGIN else "cannot tell"
 
@@ -156,8 +158,10 @@ def show_chosen() -> None:
     for i, layout in enumerate(LAYOUTS[:-1]):
         ahead = [each[-1] - each[i] for each in found]
         value = np.mean([one.mean() for one in ahead])
-        error = np.sqrt(sum(one.var(ddof=1) / len(one) for one in ahead)) / len(ahead)
-        ends = scipy.stats.t.interval(0.95, sum(len(one) - 1 for one in ahead), value, error)
+        parts = np.array([one.var(ddof=1) / len(one) for one in ahead])
+        n_free = [len(one) - 1 for one in ahead]
+        df = parts.sum() ** 2 / (parts**2 / n_free).sum()  # Satterthwaite's
+        ends = scipy.stats.t.interval(0.95, df, value, np.sqrt(parts.sum()) / len(ahead))
         rows.append((layout, estimate(Estimate(float(value), *ends), "+.2f")))
     markdown(f"| layout | {CHOSEN} − it, mean over the set-ups |", rows)
 
@@ -199,7 +203,7 @@ PREDICTORS: dict[str, Callable[[dict[str, Any]], float]] = {
     "hand that closes at the first touch": lambda row: row["success"],
     "the same, waiting at its best": lambda row: row["best"]["success"],
 }
-"""What might foretell the order of a hand's layouts (`python -m benchmarks design --only hands`). The
+"""What might predict the order of a hand's layouts (`python -m benchmarks design --only hands`). The
 share of starts felt in time puts them into the same order as the second."""
 
 
@@ -210,13 +214,13 @@ def predicted(name: str, setups: Iterable[SetUp]) -> dict[SetUp, Array]:
 
 
 def show_predictors() -> None:
-    """What foretells the order of layouts? Rank correlation within set-ups, averaged over them."""
+    """What predicts the order of layouts? Rank correlation within set-ups, averaged over them."""
     found = gains()
     values = np.array([one.mean(axis=1) for one in found.values()])
     rows = []
     for name in PREDICTORS:
         told = [*predicted(name, found).values()]
-        correlation, p = agreement.foretold_by_block(told, values, [setup.hand for setup in found])
+        correlation, p = agreement.predicted_by_block(told, values, [setup.hand for setup in found])
         rows.append((name, f"{correlation:.2f}".replace("-", "−"), p_value(p)))
     markdown("| predictor | mean rank correlation with the gain | p, by hand |", rows)
 

@@ -19,7 +19,7 @@ from matplotlib.ticker import EngFormatter
 from benchmarks.command import DATA, earlier
 from benchmarks.printing import interval, markdown
 from benchmarks.studies import gates
-from benchmarks.studies.agreement import agreement_of, foretold
+from benchmarks.studies.agreement import agreement_of, predicts_order
 from tactilerl import statistics, style
 from tactilerl.statistics import Array, Estimate
 from tactilerl.study import records, verdicts
@@ -125,7 +125,7 @@ def over_layouts(name: str) -> None:
     study, found = load(name)
     rows, p_values = [], []
     for setup in study.setups:
-        seeds, arms = in_whole_seeds(found, setup)
+        seeds, arms = both_by_seed(found, setup)
         if seeds:
             means = arms.mean(axis=1)
             pairs = verdicts.in_pairs([dict(zip(seeds, map(float, one), strict=True)) for one in means])
@@ -136,7 +136,7 @@ def over_layouts(name: str) -> None:
     markdown(head, [(*row, p) for row, p in zip(rows, corrected, strict=True)])
 
 
-def in_whole_seeds(found: list[Record], setup: Setup) -> tuple[list[int], Array]:
+def both_by_seed(found: list[Record], setup: Setup) -> tuple[list[int], Array]:
     """Seeds that every cell has with touch and without, and what both reach, (2, cells, seeds)."""
     cells = [verdicts.both_arms(found, setup, cell, "area") for cell in setup.cells]
     seeds = sorted(set.intersection(*(set(arm) for cell in cells for arm in cell)))
@@ -147,7 +147,7 @@ def in_whole_seeds(found: list[Record], setup: Setup) -> tuple[list[int], Array]
 def agreement(name: str) -> None:
     """Do the set-ups put the layouts into the same order?"""
     study, found = load(name)
-    arms = [in_whole_seeds(found, setup)[1] for setup in study.setups]
+    arms = [both_by_seed(found, setup)[1] for setup in study.setups]
     rows = [
         (by, estimate(agreement_of(each), ".2f"))
         for by, each in (
@@ -209,7 +209,7 @@ def senses(name: str = "senses") -> None:
 
 
 def orders(name: str, setup_name: str = "", pair: str = PAIR) -> None:
-    """Do scripted hands and the probe foretell the order of layouts in learning?"""
+    """Do scripted hands and the probe predict the order of layouts in learning?"""
     setup, found = load_setup(name, setup_name)
     runs = {label(cell): verdicts.runs_of(found, setup, cell, "main") for cell in setup.cells}
     runs = {cell: own for cell, own in runs.items() if own}
@@ -225,7 +225,7 @@ def orders(name: str, setup_name: str = "", pair: str = PAIR) -> None:
         known = [i for i, cell in enumerate(areas) if cell in predictor]
         if known:
             values = np.array([predictor[cell] for cell in np.array(list(areas))[known]])
-            found_order = foretold(values, learned[known])
+            found_order = predicts_order(values, learned[known])
             rows.append((title, len(known), len(seeds), estimate(found_order, ".2f")))
     order = "rank correlation with the mean success over the run"
     markdown(f"| predictor | layouts | seeds | {order} |", rows)

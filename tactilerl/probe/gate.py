@@ -64,12 +64,12 @@ def examine(
             exact: Any = {"object_seen": "exact", "sight_noise": None, "sight_noise_kind": "white"}
             own = dataclasses.replace(own, **exact)
         make = partial(GraspEnv, hand, own)
+        with closing(make()) as example:
+            candidates = reflexes.candidates(example, sense)
+        if not candidates:
+            continue
         with closing(vector.start(make, workers)) as played_in:
             rates = []
-            with closing(make()) as example:
-                candidates = reflexes.candidates(example, sense)
-            if not candidates:
-                continue
             for reflex in candidates:
                 rates.append(_play(played_in, reflex, first + SEARCH, search).mean())
                 tick()

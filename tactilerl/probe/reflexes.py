@@ -120,7 +120,8 @@ class _Reading:
         return float((np.abs(seen[-1] - first.mean(0)) / (first.std(0) + RESOLUTION)).max())
 
     def active(self) -> float:
-        """After a trial closing: how far the joints are from where the first one took them, rad."""
+        """After a trial closing: how far joints and hand are from where the first one took them, on the
+        mean, rad and m."""
         if self.step % (2 * TRIAL) != TRIAL or self.step == TRIAL:
             return 0.0
         now, first = (self._seen[step][self._joints] for step in (self.step, TRIAL))

@@ -118,7 +118,8 @@ def answer(setup: Setup, verdict: Verdict, score: str) -> str:
     elif found.low == found.high:  # as where no run learned anything
         said = "no difference was found, all pairs are alike"
     else:
-        said = f"no difference was found, and one above {max(-found.low, found.high):.2f} is ruled out"
+        bound = max(-found.low, found.high)
+        said = f"no difference was found, and one above about {bound:.2f} is ruled out"
     return f"{where}: {said} ({gap}; {told}).{look}"
 
 

@@ -48,7 +48,7 @@ def test_another_seed_has_other_starts(monkeypatch):
 
 class TestReflexes:
     @pytest.mark.parametrize("scene", ["handover", "dark_mpl"])
-    def test_every_sense_has_as_many_candidates(self, scene):
+    def test_every_sense_that_a_scene_has_use_for_has_as_many_candidates(self, scene):
         env = envs.make(scene=scene)
         found = {sense: len(reflexes.candidates(env, sense)) for sense in reflexes.SENSES}
         assert found.pop("active") == (15 if scene == "handover" else 0)
