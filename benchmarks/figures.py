@@ -57,7 +57,7 @@ def speed_against_error() -> None:
     figure.set_layout_engine("none")
     for axes, (texts, points) in zip(grid.flat, labels, strict=True):
         arrow = {"arrowstyle": "-", "color": "#888888", "lw": 0.6}
-        adjust_text(texts, *points, ax=axes, expand=(1.3, 1.8), arrowprops=arrow)
+        adjust_text(texts, *points, ax=axes, expand=(1.3, 1.8), arrowprops=arrow, iter_lim=300)
     save(figure, "speed_vs_error")
 
 
