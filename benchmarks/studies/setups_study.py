@@ -21,7 +21,7 @@ from benchmarks.command import DATA, data, no_flags
 from benchmarks.printing import markdown
 from benchmarks.studies import agreement
 from benchmarks.studies.design_study import title
-from benchmarks.studies.study_tables import estimate, load
+from benchmarks.studies.study_tables import estimate, in_common, load, number
 from tactilerl import statistics, style
 from tactilerl.statistics import Array, Estimate
 from tactilerl.study import verdicts
@@ -91,10 +91,9 @@ def in_whole_seeds(score: str) -> Arms:
     """Set-ups with at least two seeds that have a run of each layout and one without touch."""
     found: Arms = {}
     for setup, of in learned(score).items():
-        runs = [of.get(name, {}) for name in (*LAYOUTS, NONE)]
-        seeds = sorted(set.intersection(*map(set, runs)))
+        seeds, arms = in_common([of.get(name, {}) for name in (*LAYOUTS, NONE)])
         if len(seeds) >= 2:
-            found[setup] = np.array([[by_seed[seed] for seed in seeds] for by_seed in runs])
+            found[setup] = arms
     return found
 
 
@@ -132,7 +131,7 @@ def show_layouts() -> None:
         n_dead = int((layouts < arms[-1].min()).sum())
         levels = [f"{level:.2f}" for level in layouts.mean(axis=1)]
         best = min(chosen.mean() - other.mean() for other in others)
-        ahead = (f"{value:+.2f}".replace("-", "−") for value in (best, at_least))
+        ahead = (number(value, "+.2f") for value in (best, at_least))
         rows.append((setup, *levels, n_dead, *ahead, is_within))
     last = f"{CHOSEN} − the best of the paper's | at least | within {MARGIN}"
     markdown(f"| set-up | {' | '.join(LAYOUTS)} | runs below no touch | {last} |", rows)
@@ -178,7 +177,7 @@ def show_order() -> None:
         values = np.array([middle(one, axis=1) for one in each.values()])
         concordance, by_setup = agreement.concordance(values)
         _, by_hand = agreement.concordance(values, [setup.hand for setup in each])
-        correlation = f"{agreement.rank_agreement(values).value:.2f}"
+        correlation = number(agreement.rank_agreement(values).value, ".2f")
         p_values = map(p_value, (by_setup, by_hand))
         rows.append((name, f"{concordance:.2f}", correlation, *p_values))
     markdown(
@@ -221,7 +220,7 @@ def show_predictors() -> None:
     for name in PREDICTORS:
         told = [*predicted(name, found).values()]
         correlation, p = agreement.predicted_by_block(told, values, [setup.hand for setup in found])
-        rows.append((name, f"{correlation:.2f}".replace("-", "−"), p_value(p)))
+        rows.append((name, number(correlation, ".2f"), p_value(p)))
     markdown("| predictor | mean rank correlation with the gain | p, by hand |", rows)
 
 

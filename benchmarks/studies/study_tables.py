@@ -6,7 +6,7 @@ python -m benchmarks study_tables
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -139,9 +139,14 @@ def over_layouts(name: str) -> None:
 def both_by_seed(found: list[Record], setup: Setup) -> tuple[list[int], Array]:
     """Seeds that every cell has with touch and without, and what both reach, (2, cells, seeds)."""
     cells = [verdicts.both_arms(found, setup, cell, "area") for cell in setup.cells]
-    seeds = sorted(set.intersection(*(set(arm) for cell in cells for arm in cell)))
-    arms = [[[cell[arm][seed] for seed in seeds] for cell in cells] for arm in (0, 1)]
-    return seeds, np.array(arms)
+    seeds, scores = in_common([arm for arms in zip(*cells, strict=True) for arm in arms])
+    return seeds, scores.reshape(2, len(cells), len(seeds))
+
+
+def in_common(groups: Sequence[verdicts.BySeed]) -> tuple[list[int], Array]:
+    """Seeds that all groups of runs have, and their scores, (groups, seeds)."""
+    seeds = sorted(set.intersection(*map(set, groups)))
+    return seeds, np.array([[scores[seed] for seed in seeds] for scores in groups])
 
 
 def agreement(name: str) -> None:
@@ -214,8 +219,7 @@ def orders(name: str, setup_name: str = "", pair: str = PAIR) -> None:
     runs = {label(cell): verdicts.runs_of(found, setup, cell, "main") for cell in setup.cells}
     runs = {cell: own for cell, own in runs.items() if own}
     areas = dict(zip(runs, verdicts.scored("area", *runs.values()), strict=True))
-    seeds = sorted(set.intersection(*(set(by_seed) for by_seed in areas.values())))
-    learned = np.array([[by_seed[seed] for seed in seeds] for by_seed in areas.values()])
+    seeds, learned = in_common([*areas.values()])
     predictors = {
         "scripted hand with touch, same scene": reflexes(name),
         "probe, gain over joints": probed(pair),
@@ -274,6 +278,11 @@ def compared(pairs: verdicts.Pairs) -> tuple[object, ...]:
 def estimate(found: Estimate, form: str) -> str:
     """A number with its interval."""
     return interval(*found, form, " to ").replace("-", "−")
+
+
+def number(value: float, form: str) -> str:
+    """With a minus sign, as `estimate` has it."""
+    return f"{value:{form}}".replace("-", "−")
 
 
 def draw(folder: Path) -> None:

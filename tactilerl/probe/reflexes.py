@@ -25,14 +25,14 @@ BASELINE = 5  # readings: before, nothing has come to the hand yet
 RESOLUTION = 1e-4  # rad or m: what any joint's reading may be off by
 LATEST = 3  # actions before the end of an episode
 TRIAL = 3  # actions that an active hand closes, and as many that it opens
-SENSES: dict[str, tuple[Sequence[float], Sequence[float] | None]] = {
+SENSES: dict[str, tuple[Sequence[float], Sequence[float]]] = {
     "time": (range(6, 51, 3), (0, 2, 5)),
     "joints": (np.geomspace(2.0, 100.0, 15).tolist(), (-0.3, -0.1, -0.03)),
-    "active": (np.geomspace(0.01, 0.3, 15).tolist(), None),
+    "active": (np.geomspace(0.01, 0.3, 15).tolist(), ()),
     "touch": (range(1, 16), (2, 6, 12)),
     "sight": (np.linspace(-0.053, 0.003, 15).tolist(), (0, 2, 5)),
 }
-"""Thresholds that a search may choose from, of a handover and of a lift, if it has the sense."""
+"""Thresholds that a search may choose from, of a handover and of a lift; a lift has no active hand."""
 CLOSINGS = (0.7, 0.85, 1.0, 1.15, 1.3)  # of a scripted grasp
 
 
@@ -134,8 +134,6 @@ def candidates(env: GraspEnv, sense: str) -> list[Reflex]:
     handed, lifted = SENSES[sense]
     if env.task.giver is not None:
         return [Reflex(sense, threshold, 1.0) for threshold in handed]
-    if lifted is None:
-        return []
     return [Reflex(sense, *values) for values in product(lifted, CLOSINGS)]
 
 
