@@ -122,7 +122,7 @@ class _Reading:
     def active(self) -> float:
         """After a trial closing: how far joints and hand are from where the first one took them, on the
         mean, rad and m."""
-        if self.step % (2 * TRIAL) != TRIAL or self.step == TRIAL:
+        if self.step % (2 * TRIAL) != TRIAL:
             return 0.0
         now, first = (self._seen[step][self._joints] for step in (self.step, TRIAL))
         return float(np.abs(now - first).mean())
