@@ -39,9 +39,9 @@ $(DEVELOPMENT): $(TRAINING)
 # Two hands, the same but for touch. Goes on with runs that are there already.
 train: $(TRAINING)
 	$(BIN)/tactilerl train --scene handover --out $(RUNS)/touch
-	$(BIN)/tactilerl train --scene handover --touch off --out $(RUNS)/blind
+	$(BIN)/tactilerl train --scene handover --touch off --out $(RUNS)/no_touch
 	$(BIN)/tactilerl evaluate $(RUNS)/touch
-	$(BIN)/tactilerl evaluate $(RUNS)/blind
+	$(BIN)/tactilerl evaluate $(RUNS)/no_touch
 
 # Several files of tests at a time, each with one thread; some wait, so three keep two cores busy.
 # `make test JOBS=12` on eight.
@@ -68,7 +68,7 @@ endef
 
 policies: $(TRAINING)
 	$(call POLICY,handover_touch,--scene handover --touch on)
-	$(call POLICY,handover_blind,--scene handover --touch off)
+	$(call POLICY,handover_no_touch,--scene handover --touch off)
 	$(call POLICY,shadow_lift,--layout 4 --total-timesteps 36000 --hold-verdict settled)
 
 # 15 to 30 minutes on two cores; `make bench-peers` and so on for a part. `make bench OUT=docs/data`
@@ -89,7 +89,7 @@ bench-%: $(DEVELOPMENT)
 TO_GIF := fps=25/3,scale=iw*2/3:-1:flags=area,split[a][b];[a]palettegen[p];[b][p]paletteuse=dither=none
 film: $(DEVELOPMENT)
 	mkdir -p build
-	$(BIN)/tactilerl render examples/policies/handover_touch examples/policies/handover_blind \
+	$(BIN)/tactilerl render examples/policies/handover_touch examples/policies/handover_no_touch \
 		--hold-seconds 0.5 --azimuth 160 --elevation -10 --video build/film.mp4
 	ffmpeg -v error -y -i build/film.mp4 -vf "$(TO_GIF)" docs/images/handover.gif
 

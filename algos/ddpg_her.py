@@ -2,8 +2,8 @@
 
 Read from top to bottom: the choices, what it computes, the learner. The order of operations is OpenAI
 baselines' (baselines/her), which the paper used through Melnik et al. 2021: an epoch is `n_cycles`
-times {episodes, normaliser, `n_batches` updates, one move of the target networks}, then test episodes
-without noise.
+times {episodes, normaliser, `n_batches` updates, one move of the target networks or more}, then test
+episodes without noise.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ class DDPGHERConfig:
     hidden: tuple[int, ...] = (256, 256, 256)
     """Units of each hidden layer, actor and critic alike."""
     actor_lr: Positive32 = 1e-3
-    """Adam step size of the actor."""
+    """Learning rate of the actor (Adam)."""
     critic_lr: Positive32 = 1e-3
-    """Adam step size of the critic."""
+    """Learning rate of the critic (Adam)."""
     buffer_size: Count = 1_000_000
     """Transitions in the replay buffer of each process."""
     anneal_lr: bool = False
-    """Decay both step sizes linearly to zero over the run."""
+    """Decay both learning rates linearly to zero over the run."""
     anneal_noise: bool = False
     """Decay --noise-eps and --random-eps linearly to zero over the run."""
     anneal_action_l2: bool = False
@@ -84,15 +84,15 @@ class DDPGHERConfig:
     reduction: Literal["sum", "mean"] = "sum"
     """How the gradients of several processes are combined (source: sum)."""
     clip_target: bool = True
-    """Clip value targets to the range of possible returns: from -1/(1 - gamma) to 0 (source),
-    wider once rewards below -1 or above 0 are seen."""
+    """Clip value targets to the range of possible returns: from -1/(1 - gamma) to 0 (source), wider
+    once rewards below -1 or above 0 are seen; with --normalise-rewards, by all rewards so far."""
     termination: Literal["bootstrap", "terminal"] = "bootstrap"
     """How the end of an episode by termination is treated. bootstrap: the target network's value
     is added, since the source has no done mask; terminal: it is not."""
     normalise_rewards: bool = False
     """Divide rewards by a running scale, so that the largest return so far counts as much as that of a
-    reward of 1 in every step. Whatever unit rewards have, --action-l2 and the step sizes then mean the
-    same; rewards of -1 and 0 stay as they are."""
+    reward of 1 in every step. Whatever unit rewards have, --action-l2 and the learning rates then mean
+    the same; rewards of -1 and 0 stay as they are."""
 
     @property
     def anneals(self) -> bool:
@@ -197,12 +197,12 @@ class DDPGHER(Learner):
         n_goal, n_privileged = goal_size(space), flat_size(self.spaces.privileged)
         if not (steps := workers.max_episode_steps):
             raise ValueError("max_episode_steps: found none, allowed environments with a limit")
-        self.gamma = 1.0 - 1.0 / steps if config.gamma is None else config.gamma
+        gamma = 1.0 - 1.0 / steps if config.gamma is None else config.gamma
         goals: Any = space["desired_goal"]  # type: ignore[index]
         is_single = np.array_equal(goals.low, goals.high)  # then it is its own hindsight
         her = 0.0 if is_single else REPLAY_P
-        self.replay_p = her if config.replay_p is None else config.replay_p
-        self.config = dataclasses.replace(config, gamma=self.gamma, replay_p=self.replay_p)
+        replay_p = her if config.replay_p is None else config.replay_p
+        self.config = dataclasses.replace(config, gamma=gamma, replay_p=replay_p)
         self.actor = new_actor(config.hidden, self.spaces, generator).to(self.device)
         n_inputs = self._n_obs + n_privileged + n_actions
         names = self.spaces.inputs(PRIVILEGED, "action")
@@ -262,9 +262,9 @@ class DDPGHER(Learner):
         stats = summary(episodes, self.comm)
         self.env_steps += int(stats.pop("steps"))
         usable = [episode for episode in episodes if len(episode)]
-        self._largest = max(largest_return(episode.rewards, self.gamma) for episode in usable)
+        self._largest = max(largest_return(episode.rewards, config.gamma) for episode in usable)
         slots = self.replay.store(usable)
-        batch = self.replay.sample(sum(map(len, usable)), self.replay_p, slots)
+        batch = self.replay.sample(sum(map(len, usable)), config.replay_p, slots)
         for name in ("obs", "goal", "privileged"):
             values = getattr(batch, name).clip(-config.clip_obs, config.clip_obs)
             getattr(self, f"{name}_stats").update(values)
@@ -288,7 +288,7 @@ class DDPGHER(Learner):
         at once.
         """
         config, n = self.config, self.config.n_batches
-        drawn = self.replay.sample(n * config.batch_size, self.replay_p)
+        drawn = self.replay.sample(n * config.batch_size, config.replay_p)
         self._update_reward_scale(drawn.reward)
         sums = torch.zeros(3, device=self.device)
         rows = config.batch_size * (config.target_update_interval or n)
@@ -298,10 +298,11 @@ class DDPGHER(Learner):
                 sums += self._minibatch(*batch)
             self._target_vector.lerp_(self.adam.vector.detach(), 1.0 - config.polyak)
         self.updates += n
-        self._require_finite(sums, self.adam)
+        means = self.comm.sum((sums / n).cpu().double().numpy()) / self.comm.size
+        self._require_finite(torch.from_numpy(means), self.adam)
         if self.updates % CHECK_EVERY < n:
             self._require_same(self.adam.vector)
-        critic_loss, actor_loss, value = (sums / n).tolist()
+        critic_loss, actor_loss, value = means.tolist()
         learned = {"critic_loss": critic_loss, "actor_loss": actor_loss}
         return {**learned, "mean_q": value * (self.reward_scale or 1.0), "updates": n}
 
@@ -317,7 +318,7 @@ class DDPGHER(Learner):
         self.worst, self.best = float(max(worst)), float(max(best))
         if not self.config.normalise_rewards:
             return
-        of_ones = largest_return([1.0] * self.replay.max_steps, self.gamma)
+        of_ones = largest_return([1.0] * self.replay.max_steps, self.config.gamma)
         scale = float(max(self.worst, self.best, *largest)) / of_ones
         if scale > self.reward_scale:
             for critic in (self.critic, self.target_critic):
@@ -348,7 +349,7 @@ class DDPGHER(Learner):
         terminal = batch.terminal * (config.termination == "terminal")
         scale = self.reward_scale or 1.0
         span = (-self.worst / scale, self.best / scale) if config.clip_target else None
-        target = td_targets(batch.reward / scale, next_values, terminal, self.gamma, span)
+        target = td_targets(batch.reward / scale, next_values, terminal, config.gamma, span)
         return inputs, batch.action, target
 
     def _minibatch(self, inputs: Tensor, actions: Tensor, target: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""All of MPI: who am I, and how to average, gather and agree.
+"""All of MPI: who am I, and how to sum, gather and agree.
 
 mpi4py is imported only under an MPI launcher, so that nobody else needs it.
 """

@@ -199,8 +199,8 @@ class FlatAdam:
             torch.set_flush_denormal(before)  # whoever steps physics must not notice
 
     def state_dict(self) -> dict[str, Any]:
-        """Moments (n,) and steps (modules,). The parameters belong to the modules, step sizes and
-        eps to the configuration."""
+        """Moments (n,) and steps (modules,). The parameters belong to the modules, step sizes to
+        the configuration."""
         return {"steps": self._steps, **self._moments}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:

@@ -80,8 +80,8 @@ class Normalizer:
         return Scaling(high_, low, scale, self.clip)
 
     def state_dict(self) -> dict[str, Any]:
-        moments = {"mean": self.mean, "squares": self._squares}
-        return {"count": self.count, **{k: torch.tensor(v) for k, v in moments.items()}}
+        mean, squares = torch.tensor(self.mean), torch.tensor(self._squares)
+        return {"count": self.count, "mean": mean, "squares": squares}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         self.count = float(state["count"])

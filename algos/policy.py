@@ -16,13 +16,7 @@ from . import Array, UnfitError
 from .mpi import Communicator
 from .networks import MLP
 from .normalizer import Normalizer, Scaling
-from .spaces import (
-    Spaces,
-    action_bounds,
-    action_size,
-    flat_size,
-    may_be_boolean,
-)
+from .spaces import Spaces, action_bounds, action_size, flat_size, may_be_boolean
 
 FLOAT32_MAX = float(np.finfo(np.float32).max)
 Noise = Callable[[Array, np.random.Generator], Array]

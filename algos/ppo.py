@@ -38,9 +38,9 @@ class PPOConfig:
     hidden: tuple[int, ...] = (256, 256, 256)
     """Units of each hidden layer, actor and critic alike."""
     actor_lr: Positive32 = 3e-4
-    """Adam step size of the actor."""
+    """Learning rate of the actor (Adam)."""
     critic_lr: Positive32 = 1e-3
-    """Adam step size of the critic."""
+    """Learning rate of the critic (Adam)."""
     action_variance: Positive32 = 0.05
     """Variance of the Gaussian policy in every action dimension, in units where the bounds are ±1."""
     gamma: Fraction = 0.99
@@ -50,15 +50,16 @@ class PPOConfig:
     clip_range: Positive32 = 0.2
     """Clip range of the probability ratio."""
     steps_per_epoch: Count = 1000
-    """Least number of environment steps per epoch, over all processes; episodes are played to
-    their end. Also --n-steps."""
+    """Minimum number of environment steps per epoch, over all processes; episodes are played to
+    their end. (Stable-Baselines3: n_steps.)"""
     n_passes: Count = 80
-    """Passes over the batch per epoch (paper: updates per epoch). Also --n-epochs."""
+    """Passes over the batch per epoch (paper: updates per epoch; Stable-Baselines3: n_epochs)."""
     n_minibatches: Count | None = None
     """Minibatches per pass; default: 6, unless --minibatch-size is given. The paper says
     "minibatch size: 6"; its source uses 6 as their number."""
     minibatch_size: Count | None = None
-    """Transitions per minibatch, instead of --n-minibatches. Also --batch-size."""
+    """Minimum number of transitions per minibatch, instead of --n-minibatches; all are about as large.
+    (Stable-Baselines3: batch_size.)"""
     max_grad_norm: Positive32 = 0.5
     """Largest norm of the gradient, clipped separately for actor and critic."""
     exploration: Literal["fixed", "learned"] = "fixed"
@@ -74,7 +75,7 @@ class PPOConfig:
     """How a time limit is treated. bootstrap: the return continues with the critic's value of the last
     observation; terminal: the return ends. In the paper's task a time-out is a failure, with -100."""
     anneal_lr: bool = False
-    """Decay both step sizes linearly to zero over the run (in the source, not in the paper)."""
+    """Decay both learning rates linearly to zero over the run (in the source, not in the paper)."""
     target_kl: Positive32 | None = None
     """Stop an epoch's passes when the KL divergence from the old policy exceeds this (in the source,
     not in the paper)."""
@@ -162,7 +163,8 @@ class Surrogate(NamedTuple):
 def surrogate(log_ratio: Tensor, advantages: Tensor, clip_range: float) -> Surrogate:
     """Schulman et al. 2017, eq. 7, from log ratios and advantages (n,).
 
-    Log ratios are cut at ±20 first: no minimum changes, and an overflow cannot happen.
+    Log ratios are cut at ±20 first, so that nothing overflows. That is far outside any clip range; what
+    lies beyond has no gradient.
     """
     ratio = log_ratio.clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO).exp()
     clipped = ratio.clamp(1 - clip_range, 1 + clip_range)
@@ -305,7 +307,7 @@ class PPO(Learner):
 
     def _total(self, stats: Tensor) -> Array:
         """The sums over all ranks."""
-        return self.comm.sum(stats.double().cpu().numpy())
+        return self.comm.sum(stats.cpu().double().numpy())
 
     def _update_actor(self, minibatch: Transitions) -> Tensor:
         """One step along the gradient of the whole minibatch; this rank's part of policy loss, KL
@@ -340,7 +342,7 @@ class PPO(Learner):
         )
         all_obs = torch.cat([_inputs(config, stats).stack(views) for stats, views in parts], dim=1)
         all_obs = all_obs.to(self.device)
-        all_values = self.critic(all_obs).squeeze(-1).double().cpu().numpy()
+        all_values = self.critic(all_obs).squeeze(-1).cpu().double().numpy()
         is_last = np.concatenate([[False] * len(e) + [True] for e in episodes])
         by_episode = np.split(all_values, np.flatnonzero(is_last)[:-1] + 1)
         advantages = []

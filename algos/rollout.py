@@ -40,7 +40,7 @@ class Episode(Generic[Obs]):
     rewards: list[float] = field(default_factory=list)
     terminated: bool = False
     success: float = math.nan
-    """1 or 0 at the end; nan where the environment does not say. 0 where it diverged."""
+    """1 or 0 at the end; nan where the environment does not say. 0 where ours diverged."""
     held: int = 0
     """Steps for which success had stood by the end."""
     faults: dict[str, int] = field(default_factory=lambda: dict.fromkeys(FAULTS, 0))

@@ -5,6 +5,8 @@ python -m benchmarks figures
 
 from __future__ import annotations
 
+import textwrap
+from collections.abc import Sequence
 from typing import Any
 
 import matplotlib
@@ -25,7 +27,7 @@ from tactilerl.study import figures as study_figures
 from tactilerl.study.analysis import analyse
 from tactilerl.style import ARMS, DPI, HEAD, INK, NAMES, OTHERS, STYLE
 
-IMAGES = DOCS / "images"
+IMAGES, FOUR = DOCS / "images", str(DOCS / "data/chosen/anywhere_4.toml")
 SETTING, SHIPPED = OTHERS[:2]
 # Collected study: its set-ups whose curves are drawn, and the pictures.
 STUDIES = {
@@ -118,18 +120,22 @@ def fault_curves() -> None:
     save(figure, "study_faults")
 
 
-def layouts_unrolled() -> None:
-    """The paper's six, on the Shadow Hand."""
-    hand, height = hands.get("shadow"), 900
-    figure, grid = plt.subplots(2, 3, figsize=(7.4, 6.4), layout="constrained")
-    for axes, name in zip(grid.flat, layouts.PAPER, strict=True):
+def unrolled(picture: str, hand: str, names: Sequence[str], rows: int, title: str) -> None:
+    """Some layouts on a hand."""
+    columns = len(names) // rows
+    size = 7.4 / 3 * columns, 3.2 * rows
+    figure, grid = plt.subplots(rows, columns, figsize=size, layout="constrained")
+    for axes, name in zip(grid.flat, names, strict=True):
         layout = layouts.load(name)
-        taxels = layout.place(hand)
-        axes.imshow(TaxelMap(hand, taxels, height).picture(np.zeros(len(taxels), bool)))
-        axes.set_title(f"layout {name}, {len(taxels)} taxels\n{layout.description}", fontsize="medium")
+        taxels = layout.place(hands.get(hand))
+        drawn = TaxelMap(hands.get(hand), taxels, height=900)
+        axes.imshow(drawn.picture(np.zeros(len(taxels), bool)))
+        about = textwrap.fill(layout.description, 34)
+        named = "chosen" if name == FOUR else f"layout {name}"
+        axes.set_title(f"{named}, {len(taxels)} taxels\n{about}", fontsize="medium")
         axes.axis("off")
-    figure.suptitle("Shadow Hand: the paper's six layouts", **HEAD)
-    save(figure, "layouts")
+    figure.suptitle(title, **HEAD)
+    save(figure, picture)
 
 
 def save(figure: plt.Figure, name: str) -> None:
@@ -144,7 +150,8 @@ def main() -> None:
     probes = data("probe")
     with matplotlib.rc_context(STYLE):
         speed_against_error()
-        layouts_unrolled()
+        unrolled("layouts", "shadow", [*layouts.PAPER], 2, "Shadow Hand: the paper's six layouts")
+        unrolled("design_places", "mpl", [FOUR, "1"], 1, "MPL hand: where arrivals are felt")
         fault_curves()
         study_tables.draw(IMAGES)
         if setups_study.IS_THERE:

@@ -32,7 +32,7 @@ from .tasks import TaskConfig
 
 LIMIT = 1e6  # observations beyond this are a broken simulation
 EJECTED = 10.0  # m/s, of the object during an action: twice what random actions ever throw it at
-JITTER_JOINT = 0.02  # rad, of every finger joint, within its range
+JITTER_JOINT = 0.02  # rad, of every joint but the slides, within its range
 READS = ("on", "shuffled")  # touch, where the policy is told something by it
 LIT, DARK = (1.0, 0.85, 0.0, 1.0), (0.05, 0.25, 0.9, 1.0)  # of taxels in pictures
 LIT_SCALE = 2.0  # a taxel that fires is drawn larger: between hand and object it is hard to see
@@ -48,14 +48,15 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
     simulator: str = "mujoco"
     """Physics engine: mujoco or pybullet (extra: pybullet)."""
     layout: str = "2"
-    """Where the taxels (touch sensors) are: 1 to 6 (paper, Fig. 2), a named design, or a .toml file."""
+    """Where the taxels (touch sensors) are: 1 to 6 (paper, Fig. 2), smarthand, zhang or abbass (other
+    publications), model (the hand's own), or a .toml file."""
     touch: Literal["on", "off", "absent", "shuffled"] = "on"
     """on: taxels read contact; off: all read zero, the paper's control; absent: the observation has no
-    taxels; shuffled: they read what they felt at the same step of the episode before, which began
-    elsewhere."""
+    taxels; shuffled: they read what they felt at the same step of the previous episode, which had
+    another start."""
     touch_rule: str = "skin"
     """When a taxel fires. skin: its sphere overlaps the object, which touches the skin there; contact:
-    a contact point of the simulator lies in its sphere (paper); force: the taxel reads the normal
+    a contact of the simulator meets its sphere (paper); force: the taxel reads the normal
     force, N. See docs/concepts/touch.md."""
     actions: Literal["all", "fingers", "grip"] = "all"
     """all: every joint and slide of the hand (paper); fingers: the slides stand still, and groups of

@@ -142,7 +142,7 @@ class Layout:
 
     def __str__(self) -> str:
         """What stands for it in a configuration, where a name or a path usually does."""
-        return self.toml()
+        return self.name if self.name in (*PAPER, MODEL) else self.toml()
 
     def toml(self) -> str:
         """The text of a layout file, exact to the last digit."""

@@ -94,8 +94,9 @@ class Items:
         self.vary = len(self._kinds) > 1 or any(low < high for low, high in ranges)
         largest = [make(kind, tuple(high for _, high in self._sizes)) for kind in self._kinds]
         self.width, self.height = (max(getattr(s, of) for s in largest) for of in ("width", "height"))
+        """Of the widest and of the highest object, m."""
         self.smallest = min(low for low, _ in self._sizes)
-        """Of all measures, m; `width` is of the widest, `height` of the highest."""
+        """Of all measures, m."""
         self.first = Item(largest[0], self._density[1], self._friction[1])
         """The largest of the first kind; the only one where they do not vary."""
 

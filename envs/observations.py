@@ -1,8 +1,8 @@
 """What the policy observes: terms, sight, joint angles, taxels with their faults, history.
 
-One small object a concern. Each is a `Stage` that a reading passes on its way: it is begun with every
-episode and a generator of its own, so that what one draws moves nothing that another draws. Goals
-and rewards never pass here: they keep the state.
+One small object a concern, begun with every episode. Sight, joints and taxels each have a generator of
+their own, so that what one draws moves nothing that another draws; a taxel's reading passes one `Stage`
+after another. Goals and rewards never pass here: they keep the state.
 """
 
 from __future__ import annotations
@@ -64,9 +64,10 @@ class SensorConfig(TaxelFaults):
     slide_noise_held: Metres = 0.0
     """Like --joint-noise-held, for the slides, m."""
     taxel_delay: Annotated[int, "[0, 10000]"] = 0
-    """Delay of the taxel readings, in control steps. Of an episode's length: only its start is read."""
+    """Delay of the taxel readings, in control steps. If it is longer than the episode, the reading at
+    its start is repeated throughout."""
     hand_seed: Annotated[int, "[0, 4294967295]"] | None = None
-    """Random seed that decides which taxels are broken; default: the run's seed."""
+    """Random seed that decides which taxels are broken; default: the run's seed, or 0 without a run."""
 
 
 @dataclass(frozen=True)
@@ -259,12 +260,12 @@ class EpisodeBefore(Stage):
     """
 
     def __init__(self, n: int) -> None:
-        self.latest, self._now = np.zeros(n), list[Array]()
+        self.latest = np.zeros(n)
         self.forget()
 
     def forget(self) -> None:
         """There was none."""
-        self._now = []
+        self._now: list[Array] = []
 
     def begin(self, rng: np.random.Generator) -> None:
         self._before, self._now = self._now, []

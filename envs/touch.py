@@ -87,7 +87,7 @@ class Rule(Protocol):
     def __init__(self, taxels: Taxels, hand: Hand) -> None: ...
 
     def read(self, state: State) -> Array:
-        """(..., n_taxels) what the taxels feel of the object."""
+        """(..., n_taxels) what the taxels feel."""
 
 
 class SkinTouch(Rule):

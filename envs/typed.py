@@ -85,17 +85,24 @@ def require_type(value: Any, hint: Any, name: str) -> None:
         if allowed := choices(hint):
             raise ValueError(f"{name}: found {value!r}, allowed: {', '.join(allowed)}") from None
         raise ValueError(f"{name}: found {_short(value)}, allowed {words(hint)}") from None
-    for item in value if isinstance(value, tuple) else (value,):
+    items = value if isinstance(value, tuple) else (value,)
+    for item, own in zip(items, _of_items(hint, len(items)), strict=True):
         if isinstance(item, str) and "\0" in item:
             raise ValueError(f"{name}: found {item[:50]!r}, allowed no character 0")
-        if isinstance(item, bool) and bool not in parts(hint):
+        if isinstance(item, bool) and bool not in parts(own):
             raise ValueError(f"{name}: found {item}, expected a number")
         if isinstance(item, int) and abs(item) >= LARGEST:
             raise ValueError(f"{name}: found a number of {item.bit_length()} bits, allowed up to 63")
-        for part in parts(hint) if isinstance(item, int | float) else ():
+        for part in parts(own) if isinstance(item, int | float) else ():
             for interval in getattr(part, "__metadata__", ()):
                 if isinstance(interval, str):
                     _require_within(item, interval, name)
+
+
+def _of_items(hint: Any, n: int) -> tuple[Any, ...]:
+    """The types of the `n` items of a tuple, each its own where the type says so."""
+    tuples = (get_args(part) for part in parts(hint) if get_origin(part) is tuple)
+    return next((own for own in tuples if len(own) == n and ... not in own), (hint,) * n)
 
 
 def _require_within(value: float, interval: str, name: str) -> None:

@@ -83,7 +83,9 @@ class Learner:
             typed.validate(part)
         self._comm, self._epoch = Communicator(), 0
         start = partial(_start, env, workers, threads)
-        self._learner, self._workers = training.start_learner(self._run, self.config, start, self._comm)
+        with _threads(threads):  # which what computes beside it takes over
+            started = training.start_learner(self._run, self.config, start, self._comm)
+        self._learner, self._workers = started
 
     @property
     def env_steps(self) -> int:

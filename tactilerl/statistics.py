@@ -24,11 +24,10 @@ METRICS: tuple[Metric, ...] = ("median", "iqm", "mean")
 
 CONFIDENCE = 0.95
 N_RESAMPLES = 50_000  # as the paper's learning curves have them
-FEWEST_PAIRS = 6  # two-sided, five cannot fall below 0.05
 N_BINS = 50  # of the histogram behind the converged rate
 TAIL = 0.1  # share of a run's points that count as its end
 TRIM = 0.25  # the IQM leaves out this share of the runs at each end
-FEW_RUNS = 10  # below this an interval is too narrow: docs/statistics.md has the measured coverage
+FEW_RUNS = 10  # below this a percentile interval is too narrow: docs/statistics.md has the coverage
 
 
 class Estimate(NamedTuple):
@@ -214,6 +213,11 @@ def sign_flips(n: int, rng: np.random.Generator, n_resamples: int = N_RESAMPLES)
     return signs
 
 
+def fewest_pairs(alpha: float) -> int:
+    """Pairs with which a two-sided sign-flip test can fall to `alpha`: 6 for 0.05."""
+    return math.ceil(1 - math.log2(alpha))
+
+
 def sign_flip_p(differences: Array, rng: np.random.Generator, n_resamples: int = N_RESAMPLES) -> float:
     """Two-sided p-value of a mean difference (pairs,) when the labels are exchanged within pairs
     (Fisher 1935).
@@ -273,7 +277,9 @@ def sequential_sign_flips(
 
 
 def bootstrap_p(distribution: Array) -> float:
-    """Two-sided p-value of a difference from 0, from its bootstrap distribution (n_resamples,)."""
+    """Two-sided p-value of a difference from 0, from its bootstrap distribution (n_resamples,).
+    Resamples without a number are left out."""
+    distribution = distribution[np.isfinite(distribution)]
     n = len(distribution)
     one_sided = min(int((distribution <= 0).sum()), int((distribution >= 0).sum()))
     return min(1.0, 2 * (one_sided + 1) / (n + 1))

@@ -218,6 +218,12 @@ class TestLearner:
         tactilerl.PPO("lqr", **PPO).learn(1, callback=lambda row: torch.get_num_threads() == 1 or 1 / 0)
         assert torch.get_num_threads() == 2
 
+    def test_what_computes_beside_has_them_too(self):
+        """Or results would depend on the workers."""
+        torch.set_num_threads(2)
+        learner = tactilerl.PPO("lqr", workers=2, **PPO)._learner
+        assert learner.side_by_side(int, torch.get_num_threads)[1] == 1
+
 
 class TestTrain:
     def test_makes_and_goes_on_with_a_run_folder(self, capsys):

@@ -114,7 +114,7 @@ def test_flags_in_prose_exist():
     commands += [("study", part) for part in ("run", "status", "plan", "compare", "collect", "report")]
     known = {flag for command in commands for flag in re.findall(r"--[\w-]+", help_of(*command))}
     others = {"--oversubscribe", "--hostfile", "--bind-to", "--mpi"}  # of MPI and Slurm
-    others |= {"--version", "--help-all"}
+    others |= {"--version", "--help-all", "--logdir"}  # the last is TensorBoard's
     for page in READ:
         spans = (span for span in re.findall(r"`([^`]+)`", prose(page)) if "python " not in span)
         flags = {flag for span in spans for flag in re.findall(r"(?<![\w-])--[a-z][\w-]*", span)}
@@ -233,7 +233,7 @@ def test_readme_has_the_rates_of_the_study():
         re.search(rf"^\| {arm} \|.*\| ([\d.]+) \([^)]*\) \|$", study, re.MULTILINE).group(1)
         for arm in ("touch", "no touch")
     ]
-    sentence = "hands with touch end at a mean success rate of {}, and hands without touch at {}."
+    sentence = "policies with touch end at a mean success rate of {}, and those without at {}."
     assert sentence.format(*rates) in " ".join((ROOT / "README.md").read_text().split())
 
 

@@ -105,7 +105,7 @@ def test_what_an_installed_package_promises_and_does_not_have_is_one_line(capsys
 def test_the_cup_of_the_example_breaks_when_it_is_pressed(capsys):
     found = printed(capsys, ["gate", *CUP, "--starts", "4", "--search", "1", "--json"])
     rates = {row["name"]: row["rate"] for row in json.loads(found)["reflexes"]}
-    assert rates["touch"] > 0.7 > rates["blind"]
+    assert rates["touch"] > 0.7 > rates["timed"]
     env = tactilerl.make(scene=CUP[-1], finger_gain=1.0)
     env.reset(seed=0)
     forces, over = [], False

@@ -98,6 +98,12 @@ def test_holm():
     assert len(s.holm([])) == 0
 
 
+def test_resamples_without_a_number_are_no_evidence():
+    drawn = np.random.default_rng(0).normal(size=999)
+    assert s.bootstrap_p(np.append(drawn, [np.nan] * 2000)) == s.bootstrap_p(drawn)
+    assert s.bootstrap_p(np.full(9, np.nan)) == 1.0
+
+
 class TestPairs:
     @pytest.mark.parametrize("n", [2, 3, 6, 16])
     def test_sign_flips_are_scipys_exact_test(self, rng, n):

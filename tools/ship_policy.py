@@ -21,7 +21,7 @@ from tactilerl.runs.run_dir import FORMAT, RunDir
 def ship(run: Path, folder: Path) -> None:
     """Write `folder`, anew where it holds such a policy; InputError where it holds anything else."""
     source, target = RunDir(run), RunDir(folder)
-    config, _ = source.read_config()
+    config = source.read_config()
     data = checkpoint.read(source, config)
     parts = (*algos.get(config.run.algo)[1].policy_parts, "env_steps")
     state = {name: data["ranks"][0][name] for name in parts}

@@ -24,12 +24,13 @@ from benchmarks.studies.coverage import difference
 from tactilerl import statistics
 from tactilerl.statistics import CONFIDENCE, METRICS, Array, Estimate, Metric
 from tactilerl.study import figures, records, tables
-from tactilerl.study.analysis import SetupResult, analyse
+from tactilerl.study.analysis import Group, SetupResult, analyse
 from tactilerl.study.figures import Picture
 from tactilerl.study.summary import subject
 from tactilerl.study.tables import Table, number, shown
 from tactilerl.style import FAINT, INK
 
+ALPHA = 0.05  # of the tests whose power is estimated
 HEADINGS: dict[str, Metric] = {"Mean": "mean", "IQM": "iqm", "Median of runs": "median"}
 LABELS = {"median": "median of runs", "iqm": "IQM", "mean": "mean"}
 
@@ -65,12 +66,12 @@ def published(config: dict[str, Any]) -> Published | None:
     return None
 
 
-def power(treatment: Estimate, control: Estimate, alpha: float = 0.05) -> float:
+def power(treatment: Estimate, control: Estimate) -> float:
     """Power of a z test to find the difference of two published means again, from their intervals."""
     to_error = 2 * scipy.stats.norm.isf((1 - CONFIDENCE) / 2)
     errors = [(one.high - one.low) / to_error for one in (treatment, control)]
     shift = abs(treatment.value - control.value) / math.hypot(*errors)
-    critical = scipy.stats.norm.isf(alpha / 2)
+    critical = scipy.stats.norm.isf(ALPHA / 2)
     return float(scipy.stats.norm.cdf(shift - critical) + scipy.stats.norm.cdf(-critical - shift))
 
 
@@ -96,6 +97,10 @@ def probability_of_improvement(
     return Estimate(float(wins.mean()), *statistics.percentile_interval(shares / wins.size))
 
 
+def _estimate(group: Group, metric: Metric) -> Estimate:
+    return statistics.estimate(group.scores["converged"], metric, group.counts)
+
+
 def converged(one: SetupResult, paper: Published | None) -> Table:
     """The paper's Tables 1 and 2: converged success rates of every group, beside the paper's."""
     rows = []
@@ -103,7 +108,7 @@ def converged(one: SetupResult, paper: Published | None) -> Table:
         cell, arm = place
         row = {"Config.": cell, "Type": one.setup.label(arm), "Runs": str(len(group))}
         for heading, metric in HEADINGS.items():
-            row[heading] = shown(group.estimate(metric, "converged"))
+            row[heading] = shown(_estimate(group, metric))
         if paper:
             theirs = paper.estimates.get(place)
             row["Paper: mean"] = shown(theirs["mean"]) if theirs else "–"
@@ -143,7 +148,7 @@ def _converged_of(one: SetupResult, paper: Published | None, name: str, axes: Ax
         label = "a run" * is_first
         axes.plot(group.scores["converged"], place, ".", color=FAINT, ms=4, label=label)
         for at, metric in enumerate(reversed(METRICS)):
-            estimate = group.estimate(metric, "converged")
+            estimate = _estimate(group, metric)
             label = LABELS[metric] * is_first
             figures.bar(axes, row - 0.15 + 0.15 * at, estimate, colour, "Dos"[at], label)
         theirs = paper and paper.estimates.get((cell, name))
@@ -161,7 +166,7 @@ def comparisons(one: SetupResult, paper: Published | None) -> Table:
         both = [one.groups[cell, arm] for arm in one.setup.arms[:2]]
         a, b = (group.scores["converged"] for group in both)
         drawn = both[0].counts, both[1].counts
-        bounds = [group.estimate("iqm", "converged")[1:] for group in both]
+        bounds = [_estimate(group, "iqm")[1:] for group in both]
         row = {"Config.": cell, "Runs": " / ".join(str(len(group)) for group in both)}
         row["Difference of IQMs"] = shown(difference(a, b, "iqm", drawn), 3)
         row["Overlap of CIs"] = _percent(interval_overlap(*bounds))

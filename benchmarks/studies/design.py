@@ -49,7 +49,7 @@ def chosen(scene: str, n: int, test: int = 2, **choices: Any) -> candidates.Desi
 
 
 def reflexes(env: str, scene: str, layout: str, n: int) -> tuple[gate.Found, np.ndarray]:
-    """The gate's touch reflex with a layout, and in which of the starts it succeeds (n,)."""
+    """The gate's scripted hand with touch and a layout, and in which of the starts it succeeds (n,)."""
     config = setup(env, **{**scenes.load(scene).on(env), "layout": layout})
     workers = free_cores()
     (found,) = gate.examine(env, config, n, 20, SEED, workers, senses=("touch",))
@@ -60,7 +60,7 @@ def reflexes(env: str, scene: str, layout: str, n: int) -> tuple[gate.Found, np.
 
 
 def goals() -> dict[str, Any]:
-    """Few taxels in each handover, on unseen starts, and the gate's touch reflex with them."""
+    """Few taxels in each handover, on unseen starts, and what the gate says of them."""
     rows = []
     for scene, n, test in GOALS:
         made = chosen(scene, n, test)
@@ -80,7 +80,7 @@ def show_goals(result: dict[str, Any]) -> None:
     """As Markdown."""
     print("\n### Chosen taxels, in unseen starts\n")
     signed = partial(interval, form="+.2f", to=" to ")
-    head = "| scene | taxels | felt | − layout 1 | gate's touch reflex | − layout 1 |"
+    head = "| scene | taxels | felt | − layout 1 | scripted hand with touch | − layout 1 |"
     markdown(
         head,
         (

@@ -12,8 +12,8 @@ import numpy as np
 
 from benchmarks.command import DATA, data
 from benchmarks.printing import markdown
-from benchmarks.studies.agreement import rank_agreement
-from benchmarks.studies.study_tables import estimate, load, mean
+from benchmarks.studies.agreement import predicts_order
+from benchmarks.studies.study_tables import estimate, in_common, load, mean
 from tactilerl import statistics
 from tactilerl.study import verdicts
 from tactilerl.study.verdicts import BySeed
@@ -21,7 +21,6 @@ from tactilerl.study.verdicts import BySeed
 STUDIES = {"ppo": "design", "ddpg_her": "design_ddpg_her"}
 SKIN, PAPER = "the dense skin", "layout 1"
 FILE = re.compile(r"docs/data/chosen/(?:[a-z]+_)?anywhere_(.+)\.toml")
-N_RESAMPLES = 10_000
 Row = tuple[object, ...]
 
 
@@ -96,16 +95,10 @@ def show_order() -> None:
     rows: list[Row] = []
     for name, baseline in baselines().items():
         shared = [layout for layout in finals if layout in baseline]
-        runs = [np.array([*finals[layout].values()]) for layout in shared]
-        counts = [verdicts.resamples(len(one), N_RESAMPLES) for one in runs]
-        drawn = np.array(
-            [statistics.bootstrap(x, "mean", n) for x, n in zip(runs, counts, strict=True)]
-        )
+        _, runs = in_common([finals[layout] for layout in shared])
         scripted = np.array([baseline[layout] for layout in shared])
-        means = np.array([one.mean() for one in runs])
-        same = np.broadcast_to(scripted[:, None], drawn.shape)
-        order = rank_agreement(np.array([scripted, means]), np.array([same, drawn]))
-        gap = np.abs(scripted - means)
+        order = predicts_order(scripted, runs)
+        gap = np.abs(scripted - runs.mean(axis=1))
         rows.append(
             (name, len(shared), estimate(order, ".2f"), f"{gap.mean():.2f}", f"{gap.max():.2f}")
         )

@@ -13,7 +13,6 @@ from typing import Any
 
 from benchmarks.command import count, earlier, parser, write
 from benchmarks.printing import interval, markdown
-from tactilerl.algos.mpi import Communicator
 from tactilerl.envs import scenes, tasks
 from tactilerl.envs.grasp import setup
 from tactilerl.probe import gate
@@ -38,7 +37,7 @@ def examine(name: str, starts: int, search: int, senses: tuple[str, ...], **choi
         config = dataclasses.replace(config, **QUICK)
     if config.simulator == "pybullet":  # several times as slow
         starts, search = max(1, starts // 2), max(1, search // 4)
-    found = gate.examine(env, config, starts, search, 0, free_cores(Communicator()), senses=senses)
+    found = gate.examine(env, config, starts, search, 0, free_cores(), senses=senses)
     rates = {each.name: dataclasses.asdict(each) for each in found}
     whole = {"gate": gate.verdict(found)} if set(rates) >= {"touch", "sighted"} else {}
     return {"scene": name, "env": env, "choices": choices, "reflexes": rates, **whole}

@@ -17,7 +17,7 @@ import numpy as np
 import scipy.stats
 from matplotlib.figure import Figure
 
-from benchmarks.command import DATA, data, no_flags
+from benchmarks.command import DATA, data
 from benchmarks.printing import markdown
 from benchmarks.studies import agreement
 from benchmarks.studies.design_study import title
@@ -26,6 +26,7 @@ from tactilerl import statistics, style
 from tactilerl.statistics import Array, Estimate
 from tactilerl.study import verdicts
 from tactilerl.study.records import Record
+from tactilerl.study.tables import p_value
 from tactilerl.study.verdicts import BySeed
 
 LAYOUTS = ("layout 1", "layout 2", "layout 5", "8 chosen")
@@ -115,11 +116,6 @@ def show_worth() -> None:
         shown = estimate(Estimate(gain, *test.confidence_interval()), "+.2f")
         rows.append((setup, arms.shape[1], f"{arms[-1].mean():.2f}", shown, p_value(p)))
     markdown("| set-up | seeds | no touch | touch − no touch | p, Holm |", rows)
-
-
-def p_value(p: float) -> str:
-    """As the tables show it."""
-    return "< 0.001" if p < 0.001 else f"{p:.3f}"
 
 
 def show_layouts() -> None:
@@ -253,9 +249,7 @@ def look(setup: SetUp) -> dict[str, Any]:
     }
 
 
-TABLES: dict[str, Callable[[], None]] = {}
-if (DATA / "setups_pilot.tar.gz").exists():
-    TABLES["setups pilot"] = show_pilot
+TABLES = {"setups pilot": show_pilot}
 if IS_THERE:
     TABLES |= {
         "setups worth": show_worth,
@@ -265,10 +259,3 @@ if IS_THERE:
         "setups layouts": show_layouts,
         "setups chosen": show_chosen,
     }
-
-
-def main() -> None:
-    """All tables."""
-    no_flags(__doc__)
-    for show in TABLES.values():
-        show()

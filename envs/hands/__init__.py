@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from .. import plugins, toml_files
-from .hand import DIGITS, SEGMENTS, SLIDES, Hand, LinearAction, Pitch, ScriptedGrasp, Surface
+from .hand import DIGITS, KEPT, SEGMENTS, SLIDES, Hand, LinearAction, Pitch, ScriptedGrasp, Surface
 
-__all__ = ["DIGITS", "SEGMENTS", "SLIDES", "Hand", "LinearAction", "Pitch", "ScriptedGrasp", "Surface"]
+__all__ = [
+    "DIGITS", "KEPT", "SEGMENTS", "SLIDES", "Hand", "LinearAction", "Pitch", "ScriptedGrasp", "Surface",
+]  # fmt: skip
 
 FOLDER, SUFFIX = Path(__file__).parent, ".toml"
-KEPT = ".grasp.toml"
-"""In place of SUFFIX: where a command keeps a grasp that it has found for a file without one."""
 HANDS = ("shadow", "mpl", "allegro")
 """The library's own: each is a file here."""
 OTHERS: dict[str, Any] = {}

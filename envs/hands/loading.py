@@ -19,7 +19,7 @@ from ..choices import require_one_of
 from ..state import Array
 from ..toml_files import interval, number, only, strings, table, vector
 from . import checks, models, mounting, sensors, surfaces
-from .hand import CLOSING_STEP, SLIDES, Hand, LinearAction, ScriptedGrasp, Surface
+from .hand import CLOSING_STEP, KEPT, SLIDES, Hand, LinearAction, ScriptedGrasp, Surface
 from .mounting import Mount
 from .parts import Parts, placed, posed
 from .skins import stand_off
@@ -228,7 +228,7 @@ def _middle(parts: Parts, model: mujoco.MjModel) -> Array:
 
 def _kept(path: Path) -> list[Any]:
     """What a command has found for a file that has no grasp, and kept beside it."""
-    kept = path.with_suffix(".grasp.toml")
+    kept = path.with_suffix(KEPT)
     if not kept.is_file():
         return []
     data = toml_files.read(kept, "grasp file")

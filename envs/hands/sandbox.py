@@ -18,7 +18,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
-from .hand import Hand
+from .hand import KEPT, Hand
 
 CPU_SECONDS, SECONDS = 30, 300
 """Of reading: on a processor, and by the clock, which counts where a file is waited for."""
@@ -54,7 +54,7 @@ def describe(model: str, folder: Path, said: dict[str, Any]) -> tuple[str, list[
 def _state(*files: Path) -> str:
     """Changes when one of the files does, or a grasp is kept beside the first."""
     found = []
-    for path in (*files, files[0].with_suffix(".grasp.toml")):
+    for path in (*files, files[0].with_suffix(KEPT)):
         look = path.stat() if path.exists() else None
         found.append((str(path), look and look.st_size, look and look.st_mtime_ns))
     return json.dumps(found)

@@ -25,8 +25,8 @@ class SimulationError(FloatingPointError):
 class Giver:
     """Brings the object to the hand: holds it by a damped spring and carries its weight.
 
-    The spring's rest point moves at `speed`, so what stands in the way is pressed on more and more
-    softly yielding, and never with more than `force`.
+    The spring's rest point moves at `speed`, so what stands in the way is pressed on harder and harder,
+    but never with more than `force`.
     """
 
     stiffness: float = 80.0

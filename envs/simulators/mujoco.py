@@ -241,12 +241,11 @@ class MujocoSimulator(Simulator):
                 mujoco.mj_step(model, data, n_substeps)
             else:  # only the last substep's readings are looked at
                 off = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
-                if n_substeps > 1:
-                    model.opt.disableflags |= off
-                    try:
-                        mujoco.mj_step(model, data, n_substeps - 1)
-                    finally:
-                        model.opt.disableflags &= ~off
+                model.opt.disableflags |= off
+                try:
+                    mujoco.mj_step(model, data, n_substeps - 1)
+                finally:
+                    model.opt.disableflags &= ~off
                 mujoco.mj_step(model, data, 1)
             # mj_step leaves body poses one substep behind qpos.
             mujoco.mj_kinematics(model, data)
@@ -336,8 +335,8 @@ class MujocoSimulator(Simulator):
         view.lookat[:] = middle if camera.lookat is None else camera.lookat
         view.distance, view.azimuth, view.elevation = camera.distance, camera.azimuth, camera.elevation
         self._renderer.update_scene(self.data, view)
-        self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = camera.shadows
         scene = self._renderer.scene
+        scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = camera.shadows
         add_spheres(scene, spheres)
         return self._renderer.render()
 

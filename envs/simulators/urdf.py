@@ -25,6 +25,7 @@ _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLI
 _JOINTS = {_HINGE: "revolute", _SLIDE: "prismatic"}
 _LOOPS = [int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)]
 _UNLIMITED = 1e9
+_UNMOVED = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
 BULLETS_SKIN = 1e-3  # m: by so much Bullet makes convex hulls from URDF thicker
 
 
@@ -121,13 +122,24 @@ def _add_joints(robot: Element, model: mujoco.MjModel, body: int) -> None:
             child = _link(robot, f"{name} {number}", 0.0, np.zeros(3)).attrib["name"]
         kind = _JOINTS[int(model.jnt_type[index])]
         joint = _joint(robot, model.joint(index).name, kind, parent, child)
-        if number == 0:
-            _origin(joint, model.body_pos[body], model.body_quat[body])
+        at, turned = (model.body_pos[body], model.body_quat[body]) if number == 0 else _UNMOVED
+        if ref := model.qpos0[model.jnt_qposadr[index]]:  # the angle at which MuJoCo's joint is unmoved
+            at, turned = _moved(at, turned, -ref * model.jnt_axis[index], kind)
+        if number == 0 or ref:
+            _origin(joint, at, turned)
         SubElement(joint, "axis", xyz=_text(model.jnt_axis[index]))
         limits = model.jnt_range[index] if model.jnt_limited[index] else (-_UNLIMITED, _UNLIMITED)
         lower, upper = (repr(float(limit)) for limit in limits)
         SubElement(joint, "limit", effort="0", velocity="0", lower=lower, upper=upper)
         parent = child
+
+
+def _moved(position: Array, quaternion: Array, by: Array, kind: str) -> tuple[Array, Array]:
+    """A pose, moved along or turned about an axis of its own."""
+    turn = Rotation.from_quat(quaternion, scalar_first=True)
+    if kind == "prismatic":
+        return position + turn.apply(by), quaternion
+    return position, (turn * Rotation.from_rotvec(by)).as_quat(scalar_first=True)
 
 
 def _joint(robot: Element, name: str, kind: str, parent: str, child: str) -> Element:

@@ -25,8 +25,8 @@ ABOUT = About(
     "Where should a hand's few taxels go? Plays each start of a scene once with a dense skin, chooses "
     "the taxels by which most starts succeed, and judges them on other starts, without training.",
     first=("scene", "env", "simulator", "taxels", "skin", "radius", "only", "leave_out", "keep",
-           "redundancy", "start_closing", "taxel_dead", "false_on", "starts", "test_starts", "seed",
-           "out", "json"),
+           "redundancy", "start_closing", "taxel_dead", "taxel_false_on", "starts", "test_starts",
+           "seed", "out", "json"),
     examples=(
         "tactilerl design --scene handover_anywhere --taxels 4 --out four.toml",
         "tactilerl design --scene handover --taxels 1..12 --only palm --out my_design",
@@ -145,7 +145,7 @@ def _print(found: Design) -> None:
         table.add_row(*cells)
     console.print(table)
     if result.get("hopeless"):
-        console.print(f"{result['hopeless']:.2f} of the starts fail whenever the hand closes")
+        console.print(f"{result['hopeless']:.2f} of the starts fail at whichever touch the hand closes")
     for row in result["rows"]:
         if "chosen_from" in row:
             console.print(_bound(row))

@@ -53,7 +53,7 @@ class EvaluateFlags:
     trust: bool = False
     """Allow that import without repeating the id."""
     touch: Literal["on", "off", "shuffled"] | None = None
-    """Whether the policy is told what its taxels read, as in training; default: the run's."""
+    """What the policy reads of its taxels, as in training; default: the run's."""
     sweep: tuple[str, ...] = ()
     """A sensor flag or touch, and the values to try, such as --sweep taxel-dead 0 0.1 0.2 0.5."""
     json: bool = False
@@ -63,7 +63,7 @@ class EvaluateFlags:
 def main(args: list[str]) -> int:
     """`tactilerl evaluate RUN`"""
     read, sensors = _read(args, SensorConfig())  # which run, before its sensors are known
-    saved = RunDir(read.run).read_config(read.env, read.trust)[0].scene
+    saved = RunDir(read.run).read_config(read.env, read.trust).scene
     if saved is None:
         read = flags.parse(EvaluateFlags, args, "tactilerl evaluate", ABOUT)
     else:

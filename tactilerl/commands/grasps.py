@@ -15,7 +15,7 @@ from ..errors import InputError
 from ..pictures import render
 from ..probe import grasp_search
 from ..runs.cores import free_cores
-from ..runs.files import replacing
+from ..runs.files import begins_with, replacing
 from ..terminal.console import beside, progress
 
 LEAST = 0.5  # of the time that an object must be up for a found grasp to be of use
@@ -33,7 +33,7 @@ def require_grasp(name: str, scene: GraspConfig) -> None:
     path = hands.file(name)
     kept = path.with_suffix(hands.KEPT)
     digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
-    with replacing(kept, lambda there: there.read_bytes().startswith(MARK.encode())) as file:
+    with replacing(kept, begins_with(MARK)) as file:
         file.write(
             f'{MARK}hand = "{digest}"\n\n{grasp_search.toml(hands.get(name), found.grasp)}\n'.encode()
         )

@@ -17,7 +17,7 @@ from ..envs.grasp import setup
 from ..envs.hands import sandbox
 from ..errors import InputError, input_errors
 from ..probe import doctor, grasp_search
-from ..runs.files import pasted, replacing
+from ..runs.files import begins_with, pasted, replacing
 from ..terminal import flags
 from ..terminal.console import console
 from ..terminal.help import About
@@ -33,6 +33,7 @@ ABOUT = About(
     ),
 )
 MARK = "# Written by `tactilerl hand`: change what is wrong; docs/guides/own_hand.md has all keys.\n"
+is_ours = begins_with(MARK)
 
 
 @dataclass(frozen=True)
@@ -114,11 +115,6 @@ def _servos_fail(path: Path) -> str:
         if "hang still" not in str(error):
             raise
         return str(error).rpartition("model: ")[2].partition(";")[0]
-
-
-def is_ours(path: Path) -> bool:
-    """Did this command write the file?"""
-    return path.read_bytes().startswith(MARK.encode())
 
 
 def _append(path: Path, text: str) -> None:

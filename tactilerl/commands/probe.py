@@ -138,5 +138,5 @@ def _table(
     return table
 
 
-def _signed(value: float, ends: list[float], dash: str = "…") -> str:
-    return f"{value:+.3f} ({ends[0]:+.3f} {dash} {ends[1]:+.3f})"
+def _signed(value: float, ends: list[float]) -> str:
+    return f"{value:+.3f} ({ends[0]:+.3f} … {ends[1]:+.3f})"

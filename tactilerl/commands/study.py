@@ -12,7 +12,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import tyro
 from rich import box
@@ -245,7 +245,7 @@ class Plan:
             assert need.needed is not None
             console.print(f"{name}: {need.score} needs the fewest pairs. In the study file:")
             console.print(f'  primary = {{score = "{need.score}"}}')
-            pairs_at = planning.looks(need.needed)
+            pairs_at = planning.looks(need.needed_holm or need.needed, self.alpha)
             terms = f"pairs = {pairs_at}, effect = {self.effect:g}, alpha = {self.alpha:g}"
             console.print(f"  looks = {{{terms}}}")
 
@@ -259,7 +259,7 @@ class Compare:
     settings and groups, as in `pilot:layout 2,touch`."""
     b: tyro.conf.Positional[str]
     """What to compare A with. Runs with the same seed form pairs."""
-    score: Literal["area", "final", "converged"] = "area"
+    score: grid.Score = "area"
     """area: mean success over the run; final: over its last tenth; converged: the converged rate."""
     json: bool = False
     """Print JSON instead of a table."""
@@ -307,7 +307,8 @@ class Report:
     out: Path | None = None
     """Folder for the report; default: report/ beside the runs or the collected file."""
     resamples: Annotated[int, "[100, 1e6]"] = 50_000
-    """Resamples of every bootstrap and permutation test; fewer are faster and less exact."""
+    """Resamples of every bootstrap and permutation test but those of looks; fewer are faster and less
+    exact."""
 
     def __call__(self) -> None:
         """`tactilerl study report FOLDER`"""

@@ -56,10 +56,10 @@ class DesignFlags:
     weights: tuple[Annotated[float, "(0, inf)"], ...] = ()
     """How much each scene counts; default: all alike."""
     redundancy: Annotated[int, "[1, 10]"] = 1
-    """By how many taxels a start is to be felt in time: any but one of them may be dead."""
+    """How many taxels must feel a start in time; all but one of them may be dead."""
     taxel_dead: Annotated[float, "[0, 1)"] = 0.0
     """Probability that a taxel is dead."""
-    false_on: Annotated[float, "[0, 1)"] = 0.0
+    taxel_false_on: Annotated[float, "[0, 1)"] = 0.0
     """Probability that a taxel fires in a step without being touched."""
     start_closing: tuple[Annotated[float, "[0, 1)"], ...] = ()
     """How far the hand is closed while it waits; of several, each set of taxels has what works best for
@@ -90,12 +90,13 @@ class DesignFlags:
         typed.require(type(self), vars(self))
         if len(set(self.start_closing)) < len(self.start_closing):
             raise ValueError(f"start_closing: found {list(self.start_closing)}, allowed each once")
-        if self.numbers and self.redundancy > 1 and (self.taxel_dead or self.false_on):
-            raise ValueError("redundancy: found with taxel_dead or false_on, allowed one of both")
+        _ = self.numbers  # ValueError where it is no range
+        if self.redundancy > 1 and (self.taxel_dead or self.taxel_false_on):
+            raise ValueError("redundancy: found with taxel_dead or taxel_false_on, allowed one of both")
 
     @property
     def aim(self) -> Aim:
-        return Aim(self.redundancy, self.taxel_dead, self.false_on)
+        return Aim(self.redundancy, self.taxel_dead, self.taxel_false_on)
 
 
 @dataclass(frozen=True)
@@ -106,6 +107,10 @@ class Scene:
     config: GraspConfig
     weight: float
     """Of all scenes; they sum to 1."""
+
+    def waiting(self, closing: float | None) -> GraspConfig:
+        """With a hand that is so far closed while it waits; None for as the scene has it."""
+        return self.config if closing is None else replace(self.config, start_closing=closing)
 
 
 def candidates(flags: DesignFlags, hand: Hand) -> Taxels:

@@ -21,6 +21,7 @@ NEVER = 255
 """The moment of what does not happen; moments are numbers of actions."""
 MEMORY = 20_000_000  # numbers handled at once
 ROUNDS = 20  # of swaps, which settle long before
+NODES = 200  # of a search by branch and bound
 
 
 @dataclass(frozen=True)
@@ -182,15 +183,14 @@ def choose(
     k: int,
     aim: Aim = FIRST,
     kept: Sequence[int] = (),
-    nodes: int = 200,
     overlap: Array | None = None,
 ) -> Chosen:
     """The best `k` taxels of which no two `overlap`, by mixed-integer programming; where that takes
-    more than `nodes` nodes of the search, or taxels may fail, by `greedy`, and then with a bound or
+    more than `NODES` nodes of the search, or taxels may fail, by `greedy`, and then with a bound or
     without."""
     # With dead taxels a set is worth a mean over its subsets, so no more than the best without.
     redundancy = aim.redundancy if aim.is_certain else 1
-    exact = partial(_exact, starts, k, redundancy, kept, nodes, overlap)
+    exact = partial(_exact, starts, k, redundancy, kept, overlap)
     try:
         found = greedy(starts, k, aim, kept, overlap=overlap)
     except ValueError:  # it left no room for as many, which there may be
@@ -211,7 +211,6 @@ def _exact(
     k: int,
     redundancy: int,
     kept: Sequence[int],
-    nodes: int,
     overlap: Array | None,
 ) -> tuple[list[int] | None, float | None]:
     """Taxels and bound. A variable for each taxel, and for each start one for each run of moments
@@ -239,7 +238,7 @@ def _exact(
             optimize.LinearConstraint(matrix, -np.inf, np.array(limits)),
             optimize.LinearConstraint(size, k, k),
         ],
-        options={"node_limit": nodes, "mip_rel_gap": 1e-6},
+        options={"node_limit": NODES, "mip_rel_gap": 1e-6},
     )
     bound = None if found.mip_dual_bound is None else float(-found.mip_dual_bound)
     if bound is None or not np.isfinite(bound):

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib.util import find_spec
 
 from ..envs import typed
+from ..errors import extra
 from . import timing
 from .candidates import Design, DesignFlags, Pool
 
@@ -21,12 +21,8 @@ def design(
         return timing.design(pool, workers, show)
     if len(pool.scenes) > 1:
         raise ValueError(f"scene: found {len(pool.scenes)}, allowed one, or several handovers")
-    of_handovers = ("redundancy", "taxel_dead", "false_on", "test_starts", "weights", "start_closing")
-    typed.allow_only_with("a handover", flags, *of_handovers)
-    if find_spec("sklearn") is None:
-        raise ValueError(
-            "scene: found no scikit-learn; install the extra: pip install 'tactilerl[probe]'"
-        )
-    from . import information
-
+    faults = "redundancy", "taxel_dead", "taxel_false_on"
+    typed.allow_only_with("a handover", flags, *faults, "test_starts", "weights", "start_closing")
+    with extra("probe"):
+        from . import information
     return information.design(pool, workers, show)

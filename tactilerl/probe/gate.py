@@ -20,9 +20,9 @@ SEARCH = 1_000_000  # starts of the search are not those of the comparison
 TELLS = 0.3  # what a scene must leave to win to tell anything
 NO_FAULTS: dict[str, Any] = {**dataclasses.asdict(TaxelFaults()), "taxel_delay": 0}
 SENSES = {
-    "blind": ("time", "a fixed time has passed"),
+    "timed": ("time", "a fixed time has passed"),
     "joints": ("joints", "the joints or the hand have moved"),
-    "active": ("active", "something stops a trial closing"),
+    "active": ("active", "something blocks a test squeeze"),
     "sight": ("sight", "the object looks near in the scene"),
     "touch": ("touch", "enough taxels fire"),
     "sighted": ("sight", "the object is seen to be in place"),
@@ -92,10 +92,10 @@ def verdict(found: list[Found], touch: str = "Touch") -> str:
     if room < TELLS:
         return (
             f"This scene cannot tell: the best scripted hand without touch ({best}) succeeds in "
-            f"{without:.2f} of its starts, a sighted one in {rates['sighted']:.2f}."
+            f"{without:.2f} of its starts, the sighted one in {rates['sighted']:.2f}."
         )
     won = min(max(0.0, rates["touch"] - without), room)
     return (
-        f"{touch} can win {won:.2f} of the {room:.2f} that lie between the best scripted hand without "
-        f"touch ({best}, {without:.2f}) and a sighted one ({rates['sighted']:.2f})."
+        f"{touch} closes {won:.2f} of the {room:.2f} gap between the best scripted hand without touch "
+        f"({best}, {without:.2f}) and the sighted one ({rates['sighted']:.2f})."
     )

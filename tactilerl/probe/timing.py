@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,7 @@ ByWait = dict[float | None, Starts]
 
 def design(pool: Pool, workers: int, show: Callable[[int, int], None]) -> Design:
     """Choose taxels; ValueError where nobody feels a start in time, or touch cannot help."""
-    flags, done = pool.flags, iter(range(1, 10**9))
+    flags, done = pool.flags, itertools.count(1)
     n_recordings = len(pool.scenes) * max(1, len(flags.start_closing))
     total = n_recordings * (pool.n_starts + flags.test_starts)
     tick = lambda: show(next(done), total)  # noqa: E731
@@ -48,25 +48,25 @@ def design(pool: Pool, workers: int, show: Callable[[int, int], None]) -> Design
         if best is not None:
             row["difference"] = judge.difference(own, beside[best["layout"]])
         rows += [row, judge.random(n, pool, np.random.default_rng([flags.seed, n]))]
-    can = np.any([starts.succeeds.any(axis=1) for starts in judge.test.values()], axis=0)
     about = {
         "question": "timing",
-        "hopeless": float(np.mean(~can)),
+        "hopeless": judge.hopeless,
         "beside": best and best["layout"],
         "rows": rows,
     }
-    return pool.design(chosen, choice[judge.wait(own)].take(pool.columns).worth, about)
+    largest = choice[judge.wait(own)]
+    return pool.design(chosen, largest.take(pool.columns).worth, about)
 
 
 def _played(pool: Pool, first: int, n: int, workers: int, tick: Callable[[], None]) -> ByWait:
     """`n` starts of each scene with the whole skin, for each way to wait."""
     flags, found = pool.flags, dict[float | None, Starts]()
     first += 2 * gate.SEARCH * flags.seed
-    numbers, every = range(first, first + n), flags.false_on > 0
+    numbers, every = range(first, first + n), flags.taxel_false_on > 0
     for wait in flags.start_closing or (None,):
         parts = []
         for one in pool.scenes:
-            scene = one.config if wait is None else replace(one.config, start_closing=wait)
+            scene = one.waiting(wait)
             starts = record(pool.env, scene, pool.skin, numbers, workers, every, tick, one.weight)
             parts.append(vars(starts))
         joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
@@ -97,9 +97,13 @@ class _Judge:
 
     def wait(self, taxels: list[int]) -> float | None:
         """How far the hand is closed meanwhile; None for as the scene has it."""
-        if len(self._choice) == 1:
-            return next(iter(self._choice))
         return max(self._choice, key=lambda w: cover.value(self._choice[w], taxels, self._aim))
+
+    @property
+    def hopeless(self) -> float:
+        """Share of the starts in which the hand fails at whichever touch it closes."""
+        can = np.any([starts.succeeds.any(axis=1) for starts in self.test.values()], axis=0)
+        return float(self._weights @ ~can)
 
     def row(self, layout: str, taxels: list[int]) -> dict[str, Any]:
         """Success and share felt, with intervals."""
@@ -137,7 +141,7 @@ class _Judge:
         return list(self._mean(scores)[1:])
 
     def _mean(self, scores: Array) -> statistics.Estimate:
-        return statistics.mean(len(scores) * self._weights * scores, self._counts)
+        return statistics.share(self._weights * scores, self._weights, self._counts)
 
 
 def _drawn(n: int, pool: Pool, rng: np.random.Generator) -> list[int]:
@@ -157,23 +161,25 @@ def _require_felt(choice: ByWait, pool: Pool, workers: int) -> None:
     name, hand = pool.env, pool.hand
     worth = {wait: cover.value(starts, pool.columns) for wait, starts in choice.items()}
     wait = max(worth, key=worth.__getitem__)
-    starts, scene = choice[wait].take(pool.columns), pool.scenes[0].config
-    if wait is not None:
-        scene = replace(scene, start_closing=wait)
+    starts = choice[wait].take(pool.columns)
     if not starts.good.any():
         skin = Skin.of([places.skin("6mm", hand)])
-        seen = record(name, scene, skin, range(CHOICE, CHOICE + FEW), workers).worth > 0
+        scene, numbers = pool.scenes[0].waiting(wait), range(CHOICE, CHOICE + FEW)
+        seen = record(name, scene, skin, numbers, workers).worth > 0
         felt = {hand.surfaces[place.surface] for place, column in skin.index.items() if seen[column]}
         where = ", ".join(sorted(f"{surface.digit}.{surface.segment}" for surface in felt))
         where = where or "nothing of the hand in time"
         raise ValueError(
             f"skin: no taxel feels any start in time; arrivals meet {where}, where it has none"
         )
-    n = min(len(starts), 100)
-    without = gate.examine(name, scene, n, max(1, n // 20), 0, workers, senses=("joints", "sight"))
-    best = max(without, key=lambda each: each.rate)
-    if worth[wait] - best.rate < gate.TELLS:
+    n, without = min(pool.n_starts, 100), {"joints": 0.0, "sight": 0.0}
+    for one in pool.scenes:
+        scene = one.waiting(wait)
+        for found in gate.examine(name, scene, n, max(1, n // 20), 0, workers, senses=tuple(without)):
+            without[found.name] += one.weight * found.rate
+    sense, rate = max(without.items(), key=lambda item: item[1])
+    if worth[wait] - rate < gate.TELLS:
         raise ValueError(
-            f"scene: touch cannot help here: a hand that goes by {best.name} succeeds in "
-            f"{best.rate:.2f} of the starts, one that feels with the whole skin in {worth[wait]:.2f}"
+            f"scene: touch cannot help here: a hand that goes by {sense} succeeds in {rate:.2f} of the "
+            f"starts, one that feels with the whole skin in {worth[wait]:.2f}"
         )

@@ -11,6 +11,7 @@ from ..algos.policy import Policy
 from ..algos.rollout import EVALUATE, FAULTS, Episode, PlayEpisode
 
 EpisodeCount = Annotated[int, "[1, 100000]"]
+N_RESAMPLES = 9_999
 MOST_DRAWN = 20_000_000  # samples of the bootstrap at a time, some 200 MB
 SEED = 10_000_000  # evaluation starts are not those of training
 
@@ -32,12 +33,12 @@ def row(episode: Episode[Any]) -> dict[str, Any]:
     }
 
 
-def mean_interval(values: np.ndarray, resamples: int = 9_999, seed: int = 0) -> tuple[float, float]:
+def mean_interval(values: np.ndarray) -> tuple[float, float]:
     """Percentile bootstrap interval of the mean of `values` (n,)."""
-    rng, each = np.random.default_rng(seed), max(1, MOST_DRAWN // len(values))
+    rng, each = np.random.default_rng(0), max(1, MOST_DRAWN // len(values))
     drawn = [
         statistics.bootstrap(values, "mean", statistics.resample(rng, len(values), min(each, rest)))
-        for rest in range(resamples, 0, -each)
+        for rest in range(N_RESAMPLES, 0, -each)
     ]
     return statistics.percentile_interval(np.concatenate(drawn))
 

@@ -69,6 +69,11 @@ def content(path: Path, most: int = LARGEST) -> bytes:
     return data
 
 
+def begins_with(mark: str) -> IsOurs:
+    """Files that begin so are ours."""
+    return lambda path: content(path).startswith(mark.encode())
+
+
 def read_json(path: Path) -> Any:
     """The values in a JSON file."""
     return json.loads(content(path, MAX_JSON).decode("utf-8"))

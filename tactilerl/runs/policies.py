@@ -100,7 +100,7 @@ def read_run(path: Path, env: str = "", trust: bool = False) -> Trained:
     from .run_dir import RunDir
 
     run_dir = RunDir(path)
-    saved, _ = run_dir.read_config(env, trust)
+    saved = run_dir.read_config(env, trust)
     data, file = checkpoint.read(run_dir, saved), run_dir.checkpoint_file
     with damage_named(file):
         spaces, state = Spaces.from_json(data["spaces"]), data["ranks"][0]

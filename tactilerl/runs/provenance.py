@@ -53,13 +53,14 @@ def difference(before: Origin, now: Origin) -> str:
         if a.get(name) != b.get(name)
     ]
     if before["commit"] != now["commit"]:
-        changed.append("commit {} -> {}".format(*(_short(r["commit"]) for r in (before, now))))
+        changed.append("commit {} -> {}".format(*(short(r["commit"]) for r in (before, now))))
     return ", ".join(changed)
 
 
-def _short(commit: str | None) -> str:
+def short(commit: str | None) -> str:
+    """As people write a commit; a "-dirty" stays."""
     name, dash, dirty = (commit or "none").partition("-")
-    return f"{name[:10]}{dash}{dirty}"
+    return f"{name[:12]}{dash}{dirty}"
 
 
 def commit(folder: Path) -> str | None:

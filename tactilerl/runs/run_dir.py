@@ -43,7 +43,7 @@ class RunDir:
         config = dataclasses.replace(config, folder=self.path)
         if not os.path.exists(self.config_file):  # False for any name
             return config
-        saved, _ = self.read_config(config.run.env)
+        saved = self.read_config(config.run.env)
         if difference := saved.difference(config.identity()):
             raise InputError(
                 f"{self.path}: {difference}; a continued run keeps its settings (another --out "
@@ -82,8 +82,8 @@ class RunDir:
                 file.write(layouts.load(str(config.layout_file)).toml().encode())
         return changed
 
-    def read_config(self, env: str = "", trust: bool = False) -> tuple[RunConfig, int]:
-        """The run's configuration and number of ranks; InputError when there is none.
+    def read_config(self, env: str = "", trust: bool = False) -> RunConfig:
+        """The run's configuration; InputError when there is none.
 
         A module that its environment's id names is imported only when the caller named the same
         (`env`) or trusts the folder: the folder may be somebody else's.
@@ -95,8 +95,7 @@ class RunDir:
             raise InputError(f"env: found {env!r}, the run was made with {config.run.env!r}")
         is_trusted = trust or env == config.run.env
         hand = str(data.get("hand", ""))
-        config = dataclasses.replace(config, folder=self.path, is_trusted=is_trusted, hand=hand)
-        return config, data["ranks"]
+        return dataclasses.replace(config, folder=self.path, is_trusted=is_trusted, hand=hand)
 
     def record(self) -> dict[str, Any]:
         """What config.json holds, with values of this version or another; InputError when damaged."""
@@ -146,7 +145,7 @@ def resolve(
         return defaults(algo, env, recipe, scene)
     if scene:
         raise InputError("scene: found with resume; a resumed run keeps its settings")
-    saved, _ = RunDir(Path(resume)).read_config(env, trust)
+    saved = RunDir(Path(resume)).read_config(env, trust)
     if recipe:
         with input_errors():
             saved = dataclasses.replace(saved, learner=recipes.recipe(saved.run.algo, recipe))

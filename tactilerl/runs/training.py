@@ -154,7 +154,7 @@ def _begun(checkpoint: Checkpoint) -> int:
             )
         return 0
     epoch, goal = checkpoint.restore(), learner.total_timesteps
-    if epoch and goal < min(learner.env_steps, run_dir.read_config()[0].run.total_timesteps):
+    if epoch and goal < min(learner.env_steps, run_dir.read_config().run.total_timesteps):
         raise InputError(
             f"total_timesteps: found {goal:,} for a run that has made {learner.env_steps:,} steps, "
             "allowed more: they count from the run's beginning"

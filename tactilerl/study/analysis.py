@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from .. import statistics
-from ..statistics import Array, Estimate, Metric
+from ..statistics import Array
 from . import verdicts
 from .grid import SCORES, Setup, Study
 from .records import Record
@@ -22,7 +22,6 @@ MOST_POINTS = 500  # of a curve
 class Group:
     """The finished runs of one cell and arm."""
 
-    arm: str
     seeds: list[int]
     curves: Array
     """(runs, points) at the set-up's common steps."""
@@ -34,10 +33,6 @@ class Group:
     """By name as in `verdicts.scores`, (runs,)."""
     counts: Array
     """Bootstrap resamples of these runs."""
-
-    def estimate(self, metric: Metric, score: str) -> Estimate:
-        """An aggregate with its percentile interval."""
-        return statistics.estimate(self.scores[score], metric, self.counts)
 
     def __len__(self) -> int:
         return len(self.seeds)
@@ -103,7 +98,7 @@ def analyse(study: Study, records: list[Record], n_resamples: int = statistics.N
             for arm, runs in arms.items():
                 if runs:
                     counts = statistics.resample(rng, len(runs), n_resamples)
-                    groups[cell, arm] = _group(arm, runs, steps, common, counts)
+                    groups[cell, arm] = _group(runs, steps, common, counts)
         compared = {
             cell: _comparison(study, setup, verdict, records, n_resamples)
             for cell, verdict in verdicts.judge(study, setup, records, n_resamples).items()
@@ -113,14 +108,12 @@ def analyse(study: Study, records: list[Record], n_resamples: int = statistics.N
     return Analysis(study, records, setups)
 
 
-def _group(
-    arm: str, runs: list[Record], steps: Array, common: tuple[float, float], counts: Array
-) -> Group:
+def _group(runs: list[Record], steps: Array, common: tuple[float, float], counts: Array) -> Group:
     curves = np.array([np.interp(steps, *record.curve) for record in runs])
     reached = [verdicts.scores(record, *common) for record in runs]
     scores = {name: np.array([one[name] for one in reached]) for name in reached[0]}
     aggregated = statistics.sample_efficiency(curves, "iqm", counts)
-    return Group(arm, [record.run.seed for record in runs], curves, *aggregated, scores, counts)
+    return Group([record.run.seed for record in runs], curves, *aggregated, scores, counts)
 
 
 def _comparison(

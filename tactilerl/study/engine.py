@@ -63,6 +63,8 @@ class Engine:
         if self.on == "mpi" or (self.on == "local" and ranks > 1):
             if ranks == 1:
                 raise InputError("--on mpi: found one process; start it with mpirun -n N, N > 1")
+            if self.jobs:
+                raise InputError(f"--jobs: found under mpirun, which trains {ranks - 1} at a time")
             from mpi4py.futures import MPICommExecutor
 
             with MPICommExecutor() as pool:

@@ -34,7 +34,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 from ..envs import toml_files, typed
 from ..envs.choices import require_one_of
@@ -53,19 +53,16 @@ FLAG = re.compile(r"[a-z][a-z0-9_-]*")
 NUMBER = re.compile(r"-\.?\d.*")  # begins as a flag does, but is none
 MOST_RUNS = 10_000  # a slip in a grid multiplies
 
-SCORES = {
-    "area": "area under the curve",
-    "final": "final rate",
-    "converged": "converged rate",
-}
+Score = Literal["area", "final", "converged"]
 """What one run reached: docs/statistics.md."""
+SCORES: tuple[str, ...] = get_args(Score)
 
 
 @dataclass(frozen=True)
 class Primary:
     """What decides a comparison; written down before the runs."""
 
-    score: Literal["area", "final", "converged"] = "area"
+    score: Score = "area"
 
 
 @dataclass(frozen=True)

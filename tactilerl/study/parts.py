@@ -12,10 +12,10 @@ from typing import Any
 
 from .. import statistics
 from ..errors import InputError
-from .records import Record, load, settings
+from ..runs.provenance import short
+from .records import UNTOLD, Record, load, settings
 from .verdicts import in_pairs, scored, span
 
-UNTOLD = ("seed", "workers", "threads", "tensorboard")
 Place = tuple[str, ...]
 """Names of set-up, cell and arm that nobody chose."""
 
@@ -72,7 +72,7 @@ def compare(a: Part, b: Part, score: str) -> list[dict[str, Any]]:
 def differing(a: Part, b: Part) -> list[str]:
     """What the first runs of both parts were told differently, besides the seed; and their commits."""
     configs = [next(iter(part.values()))[0].config or {} for part in (a, b)]
-    commits = [str((c.get("provenance") or [{}])[-1].get("commit"))[:12] for c in configs]
+    commits = [short((c.get("provenance") or [{}])[-1].get("commit")) for c in configs]
     flat = [settings(c) | {"commit": made} for c, made in zip(configs, commits, strict=True)]
     names = [name for name in flat[0] | flat[1] if name not in UNTOLD]
     values = {name: [one.get(name) for one in flat] for name in names}

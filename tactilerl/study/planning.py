@@ -10,7 +10,7 @@ import numpy as np
 import scipy.stats
 from statsmodels.stats.power import TTestIndPower, TTestPower
 
-from ..statistics import CONFIDENCE, FEWEST_PAIRS, Array
+from ..statistics import CONFIDENCE, Array, fewest_pairs
 from .grid import SCORES, Setup, Study
 from .records import Record
 from .verdicts import Pairs, both_arms, in_pairs
@@ -89,7 +89,7 @@ def runs_needed(
 ) -> int | None:
     """Pairs, or runs per group, for a t test to find `effect` with `power`, and not fewer pairs than
     a sign-flip test needs to fall below `alpha`; None where `MOST` do not suffice."""
-    least = math.ceil(1 - math.log2(alpha)) if in_pairs else 2
+    least = fewest_pairs(alpha) if in_pairs else 2
     test, size = (TTestPower() if in_pairs else TTestIndPower()), effect / max(sd, 1e-9)
     level = {"alpha": alpha / 2, "alternative": "larger"}  # the other tail is nothing, or NaN
     if not test.power(size, least, **level) < power:  # NaN: too close to 1
@@ -109,6 +109,6 @@ def best(needs: Sequence[Need]) -> dict[str, Need]:
     return found
 
 
-def looks(n_pairs: int) -> list[int]:
+def looks(n_pairs: int, alpha: float) -> list[int]:
     """When to look at a study of `n_pairs` pairs."""
-    return sorted({max(FEWEST_PAIRS, round(share * n_pairs)) for share in SHARES})
+    return sorted({max(fewest_pairs(alpha), round(share * n_pairs)) for share in SHARES})

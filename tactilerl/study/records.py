@@ -36,6 +36,8 @@ from .grid import Run, Study, from_dict, read
 
 State = Literal["done", "running", "failed", "interrupted", "left"]
 STATES: tuple[State, ...] = get_args(State)
+UNTOLD = ("seed", "workers", "threads", "tensorboard")
+"""Settings that tell nobody what was compared."""
 STUDY, RUNS, PACKED = "study.json", "runs", "collected.tar.gz"
 T = TypeVar("T")
 
@@ -64,6 +66,11 @@ class Record:
         steps, rates = self.column("env_steps"), self.column(self.run.measure)
         known = np.isfinite(steps) & np.isfinite(rates)
         return steps[known], rates[known]
+
+    @property
+    def diverged(self) -> int:
+        """Episodes that diverged."""
+        return int(sum(np.nansum(self.column(name)) for name in ("diverged", "test_diverged")))
 
     @property
     def is_finished(self) -> bool:

@@ -6,9 +6,9 @@ import math
 from collections import Counter
 from typing import Any
 
-import numpy as np
-
-from ..statistics import FEW_RUNS, FEWEST_PAIRS, Estimate
+from .. import statistics
+from ..runs.provenance import short
+from ..statistics import FEW_RUNS, Estimate
 from ..style import NAMES
 from .analysis import Analysis, SetupResult
 from .grid import Setup
@@ -16,7 +16,7 @@ from .records import Record
 from .verdicts import LEAST_ROOM, Headroom, Verdict
 
 STILL_RISING = 0.1  # final over converged rate, which then misses what the runs can do
-MEASURES = {
+RATES = {
     "success_rate": "success rate of the training episodes",
     "test_success_rate": "success rate of the tests",
 }
@@ -54,7 +54,7 @@ def about(one: SetupResult, score: str) -> str:
     first, second = map(one.setup.label, one.setup.arms[:2])
     return (
         f"{said} Compares {first} with {second}, in pairs of runs with the same seed, by "
-        f"{MEANS[score]} ({MEASURES[one.setup.measure]})."
+        f"{MEANS[score]} ({RATES[one.setup.measure]})."
     )
 
 
@@ -62,7 +62,7 @@ def provenance(records: list[Record]) -> str:
     """How many runs of which commit."""
     done = sum(record.state == "done" for record in records)
     commits = Counter(
-        str(record.config["provenance"][-1]["commit"])[:12]
+        short(record.config["provenance"][-1]["commit"])
         for record in records
         if record.config and record.config.get("provenance")
     )
@@ -111,15 +111,13 @@ def answer(setup: Setup, verdict: Verdict, score: str) -> str:
         return f"{where}: {first[0].upper()}{first[1:]} {change} by {numbers}{other}.{look}"
     if stage and not stage.ending:
         said = "not decided yet"
-    elif len(verdict.pairs) < FEWEST_PAIRS:
-        said = (
-            f"too few runs to find a difference at {verdict.alpha:g}, which takes {FEWEST_PAIRS} pairs"
-        )
+    elif len(verdict.pairs) < (fewest := statistics.fewest_pairs(verdict.alpha)):
+        said = f"too few runs to find a difference at {verdict.alpha:g}, which takes {fewest} pairs"
     elif found.low == found.high:  # as where no run learned anything
-        said = "no difference was found, all pairs are alike"
+        said = "no difference, all pairs are alike"
     else:
         bound = max(-found.low, found.high)
-        said = f"no difference was found, and one above about {bound:.2f} is ruled out"
+        said = f"no significant difference, and one above about {bound:.2f} is ruled out"
     return f"{where}: {said} ({gap}; {told}).{look}"
 
 
@@ -164,7 +162,7 @@ def made_with(config: dict[str, Any]) -> set[tuple[str, str]]:
     return {(name, version) for name, version in versions if name not in idle}
 
 
-def warnings(analysis: Analysis, few: int = FEW_RUNS) -> list[str]:
+def warnings(analysis: Analysis) -> list[str]:
     """What a reader must know before he believes the numbers."""
     found, states = [], Counter[str]()
     for one in analysis.setups:
@@ -176,12 +174,15 @@ def warnings(analysis: Analysis, few: int = FEW_RUNS) -> list[str]:
     if unfinished := [f"{n} {state}" for state, n in sorted(states.items()) if state != "done"]:
         found.append(f"Of {len(analysis.records)} runs {', '.join(unfinished)}: they are in no figure.")
     groups = [group for one in analysis.setups for group in one.groups.values()]
-    if (fewest := min(map(len, groups), default=few)) < few:
+    if (fewest := min(map(len, groups), default=FEW_RUNS)) < FEW_RUNS:
         found.append(
-            f"The smallest group has {plural(fewest, 'run')}. Intervals of a group with fewer "
-            f"than {few} runs are too narrow: they contain the truth less often than they say."
+            f"The smallest group has {plural(fewest, 'run')}. Bands of learning curves of fewer than "
+            f"{FEW_RUNS} runs are too narrow: they contain the truth less often than they say."
         )
-    levels = [[one.estimate("iqm", s).value for s in ("final", "converged")] for one in groups]
+    levels = [
+        [statistics.aggregate(one.scores[name], "iqm") for name in ("final", "converged")]
+        for one in groups
+    ]
     if rising := sum(final - converged > STILL_RISING for final, converged in levels):
         found.append(
             f"In {rising} of {len(groups)} groups the runs end well above the level where they spent "
@@ -196,9 +197,6 @@ def warnings(analysis: Analysis, few: int = FEW_RUNS) -> list[str]:
                 f"{one.setup.name}: versions or commits differ between runs, and could change results: "
                 "see Versions."
             )
-    diverged = sum(
-        sum(np.nansum(r.column(c)) for c in ("diverged", "test_diverged")) > 0 for r in analysis.records
-    )
-    if diverged:
+    if diverged := sum(record.diverged > 0 for record in analysis.records):
         found.append(f"Episodes diverged in {plural(diverged, 'run')}: see Runs.")
     return found

@@ -17,11 +17,10 @@ from ..runs import config as configuration
 from ..statistics import Array, Estimate
 from .analysis import Analysis, SetupResult
 from .grid import SCORES
-from .records import settings
+from .records import UNTOLD, settings
 from .summary import ENDINGS, MEANS, made_with, subject
 from .verdicts import THRESHOLDS
 
-UNTOLD = ("seed", "out", "workers", "threads", "tensorboard", "device", "algo", "env")
 SETTING = "Setting"
 Row = dict[str, str]
 """A cell by the heading of its column."""
@@ -63,9 +62,7 @@ def _text(frame: pd.DataFrame, style: str) -> str:
 
 def number(value: float, digits: int = 2) -> str:
     """A number as tables show it; a dash where there is none."""
-    if math.isnan(value):
-        return "–"
-    return f"{value + 0.0:.{digits}f}" if math.isfinite(value) else "never"
+    return "–" if math.isnan(value) else f"{value + 0.0:.{digits}f}"
 
 
 def shown(estimate: Estimate, digits: int = 2) -> str:
@@ -144,7 +141,7 @@ def cost(analysis: Analysis) -> Table:
         begun = [r for r in one.records if r.rows]
         seconds = [r.seconds for r in begun]
         ranks = [int((r.config or {}).get("ranks", 1)) for r in begun]
-        steps = sum(float(np.nan_to_num(r.column("env_steps"))[-1]) for r in begun)
+        steps = sum(int(r.rows[-1]["env_steps"]) for r in begun)
         row = {"Set-up": one.setup.name, "Runs begun": str(len(begun))}
         row["Core-hours"] = number(float(np.dot(seconds, ranks)) / 3600, 3)
         row["Median minutes per run"] = number(float(np.median(seconds or [math.nan])) / 60, 1)
@@ -159,7 +156,7 @@ def deviations(analysis: Analysis) -> Table:
     rows = []
     for one in analysis.setups:
         for flag, mine, default in _differences(one.config):
-            if flag not in (*one.setup.grid, *UNTOLD):
+            if flag not in (*one.setup.grid, *UNTOLD, "device", "algo", "env"):
                 rows.append({"Set-up": one.setup.name, "Flag": flag, "Default": default, "Here": mine})
     note = (
         "Flags that are not the defaults of tactilerl train; the defaults are the paper's values, and "
@@ -204,13 +201,12 @@ def runs(analysis: Analysis) -> Table:
         run, one, steps = record.run, setups[record.run.setup], record.column("env_steps")
         group = one.groups.get((run.cell, run.arm))
         is_in = group is not None and run.seed in group.seeds
-        diverged = sum(np.nansum(record.column(name)) for name in ("diverged", "test_diverged"))
         row = {"Set-up": run.setup, SETTING: run.cell, "Group": one.setup.label(run.arm)}
         row |= {"Seed": str(run.seed), "State": record.state, "Epochs": str(len(record.rows))}
         row["Steps"] = f"{steps[-1]:.0f}" if len(steps) else "0"
         for name in SCORES:
             reached = group.scores[name][group.seeds.index(run.seed)] if group and is_in else math.nan
             row[MEANS[name].capitalize()] = number(reached)
-        rows.append(row | {"Diverged episodes": f"{diverged:.0f}", "Why it failed": record.reason})
+        rows.append(row | {"Diverged episodes": str(record.diverged), "Why it failed": record.reason})
     said = [f"{name}: {one.setup.measure}" for name, one in setups.items()]
     return Table("runs", "Runs", rows, f"Rates: {'; '.join(said)}.")

@@ -112,7 +112,7 @@ def span(records: Iterable[Record]) -> tuple[float, float]:
 
 
 def scores(record: Record, first: float, last: float) -> dict[str, float]:
-    """What a finished run reached from the `first` to the `last` step, by the names in `grid.SCORES`;
+    """What a finished run reached from the `first` to the `last` step, by the names of `grid.Score`;
     and its steps to `THRESHOLDS`."""
     steps, rates = record.curve
     at = np.unique([min(first, last), *steps[(steps > first) & (steps < last)], last])

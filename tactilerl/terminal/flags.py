@@ -78,8 +78,10 @@ def several(args: Sequence[str], flag: str) -> tuple[list[str], list[str]]:
     values = _given(args, flag)
     if len(values) < 2:
         return values, list(args)
-    last = max(i for i, arg in enumerate(args) if arg.replace("_", "-") == flag)
-    return values, [*args[: last + 2], *args[last + 1 + len(values) :]]
+    is_flag = (arg.partition("=")[0].replace("_", "-") == flag for arg in args)
+    last = max(i for i, found in enumerate(is_flag) if found)
+    first = last + (1 if "=" not in args[last] else 0)
+    return values, [*args[: first + 1], *args[first + len(values) :]]
 
 
 def _reason(said: str) -> str:

@@ -44,7 +44,7 @@ def entries(told, start):
         {"object_seen": "hidden"},
         {"object_seen": "start"},
         {"object_seen": "noisy"},
-        {"object_seen": "noisy", "sight_noise": (0.02, 0.3), "sight_noise_kind": "held"},
+        {"object_seen": "noisy", "sight_noise": (0.02, 1.3), "sight_noise_kind": "held"},
         {"joint_noise": 0.1},
         {"taxel_false_on": 0.2, "taxel_false_off": 0.3, "taxel_dead": 0.1, "taxel_stuck": 0.1},
         {"taxel_delay": 2, "history": 3},

@@ -249,7 +249,7 @@ class TestCommands:
         fails_with(capsys, evaluate, "have changed since it was made")
         Path(path).unlink()
         fails_with(capsys, evaluate, "hand of this run cannot be read: hand file")
-        assert RunDir(Path(run)).read_config()[0].run.env == path  # it can still be read
+        assert RunDir(Path(run)).read_config().run.env == path  # it can still be read
 
     def test_doctor_finds_a_grasp(self, own, capsys, monkeypatch):
         monkeypatch.setattr(grasp_search, "ROUNDS", (24, 6))

@@ -67,6 +67,7 @@ def on_palm(more):
     return MODEL.replace(PALM, PALM + more)
 
 
+BOTH = "mujoco", "pybullet"
 ALL = [f'<position name="{j}" joint="{j}" kp="5"/>' for j in ("l_a", "l_b", "r_a", "r_b")]
 
 
@@ -138,7 +139,7 @@ class TestCouplings:
     def test_who_pushes_a_follower_pushes_its_driver(self, made):
         """So that fingers hold an object as hard in both simulators."""
         path, forces = made(with_more(coupled("0.3 0.8 0")), FOLLOWERS), []
-        for simulator in ("mujoco", "pybullet"):
+        for simulator in BOTH:
             env = made_env(path, simulator)
             for targets in grasp(env):
                 env.step_to(targets)
@@ -217,6 +218,24 @@ class TestServos:
         assert "bar" in hand.notes[0]
         hand = hands.get(made(toml='passive = ["r_b"]\n' + TOML.replace('"?_b"', "l_b")))
         assert "r_b" not in hand.actuated
+
+    def test_a_joint_that_nothing_drives_swings(self, made, simulator):
+        """Bullet would brake it."""
+        model = MODEL.replace("damping", 'ref="0.5" damping', 2)  # both joints of the left finger
+        path = made(model, 'passive = ["r_b"]\n' + TOML.replace('"?_b"', "l_b"))
+        env = made_env(path, simulator)
+        start = dict(zip(env.hand.joints, env.hand.start_positions(), strict=True))
+        env.step_to(targets := env.hand.start_targets())
+        assert reached(env, targets, 10)["r_b"] != pytest.approx(start["r_b"], abs=1e-3)
+
+    @pytest.mark.pybullet
+    def test_joints_that_rest_elsewhere_than_at_0(self, made):
+        """MuJoCo's `ref`."""
+        path = made(MODEL.replace("damping", 'ref="0.5" damping', 2))
+        tips = [made_env(path, simulator).simulator.state().fingertips for simulator in BOTH]
+        assert tips[1] == pytest.approx(tips[0], abs=1e-6)
+        straight = made_env(made()).simulator.state().fingertips
+        assert np.abs(tips[0] - straight).max() > 0.01
 
 
 UNLIMITED = MODEL.replace('axis="0 -1 0" range="0 1.5"', 'axis="0 -1 0"', 1)

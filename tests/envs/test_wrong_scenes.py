@@ -21,6 +21,11 @@ WRONG = [
     ({"sight_noise": (0.01, 0.1)}, "sight_noise: found .* allowed only with object_seen noisy"),
     ({"object_seen": "hidden", "sight_noise_kind": "held"}, "sight_noise_kind: found held"),
     ({"object_seen": "noisy", "sight_noise": (-0.01, 0.1)}, "sight_noise: found -0.01"),
+    (
+        {"object_seen": "noisy", "sight_noise": (1.2, 0.1)},
+        "sight_noise: found 1.2, .* from 0 to 1",
+    ),
+    ({"object_seen": "noisy", "sight_noise": (0.01, 9.0)}, "sight_noise: found 9.0, .* from 0 to 3.14"),
     ({"taxel_false_on": 1.1}, "taxel_false_on: found 1.1, allowed from 0 to 1"),
     ({"taxel_dead": 0.6, "taxel_stuck": 0.6}, "taxel_stuck: found 1.2 with taxel_dead"),
     ({"touch": "off", "taxel_dead": 0.1}, "taxel_dead: found 0.1, allowed only with touch"),

@@ -146,6 +146,17 @@ class TestCandidates:
         assert set(taxels.radii) == {4e-3}
 
 
+def test_weights_of_the_scenes_are_not_resampled():
+    """Where every start succeeds, nothing is uncertain."""
+    succeeds = np.zeros((8, NEVER + 1), bool)
+    succeeds[:, 5] = True
+    starts = starts_of([[5, 5]] * 8, succeeds)
+    starts.weights[:] = np.repeat([0.75, 0.25], 4) / 4
+    judge = timing._Judge({None: starts}, {None: starts}, Aim())
+    assert judge.row("x", [0])["success_interval"] == pytest.approx([1.0, 1.0])
+    assert judge.hopeless == 0.0
+
+
 @pytest.mark.usefixtures("in_tmp")
 class TestCommand:
     def test_writes_layouts_figures_and_the_same_bytes_again(self, capsys):

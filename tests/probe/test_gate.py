@@ -12,6 +12,7 @@ from tactilerl.envs.grasp import setup
 from tactilerl.probe import gate, reflexes
 from tactilerl.probe.gate import Found
 from tactilerl.probe.reflexes import Reflex
+from tactilerl.terminal import flags
 
 FEW = ["--starts", "12", "--search", "1", "--workers", "1", "--seed", "10000"]
 
@@ -21,15 +22,15 @@ def found(**rates):
 
 
 @pytest.mark.parametrize(
-    ("blind", "joints", "touch", "sighted", "words"),
+    ("timed", "joints", "touch", "sighted", "words"),
     [
-        (0.3, 0.2, 0.9, 1.0, ["Touch can win 0.60 of the 0.70 ", "(blind, 0.30)"]),
+        (0.3, 0.2, 0.9, 1.0, ["Touch closes 0.60 of the 0.70 gap", "(timed, 0.30)"]),
         (0.2, 0.8, 0.9, 0.95, ["This scene cannot tell: ", "(joints)", "0.80", "0.95"]),
-        (0.4, 0.3, 0.2, 1.0, ["win 0.00 of"]),
+        (0.4, 0.3, 0.2, 1.0, ["closes 0.00 of the 0.60 gap"]),
     ],
 )
-def test_the_verdict_says_what_touch_can_win_of_what_there_is(blind, joints, touch, sighted, words):
-    said = gate.verdict(found(blind=blind, joints=joints, touch=touch, sighted=sighted))
+def test_the_verdict_says_what_touch_can_win_of_what_there_is(timed, joints, touch, sighted, words):
+    said = gate.verdict(found(timed=timed, joints=joints, touch=touch, sighted=sighted))
     assert all(word in said for word in words)
 
 
@@ -42,7 +43,7 @@ def test_another_seed_has_other_starts(monkeypatch):
 
     monkeypatch.setattr(gate, "_play", note)
     for seed in (0, 1):
-        gate.examine("mpl", setup("mpl", task="handover"), 200, 20, seed, 1, senses=["blind"])
+        gate.examine("mpl", setup("mpl", task="handover"), 200, 20, seed, 1, senses=["timed"])
     assert len(played) == 2 * 220
 
 
@@ -68,7 +69,7 @@ class TestReflexes:
         assert came < went + reflexes.TRIAL <= came + env.task.stays + 2
         assert all(is_closed[went:])
 
-    def test_a_blind_one_does_the_same_whatever_it_is_told(self):
+    def test_a_timed_one_does_the_same_whatever_it_is_told(self):
         env, played = envs.make(scene="handover", touch="absent"), []
         step_to = env.step_to
         for told in (1.0, np.nan):
@@ -101,10 +102,10 @@ def test_in_a_handover_touch_decides(capsys):
     assert main(["gate", "--scene", "handover", *FEW, "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     rates = {row["name"]: row["rate"] for row in said["reflexes"]}
-    assert set(rates) == {"blind", "joints", "active", "touch", "sighted"}
+    assert set(rates) == {"timed", "joints", "active", "touch", "sighted"}
     assert min(rates["touch"], rates["sighted"]) > 0.7
-    assert max(rates["blind"], rates["joints"]) < 0.6
-    assert said["verdict"].startswith("Touch can win 0.")
+    assert max(rates["timed"], rates["joints"]) < 0.6
+    assert said["verdict"].startswith("Touch closes 0.")
 
 
 def test_a_gate_of_faulty_taxels(capsys):
@@ -121,6 +122,12 @@ def test_a_table_and_a_sentence(capsys):
     text = capsys.readouterr().out
     assert "a fixed time has passed" in text
     assert "the object is seen to be in place" in text
+
+
+def test_several_layouts_however_the_first_is_written():
+    for first in (["--layout=1"], ["--layout", "1"]):
+        found = flags.several(["--json", *first, "3", "--seed", "1"], "--layout")
+        assert found == (["1", "3"], ["--json", *first, "--seed", "1"])
 
 
 @pytest.mark.parametrize(

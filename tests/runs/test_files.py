@@ -101,7 +101,7 @@ class TestCheckpoint:
         content = json.loads(CONFIG.read_text())
         content["learner"]["hidden"] = [100_000]
         CONFIG.write_text(json.dumps(content))
-        wide = json.dumps(RunDir(Path("run")).read_config()[0].identity())
+        wide = json.dumps(RunDir(Path("run")).read_config().identity())
         edit(CHECKPOINT, lambda saved: saved.update(config=wide))
         fails_with(capsys, ["evaluate", "run"], "hidden: found (100000,), more than the file holds")
 

@@ -225,14 +225,14 @@ class TestWarnings:
         assert "mujoco: no finished run with a test_success_rate" in reported(capsys, folder.path)
 
     def test_runs_that_still_rise_are_said(self, tmp_path, result):
-        assert "final rates" not in " ".join(summary.warnings(result, 10))
+        assert "final rates" not in " ".join(summary.warnings(result))
         folder = make_study(tmp_path / "s", n_seeds=2)
         for file in folder.path.rglob("progress.csv"):
             header, *rows = file.read_text().splitlines()
             flat = [",".join([*row.split(",")[:2], "0.0", "0.0", "0.0", "100"]) for row in rows[:-6]]
             file.write_text("\n".join([header, *flat, *rows[-6:]]) + "\n")
         late = analysis.analyse(*records.load(folder.path), 100)
-        assert "In 12 of 12 groups" in " ".join(summary.warnings(late, 10))
+        assert "In 12 of 12 groups" in " ".join(summary.warnings(late))
 
     def test_what_is_no_study(self, folder, tmp_path, capsys):
         fails_with(capsys, ["study", "plan", tmp_path], "no study.json")
@@ -319,8 +319,8 @@ class TestPlan:
         assert planning.runs_needed(*case) == n
 
     def test_looks_are_at_growing_numbers_of_pairs_up_to_all(self):
-        assert planning.looks(16) == [6, 9, 12, 16]
-        assert planning.looks(6) == [6]
+        assert planning.looks(16, 0.05) == [6, 9, 12, 16]
+        assert planning.looks(6, 0.05) == [6]
 
     def test_table_and_bad_flags(self, folder, capsys, monkeypatch):
         monkeypatch.setattr(console, "width", 80)

@@ -238,7 +238,7 @@ class TestErrorsOfLooks:
         assert words in summary.answer(self.setup, verdict, "area")
 
     @pytest.mark.parametrize(
-        ("ending", "words"), [("", "not decided yet"), ("no difference", "no difference was found")]
+        ("ending", "words"), [("", "not decided yet"), ("no difference", "no significant difference")]
     )
     def test_a_look_that_decides_nothing_says_so(self, ending, words):
         assert words in summary.answer(self.setup, self.verdict(ending, 0.02), "area")
