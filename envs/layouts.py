@@ -288,8 +288,8 @@ def parse(data: dict[str, Any], path: Path) -> Layout:
         raise ValueError("needs at least one [[patch]], [[taxel]] or [[sensor]] table")
     patches = tuple(_patch(patch, f"patch {i}") for i, patch in enumerate(tables[0], 1))
     points = [taxel_files.point(taxel, i) for i, taxel in enumerate(tables[1])]
-    for i, sensor in enumerate(tables[2]):
-        points += taxel_files.mounted(sensor, i, path.parent)
+    for i in range(len(tables[2])):
+        points += taxel_files.mounted(tables[2], i, path.parent)
     taxel_files.require_distinct(points)
     return Layout(path.stem, str(data.get("description", "")), patches, tuple(points))
 

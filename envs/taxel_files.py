@@ -101,15 +101,17 @@ def read(path: Path, link: str | None = None) -> tuple[Point, ...]:
         return points
 
 
-def mounted(data: Any, index: int, folder: Path) -> Iterator[Point]:
-    """The taxels of a sensor that has a file of its own, on each of its links; ValueError naming what
-    is wrong, and FileNotFoundError."""
-    where = f"sensor {index + 1}"
+def mounted(sensors: Sequence[Any], index: int, folder: Path) -> Iterator[Point]:
+    """The taxels of one of the sensors that have files of their own, on each of its links; ValueError
+    naming what is wrong, and FileNotFoundError."""
+    where, data = f"sensor {index + 1}", sensors[index]
     table({where: data}, where, {"file", "links", "position", "quaternion", "radius"})
     file = data.get("file")
     if not isinstance(file, str) or Path(file).suffix not in READERS:
         allowed = f"names that end in {', '.join(READERS)}"
         raise ValueError(f"{where}: file: found {file!r}, allowed {allowed}")
+    alike = sum(earlier["file"] == file for earlier in sensors[:index])
+    again = f" {alike + 1}" if alike else ""
     shift = vector(data.get("position", (0, 0, 0)), 3, f"{where}: position", -FARTHEST, FARTHEST)
     quaternion = vector(data.get("quaternion", (1, 0, 0, 0)), 4, f"{where}: quaternion")
     if abs(float(np.linalg.norm(quaternion)) - 1.0) > 0.1:
@@ -118,7 +120,7 @@ def mounted(data: Any, index: int, folder: Path) -> Iterator[Point]:
     for link in strings(data.get("links"), f"{where}: links"):
         for number_of, each in enumerate(read(folder / file, link), 1):
             place = tuple((np.array(shift) + turn @ each.position).tolist())
-            radius = number(data.get("radius", each.radius), f"{where}: radius", 1e-4)
-            name = f"{link}.{Path(file).stem}[{number_of}]"
+            radius = number(data.get("radius", each.radius), f"{where}: radius", 1e-4, 0.02)
+            name = f"{link}.{Path(file).stem}{again}[{number_of}]"
             normal = tuple((turn @ each.normal).tolist()) if each.normal else ()
             yield Point(link, place, normal, radius, name)

@@ -81,8 +81,12 @@ def digest(name: str) -> str:
     is no hand. ValueError and OSError where they cannot be read."""
     if name in HANDS or not is_hand(name):
         return ""
-    content = b"".join(path.read_bytes() for path in (file(name), *get(name).build.files))
-    return hashlib.sha256(content).hexdigest()[:16]
+    return short_digest(file(name), *get(name).build.files)
+
+
+def short_digest(*files: Path) -> str:
+    """Of what is in them."""
+    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()[:16]
 
 
 def get(name: str) -> Hand:

@@ -49,7 +49,7 @@ class Guess:
     model: str
     """As in the hand's file."""
     folder: Path
-    said: dict[str, Any] = field(default_factory=dict)
+    said: dict[str, Any]
     """Keys that are known already."""
     notes: list[str] = field(default_factory=list)
 
@@ -299,7 +299,6 @@ class Guess:
         frame, known = self.parts.palm_frame, {k: v for k, v in self.data.items() if v}
         guessed = {"palmar": palmar, "fingers": fingers, "palm_point": self._palm_point() - frame.place}
         known |= {key: (frame.turn.T @ value).round(4).tolist() for key, value in guessed.items()}
-        known |= {key: value for key, value in self.said.items() if key in known}
         lines = [f"{key} = {json.dumps(value)}" for key, value in known.items()]
         lines += ["", "[digits]"]
         for name, chain in self.digits.items():

@@ -325,7 +325,7 @@ class Hand:
         ("fingers")."""
         action, names = self.closing(np.zeros(0), np.zeros((0, 2)), CLOSING_STEP), tuple(self.groups)
         opened = action.open + start * (action.closed - action.open)
-        pose = dict(zip(self.actuated, opened.tolist(), strict=True))
+        pose = self.start | dict(zip(self.actuated, opened.tolist(), strict=True))
         pose |= {coupling.joint: coupling.at(pose[coupling.driver]) for coupling in self.couplings}
         action = replace(action, open=opened)
         if actions == "grip":

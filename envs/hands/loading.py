@@ -6,7 +6,6 @@ whose. Everything else has a default that follows from both.
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from .. import toml_files
 from ..choices import require_one_of
 from ..state import Array
 from ..toml_files import interval, number, only, strings, table, vector
-from . import checks, models, mounting, sensors, surfaces
+from . import checks, models, mounting, sensors, short_digest, surfaces
 from .hand import CLOSING_STEP, KEPT, SLIDES, Hand, LinearAction, ScriptedGrasp, Surface
 from .mounting import Mount
 from .parts import Parts, placed, posed
@@ -123,7 +122,7 @@ def _some(names: tuple[str, ...]) -> str:
 
 def _finger_length(parts: Parts, sides: tuple[Surface, ...]) -> float:
     """Of the longest digit: of its bones, where all its links are such, else from joint to joint, m."""
-    data, found = posed(parts.model, parts.opened), []
+    data, found = posed(parts.model, parts.open_pose), []
     tips = dict(zip(parts.digits, parts.tips(parts.model, data), strict=True))
     for name, digit in parts.digits.items():
         spans = [
@@ -226,15 +225,13 @@ def _middle(parts: Parts, model: mujoco.MjModel) -> Array:
 # -- what it does ----------------------------------------------------------------------------
 
 
-def _kept(path: Path) -> list[Any]:
+def _kept(path: Path) -> Any:
     """What a command has found for a file that has no grasp, and kept beside it."""
     kept = path.with_suffix(KEPT)
     if not kept.is_file():
         return []
     data = toml_files.read(kept, "grasp file")
-    same = data.get("hand") == hashlib.sha256(path.read_bytes()).hexdigest()[:16]
-    tables = data.get("grasp", []) if same else []
-    return tables if isinstance(tables, list) else []
+    return data.get("grasp", []) if data.get("hand") == short_digest(path) else []
 
 
 def _grasps(parts: Parts, at: Array, tables: Any) -> tuple[ScriptedGrasp, ...]:

@@ -55,8 +55,11 @@ def included(path: Path) -> list[Path]:
             raise FileNotFoundError(f"model {str(each)!r} does not exist")
         with suppress(ElementTree.ParseError, ValueError):  # MuJoCo says it better
             root = ElementTree.parse(each).getroot()
-            more = [path.parent / element.attrib.get("file", "") for element in root.iter("include")]
-            found += [other for other in dict.fromkeys(more) if other not in found]
+            for element in root.iter("include"):  # beside the model, or beside what includes it
+                name = element.attrib.get("file", "")
+                beside = each.parent / name
+                other = beside if beside.is_file() else path.parent / name
+                found += [other] if other not in found else []
     return found
 
 
@@ -65,7 +68,7 @@ def assets(path: Path, spec: mujoco.MjSpec) -> list[Path]:
     and no file, such as a pipe: MuJoCo would wait for its end."""
     folders = {"meshes": spec.meshdir, "hfields": spec.meshdir, "textures": spec.texturedir}
     found = [
-        path.parent / folder / each.file
+        path.parent / folder / (Path(each.file).name if spec.strippath else each.file)
         for kind, folder in folders.items()
         for each in getattr(spec, kind)
         if each.file

@@ -87,7 +87,7 @@ class Mount:
     def bare(self, visual: bool = False) -> mujoco.MjSpec:
         """The model with its joints and actuators as they will be, where its file has it."""
         spec = self.unfused(visual)
-        if self.fuses and fixed_bodies(spec):
+        if self.fuses and any(map(is_fixed, spec.bodies)):
             for body in spec.bodies:
                 body.fuse = is_fixed(body)
             with models.quiet():
@@ -107,9 +107,6 @@ class Mount:
         spec = models.read(self.model)
         self._leave_out(spec)
         spec = _with_one_root(spec, self.root)
-        for joint in spec.worldbody.first_body().joints:
-            if joint.type == FREE:
-                spec.delete(joint)
         if not visual:
             spec.discard_visual()
         for body in spec.bodies[1:]:
@@ -122,7 +119,8 @@ class Mount:
                     body.explicitinertial = True
         for joint in spec.joints:
             if joint.name in self.ranges:
-                joint.range, joint.limited = self.ranges[joint.name], mujoco.mjtLimited.mjLIMITED_TRUE
+                joint.range = np.array(self.ranges[joint.name]) / _unit(joint)
+                joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
         return spec
 
     def _leave_out(self, spec: mujoco.MjSpec) -> None:
@@ -165,7 +163,7 @@ class Mount:
                 equality = spec.add_equality(type=mujoco.mjtEq.mjEQ_JOINT)
                 equality.name1, equality.name2 = coupling.joint, coupling.driver
                 law = np.zeros(len(equality.data))
-                law[:2] = coupling.offset, coupling.ratio
+                law[:2] = coupling.offset - _rest(spec, *coupling[:3]), coupling.ratio
                 equality.data = law
         for coupling in followed(spec):
             joint = spec.joint(coupling.joint)
@@ -206,22 +204,31 @@ def _above(body: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:
         yield body
 
 
-def _with_one_root(spec: mujoco.MjSpec, root: str = "") -> mujoco.MjSpec:
-    """Several bodies at the root are on one rigid base; a body that is named as root is all that there
-    is, with what it carries, at rest. ValueError where there is none, or some move freely."""
+def _with_one_root(spec: mujoco.MjSpec, root: str) -> mujoco.MjSpec:
+    """Several bodies at the root are on one rigid base, and so is one that is in a frame or moves on a
+    joint; a body that is named as root is all that there is, with what it carries, at rest. ValueError
+    where there is none, or some move freely."""
     roots, chosen = list(spec.worldbody.bodies), spec.body(root) if root else None
     if root and chosen is None:
         raise ValueError(f"root: found no body {root!r} in the model")
     if not root and len(roots) == 1:
-        return spec
-    if not root and (not roots or any(map(is_loose, roots))):
+        for joint in roots[0].joints:
+            if joint.type == FREE:
+                spec.delete(joint)
+        if roots[0].frame is None and not list(roots[0].joints):
+            return spec
+    elif not root and (not roots or any(map(is_loose, roots))):
         found = f"found {len(roots)} bodies at its root ({', '.join(root.name for root in roots)})"
         hint = 'or several that are fixed; leave others out with drop = ["NAME"]'
         raise ValueError(f"model: {found}, allowed one, {hint}")
     whole = mujoco.MjSpec()
     with models.quiet():  # names stay as they are
         if chosen is None:
-            whole.attach(spec, prefix="", frame=whole.worldbody.add_body(name=BASE).add_frame())
+            base = whole.worldbody.add_body(name=BASE)
+            whole.attach(spec, prefix="", frame=base.add_frame())
+            if all(list(body.joints) for body in roots):  # nothing of it is part of the base
+                base.mass, base.inertia = models.DUMMY["mass"], models.DUMMY["inertia"]
+                base.explicitinertial = True
         else:
             for joint in chosen.joints:
                 spec.delete(joint)
@@ -261,11 +268,6 @@ def is_fixed(body: mujoco.MjsBody) -> bool:
     return body.name != "world" and body.parent.name != "world" and not list(body.joints)
 
 
-def fixed_bodies(spec: mujoco.MjSpec) -> list[str]:
-    """Names of those."""
-    return [body.name for body in spec.bodies if is_fixed(body)]
-
-
 def weightless(spec: mujoco.MjSpec) -> list[mujoco.MjsBody]:
     """Bodies on joints that have neither a mass nor, they or what is fixed to them, a shape."""
 
@@ -294,10 +296,21 @@ def followed(spec: mujoco.MjSpec) -> Iterator[Coupling]:
         if any(higher):
             found = f"found {joint!r} coupled to {driver!r} by {higher}"
             raise ValueError(f"model: {found} beyond a straight line, allowed 0")
-        offset += float(spec.joint(joint).ref - ratio * spec.joint(driver).ref)
+        offset += _rest(spec, joint, driver, ratio)
         if joint in driven and driver not in driven and ratio:
             joint, driver, offset, ratio = driver, joint, -offset / ratio, 1 / ratio
         yield Coupling(joint, driver, ratio, offset, is_rigid=True)
+
+
+def _unit(joint: mujoco.MjsJoint) -> float:
+    """Of a joint's angles in its model: 1 or a degree, rad; of what slides 1 m."""
+    return float(np.radians(1.0)) if joint.compiler.degree and joint.type != LINEAR else 1.0
+
+
+def _rest(spec: mujoco.MjSpec, joint: str, driver: str, ratio: float) -> float:
+    """What a coupled joint is beyond `ratio` times its driver where both are at their `ref`."""
+    rest, of_driver = (each.ref * _unit(each) for each in map(spec.joint, (joint, driver)))
+    return float(rest - ratio * of_driver)
 
 
 def turned(palm_in_root: Array, palmar: Array, fingers: Array) -> Array:

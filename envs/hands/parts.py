@@ -17,11 +17,10 @@ import numpy as np
 from ..choices import require_one_of
 from ..state import Array
 from ..toml_files import interval, number, only, strings, table, vector
-from . import models, mounting, servos
+from . import FOLDER, models, mounting, servos
 from .hand import Coupling, Frame
 from .mounting import Mount
 
-FOLDER = Path(__file__).parent  # of the library's own hands
 SLACK = 1e-3  # rad or m that an angle may be beyond a joint's range
 Angles = dict[str, float]
 """By joint, rad or m."""
@@ -79,6 +78,8 @@ class Parts:
         spec = self.asked.unfused()
         for body in self.asked.masses:
             require_one_of([each.name for each in spec.bodies], body, "masses")
+            if not spec.body(body).explicitinertial:
+                raise ValueError(f"masses: found {body!r}, allowed bodies whose model has an inertial")
         for joint in spec.joints:
             of_body = f"a joint of body {joint.parent.name!r}"
             if joint.type not in (servos.HINGE, servos.LINEAR):
@@ -155,7 +156,7 @@ class Parts:
 
     @cached_property
     def model(self) -> mujoco.MjModel:
-        """The same, compiled."""
+        """`spec`, compiled."""
         model = models.compiled(self.spec)
         free = [
             joint
@@ -220,11 +221,12 @@ class Parts:
     @cached_property
     def welded(self) -> dict[str, Frame]:
         """The bodies that are part of links."""
-        fixed = mounting.fixed_bodies(self.raw) if self.is_own else []
+        # Nobody can mean what has no name.
+        fixed = [b.name for b in self.raw.bodies if self.is_own and b.name and mounting.is_fixed(b)]
         if not fixed:
             return {}
         data, found = posed(models.compiled(self.raw.copy()), {}), {}
-        for name in filter(None, fixed):  # nobody can mean what has no name
+        for name in fixed:
             body = self.raw.body(name)
             while mounting.is_fixed(body):
                 body = body.parent
@@ -264,10 +266,10 @@ class Parts:
         low, high = found.range.tolist() if found.limited[0] else (-math.inf, math.inf)
         return low, high
 
-    def inside(self, joint: str, angle: float = 0.0) -> float:
-        """The angle nearest to this one that the joint can have."""
+    def inside(self, joint: str) -> float:
+        """The angle nearest to 0 that the joint can have."""
         low, high = self.range_of(joint)
-        return min(max(angle, low), high)
+        return min(max(0.0, low), high)
 
     @cached_property
     def closed(self) -> Angles:
@@ -290,8 +292,13 @@ class Parts:
                 raise ValueError(f"opened.{joint}: found it without a value in [closed]")
         return {joint: self.inside(joint) for joint in self.closed} | opened
 
+    @cached_property
+    def open_pose(self) -> Angles:
+        """Of all joints that close, and of those that follow them."""
+        return self.opened | self.followed(self.opened)
+
     def way(self, joint: str) -> float:
-        """How far it goes from open to closed, by itself or following another, rad."""
+        """How far it goes from open to closed, by itself or following another, rad or m."""
         own = self.closed.get(joint, 0.0) - self.opened.get(joint, 0.0)
         return own or sum(c.ratio * self.way(c.driver) for c in self.follows if c.joint == joint)
 
@@ -413,7 +420,7 @@ def _sides(value: Any, n: int, where: str) -> list[Array | None]:
 
 
 def posed(model: mujoco.MjModel, angles: Mapping[str, float]) -> mujoco.MjData:
-    """A model with these joint angles, the others at 0."""
+    """A model with these joint angles, the others where its joints rest."""
     data = mujoco.MjData(model)
     for joint, angle in angles.items():
         data.qpos[model.joint(joint).qposadr[0]] = angle

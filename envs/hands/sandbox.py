@@ -62,14 +62,20 @@ def _state(*files: Path) -> str:
 
 def _load(path: Path, whole: Path) -> Hand:
     """In a process of its own, unless one that started this has done so."""
-    state, tried = _state(whole), os.environ.get(TRIED, "").split("\n")
-    if state in tried:
+    tried = list(filter(None, os.environ.get(TRIED, "").split("\n")))
+    if any(_is_as_before(state, whole) for state in tried):
         from . import loading
 
         return loading.load(whole)
     hand: Hand = _ask("load", f"hand file {path}", (whole,), path.parent)
-    os.environ[TRIED] = "\n".join([*tried, state])
+    os.environ[TRIED] = "\n".join([*tried, _state(whole, *hand.build.files)])
     return hand
+
+
+def _is_as_before(state: str, whole: Path) -> bool:
+    """Is the state that of this file, and of those of its model as they are now?"""
+    *files, _ = (Path(path) for path, *_ in json.loads(state))
+    return files[0] == whole and _state(*files) == state
 
 
 def _ask(job: str, what: str, args: tuple[Any, ...], beside: Path) -> Any:

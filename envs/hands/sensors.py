@@ -9,8 +9,7 @@ import numpy as np
 
 from ..taxel_files import RADIUS, Point
 from . import models
-from .hand import Frame
-from .parts import Parts, posed
+from .parts import Parts
 from .skins import geoms_of, outside
 
 WORDS = re.compile(r"(?i)sensor|taxel|tactile|touch")
@@ -38,16 +37,9 @@ def _sites(parts: Parts) -> list[tuple[str, str, np.ndarray, float]]:
     touch = mujoco.mjtSensor.mjSENS_TOUCH
     sensors = models.read(parts.asked.model).sensors
     chosen = {sensor.objname for sensor in sensors if sensor.type == touch}
-    sites = [site for site in parts.raw.sites if site.name in chosen]
-    if not sites:
-        return []
-    data, found = posed(models.compiled(parts.raw.copy()), {}), []
-    for site in sites:
-        link = parts.welded.get(site.parent.name, Frame(site.parent.name)).link
-        body, there = data.body(link), data.site(site.name).xpos
-        place = body.xmat.reshape(3, 3).T @ (there - body.xpos)
-        found.append((site.name, link, place, float(site.size[0])))
-    return found
+    sites = [parts.model.site(site.name) for site in parts.spec.sites if site.name in chosen]
+    links = (parts.model.body(site.bodyid[0]).name for site in sites)
+    return [(site.name, link, site.pos, site.size[0]) for site, link in zip(sites, links, strict=True)]
 
 
 def _links(parts: Parts) -> list[tuple[str, str, np.ndarray, float]]:

@@ -37,7 +37,7 @@ def is_servo(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> bool:
     is_affine = actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE
     is_fixed = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED
     pulls = is_affine and is_fixed and actuator.gainprm[0] > 0 > actuator.biasprm[1]
-    moves = actuator.trntype == JOINT or bool(arms(spec, actuator))
+    moves = sum(arms(spec, actuator).values()) > 0
     return bool(pulls and moves and actuator.dyntype in DYNAMICS)
 
 

@@ -21,7 +21,7 @@ BEYOND = 0.01  # m that a fingertip may lie off the shapes of its link
 
 def of(parts: Parts) -> tuple[Surface, ...]:
     """The palmar sides of all segments, then of the palm at the bases of the fingers."""
-    open_hand, found = posed(parts.model, parts.opened), []
+    open_hand, found = posed(parts.model, parts.open_pose), []
     shift = number(table(parts.data, "pitch").get("distal_shift", 0.0), "pitch.distal_shift")
     tips = dict(zip(parts.digits, parts.tips(parts.model, open_hand), strict=True))
     for digit, (links, tip, sides) in parts.digits.items():
@@ -119,7 +119,7 @@ def _segment(
             along = beside(along, turning) if ends is None else along
             side = unit(np.cross(turning, along), link)
     if side is None:  # what slides goes there
-        data = posed(parts.model, parts.opened)
+        data = posed(parts.model, parts.open_pose)
         slides = _carried(parts, link, data, servos.LINEAR)
         if not slides:
             hint = "say which side of it is palmar: palmar = [x, y, z]"
@@ -145,13 +145,14 @@ def _around(surface: Surface) -> Surface:
 
 def _bone(parts: Parts, link: str, capsule: Geom) -> Array:
     """Both ends (2, 3) of a capsule's axis, that at the joint first."""
-    written = [geom for geom in parts.spec.body(link).geoms if np.isfinite(geom.fromto).all()]
-    if len(written) == 1:  # as the file has it, to the last digit
-        ends = np.array(written[0].fromto).reshape(2, 3)
-    else:
-        axis = np.array(capsule.rotation)[:, 2] * capsule.size[1]
-        ends = np.array(capsule.position) + np.outer([-1.0, 1.0], axis)
-    return ends[np.argsort(np.linalg.norm(ends, axis=1), kind="stable")]
+    axis = np.array(capsule.rotation)[:, 2] * capsule.size[1]
+    each = [np.array(capsule.position) + np.outer([-1.0, 1.0], axis)]
+    written = [geom.fromto for geom in parts.spec.body(link).geoms if np.isfinite(geom.fromto).all()]
+    if len(written) == 1:
+        each.append(np.array(written[0]).reshape(2, 3))
+    ends, *own = (ends[np.argsort(np.linalg.norm(ends, axis=1), kind="stable")] for ends in each)
+    # As the file has it, to the last digit, where that is in the link's frame.
+    return own[0] if own and np.allclose(own[0], ends, atol=1e-6) else ends
 
 
 def _palm_side(parts: Parts, digit: str, about: dict[str, Any]) -> Surface:

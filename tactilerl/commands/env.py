@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from contextlib import closing
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -57,12 +56,8 @@ def _export(path: Path, base: Any) -> None:
     with input_errors("--export"):
         is_model = path.suffix == MJCF
         made = tactile.xml(base.hand, taxels) if is_model else WRITERS[path.suffix](taxels.points)
-    with replacing(path, partial(_holds, made)) as file:
+    with replacing(path, lambda there: content(there) == made) as file:
         file.write(made)
-
-
-def _holds(data: bytes, path: Path) -> bool:
-    return content(path) == data
 
 
 def main(args: list[str]) -> int:

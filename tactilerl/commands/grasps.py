@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
 
 from rich.console import Console
@@ -32,11 +31,9 @@ def require_grasp(name: str, scene: GraspConfig) -> None:
         raise ValueError(f"hand {name}: found no grasp that holds; look at [opened] and [closed]")
     path = hands.file(name)
     kept = path.with_suffix(hands.KEPT)
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
     with replacing(kept, begins_with(MARK)) as file:
-        file.write(
-            f'{MARK}hand = "{digest}"\n\n{grasp_search.toml(hands.get(name), found.grasp)}\n'.encode()
-        )
+        grasp = grasp_search.toml(hands.get(name), found.grasp)
+        file.write(f'{MARK}hand = "{hands.short_digest(path)}"\n\n{grasp}\n'.encode())
     beside.print(f"kept in {kept}")
 
 

@@ -63,9 +63,8 @@ def main(args: list[str]) -> int:
         _say_what_was_guessed(read.out, hand)
         scene = setup(str(read.out), layout="1")
         found = found_grasp(str(read.out), scene)
-    shift = None if found is None else found.shift
     if found is not None:
-        more = "" if shift is None else f"\n[pitch]\ndistal_shift = {shift:.4g}\n"
+        more = "" if found.shift is None else f"\n[pitch]\ndistal_shift = {found.shift:.4g}\n"
         _append(read.out, f"{more}\n{grasp_search.toml(hand, found.grasp)}\n")
     pose: Literal["start", "grasp"] = "start" if found is None else "grasp"
     what, picture = f"the {pose}, and the hand unrolled", read.out.with_suffix(".png")
@@ -88,12 +87,12 @@ def _write(read: HandFlags) -> None:
     said |= {"drop": list(read.drop)} if read.drop else {}
     model = read.model
     if ":" not in model:
-        model = os.path.relpath(model, read.out.absolute().parent)
+        path = Path(model).parent.resolve() / Path(model).name
+        model = os.path.relpath(path, read.out.parent.resolve())
     notes = _written(read.out, model, said)
     if bad := _servos_fail(read.out):
         notes = _written(read.out, model, {**said, "servos": "library"})
         notes.append(f"{bad}: the joints get the library's servos")
-        hands.get(str(read.out))
     for note in notes:
         console.print(f"note: {note}")
 

@@ -67,9 +67,9 @@ class ProgressTable:
         whole = lines[: len(lines) - (last - epoch)]
         if len(whole) < 2:  # so that a header that was cut off does not stay
             self.path.unlink()
-        elif (content := "".join(whole).encode()) != self.path.read_bytes():
+        elif (kept := "".join(whole).encode()) != self.path.read_bytes():
             with replacing(self.path) as file:
-                file.write(content)
+                file.write(kept)
 
     def _read(self) -> tuple[list[str], list[int]]:
         """The header's and all rows' lines, without a last one that was cut off, and the rows'

@@ -54,6 +54,14 @@ def test_a_hand_like_ours():
     assert about["closed"]["th_turn"] == about["opened"]["th_turn"]  # it stays where the thumb opposes
 
 
+def test_what_is_left_out_by_itself_stays_out_beside_what_is_asked_for():
+    knob = '<body name="knob"><geom size="0.004" pos="0 0 0.03"/></body>'
+    servo = '<actuator><motor name="m" joint="l_a"/></actuator></mujoco>'
+    model = MODEL.replace("</body></worldbody>", f"{knob}</body></worldbody>")
+    about, _ = guessed(model.replace("</mujoco>", servo), drop=["knob"], servos="library")
+    assert about["drop"] == ["knob", "m"]
+
+
 def test_a_gripper():
     about, _ = guessed(MODEL)
     assert about["palmar"] == [0, 0, -1]

@@ -67,6 +67,9 @@ def test_a_hand_is_read_once_and_again_when_a_file_changes(hand, monkeypatch):
     assert hands.get(path) is not first
     assert hands.get("shadow") is hands.get("shadow")  # which no process of its own reads
     assert len(read) == 2
+    Path("../gripper.xml").write_text(MODEL.replace("-0.7 1.2", "-0.7 1.0"))  # and not the TOML
+    hands.get(path)
+    assert len(read) == 3
 
 
 def test_processes_that_are_started_from_here_need_not_try_again(hand, monkeypatch):

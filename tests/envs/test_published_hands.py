@@ -194,6 +194,7 @@ class TestServos:
             ['<motor name="m" joint="l_a"/>'],
             [*ALL, '<position name="m" joint="l_a" kp="1"/>'],
             [*ALL[1:], '<pid name="m" joint="l_a" kp="1" ki="1"/>'],
+            [*ALL[1:], '<position name="m" joint="l_a" kp="1" gear="-1"/>'],
             [*ALL[1:], '<intvelocity name="m" joint="l_a" kp="1" actrange="0 1"/>'],
         ],
     )
@@ -236,6 +237,56 @@ class TestServos:
         assert tips[1] == pytest.approx(tips[0], abs=1e-6)
         straight = made_env(made()).simulator.state().fingertips
         assert np.abs(tips[0] - straight).max() > 0.01
+
+    @pytest.mark.parametrize("more", ["", "</body><body name='other' pos='0.2 0 0.3'>" + PALM])
+    def test_models_in_degrees(self, made, more):
+        """Angles of the hand's file are rad all the same."""
+        degrees = (("radian", "degree"), ("1.5708", "90"), ('range="0 1.5"', 'range="0 86" ref="20"'))
+        model = with_more(coupled("0.1 0.5 0")).replace(FINGERS, FINGERS + more)
+        for old, new in degrees:
+            model = model.replace(old, new)
+        hand = hands.get(made(model, FOLLOWERS + '[ranges]\n"?_a" = [-0.5, 1.0]\n'))
+        assert models.compiled(hand.build()).joint("l_a").range == pytest.approx([-0.5, 1.0])
+        assert hand.couplings[0].offset == pytest.approx(0.1 + 0.5 * math.radians(20))
+
+    def test_couplings_of_the_file_where_a_joint_rests_elsewhere_than_at_0(self, made):
+        row = "[couplings]\nl_b = {follows = 'l_a', ratio = 0.5, offset = 0.1}\n[[grasp]]"
+        text = TOML.replace("[[grasp]]", row).replace('"?_b"', "r_b")
+        path = made(MODEL.replace("damping", 'ref="0.3" damping', 2), text)
+        assert hands.get(path).couplings[0].offset == pytest.approx(0.1)
+        assert at_start(path)["l_b"] == pytest.approx(0.1, abs=0.02)
+
+    def test_what_stands_in_a_frame(self, made):
+        plain = hands.get(made())
+        model = MODEL.replace(FINGERS, fingers(f'<frame pos="0.004 0 0">{TIP}</frame>'))
+        assert hands.get(made(model)).surfaces[1].bone[0] == pytest.approx((0.004, 0, 0))
+        model = MODEL.replace("<worldbody>", '<worldbody><frame pos="0.1 0 0.5" euler="1.5 0 0">')
+        moved = made(model.replace("</worldbody>", "</frame></worldbody>"))
+        assert hands.get(moved).finger_length == pytest.approx(plain.finger_length)
+        tips = [made_env(path).simulator.state().fingertips for path in (made(), moved)]
+        assert tips[1] == pytest.approx(tips[0], abs=1e-3)
+
+    def test_a_wrist_at_the_root(self, made, simulator):
+        wrist = '<joint name="wrist" axis="0 1 0" range="-0.5 0.5"/>'
+        path = made(MODEL.replace(PALM, wrist + PALM))
+        hand = hands.get(path)
+        assert hand.joints[:4] == (*hands.SLIDES, "wrist")
+        assert at_start(path, simulator)["wrist"] == pytest.approx(0.0, abs=0.02)
+
+    def test_what_nothing_drives_starts_where_the_file_says(self, made):
+        text = 'passive = ["r_b"]\n' + TOML.replace('"?_b"', "l_b") + "[start]\nr_b = 0.3\n"
+        assert hands.get(made(toml=text)).closing_from(0.2, "grip").start["r_b"] == 0.3
+
+    def test_masses_of_what_has_no_inertial(self, made):
+        with pytest.raises(ValueError, match="masses: found 'l_1', allowed bodies whose model has an"):
+            hands.get(made(toml=TOML + "[masses]\nl_1 = 0.5\n"))
+
+    def test_includes_beside_what_includes_them(self, made, tmp_path):
+        (tmp_path / "in").mkdir()
+        (tmp_path / "in/a.xml").write_text('<mujoco><include file="b.xml"/></mujoco>')
+        (tmp_path / "in/b.xml").write_text('<mujoco><option timestep="0.001"/></mujoco>')
+        hand = hands.get(made(with_more('<include file="in/a.xml"/>')))
+        assert tmp_path / "in/b.xml" in hand.build.files
 
 
 UNLIMITED = MODEL.replace('axis="0 -1 0" range="0 1.5"', 'axis="0 -1 0"', 1)
@@ -399,9 +450,10 @@ class TestUrdf:
 class TestSensors:
     """`--layout model`: what a model has of its own."""
 
-    def test_sites_of_touch_sensors(self, made):
+    @pytest.mark.parametrize("named", ['name="{n}_pad" ', ""])
+    def test_sites_of_touch_sensors(self, made, named):
         site = '<site name="{n}_s" pos="0 0 0.008" size="0.003"/>'
-        pad = f'<body name="{{n}}_pad" pos="0.02 0 0">{site}</body>'
+        pad = f'<body {named}pos="0.02 0 0">{site}</body>'
         model = with_more('<sensor><touch site="l_s"/><touch site="r_s"/></sensor>')
         hand = hands.get(made(model.replace(FINGERS, fingers(pad + TIP))))
         taxels = layouts.load("model").place(hand)

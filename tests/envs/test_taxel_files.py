@@ -48,6 +48,14 @@ def test_orcas_sensors_are_in_mm_and_older_ones_have_no_normals(tmp_path):
     assert [point.normal for point in points] == [(0, -1, 0), ()]
 
 
+def test_the_same_sensor_twice_on_a_link(tmp_path):
+    (tmp_path / "finger.yaml").write_text(ORCA)
+    sensor = "[[sensor]]\nfile = 'finger.yaml'\nlinks = ['left_2']\nposition = [0, 0, {}]\n"
+    (tmp_path / "two.toml").write_text(sensor.format(0) + sensor.format(0.01))
+    names = [point.name for point in layouts.load(str(tmp_path / "two.toml")).taxels]
+    assert names == [f"left_2.finger{pad}[{n}]" for pad in ("", " 2") for n in (1, 2)]
+
+
 def test_icubs_skin_names_its_link_and_has_rows_for_no_taxel(tmp_path):
     (tmp_path / "left.txt").write_text(ICUB)
     points = taxel_files.read(tmp_path / "left.txt")
