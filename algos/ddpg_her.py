@@ -2,7 +2,7 @@
 
 Read from top to bottom: the choices, what it computes, the learner. The order of operations is OpenAI
 baselines' (baselines/her), which the paper used through Melnik et al. 2021: an epoch is `n_cycles`
-times {episodes, normaliser, `n_batches` updates, one move of the target networks or more}, then test
+times {episodes, normaliser, `n_batches` updates, one or more moves of the target networks}, then test
 episodes without noise.
 """
 
@@ -85,7 +85,7 @@ class DDPGHERConfig:
     """How the gradients of several processes are combined (source: sum)."""
     clip_target: bool = True
     """Clip value targets to the range of possible returns: from -1/(1 - gamma) to 0 (source), wider
-    once rewards below -1 or above 0 are seen; with --normalise-rewards, by all rewards so far."""
+    once rewards below -1 or above 0 are seen. With --normalise-rewards it follows all rewards."""
     termination: Literal["bootstrap", "terminal"] = "bootstrap"
     """How the end of an episode by termination is treated. bootstrap: the target network's value
     is added, since the source has no done mask; terminal: it is not."""

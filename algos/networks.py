@@ -147,7 +147,7 @@ def flatten(*modules: nn.Module) -> nn.Parameter:
 class FlatAdam:
     """Adam (Kingma & Ba 2014) on all parameters of modules as one vector.
 
-    Each module comes with its step size.
+    Each module comes with its learning rate.
     """
 
     def __init__(self, *modules: tuple[nn.Module, float]) -> None:
@@ -171,7 +171,7 @@ class FlatAdam:
         self._adam.state.update(zip(parameters, states, strict=True))
 
     def scale_lr(self, lr_factor: float) -> None:
-        """From here on each step size is this fraction of what it was at the start."""
+        """From here on each learning rate is this fraction of what it was at the start."""
         self.lr_factor = lr_factor
         for group, lr in zip(self._adam.param_groups, self._lrs, strict=True):
             group["lr"] = lr_factor * lr
@@ -199,8 +199,8 @@ class FlatAdam:
             torch.set_flush_denormal(before)  # whoever steps physics must not notice
 
     def state_dict(self) -> dict[str, Any]:
-        """Moments (n,) and steps (modules,). The parameters belong to the modules, step sizes to
-        the configuration."""
+        """Moments (n,) and steps (modules,). The parameters belong to the modules, learning
+        rates to the configuration."""
         return {"steps": self._steps, **self._moments}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:

@@ -58,8 +58,8 @@ class PPOConfig:
     """Minibatches per pass; default: 6, unless --minibatch-size is given. The paper says
     "minibatch size: 6"; its source uses 6 as their number."""
     minibatch_size: Count | None = None
-    """Minimum number of transitions per minibatch, instead of --n-minibatches; all are about as large.
-    (Stable-Baselines3: batch_size.)"""
+    """Minimum number of transitions per minibatch, instead of --n-minibatches; all have about as
+    many. (Stable-Baselines3: batch_size.)"""
     max_grad_norm: Positive32 = 0.5
     """Largest norm of the gradient, clipped separately for actor and critic."""
     exploration: Literal["fixed", "learned"] = "fixed"

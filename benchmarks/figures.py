@@ -5,7 +5,6 @@ python -m benchmarks figures
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Sequence
 from typing import Any
 
@@ -130,9 +129,8 @@ def unrolled(picture: str, hand: str, names: Sequence[str], rows: int, title: st
         taxels = layout.place(hands.get(hand))
         drawn = TaxelMap(hands.get(hand), taxels, height=900)
         axes.imshow(drawn.picture(np.zeros(len(taxels), bool)))
-        about = textwrap.fill(layout.description, 34)
-        named = "chosen" if name == FOUR else f"layout {name}"
-        axes.set_title(f"{named}, {len(taxels)} taxels\n{about}", fontsize="medium")
+        named = f"layout {name}, {len(taxels)} taxels\n{layout.description}"
+        axes.set_title("chosen, 4 taxels" if name == FOUR else named, fontsize="medium")
         axes.axis("off")
     figure.suptitle(title, **HEAD)
     save(figure, picture)
@@ -151,7 +149,7 @@ def main() -> None:
     with matplotlib.rc_context(STYLE):
         speed_against_error()
         unrolled("layouts", "shadow", [*layouts.PAPER], 2, "Shadow Hand: the paper's six layouts")
-        unrolled("design_places", "mpl", [FOUR, "1"], 1, "MPL hand: where arrivals are felt")
+        unrolled("design_places", "mpl", [FOUR, "1"], 1, "MPL hand: four chosen taxels, and layout 1")
         fault_curves()
         study_tables.draw(IMAGES)
         if setups_study.IS_THERE:

@@ -121,6 +121,11 @@ class Layout:
     patches: tuple[Patch, ...]
     taxels: tuple[Point, ...] = ()
 
+    @property
+    def is_model(self) -> bool:
+        """Does it stand for what the hand's model has? Every file has taxels of its own."""
+        return not (self.patches or self.taxels)
+
     def place(self, hand: Hand) -> Taxels:
         """The taxels of this layout on `hand`; ValueError when the hand cannot carry them."""
         self._require_digits(hand)
@@ -132,7 +137,7 @@ class Layout:
                 placed.append((point, index, (*offset, 0.0)))
         with toml_files.blamed(f"layout {self.name!r}"):
             taxel_files.require_distinct([point for point, *_ in placed])
-        own = hand.sensors if self.name == MODEL else self.taxels
+        own = hand.sensors if self.is_model else self.taxels
         points = [_of_link(point, hand) for point in own]
         placed += [_on_surface(point, hand) for point in points]
         if not placed:
@@ -142,7 +147,7 @@ class Layout:
 
     def __str__(self) -> str:
         """What stands for it in a configuration, where a name or a path usually does."""
-        return self.name if self.name in (*PAPER, MODEL) else self.toml()
+        return self.name if self.is_model or self in PAPER.values() else self.toml()
 
     def toml(self) -> str:
         """The text of a layout file, exact to the last digit."""

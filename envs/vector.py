@@ -87,7 +87,7 @@ class Workers:
                     futures.put(future := Future[T]())
                 try:
                     future.set_result(player.play(job, number, lambda: not is_over.is_set()))
-                except BaseException as error:  # or who waits would wait for ever
+                except BaseException as error:  # else future.result() never returns
                     future.set_exception(error)
             futures.put(None)
 

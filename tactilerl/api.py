@@ -83,7 +83,7 @@ class Learner:
             typed.validate(part)
         self._comm, self._epoch = Communicator(), 0
         start = partial(_start, env, workers, threads)
-        with _threads(threads):  # which what computes beside it takes over
+        with _threads(threads):  # a thread that is started inside inherits their number
             started = training.start_learner(self._run, self.config, start, self._comm)
         self._learner, self._workers = started
 

@@ -64,7 +64,7 @@ def ours(config: PPOConfig, task: str, seed: int) -> Act:
 
 
 def as_theirs(config: PPOConfig) -> dict[str, Any]:
-    """Our layers, step size, batch, passes, discounts and clipping, as Stable-Baselines3's PPO calls
+    """Our layers, learning rate, batch, passes, discounts and clipping, as Stable-Baselines3 calls
     them; the rest stays its own default."""
     names = ("gamma", "gae_lambda", "clip_range", "max_grad_norm")
     return {

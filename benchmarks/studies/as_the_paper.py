@@ -116,7 +116,8 @@ def converged(one: SetupResult, paper: Published | None) -> Table:
         rows.append(row)
     title = f"Converged success rates, the paper's measure: {subject(one)}"
     note = (
-        "The level at which a run spends most of its epochs, with 95 % percentile bootstrap intervals. "
+        "The level at which a run spends most of its epochs, with 95 % percentile bootstrap intervals, "
+        "which are too narrow with fewer than ten runs. "
         "The paper's median is the mean: its library's median is over tasks, of which there is one."
     )
     if paper:

@@ -115,10 +115,6 @@ class PyBulletSimulator(Simulator):
         self._body(mass=0.0, friction=1.0, shapeType=pybullet.GEOM_PLANE)
         self.object = self._body(mass=scene.mass, friction=scene.friction, **_measures(scene.shape))
         self._set_dynamics()
-        joints = [*self._joint_index.values()]  # Bullet would brake those that nothing drives
-        bullet.setJointMotorControlArray(
-            self.hand, joints, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(joints)
-        )
         for coupling in scene.hand.couplings:
             if coupling.is_rigid:
                 self._gear(coupling)
@@ -127,6 +123,7 @@ class PyBulletSimulator(Simulator):
         """Have two joints move as one, whichever of them is pushed."""
         follower, driver = (self._joint_index[name] for name in coupling[:2])
         bullet, hand, origin = self._bullet, self.hand, [0.0, 0.0, 0.0]
+        bullet.setJointMotorControl2(hand, follower, pybullet.VELOCITY_CONTROL, force=0.0)
         gear = bullet.createConstraint(
             hand, follower, hand, driver, pybullet.JOINT_GEAR, [0.0, 0.0, 1.0], origin, origin
         )

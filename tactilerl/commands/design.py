@@ -145,7 +145,9 @@ def _print(found: Design) -> None:
         table.add_row(*cells)
     console.print(table)
     if result.get("hopeless"):
-        console.print(f"{result['hopeless']:.2f} of the starts fail at whichever touch the hand closes")
+        console.print(
+            f"in {result['hopeless']:.2f} of the starts the hand fails, at whichever touch it closes"
+        )
     for row in result["rows"]:
         if "chosen_from" in row:
             console.print(_bound(row))

@@ -242,12 +242,12 @@ class Plan:
             table.add_row(*row, alone, pairs, f"{low}–{high}", holm)
         console.print(table)
         for name, need in planning.best(needs).items():
-            assert need.needed is not None
             console.print(f"{name}: {need.score} needs the fewest pairs. In the study file:")
             console.print(f'  primary = {{score = "{need.score}"}}')
-            pairs_at = planning.looks(need.needed_holm or need.needed, self.alpha)
-            terms = f"pairs = {pairs_at}, effect = {self.effect:g}, alpha = {self.alpha:g}"
-            console.print(f"  looks = {{{terms}}}")
+            if need.needed_holm:
+                pairs_at = planning.looks(need.needed_holm, self.alpha)
+                terms = f"pairs = {pairs_at}, effect = {self.effect:g}, alpha = {self.alpha:g}"
+                console.print(f"  looks = {{{terms}}}")
 
 
 @dataclass(frozen=True)

@@ -120,7 +120,7 @@ class _Reading:
         return float((np.abs(seen[-1] - first.mean(0)) / (first.std(0) + RESOLUTION)).max())
 
     def active(self) -> float:
-        """After a trial closing: how far joints and hand are from where the first one took them, on the
+        """After a test squeeze: how far joints and hand are from where the first one took them, on the
         mean, rad and m."""
         if self.step % (2 * TRIAL) != TRIAL:
             return 0.0

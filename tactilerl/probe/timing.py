@@ -33,7 +33,8 @@ def design(pool: Pool, workers: int, show: Callable[[int, int], None]) -> Design
     # The same candidates for all ways to wait.
     pool = pool.without(np.any([starts.early for starts in choice.values()], axis=0))
     _require_felt(choice, pool, workers)
-    judge = _Judge(choice, _played(pool, TEST, flags.test_starts, workers, tick), flags.aim)
+    test = _played(pool, TEST, flags.test_starts, workers, tick)
+    judge = _Judge(choice, test, flags.aim, len(pool.scenes))
     beside = {name: pool.skin.columns(taxels) for name, taxels in pool.beside.items()}
     rows = [judge.row(name, columns) for name, columns in beside.items()]
     best = max(rows, key=lambda row: row["success"], default=None)
@@ -90,10 +91,12 @@ class _Judge:
     """What sets of taxels win in starts from which none of them was chosen. A set waits as suited it
     best in those to choose from."""
 
-    def __init__(self, choice: ByWait, test: ByWait, aim: Aim) -> None:
+    def __init__(self, choice: ByWait, test: ByWait, aim: Aim, n_scenes: int = 1) -> None:
         self.test, self._choice, self._aim = test, choice, aim
         self._weights = next(iter(test.values())).weights
-        self._counts = statistics.resample(np.random.default_rng(0), len(self._weights), 10_000)
+        rng, n = np.random.default_rng(0), len(self._weights) // n_scenes
+        # Within each scene: which ones there are is not by chance.
+        self._counts = np.vstack([statistics.resample(rng, n, 10_000) for _ in range(n_scenes)])
 
     def wait(self, taxels: list[int]) -> float | None:
         """How far the hand is closed meanwhile; None for as the scene has it."""
@@ -141,7 +144,7 @@ class _Judge:
         return list(self._mean(scores)[1:])
 
     def _mean(self, scores: Array) -> statistics.Estimate:
-        return statistics.share(self._weights * scores, self._weights, self._counts)
+        return statistics.mean(len(scores) * self._weights * scores, self._counts)
 
 
 def _drawn(n: int, pool: Pool, rng: np.random.Generator) -> list[int]:
@@ -172,13 +175,14 @@ def _require_felt(choice: ByWait, pool: Pool, workers: int) -> None:
         raise ValueError(
             f"skin: no taxel feels any start in time; arrivals meet {where}, where it has none"
         )
-    n, without = min(pool.n_starts, 100), {"joints": 0.0, "sight": 0.0}
+    n, without = min(pool.n_starts, 100), list[gate.Found]()
     for one in pool.scenes:
         scene = one.waiting(wait)
-        for found in gate.examine(name, scene, n, max(1, n // 20), 0, workers, senses=tuple(without)):
-            without[found.name] += one.weight * found.rate
-    sense, rate = max(without.items(), key=lambda item: item[1])
+        found = gate.examine(name, scene, n, max(1, n // 20), 0, workers, senses=("joints", "sight"))
+        without.append(max(found, key=lambda each: each.rate))
+    rate = sum(one.weight * best.rate for one, best in zip(pool.scenes, without, strict=True))
     if worth[wait] - rate < gate.TELLS:
+        sense = " or ".join(dict.fromkeys(best.name for best in without))
         raise ValueError(
             f"scene: touch cannot help here: a hand that goes by {sense} succeeds in {rate:.2f} of the "
             f"starts, one that feels with the whole skin in {worth[wait]:.2f}"

@@ -71,7 +71,12 @@ def content(path: Path, most: int = LARGEST) -> bytes:
 
 def begins_with(mark: str) -> IsOurs:
     """Files that begin so are ours."""
-    return lambda path: content(path).startswith(mark.encode())
+
+    def is_ours(path: Path) -> bool:
+        with open_regular(path) as file:
+            return file.read(len(mark.encode())) == mark.encode()
+
+    return is_ours
 
 
 def read_json(path: Path) -> Any:

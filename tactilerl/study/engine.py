@@ -64,7 +64,8 @@ class Engine:
             if ranks == 1:
                 raise InputError("--on mpi: found one process; start it with mpirun -n N, N > 1")
             if self.jobs:
-                raise InputError(f"--jobs: found under mpirun, which trains {ranks - 1} at a time")
+                where = f"under mpirun, which trains {ranks - 1} at a time"
+                raise InputError(f"--jobs: found {where}; leave it out")
             from mpi4py.futures import MPICommExecutor
 
             with MPICommExecutor() as pool:

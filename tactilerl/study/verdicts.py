@@ -19,7 +19,7 @@ from .records import Record, settings
 SEED = 20_210_830  # of all resampling: the same records give the same report
 SIGHT = ("object_seen", "sight_noise", "sight_noise_kind")
 THRESHOLDS = (0.5, 0.9)
-LEAST_ROOM = 0.3  # between the blind and the sighted control, for a scene to tell what touch is worth
+LEAST_ROOM = 0.3  # between the controls without and with sight, to tell what touch is worth
 BySeed = dict[int, float]
 """A score by seed."""
 Ending = Literal["", "difference", "no difference", "last look"]
@@ -87,7 +87,7 @@ class Headroom:
     n: int
     """Seeds that all three arms have."""
     room: Estimate
-    """Sighted control minus blind control."""
+    """Control with sight minus control without."""
     share: Estimate
     """(treatment - control) / (sighted - control)"""
 

@@ -80,7 +80,7 @@ def several(args: Sequence[str], flag: str) -> tuple[list[str], list[str]]:
         return values, list(args)
     is_flag = (arg.partition("=")[0].replace("_", "-") == flag for arg in args)
     last = max(i for i, found in enumerate(is_flag) if found)
-    first = last + (1 if "=" not in args[last] else 0)
+    first = last + ("=" not in args[last])
     return values, [*args[: first + 1], *args[first + len(values) :]]
 
 

@@ -214,6 +214,12 @@ class TestUnitOfRewards:
         of_ones = sum(0.8**t for t in range(5))
         assert learner.reward_scale == pytest.approx(50 / of_ones)
 
+    def test_losses_are_means_over_the_ranks(self):
+        learner, seen = trained(1), []
+        learner.comm.size = 2
+        learner.comm.sum = lambda values: seen.append(values) or values + 1.0
+        assert learner.update()["critic_loss"] == pytest.approx((seen[-1][0] + 1.0) / 2)
+
 
 class TestTargetUpdates:
     def test_after_every_interval_and_at_the_end_of_a_cycle(self):

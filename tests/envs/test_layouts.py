@@ -108,6 +108,15 @@ def test_malformed_file_says_what_is_wrong(tmp_path, content, complaint):
     assert complaint in str(error.value)
 
 
+@pytest.mark.parametrize("name", [*layouts.PAPER, layouts.MODEL])
+def test_what_stands_for_a_layout_is_that_layout(name, tmp_path):
+    """Not what has its name: files are called anything."""
+    assert layouts.load(str(layouts.load(name))) == layouts.load(name)
+    own = tmp_path / f"{name}.toml"
+    own.write_text("[[patch]]\noffsets_mm = [[0, 0]]\nradius_mm = 2\n")
+    assert layouts.load(str(layouts.load(str(own)))).patches == layouts.load(str(own)).patches
+
+
 def test_taxel_beside_the_phalanx_is_refused(tmp_path):
     path = tmp_path / "wide.toml"
     path.write_text("[[patch]]\n" + GOOD.replace("[0, 0]", "[0, 20]"))

@@ -220,15 +220,6 @@ class TestServos:
         hand = hands.get(made(toml='passive = ["r_b"]\n' + TOML.replace('"?_b"', "l_b")))
         assert "r_b" not in hand.actuated
 
-    def test_a_joint_that_nothing_drives_swings(self, made, simulator):
-        """Bullet would brake it."""
-        model = MODEL.replace("damping", 'ref="0.5" damping', 2)  # both joints of the left finger
-        path = made(model, 'passive = ["r_b"]\n' + TOML.replace('"?_b"', "l_b"))
-        env = made_env(path, simulator)
-        start = dict(zip(env.hand.joints, env.hand.start_positions(), strict=True))
-        env.step_to(targets := env.hand.start_targets())
-        assert reached(env, targets, 10)["r_b"] != pytest.approx(start["r_b"], abs=1e-3)
-
     @pytest.mark.pybullet
     def test_joints_that_rest_elsewhere_than_at_0(self, made):
         """MuJoCo's `ref`."""

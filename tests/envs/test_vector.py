@@ -84,6 +84,15 @@ def test_an_environment_says_how_it_may_be_played_in(side_by_side, workers, kind
     assert Plain.open == 0
 
 
+def test_a_worker_that_wants_to_exit_is_no_end_of_waiting():
+    """As a plugin may."""
+    with (
+        closing(vector.start(partial(Plain, "threads"), 2)) as workers,
+        pytest.raises(SystemExit),
+    ):
+        list(workers.play(lambda *args: sys.exit(3), range(4)))
+
+
 def test_nobody_waits_and_the_order_stays():
     """While number 0 takes long, the other worker does all the rest."""
     done = []

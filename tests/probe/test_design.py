@@ -146,15 +146,15 @@ class TestCandidates:
         assert set(taxels.radii) == {4e-3}
 
 
-def test_weights_of_the_scenes_are_not_resampled():
-    """Where every start succeeds, nothing is uncertain."""
+def test_starts_are_resampled_within_their_scenes():
+    """Where every start of one scene succeeds and none of the other, nothing is uncertain."""
     succeeds = np.zeros((8, NEVER + 1), bool)
-    succeeds[:, 5] = True
+    succeeds[:4, 5] = True
     starts = starts_of([[5, 5]] * 8, succeeds)
     starts.weights[:] = np.repeat([0.75, 0.25], 4) / 4
-    judge = timing._Judge({None: starts}, {None: starts}, Aim())
-    assert judge.row("x", [0])["success_interval"] == pytest.approx([1.0, 1.0])
-    assert judge.hopeless == 0.0
+    judge = timing._Judge({None: starts}, {None: starts}, Aim(), 2)
+    assert judge.row("x", [0])["success_interval"] == pytest.approx([0.75, 0.75])
+    assert judge.hopeless == 0.25
 
 
 @pytest.mark.usefixtures("in_tmp")
