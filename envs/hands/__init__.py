@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from .. import plugins, toml_files
-from .hand import DIGITS, KEPT, SEGMENTS, SLIDES, Hand, LinearAction, Pitch, ScriptedGrasp, Surface
+from .files import FOLDER, KEPT, SUFFIX, short_digest
+from .hand import DIGITS, SEGMENTS, SLIDES, Hand, LinearAction, Pitch, ScriptedGrasp, Surface
 
 __all__ = [
-    "DIGITS", "KEPT", "SEGMENTS", "SLIDES", "Hand", "LinearAction", "Pitch", "ScriptedGrasp", "Surface",
+    "DIGITS", "KEPT", "SEGMENTS", "SLIDES", "SUFFIX", "Hand", "LinearAction", "Pitch", "ScriptedGrasp",
+    "Surface", "short_digest",
 ]  # fmt: skip
 
-FOLDER, SUFFIX = Path(__file__).parent, ".toml"
 HANDS = ("shadow", "mpl", "allegro")
 """The library's own: each is a file here."""
 OTHERS: dict[str, Any] = {}
@@ -82,11 +82,6 @@ def digest(name: str) -> str:
     if name in HANDS or not is_hand(name):
         return ""
     return short_digest(file(name), *get(name).build.files)
-
-
-def short_digest(*files: Path) -> str:
-    """Of what is in them."""
-    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()[:16]
 
 
 def get(name: str) -> Hand:

@@ -21,8 +21,6 @@ DIGITS = ("thumb", "index", "middle", "ring", "little")
 """What digits of hands with up to five are usually called."""
 SEGMENTS = ("proximal", "middle", "distal")
 """What three segments of a digit are called."""
-KEPT = ".grasp.toml"
-"""In place of a hand file's ".toml": where a command keeps a grasp that it found for one without."""
 CLOSING_STEP = 0.5  # how far an action of 1 closes fingers that go from open to closed
 
 

@@ -17,8 +17,9 @@ from .. import toml_files
 from ..choices import require_one_of
 from ..state import Array
 from ..toml_files import interval, number, only, strings, table, vector
-from . import checks, models, mounting, sensors, short_digest, surfaces
-from .hand import CLOSING_STEP, KEPT, SLIDES, Hand, LinearAction, ScriptedGrasp, Surface
+from . import checks, models, mounting, sensors, surfaces
+from .files import KEPT, short_digest
+from .hand import CLOSING_STEP, SLIDES, Hand, LinearAction, ScriptedGrasp, Surface
 from .mounting import Mount
 from .parts import Parts, placed, posed
 from .skins import stand_off

@@ -17,7 +17,8 @@ import numpy as np
 from ..choices import require_one_of
 from ..state import Array
 from ..toml_files import interval, number, only, strings, table, vector
-from . import FOLDER, models, mounting, servos
+from . import models, mounting, servos
+from .files import FOLDER
 from .hand import Coupling, Frame
 from .mounting import Mount
 

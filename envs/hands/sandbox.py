@@ -18,7 +18,8 @@ import threading
 from pathlib import Path
 from typing import Any
 
-from .hand import KEPT, Hand
+from .files import KEPT
+from .hand import Hand
 
 CPU_SECONDS, SECONDS = 30, 300
 """Of reading: on a processor, and by the clock, which counts where a file is waited for."""
