@@ -156,7 +156,7 @@ class FlatAdam:
         self.gradient = self.vector.grad
         self._moments = {name: torch.zeros_like(self.vector.data) for name in ("exp_avg", "exp_avg_sq")}
         self._steps = torch.zeros(len(modules), device=self.vector.device)
-        self._lrs, self.lr_factor = [lr for _, lr in modules], 1.0
+        self._lrs = [lr for _, lr in modules]
         sizes = [sum(p.numel() for p in module.parameters()) for module, _ in modules]
         whole = (self.vector.data, self.gradient, *self._moments.values())
         parameters, states = [], []
@@ -172,7 +172,6 @@ class FlatAdam:
 
     def scale_lr(self, lr_factor: float) -> None:
         """From here on each learning rate is this fraction of what it was at the start."""
-        self.lr_factor = lr_factor
         for group, lr in zip(self._adam.param_groups, self._lrs, strict=True):
             group["lr"] = lr_factor * lr
 

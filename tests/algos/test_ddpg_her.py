@@ -11,9 +11,17 @@ import pytest
 import torch
 
 from tactilerl.algos import DivergenceError, recipes
-from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig, explore, largest_return, td_targets
+from tactilerl.algos.ddpg_her import (
+    DDPGHER,
+    DDPGHERConfig,
+    GoalInputs,
+    explore,
+    largest_return,
+    td_targets,
+)
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
+from tactilerl.algos.replay import Batch
 from tactilerl.envs import vector
 from tactilerl.runs import training
 
@@ -99,6 +107,10 @@ def trained(cycles=3, learner=None, **choices):
         learner.collect()
         learner.update()
     return learner
+
+
+def rates_of(learner):
+    return [group["lr"] for group in learner.adam._adam.param_groups]
 
 
 class TestTargets:
@@ -262,16 +274,17 @@ class TestFallsOverTheRun:
 
     @pytest.mark.parametrize("anneals", [False, True])
     def test_action_penalty(self, anneals):
-        """As much is left of it as of the step sizes."""
-        learner = make(anneal_action_l2=anneals, anneal_lr=anneals, action_l2=0.3)
+        """As much is left of it as of the learning rates."""
+        rates = dict(actor_lr=1e-3, critic_lr=2e-3)
+        learner = make(anneal_action_l2=anneals, anneal_lr=anneals, action_l2=0.3, **rates)
         assert learner.config.anneals == anneals
         for cycles, share in ((1, 1.0), (4, 0.6), (5, 0.1), (1, 0.0)):
             inputs = torch.ones(8, trained(cycles, learner).actor.linears[0].in_features)
-            assert learner.adam.lr_factor == pytest.approx(share if anneals else 1.0)
+            share = share if anneals else 1.0
+            assert rates_of(learner) == pytest.approx([share * 1e-3, share * 2e-3])
             loss, value = learner._actor_gradient(inputs)
             with torch.no_grad():
                 penalty = learner.actor(inputs).square().mean()
-            share = share if anneals else 1.0
             torch.testing.assert_close(loss + value, share * 0.3 * penalty)
 
     def test_ends_where_the_run_ends(self):
@@ -280,7 +293,7 @@ class TestFallsOverTheRun:
         learner = make(env, anneal_lr=True, n_cycles=50, n_test_rollouts=0)
         rows = list(training.epochs(learner))
         assert learner.env_steps == rows[-1]["env_steps"] == learner.total_timesteps == 100
-        assert learner.adam.lr_factor == pytest.approx(0.04)
+        assert rates_of(learner) == pytest.approx([0.04 * 1e-3] * 2)
         assert rows[-1]["updates"] == 25 * learner.config.n_batches
 
 
@@ -351,11 +364,30 @@ class TestUpdate:
         torch.testing.assert_close(got, torch.stack([critic_loss, actor_loss, value]).detach())
 
     def test_normaliser_is_fed_relabelled_goals_of_new_episodes(self):
-        learner = make()
+        learner, asked = make(), []
+        sample = learner.replay.sample
+        learner.replay.sample = lambda *args: asked.append(args) or sample(*args)
         learner.collect()
         assert learner.obs_stats.count == learner.goal_stats.count == 10
         learner.collect()
         assert learner.goal_stats.count == 20
+        (n, replay_p, first), (_, _, second) = asked
+        assert (n, replay_p) == (10, 0.8)
+        assert len(first) == len(second) == 2
+        assert not {*first} & {*second}
+
+    def test_targets_are_those_of_the_target_networks_in_what_follows(self):
+        learner = trained(3, make(Told(GoalEnv()), clip_target=False, gamma=0.9))
+        batch = Batch(*map(torch.from_numpy, learner.replay.sample(16, 0.8)))
+        *_, target = learner._prepared(batch)
+        limit = learner.config.clip_obs
+        scaled = GoalInputs(learner.obs_stats.scaling(), learner.goal_stats.scaling(), limit)
+        told = learner.privileged_stats.scaling()(batch.next_privileged.clamp(-limit, limit))
+        following = torch.cat([scaled(batch.next_obs, batch.goal), told], dim=1)
+        with torch.no_grad():
+            actions = learner.target_actor(following[:, : learner._n_obs])
+            values = learner.target_critic(torch.cat([following, actions], dim=1)).squeeze(-1)
+        torch.testing.assert_close(target, batch.reward + 0.9 * values)
 
     def test_sum_and_mean_of_gradients(self):
         got = {}
@@ -440,12 +472,14 @@ class TestTruth:
         assert np.array_equal(saved.act(obs), learner.policy().act(obs))
 
     def test_what_it_says_depends_on_it_cut_and_normalised(self):
-        learner = trained(learner=make(Told(GoalEnv()), clip_obs=50.0))
+        learner = trained(learner=make(Told(GoalEnv()), clip_obs=50.0, norm_clip=1.5))
         batch = learner.replay.sample(64, 0.8)
         assert np.abs(batch.privileged).max() > 50
         assert np.abs(batch.next_privileged).max() > 50
         inputs, actions, _target = learner._prepared(type(batch)(*map(torch.from_numpy, batch)))
-        assert 0.5 < inputs[:, -5:].std() < 2
+        assert inputs.abs().max() == 1.5
+        cut = torch.from_numpy(batch.privileged).clamp(-50, 50)
+        torch.testing.assert_close(inputs[:, -5:], learner.privileged_stats.scaling()(cut))
         assert np.abs(learner.privileged_stats.mean).max() < 50
         other = inputs.clone()
         other[:, -5:] = 0
@@ -490,6 +524,13 @@ class TestHardCases:
             learner.collect()
             assert all(math.isfinite(value) for value in learner.update().values())
         assert torch.isfinite(learner.adam.vector).all()
+
+    def test_broken_parameters_stop_the_run(self):
+        learner = trained(1)
+        with torch.no_grad():
+            learner.adam.vector[0] = math.nan
+        with pytest.raises(DivergenceError, match="not finite"):
+            learner.update()
 
     def test_parameters_that_differ_between_ranks_stop_the_run(self):
         comm = Communicator()
