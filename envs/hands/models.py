@@ -55,10 +55,10 @@ def included(path: Path) -> list[Path]:
             raise FileNotFoundError(f"model {str(each)!r} does not exist")
         with suppress(ElementTree.ParseError, ValueError):  # MuJoCo says it better
             root = ElementTree.parse(each).getroot()
-            for element in root.iter("include"):  # beside the model, or beside what includes it
-                name = element.attrib.get("file", "")
-                beside = each.parent / name
-                other = beside if beside.is_file() else path.parent / name
+            names = (element.attrib.get("file", "") for element in root.iter("include"))
+            for name in names:  # beside the model, or else beside what includes it
+                places = path.parent / name, each.parent / name
+                other = next((place for place in places if place.exists()), places[0])
                 found += [other] if other not in found else []
     return found
 

@@ -3,6 +3,7 @@
 import math
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -276,8 +277,12 @@ class TestServos:
         (tmp_path / "in").mkdir()
         (tmp_path / "in/a.xml").write_text('<mujoco><include file="b.xml"/></mujoco>')
         (tmp_path / "in/b.xml").write_text('<mujoco><option timestep="0.001"/></mujoco>')
-        hand = hands.get(made(with_more('<include file="in/a.xml"/>')))
-        assert tmp_path / "in/b.xml" in hand.build.files
+        path, beside = made(with_more('<include file="in/a.xml"/>')), tmp_path / "in/b.xml"
+        assert beside in hands.get(path).build.files
+        (tmp_path / "b.xml").write_text('<mujoco><option timestep="0.002"/></mujoco>')
+        assert beside not in hands.get(path).build.files  # MuJoCo prefers what is beside the model
+        native = mujoco.MjSpec.from_file(str(tmp_path / "hand.xml")).option.timestep
+        assert models.read(tmp_path / "hand.xml").option.timestep == native == 0.002
 
 
 UNLIMITED = MODEL.replace('axis="0 -1 0" range="0 1.5"', 'axis="0 -1 0"', 1)
