@@ -26,7 +26,7 @@ from .networks import MLP, FlatAdam, flatten, require_hidden
 from .normalizer import Normalizer, Scaling
 from .policy import Policy, flat_stats, new_actor, on_cpu
 from .replay import Batch, GoalObs, Replay
-from .rollout import PlayEpisode, play_episodes, summary
+from .rollout import PlayEpisode, discounted, play_episodes, summary
 from .spaces import PRIVILEGED, Spaces, action_size, flat_size, goal_size, n_boolean
 
 CHECK_EVERY = 100  # updates between two looks at whether the ranks' parameters are equal
@@ -122,11 +122,7 @@ def td_targets(
 
 def largest_return(rewards: Sequence[float], gamma: float) -> float:
     """The largest discounted return, without its sign, from any step of an episode to its end."""
-    largest = following = 0.0
-    for reward in reversed(rewards):
-        following = reward + gamma * following
-        largest = max(largest, abs(following))
-    return largest
+    return max(map(abs, discounted(rewards, gamma)))
 
 
 def explore(actions: Array, rng: np.random.Generator, noise_eps: float, random_eps: float) -> Array:

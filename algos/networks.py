@@ -95,10 +95,7 @@ def _columns(
 
 @torch.no_grad()
 def start_orthogonal(
-    network: MLP,
-    last_gain: float,
-    generator: torch.Generator,
-    inputs: Sequence[str] | None = None,
+    network: MLP, last_gain: float, generator: torch.Generator, inputs: Sequence[str] | None = None
 ) -> None:
     """Draw orthogonal weights with gain sqrt(2), in the last layer `last_gain`; biases are zero.
 

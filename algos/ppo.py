@@ -23,7 +23,7 @@ from .mpi import Communicator
 from .networks import MLP, FlatAdam, require_hidden, start_orthogonal
 from .normalizer import Normalizer
 from .policy import FlatInputs, Policy, flat_stats, new_actor, on_cpu
-from .rollout import Episode, PlayEpisode, finite, play_steps, require_transitions, summary
+from .rollout import Episode, PlayEpisode, discounted, finite, play_steps, require_transitions, summary
 from .spaces import PRIVILEGED, Spaces, action_size, flat_size
 
 ACTOR_GAIN = 0.01  # of the last layer when weights start orthogonal
@@ -109,12 +109,7 @@ def gae(rewards: Array, values: Array, last_value: float, gamma: float, lam: flo
     """
     next_values = np.append(values[1:], last_value)
     deltas = (rewards + gamma * next_values - values).tolist()
-    advantages = np.empty(len(deltas))
-    running = 0.0
-    for t in range(len(deltas) - 1, -1, -1):
-        running = deltas[t] + gamma * lam * running
-        advantages[t] = running
-    return advantages
+    return np.array(discounted(deltas, gamma * lam)[:0:-1])
 
 
 def normalise(advantages: Array) -> Array:

@@ -41,20 +41,6 @@ class Batch(NamedTuple, Generic[Values]):
     """(n,) 1 where the episode was terminated by this transition, else 0."""
 
 
-def future_goal_steps(
-    t: Array, lengths: Array, replay_p: float, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """Which transitions get a new goal, and from where: HER's strategy "future".
-
-    For transitions at steps `t` (n,) of episodes of `lengths` (n,): a bool (n,), True with
-    probability `replay_p`, and steps (n,) uniform in t + 1 ... length, whose achieved goals
-    are those new goals (OpenAI baselines, her_sampler.py: t + 1 + floor(U (T - t))).
-    """
-    is_relabelled = rng.random(len(t)) < replay_p
-    offset = (rng.random(len(t)) * (lengths - t)).astype(np.int64)
-    return is_relabelled, t + 1 + offset
-
-
 class Replay:
     """Episodes in slots of equal size, filled in order; a full buffer overwrites random slots.
 
@@ -156,17 +142,13 @@ class Replay:
         n_steps = len(episode)
         if n_steps > self.max_steps:
             raise ValueError(f"max_episode_steps: {self.max_steps}, but found {n_steps} steps")
-        action = np.zeros((n_steps + 1, self.sizes[2]), np.float32)
-        action[:-1] = np.stack(episode.actions)
-        terminal = np.zeros((n_steps + 1, 1), np.uint8)
-        terminal[n_steps - 1] = episode.terminated
         return {
             "obs": obs,
             "achieved": achieved,
             "desired": desired,
-            "action": action,
+            "action": np.pad(np.stack(episode.actions), ((0, 1), (0, 0))),
             "privileged": np.stack(episode.privileged),
-            "terminal": terminal,
+            "terminal": np.pad([[episode.terminated]], ((n_steps - 1, 1), (0, 0))),
         }
 
     def _put(self, slot: int, columns: dict[str, Array]) -> None:
@@ -193,9 +175,15 @@ class Replay:
     # -- sampling ----------------------------------------------------------------------------
 
     def sample(self, n: int, replay_p: float, slots: Array | None = None) -> Batch[Array]:
-        """`n` relabelled transitions, uniform over all that are stored or are in `slots`."""
+        """`n` relabelled transitions, uniform over all that are stored or are in `slots`.
+
+        HER's strategy "future": with probability `replay_p`, a transition at step t gets the goal that
+        was achieved at a step uniform in t + 1 ... length (OpenAI baselines, her_sampler.py: t + 1 +
+        floor(U (T - t))).
+        """
         slot, t = self._pick(np.arange(self.n_episodes) if slots is None else slots, n)
-        is_relabelled, future = future_goal_steps(t, self._lengths[slot], replay_p, self.rng)
+        is_relabelled = self.rng.random(n) < replay_p
+        future = t + 1 + (self.rng.random(n) * (self._lengths[slot] - t)).astype(np.int64)
         first = slot * self._rows
         row = first + t
         goal = self._columns["desired"][row]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
@@ -194,6 +194,11 @@ def summary(episodes: list[Episode[Any]], comm: Communicator | None = None) -> d
         "mean_length": steps / n,
         **dict(zip(FAULTS, faults, strict=True)),
     }
+
+
+def discounted(values: Sequence[float], factor: float) -> list[float]:
+    """0, then for each of the values, the last first, its sum with all that follow, discounted."""
+    return [*itertools.accumulate(values[::-1], lambda later, v: v + factor * later, initial=0.0)]
 
 
 def require_transitions(episodes: list[Episode[Any]]) -> list[Episode[Any]]:

@@ -17,7 +17,7 @@ from typing import Any
 
 from benchmarks import environments, times
 from benchmarks.command import DOCS, ROOT, data, no_flags
-from benchmarks.learners import ablation, bounces, footprint, precision, scaling, steady, targets
+from benchmarks.learners import ablation, bounces, precision, scaling, steady, targets
 from benchmarks.peers import clients, env, solve, updates
 from benchmarks.physics import hands, hard_cases, hold_verdict, scene_parts, speed_vs_error
 from benchmarks.studies import (
@@ -68,7 +68,6 @@ PRINTED: dict[str, Callable[[], None]] = {
     "toys": _parts("peers", solve.show, "solve"),
     "second core": _parts("scaling", scaling.show, "limit", "collecting", "updates", "ranks"),
     "rounding": _parts("precision", precision.show_learners, "learners"),
-    "start": _parts("footprint", footprint.show, "start"),
     "scene parts": _parts("scene_parts", scene_parts.show, "pairs"),
     "physics": _of("speed_vs_error", speed_vs_error.show_shipped),
     **{

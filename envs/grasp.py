@@ -10,18 +10,7 @@ from typing import Annotated, Any, Literal
 import gymnasium as gym
 import numpy as np
 
-from . import (
-    hands,
-    layouts,
-    objects,
-    observations,
-    plugins,
-    simulators,
-    tasks,
-    toml_files,
-    touch,
-    typed,
-)
+from . import hands, layouts, objects, observations, plugins, simulators, tasks, touch, typed
 from .choices import require_known, require_one_of
 from .objects import ObjectConfig
 from .observations import EpisodeBefore, ObservationConfig, Observer
@@ -29,6 +18,7 @@ from .scenes import renamed
 from .simulators import SimulationError, Sphere
 from .state import Array, Shape, State
 from .tasks import TaskConfig
+from .toml_files import blamed
 
 LIMIT = 1e6  # observations beyond this are a broken simulation
 EJECTED = 10.0  # m/s, of the object during an action: twice what random actions ever throw it at
@@ -98,7 +88,7 @@ def setup(hand: str, **choices: Any) -> GraspConfig:
     """The configuration of a hand's set-up, with some fields chosen otherwise; ValueError when there is
     no such field."""
     usual, known = renamed(hands.usage(hand).scene), typed.names(GraspConfig)
-    with toml_files.blamed(f"hand file {hands.file(hand)}: scene"):
+    with blamed(f"hand file {hands.file(hand)}: scene"):
         require_known(usual, known)
     require_known(choices, known)
     return GraspConfig(**{**usual, **choices})

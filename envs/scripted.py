@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .grasp import JITTER_JOINT, GraspEnv
-from .hands import Hand, ScriptedGrasp
+from .hands import ScriptedGrasp
 from .objects import OFFSET, YAW
 from .state import Array
 
@@ -101,13 +101,8 @@ def legs(
 def grasp_for(env: GraspEnv) -> ScriptedGrasp:
     """The hand's scripted grasp nearest to the width of the environment's object; ValueError where its
     file has none."""
-    require_grasps(env.hand)
-    return min(env.hand.grasps, key=lambda g: abs(g.object_size - env.shape.width))
-
-
-def require_grasps(hand: Hand) -> None:
-    """ValueError where the hand's file has no grasp."""
-    if not hand.grasps:
+    if not env.hand.grasps:
         raise ValueError(
-            f"hand {hand.name}: has no [[grasp]] in its file; tactilerl doctor --env FILE finds one"
+            f"hand {env.hand.name}: has no [[grasp]] in its file; tactilerl doctor --env FILE finds one"
         )
+    return min(env.hand.grasps, key=lambda g: abs(g.object_size - env.shape.width))

@@ -8,6 +8,7 @@ from contextlib import redirect_stderr, redirect_stdout
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from filelock import FileLock
@@ -19,9 +20,7 @@ from tactilerl.study import runner
 
 os.environ.setdefault("OMPI_ALLOW_RUN_AS_ROOT", "1")
 os.environ.setdefault("OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "1")
-os.environ.setdefault(
-    "OMPI_MCA_mpi_yield_when_idle", "1"
-)  # a rank that waits leaves the core to others
+os.environ.setdefault("OMPI_MCA_mpi_yield_when_idle", "1")  # a waiting rank yields its core
 
 # A shell's background ignores Ctrl-C, and what it starts inherits that: here it counts again.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -35,6 +34,11 @@ def needs_pybullet(item):
     """Whether a test has the mark, or "pybullet" among its parameters."""
     parameters = item.callspec.params.values() if hasattr(item, "callspec") else ()
     return item.get_closest_marker("pybullet") or any(str(p) == "pybullet" for p in parameters)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(1)
 
 
 def pytest_collection_modifyitems(items):

@@ -11,11 +11,6 @@ from scipy import stats
 from tactilerl import statistics as s
 
 
-@pytest.fixture
-def rng():
-    return np.random.default_rng(1)
-
-
 def drawn_like_rliable(seed, n_runs, n_resamples):
     """rliable draws from NumPy's global generator, whatever its random_state says."""
     np.random.seed(seed)  # noqa: NPY002

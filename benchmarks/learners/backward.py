@@ -95,16 +95,11 @@ def display(name: str, result: dict[str, Any]) -> None:
 def main() -> None:
     """Both learners."""
     ppo, ddpg = (PPO, PPOByHand), (DDPGHER, DDPGHERByHand)
+    handover = partial(tactilerl.make, scene="handover")
     reach = partial(envs.make, "shadow", task="reach-goal", layout="2")
     parts: dict[str, Part] = {
         "ppo": (
-            partial(
-                measure,
-                ppo,
-                recipes.recipe("ppo", "steady"),
-                partial(tactilerl.make, scene="handover"),
-                1,
-            ),
+            partial(measure, ppo, recipes.recipe("ppo", "steady"), handover, 1),
             partial(display, "PPO, `make train`"),
         ),
         "ddpg_her": (

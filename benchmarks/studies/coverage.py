@@ -61,12 +61,8 @@ def covered(intervals: np.ndarray, value: float) -> dict[str, float]:
     return {"coverage": float(np.mean(inside)), "width": float(np.nanmean(high - low))}
 
 
-def bca_interval(
-    scores: Array, metric: statistics.Metric, counts: Array, confidence: float = statistics.CONFIDENCE
-) -> tuple[float, float]:
-    """The bias-corrected and accelerated interval (Efron 1987), by scipy; NaN where all runs are
-    alike.
-    """
+def bca_interval(scores: Array, metric: statistics.Metric, counts: Array) -> tuple[float, float]:
+    """The bias-corrected and accelerated interval (Efron 1987), by scipy; NaN if all runs are alike."""
     if len(scores) < 2 or np.ptp(scores) == 0:
         return math.nan, math.nan
 
@@ -78,7 +74,7 @@ def bca_interval(
         warnings.simplefilter("ignore")  # a degenerate distribution gives NaN, which is what is wanted
         interval = scipy.stats.bootstrap(
             (scores,), statistic, n_resamples=0, bootstrap_result=drawn, method="BCa",
-            confidence_level=confidence,
+            confidence_level=statistics.CONFIDENCE,
         ).confidence_interval  # fmt: skip
     return float(interval.low), float(interval.high)
 

@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks.command import DATA, data
+from benchmarks.command import data
 from benchmarks.printing import markdown
 from benchmarks.studies.agreement import predicts_order
 from benchmarks.studies.study_tables import estimate, in_common, load, mean
@@ -116,13 +116,5 @@ def _share(one: BySeed, whole: BySeed) -> str:
     return estimate(statistics.share(pairs.treatment, pairs.control, counts), ".2f")
 
 
-def is_there(name: str, setup_name: str) -> bool:
-    """Has the study been collected, with runs of the set-up?"""
-    is_collected = (DATA / f"{name}.tar.gz").exists()
-    return is_collected and any(r.state == "done" and r.run.setup == setup_name for r in load(name)[1])
-
-
-TABLES = {
-    f"design {name}": partial(show, name) for name, study in STUDIES.items() if is_there(study, name)
-}
+TABLES = {f"design {name}": partial(show, name) for name in STUDIES}
 TABLES["design order ppo"] = show_order

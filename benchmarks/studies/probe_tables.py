@@ -1,15 +1,11 @@
 """What several probes found, side by side: the tables of docs/probe_results.md, and the figure of worth
 against number of taxels.
 
-    python -m benchmarks probe_tables probes/{shadow,mpl}_{mujoco,pybullet} \\
-        --figure docs/images/probe_selection.png --out docs/data/probe.json
-
-Each folder is one that `tactilerl probe --select ... --out` of version 0.3.0 wrote.
+docs/data/probe.json is what `tactilerl probe --select ... --out` of version 0.3.0 wrote, by pair.
 """
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +14,6 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from benchmarks.command import parser, write
 from benchmarks.printing import interval, markdown
 from tactilerl.probe.figures import CHOSEN, TICKS
 from tactilerl.style import DPI, FAINT, HEAD, INK, NAMES, STYLE
@@ -37,7 +32,6 @@ def in_words(pair: str) -> str:
 
 def gains(results: Results, noise: float) -> None:
     """Gain in AUC over the joint angles."""
-    print(f"\n### Will it hold? Gain in AUC, joint angles with {noise:g} rad of noise\n")
     found = [_rows(result, "hold", "auc", noise) for result in results.values()]
     alone = [f"{of['joints', None]['value']:.3f}" for of in found]
     rows: list[tuple[str, ...]] = [("(joints alone: AUC)", *alone)]
@@ -50,7 +44,6 @@ def gains(results: Results, noise: float) -> None:
 
 def places(results: Results, noise: float) -> None:
     """Where is the object?"""
-    print(f"\n### Where is it, and how is it turned? mm and degrees, {noise:g} rad of noise\n")
     where = [_rows(result, "position", "error_mm", noise) for result in results.values()]
     turned = [_rows(result, "yaw", "error_deg", noise) for result in results.values()]
     rows = []
@@ -67,8 +60,6 @@ def places(results: Results, noise: float) -> None:
 def chosen(results: Results) -> None:
     """The best found of some numbers, and the layouts beside the best of the same number."""
     selections = [result["selection"] for result in results.values()]
-    noise = f"{selections[0]['joint_noise']:g} rad of noise"
-    print(f"\n### Chosen from a skin of {selections[0]['skin']}: gain in AUC, {noise}\n")
     curves = [{row["taxels"]: row for row in one["curve"]} for one in selections]
     layouts = [{row["layout"]: row for row in one["layouts"]} for one in selections]
     rows = [(f"best {n}", *(_interval(curve[n], "gain") for curve in curves)) for n in curves[0]]
@@ -82,7 +73,6 @@ def chosen(results: Results) -> None:
 
 def differences(results: Results, noise: float) -> None:
     """Layouts against each other: differences in AUC, p-values by Holm."""
-    print(f"\n### Layouts against each other: AUC, {noise:g} rad of noise (p by Holm)\n")
     asked = ("hold", "auc", noise)
     found = [
         {(row["a"], row["b"]): row for row in result["differences"] if _question(row) == asked}
@@ -153,28 +143,3 @@ def _head(first: str, results: Results) -> str:
 
 def _interval(row: dict[str, Any], key: str) -> str:
     return interval(row[key], *row[f"{key}_interval"], "+.3f")
-
-
-def show(results: Results) -> None:
-    """All tables."""
-    for noise in next(iter(results.values()))["asking"]["joint_noise"]:
-        gains(results, noise)
-        differences(results, noise)
-        places(results, noise)
-    chosen(results)
-
-
-def main() -> None:
-    """Print the tables; draw and write what was asked for."""
-    flags = parser(__doc__)
-    flags.add_argument("folders", nargs="+", type=Path)
-    flags.add_argument("--figure", type=Path, help="draw worth against number of taxels here")
-    options = flags.parse_args()
-    results: Results = {}
-    for folder in options.folders:
-        found = json.loads((folder / "probe.json").read_text(encoding="utf-8"))
-        results[in_words(f"{found['env']}_{found['simulator']}")] = found
-    show(results)
-    if options.figure:
-        figure(results, options.figure)
-    write(options.out, results)

@@ -78,8 +78,9 @@ class Mount:
         for name, axis in zip(SLIDES, rotation, strict=True):
             root.add_joint(name=name, type=LINEAR, axis=axis, damping=damping)
             servos.add(spec, name, self.slides["gain"], self.slides["force"])
-        for actuator in spec.actuators:
-            if finger_gain != 1.0 and self._is_finger(spec, next(iter(servos.arms(spec, actuator)))):
+        for actuator in spec.actuators if finger_gain != 1.0 else ():
+            moved = spec.joint(next(iter(servos.arms(spec, actuator)))).parent.name
+            if moved not in chain(spec.body(self.palm)):  # it moves a finger, and not the palm
                 for figure in ("gainprm", "biasprm", "forcerange"):
                     setattr(actuator, figure, np.array(getattr(actuator, figure)) * finger_gain)
         return spec
@@ -190,11 +191,6 @@ class Mount:
     def _figures(self, joint: mujoco.MjsJoint) -> dict[str, float]:
         kind = "slide" if joint.type == LINEAR else "hinge"
         return {**SERVOS[kind], **self.servos.get(kind, {})}
-
-    def _is_finger(self, spec: mujoco.MjSpec, joint: str) -> bool:
-        """Does a joint move a part of the hand without moving the palm?"""
-        palm, moved = spec.body(self.palm), spec.joint(joint).parent.name
-        return all(body.name != moved for body in (palm, *_above(palm)))
 
 
 def _above(body: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:

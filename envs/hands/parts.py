@@ -201,10 +201,7 @@ class Parts:
     @cached_property
     def follows(self) -> tuple[Coupling, ...]:
         """Of joints that follow others, those of the file first: each by what moves them all."""
-        rigid = {coupling.joint: coupling for coupling in mounting.followed(self.spec)}
-        found = {each.joint: rigid.get(each.joint, each) for each in self.own_couplings}
-        for coupling in rigid.values():
-            found.setdefault(coupling.joint, coupling)
+        found = {each.joint: each for each in (*self.own_couplings, *mounting.followed(self.spec))}
         for driver, name in self.driven.items():
             for joint in servos.arms(self.spec, self.spec.actuator(name)):
                 if joint != driver:

@@ -23,7 +23,8 @@ def of(parts: Parts) -> tuple[Point, ...]:
     links = {link for digit in parts.digits.values() for link in digit.links} | {parts.palm_frame.link}
     geoms = {link: geoms_of(parts.model, parts.model.body(link).id) for link in links}
     found = []
-    for name, link, place, radius in (*_sites(parts), *_links(parts)):
+    named = [(n, at.link, at.place, RADIUS) for n, at in parts.welded.items() if WORDS.search(n)]
+    for name, link, place, radius in (*_sites(parts), *named):
         if own := geoms.get(link):
             away, normal = outside(own, place)
             if abs(away) < NEAR and normal.any():
@@ -40,12 +41,3 @@ def _sites(parts: Parts) -> list[tuple[str, str, np.ndarray, float]]:
     sites = [parts.model.site(site.name) for site in parts.spec.sites if site.name in chosen]
     links = (parts.model.body(site.bodyid[0]).name for site in sites)
     return [(site.name, link, site.pos, site.size[0]) for site, link in zip(sites, links, strict=True)]
-
-
-def _links(parts: Parts) -> list[tuple[str, str, np.ndarray, float]]:
-    """The same of bodies that are called sensors."""
-    return [
-        (name, frame.link, frame.place, RADIUS)
-        for name, frame in parts.welded.items()
-        if WORDS.search(name)
-    ]

@@ -21,12 +21,8 @@ STEP = 1e-4  # m, of differences
 SAMPLES = 500, 20_000  # points on a hull, and on its mesh
 MESH = "mesh"
 KINDS = {
-    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
-    "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
-    "ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID,
-    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
-    "box": mujoco.mjtGeom.mjGEOM_BOX,
-    MESH: mujoco.mjtGeom.mjGEOM_MESH,
+    kind: getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}")
+    for kind in ("sphere", "capsule", "ellipsoid", "cylinder", "box", MESH)
 }
 
 

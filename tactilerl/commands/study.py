@@ -78,7 +78,10 @@ class Run:
             return 1
         files.create(study)
         if self.retry_failed:
-            _forget_failures(files, found)
+            for name, record in found.items():
+                if record.state == "failed":
+                    files.beside(record.run, "json").unlink(missing_ok=True)
+                    found[name] = files.record(record.run)
         todo = [one.run for one in found.values() if not one.has_ended]
         here, folder = Path.cwd(), files.path.absolute()
         jobs = {run.name: RunJob(folder, run, self.ranks_per_run, here) for run in todo}
@@ -117,13 +120,6 @@ class Run:
         if left < LONG or self.yes or not sys.stdin.isatty():
             return True
         return input("Start? [y/N] ").strip().lower() in ("y", "yes")
-
-
-def _forget_failures(files: StudyFiles, found: dict[str, Record]) -> None:
-    for name, record in found.items():
-        if record.state == "failed":
-            files.beside(record.run, "json").unlink(missing_ok=True)
-            found[name] = files.record(record.run)
 
 
 def _json(value: Any) -> str:

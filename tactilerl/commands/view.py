@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Callable
 from contextlib import closing, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -88,12 +89,7 @@ def _waiting(hand: str, scene: GraspConfig) -> tuple[GraspEnv, Callable[[int], N
     return env, play
 
 
-def _playing(run: Path) -> tuple[GraspEnv, Callable[[int], None]]:
+def _playing(run: Path) -> tuple[GraspEnv, Callable[[int], Any]]:
     """The policy of a run, in the episodes that `evaluate` plays."""
     env, task, _ = staged(run)
-    player = LocalPlayer(env)
-
-    def play(number: int) -> None:
-        player.play(task, number, lambda: True)
-
-    return env, play
+    return env, partial(LocalPlayer(env).play, task, is_wanted=lambda: True)

@@ -148,21 +148,11 @@ def greedy(
     overlap = np.zeros((len(every),) * 2, bool) if overlap is None else overlap
 
     def best(rests: list[list[int]], redundancy: int) -> tuple[float, list[int]]:
-        fits = (~overlap[rest].any(axis=0) for rest in rests)
-        sets = np.array(
-            [
-                [*rest, j]
-                for rest, own in zip(rests, fits, strict=True)
-                for j in every[own]
-                if j not in rest
-            ],
-            int,
-        )
+        free = [(rest, every[~overlap[rest].any(axis=0)]) for rest in rests]
+        sets = np.array([[*rest, j] for rest, own in free for j in own if j not in rest], int)
         if not len(sets):
-            allowed = (
-                f"allowed up to {len(chosen) - len(kept)}; there is no room for more of this radius"
-            )
-            raise ValueError(f"taxels: found {k - len(kept)}, {allowed}")
+            room = f"{len(chosen) - len(kept)}; there is no room for more of this radius"
+            raise ValueError(f"taxels: found {k - len(kept)}, allowed up to {room}")
         found = starts.weights @ scores(starts, sets, aim._replace(redundancy=redundancy))
         at = int(np.argmax(found.round(12) + 1e-9 * ties[sets[:, -1]]))
         return float(found[at]), sets[at].tolist()
@@ -254,8 +244,7 @@ def _constraints(
     """Rows (coefficients, columns, upper limit) of a matrix, and the weight of each start's variables;
     starts in which the same happens count together."""
     m, good = starts.fires.shape[1], starts.good
-    order = np.where(good | (starts.fires < NEVER), starts.fires, NEVER)
-    patterns, which = np.unique(np.concatenate([order, good], axis=1), axis=0, return_inverse=True)
+    patterns, which = np.unique(np.hstack([starts.fires, good]), axis=0, return_inverse=True)
     weights = np.bincount(which.reshape(-1), starts.weights)
     rows: list[tuple[list[float], list[int], float]] = []
     gains: list[float] = []

@@ -67,7 +67,8 @@ def find(
         def tested(figures: Array, starts: range) -> Array:
             task = partial(_hold, _grasp(own, size, figures))
             tick()
-            return _means(np.array(list(played_in.play(task, starts))))
+            went = np.ma.masked_invalid(list(played_in.play(task, starts)))
+            return np.asarray(went.mean(axis=0).filled(np.nan))  # NaN where no contact was seen
 
         for attempt, ground in enumerate(GROUNDS):
             lowest = np.array([-BESIDE, -BESIDE, min(ground - tip, 0.0), CLOSINGS[0]])
@@ -97,13 +98,6 @@ def _search(
     others = range(STARTS, STARTS + OTHERS)  # where those that were lucky are not
     last = [(tested(figures, others), figures) for _, figures in tried[:BEST]]
     return max(last, key=lambda each: each[0][0])
-
-
-def _means(went: Array) -> Array:
-    """(4,) of what `_hold` says (n, 4) of some starts; NaN where no contact was seen."""
-    seen = ~np.isnan(went)
-    sums = np.where(seen, went, 0.0).sum(axis=0)
-    return np.asarray(np.where(seen.any(axis=0), sums / np.maximum(seen.sum(axis=0), 1), np.nan))
 
 
 def _grasp(hand: Hand, size: float, figures: Array) -> ScriptedGrasp:

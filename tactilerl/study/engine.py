@@ -91,7 +91,7 @@ class Engine:
                 submit = where.job_cls.submit_command.split()[0]
                 if shutil.which(submit) is None:  # Dask would only log it, and wait
                     where.close()
-                    raise InputError(f"--on {self.on}: found no command {submit!r} on this machine")
+                    raise ValueError(f"found no command {submit!r} on this machine")
                 where.scale(jobs=self.jobs)
             connect: Any = Client  # which has no types
             return connect(where)

@@ -7,15 +7,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+from rich import progress
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from rich.table import Column
 
 from ..algos.learner import Learner
@@ -40,17 +33,17 @@ class ProgressBar:
         if events is not None and comm.rank == 0:
             self._events = require_tensorboard()(str(events))
         self._faults = dict.fromkeys(FAULTS, 0.0)
-        self._bar: Progress | None = None
+        self._bar: progress.Progress | None = None
         # mpirun hands its ranks a terminal that is none: plain lines for several processes
         if self.console.is_terminal and comm.size == 1:
             whole, wraps = Column(no_wrap=True), Column(no_wrap=False)  # where the terminal is narrow
-            self._bar = Progress(
-                BarColumn(),
-                MofNCompleteColumn(table_column=whole.copy()),
-                TextColumn("steps  {task.description}", table_column=wraps),
-                TimeElapsedColumn(table_column=whole.copy()),
-                TextColumn("ETA"),
-                TimeRemainingColumn(elapsed_when_finished=False, table_column=whole.copy()),
+            self._bar = progress.Progress(
+                progress.BarColumn(),
+                progress.MofNCompleteColumn(table_column=whole.copy()),
+                progress.TextColumn("steps  {task.description}", table_column=wraps),
+                progress.TimeElapsedColumn(table_column=whole.copy()),
+                progress.TextColumn("ETA"),
+                progress.TimeRemainingColumn(elapsed_when_finished=False, table_column=whole.copy()),
                 console=self.console,
             )
             self._task = self._bar.add_task("", total=self.total, completed=learner.env_steps)

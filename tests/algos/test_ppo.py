@@ -59,6 +59,15 @@ def make_ppo(workers, seed=0, comm=None, **choices):
     return PPO(config, workers, comm or Communicator(), seed, total_timesteps=1000)
 
 
+def trained(ppo, epochs, state=None):
+    if state is not None:
+        ppo.load_state_dict(state)
+    for _ in range(epochs):
+        ppo.collect()
+        ppo.update()
+    return ppo
+
+
 class TestGAE:
     def test_three_steps_by_hand(self):
         # gamma = lambda = 1/2; deltas: 1 + .5*2 - 1 = 1, 2 + .5*4 - 2 = 2, 3 + 0 - 4 = -1
@@ -188,13 +197,7 @@ class TestLearning:
 
     def test_same_seed_same_run_and_resume(self):
         def run(epochs, state=None):
-            ppo = make_ppo(scripted(), seed=3, **STEADY)
-            if state is not None:
-                ppo.load_state_dict(state)
-            for _ in range(epochs):
-                ppo.collect()
-                ppo.update()
-            return ppo
+            return trained(make_ppo(scripted(), seed=3, **STEADY), epochs, state)
 
         whole, resumed = run(4), run(2, run(2).state_dict())
         assert flat(whole.state_dict()) == flat(resumed.state_dict())
@@ -240,9 +243,7 @@ class TestLearning:
             return np.append(rng.normal(7.0, 2.0, 2), rng.random() < 0.02).astype(np.float32)
 
         space = gym.spaces.Box(np.float32([-np.inf, -np.inf, 0]), np.float32([np.inf, np.inf, 1]))
-        ppo = make_ppo(scripted(obs=obs, space=space), normalise_obs=True)
-        ppo.collect()
-        ppo.update()
+        ppo = trained(make_ppo(scripted(obs=obs, space=space), normalise_obs=True), 1)
         ppo.collect()
         shown = ppo._batch()[0]
         assert shown[:, :2].mean().abs() < 0.5
@@ -253,10 +254,7 @@ class TestLearning:
 
     def test_what_acts_is_what_learns(self):
         """Old log-probabilities are those of the noise that was drawn."""
-        ppo = make_ppo(scripted(), **STEADY)
-        for _ in range(2):
-            ppo.collect()
-            ppo.update()
+        ppo = trained(make_ppo(scripted(), **STEADY), 2)
         ppo.collect()
         obs, actions, old, *_ = ppo._batch()
         std = torch.from_numpy(ppo.gaussian.std())
@@ -301,13 +299,7 @@ class TestLearning:
             return {**shown, "truth": (100 * rng.standard_normal(3)).astype(np.float32)}
 
         def learner(space, state=None, epochs=2):
-            ppo = make_ppo(scripted(obs=obs, space=space), normalise_obs=True)
-            if state is not None:
-                ppo.load_state_dict(state)
-            for _ in range(epochs):
-                ppo.collect()
-                ppo.update()
-            return ppo
+            return trained(make_ppo(scripted(obs=obs, space=space), normalise_obs=True), epochs, state)
 
         ppo = learner(told)
         assert ppo.critic.linears[0].weight.shape[1] == ppo.actor.linears[0].weight.shape[1] + 3

@@ -10,11 +10,6 @@ from statsmodels.stats.anova import anova_lm
 from benchmarks.studies import agreement
 
 
-@pytest.fixture
-def rng():
-    return np.random.default_rng(1)
-
-
 class TestOrder:
     def test_same_and_opposite_order(self, rng):
         order = np.arange(5.0)

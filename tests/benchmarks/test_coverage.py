@@ -9,11 +9,6 @@ from benchmarks.studies.coverage import bca_interval
 from tactilerl import statistics
 
 
-@pytest.fixture
-def rng():
-    return np.random.default_rng(1)
-
-
 def test_bca_is_scipys(rng):
     scores = rng.beta(0.5, 0.2, 12)
     ours = bca_interval(scores, "mean", statistics.resample(rng, 12, 20_000))

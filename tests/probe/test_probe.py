@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from grasp_records import ASKED, TOUCHED, synthetic
 from one_line import fails_with
 from sklearn.metrics import balanced_accuracy_score, r2_score, roc_auc_score
 from threadpoolctl import threadpool_info, threadpool_limits
@@ -18,16 +17,40 @@ from tactilerl.envs import hands, layouts, scripted
 from tactilerl.errors import BUSY, InputError
 from tactilerl.pictures import places
 from tactilerl.probe import analysis, estimators, figures, files, grasps, metrics, selection
-from tactilerl.probe.grasps import Scenes, drawn_start, moment, stack
+from tactilerl.probe.grasps import Scenes, drawn_start, links_of, moment, stack
 from tactilerl.probe.options import AnalysisFlags, GraspFlags
 from tactilerl.probe.readings import Grasps
 from tactilerl.runs.files import locked
 
 GRIPPER = str(Path(__file__).parents[1] / "hands" / "gripper.toml")
+ASKED = ["--joint-noise", "0", "--resamples", "200", "--shuffles", "2", "--folds", "2", "--workers=1"]
+TOUCHED = ("index", "distal")
 DRAWN = GraspFlags(
     env="mpl", simulator="mujoco", seed=1, object_size=(0.04, 0.05), friction=(1.0,), start_offset=0.02,
     start_yaw=0.5, closing=(0.7, 1.1),
 )  # fmt: skip
+
+
+def synthetic(hand, touches):
+    """Grasps of a hand with its links far apart, whose joints never differ; where `touches`, a cube
+    lies on the tip of the index finger, elsewhere far from everything."""
+    touches = np.array(touches, bool)
+    n, links = len(touches), links_of(hand)
+    surface = next(s for s in hand.surfaces if (s.digit, s.segment) == TOUCHED)
+    apart = np.column_stack([np.arange(len(links)), np.zeros((len(links), 2))])
+    on_tip = apart[links.index(surface.link)] + surface.place(0, 0)[0] + 0.02 * np.array(surface.palmar)
+    return {
+        "held": touches.copy(),
+        "broken": np.zeros(n, bool),
+        "joint_positions": np.zeros((n, len(hand.joints))),
+        "joint_velocities": np.zeros((n, len(hand.joints))),
+        "link_positions": np.tile(apart, (n, 1, 1)),
+        "link_rotations": np.tile(np.eye(3), (n, len(links), 1, 1)),
+        "object_position": np.where(touches[:, None], on_tip, on_tip + np.array([0, 5.0, 0])),
+        "object_orientation": np.tile([1.0, 0, 0, 0], (n, 1)),
+        "object_kind": np.zeros(n, int),
+        "object_half_size": np.full((n, 3), 0.02),
+    }
 
 
 def played(path, n, workers=1, show=lambda done: None, **others):

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from one_line import fails_with, printed
+from tiny_study import write
 
 from tactilerl.errors import InputError
 from tactilerl.study import check, grid
@@ -30,12 +31,6 @@ compare = {n_passes = [4, 2]}
 grid = {n_passes = [2, 4], seed = 3}
 """
 TOO_MANY = "\n".join(f"flag{i} = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9]" for i in range(12))
-
-
-def write(tmp_path, text):
-    path = tmp_path / "study.toml"
-    path.write_text(text)
-    return path
 
 
 def read(tmp_path, text):
