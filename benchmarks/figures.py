@@ -152,8 +152,7 @@ def main() -> None:
         unrolled("design_places", "mpl", [FOUR, "1"], 1, "MPL hand: four chosen taxels, and layout 1")
         fault_curves()
         study_tables.draw(IMAGES)
-        if setups_study.IS_THERE:
-            setups_study.draw(IMAGES)
+        setups_study.draw(IMAGES)
         for name, pair in CHOSEN.items():
             chosen_taxels(name, probes[pair])
     probe_tables.figure(probes, IMAGES / "probe_selection.png")

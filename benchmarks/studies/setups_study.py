@@ -17,7 +17,7 @@ import numpy as np
 import scipy.stats
 from matplotlib.figure import Figure
 
-from benchmarks.command import DATA, data
+from benchmarks.command import data
 from benchmarks.printing import markdown
 from benchmarks.studies import agreement
 from benchmarks.studies.design_study import title
@@ -32,7 +32,6 @@ from tactilerl.study.verdicts import BySeed
 LAYOUTS = ("layout 1", "layout 2", "layout 5", "8 chosen")
 CHOSEN, NONE, SIGHT = LAYOUTS[-1], "no touch", "sight"
 ORDER = ("ppo", "ddpg_her", "mpl", "shadow", "allegro", "mujoco", "pybullet")
-IS_THERE = (DATA / "setups.tar.gz").exists()
 LEAST_SIGHT, LEAST_GAIN = 0.85, 0.3  # of the pilot, for a set-up to take part
 MARGIN = 0.05  # by which chosen taxels may be behind
 
@@ -249,13 +248,12 @@ def look(setup: SetUp) -> dict[str, Any]:
     }
 
 
-TABLES = {"setups pilot": show_pilot}
-if IS_THERE:
-    TABLES |= {
-        "setups worth": show_worth,
-        "setups order": show_order,
-        "setups variance": show_variance,
-        "setups predictors": show_predictors,
-        "setups layouts": show_layouts,
-        "setups chosen": show_chosen,
-    }
+TABLES = {
+    "setups pilot": show_pilot,
+    "setups worth": show_worth,
+    "setups layouts": show_layouts,
+    "setups order": show_order,
+    "setups variance": show_variance,
+    "setups predictors": show_predictors,
+    "setups chosen": show_chosen,
+}
