@@ -128,7 +128,7 @@ def show_layouts() -> None:
         best = min(chosen.mean() - other.mean() for other in others)
         ahead = (number(value, "+.2f") for value in (best, at_least))
         rows.append((setup, *levels, n_dead, *ahead, is_within))
-    last = f"{CHOSEN} − the best of the paper's | at least | within {MARGIN}"
+    last = f"{CHOSEN} − the best of the paper's | lowest bound | within {MARGIN}"
     markdown(f"| set-up | {' | '.join(LAYOUTS)} | runs below no touch | {last} |", rows)
 
 
@@ -157,7 +157,7 @@ def show_chosen() -> None:
         df = parts.sum() ** 2 / (parts**2 / n_free).sum()  # Satterthwaite's
         ends = scipy.stats.t.interval(0.95, df, value, np.sqrt(parts.sum()) / len(ahead))
         rows.append((layout, estimate(Estimate(float(value), *ends), "+.2f")))
-    markdown(f"| layout | {CHOSEN} − it, mean over the set-ups |", rows)
+    markdown(f"| layout | {CHOSEN} − this layout, mean over the set-ups |", rows)
 
 
 def show_order() -> None:
@@ -175,9 +175,8 @@ def show_order() -> None:
         correlation = number(agreement.rank_agreement(values).value, ".2f")
         p_values = map(p_value, (by_setup, by_hand))
         rows.append((name, f"{concordance:.2f}", correlation, *p_values))
-    markdown(
-        "| gain by | Kendall's W | mean rank correlation of two | p, by set-up | p, by hand |", rows
-    )
+    head = "gain by | Kendall's W | mean rank correlation of two set-ups | p, by set-up | p, by hand"
+    markdown(f"| {head} |", rows)
 
 
 def show_variance() -> None:
@@ -194,8 +193,8 @@ def show_variance() -> None:
 
 PREDICTORS: dict[str, Callable[[dict[str, Any]], float]] = {
     "number of taxels": lambda row: row["taxels"],
-    "hand that closes at the first touch": lambda row: row["success"],
-    "the same, waiting at its best": lambda row: row["best"]["success"],
+    "success at the first touch, as the scene begins": lambda row: row["success"],
+    "success at the first touch, waiting at its best": lambda row: row["best"]["success"],
 }
 """What might predict the order of a hand's layouts (`python -m benchmarks design --only hands`). The
 share of starts felt in time puts them into the same order as the second."""
@@ -228,7 +227,7 @@ def draw(folder: Path) -> None:
         for setup, told in predicted(name, each).items():
             at = np.argsort(told, kind="stable")
             axes.plot(told[at], each[setup][at], label=str(setup), **look(setup))
-        axes.set_xlabel(textwrap.fill(name, 22))
+        axes.set_xlabel(textwrap.fill(name, 26))
     panels[0].set(xscale="log", ylabel="gain in success over the run")
     panels[0].set_xticks((10, 30, 100), ("10", "30", "100"))
     panels[0].minorticks_off()
