@@ -122,7 +122,7 @@ def td_targets(
 
 def largest_return(rewards: Sequence[float], gamma: float) -> float:
     """The largest discounted return, without its sign, from any step of an episode to its end."""
-    return max(map(abs, discounted(rewards, gamma)))
+    return max([0.0, *map(abs, discounted(rewards, gamma))])
 
 
 def explore(actions: Array, rng: np.random.Generator, noise_eps: float, random_eps: float) -> Array:

@@ -109,7 +109,7 @@ def gae(rewards: Array, values: Array, last_value: float, gamma: float, lam: flo
     """
     next_values = np.append(values[1:], last_value)
     deltas = (rewards + gamma * next_values - values).tolist()
-    return np.array(discounted(deltas, gamma * lam)[:0:-1])
+    return np.array(discounted(deltas, gamma * lam))
 
 
 def normalise(advantages: Array) -> Array:

@@ -197,8 +197,9 @@ def summary(episodes: list[Episode[Any]], comm: Communicator | None = None) -> d
 
 
 def discounted(values: Sequence[float], factor: float) -> list[float]:
-    """0, then for each of the values, the last first, its sum with all that follow, discounted."""
-    return [*itertools.accumulate(values[::-1], lambda later, v: v + factor * later, initial=0.0)]
+    """Of each of the values (n,), the sum of it and all that follow, discounted."""
+    sums = itertools.accumulate(reversed(values), lambda later, v: v + factor * later, initial=0.0)
+    return [*sums][:0:-1]  # in the order of the values, without the 0 that follows the last
 
 
 def require_transitions(episodes: list[Episode[Any]]) -> list[Episode[Any]]:

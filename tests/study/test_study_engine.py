@@ -144,4 +144,5 @@ def test_flags_that_do_not_fit(tmp_path, capsys, flags, words):
 @pytest.mark.skipif(shutil.which("sbatch") is not None, reason="a machine with Slurm")
 def test_a_batch_system_that_is_not_here(tmp_path, capsys):
     args = ["study", "run", write(tmp_path), "--on", "slurm", "--jobs", "1", "--out", tmp_path / "out"]
-    fails_with(capsys, args, "--on slurm", "sbatch")
+    said = fails_with(capsys, args, "--on slurm", "sbatch")
+    assert said.count("--on slurm") == 1
