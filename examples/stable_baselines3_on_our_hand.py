@@ -16,9 +16,10 @@ parser = argparse.ArgumentParser()
 parser.add_argument("--steps", type=int, default=STEPS)
 steps = parser.parse_known_args()[0].steps
 
-# %% The environment speaks Gymnasium: observations are a Dict, as goal environments have it
+# %% Observations are a Dict; the achieved goal is the object's true pose, which a policy must not see
 print("tactilerl", tactilerl.__version__)
 env = gym.make("tactilerl/Shadow-v0", layout=4, hold_verdict="settled")
+env = gym.wrappers.FilterObservation(env, ["observation", "desired_goal"])
 print(env.observation_space)
 
 # %% Train with Stable-Baselines3's own PPO

@@ -23,7 +23,8 @@ from .scene import read_scene
 
 ABOUT = About(
     "Can touch make a difference in a scene? Compares scripted hands that feel, see, or do "
-    "neither, before any training.",
+    "neither, before any training. With several values of --layout, it plays the hand that feels "
+    "with each.",
     first=("layout", "simulator", "task"),
     examples=(
         "tactilerl gate --scene handover",

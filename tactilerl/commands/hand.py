@@ -75,9 +75,8 @@ def main(args: list[str]) -> int:
     for simulator in simulators:
         _try(read.out, simulator)
     name = pasted(read.out)
-    console.print(
-        f"next: tactilerl doctor --env {name}    tactilerl train --env {name} --recipe steady"
-    )
+    train = f"tactilerl train --env {name} --recipe steady --total-timesteps 15000"
+    console.print(f"next: tactilerl doctor --env {name}    {train}")
     return 0
 
 

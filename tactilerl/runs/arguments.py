@@ -36,12 +36,12 @@ TRAIN = About(
     "Without --scene and --recipe, the defaults are the paper's.",
     first=(
         "scene", "algo", "env", "layout", "touch", "task", "recipe", "total_timesteps", "seed",
-        "workers", "out", "resume",
+        "workers", "out", "resume", "tensorboard",
     ),
     examples=(
         "tactilerl train --scene handover",
         "tactilerl train --scene handover --touch off",
-        "tactilerl train --algo ddpg_her --env shadow --layout 4 --seed 1",
+        "tactilerl train --algo ddpg_her --env shadow --layout 4 --total-timesteps 26000 --seed 1",
         "tactilerl train --resume runs/X --total-timesteps 1000000",
     ),
 )  # fmt: skip
@@ -56,9 +56,10 @@ def defaults(args: Sequence[str]) -> RunConfig:
 
 def read(args: Sequence[str], base: RunConfig) -> tuple[RunConfig, Any]:
     """All flags of `train`, over the defaults `base`; and those that are not of the configuration."""
-    known: Any = Literal[tuple(recipes.recipes(base.run.algo))]
-    about = "A set of hyperparameters; other flags override them."
-    recipe = _extra("recipe", recipes.PAPER, about, known)
+    names = tuple(recipes.recipes(base.run.algo))
+    known: Any = Literal[names]
+    about = "A set of hyperparameters, which other flags override; default: the scene's, or paper."
+    recipe = _extra("recipe", None, about, known | None, metavar=f"{{{','.join(names)}}}")
     more = (recipe, NAMED_SCENE, *RESUME)
     given = read_parts(base.run.env, base.parts, args, "tactilerl train", TRAIN, *more)
     return dataclasses.replace(
