@@ -99,6 +99,13 @@ class DDPGHERConfig:
         """Does the course of a run depend on how long it will be?"""
         return self.anneal_lr or self.anneal_noise or self.anneal_action_l2
 
+    def acting(self, remaining: float) -> DDPGHERConfig:
+        """With the noise of the moment at which that fraction of the run is left."""
+        left = remaining if self.anneal_noise else 1.0
+        return dataclasses.replace(
+            self, noise_eps=left * self.noise_eps, random_eps=left * self.random_eps
+        )
+
     def validate(self) -> None:
         """Raise ValueError naming what does not go together; ranges are in the types."""
         require_hidden(self.hidden)
@@ -142,7 +149,8 @@ class GoalInputs:
     limit: float
 
     def read(self, obs: Any) -> GoalObs:
-        return GoalObs(*(np.array(obs[key], np.float32).ravel() for key in GoalObs._fields))
+        whole = {"achieved_goal": obs["desired_goal"], **obs}  # a network sees no achieved goal
+        return GoalObs(*(np.array(whole[key], np.float32).ravel() for key in GoalObs._fields))
 
     def stack(self, views: Sequence[GoalObs]) -> Tensor:
         obs, _, goals = (torch.from_numpy(np.stack(part)) for part in zip(*views, strict=True))
@@ -161,19 +169,9 @@ def _stats(config: DDPGHERConfig, spaces: Spaces, comm: Communicator) -> list[No
 
 
 def _policy(
-    config: DDPGHERConfig,
-    spaces: Spaces,
-    actor: MLP,
-    obs_stats: Normalizer,
-    goal_stats: Normalizer,
-    noise_factor: float = 1.0,
+    config: DDPGHERConfig, spaces: Spaces, actor: MLP, obs_stats: Normalizer, goal_stats: Normalizer
 ) -> Policy:
-    """With that fraction of the noise."""
-    noise = partial(
-        explore,
-        noise_eps=noise_factor * config.noise_eps,
-        random_eps=noise_factor * config.random_eps,
-    )
+    noise = partial(explore, noise_eps=config.noise_eps, random_eps=config.random_eps)
     inputs = GoalInputs(obs_stats.scaling(), goal_stats.scaling(), config.clip_obs)
     return Policy(on_cpu(actor), inputs, noise, spaces)
 
@@ -237,9 +235,8 @@ class DDPGHER(Learner):
     # -- acting and collecting ---------------------------------------------------------------
 
     def policy(self) -> Policy:
-        noise_factor = self.progress_remaining if self.config.anneal_noise else 1.0
-        parts = self.actor, self.obs_stats, self.goal_stats
-        return _policy(self.config, self.spaces, *parts, noise_factor)
+        config = self.config.acting(self.progress_remaining)
+        return _policy(config, self.spaces, self.actor, self.obs_stats, self.goal_stats)
 
     def _player(self, purpose: int) -> PlayEpisode[GoalObs]:
         """Plays episodes of this rank's own."""

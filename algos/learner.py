@@ -20,6 +20,11 @@ if TYPE_CHECKING:
 NAMES_OF_0_3 = {"spread": "gaussian", "log": "log_std", "truth_stats": "privileged_stats"}
 
 
+def progress_remaining(env_steps: int, total_timesteps: int) -> float:
+    """Of a run, from 1 to 0."""
+    return max(0.0, 1.0 - env_steps / total_timesteps)
+
+
 class Learner:
     """A subclass says how it is built, collects, updates and acts. Random numbers follow from the seed
     and the counters, so these and the states of its parts are all that a checkpoint needs."""
@@ -95,7 +100,7 @@ class Learner:
     @property
     def progress_remaining(self) -> float:
         """Of the run, from 1 to 0."""
-        return max(0.0, 1.0 - self.env_steps / self.total_timesteps)
+        return progress_remaining(self.env_steps, self.total_timesteps)
 
     def _require_finite(self, losses: Tensor, *adams: FlatAdam) -> None:
         """DivergenceError, rather than going on from losses or parameters that are not finite."""

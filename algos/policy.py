@@ -63,7 +63,7 @@ class Policy:
 
     def __init__(self, network: MLP, inputs: Inputs, noise: Noise, spaces: Spaces):
         self.network, self.inputs, self.noise = network, inputs, noise
-        self.shapes = spaces.shapes
+        self.shapes = _read(spaces.shapes)
         self._low, self._high = action_bounds(spaces.action)
 
     def act(
@@ -117,7 +117,7 @@ class Policy:
     def require_spaces(self, spaces: Spaces) -> None:
         """ValueError unless observations and actions have the shapes that the policy knows."""
         for name, found, known in (
-            ("observations", _shown(spaces.shapes), _shown(self.shapes)),
+            ("observations", _shown(_read(spaces.shapes)), _shown(self.shapes)),
             ("actions", str(spaces.action.shape), str(self._low.shape)),
         ):
             if found != known:
@@ -153,6 +153,11 @@ class Policy:
         raise ValueError(
             f"obs: found shape {_shown(found)}, expected {_shown(self.shapes)}, or a batch of such"
         )
+
+
+def _read(shapes: dict[str, tuple[int, ...]]) -> dict[str, tuple[int, ...]]:
+    """Those that a network sees: the achieved goal is the truth, for learning alone."""
+    return {key: shape for key, shape in shapes.items() if key != "achieved_goal"}
 
 
 def _shown(shapes: dict[str, tuple[int, ...]]) -> str:

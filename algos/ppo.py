@@ -80,6 +80,10 @@ class PPOConfig:
     """Stop an epoch's passes when the KL divergence from the old policy exceeds this (in the source,
     not in the paper)."""
 
+    def acting(self, remaining: float) -> PPOConfig:
+        """As `DDPGHERConfig.acting`: noise does not depend on what is left of the run."""
+        return self
+
     def validate(self) -> None:
         """Raise ValueError naming what does not go together; ranges are in the types."""
         require_hidden(self.hidden)

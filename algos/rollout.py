@@ -109,9 +109,9 @@ def _step(env: gym.Env[Any, Any], policy: Policy, action: Array, episode: Episod
         raise UnfitError(f"env: found {type(info).__name__} for a step's info, allowed a dict")
     episode.info = info
     for fault in FAULTS:
-        episode.faults[fault] += int(_number(info.get(fault, 0), fault))
-    success = info.get("is_success", info.get("success", math.nan))
-    episode.success = _number(success, "is_success")
+        episode.faults[fault] += int(_number(info.get(fault, 0), f"{fault} in info"))
+    success = info.get("is_success", info.get("success"))
+    episode.success = math.nan if success is None else _number(success, "is_success in info")
     if episode.success not in (0.0, 1.0) and not math.isnan(episode.success):
         raise UnfitError(f"env: found the is_success {episode.success:g}, allowed 0 or 1")
     episode.held = episode.held + 1 if episode.success == 1.0 else 0

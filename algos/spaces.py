@@ -94,7 +94,9 @@ def _box(low: Any, high: Any, shape: Any, dtype: Any) -> gym.spaces.Box:
 def action_bounds(space: gym.Space[Any]) -> tuple[Array, Array]:
     """(low, high) of an action space; ValueError when it is not a bounded Box."""
     if isinstance(space, gym.spaces.Box) and space.is_bounded() and space.dtype.kind == "f":
-        return space.low, space.high
+        with np.errstate(over="ignore"):
+            if np.isfinite(space.high - space.low).all():
+                return space.low, space.high
     raise ValueError(f"action space: found {space}, allowed Box of floats with finite bounds")
 
 

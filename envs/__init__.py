@@ -79,7 +79,7 @@ def make(
         known = (*hands.names(), *TOYS)
         reason = str(error).strip().splitlines()[0]
         raise ValueError(
-            f"unknown environment {name!r}; {nearest(name, known)}allowed: {', '.join(known)}, a "
+            f"unknown environment {name!r}; {_meant(name, known)}allowed: {', '.join(known)}, a "
             "hand's .toml file, a Gymnasium id, or "
             f"MODULE:ID with the module that registers it ({reason})"
         ) from None
@@ -89,6 +89,12 @@ def make(
         where = traceback.extract_tb(error.__traceback__)[-1].line  # an assertion says nothing else
         reason = f"{type(error).__name__}: {str(error) or where}"
         raise ValueError(f"env: {name!r} cannot be made here ({reason})") from error
+
+
+def _meant(name: str, known: tuple[str, ...]) -> str:
+    if name in scenes.names():
+        return f"did you mean scene={name!r} (--scene {name}), or the id {scenes.gymnasium_id(name)}? "
+    return nearest(name, known)
 
 
 def at_its_length(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:

@@ -79,6 +79,8 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
         if self.n_substeps < 1 or abs(ratio - self.n_substeps) > 1e-6 * ratio:
             allowed = f"a whole number of timesteps of {self.timestep} s"
             raise ValueError(f"control_dt: found {self.control_dt} s, allowed {allowed}")
+        if self.actions == "all":
+            typed.allow_only_with("actions fingers or grip", self, "start_closing")
         objects.validate(self)
         tasks.validate(self)
         observations.validate(self, self.touch, touch.RULES[self.touch_rule].is_boolean)

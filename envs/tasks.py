@@ -151,7 +151,7 @@ class ReachGoal(Task):
     """Bring the object to a place above the ground and keep it there (paper, MuJoCo set-up)."""
 
     rewards = ("sparse", "dense")
-    options = ("goal_range",)
+    options = ("goal_range", "goal_height", "goal_tolerance")
     max_episode_steps = 20
     goal_size = 3
 
@@ -203,6 +203,7 @@ class LiftAndHold(Task):
     """
 
     rewards = ("staged",)
+    options = ("lift_clearance",)
     max_episode_steps = 100
     finger_weight: ClassVar[float] = 0.2
     """alpha of the paper's reward."""

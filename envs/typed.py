@@ -47,8 +47,12 @@ def replace(instance: T, choices: Mapping[str, Any]) -> T:
 
 def plain(values: Mapping[str, Any]) -> dict[str, Any]:
     """JSON's lists are the tuples of dataclasses, and NumPy's numbers are Python's."""
-    plain = ((name, v.item() if isinstance(v, np.generic) else v) for name, v in values.items())
-    return {name: tuple(v) if isinstance(v, list) else v for name, v in plain}
+    return {name: _plain(value) for name, value in values.items()}
+
+
+def _plain(value: Any) -> Any:
+    value = value.tolist() if isinstance(value, np.generic | np.ndarray) else value
+    return tuple(map(_plain, value)) if isinstance(value, list | tuple) else value
 
 
 def validate(instance: Any) -> None:

@@ -163,8 +163,9 @@ class RemotePlayer:
         self._job: Any = None
 
     def play(self, job: Job[T], number: int, is_wanted: IsWanted) -> T:
-        result: T = self.answer((None if job is self._job else job, number), is_wanted)
-        self._job = job
+        message, self._job = (None if job is self._job else job, number), None
+        result: T = self.answer(message, is_wanted)
+        self._job = job  # and not where it raised
         return result
 
     def answer(self, to: Any = None, is_wanted: IsWanted = lambda: True) -> Any:

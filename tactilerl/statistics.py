@@ -185,17 +185,18 @@ def expanded(n: int, confidence: float = CONFIDENCE) -> float:
 
 def mean(samples: Array, counts: Array, confidence: float = CONFIDENCE) -> Estimate:
     """Mean of samples (n,), such as differences of pairs, with its expanded percentile interval; NaN
-    without samples."""
-    if not len(samples):
-        return Estimate(math.nan, math.nan, math.nan)
+    without samples, and no interval of a single one."""
+    if len(samples) < 2:
+        return Estimate(float(samples[0]) if len(samples) else math.nan, math.nan, math.nan)
     return estimate(samples, "mean", counts, expanded(len(samples), confidence))
 
 
 def share(gain: Array, room: Array, counts: Array) -> Estimate:
     """Mean `gain` over mean `room`, both (pairs,), with its expanded percentile interval."""
-    drawn = bootstrap(gain, "mean", counts) / bootstrap(room, "mean", counts)
-    bounds = percentile_interval(drawn, expanded(len(gain)))
-    return Estimate(float(gain.mean() / room.mean()), *bounds)
+    with np.errstate(divide="ignore", invalid="ignore"):  # where there is no room
+        drawn = bootstrap(gain, "mean", counts) / bootstrap(room, "mean", counts)
+        value = float(gain.mean() / room.mean())
+    return Estimate(value, *percentile_interval(drawn, expanded(len(gain))))
 
 
 def sign_flips(n: int, rng: np.random.Generator, n_resamples: int = N_RESAMPLES) -> Array:

@@ -70,7 +70,8 @@ def with_nan():
 
 def test_numpys_numbers_are_numbers_and_an_action_may_be_a_scalar():
     env = Short(action=())
-    learner = tactilerl.PPO(env, seed=np.int64(3), gamma=np.float32(0.5), **SHORT)
+    sizes = {**SHORT, "hidden": [np.int64(8)]}
+    learner = tactilerl.PPO(env, seed=np.int64(3), gamma=np.float32(0.5), **sizes)
     learner.learn(np.int64(20))
     assert learner.config.gamma == 0.5
     assert learner.act(np.zeros(2)).shape == ()
@@ -280,6 +281,8 @@ MISTAKES = [
     ),
     (lambda: tactilerl.evaluate("policy.pt", "lqr"), "policy: found str, allowed what load_policy"),
     (lambda: tactilerl.PPO("nowhere:Env-v0"), "env: No module named 'nowhere'"),
+    (lambda: tactilerl.PPO("handover"), "did you mean scene='handover' .* tactilerl/Handover-v0"),
+    (lambda: short(action=gym.spaces.Box(-3e38, 3e38, (1,))), "Box of floats with finite bounds"),
     (lambda: tactilerl.PPO("lqr").act(tactilerl.make("lqr").reset()), "obs: found a tuple"),
     (lambda: short(obs=(0,)), "space: found an empty one"),
     (lambda: tactilerl.PPO(lambda: None, **SHORT), "env: found a function that returns None"),

@@ -27,6 +27,7 @@ MEMORY = 8 * 2**30  # bytes of address space
 ASKED, RESULT = "asked", "result"
 TRIED = "TACTILERL_HANDS_TRIED"
 """Environment variable: what has been read well, for processes that are started from here."""
+MOST_TRIED = 60_000  # characters of that: Linux starts no process with a variable of 128 KiB
 KINDS: dict[str, type[Exception]] = {
     kind.__name__: kind for kind in (ValueError, FileNotFoundError, ImportError, OSError)
 }
@@ -69,7 +70,11 @@ def _load(path: Path, whole: Path) -> Hand:
 
         return loading.load(whole)
     hand: Hand = _ask("load", f"hand file {path}", (whole,), path.parent)
-    os.environ[TRIED] = "\n".join([*tried, _state(whole, *hand.build.files)])
+    kept = [state for state in tried if json.loads(state)[0][0] != str(whole)]
+    kept.append(_state(whole, *hand.build.files))
+    while sum(map(len, kept)) > MOST_TRIED:  # what is forgotten is only read in a process again
+        kept.pop(0)
+    os.environ[TRIED] = "\n".join(kept)
     return hand
 
 

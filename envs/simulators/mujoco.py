@@ -319,6 +319,9 @@ class MujocoSimulator(Simulator):
     def render(self, camera: Camera, spheres: Sequence[Sphere] = ()) -> Array:
         if _failures:  # a second attempt would end the process
             raise _failures[0]
+        drawn = self._renderer
+        if drawn is not None and (drawn.width, drawn.height) != (camera.width, camera.height):
+            self.close()
         if self._renderer is None:
             offscreen = self.model.vis.global_
             offscreen.offwidth, offscreen.offheight = camera.width, camera.height

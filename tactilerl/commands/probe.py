@@ -121,7 +121,7 @@ def _table(
     for heading in ("taxels", *(columns[metric][0] for metric in metrics)):
         table.add_column(heading, justify="right", no_wrap=True)
     if "auc" in metrics:
-        table.add_column("gain by taxels (95 %)", no_wrap=True)
+        table.add_column("gain (95 %)", no_wrap=True)
     for told, layout in dict.fromkeys(key[:2] for key in found):
         measured = {metric: found.get((told, layout, metric), {}) for metric in metrics}
         if not any(measured.values()):

@@ -241,7 +241,7 @@ class Plan:
             console.print(f"{name}: {need.score} needs the fewest pairs. In the study file:")
             console.print(f'  primary = {{score = "{need.score}"}}')
             if need.needed_holm:
-                pairs_at = planning.looks(need.needed_holm, self.alpha)
+                pairs_at = planning.looks(need.needed_holm, self.alpha / need.settings)
                 terms = f"pairs = {pairs_at}, effect = {self.effect:g}, alpha = {self.alpha:g}"
                 console.print(f"  looks = {{{terms}}}")
 
@@ -268,10 +268,11 @@ class Compare:
         if self.json:
             print(_json({"differing": differing, "rows": rows}))
             return
-        columns = ("", "runs", "steps", "pairs", "difference", "p", "p, Holm")
-        table = Table(*columns, title=f"{self.a} − {self.b}: {self.score}", box=box.SIMPLE_HEAD)
+        table = Table(title=f"{self.a} − {self.b}: {self.score}", box=box.SIMPLE_HEAD, padding=0)
+        for column in ("", "runs", "steps", "pairs", "difference", "p", "p, Holm"):
+            table.add_column(column, no_wrap=bool(column), overflow="fold")
         for one in rows:
-            gap = "{value:+.3f} ({low:+.3f}–{high:+.3f})".format(**one)
+            gap = "{value:+.3f} ({low:+.3f} to {high:+.3f})".format(**one)
             sizes = "{} / {}".format(*one["runs"]), f"{one['until']:,.0f}", str(one["pairs"])
             p_values = (f"{p:.3f}" if p == p else "–" for p in (one["p"], one["p_holm"]))
             table.add_row(one["place"], *sizes, gap, *p_values)

@@ -131,8 +131,9 @@ def candidates(flags: DesignFlags, hand: Hand) -> Taxels:
     ]
     left = [taxel for taxel, surface in enumerate(taxels.surfaces) if is_allowed[surface]]
     if not left:
-        chosen = " ".join([*flags.only, *(f"--not {name}" for name in flags.leave_out)])
-        raise ValueError(f"only: found {chosen!r}, which leaves no taxel of the skin {flags.skin}")
+        given = {"only": flags.only, "not": flags.leave_out}
+        chosen = " and ".join(f"{name}: found {' '.join(x)}" for name, x in given.items() if x)
+        raise ValueError(f"{chosen}, which leaves no taxel of the skin {flags.skin}")
     _require_enough(flags, left)
     return taxels.take(left)
 

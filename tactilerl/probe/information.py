@@ -29,7 +29,10 @@ def design(pool: Pool, workers: int, show: Callable[[int, int], None]) -> Design
     has, skin = np.split(felt[:, pool.columns], [pool.n_kept], axis=1)
     probe = analysis.Probe(grasps, readings, AnalysisFlags(), flags.seed, workers)
     with estimators.expected_warnings():
-        path, best, told = selection.select(probe, skin, numbers, has, pool.overlap)
+        try:
+            path, best, told = selection.select(probe, skin, numbers, has, pool.overlap)
+        except ValueError as error:  # names what `design` has no flag for
+            raise ValueError(f"starts: found {pool.n_starts}, allowed more ({error})") from error
         worth = selection.bits(probe, skin)
     if len(path) < numbers[-1]:
         room = "" if pool.overlap is None else " and have room"

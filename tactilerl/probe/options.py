@@ -154,8 +154,8 @@ class OutputFlags:
     """Where results go and how they are shown."""
 
     out: Path | None = None
-    """Folder for grasps.npz, probe.json and figures; default: probes/ENV_SIMULATOR. Repeating the
-    command continues an unfinished probe."""
+    """Folder for grasps.npz, probe.json and figures; default: probes/ENV_SIMULATOR, or with --from the
+    folder of that file. Repeating the command continues an unfinished probe."""
     grasps_file: Annotated[Path | None, tyro.conf.arg(name="from", metavar="FILE")] = None
     """Read the grasps from this file instead of simulating them."""
     workers: WorkerCount = None

@@ -19,7 +19,7 @@ from ..errors import InputError, input_errors
 from ..pictures import places
 from ..runs import provenance
 from ..runs.cores import free_cores
-from ..runs.files import locked, replacing
+from ..runs.files import is_picture, locked, read_json, replacing, require_ours
 from . import analysis, estimators, figures, files, selection
 from .options import AnalysisFlags, Options
 from .readings import Grasps, with_faults
@@ -38,11 +38,19 @@ def grasps(read: Options, held: ExitStack, show: Callable[[int], None]) -> tuple
             raise InputError(f"{source}: found grasps of {env!r}, allowed: {hands.allowed()}")
         _placed(read.analysis, hands.get(env))
         held.enter_context(locked(out := out or source.parent))
+        _require_ours(out)
         return played, out
     _placed(read.analysis, hands.get(asked.env))
     name = f"{hands.file(asked.env).stem}_{asked.config.simulator}"
     held.enter_context(locked(out := out or Path("probes") / name))
+    _require_ours(out)
     return files.play(out / "grasps.npz", asked, read.output.workers or free_cores(), show), out
+
+
+def _require_ours(out: Path) -> None:
+    """InputError where a file of somebody else would be lost."""
+    for name in ("probe.json", "gains.npz"):  # together they are a probe's
+        require_ours(out / name, lambda path: "asking" in read_json(path.with_name("probe.json")))
 
 
 @input_errors()
@@ -93,9 +101,9 @@ def analyse(read: Options, played: files.Played, out: Path) -> dict[str, Any]:
                 "places": [asdict(place) for place in places.of(taxels[densest])],
             },
         }
-    with replacing(out / "gains.npz") as file:
-        np.savez_compressed(file, **gains)
     with replacing(out / "probe.json") as file:
         file.write((json.dumps(result, indent=1) + "\n").encode())
-    figures.save(figures.of_probe(result, hand), out)
+    with replacing(out / "gains.npz") as file:
+        np.savez_compressed(file, **gains)
+    figures.save(figures.of_probe(result, hand), out, is_picture)
     return result

@@ -153,7 +153,7 @@ def require_ours(path: Path, is_ours: IsOurs | None = None) -> None:
             raise InputError(f"cannot write {str(path)!r}: it is {found}, allowed a file or a new name")
         try:
             is_known = is_ours is None or is_ours(path)
-        except ValueError:
+        except (ValueError, TypeError, AttributeError, FileNotFoundError):  # other things are in it
             is_known = False
     if not is_known:
         raise InputError(

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from .. import algos
 from ..algos import recipes
+from ..algos.learner import progress_remaining
 from ..algos.policy import Policy, network_sizes
 from ..algos.spaces import Spaces
 from ..envs import typed
@@ -71,7 +72,7 @@ def save_policy(path: str | Path, algo: str, learner: Learner) -> None:
     content = {
         "policy_format": FORMAT,
         "algo": algo,
-        "learner": json.dumps(dataclasses.asdict(learner.config)),
+        "learner": json.dumps(dataclasses.asdict(learner.config.acting(learner.progress_remaining))),
         "spaces": learner.spaces.to_json(),
         "state": {name: state[name] for name in learner.policy_parts},
     }
@@ -104,7 +105,8 @@ def read_run(path: Path, env: str = "", trust: bool = False) -> Trained:
     data, file = checkpoint.read(run_dir, saved), run_dir.checkpoint_file
     with damage_named(file):
         spaces, state = Spaces.from_json(data["spaces"]), data["ranks"][0]
-        policy = _policy(file, saved.run.algo, saved.learner, spaces, state)
+        remaining = progress_remaining(state["env_steps"], saved.run.total_timesteps)
+        policy = _policy(file, saved.run.algo, saved.learner.acting(remaining), spaces, state)
     run = dataclasses.replace(saved.run, workers=1, device="cpu")
     scene = saved.scene and dataclasses.replace(saved.scene, hold_verdict="full")
     config = dataclasses.replace(saved, run=run, scene=scene)

@@ -56,6 +56,7 @@ def require_same(records: Iterable[Record], configs: Mapping[str, RunConfig]) ->
     one version knows do not count."""
     for record in records:
         config = configs[record.run.name]
+        _require_no_cut(record, config)
         for part, wanted in config.identity().items():
             made = (record.config or {}).get(part) or {}
             if part == "learner" and made:
@@ -66,6 +67,16 @@ def require_same(records: Iterable[Record], configs: Mapping[str, RunConfig]) ->
                         f"run {record.run.name}: {key}: found {value!r}, the run was made with "
                         f"{made[key]!r}; give this study another --out, or move that folder away"
                     )
+
+
+def _require_no_cut(record: Record, config: RunConfig) -> None:
+    """InputError where a run would be cut: the others would be scored over its steps alone."""
+    made, wanted = (record.config or {}).get("run", {}), config.run.total_timesteps
+    if wanted < (least := made.get("total_timesteps", 0)):
+        raise InputError(
+            f"run {record.run.name}: total_timesteps: found {wanted}, allowed {least} or more: a run "
+            "can be extended, not cut"
+        )
 
 
 def start(records: Iterable[Record], configs: Mapping[str, RunConfig]) -> dict[str, float]:

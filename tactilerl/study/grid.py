@@ -326,6 +326,8 @@ def _flags(table: dict[str, Any], taken: set[str]) -> dict[str, Any]:
         if flag in taken:
             decided = "is decided by `tactilerl study`; leave it out"
             raise ValueError(f"{key}: {'belongs in the grid' if flag == SEED else decided}")
+        if flag in flags:
+            raise ValueError(f"{key}: found twice, with a dash and with an underscore")
         _require_values(value, key)
         flags[flag] = value
     return flags

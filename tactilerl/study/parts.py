@@ -70,10 +70,13 @@ def compare(a: Part, b: Part, score: str) -> list[dict[str, Any]]:
 
 
 def differing(a: Part, b: Part) -> list[str]:
-    """What the first runs of both parts were told differently, besides the seed; and their commits."""
-    configs = [next(iter(part.values()))[0].config or {} for part in (a, b)]
-    commits = [short((c.get("provenance") or [{}])[-1].get("commit")) for c in configs]
-    flat = [settings(c) | {"commit": made} for c, made in zip(configs, commits, strict=True)]
+    """What the first runs of both parts were told differently, besides the seed; their commits, and by
+    which success rate they are judged."""
+    flat = []
+    for first in (next(iter(part.values()))[0] for part in (a, b)):
+        config = first.config or {}
+        commit = short((config.get("provenance") or [{}])[-1].get("commit"))
+        flat.append(settings(config) | {"commit": commit, "measure": first.run.measure})
     names = [name for name in flat[0] | flat[1] if name not in UNTOLD]
     values = {name: [one.get(name) for one in flat] for name in names}
     return [f"{name} {x} − {y}" for name, (x, y) in values.items() if x != y]

@@ -38,7 +38,9 @@ class Need:
     interval: tuple[int | None, int | None]
     """Of `needed`: for all that the pilot's few pairs can say of their spread."""
     needed_holm: int | None
-    """Pairs where every cell of the set-up is to stand: at alpha / cells."""
+    """Pairs where every cell of the set-up is to stand: at alpha / settings."""
+    settings: int
+    """Cells that are compared."""
 
 
 def plan(
@@ -69,7 +71,7 @@ def _need(
     unpaired = runs_needed(effect, sd_arm, power, alpha, in_pairs=False)
     return Need(
         setup.name, score, n_pairs, correlation, sd, unpaired, pairs_for(sd),
-        (pairs_for(low), pairs_for(high)), pairs_for(sd, alpha / len(setup.cells)),
+        (pairs_for(low), pairs_for(high)), pairs_for(sd, alpha / len(setup.cells)), len(setup.cells),
     )  # fmt: skip
 
 
@@ -110,5 +112,7 @@ def best(needs: Sequence[Need]) -> dict[str, Need]:
 
 
 def looks(n_pairs: int, alpha: float) -> list[int]:
-    """When to look at a study of `n_pairs` pairs."""
-    return sorted({max(fewest_pairs(alpha), round(share * n_pairs)) for share in SHARES})
+    """When to look at `n_pairs` pairs, not before a look could end with a difference at all."""
+    can_end = (n for n in range(1, n_pairs) if fewest_pairs(alpha * n / n_pairs) <= n)
+    first = next(can_end, n_pairs)
+    return sorted({max(first, round(share * n_pairs)) for share in SHARES})

@@ -111,7 +111,7 @@ def answer(setup: Setup, verdict: Verdict, score: str) -> str:
         return f"{where}: {first[0].upper()}{first[1:]} {change} by {numbers}{other}.{look}"
     if stage and not stage.ending:
         said = "not decided yet"
-    elif len(verdict.pairs) < (fewest := statistics.fewest_pairs(verdict.alpha)):
+    elif len(verdict.pairs) < (fewest := statistics.fewest_pairs(verdict.alpha / len(setup.cells))):
         said = f"too few runs to find a difference at {verdict.alpha:g}, which takes {fewest} pairs"
     elif found.low == found.high:  # as where no run learned anything
         said = "no difference, all pairs are alike"
@@ -176,7 +176,7 @@ def warnings(analysis: Analysis) -> list[str]:
     groups = [group for one in analysis.setups for group in one.groups.values()]
     if (fewest := min(map(len, groups), default=FEW_RUNS)) < FEW_RUNS:
         found.append(
-            f"The smallest group has {plural(fewest, 'run')}. Bands of learning curves of fewer than "
+            f"The smallest group has {plural(fewest, 'run')}. Intervals of fewer than "
             f"{FEW_RUNS} runs are too narrow: they contain the truth less often than they say."
         )
     levels = [

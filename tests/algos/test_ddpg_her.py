@@ -24,6 +24,7 @@ from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.algos.replay import Batch
 from tactilerl.envs import vector
 from tactilerl.runs import training
+from tactilerl.runs.policies import load_policy, save_policy
 
 
 class GoalEnv(gym.Env):
@@ -272,6 +273,12 @@ class TestFallsOverTheRun:
             share = share if anneals else 1.0
             assert noise == pytest.approx(dict(noise_eps=share * 0.2, random_eps=share * 0.3))
 
+    def test_a_saved_policy_has_the_noise_of_its_moment(self, tmp_path):
+        learner = trained(5, make(anneal_noise=True))
+        save_policy(tmp_path / "policy.pt", "ddpg_her", learner)
+        noise = load_policy(tmp_path / "policy.pt").noise.keywords
+        assert noise == learner.policy().noise.keywords == dict(noise_eps=0.1, random_eps=0.15)
+
     @pytest.mark.parametrize("anneals", [False, True])
     def test_action_penalty(self, anneals):
         """As much is left of it as of the learning rates."""
@@ -295,6 +302,15 @@ class TestFallsOverTheRun:
         assert learner.env_steps == rows[-1]["env_steps"] == learner.total_timesteps == 100
         assert rates_of(learner) == pytest.approx([0.04 * 1e-3] * 2)
         assert rows[-1]["updates"] == 25 * learner.config.n_batches
+
+
+def test_a_policy_acts_without_the_achieved_goal():
+    obs = GoalEnv().reset(seed=0)[0]
+    policy, seen = make().policy(), {k: v for k, v in obs.items() if k != "achieved_goal"}
+    assert np.array_equal(policy.act(seen), policy.act(obs))
+    filtered = gym.wrappers.FilterObservation(GoalEnv(), [*seen])
+    with pytest.raises(ValueError, match="Dict with observation, achieved_goal and desired_goal"):
+        make(filtered)
 
 
 class TestExploration:

@@ -72,6 +72,17 @@ def test_a_hand_is_read_once_and_again_when_a_file_changes(hand, monkeypatch):
     assert len(read) == 3
 
 
+def test_what_is_told_to_processes_stays_short(hand, monkeypatch):
+    """Linux starts none with a variable of 128 KiB."""
+    monkeypatch.delenv(sandbox.TRIED, raising=False)
+    for i in range(2):
+        hands.get(hand(model=MODEL.replace("-0.7 1.2", f"-0.7 1.{i}")))
+    assert len(os.environ[sandbox.TRIED].splitlines()) == 1
+    monkeypatch.setattr(sandbox, "MOST_TRIED", 10)
+    hands.get(hand())
+    assert os.environ[sandbox.TRIED] == ""
+
+
 def test_processes_that_are_started_from_here_need_not_try_again(hand, monkeypatch):
     monkeypatch.delenv(sandbox.TRIED, raising=False)
     path = hand()

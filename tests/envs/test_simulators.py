@@ -258,3 +258,17 @@ class TestMPL:
         one = action(np.eye(7)[3], start) - start  # thumb and little finger move together
         moved = {name.partition("_")[0] for name, by in zip(names, one, strict=True) if abs(by) > 1e-12}
         assert moved == {"thumb", "little"}
+
+
+@pytest.mark.parametrize("simulator", ["mujoco", pytest.param("pybullet", marks=pytest.mark.pybullet)])
+def test_every_picture_has_the_size_of_its_camera(simulator):
+    env = envs.make("shadow", layout="1", simulator=simulator, render_mode="rgb_array")
+    env.reset(seed=0)
+    for height, width in ((60, 80), (90, 40), (60, 80)):
+        try:
+            drawn = env.unwrapped.picture(simulators.Camera(width=width, height=height))
+        except OSError as error:  # of MuJoCo, without a display, EGL and OSMesa
+            pytest.skip(str(error))
+        assert (drawn.shape, drawn.dtype) == ((height, width, 3), np.uint8)
+        assert len(np.unique(drawn)) > 10
+    env.close()

@@ -143,6 +143,19 @@ def test_an_error_comes_at_its_place_and_the_workers_go_on(side_by_side):
         assert list(workers.play(fails_at_three, [5, 4])) == [5, 4]
 
 
+def says_where(env, number, is_wanted):
+    return number
+
+
+@pytest.mark.parametrize("side_by_side", ["threads", "processes"])
+def test_after_an_error_the_job_before_it_is_played_again(side_by_side):
+    with closing(vector.start(partial(Plain, side_by_side), 2)) as workers:
+        assert list(workers.play(says_where, range(4))) == [0, 1, 2, 3]
+        with pytest.raises(ValueError, match="three"):
+            list(workers.play(fails_at_three, [3, 3]))
+        assert list(workers.play(says_where, [3, 3])) == [3, 3]
+
+
 class Unpicklable(Exception):
     def __init__(self, one, two):
         super().__init__(one)

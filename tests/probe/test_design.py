@@ -225,7 +225,8 @@ class TestCommand:
             (["--taxels", "1e9"], "taxels: found '1e9'"),
             (["--taxels", "99", "--skin", "5"], "taxels: found 99, allowed up to the 19 that may be"),
             (["--only", "toe"], "toe: unknown"),
-            (["--only", "index", "--not", "index"], "only: found 'index --not index', which leaves no"),
+            (["--only", "index", "--not", "index"], "only: found index and not: found index"),
+            (["--not", "palm", "distal", "middle", "proximal"], "--not: found palm distal middle"),
             (["--skin", "xmm"], "skin: found 'xmm'"),
             (["--beside", "9"], "unknown layout '9'"),
             (["--keep", "gone.toml"], "gone.toml"),
@@ -254,6 +255,11 @@ class TestCommand:
         scene = ["--scene", "dark_mpl", "--skin", "8mm", "--only", "palm", "--beside", "6"]
         assert main(["design", *scene, "--taxels", "2", "--starts", "20", "--workers", "1"]) == 2
         assert "taxels: found 2, allowed up to the 0 candidates" in capsys.readouterr().err
+
+    def test_too_few_starts_to_judge_lifts(self, capsys):
+        lifts = ["--scene", "paper_shadow", "--starts", "8", "--taxels", "1", "--workers", "1"]
+        assert main(["design", *lifts]) == 2
+        assert "--starts: found 8, allowed more" in capsys.readouterr().err
 
     def test_a_scene_that_touch_cannot_help(self, capsys):
         Path("seen.toml").write_text(

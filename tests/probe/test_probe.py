@@ -288,6 +288,13 @@ class TestAnalysis:
             assert (one_taxel.parent / f"{name}.svg").exists()
         assert json.loads((one_taxel.parent / "probe.json").read_text()) == found
 
+    @pytest.mark.parametrize("name", ["probe.json", "gains.npz", "gain.png"])
+    def test_the_files_of_others_stay(self, one_taxel, capsys, name):
+        (there := one_taxel.parent / name).write_text("[1]")
+        assert main(["probe", *ASKED, "--from", str(one_taxel), "--layout", "5"]) == 2
+        assert "another file is there" in capsys.readouterr().err
+        assert there.read_text() == "[1]"
+
     def test_no_signal_no_gain(self, one_taxel, capsys):
         records = files.read(one_taxel).records
         records["held"] = np.random.default_rng(1).permutation(records["held"])

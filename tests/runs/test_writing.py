@@ -53,6 +53,7 @@ WRITERS = {
     "x.csv": lambda name: main(["env", "--export", name]),
     "x.json": lambda name: main(["env", "--export", name]),
     "x.pt": save,
+    "design.json": lambda name: main(["design", "--taxels", "1..2", "--out", "."]),
     "x.tar.gz": lambda name: main(["study", "collect", "study", "--out", name]),
     "x.jpg": lambda name: main(["render", "--pose", "start", "--out", name]),
     "x.png": lambda name: main(["render", "--pose", "start", "--out", name]),
@@ -78,6 +79,7 @@ def test_the_files_of_others_stay(name, foreign, capsys):
     path.parent.mkdir(parents=True, exist_ok=True)
     for there in (
         lambda: path.write_text("mine"),
+        lambda: path.write_text("[1]"),
         lambda: path.symlink_to(Path("victim").resolve()),
         lambda: os.mkfifo(path),
     ):

@@ -125,6 +125,7 @@ class TestBadFiles:
             ('name = "toy"', 'name = "toy"\nlooks = {pairs = [2, 3], alpha = 1}', ["alpha: found 1"]),
             ("batch-size = [16, 32]", "batch-size = []", ["grid: batch_size", "no values"]),
             ("batch-size = [16, 32]", "batch-size = [16, 16]", ["grid: batch_size", "16 twice"]),
+            ("batch-size = [16, 32]", "batch-size = [16]\nbatch_size = [32]", ["found twice"]),
             ("batch-size = [16, 32]", "batch-sise = [16, 32]", ["reach", "batch-sise"]),
             ("batch-size = [16, 32]", "batch-size = [16, 0]", ["batch_size-0", "batch_size: found 0"]),
             ("batch-size = [16, 32]", "workers = [1, 2]", ["setups.reach: workers", "leave it out"]),

@@ -22,6 +22,7 @@ from study_records import fail, interrupt, make_study
 from tactilerl import study as package
 from tactilerl.commands.cli import main
 from tactilerl.study import analysis, figures, planning, records, report, summary, tables, verdicts
+from tactilerl.study.grid import Looks
 from tactilerl.study.records import StudyFiles
 from tactilerl.terminal.console import console
 
@@ -319,8 +320,17 @@ class TestPlan:
         assert planning.runs_needed(*case) == n
 
     def test_looks_are_at_growing_numbers_of_pairs_up_to_all(self):
-        assert planning.looks(16, 0.05) == [6, 9, 12, 16]
+        assert planning.looks(16, 0.05) == [7, 9, 12, 16]
         assert planning.looks(6, 0.05) == [6]
+        assert planning.looks(10, 0.05 / 8) == [9, 10]
+
+    @pytest.mark.parametrize(("n", "settings"), [(6, 1), (10, 3), (11, 8), (40, 6)])
+    def test_every_look_can_find_a_difference(self, n, settings):
+        plan = Looks(planning.looks(n, 0.05 / settings))
+        at, spent = plan.pairs, plan.spent(settings)
+        found = [verdicts.take(plan, np.ones(n), at[: i + 1], settings)[-1] for i in range(len(at))]
+        assert found[0].ending == "difference"
+        assert all(2.0 ** (1 - k) <= error for k, error in zip(at, spent, strict=True))
 
     def test_table_and_bad_flags(self, folder, capsys, monkeypatch):
         monkeypatch.setattr(console, "width", 80)

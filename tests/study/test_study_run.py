@@ -71,6 +71,11 @@ class TestRun:
         ("old", "new", "words"),
         [
             ("n_batches = 2", "n_batches = 3", "n_batches: found 3"),
+            (
+                "total_timesteps = 200",
+                "total_timesteps = 100",
+                "found 100, allowed 200",
+            ),
             ('"tiny"', '"other"', "holds the study 'tiny', not 'other'"),
         ],
     )

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 import shutil
 
 import numpy as np
@@ -12,6 +13,7 @@ from study_records import PAPER_LIKE, fail, make_study
 from tactilerl.study import looks, records, summary, verdicts
 from tactilerl.study.grid import Contrast, Looks, Run, Setup
 from tactilerl.study.runner import RunJob
+from tactilerl.terminal.console import console
 
 LOOKS = PAPER_LIKE[: PAPER_LIKE.index("[setups.mujoco]")].replace(
     'name = "made-up"', 'name = "made-up"\nlooks.pairs = [6, 9, 12]\nlooks.effect = 0.03'
@@ -178,6 +180,18 @@ class TestCompare:
         row = self.compare(capsys, f"{folder.path}:{names}", f"{other.path}:{names}")["rows"][0]
         assert (row["runs"], row["pairs"]) == ([4, 6], 2)
 
+    def test_other_rates_of_success_are_a_difference(self, folder, tmp_path, capsys):
+        text = PAPER_LIKE.replace('"test_success_rate"', '"success_rate"')
+        other = make_study(tmp_path / "other", text, n_seeds=4)
+        found = self.compare(capsys, f"{folder.path}:mujoco", f"{other.path}:mujoco")
+        assert found["differing"] == ["measure test_success_rate − success_rate"]
+
+    def test_numbers_are_whole_in_a_narrow_terminal(self, folder, capsys, monkeypatch):
+        monkeypatch.setattr(console, "width", 80)
+        parts = (f"{folder.path}:layout {layout}" for layout in (2, 5))
+        shown = printed(capsys, ["study", "compare", *parts])
+        assert len(re.findall(r"[+-]0\.\d{3} \([+-]\d\.\d{3} to [+-]\d\.\d{3}\)", shown)) == 4
+
     def test_without_common_seeds_they_are_no_pairs(self, folder, tmp_path, capsys):
         other = make_study(tmp_path / "other", PAPER_LIKE.replace('"0-{last}"', '"10-14"'))
         fails_with(capsys, ["study", "compare", folder.path, other.path], "no seed that both have")
@@ -186,7 +200,7 @@ class TestCompare:
         other = make_study(tmp_path / "other", PAPER_LIKE.replace('"0-{last}"', "[3]"))
         names = "pybullet,layout 2,touch"
         row = self.compare(capsys, f"{folder.path}:{names}", f"{other.path}:{names}")["rows"][0]
-        assert (row["pairs"], row["p"]) == (1, None)
+        assert (row["pairs"], row["p"], row["low"], row["high"]) == (1, None, None, None)
 
     def test_no_steps_that_all_have(self, folder, tmp_path, capsys):
         other = make_study(tmp_path / "other", n_seeds=4, epochs=1, total=60_000)
@@ -236,6 +250,13 @@ class TestErrorsOfLooks:
         pairs = dataclasses.replace(verdict.pairs, difference=verdicts.Estimate(*gap))
         verdict = dataclasses.replace(verdict, pairs=pairs)
         assert words in summary.answer(self.setup, verdict, "area")
+
+    def test_as_many_pairs_are_needed_as_the_corrected_test_takes(self):
+        six = verdicts.Pairs([0] * 6, np.ones(6), np.zeros(6), verdicts.Estimate(0.1, 0, 1), 0.03)
+        verdict = verdicts.Verdict("a", six, 6, None, 0.06)
+        two = dataclasses.replace(self.setup, grid={"layout": [1, 2], **self.setup.grid})
+        assert len(two.cells) == 2
+        assert "which takes 7 pairs" in summary.answer(two, verdict, "area")
 
     @pytest.mark.parametrize(
         ("ending", "words"), [("", "not decided yet"), ("no difference", "no significant difference")]
