@@ -260,7 +260,7 @@ class TestMPL:
         assert moved == {"thumb", "little"}
 
 
-@pytest.mark.parametrize("simulator", ["mujoco", pytest.param("pybullet", marks=pytest.mark.pybullet)])
+@pytest.mark.parametrize("simulator", ["mujoco", "pybullet"])
 def test_every_picture_has_the_size_of_its_camera(simulator):
     env = envs.make("shadow", layout="1", simulator=simulator, render_mode="rgb_array")
     env.reset(seed=0)
