@@ -109,9 +109,10 @@ def answer(setup: Setup, verdict: Verdict, score: str) -> str:
         numbers = f"{abs(found.value):.2f} ({low} to {high}; {told})"
         other = "" if setup.is_touch else f" against {second}"
         return f"{where}: {first[0].upper()}{first[1:]} {change} by {numbers}{other}.{look}"
+    fewest = statistics.fewest_pairs(verdict.alpha / len(setup.cells))
     if stage and not stage.ending:
         said = "not decided yet"
-    elif len(verdict.pairs) < (fewest := statistics.fewest_pairs(verdict.alpha / len(setup.cells))):
+    elif len(verdict.pairs) < fewest and not (stage and stage.ending == "no difference"):
         said = f"too few runs to find a difference at {verdict.alpha:g}, which takes {fewest} pairs"
     elif found.low == found.high:  # as where no run learned anything
         said = "no difference, all pairs are alike"

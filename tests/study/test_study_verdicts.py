@@ -257,6 +257,8 @@ class TestErrorsOfLooks:
         two = dataclasses.replace(self.setup, grid={"layout": [1, 2], **self.setup.grid})
         assert len(two.cells) == 2
         assert "which takes 7 pairs" in summary.answer(two, verdict, "area")
+        ruled_out = dataclasses.replace(verdict, stage=verdicts.Stage(1, 3, "no difference"))
+        assert "no significant difference" in summary.answer(two, ruled_out, "area")
 
     @pytest.mark.parametrize(
         ("ending", "words"), [("", "not decided yet"), ("no difference", "no significant difference")]
