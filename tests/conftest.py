@@ -31,9 +31,10 @@ NO_PYBULLET = "PyBullet is not installed (it has wheels for Python up to 3.11)"
 
 
 def needs_pybullet(item):
-    """Whether a test has the mark, or "pybullet" among its parameters."""
+    """Whether a test has the mark, or the simulator or a scene in it among its parameters."""
     parameters = item.callspec.params.values() if hasattr(item, "callspec") else ()
-    return item.get_closest_marker("pybullet") or any(str(p) == "pybullet" for p in parameters)
+    named = {"pybullet", "paper_mpl"} & set(map(str, parameters))
+    return item.get_closest_marker("pybullet") or named
 
 
 @pytest.fixture

@@ -124,6 +124,9 @@ def _print(found: Design) -> None:
     console.print(
         f"{result['candidates']} candidates; chosen from {asked['starts']} {judged.format(**asked)}"
     )
+    if asked["keep"]:
+        kept = f"layout {layouts.short(asked['keep'])}"
+        console.print(f"chosen and random taxels are added to those of {kept}")
     if result["early"]:
         console.print(f"left out, since they fire before anything comes: {', '.join(result['early'])}")
     table = Table("taxels", "which", measure, "95 % interval")

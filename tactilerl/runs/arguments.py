@@ -36,12 +36,12 @@ TRAIN = About(
     "Without --scene and --recipe, the defaults are the paper's.",
     first=(
         "scene", "algo", "env", "layout", "touch", "task", "recipe", "total_timesteps", "seed",
-        "workers", "out", "resume", "tensorboard",
+        "workers", "tensorboard", "out", "resume",
     ),
     examples=(
         "tactilerl train --scene handover",
         "tactilerl train --scene handover --touch off",
-        "tactilerl train --algo ddpg_her --env shadow --layout 4 --total-timesteps 26000 --seed 1",
+        "tactilerl train --algo ddpg_her --layout 4 --total-timesteps 26000",
         "tactilerl train --resume runs/X --total-timesteps 1000000",
     ),
 )  # fmt: skip

@@ -574,8 +574,8 @@ class TestOtherCommands:
         out = capsys.readouterr().out
         flags = re.findall(r"^. (--[\w-]+)", out, re.MULTILINE)
         assert flags[:2] == ["--scene", "--algo"]
-        assert flags[-1] == "--resume"
-        assert len(flags) == 12
+        assert flags[-3:] == ["--tensorboard", "--out", "--resume"]
+        assert len(flags) == 13
         assert "--touch {on,off,absent" in out
         assert out.index("examples:") > out.index("--resume")
         assert "--help-all lists all" in out

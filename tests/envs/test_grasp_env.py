@@ -85,7 +85,11 @@ def test_jitter_stays_within_the_joints_ranges(hand, simulator):
 
 @pytest.mark.parametrize(
     ("name", "layout", "size"),
-    [("Shadow", 5, 61 + 19), ("MPL", np.int64(5), 12 + 19), ("Allegro", "5", 45 + 15)],
+    [
+        ("Shadow", 5, 61 + 19),
+        pytest.param("MPL", np.int64(5), 12 + 19, marks=pytest.mark.pybullet),
+        ("Allegro", "5", 45 + 15),
+    ],
 )
 def test_registered_and_a_layouts_number_is_its_name(name, layout, size):
     env = gym.make(f"tactilerl/{name}-v0", layout=layout)

@@ -64,6 +64,7 @@ def test_a_study_of_a_scene(trained_here):
         assert config["learner"]["orthogonal_init"] is True
 
 
+@pytest.mark.pybullet
 def test_another_hand_and_simulator_in_the_same_scene():
     env = tactilerl.make("shadow", scene="handover", simulator="pybullet", layout=4)
     assert env.action_space.shape == (1,)

@@ -137,6 +137,7 @@ class TestCouplings:
         assert hand.actuated[3:] == ("l_a", "r_a")
         assert hand.couplings[0] == ("l_b", "l_a", 0.5, pytest.approx(0.3), True)
 
+    @pytest.mark.pybullet
     def test_who_pushes_a_follower_pushes_its_driver(self, made):
         """So that fingers hold an object as hard in both simulators."""
         path, forces = made(with_more(coupled("0.3 0.8 0")), FOLLOWERS), []
