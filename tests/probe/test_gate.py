@@ -34,6 +34,7 @@ def test_the_verdict_says_what_touch_can_win_of_what_there_is(timed, joints, tou
     assert all(word in said for word in words)
 
 
+@pytest.mark.pybullet
 def test_another_seed_has_other_starts(monkeypatch):
     played = set()
 
