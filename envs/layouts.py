@@ -135,10 +135,11 @@ class Layout:
                 position, normal = (tuple(v.tolist()) for v in surface.place(*offset))
                 point = Point(surface.link, position, normal, radius, name)
                 placed.append((point, index, (*offset, 0.0)))
-        with toml_files.blamed(f"layout {self.name!r}"):
-            taxel_files.require_distinct([point for point, *_ in placed])
         own = hand.sensors if self.is_model else self.taxels
         points = [_of_link(point, hand) for point in own]
+        if not self.is_model:
+            with toml_files.blamed(f"layout {self.name!r}"):
+                taxel_files.require_distinct([*(point for point, *_ in placed), *points])
         placed += [_on_surface(point, hand) for point in points]
         if not placed:
             raise ValueError(f"layout {self.name!r} puts no taxel on the {hand.name} hand")
