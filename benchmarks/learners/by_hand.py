@@ -1,4 +1,4 @@
-"""The learners with gradients as one would derive them, which 0.3.0 had: the same runs bit for bit.
+"""The learners as before 0.4.0, with gradients as one would derive them: the same runs bit for bit.
 
 `python -m benchmarks reproduce --by-hand` trains with them: `python -m benchmarks.learners.by_hand
 train ...` is `tactilerl train`.
@@ -18,6 +18,7 @@ from tactilerl.algos.ddpg_her import DDPGHER
 from tactilerl.algos.networks import MLP, FlatAdam
 from tactilerl.algos.ppo import MAX_LOG_RATIO, PPO, Transitions, surrogate
 from tactilerl.commands import cli
+from tactilerl.envs import observations
 
 
 @torch.no_grad()
@@ -115,4 +116,5 @@ class DDPGHERByHand(DDPGHER):
 
 if __name__ == "__main__":
     ppo.PPO, ddpg_her.DDPGHER = PPOByHand, DDPGHERByHand  # type: ignore[misc]
+    observations._upper = lambda quaternion: quaternion  # which had either sign
     sys.exit(cli.main())

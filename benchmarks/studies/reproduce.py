@@ -3,9 +3,9 @@
     python -m benchmarks reproduce --by-hand docs/data/handover.tar.gz \\
         handover_layout-2_run_type-main_s0
 
-The same bits need the same machine and versions, so both versions are printed. Learners before 0.4.0
-had gradients by hand, which round differently: for their runs give --by-hand. Exit code 1 where an
-epoch differs.
+The same bits need the same machine and versions, so both versions are printed. For runs of before 0.4.0
+give --by-hand: learners had gradients by hand, which round differently, and observed quaternions either
+sign. Exit code 1 where an epoch differs.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def main() -> int:
     flags = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     flags.add_argument("study", type=Path, help="a collected file, or a study's folder")
     flags.add_argument("run", help="name of a run in it, such as handover_layout-2_run_type-main_s0")
-    flags.add_argument("--by-hand", action="store_true", help="with the gradients before 0.4.0")
+    flags.add_argument("--by-hand", action="store_true", help="for runs of before 0.4.0")
     options = flags.parse_args()
     found = {one.run.name: one for one in records.load(options.study)[1] if one.state == "done"}
     if options.run not in found:
