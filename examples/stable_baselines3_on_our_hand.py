@@ -16,7 +16,7 @@ parser = argparse.ArgumentParser()
 parser.add_argument("--steps", type=int, default=STEPS)
 steps = parser.parse_known_args()[0].steps
 
-# %% Observations are a Dict; the achieved goal is the object's true pose, which a policy must not see
+# %% Observations are a Dict; without the achieved goal, the true pose even where a scene hides it
 print("tactilerl", tactilerl.__version__)
 env = gym.make("tactilerl/Shadow-v0", layout=4, hold_verdict="settled")
 env = gym.wrappers.FilterObservation(env, ["observation", "desired_goal"])

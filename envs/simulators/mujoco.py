@@ -154,6 +154,12 @@ def _renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Renderer
     return mujoco.Renderer(model, height, width)
 
 
+def _set_mean_inertia(model: mujoco.MjModel) -> None:
+    """The solver's unit, by one sum for models as compiled and changed: some processors round MuJoCo's
+    own differently."""
+    model.stat.meaninertia = sum(model.dof_M0.tolist()) / model.nv
+
+
 class MujocoSimulator(Simulator):
     """One scene."""
 
@@ -163,6 +169,7 @@ class MujocoSimulator(Simulator):
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.model = models.compiled(build_spec(scene))
+        _set_mean_inertia(self.model)
         # A diverged state is reported, not silently replaced by the start of the episode.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self.data = mujoco.MjData(self.model)
@@ -211,7 +218,7 @@ class MujocoSimulator(Simulator):
         leaf = model.body_bvhadr[self._object_body]
         model.bvh_aabb[leaf] = compiled.bvh_aabb[compiled.body_bvhadr[compiled.body(OBJECT).id]]
         mujoco.mj_setConst(model, self.data)
-        model.stat.meaninertia = sum(model.dof_M0.tolist()) / model.nv  # the solver's unit
+        _set_mean_inertia(model)
 
     def reset(
         self, joint_positions: Array, object_position: Array, yaw: float, targets: Array | None = None

@@ -131,9 +131,9 @@ def candidates(flags: DesignFlags, hand: Hand) -> Taxels:
     ]
     left = [taxel for taxel, surface in enumerate(taxels.surfaces) if is_allowed[surface]]
     if not left:
-        given = {"only": flags.only, "not": flags.leave_out}
-        chosen = " and ".join(f"{name}: found {' '.join(x)}" for name, x in given.items() if x)
-        raise ValueError(f"{chosen}, which leaves no taxel of the skin {flags.skin}")
+        name, but = ("only", "--not ") if flags.only else ("not", "")
+        chosen = " ".join([*flags.only, *(f"{but}{left_out}" for left_out in flags.leave_out)])
+        raise ValueError(f"{name}: found {chosen!r}, which leaves no taxel of the skin {flags.skin}")
     _require_enough(flags, left)
     return taxels.take(left)
 

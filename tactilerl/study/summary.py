@@ -177,7 +177,7 @@ def warnings(analysis: Analysis) -> list[str]:
     groups = [group for one in analysis.setups for group in one.groups.values()]
     if (fewest := min(map(len, groups), default=FEW_RUNS)) < FEW_RUNS:
         found.append(
-            f"The smallest group has {plural(fewest, 'run')}. Intervals of fewer than "
+            f"The smallest group has {plural(fewest, 'run')}. Bands of learning curves of fewer than "
             f"{FEW_RUNS} runs are too narrow: they contain the truth less often than they say."
         )
     levels = [
