@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+import tactilerl
 from tactilerl.algos import DivergenceError, recipes
 from tactilerl.algos.ddpg_her import (
     DDPGHER,
@@ -278,6 +279,13 @@ class TestFallsOverTheRun:
         save_policy(tmp_path / "policy.pt", "ddpg_her", learner)
         noise = load_policy(tmp_path / "policy.pt").noise.keywords
         assert noise == learner.policy().noise.keywords == dict(noise_eps=0.1, random_eps=0.15)
+
+    def test_a_finished_run_has_no_noise_left(self, tmp_path):
+        small = dict(hidden=[8], n_cycles=1, n_batches=1, n_test_rollouts=0, total_timesteps=50)
+        for anneals, left in ((True, 0.0), (False, 0.2)):
+            chosen = {"anneal_noise": anneals, "out": tmp_path / str(left), **small}
+            run = tactilerl.train("point-reach", algo="ddpg_her", **chosen)
+            assert load_policy(run).noise.keywords["noise_eps"] == left
 
     @pytest.mark.parametrize("anneals", [False, True])
     def test_action_penalty(self, anneals):
