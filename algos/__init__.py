@@ -68,7 +68,9 @@ class Workers(Protocol):
         """A goal environment's rewards (n,) of goals (n, goal_size)."""
 
     def play(
-        self, job: Callable[[gym.Env[Any, Any], int, Callable[[], bool]], T], numbers: Iterable[int]
+        self,
+        job: Callable[[gym.Env[Any, Any], int, Callable[[], bool]], T],
+        numbers: Iterable[int],
     ) -> Iterator[T]:
         """`job(env, number, is_wanted)` for `numbers`, in order; who has enough stops iterating."""
 
@@ -76,7 +78,9 @@ class Workers(Protocol):
 def get(name: str) -> tuple[Any, Any]:
     """(hyperparameters, `Learner`) by name; PyTorch is imported here and not before."""
     if name not in ALGORITHMS:
-        raise ValueError(f"unknown algorithm {name!r}; allowed: {', '.join(ALGORITHMS)}")
+        raise ValueError(
+            f"unknown algorithm {name!r}; allowed: {', '.join(ALGORITHMS)}"
+        )
     registered = ALGORITHMS[name]
     module = importlib.import_module(registered.module or f".{name}", __name__)
     return getattr(module, registered.config), getattr(module, registered.algorithm)

@@ -29,7 +29,9 @@ from .replay import Batch, GoalObs, Replay
 from .rollout import PlayEpisode, discounted, play_episodes, summary
 from .spaces import PRIVILEGED, Spaces, action_size, flat_size, goal_size, n_boolean
 
-CHECK_EVERY = 100  # updates between two looks at whether the ranks' parameters are equal
+CHECK_EVERY = (
+    100  # updates between two looks at whether the ranks' parameters are equal
+)
 REPLAY_P = 0.8  # paper
 
 
@@ -124,7 +126,9 @@ def td_targets(
     make (Andrychowicz et al. 2017, appendix A).
     """
     values = rewards + gamma * (1.0 - terminal) * next_values
-    return values.clamp(*(reward / (1.0 - gamma) for reward in span)) if span else values
+    return (
+        values.clamp(*(reward / (1.0 - gamma) for reward in span)) if span else values
+    )
 
 
 def largest_return(rewards: Sequence[float], gamma: float) -> float:
@@ -132,12 +136,18 @@ def largest_return(rewards: Sequence[float], gamma: float) -> float:
     return max([0.0, *map(abs, discounted(rewards, gamma))])
 
 
-def explore(actions: Array, rng: np.random.Generator, noise_eps: float, random_eps: float) -> Array:
+def explore(
+    actions: Array, rng: np.random.Generator, noise_eps: float, random_eps: float
+) -> Array:
     """Noisy copies of actions (n, d) in [-1, 1]; whole rows are random with `random_eps`."""
-    noisy = actions + np.float32(noise_eps) * rng.standard_normal(actions.shape, dtype=np.float32)
+    noisy = actions + np.float32(noise_eps) * rng.standard_normal(
+        actions.shape, dtype=np.float32
+    )
     noisy = np.clip(noisy, -1.0, 1.0)
     is_random = rng.random(actions.shape[:-1])[..., None] < random_eps
-    return np.where(is_random, rng.uniform(-1.0, 1.0, actions.shape).astype(np.float32), noisy)
+    return np.where(
+        is_random, rng.uniform(-1.0, 1.0, actions.shape).astype(np.float32), noisy
+    )
 
 
 @dataclass(frozen=True)
@@ -149,27 +159,42 @@ class GoalInputs:
     limit: float
 
     def read(self, obs: Any) -> GoalObs:
-        whole = {"achieved_goal": obs["desired_goal"], **obs}  # a network sees no achieved goal
-        return GoalObs(*(np.array(whole[key], np.float32).ravel() for key in GoalObs._fields))
+        whole = {
+            "achieved_goal": obs["desired_goal"],
+            **obs,
+        }  # a network sees no achieved goal
+        return GoalObs(
+            *(np.array(whole[key], np.float32).ravel() for key in GoalObs._fields)
+        )
 
     def stack(self, views: Sequence[GoalObs]) -> Tensor:
-        obs, _, goals = (torch.from_numpy(np.stack(part)) for part in zip(*views, strict=True))
+        obs, _, goals = (
+            torch.from_numpy(np.stack(part)) for part in zip(*views, strict=True)
+        )
         return self(obs, goals)
 
     def __call__(self, obs: Tensor, goals: Tensor) -> Tensor:
         """Of observations (n, obs) and goals (n, goal): (n, obs + goal)."""
         parts = (self.obs_scaling, obs), (self.goal_scaling, goals)
-        return torch.cat([scale(part.clamp(-self.limit, self.limit)) for scale, part in parts], dim=1)
+        return torch.cat(
+            [scale(part.clamp(-self.limit, self.limit)) for scale, part in parts], dim=1
+        )
 
 
-def _stats(config: DDPGHERConfig, spaces: Spaces, comm: Communicator) -> list[Normalizer]:
+def _stats(
+    config: DDPGHERConfig, spaces: Spaces, comm: Communicator
+) -> list[Normalizer]:
     """Moments of observations and of goals, before anything was seen."""
     n_goal, n_obs = goal_size(spaces.observation), flat_size(spaces.observation)
     return [Normalizer(n, comm, config.norm_clip) for n in (n_obs - n_goal, n_goal)]
 
 
 def _policy(
-    config: DDPGHERConfig, spaces: Spaces, actor: MLP, obs_stats: Normalizer, goal_stats: Normalizer
+    config: DDPGHERConfig,
+    spaces: Spaces,
+    actor: MLP,
+    obs_stats: Normalizer,
+    goal_stats: Normalizer,
 ) -> Policy:
     noise = partial(explore, noise_eps=config.noise_eps, random_eps=config.random_eps)
     inputs = GoalInputs(obs_stats.scaling(), goal_stats.scaling(), config.clip_obs)
@@ -181,7 +206,14 @@ class DDPGHER(Learner):
 
     replay: Replay
     policy_parts = ("actor", "obs_stats", "goal_stats")
-    saved = (*policy_parts, "critic", "target_actor", "target_critic", "adam", "privileged_stats")
+    saved = (
+        *policy_parts,
+        "critic",
+        "target_actor",
+        "target_critic",
+        "adam",
+        "privileged_stats",
+    )
     counters = ("env_steps", "updates", "cycles", "worst", "best", "reward_scale")
 
     def build(self, generator: torch.Generator) -> None:
@@ -190,33 +222,52 @@ class DDPGHER(Learner):
         space, n_actions = self.spaces.observation, action_size(self.spaces.action)
         n_goal, n_privileged = goal_size(space), flat_size(self.spaces.privileged)
         if not (steps := workers.max_episode_steps):
-            raise ValueError("max_episode_steps: found none, allowed environments with a limit")
+            raise ValueError(
+                "max_episode_steps: found none, allowed environments with a limit"
+            )
         gamma = 1.0 - 1.0 / steps if config.gamma is None else config.gamma
         goals: Any = space["desired_goal"]  # type: ignore[index]
-        is_single = np.array_equal(goals.low, goals.high)  # then it is its own hindsight
+        is_single = np.array_equal(
+            goals.low, goals.high
+        )  # then it is its own hindsight
         her = 0.0 if is_single else REPLAY_P
         replay_p = her if config.replay_p is None else config.replay_p
         self.config = dataclasses.replace(config, gamma=gamma, replay_p=replay_p)
         self.actor = new_actor(config.hidden, self.spaces, generator).to(self.device)
         n_inputs = self._n_obs + n_privileged + n_actions
         names = self.spaces.inputs(PRIVILEGED, "action")
-        self.critic = MLP((n_inputs, *config.hidden, 1), generator, inputs=names).to(self.device)
+        self.critic = MLP((n_inputs, *config.hidden, 1), generator, inputs=names).to(
+            self.device
+        )
         self.target_actor, self.target_critic = copy.deepcopy((self.actor, self.critic))
-        self.adam = FlatAdam((self.actor, config.actor_lr), (self.critic, config.critic_lr))
-        self._target_vector = flatten(self.target_actor, self.target_critic).requires_grad_(False)
+        self.adam = FlatAdam(
+            (self.actor, config.actor_lr), (self.critic, config.critic_lr)
+        )
+        self._target_vector = flatten(
+            self.target_actor, self.target_critic
+        ).requires_grad_(False)
         comm.broadcast_(self.adam.vector)
         comm.broadcast_(self._target_vector)
         self.obs_stats, self.goal_stats = _stats(config, self.spaces, comm)
-        self.privileged_stats = flat_stats(self.spaces.privileged, config.norm_clip, comm)
-        sizes, rewards = (self._n_obs - n_goal, n_goal, n_actions, n_privileged), workers.compute_reward
+        self.privileged_stats = flat_stats(
+            self.spaces.privileged, config.norm_clip, comm
+        )
+        sizes, rewards = (
+            (self._n_obs - n_goal, n_goal, n_actions, n_privileged),
+            workers.compute_reward,
+        )
         rng = np.random.default_rng([seed, comm.rank, rollout.LEARN])
-        self.replay = Replay(config.buffer_size, steps, sizes, n_boolean(space), rewards, rng)
+        self.replay = Replay(
+            config.buffer_size, steps, sizes, n_boolean(space), rewards, rng
+        )
         self._penalty = config.action_l2
         self.cycles_per_epoch = config.n_cycles
         self.updates = self.cycles = 0
         # All rewards so far lie from -worst to best, in the source from the start from -1 to 0.
         self.worst = self.reward_scale = 0.0 if config.normalise_rewards else 1.0
-        self.best = self._largest = 0.0  # the largest return is that of the last episodes
+        self.best = self._largest = (
+            0.0  # the largest return is that of the last episodes
+        )
 
     def check(self) -> None:
         *_, episode = play_episodes(self.workers, self._player(rollout.PROBE), 1)
@@ -241,21 +292,32 @@ class DDPGHER(Learner):
     def _player(self, purpose: int) -> PlayEpisode[GoalObs]:
         """Plays episodes of this rank's own."""
         key = (self.seed, self.comm.rank, purpose, self.cycles)
-        return PlayEpisode[GoalObs](self.policy(), key, explores=purpose != rollout.TEST)
+        return PlayEpisode[GoalObs](
+            self.policy(), key, explores=purpose != rollout.TEST
+        )
 
     def collect(self) -> dict[str, float]:
         """One cycle's episodes: into the replay, and relabelled into the normaliser."""
-        config, key = self.config, [self.seed, self.comm.rank, rollout.LEARN, self.cycles]
+        config, key = (
+            self.config,
+            [self.seed, self.comm.rank, rollout.LEARN, self.cycles],
+        )
         self.replay.rng = np.random.default_rng(key)  # whatever came before
         remaining = self.progress_remaining
         self.adam.scale_lr(remaining if config.anneal_lr else 1.0)
-        self._penalty = config.action_l2 * (remaining if config.anneal_action_l2 else 1.0)
-        episodes = play_episodes(self.workers, self._player(rollout.TRAIN), config.n_rollouts)
+        self._penalty = config.action_l2 * (
+            remaining if config.anneal_action_l2 else 1.0
+        )
+        episodes = play_episodes(
+            self.workers, self._player(rollout.TRAIN), config.n_rollouts
+        )
         self.cycles += 1
         stats = summary(episodes, self.comm)
         self.env_steps += int(stats.pop("steps"))
         usable = [episode for episode in episodes if len(episode)]
-        self._largest = max(largest_return(episode.rewards, config.gamma) for episode in usable)
+        self._largest = max(
+            largest_return(episode.rewards, config.gamma) for episode in usable
+        )
         slots = self.replay.store(usable)
         batch = self.replay.sample(sum(map(len, usable)), config.replay_p, slots)
         for name in ("obs", "goal", "privileged"):
@@ -266,9 +328,12 @@ class DDPGHER(Learner):
     def test(self) -> dict[str, float]:
         if not (n := self.config.n_test_rollouts * self.config.n_rollouts):
             return {}
-        stats = summary([*self.workers.play(self._player(rollout.TEST), range(n))], self.comm)
+        stats = summary(
+            [*self.workers.play(self._player(rollout.TEST), range(n))], self.comm
+        )
         return {
-            f"test_{name}": stats[name] for name in ("success_rate", "mean_return", *rollout.FAULTS)
+            f"test_{name}": stats[name]
+            for name in ("success_rate", "mean_return", *rollout.FAULTS)
         }
 
     # -- learning ----------------------------------------------------------------------------
@@ -286,7 +351,9 @@ class DDPGHER(Learner):
         sums = torch.zeros(3, device=self.device)
         rows = config.batch_size * (config.target_update_interval or n)
         for start in range(0, n * config.batch_size, rows):
-            between = Batch(*(torch.from_numpy(part[start : start + rows]) for part in drawn))
+            between = Batch(
+                *(torch.from_numpy(part[start : start + rows]) for part in drawn)
+            )
             for batch in self._prepared_side_by_side(between):
                 sums += self._minibatch(*batch)
             self._target_vector.lerp_(self.adam.vector.detach(), 1.0 - config.polyak)
@@ -319,12 +386,19 @@ class DDPGHER(Learner):
                     values.mul_(self.reward_scale / scale if self.reward_scale else 1.0)
             self.reward_scale = scale
 
-    def _prepared_side_by_side(self, drawn: Batch[Tensor]) -> Iterator[tuple[Tensor, ...]]:
+    def _prepared_side_by_side(
+        self, drawn: Batch[Tensor]
+    ) -> Iterator[tuple[Tensor, ...]]:
         """Minibatches of what was drawn, as `_prepared` makes them, one half beside the other."""
         parts = [torch.tensor_split(part.to(self.device), 2) for part in drawn]
-        halves = [partial(self._prepared, Batch(*half)) for half in zip(*parts, strict=True)]
+        halves = [
+            partial(self._prepared, Batch(*half)) for half in zip(*parts, strict=True)
+        ]
         prepared = map(torch.cat, zip(*self.side_by_side(*halves), strict=True))
-        return zip(*(torch.split(part, self.config.batch_size) for part in prepared), strict=True)
+        return zip(
+            *(torch.split(part, self.config.batch_size) for part in prepared),
+            strict=True,
+        )
 
     @torch.no_grad()
     def _prepared(self, batch: Batch[Tensor]) -> tuple[Tensor, Tensor, Tensor]:
@@ -334,15 +408,28 @@ class DDPGHER(Learner):
         scaled = GoalInputs(self.obs_stats.scaling(), self.goal_stats.scaling(), limit)
         scale_privileged = self.privileged_stats.scaling()
         inputs, next_inputs = (
-            torch.cat([scaled(obs, batch.goal), scale_privileged(values.clamp(-limit, limit))], dim=1)
-            for obs, values in ((batch.obs, batch.privileged), (batch.next_obs, batch.next_privileged))
+            torch.cat(
+                [
+                    scaled(obs, batch.goal),
+                    scale_privileged(values.clamp(-limit, limit)),
+                ],
+                dim=1,
+            )
+            for obs, values in (
+                (batch.obs, batch.privileged),
+                (batch.next_obs, batch.next_privileged),
+            )
         )
         next_actions = self.target_actor(next_inputs[:, : self._n_obs])
-        next_values = self.target_critic(torch.cat([next_inputs, next_actions], dim=1)).squeeze(-1)
+        next_values = self.target_critic(
+            torch.cat([next_inputs, next_actions], dim=1)
+        ).squeeze(-1)
         terminal = batch.terminal * (config.termination == "terminal")
         scale = self.reward_scale or 1.0
         span = (-self.worst / scale, self.best / scale) if config.clip_target else None
-        target = td_targets(batch.reward / scale, next_values, terminal, config.gamma, span)
+        target = td_targets(
+            batch.reward / scale, next_values, terminal, config.gamma, span
+        )
         return inputs, batch.action, target
 
     def _minibatch(self, inputs: Tensor, actions: Tensor, target: Tensor) -> Tensor:
@@ -356,7 +443,9 @@ class DDPGHER(Learner):
         self.adam.step()
         return torch.cat(losses)
 
-    def _critic_gradient(self, inputs: Tensor, actions: Tensor, target: Tensor) -> Tensor:
+    def _critic_gradient(
+        self, inputs: Tensor, actions: Tensor, target: Tensor
+    ) -> Tensor:
         """Write it; the critic's loss (1,)."""
         values = self.critic(torch.cat([inputs, actions], dim=1)).squeeze(-1)
         loss = (values - target).square().mean()
@@ -374,8 +463,12 @@ class DDPGHER(Learner):
     # -- saving ------------------------------------------------------------------------------
 
     @staticmethod
-    def saved_policy(config: DDPGHERConfig, spaces: Spaces, saved: dict[str, Any]) -> Policy:
+    def saved_policy(
+        config: DDPGHERConfig, spaces: Spaces, saved: dict[str, Any]
+    ) -> Policy:
         actor = new_actor(config.hidden, spaces, torch.Generator())
         obs_stats, goal_stats = _stats(config, spaces, Communicator())
-        restore({"actor": actor, "obs_stats": obs_stats, "goal_stats": goal_stats}, saved)
+        restore(
+            {"actor": actor, "obs_stats": obs_stats, "goal_stats": goal_stats}, saved
+        )
         return _policy(config, spaces, actor, obs_stats, goal_stats)

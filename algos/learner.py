@@ -17,7 +17,11 @@ from .spaces import Spaces, flat_size
 if TYPE_CHECKING:
     from .policy import Policy
 
-NAMES_OF_0_3 = {"spread": "gaussian", "log": "log_std", "truth_stats": "privileged_stats"}
+NAMES_OF_0_3 = {
+    "spread": "gaussian",
+    "log": "log_std",
+    "truth_stats": "privileged_stats",
+}
 
 
 def progress_remaining(env_steps: int, total_timesteps: int) -> float:
@@ -55,10 +59,16 @@ class Learner:
         are exchanged one after another."""
         config.validate()
         self.config, self.workers, self.comm = config, workers, comm
-        self.seed, self.total_timesteps, self.device = seed, total_timesteps, torch.device(device)
+        self.seed, self.total_timesteps, self.device = (
+            seed,
+            total_timesteps,
+            torch.device(device),
+        )
         self.spaces = Spaces(workers.observation_space, workers.action_space)
         self._n_obs = flat_size(self.spaces.observation)
-        self.side_by_side = SideBySide(cores > 1 and comm.size == 1 and self.device.type == "cpu")
+        self.side_by_side = SideBySide(
+            cores > 1 and comm.size == 1 and self.device.type == "cpu"
+        )
         self.env_steps = 0  # so far, on all ranks
         self.build(torch.Generator().manual_seed(seed))
 
@@ -104,7 +114,10 @@ class Learner:
 
     def _require_finite(self, losses: Tensor, *adams: FlatAdam) -> None:
         """DivergenceError, rather than going on from losses or parameters that are not finite."""
-        if not all(torch.isfinite(values).all() for values in (losses, *(a.vector for a in adams))):
+        if not all(
+            torch.isfinite(values).all()
+            for values in (losses, *(a.vector for a in adams))
+        ):
             raise DivergenceError(
                 f"a loss or a parameter is not finite after {self.env_steps} steps "
                 f"(losses {[f'{x:.3g}' for x in losses.tolist()]})"
@@ -127,7 +140,9 @@ class Learner:
         checksums, so a state may only be another learner's or version's."""
         if self.state_dict().keys() != (state := with_current_names(state)).keys():
             different = ", ".join(sorted(self.state_dict().keys() ^ state.keys()))
-            raise ValueError(f"state: {different}: missing, or unknown; finish a run with its version")
+            raise ValueError(
+                f"state: {different}: missing, or unknown; finish a run with its version"
+            )
         restore({name: getattr(self, name) for name in self.saved}, state)
         for name in self.counters:
             setattr(self, name, state[name])
@@ -146,4 +161,7 @@ def with_current_names(state: Any) -> Any:
     """A state that 0.3.0 may have written, all the way down."""
     if not isinstance(state, dict):
         return state
-    return {NAMES_OF_0_3.get(name, name): with_current_names(part) for name, part in state.items()}
+    return {
+        NAMES_OF_0_3.get(name, name): with_current_names(part)
+        for name, part in state.items()
+    }

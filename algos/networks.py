@@ -20,15 +20,22 @@ from torch.nn import functional
 from .mpi import Communicator
 
 TINY = np.finfo(np.float32).tiny  # below it, numbers have not all of float32's digits
-MOST_UNITS, MOST_WEIGHTS = 100_000, 10**8  # of hidden layers: more is a slip, and takes all memory
+MOST_UNITS, MOST_WEIGHTS = (
+    100_000,
+    10**8,
+)  # of hidden layers: more is a slip, and takes all memory
 
 
 def require_hidden(hidden: Sequence[int]) -> None:
     """ValueError for hidden layers that are none, or too large."""
     if not hidden or not 1 <= min(hidden) <= max(hidden) <= MOST_UNITS:
-        raise ValueError(f"hidden: found {hidden}, allowed one or more sizes from 1 to {MOST_UNITS}")
+        raise ValueError(
+            f"hidden: found {hidden}, allowed one or more sizes from 1 to {MOST_UNITS}"
+        )
     if sum(a * b for a, b in itertools.pairwise(hidden)) > MOST_WEIGHTS:
-        raise ValueError(f"hidden: found {hidden}, allowed up to {MOST_WEIGHTS} weights between them")
+        raise ValueError(
+            f"hidden: found {hidden}, allowed up to {MOST_WEIGHTS} weights between them"
+        )
 
 
 class MLP(nn.Sequential):
@@ -53,7 +60,9 @@ class MLP(nn.Sequential):
             bound = 1.0 / math.sqrt(fan_in)
             own, names = (generator, None) if layers else (_spawn(generator), inputs)
             with torch.no_grad():
-                linear.weight.copy_(_columns(linear.weight, own, names, Tensor.uniform_) * 2 - 1)
+                linear.weight.copy_(
+                    _columns(linear.weight, own, names, Tensor.uniform_) * 2 - 1
+                )
                 linear.weight.mul_(bound)
             nn.init.uniform_(linear.bias, -bound, bound, generator=generator)
             layers += [linear, nn.ReLU()]
@@ -69,7 +78,9 @@ class MLP(nn.Sequential):
 
     def __deepcopy__(self, memo: dict[int, Any]) -> MLP:
         """A copy on the same device, likewise by sizes and numbers."""
-        return _restored(*self._shape, [parameter.detach() for parameter in self.parameters()])
+        return _restored(
+            *self._shape, [parameter.detach() for parameter in self.parameters()]
+        )
 
 
 def _spawn(generator: torch.Generator) -> torch.Generator:
@@ -79,7 +90,10 @@ def _spawn(generator: torch.Generator) -> torch.Generator:
 
 
 def _columns(
-    like: Tensor, generator: torch.Generator, names: Sequence[str] | None, draw: Callable[..., Tensor]
+    like: Tensor,
+    generator: torch.Generator,
+    names: Sequence[str] | None,
+    draw: Callable[..., Tensor],
 ) -> Tensor:
     """Numbers (outputs, inputs), of which those of an input follow from its name or number alone."""
     n_out, n_in = like.shape
@@ -95,7 +109,10 @@ def _columns(
 
 @torch.no_grad()
 def start_orthogonal(
-    network: MLP, last_gain: float, generator: torch.Generator, inputs: Sequence[str] | None = None
+    network: MLP,
+    last_gain: float,
+    generator: torch.Generator,
+    inputs: Sequence[str] | None = None,
 ) -> None:
     """Draw orthogonal weights with gain sqrt(2), in the last layer `last_gain`; biases are zero.
 
@@ -134,10 +151,16 @@ def flatten(*modules: nn.Module) -> nn.Parameter:
     vector.grad = torch.zeros_like(vector)
     sizes = [parameter.numel() for parameter in parameters]
     parts = zip(
-        parameters, torch.split(vector.data, sizes), torch.split(vector.grad, sizes), strict=True
+        parameters,
+        torch.split(vector.data, sizes),
+        torch.split(vector.grad, sizes),
+        strict=True,
     )
     for parameter, values, gradient in parts:
-        parameter.data, parameter.grad = values.view_as(parameter), gradient.view_as(parameter)
+        parameter.data, parameter.grad = (
+            values.view_as(parameter),
+            gradient.view_as(parameter),
+        )
     return vector
 
 
@@ -151,20 +174,30 @@ class FlatAdam:
         self.vector = flatten(*(module for module, _ in modules))
         assert self.vector.grad is not None
         self.gradient = self.vector.grad
-        self._moments = {name: torch.zeros_like(self.vector.data) for name in ("exp_avg", "exp_avg_sq")}
+        self._moments = {
+            name: torch.zeros_like(self.vector.data)
+            for name in ("exp_avg", "exp_avg_sq")
+        }
         self._steps = torch.zeros(len(modules), device=self.vector.device)
         self._lrs = [lr for _, lr in modules]
         sizes = [sum(p.numel() for p in module.parameters()) for module, _ in modules]
         whole = (self.vector.data, self.gradient, *self._moments.values())
         parameters, states = [], []
         for values, gradient, mean, square, step in zip(
-            *(torch.split(tensor, sizes) for tensor in whole), self._steps.unbind(), strict=True
+            *(torch.split(tensor, sizes) for tensor in whole),
+            self._steps.unbind(),
+            strict=True,
         ):
             parameters.append(nn.Parameter(values))
             parameters[-1].grad = gradient
             states.append({"step": step, "exp_avg": mean, "exp_avg_sq": square})
-        groups = [{"params": [p], "lr": lr} for p, lr in zip(parameters, self._lrs, strict=True)]
-        self._adam = torch.optim.Adam(groups, fused=self.vector.device.type in ("cpu", "cuda"))
+        groups = [
+            {"params": [p], "lr": lr}
+            for p, lr in zip(parameters, self._lrs, strict=True)
+        ]
+        self._adam = torch.optim.Adam(
+            groups, fused=self.vector.device.type in ("cpu", "cuda")
+        )
         self._adam.state.update(zip(parameters, states, strict=True))
 
     def scale_lr(self, lr_factor: float) -> None:
@@ -187,7 +220,9 @@ class FlatAdam:
     def step(self) -> None:
         """One step along the gradient."""
         # Moments of units that are never active fade until they are denormal, and slow: zero then.
-        before = bool(TINY * np.float32(0.5) == 0)  # PyTorch sets it and does not tell it
+        before = bool(
+            TINY * np.float32(0.5) == 0
+        )  # PyTorch sets it and does not tell it
         torch.set_flush_denormal(True)
         try:
             self._adam.step()

@@ -42,7 +42,11 @@ class Normalizer:
     """
 
     def __init__(
-        self, size: int, comm: Communicator, clip: float = np.inf, as_is: Array | None = None
+        self,
+        size: int,
+        comm: Communicator,
+        clip: float = np.inf,
+        as_is: Array | None = None,
     ) -> None:
         self.comm, self.clip, self.as_is = comm, clip, as_is
         self.count = 0.0
@@ -75,7 +79,11 @@ class Normalizer:
     def scaling(self) -> Scaling:
         """What it does to values now; later updates do not change what was returned."""
         high = self.mean.astype(np.float32)
-        parts = high, (self.mean - high).astype(np.float32), (1.0 / self.std).astype(np.float32)
+        parts = (
+            high,
+            (self.mean - high).astype(np.float32),
+            (1.0 / self.std).astype(np.float32),
+        )
         high_, low, scale = map(torch.from_numpy, parts)
         return Scaling(high_, low, scale, self.clip)
 

@@ -31,7 +31,9 @@ class FlatInputs:
 
     def read(self, obs: Any) -> Array:
         if isinstance(obs, dict):
-            obs = np.concatenate([np.ravel(obs["observation"]), np.ravel(obs["desired_goal"])])
+            obs = np.concatenate(
+                [np.ravel(obs["observation"]), np.ravel(obs["desired_goal"])]
+            )
         return np.array(obs, np.float32).ravel()
 
     def stack(self, views: Sequence[Array]) -> Tensor:
@@ -39,7 +41,9 @@ class FlatInputs:
         return flat if self.scaling is None else self.scaling(flat)
 
 
-def flat_stats(space: gym.Space[Any], clip: float, comm: Communicator | None = None) -> Normalizer:
+def flat_stats(
+    space: gym.Space[Any], clip: float, comm: Communicator | None = None
+) -> Normalizer:
     """Moments of flat observations, without those of entries that may be Boolean; nothing seen yet."""
     as_is = may_be_boolean(space)
     return Normalizer(len(as_is), comm or Communicator(), clip, as_is)
@@ -67,7 +71,10 @@ class Policy:
         self._low, self._high = action_bounds(spaces.action)
 
     def act(
-        self, obs: Any, deterministic: bool = True, rng: np.random.Generator | None = None
+        self,
+        obs: Any,
+        deterministic: bool = True,
+        rng: np.random.Generator | None = None,
     ) -> Array:
         """The action for one observation, in the environment's own range and units.
 
@@ -84,7 +91,10 @@ class Policy:
         n = self._batch_size(obs)
         for key in self.shapes:
             values = np.asarray(obs[key] if key else obs)
-            if values.dtype.kind not in "bifu" or not (np.abs(values) < FLOAT32_MAX).all():
+            if (
+                values.dtype.kind not in "bifu"
+                or not (np.abs(values) < FLOAT32_MAX).all()
+            ):
                 found = f"not finite, not real or beyond float32 ({values.dtype})"
                 raise ValueError(f"obs: {found}, allowed finite numbers")
         if n == 0:
@@ -99,9 +109,13 @@ class Policy:
         try:
             is_one = self._batch_size(obs) is None
         except ValueError as error:
-            raise UnfitError(f"env: what it returns is not what its space says: {error}") from error
+            raise UnfitError(
+                f"env: what it returns is not what its space says: {error}"
+            ) from error
         if not is_one:
-            raise UnfitError("env: found a batch of observations, allowed one of the space's shape")
+            raise UnfitError(
+                "env: found a batch of observations, allowed one of the space's shape"
+            )
         return self.inputs.read(obs)
 
     def choose(self, view: Any, rng: np.random.Generator | None = None) -> Array:
@@ -112,7 +126,9 @@ class Policy:
         """From units where the bounds are ±1, (..., d), to the environment's own, clipped."""
         low, high = self._low, self._high
         shaped = np.clip(actions.reshape(actions.shape[:-1] + low.shape), -1.0, 1.0)
-        return np.clip(low + (high - low) / 2 * (shaped + 1.0), low, high)  # rounding may exceed them
+        return np.clip(
+            low + (high - low) / 2 * (shaped + 1.0), low, high
+        )  # rounding may exceed them
 
     def require_spaces(self, spaces: Spaces) -> None:
         """ValueError unless observations and actions have the shapes that the policy knows."""
@@ -121,34 +137,49 @@ class Policy:
             ("actions", str(spaces.action.shape), str(self._low.shape)),
         ):
             if found != known:
-                raise ValueError(f"env: found {name} of shape {found}, the policy has {known}")
+                raise ValueError(
+                    f"env: found {name} of shape {found}, the policy has {known}"
+                )
         bounds = action_bounds(spaces.action)
-        if not (np.array_equal(bounds[0], self._low) and np.array_equal(bounds[1], self._high)):
+        if not (
+            np.array_equal(bounds[0], self._low)
+            and np.array_equal(bounds[1], self._high)
+        ):
             both = bounds, (self._low, self._high)
-            found, known = (f"from {low.min():g} to {high.max():g}" for low, high in both)
+            found, known = (
+                f"from {low.min():g} to {high.max():g}" for low, high in both
+            )
             raise ValueError(f"env: found actions {found}, the policy's are {known}")
 
     @torch.inference_mode()
     def _actions(self, views: Sequence[Any], rng: np.random.Generator | None) -> Array:
         actions: Array = self.network(self.inputs.stack(views)).numpy()
         if not np.isfinite(actions).all():
-            raise ValueError("policy: its action is not finite: the network's weights are damaged")
+            raise ValueError(
+                "policy: its action is not finite: the network's weights are damaged"
+            )
         return actions if rng is None else self.noise(actions, rng)
 
     def _batch_size(self, obs: Any) -> int | None:
         """Observations in a batch; None for one observation by itself."""
         if isinstance(obs, tuple):
-            raise ValueError("obs: found a tuple; env.reset() returns (observation, info)")
+            raise ValueError(
+                "obs: found a tuple; env.reset() returns (observation, info)"
+            )
         keys = set(obs) if isinstance(obs, Mapping) else {""}
         if not keys >= set(self.shapes):
             got = sorted(keys) if isinstance(obs, Mapping) else type(obs).__name__
-            expected = "an array" if "" in self.shapes else f"a Dict with {list(self.shapes)}"
+            expected = (
+                "an array" if "" in self.shapes else f"a Dict with {list(self.shapes)}"
+            )
             raise ValueError(f"obs: found {got}, expected {expected}")
         found = {key: np.shape(obs[key] if key else obs) for key in self.shapes}
         if found == self.shapes:
             return None
         sizes = {shape[:1] for shape in found.values()}
-        if {key: shape[1:] for key, shape in found.items()} == self.shapes and len(sizes) == 1:
+        if {key: shape[1:] for key, shape in found.items()} == self.shapes and len(
+            sizes
+        ) == 1:
             return sizes.pop()[0]
         raise ValueError(
             f"obs: found shape {_shown(found)}, expected {_shown(self.shapes)}, or a batch of such"
@@ -167,19 +198,26 @@ def _shown(shapes: dict[str, tuple[int, ...]]) -> str:
 def _rows(obs: Any, n: int) -> list[Any]:
     """Each observation of a batch."""
     is_dict = isinstance(obs, Mapping)
-    return [{key: part[i] for key, part in obs.items()} if is_dict else obs[i] for i in range(n)]
+    return [
+        {key: part[i] for key, part in obs.items()} if is_dict else obs[i]
+        for i in range(n)
+    ]
 
 
 def new_actor(hidden: Sequence[int], spaces: Spaces, generator: torch.Generator) -> MLP:
     """A policy's network, with `hidden` units in its layers and weights drawn from `generator`."""
-    return MLP(network_sizes(hidden, spaces), generator, tanh=True, inputs=spaces.inputs())
+    return MLP(
+        network_sizes(hidden, spaces), generator, tanh=True, inputs=spaces.inputs()
+    )
 
 
 def network_sizes(hidden: Sequence[int], spaces: Spaces) -> tuple[int, ...]:
     """Values that each layer of a policy's network gives, the inputs first."""
     sizes = flat_size(spaces.observation), *hidden, action_size(spaces.action)
     if 0 in sizes:
-        raise ValueError("observation and action space: found an empty one, allowed entries in both")
+        raise ValueError(
+            "observation and action space: found an empty one, allowed entries in both"
+        )
     return sizes
 
 

@@ -23,7 +23,15 @@ from .mpi import Communicator
 from .networks import MLP, FlatAdam, require_hidden, start_orthogonal
 from .normalizer import Normalizer
 from .policy import FlatInputs, Policy, flat_stats, new_actor, on_cpu
-from .rollout import Episode, PlayEpisode, discounted, finite, play_steps, require_transitions, summary
+from .rollout import (
+    Episode,
+    PlayEpisode,
+    discounted,
+    finite,
+    play_steps,
+    require_transitions,
+    summary,
+)
 from .spaces import PRIVILEGED, Spaces, action_size, flat_size
 
 ACTOR_GAIN = 0.01  # of the last layer when weights start orthogonal
@@ -105,7 +113,9 @@ class PPOConfig:
         return min(self.n_minibatches or 6, n)
 
 
-def gae(rewards: Array, values: Array, last_value: float, gamma: float, lam: float) -> Array:
+def gae(
+    rewards: Array, values: Array, last_value: float, gamma: float, lam: float
+) -> Array:
     """Generalised advantages (n,) of one episode, float64 (Schulman et al. 2016, eq. 16).
 
     `values` (n,) are the critic's at each step, `last_value` the one after the last step:
@@ -120,7 +130,11 @@ def normalise(advantages: Array) -> Array:
     """Advantages (n,) with mean 0 and standard deviation 1; zeros where all are alike."""
     centred = advantages - advantages.mean()
     std = np.sqrt(np.square(centred).mean())
-    return centred / std if std > 1e-10 * np.abs(advantages).max() else np.zeros_like(centred)
+    return (
+        centred / std
+        if std > 1e-10 * np.abs(advantages).max()
+        else np.zeros_like(centred)
+    )
 
 
 class Gaussian(nn.Module):
@@ -189,7 +203,9 @@ class Transitions(NamedTuple):
 
     def own_rows(self, comm: Communicator) -> Transitions:
         """Those that this rank computes."""
-        return Transitions(*(torch.tensor_split(values, comm.size)[comm.rank] for values in self))
+        return Transitions(
+            *(torch.tensor_split(values, comm.size)[comm.rank] for values in self)
+        )
 
 
 def _parts(
@@ -212,7 +228,9 @@ def _policy(
     return Policy(on_cpu(actor), _inputs(config, stats), noise, spaces)
 
 
-def _in_turn(update: Callable[[Transitions], Tensor], minibatches: list[Transitions]) -> Tensor:
+def _in_turn(
+    update: Callable[[Transitions], Tensor], minibatches: list[Transitions]
+) -> Tensor:
     """What an update of each minibatch returns, stacked."""
     return torch.stack([update(minibatch) for minibatch in minibatches])
 
@@ -226,7 +244,9 @@ class PPO(Learner):
 
     def build(self, generator: torch.Generator) -> None:
         config: PPOConfig = self.config
-        self.actor, self.gaussian, self.obs_stats = _parts(config, self.spaces, generator)
+        self.actor, self.gaussian, self.obs_stats = _parts(
+            config, self.spaces, generator
+        )
         self.privileged_stats = flat_stats(self.spaces.privileged, OBS_CLIP)
         n_inputs = self._n_obs + flat_size(self.spaces.privileged)
         names = self.spaces.inputs(PRIVILEGED)
@@ -237,7 +257,10 @@ class PPO(Learner):
         for network in (self.actor, self.gaussian, self.critic):
             network.to(self.device)
         self.gaussian.requires_grad_(config.exploration == "learned")
-        learned = [self.actor, *([self.gaussian] if config.exploration == "learned" else [])]
+        learned = [
+            self.actor,
+            *([self.gaussian] if config.exploration == "learned" else []),
+        ]
         self.actor_adam = FlatAdam(*((part, config.actor_lr) for part in learned))
         self.critic_adam = FlatAdam((self.critic, config.critic_lr))
         self.comm.broadcast_(self.actor_adam.vector)
@@ -255,7 +278,9 @@ class PPO(Learner):
     # -- acting and collecting ---------------------------------------------------------------
 
     def policy(self) -> Policy:
-        return _policy(self.config, self.spaces, self.actor, self.gaussian, self.obs_stats)
+        return _policy(
+            self.config, self.spaces, self.actor, self.gaussian, self.obs_stats
+        )
 
     def collect(self) -> dict[str, float]:
         """Whole episodes, until `steps_per_epoch` are there: the same ones on all ranks."""
@@ -263,7 +288,9 @@ class PPO(Learner):
         if config.anneal_lr:
             self.actor_adam.scale_lr(self.progress_remaining)
             self.critic_adam.scale_lr(self.progress_remaining)
-        job = PlayEpisode[Array](self.policy(), (self.seed, 0, rollout.TRAIN, self.epochs))
+        job = PlayEpisode[Array](
+            self.policy(), (self.seed, 0, rollout.TRAIN, self.epochs)
+        )
         episodes = play_steps(self.workers, job, config.steps_per_epoch, self.comm)
         self._episodes = require_transitions(episodes)
         self.epochs += 1
@@ -277,7 +304,9 @@ class PPO(Learner):
         """`n_passes` over the batch in shuffled minibatches; each rank computes its rows of each."""
         config, batch = self.config, self._batch()
         n, n_minibatches = len(batch.obs), config.minibatches(len(batch.obs))
-        rng = np.random.default_rng([self.seed, 0, rollout.LEARN, self.epochs])  # the same on all ranks
+        rng = np.random.default_rng(
+            [self.seed, 0, rollout.LEARN, self.epochs]
+        )  # the same on all ranks
         sums, n_updates = torch.zeros(4, device=self.device), 0
         for _ in range(config.n_passes):
             order = torch.from_numpy(rng.random(n).argsort()).to(self.device)
@@ -286,23 +315,37 @@ class PPO(Learner):
                 partial(_in_turn, self._update_actor, minibatches),
                 partial(_in_turn, self._update_critic, minibatches),
             )
-            stats = torch.cat(of_actor_and_critic, dim=1)  # policy loss, KL, clipped, value loss
+            stats = torch.cat(
+                of_actor_and_critic, dim=1
+            )  # policy loss, KL, clipped, value loss
             sums += stats.sum(dim=0)
             n_updates += n_minibatches
-            if config.target_kl is not None and self._total(stats[-1])[1] > config.target_kl:
+            if (
+                config.target_kl is not None
+                and self._total(stats[-1])[1] > config.target_kl
+            ):
                 break
         means = self._total(sums / n_updates)
         self._require_finite(torch.from_numpy(means), self.actor_adam, self.critic_adam)
         obs_mean = torch.from_numpy(self.obs_stats.mean)
         self._require_same(self.actor_adam.vector, self.critic_adam.vector, obs_mean)
         if config.normalise_obs:
-            self.obs_stats.update(np.concatenate([np.stack(e.obs) for e in self._episodes]))
-            privileged = np.concatenate([np.stack(e.privileged) for e in self._episodes])
+            self.obs_stats.update(
+                np.concatenate([np.stack(e.obs) for e in self._episodes])
+            )
+            privileged = np.concatenate(
+                [np.stack(e.privileged) for e in self._episodes]
+            )
             self.privileged_stats.update(privileged)
         policy_loss, kl, clipped, value_loss = means.tolist()
         learned = {"policy_loss": policy_loss, "value_loss": value_loss, "kl": kl}
         std = float(self.gaussian.std().mean())
-        return {**learned, "clip_fraction": clipped, "action_std": std, "updates": n_updates}
+        return {
+            **learned,
+            "clip_fraction": clipped,
+            "action_std": std,
+            "updates": n_updates,
+        }
 
     def _total(self, stats: Tensor) -> Array:
         """The sums over all ranks."""
@@ -312,10 +355,17 @@ class PPO(Learner):
         """One step along the gradient of the whole minibatch; this rank's part of policy loss, KL
         estimate and clipped fraction."""
         n, own = len(minibatch.obs), minibatch.own_rows(self.comm)
-        log_prob = self.gaussian.log_prob(own.actions, self.actor(own.obs[:, : self._n_obs]))
-        found = surrogate(log_prob - own.log_prob, own.advantages, self.config.clip_range)
+        log_prob = self.gaussian.log_prob(
+            own.actions, self.actor(own.obs[:, : self._n_obs])
+        )
+        found = surrogate(
+            log_prob - own.log_prob, own.advantages, self.config.clip_range
+        )
         self._step(self.actor_adam, found.loss.sum() / n)
-        return torch.stack([found.loss.detach(), found.kl, found.is_clipped]).sum(dim=1) / n
+        return (
+            torch.stack([found.loss.detach(), found.kl, found.is_clipped]).sum(dim=1)
+            / n
+        )
 
     def _update_critic(self, minibatch: Transitions) -> Tensor:
         """Likewise; this rank's part of the value loss."""
@@ -337,17 +387,27 @@ class PPO(Learner):
         config, episodes = self.config, self._episodes
         parts = (
             (self.obs_stats, [obs for e in episodes for obs in e.obs]),
-            (self.privileged_stats, [values for e in episodes for values in e.privileged]),
+            (
+                self.privileged_stats,
+                [values for e in episodes for values in e.privileged],
+            ),
         )
-        all_obs = torch.cat([_inputs(config, stats).stack(views) for stats, views in parts], dim=1)
+        all_obs = torch.cat(
+            [_inputs(config, stats).stack(views) for stats, views in parts], dim=1
+        )
         all_obs = all_obs.to(self.device)
         all_values = self.critic(all_obs).squeeze(-1).cpu().double().numpy()
         is_last = np.concatenate([[False] * len(e) + [True] for e in episodes])
         by_episode = np.split(all_values, np.flatnonzero(is_last)[:-1] + 1)
         advantages = []
         for episode, values in zip(episodes, by_episode, strict=True):
-            last, rewards = values[-1] if self._goes_on(episode) else 0.0, np.array(episode.rewards)
-            advantages.append(gae(rewards, values[:-1], last, config.gamma, config.gae_lambda))
+            last, rewards = (
+                values[-1] if self._goes_on(episode) else 0.0,
+                np.array(episode.rewards),
+            )
+            advantages.append(
+                gae(rewards, values[:-1], last, config.gamma, config.gae_lambda)
+            )
         advantage = np.concatenate(advantages)
         returns = finite(advantage + all_values[~is_last], "a return")
         obs = all_obs[torch.from_numpy(~is_last).to(self.device)]
@@ -361,13 +421,17 @@ class PPO(Learner):
 
     def _goes_on(self, episode: Episode[Array]) -> bool:
         """Would more have followed its last transition? What diverged did not end by itself."""
-        is_bootstrapped = self.config.truncation == "bootstrap" and not episode.terminated
+        is_bootstrapped = (
+            self.config.truncation == "bootstrap" and not episode.terminated
+        )
         return bool(episode.faults["diverged"]) or is_bootstrapped
 
     # -- saving ------------------------------------------------------------------------------
 
     @staticmethod
-    def saved_policy(config: PPOConfig, spaces: Spaces, saved: dict[str, Any]) -> Policy:
+    def saved_policy(
+        config: PPOConfig, spaces: Spaces, saved: dict[str, Any]
+    ) -> Policy:
         parts = _parts(config, spaces, torch.Generator())
         restore(dict(zip(PPO.policy_parts, parts, strict=True)), saved)
         return _policy(config, spaces, *parts)

@@ -13,7 +13,10 @@ PAPER = "paper"  # every learner's own defaults
 # Hyperparameters that files of earlier versions lack.
 SINCE: dict[str, dict[str, Any]] = {
     "ddpg_her": {
-        **dict.fromkeys(("anneal_lr", "anneal_noise", "anneal_action_l2", "normalise_rewards"), False),
+        **dict.fromkeys(
+            ("anneal_lr", "anneal_noise", "anneal_action_l2", "normalise_rewards"),
+            False,
+        ),
         "target_update_interval": None,
     },
 }
@@ -32,7 +35,9 @@ STEADY = DDPGHERConfig(
 BEYOND: dict[str, dict[str, Any]] = {
     "ddpg_her": {
         "steady": STEADY,
-        "scaled": replace(STEADY, normalise_rewards=True, termination="terminal", action_l2=0.1),
+        "scaled": replace(
+            STEADY, normalise_rewards=True, termination="terminal", action_l2=0.1
+        ),
     },
     "ppo": {
         "steady": PPOConfig(
@@ -58,19 +63,26 @@ def recipe(algorithm: str, name: str = PAPER) -> Any:
     """The learner's hyperparameters; ValueError when it has no such recipe."""
     known = recipes(algorithm)
     if name not in known:
-        raise ValueError(f"recipe: found {name!r}, allowed for {algorithm}: {', '.join(known)}")
+        raise ValueError(
+            f"recipe: found {name!r}, allowed for {algorithm}: {', '.join(known)}"
+        )
     return known[name]
 
 
 def current(algorithm: str, told: dict[str, Any]) -> dict[str, Any]:
     """Hyperparameters that an earlier version may have written, as this one has them."""
     gone = GONE.get(algorithm, {}).items()
-    return SINCE.get(algorithm, {}) | {name: v for name, v in told.items() if (name, v) not in gone}
+    return SINCE.get(algorithm, {}) | {
+        name: v for name, v in told.items() if (name, v) not in gone
+    }
 
 
 def comparable(algorithm: str, told: dict[str, Any]) -> dict[str, Any]:
     """The same, where what means the same is the same: an interval of a whole cycle is none."""
     values = current(algorithm, told)
-    if "n_batches" in values and (values.get("target_update_interval") or 0) >= values["n_batches"]:
+    if (
+        "n_batches" in values
+        and (values.get("target_update_interval") or 0) >= values["n_batches"]
+    ):
         values["target_update_interval"] = None
     return values

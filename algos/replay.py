@@ -73,7 +73,9 @@ class Replay:
         self._rows = max_steps + 1
         self._columns: dict[str, Array] = {}
         self._lengths = np.zeros(0, np.int64)
-        self._unsaved: dict[int, None] = {}  # slots, in the order in which they were filled
+        self._unsaved: dict[
+            int, None
+        ] = {}  # slots, in the order in which they were filled
 
     def __len__(self) -> int:
         """Transitions stored."""
@@ -82,7 +84,10 @@ class Replay:
     @property
     def nbytes(self) -> int:
         """Memory when full."""
-        return sum(int(np.prod(shape)) * dtype().itemsize for shape, dtype in self._shapes().values())
+        return sum(
+            int(np.prod(shape)) * dtype().itemsize
+            for shape, dtype in self._shapes().values()
+        )
 
     def require_memory(self, n_buffers: int = 1) -> None:
         """ValueError when there is not as much memory as `n_buffers` like this one take."""
@@ -98,7 +103,9 @@ class Replay:
         """ValueError when an episode's rewards do not follow from its goals, as those of transitions
         that are relabelled do."""
         lived = np.array(episode.rewards)
-        _, achieved, desired = (np.stack(part[1:]) for part in zip(*episode.obs, strict=True))
+        _, achieved, desired = (
+            np.stack(part[1:]) for part in zip(*episode.obs, strict=True)
+        )
         again = self.reward(achieved, desired)
         if np.shape(again) != lived.shape or not np.allclose(again, lived, 1e-3, 1e-4):
             raise ValueError(
@@ -138,10 +145,14 @@ class Replay:
 
     def _as_columns(self, episode: Episode[GoalObs]) -> dict[str, Array]:
         """Rows of one episode: one more than it has transitions."""
-        obs, achieved, desired = (np.stack(part) for part in zip(*episode.obs, strict=True))
+        obs, achieved, desired = (
+            np.stack(part) for part in zip(*episode.obs, strict=True)
+        )
         n_steps = len(episode)
         if n_steps > self.max_steps:
-            raise ValueError(f"max_episode_steps: {self.max_steps}, but found {n_steps} steps")
+            raise ValueError(
+                f"max_episode_steps: {self.max_steps}, but found {n_steps} steps"
+            )
         return {
             "obs": obs,
             "achieved": achieved,
@@ -152,8 +163,13 @@ class Replay:
         }
 
     def _put(self, slot: int, columns: dict[str, Array]) -> None:
-        if not self._columns:  # zeros are given out page by page, when they are written to
-            self._columns = {k: np.zeros(shape, dtype) for k, (shape, dtype) in self._shapes().items()}
+        if (
+            not self._columns
+        ):  # zeros are given out page by page, when they are written to
+            self._columns = {
+                k: np.zeros(shape, dtype)
+                for k, (shape, dtype) in self._shapes().items()
+            }
             self._lengths = np.zeros(self.n_slots, np.int64)
         first, n_rows = slot * self._rows, len(columns["obs"])
         for name, values in {**columns, **self._split(columns["obs"])}.items():
@@ -167,14 +183,18 @@ class Replay:
         last = obs[:, self.sizes[0] - self.n_boolean :]
         if not ((last == 0) | (last == 1)).all():
             floats, boolean = self._columns["obs"], self._columns["boolean"]
-            self._columns["obs"] = np.concatenate([floats, boolean.astype(np.float32)], axis=1)
+            self._columns["obs"] = np.concatenate(
+                [floats, boolean.astype(np.float32)], axis=1
+            )
             self._columns["boolean"], self.n_boolean = boolean[:, :0], 0
         n_float = self.sizes[0] - self.n_boolean
         return {"obs": obs[:, :n_float], "boolean": obs[:, n_float:]}
 
     # -- sampling ----------------------------------------------------------------------------
 
-    def sample(self, n: int, replay_p: float, slots: Array | None = None) -> Batch[Array]:
+    def sample(
+        self, n: int, replay_p: float, slots: Array | None = None
+    ) -> Batch[Array]:
         """`n` relabelled transitions, uniform over all that are stored or are in `slots`.
 
         HER's strategy "future": with probability `replay_p`, a transition at step t gets the goal that
@@ -183,7 +203,9 @@ class Replay:
         """
         slot, t = self._pick(np.arange(self.n_episodes) if slots is None else slots, n)
         is_relabelled = self.rng.random(n) < replay_p
-        future = t + 1 + (self.rng.random(n) * (self._lengths[slot] - t)).astype(np.int64)
+        future = (
+            t + 1 + (self.rng.random(n) * (self._lengths[slot] - t)).astype(np.int64)
+        )
         first = slot * self._rows
         row = first + t
         goal = self._columns["desired"][row]
@@ -225,14 +247,21 @@ class Replay:
         All of it is a view, good until the next episode is stored: a copy would take the memory
         of the replay once more.
         """
-        slots = np.arange(self.n_episodes) if everything else np.array([*self._unsaved], np.int64)
+        slots = (
+            np.arange(self.n_episodes)
+            if everything
+            else np.array([*self._unsaved], np.int64)
+        )
         self._unsaved = {}
         if not len(slots):
             return {}
         rows: slice | Array = slice(len(slots) * self._rows)
         if not everything:
             rows = (slots[:, None] * self._rows + np.arange(self._rows)).ravel()
-        columns = {name: torch.from_numpy(values[rows]) for name, values in self._columns.items()}
+        columns = {
+            name: torch.from_numpy(values[rows])
+            for name, values in self._columns.items()
+        }
         lengths = torch.from_numpy(self._lengths[slots])
         return {"slots": torch.from_numpy(slots), "lengths": lengths, **columns}
 
@@ -243,7 +272,9 @@ class Replay:
         for i, slot in enumerate(slots):
             rows = slice(i * self._rows, i * self._rows + int(lengths[i]) + 1)
             columns = {name: values[rows] for name, values in parts.items()}
-            columns["obs"] = np.concatenate([columns["obs"], columns.pop("boolean")], axis=1)
+            columns["obs"] = np.concatenate(
+                [columns["obs"], columns.pop("boolean")], axis=1
+            )
             self._put(int(slot), columns)
 
 

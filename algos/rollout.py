@@ -23,8 +23,15 @@ from .spaces import PRIVILEGED
 Obs = TypeVar("Obs")
 FAULTS = ("diverged", "warnings")  # what `info` may say of a step, and is counted
 LONGEST = 20_000  # steps of an episode that is thought to have an end
-MOST_FAILURES = 100  # episodes in a row without a step, from which nothing can be learned
-TRAIN, TEST, EVALUATE, PROBE = 1, 2, 3, 4  # what episodes are for: each has random numbers of its own
+MOST_FAILURES = (
+    100  # episodes in a row without a step, from which nothing can be learned
+)
+TRAIN, TEST, EVALUATE, PROBE = (
+    1,
+    2,
+    3,
+    4,
+)  # what episodes are for: each has random numbers of its own
 LEARN = 5  # and so has what learns from them
 
 
@@ -102,18 +109,26 @@ class PlayEpisode(Generic[Obs]):
         return episode
 
 
-def _step(env: gym.Env[Any, Any], policy: Policy, action: Array, episode: Episode[Any]) -> bool:
+def _step(
+    env: gym.Env[Any, Any], policy: Policy, action: Array, episode: Episode[Any]
+) -> bool:
     """Take one step and add it to the episode; has that ended?"""
     obs, reward, terminated, truncated, info = env.step(policy.to_env(action))
     if not isinstance(info, dict):
-        raise UnfitError(f"env: found {type(info).__name__} for a step's info, allowed a dict")
+        raise UnfitError(
+            f"env: found {type(info).__name__} for a step's info, allowed a dict"
+        )
     episode.info = info
     for fault in FAULTS:
         episode.faults[fault] += int(_number(info.get(fault, 0), f"{fault} in info"))
     success = info.get("is_success", info.get("success"))
-    episode.success = math.nan if success is None else _number(success, "is_success in info")
+    episode.success = (
+        math.nan if success is None else _number(success, "is_success in info")
+    )
     if episode.success not in (0.0, 1.0) and not math.isnan(episode.success):
-        raise UnfitError(f"env: found the is_success {episode.success:g}, allowed 0 or 1")
+        raise UnfitError(
+            f"env: found the is_success {episode.success:g}, allowed 0 or 1"
+        )
     episode.held = episode.held + 1 if episode.success == 1.0 else 0
     if info.get("diverged"):
         return True
@@ -131,7 +146,9 @@ def _number(value: Any, what: str) -> float:
     return float(value)
 
 
-def play_episodes(workers: Workers, job: PlayEpisode[Obs], n: int) -> list[Episode[Obs]]:
+def play_episodes(
+    workers: Workers, job: PlayEpisode[Obs], n: int
+) -> list[Episode[Obs]]:
     """Episodes 0, 1, 2, ... in order of number until `n` of them have transitions. DivergenceError when
     `MOST_FAILURES` more have none."""
     episodes: list[Episode[Obs]] = []
@@ -178,11 +195,14 @@ def _weight(episode: Episode[Any]) -> int:
     return max(1, len(episode))
 
 
-def summary(episodes: list[Episode[Any]], comm: Communicator | None = None) -> dict[str, float]:
+def summary(
+    episodes: list[Episode[Any]], comm: Communicator | None = None
+) -> dict[str, float]:
     """Counts and means over episodes, also those that diverged; with `comm`, over those of all
     ranks. Each has some."""
     own = [
-        (len(e), 1, e.success, sum(e.rewards), *(e.faults[fault] for fault in FAULTS)) for e in episodes
+        (len(e), 1, e.success, sum(e.rewards), *(e.faults[fault] for fault in FAULTS))
+        for e in episodes
     ]
     sums = np.array([sum(column) for column in zip(*own, strict=True)], np.float64)
     steps, n, successes, returns, *faults = (comm or Communicator()).sum(sums).tolist()
@@ -198,8 +218,12 @@ def summary(episodes: list[Episode[Any]], comm: Communicator | None = None) -> d
 
 def discounted(values: Sequence[float], factor: float) -> list[float]:
     """Of each of the values (n,), the sum of it and all that follow, discounted."""
-    sums = itertools.accumulate(reversed(values), lambda later, v: v + factor * later, initial=0.0)
-    return [*sums][:0:-1]  # in the order of the values, without the 0 that follows the last
+    sums = itertools.accumulate(
+        reversed(values), lambda later, v: v + factor * later, initial=0.0
+    )
+    return [*sums][
+        :0:-1
+    ]  # in the order of the values, without the 0 that follows the last
 
 
 def require_transitions(episodes: list[Episode[Any]]) -> list[Episode[Any]]:
@@ -219,6 +243,12 @@ def finite(values: Any, what: str) -> Any:
     parts = values if isinstance(values, tuple) else (values,)
     if not all((np.abs(part) <= FLOAT32_MAX).all() for part in parts):
         flat = np.concatenate([np.ravel(part) for part in parts])
-        which = f" (entry {np.argmin(np.abs(flat) <= FLOAT32_MAX)})" if flat.size > 1 else ""
-        raise DivergenceError(f"{what} of the environment is not finite, or beyond float32{which}")
+        which = (
+            f" (entry {np.argmin(np.abs(flat) <= FLOAT32_MAX)})"
+            if flat.size > 1
+            else ""
+        )
+        raise DivergenceError(
+            f"{what} of the environment is not finite, or beyond float32{which}"
+        )
     return values

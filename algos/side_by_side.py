@@ -19,7 +19,9 @@ class SideBySide:
 
     def __init__(self, on_two_cores: bool) -> None:
         threads = partial(torch.set_num_threads, torch.get_num_threads())
-        self._other = ThreadPoolExecutor(1, initializer=threads) if on_two_cores else None
+        self._other = (
+            ThreadPoolExecutor(1, initializer=threads) if on_two_cores else None
+        )
 
     def __call__(self, first: Callable[[], A], second: Callable[[], B]) -> tuple[A, B]:
         """What both return; when one raises, so does this, once both have ended."""

@@ -27,7 +27,11 @@ class Spaces(NamedTuple):
         """Shapes of a goal environment's observations by their names; of others, one, named ""."""
         space = self.observation
         if isinstance(space, gym.spaces.Dict):
-            return {key: tuple(space[key].shape or ()) for key in GOAL_KEYS if key in space.spaces}
+            return {
+                key: tuple(space[key].shape or ())
+                for key in GOAL_KEYS
+                if key in space.spaces
+            }
         return {"": tuple(space.shape or ())}
 
     @property
@@ -37,7 +41,9 @@ class Spaces(NamedTuple):
         is_dict = isinstance(self.observation, gym.spaces.Dict)
         found = self.observation.get(PRIVILEGED, nothing) if is_dict else nothing  # type: ignore[attr-defined]
         if not isinstance(found, gym.spaces.Box):
-            raise ValueError(f"observation space: found {found} for {PRIVILEGED!r}, allowed a Box")
+            raise ValueError(
+                f"observation space: found {found} for {PRIVILEGED!r}, allowed a Box"
+            )
         return found
 
     def inputs(self, *more: str) -> list[str] | None:
@@ -47,7 +53,10 @@ class Spaces(NamedTuple):
         none has any.
         """
         parts: dict[str, Any] = flat_parts(self.observation)
-        parts |= {key: {PRIVILEGED: self.privileged, "action": self.action}[key] for key in more}
+        parts |= {
+            key: {PRIVILEGED: self.privileged, "action": self.action}[key]
+            for key in more
+        }
         if not any(hasattr(box, "names") for box in parts.values()):
             return None
         return [
@@ -73,31 +82,53 @@ class Spaces(NamedTuple):
             known = json.loads(text)
             shapes, action = known["observation"], known["action"]
             boxes: dict[str, gym.Space[Any]] = {
-                key: _box(-np.inf, np.inf, shape, np.float32) for key, shape in shapes.items()
+                key: _box(-np.inf, np.inf, shape, np.float32)
+                for key, shape in shapes.items()
             }
             if np.dtype(action["dtype"]).kind not in "fiub":
-                raise ValueError(f"spaces: found actions of type {action['dtype']!r}"[:100])
-            bounds = (np.array(action[name], action["dtype"]) for name in ("low", "high"))
+                raise ValueError(
+                    f"spaces: found actions of type {action['dtype']!r}"[:100]
+                )
+            bounds = (
+                np.array(action[name], action["dtype"]) for name in ("low", "high")
+            )
             low, high = (bound.reshape(action["shape"]) for bound in bounds)
             space = boxes[""] if "" in boxes else gym.spaces.Dict(boxes)
-            return cls(space, _box(low, high, action["shape"], np.dtype(action["dtype"])))
-        except (LookupError, AttributeError, TypeError, AssertionError, RecursionError) as error:
+            return cls(
+                space, _box(low, high, action["shape"], np.dtype(action["dtype"]))
+            )
+        except (
+            LookupError,
+            AttributeError,
+            TypeError,
+            AssertionError,
+            RecursionError,
+        ) as error:
             raise ValueError(f"spaces: found none ({error})") from error
 
 
 def _box(low: Any, high: Any, shape: Any, dtype: Any) -> gym.spaces.Box:
-    if not all(isinstance(n, int) and n >= 0 for n in shape) or math.prod(shape) > MAX_ENTRIES:
+    if (
+        not all(isinstance(n, int) and n >= 0 for n in shape)
+        or math.prod(shape) > MAX_ENTRIES
+    ):
         raise ValueError(f"spaces: found the shape {str(shape)[:50]}")
     return gym.spaces.Box(low, high, tuple(shape), dtype)
 
 
 def action_bounds(space: gym.Space[Any]) -> tuple[Array, Array]:
     """(low, high) of an action space; ValueError when it is not a bounded Box."""
-    if isinstance(space, gym.spaces.Box) and space.is_bounded() and space.dtype.kind == "f":
+    if (
+        isinstance(space, gym.spaces.Box)
+        and space.is_bounded()
+        and space.dtype.kind == "f"
+    ):
         with np.errstate(over="ignore"):
             if np.isfinite(space.high - space.low).all():
                 return space.low, space.high
-    raise ValueError(f"action space: found {space}, allowed Box of floats with finite bounds")
+    raise ValueError(
+        f"action space: found {space}, allowed Box of floats with finite bounds"
+    )
 
 
 def action_size(space: gym.Space[Any]) -> int:
@@ -108,15 +139,21 @@ def action_size(space: gym.Space[Any]) -> int:
 def flat_parts(space: gym.Space[Any]) -> dict[str, gym.spaces.Box]:
     """What a flat observation is made of, by name; ValueError for spaces no algorithm here can read."""
     parts: dict[str, Any] = {"observation": space}
-    if isinstance(space, gym.spaces.Dict) and {"observation", "desired_goal"} <= set(space.spaces):
+    if isinstance(space, gym.spaces.Dict) and {"observation", "desired_goal"} <= set(
+        space.spaces
+    ):
         parts = {key: space[key] for key in ("observation", "desired_goal")}
     for part in parts.values():
         if not isinstance(part, gym.spaces.Box):
             hint = "; gymnasium.wrappers.FlattenObservation makes a Box"
-            raise ValueError(f"observation space: found {part}, allowed Box, or {GOAL_DICT}{hint}")
+            raise ValueError(
+                f"observation space: found {part}, allowed Box, or {GOAL_DICT}{hint}"
+            )
         if part.dtype == np.uint8 and len(part.shape) == 3:
             found = f"found images {part.shape}"
-            raise ValueError(f"observation space: {found}, allowed vectors; no learner here sees")
+            raise ValueError(
+                f"observation space: {found}, allowed vectors; no learner here sees"
+            )
     return parts
 
 
@@ -131,13 +168,17 @@ def goal_size(space: gym.Space[Any]) -> int:
         _, achieved, desired = (flat_size(space[key]) for key in GOAL_KEYS)
         if achieved == desired:
             return desired
-    raise ValueError(f"observation space: found {space}, allowed a goal environment's: {GOAL_DICT}")
+    raise ValueError(
+        f"observation space: found {space}, allowed a goal environment's: {GOAL_DICT}"
+    )
 
 
 def may_be_boolean(space: gym.Space[Any]) -> Array:
     """Which entries (n,) of a flat observation lie between 0 and 1, and so may be Boolean?"""
     parts = flat_parts(space).values()
-    return np.concatenate([np.ravel((part.low == 0.0) & (part.high == 1.0)) for part in parts])
+    return np.concatenate(
+        [np.ravel((part.low == 0.0) & (part.high == 1.0)) for part in parts]
+    )
 
 
 def n_boolean(space: Any) -> int:

@@ -9,8 +9,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from benchmarks.command import no_flags
 from tactilerl.errors import InputError
+
+from benchmarks.command import no_flags
 
 HERE = Path(__file__).parent
 

@@ -16,12 +16,12 @@ from functools import cache
 from typing import Any
 
 from docstring_parser import parse_from_object
-
-from benchmarks.command import DOCS, data
-from benchmarks.printing import markdown
 from tactilerl.envs import hands, scenes
 from tactilerl.envs.grasp import GraspConfig, GraspEnv, setup
 from tactilerl.envs.hands import LinearAction
+
+from benchmarks.command import DOCS, data
+from benchmarks.printing import markdown
 
 UNITS = {  # of entries whose names begin like that
     "position of slide|hand |object [xyz]": "m",

@@ -15,9 +15,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 from adjustText import adjust_text
 from matplotlib.ticker import LogLocator, NullFormatter
-
-from benchmarks.command import DOCS, data, no_flags
-from benchmarks.studies import faults, probe_tables, setups_study, study_tables
 from tactilerl.envs import hands, layouts
 from tactilerl.pictures.hand_map import TaxelMap
 from tactilerl.pictures.places import Place
@@ -25,6 +22,9 @@ from tactilerl.probe.figures import hand_map
 from tactilerl.study import figures as study_figures
 from tactilerl.study.analysis import analyse
 from tactilerl.style import ARMS, DPI, HEAD, INK, NAMES, OTHERS, STYLE
+
+from benchmarks.command import DOCS, data, no_flags
+from benchmarks.studies import faults, probe_tables, setups_study, study_tables
 
 IMAGES, FOUR = DOCS / "images", str(DOCS / "data/chosen/anywhere_4.toml")
 SETTING, SHIPPED = OTHERS[:2]

@@ -29,7 +29,9 @@ def _require_keywords(choices: dict[str, Any]) -> None:
         require_known(choices, known := typed.names(GraspConfig))
     except ValueError as error:
         unknown = next(name for name in choices if name not in known)
-        raise UnexpectedKeyword(f"{error} (got an unexpected keyword argument {unknown!r})") from None
+        raise UnexpectedKeyword(
+            f"{error} (got an unexpected keyword argument {unknown!r})"
+        ) from None
 
 
 class UnexpectedKeyword(TypeError, ValueError):
@@ -54,13 +56,17 @@ def make(
     for key, word in {"name": name, "env": env, "scene": scene}.items():
         typed.require_type(word, str | None, key)
     if name is not None and env is not None:
-        raise ValueError(f"env: found {env!r} with the name {name!r}, allowed one of them")
+        raise ValueError(
+            f"env: found {env!r} with the name {name!r}, allowed one of them"
+        )
     name = name or env
     if scene is not None:
         named = scenes.load(scene)
         name = name or named.env
         if not hands.is_hand(name):
-            raise ValueError(f"env: found {name!r} with a scene, allowed: {hands.allowed()}")
+            raise ValueError(
+                f"env: found {name!r} with a scene, allowed: {hands.allowed()}"
+            )
         choices = {**named.on(name), **choices}
     if name is None:
         raise ValueError("found neither the name of an environment nor a scene")
@@ -86,7 +92,9 @@ def make(
     except (ValueError, OSError, ImportError, RuntimeError):  # say what is wrong
         raise
     except Exception as error:  # of an environment that is not ours
-        where = traceback.extract_tb(error.__traceback__)[-1].line  # an assertion says nothing else
+        where = traceback.extract_tb(error.__traceback__)[
+            -1
+        ].line  # an assertion says nothing else
         reason = f"{type(error).__name__}: {str(error) or where}"
         raise ValueError(f"env: {name!r} cannot be made here ({reason})") from error
 

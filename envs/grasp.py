@@ -10,7 +10,17 @@ from typing import Annotated, Any, Literal
 import gymnasium as gym
 import numpy as np
 
-from . import hands, layouts, objects, observations, plugins, simulators, tasks, touch, typed
+from . import (
+    hands,
+    layouts,
+    objects,
+    observations,
+    plugins,
+    simulators,
+    tasks,
+    touch,
+    typed,
+)
 from .choices import require_known, require_one_of
 from .objects import ObjectConfig
 from .observations import EpisodeBefore, ObservationConfig, Observer
@@ -25,7 +35,9 @@ EJECTED = 10.0  # m/s, of the object during an action: twice what random actions
 JITTER_JOINT = 0.02  # rad, of every joint but the slides, within its range
 READS = ("on", "shuffled")  # touch, where the policy is told something by it
 LIT, DARK = (1.0, 0.85, 0.0, 1.0), (0.05, 0.25, 0.9, 1.0)  # of taxels in pictures
-LIT_SCALE = 2.0  # a taxel that fires is drawn larger: between hand and object it is hard to see
+LIT_SCALE = (
+    2.0  # a taxel that fires is drawn larger: between hand and object it is hard to see
+)
 
 
 @dataclass(frozen=True)
@@ -73,12 +85,16 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
     def validate(self) -> None:
         """Raise ValueError naming what is not there or does not go together; ranges are in types."""
         require_one_of(simulators.SIMULATORS, self.simulator, "simulator")
-        plugins.require_class("sensors", touch.RULES, touch.Rule, self.touch_rule, "touch_rule")
+        plugins.require_class(
+            "sensors", touch.RULES, touch.Rule, self.touch_rule, "touch_rule"
+        )
         plugins.require_class("tasks", tasks.TASKS, tasks.Task, self.task, "task")
         ratio = self.control_dt / self.timestep
         if self.n_substeps < 1 or abs(ratio - self.n_substeps) > 1e-6 * ratio:
             allowed = f"a whole number of timesteps of {self.timestep} s"
-            raise ValueError(f"control_dt: found {self.control_dt} s, allowed {allowed}")
+            raise ValueError(
+                f"control_dt: found {self.control_dt} s, allowed {allowed}"
+            )
         if self.actions == "all":
             typed.allow_only_with("actions fingers or grip", self, "start_closing")
         objects.validate(self)
@@ -119,14 +135,22 @@ class GraspEnv(gym.Env[Any, Array]):
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}
 
     def __init__(
-        self, hand: str = "shadow", config: GraspConfig | None = None, render_mode: str | None = None
+        self,
+        hand: str = "shadow",
+        config: GraspConfig | None = None,
+        render_mode: str | None = None,
     ) -> None:
         self.config = config = config or setup(hand)
         typed.validate(config)
         if render_mode not in (None, "rgb_array"):
-            raise ValueError(f"render_mode: found {render_mode!r}, allowed None or 'rgb_array'")
+            raise ValueError(
+                f"render_mode: found {render_mode!r}, allowed None or 'rgb_array'"
+            )
         self.render_mode = render_mode
-        self.metadata = {**self.metadata, "render_fps": max(1, round(1 / config.control_dt))}
+        self.metadata = {
+            **self.metadata,
+            "render_fps": max(1, round(1 / config.control_dt)),
+        }
         self._items = items = objects.Items(config)
         self._item = first = items.first
         width = items.width if config.is_near else math.inf
@@ -137,7 +161,9 @@ class GraspEnv(gym.Env[Any, Array]):
         self._touch = touch.RULES[config.touch_rule](self.taxels, self.hand)
         self._points = touch.taxel_points(self.taxels)
         own_timestep = setup(hand).timestep
-        self.task: tasks.Task = tasks.TASKS[config.task](config, self.hand, own_timestep, first.shape)
+        self.task: tasks.Task = tasks.TASKS[config.task](
+            config, self.hand, own_timestep, first.shape
+        )
         self.max_episode_steps = config.max_episode_steps or self.task.max_episode_steps
         scene = simulators.Scene(
             hand=self.hand,
@@ -154,22 +180,32 @@ class GraspEnv(gym.Env[Any, Array]):
         self.simulator = simulators.make(config.simulator, scene)
         names = () if config.touch == "absent" else self.taxels.names
         is_boolean = self._touch.is_boolean
-        self._observer = Observer(config, self.hand, names, is_boolean, config.control_dt, first.shape)
+        self._observer = Observer(
+            config, self.hand, names, is_boolean, config.control_dt, first.shape
+        )
         self._before = EpisodeBefore(len(names))
-        self.simulator.reset(self.hand.start_positions(), np.array([0.0, 0.0, items.height / 2]), 0.0)
+        self.simulator.reset(
+            self.hand.start_positions(), np.array([0.0, 0.0, items.height / 2]), 0.0
+        )
         self.state = self.simulator.state()
         self.palm_skin = self._palm_skin()
         self._warnings = self.simulator.warnings
         self._steps = 0
         self._obs: dict[str, Array] = {}
         self._desired_goal = np.zeros(self.task.goal_size, np.float32)
-        self.action_space = gym.spaces.Box(-1.0, 1.0, (len(self.hand.action_names),), np.float32)
+        self.action_space = gym.spaces.Box(
+            -1.0, 1.0, (len(self.hand.action_names),), np.float32
+        )
         self.observation_space = self._spaces()
 
     def _palm_skin(self) -> Array:
         """The place (3,) on the palm's skin where objects are handed over."""
         beside = self.hand.handed_beside
-        palm = [s for s in self.hand.surfaces if s.segment == "palm" and s.digit not in beside]
+        palm = [
+            s
+            for s in self.hand.surfaces
+            if s.segment == "palm" and s.digit not in beside
+        ]
         positions, rotations = self.state.poses(tuple(surface.link for surface in palm))
         centres = np.array([surface.centre for surface in palm])[:, :, None]
         return np.asarray((positions + (rotations @ centres)[:, :, 0]).mean(axis=0))
@@ -185,7 +221,9 @@ class GraspEnv(gym.Env[Any, Array]):
         }
         if self.config.critic_sees == "truth":
             names, is_boolean = self.taxels.names, self._touch.is_boolean
-            spaces["truth"] = observations.privileged_space(self.hand, names, is_boolean)
+            spaces["truth"] = observations.privileged_space(
+                self.hand, names, is_boolean
+            )
         return gym.spaces.Dict(spaces)
 
     def reset(
@@ -195,7 +233,9 @@ class GraspEnv(gym.Env[Any, Array]):
         # To spawn draws nothing from the generator itself.
         observer_rng, goal_rng, object_rng = self.np_random.spawn(3)
         self._item = item = self._items.draw(object_rng)
-        start = self.task.start(self._jittered(item.shape), self.palm_skin, item.shape, goal_rng)
+        start = self.task.start(
+            self._jittered(item.shape), self.palm_skin, item.shape, goal_rng
+        )
         self._observer.begin(observer_rng)
         self._before.begin(observer_rng)
         try:
@@ -215,7 +255,11 @@ class GraspEnv(gym.Env[Any, Array]):
         """The hand open above the object, both a little moved where that is asked for."""
         joints, offset, yaw = self.hand.start_positions(), np.zeros(2), 0.0
         if self.config.jitter:
-            rng, furthest, turn = self.np_random, self.config.start_offset, self.config.start_yaw
+            rng, furthest, turn = (
+                self.np_random,
+                self.config.start_offset,
+                self.config.start_yaw,
+            )
             offset = rng.uniform(-furthest, furthest, 2)
             yaw = rng.uniform(-turn, turn)
             joints[3:] += rng.uniform(-JITTER_JOINT, JITTER_JOINT, len(joints) - 3)
@@ -223,17 +267,27 @@ class GraspEnv(gym.Env[Any, Array]):
         position = np.array([*offset, shape.half_size[2]])
         return tasks.Start(joints, position, yaw, self.hand.start_targets())
 
-    def step(self, action: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
+    def step(
+        self, action: Array
+    ) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
         if not self._obs:
             raise gym.error.ResetNeeded("step: found before the first reset")
         action = np.asarray(action, dtype=np.float64)
         if action.shape != self.action_space.shape:
-            raise ValueError(f"action: found shape {action.shape}, allowed {self.action_space.shape}")
+            raise ValueError(
+                f"action: found shape {action.shape}, allowed {self.action_space.shape}"
+            )
         if not np.isfinite(action).all():
-            raise ValueError(f"action: found {action[~np.isfinite(action)][0]}, allowed finite numbers")
-        return self.step_to(self.hand.action_map(np.clip(action, -1.0, 1.0), self.state.targets))
+            raise ValueError(
+                f"action: found {action[~np.isfinite(action)][0]}, allowed finite numbers"
+            )
+        return self.step_to(
+            self.hand.action_map(np.clip(action, -1.0, 1.0), self.state.targets)
+        )
 
-    def step_to(self, targets: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
+    def step_to(
+        self, targets: Array
+    ) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
         """A step towards joint targets (n_actuators,), rad and m, that no action need stand for."""
         self._steps += 1
         is_last = self._steps >= self.max_episode_steps
@@ -243,18 +297,29 @@ class GraspEnv(gym.Env[Any, Array]):
             before, self.state = self.state, self.simulator.state()
             self._require_whole(before)
             sensed = self._sense(self.state)
-            achieved, terminated = self.task.after_step(self.simulator, self.state, is_last)
+            achieved, terminated = self.task.after_step(
+                self.simulator, self.state, is_last
+            )
         except SimulationError as error:
             obs = {key: value.copy() for key, value in self._obs.items()}
-            faults = {"diverged": True, "error": str(error), "warnings": self._new_warnings()}
+            faults = {
+                "diverged": True,
+                "error": str(error),
+                "warnings": self._new_warnings(),
+            }
             return obs, 0.0, False, True, self._info(**faults)
         self._obs = obs = self._goal_obs(sensed, achieved)
         goals = obs["achieved_goal"], obs["desired_goal"]
-        reward, is_success = float(self.task.reward(*goals)), bool(self.task.is_success(*goals))
+        reward, is_success = (
+            float(self.task.reward(*goals)),
+            bool(self.task.is_success(*goals)),
+        )
         info = self._info(is_success=is_success, warnings=self._new_warnings())
         return obs, reward, terminated, is_last and not terminated, info
 
-    def compute_reward(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Array:
+    def compute_reward(
+        self, achieved_goal: Array, desired_goal: Array, info: Any
+    ) -> Array:
         """Rewards (...) of goals (..., goal_size); pure, `info` is not looked at."""
         return self.task.reward(np.asarray(achieved_goal), np.asarray(desired_goal))
 
@@ -311,7 +376,9 @@ class GraspEnv(gym.Env[Any, Array]):
             centres, radii = self._points.world(state), self.taxels.radii
             lit = self.told_readings() > 0
             for centre, radius, on in zip(centres, radii, lit, strict=True):
-                yield Sphere(centre, radius * (LIT_SCALE if on else 1.0), LIT if on else DARK)
+                yield Sphere(
+                    centre, radius * (LIT_SCALE if on else 1.0), LIT if on else DARK
+                )
 
     def close(self) -> None:
         self.simulator.close()
@@ -336,7 +403,9 @@ class GraspEnv(gym.Env[Any, Array]):
         obs = {"observation": self._observer.observe(state, shown)}
         largest = np.abs(obs["observation"]).max()
         if not largest < LIMIT:
-            raise SimulationError(f"an observation is as large as {largest}: the physics broke")
+            raise SimulationError(
+                f"an observation is as large as {largest}: the physics broke"
+            )
         if is_privileged:
             obs["truth"] = observations.privileged(self.hand, state, felt)
         return obs

@@ -25,7 +25,9 @@ from .state import Array, State
 
 Verdict = Literal["full", "settled"]
 RAISE_SPEED = 0.3  # m/s
-OUT_OF_REACH = 0.25  # m from the palm; the longest finger of the library's hands reaches 0.15 m
+OUT_OF_REACH = (
+    0.25  # m from the palm; the longest finger of the library's hands reaches 0.15 m
+)
 CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
 CLEAR = 0.01  # m under the object: nothing but the hand holds it
 LOOK_STEPS = 25  # of the set-up's own timestep, whatever timestep it is run with
@@ -61,7 +63,9 @@ class HoldTest:
         # From where the slide is, not from its target: the hand may lag far behind that.
         targets[2] = state.joint_positions[2]
         top = targets[2] + self.height - state.palm[2]
-        every, left = (max(1, round(s / timestep)) for s in (self.look_every, self.seconds))
+        every, left = (
+            max(1, round(s / timestep)) for s in (self.look_every, self.seconds)
+        )
         way, n_looks, corners = RAISE_SPEED * timestep * every, 0, _corners(state)
         try:
             while True:
@@ -73,26 +77,41 @@ class HoldTest:
                     left -= n_substeps
                 simulator.step(targets, n_substeps)
                 state, before = simulator.state(), corners
-                corners, n_looks, is_at_top = _corners(state), n_looks + 1, bool(targets[2] == top)
+                corners, n_looks, is_at_top = (
+                    _corners(state),
+                    n_looks + 1,
+                    bool(targets[2] == top),
+                )
                 if not np.linalg.norm(_in_hand(state)) <= self.out_of_reach:
                     return False
                 if is_at_top and not left:
                     return True
                 if self.verdict == "full":
                     continue
-                compressed = (n_looks - round(self.shake_seconds / self.look_every)) * self.look_every
+                compressed = (
+                    n_looks - round(self.shake_seconds / self.look_every)
+                ) * self.look_every
                 if compressed >= 0:
                     simulator.set_creep(self.creep)
-                speed = float(np.linalg.norm(corners - before, axis=1).max()) / self.look_every
-                if compressed > 0 and self._settles(state, speed, compressed, is_at_top):
+                speed = (
+                    float(np.linalg.norm(corners - before, axis=1).max())
+                    / self.look_every
+                )
+                if compressed > 0 and self._settles(
+                    state, speed, compressed, is_at_top
+                ):
                     return True
         finally:
             simulator.set_creep(1.0)
 
-    def _settles(self, state: State, speed: float, compressed: float, is_at_top: bool) -> bool:
+    def _settles(
+        self, state: State, speed: float, compressed: float, is_at_top: bool
+    ) -> bool:
         """The early verdict after so much compressed time, s, on an object that moves in the hand at
         `speed`, m/s: it is at rest, or still in the hand at the top when time is up."""
-        left = max(0.0, (self.seconds + self.height / RAISE_SPEED) / self.creep - compressed)
+        left = max(
+            0.0, (self.seconds + self.height / RAISE_SPEED) / self.creep - compressed
+        )
         is_at_rest = speed * (left + self.look_every) < self.settle_distance
         return bool(is_at_rest and state.clearance > CLEAR) or (is_at_top and left == 0)
 

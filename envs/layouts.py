@@ -77,7 +77,9 @@ class Taxels:
 
     def take(self, chosen: Sequence[int]) -> Taxels:
         some = [*chosen]
-        return Taxels(tuple(self.points[i] for i in some), self.surfaces[some], self.offsets[some])
+        return Taxels(
+            tuple(self.points[i] for i in some), self.surfaces[some], self.offsets[some]
+        )
 
 
 @dataclass(frozen=True)
@@ -96,17 +98,29 @@ class Patch:
     def is_on(self, surface: Surface) -> bool:
         """Does it put taxels there?"""
         place = surface.digit, surface.segment
-        on_segment = place[1] != "palm" if self.segments is None else place[1] in self.segments
-        on_digit = place != ("thumb", "palm") if self.digits is None else place[0] in self.digits
+        on_segment = (
+            place[1] != "palm" if self.segments is None else place[1] in self.segments
+        )
+        on_digit = (
+            place != ("thumb", "palm")
+            if self.digits is None
+            else place[0] in self.digits
+        )
         return on_segment and on_digit
 
-    def spots(self, surface: Surface, pitch: Pitch) -> Iterator[tuple[tuple[float, float], float, str]]:
+    def spots(
+        self, surface: Surface, pitch: Pitch
+    ) -> Iterator[tuple[tuple[float, float], float, str]]:
         """(row, column) on a surface in m, radius and label of its taxels there; labels are in pitches,
         or in mm."""
         rows, columns, radius, scale, unit = 1.0, 1.0, self.radius, 1e3, " mm"
         if radius is None:
             rows, columns = pitch.rows.get(surface.segment, 0.0), pitch.column
-            radius, scale, unit = pitch.large_radius if self.large else pitch.radius, 1.0, ""
+            radius, scale, unit = (
+                pitch.large_radius if self.large else pitch.radius,
+                1.0,
+                "",
+            )
         for row, column in self.offsets:
             label = f"{scale * row:+g},{scale * column:+g}{unit}"
             yield (row * rows, column * columns), radius, label
@@ -139,10 +153,14 @@ class Layout:
         points = [_of_link(point, hand) for point in own]
         if not self.is_model:
             with toml_files.blamed(f"layout {self.name!r}"):
-                taxel_files.require_distinct([*(point for point, *_ in placed), *points])
+                taxel_files.require_distinct(
+                    [*(point for point, *_ in placed), *points]
+                )
         placed += [_on_surface(point, hand) for point in points]
         if not placed:
-            raise ValueError(f"layout {self.name!r} puts no taxel on the {hand.name} hand")
+            raise ValueError(
+                f"layout {self.name!r} puts no taxel on the {hand.name} hand"
+            )
         every, surfaces, offsets = zip(*placed, strict=True)
         return Taxels(every, np.array(surfaces), np.array(offsets))
 
@@ -154,17 +172,25 @@ class Layout:
         """The text of a layout file, exact to the last digit."""
         lines = [f"description = {json.dumps(self.description, ensure_ascii=False)}"]
         for patch in self.patches:
-            offsets = ", ".join(f"[{_in_mm(row)}, {_in_mm(column)}]" for row, column in patch.offsets)
+            offsets = ", ".join(
+                f"[{_in_mm(row)}, {_in_mm(column)}]" for row, column in patch.offsets
+            )
             lines += ["", "[[patch]]"]
             places = {"digits": patch.digits, "segments": patch.segments}.items()
-            lines += [f"{key} = {json.dumps(names)}" for key, names in places if names is not None]
+            lines += [
+                f"{key} = {json.dumps(names)}"
+                for key, names in places
+                if names is not None
+            ]
             lines.append(f"offsets_mm = [{offsets}]")
             lines.append(f"radius_mm = {_in_mm(patch.radius or 0.0)}")
         for point in self.taxels:
             lines += ["", *point.toml()]
         return "\n".join(lines) + "\n"
 
-    def on_grids(self, hand: Hand) -> Iterator[tuple[int, Surface, tuple[float, float], float, str]]:
+    def on_grids(
+        self, hand: Hand
+    ) -> Iterator[tuple[int, Surface, tuple[float, float], float, str]]:
         """Surface, (row, column) on it in m, radius and name of every taxel of a patch, whether or not
         there is something of the link."""
         for index, surface in enumerate(hand.surfaces):
@@ -176,41 +202,61 @@ class Layout:
 
     def _require_digits(self, hand: Hand) -> None:
         """ValueError for a digit or a segment that no hand has, or only others."""
-        known = (*DIGITS, *hand.digits), (*SEGMENTS, *(surface.segment for surface in hand.surfaces))
+        known = (
+            (*DIGITS, *hand.digits),
+            (*SEGMENTS, *(surface.segment for surface in hand.surfaces)),
+        )
         for patch in self.patches:
             for names, there in zip((patch.digits, patch.segments), known, strict=True):
                 for name in names or ():
-                    require_one_of(dict.fromkeys((*there, "palm")), name, f"layout {self.name!r}")
+                    require_one_of(
+                        dict.fromkeys((*there, "palm")), name, f"layout {self.name!r}"
+                    )
 
 
 def _of_link(point: Point, hand: Hand) -> Point:
     """On the link that the point's body is part of."""
     if frame := hand.welded.get(point.link):
-        place, normal = frame.point(point.position), point.normal and frame.direction(point.normal)
+        place, normal = (
+            frame.point(point.position),
+            point.normal and frame.direction(point.normal),
+        )
         return point._replace(link=frame.link, position=place, normal=normal)
     return point
 
 
-def _on_surface(point: Point, hand: Hand) -> tuple[Point, int, tuple[float, float, float]]:
+def _on_surface(
+    point: Point, hand: Hand
+) -> tuple[Point, int, tuple[float, float, float]]:
     """The point with a normal, which of the hand's surfaces it is on, and where."""
     own = [i for i, surface in enumerate(hand.surfaces) if surface.link == point.link]
     if not own:
         links = ", ".join(dict.fromkeys(surface.link for surface in hand.surfaces))
-        raise ValueError(f"taxel {point.name!r}: found link {point.link!r}, allowed: {links}")
+        raise ValueError(
+            f"taxel {point.name!r}: found link {point.link!r}, allowed: {links}"
+        )
     position = np.array(point.position)
-    index = min(own, key=lambda i: float(np.linalg.norm(position - hand.surfaces[i].centre)))
+    index = min(
+        own, key=lambda i: float(np.linalg.norm(position - hand.surfaces[i].centre))
+    )
     if not point.normal:
         normal = hand.surfaces[index].skin(position)[1]
         point = point._replace(normal=tuple(normal.tolist()))
     row, column, height = hand.surfaces[index].offset(position)
-    return point, index, (row, column, height if abs(height) > LEAST else LEAST)  # 0 is of grids
+    return (
+        point,
+        index,
+        (row, column, height if abs(height) > LEAST else LEAST),
+    )  # 0 is of grids
 
 
 def left_out(layout: Layout, hand: Hand) -> list[str]:
     """Where a layout wants taxels and the hand has no surface: thumb.palm; or a link of any shape has a
     gap: thumb.distal[+1,-1]."""
     there = {(surface.digit, surface.segment) for surface in hand.surfaces}
-    usual = DIGITS if hand.name in HANDS else ()  # the paper's, where this is a hand like those
+    usual = (
+        DIGITS if hand.name in HANDS else ()
+    )  # the paper's, where this is a hand like those
     wanted = (
         place
         for patch in layout.patches
@@ -228,7 +274,11 @@ EDGES = ((1.0, 0.0), (0.0, -1.0), (0.0, 1.0), (-1.0, 0.0))
 # Paper, Fig. 2 and Results: per phalanx, and four on the palm at the bases of the fingers.
 PALM = Patch(None, ("palm",), CENTRE)
 PAPER = {
-    name: Layout(name, about, (Patch(None, None, tuple(sorted(offsets)), large=name == "6"), PALM))
+    name: Layout(
+        name,
+        about,
+        (Patch(None, None, tuple(sorted(offsets)), large=name == "6"), PALM),
+    )
     for name, about, offsets in (
         ("1", "3 x 3 grid", CENTRE + CORNERS + EDGES),
         ("2", "corners and centre", CENTRE + CORNERS),
@@ -276,7 +326,9 @@ def load(name: str) -> Layout:
     if not name.endswith(".toml"):
         path = NAMED / f"{name}.toml"
         if Path(name).name != name or not os.path.isfile(path):
-            meant = f"did you mean {name}.toml? " if os.path.isfile(f"{name}.toml") else ""
+            meant = (
+                f"did you mean {name}.toml? " if os.path.isfile(f"{name}.toml") else ""
+            )
             raise ValueError(
                 f"unknown layout {name!r}; {meant}allowed: {', '.join((*names(), MODEL))} or the path "
                 f"of a file: .toml, {', '.join(READERS)}"
@@ -313,14 +365,18 @@ def of_taxels(taxels: Taxels, hand: Hand, description: str) -> Layout:
     for (index, radius), group in groupby(sorted(on_grid), key=lambda taxel: taxel[:2]):
         surface = hand.surfaces[index]
         offsets = tuple((1e-3 * row, 1e-3 * column) for *_, row, column in group)
-        patches.append(Patch((surface.digit,), (surface.segment,), offsets, 1e-3 * radius))
+        patches.append(
+            Patch((surface.digit,), (surface.segment,), offsets, 1e-3 * radius)
+        )
     return Layout("", description, tuple(patches), tuple(points))
 
 
 def _in_mm(metres: float) -> str:
     """The fewest digits that are read as the same number."""
     texts = (f"{1e3 * metres:.{digits}g}" for digits in range(6, 18))
-    return next((text for text in texts if 1e-3 * float(text) == metres), repr(1e3 * metres))
+    return next(
+        (text for text in texts if 1e-3 * float(text) == metres), repr(1e3 * metres)
+    )
 
 
 def mm(metres: float) -> float:
@@ -331,12 +387,15 @@ def mm(metres: float) -> float:
 def _patch(data: Any, where: str) -> Patch:
     table({where: data}, where, {"digits", "segments", "offsets_mm", "radius_mm"})
     digits, segments = (
-        strings(data[key], f"{where}: {key}") if key in data else None for key in ("digits", "segments")
+        strings(data[key], f"{where}: {key}") if key in data else None
+        for key in ("digits", "segments")
     )
     radius = number(data.get("radius_mm"), f"{where}: radius_mm", 0.1, 20.0)
     where, offsets = f"{where}: offsets_mm", data.get("offsets_mm")
     if not isinstance(offsets, list) or not offsets:
         raise ValueError(f"{where}: found {offsets!r}, expected [[row, column], ...]")
-    places = (vector(offset, 2, f"{where}: [row, column]", -50, 50) for offset in offsets)
+    places = (
+        vector(offset, 2, f"{where}: [row, column]", -50, 50) for offset in offsets
+    )
     metres = tuple((1e-3 * row, 1e-3 * column) for row, column in places)
     return Patch(digits, segments, metres, 1e-3 * radius)

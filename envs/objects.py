@@ -19,7 +19,10 @@ Friction = Annotated[float, "(0, 10]"] | str
 SMALLEST = 0.001  # m: below, a simulator finds no mass in it
 WIDEST = 0.08  # m, of an object across; the benchmark hard_cases goes up to it
 TALLEST = 0.15  # m, of an object: held at its top, its centre is well above what counts as dropped
-OFFSET, YAW = 0.005, 0.15  # m and rad: where the hand leaves room for what is 5 cm across
+OFFSET, YAW = (
+    0.005,
+    0.15,
+)  # m and rad: where the hand leaves room for what is 5 cm across
 FURTHEST = 0.1  # m: at 5 cm, half of a hand's width, a hand's slides hardly get there
 
 
@@ -46,7 +49,9 @@ class ObjectConfig:
     @property
     def is_near(self) -> bool:
         """Does the object start where the hand leaves room for it?"""
-        return not self.jitter or (self.start_offset <= OFFSET and self.start_yaw <= YAW)
+        return not self.jitter or (
+            self.start_offset <= OFFSET and self.start_yaw <= YAW
+        )
 
 
 def make(kind: Kind, size: tuple[float, ...]) -> Shape:
@@ -92,8 +97,12 @@ class Items:
         self._friction = bounds("friction", config.friction)
         ranges = (*self._sizes, self._density, self._friction)
         self.vary = len(self._kinds) > 1 or any(low < high for low, high in ranges)
-        largest = [make(kind, tuple(high for _, high in self._sizes)) for kind in self._kinds]
-        self.width, self.height = (max(getattr(s, of) for s in largest) for of in ("width", "height"))
+        largest = [
+            make(kind, tuple(high for _, high in self._sizes)) for kind in self._kinds
+        ]
+        self.width, self.height = (
+            max(getattr(s, of) for s in largest) for of in ("width", "height")
+        )
         """Of the widest and of the highest object, m."""
         self.smallest = min(low for low, _ in self._sizes)
         """Of all measures, m."""
@@ -127,7 +136,9 @@ def bounds(name: str, value: Number) -> tuple[float, float]:
     if len(parts) > 2 or math.isnan(low) or math.isnan(high):
         raise ValueError(f"{name}: found {value!r}, allowed a number or LOW..HIGH")
     if low > high:
-        raise ValueError(f"{name}: found {value!r}, allowed LOW..HIGH with LOW up to HIGH")
+        raise ValueError(
+            f"{name}: found {value!r}, allowed LOW..HIGH with LOW up to HIGH"
+        )
     return low, high
 
 

@@ -100,7 +100,9 @@ def validate(config: ObservationConfig, touch: str, is_boolean: bool) -> None:
 def validate_faults(faults: TaxelFaults) -> None:
     """ValueError where there are more broken taxels than taxels."""
     if (together := faults.taxel_dead + faults.taxel_stuck) > 1:
-        raise ValueError(f"taxel_stuck: found {together:g} with taxel_dead, allowed together up to 1")
+        raise ValueError(
+            f"taxel_stuck: found {together:g} with taxel_dead, allowed together up to 1"
+        )
 
 
 # -- terms -----------------------------------------------------------------------------------
@@ -119,11 +121,17 @@ class Term(NamedTuple):
 
 def term_names(terms: Sequence[str], hand: Hand) -> list[str]:
     """What each entry of some terms is."""
-    return [f"{TERMS[term].what} {entry}" for term in terms for entry in TERMS[term].entries(hand)]
+    return [
+        f"{TERMS[term].what} {entry}"
+        for term in terms
+        for entry in TERMS[term].entries(hand)
+    ]
 
 
 def _of_first_joints(hand: Hand, state: State) -> Array:
-    return state.joint_positions.take([hand.joints.index(joint) for joint in hand.first_joints])
+    return state.joint_positions.take(
+        [hand.joints.index(joint) for joint in hand.first_joints]
+    )
 
 
 def _upper(quaternion: Array) -> Array:
@@ -139,17 +147,32 @@ TERMS = {
     ),
     "hand_position": Term("hand", lambda _: "xyz", lambda _, state: state.palm),
     "finger_joints": Term("position of", attrgetter("first_joints"), _of_first_joints),
-    "joint_positions": Term("position of", attrgetter("joints"), lambda _, s: s.joint_positions),
-    "joint_velocities": Term("velocity of", attrgetter("joints"), lambda _, s: s.joint_velocities),
-    "object_position": Term("object", lambda _: "xyz", lambda _, state: state.object_position),
+    "joint_positions": Term(
+        "position of", attrgetter("joints"), lambda _, s: s.joint_positions
+    ),
+    "joint_velocities": Term(
+        "velocity of", attrgetter("joints"), lambda _, s: s.joint_velocities
+    ),
+    "object_position": Term(
+        "object", lambda _: "xyz", lambda _, state: state.object_position
+    ),
     "object_orientation": Term(
-        "object quaternion", lambda _: "wxyz", lambda _, state: _upper(state.object_orientation)
+        "object quaternion",
+        lambda _: "wxyz",
+        lambda _, state: _upper(state.object_orientation),
     ),
     "targets": Term(
-        "asked for:", attrgetter("action_names"), lambda h, state: h.action_map.commands(state.targets)
+        "asked for:",
+        attrgetter("action_names"),
+        lambda h, state: h.action_map.commands(state.targets),
     ),
 }
-PRIVILEGED_TERMS = ("joint_positions", "joint_velocities", "object_position", "object_orientation")
+PRIVILEGED_TERMS = (
+    "joint_positions",
+    "joint_velocities",
+    "object_position",
+    "object_orientation",
+)
 
 
 # -- stages ----------------------------------------------------------------------------------
@@ -184,7 +207,10 @@ class JointErrors:
 
     def __call__(self, state: State) -> State:
         """What is sensed of joints and hand; once a control step."""
-        noise, before = self.white * self._rng.standard_normal(self.white.shape), self._noise
+        noise, before = (
+            self.white * self._rng.standard_normal(self.white.shape),
+            self._noise,
+        )
         self._noise = noise
         error = self._error + noise
         speed = 0.0 if before is None else (noise - before) / self.control_dt
@@ -192,7 +218,8 @@ class JointErrors:
             state,
             joint_positions=state.joint_positions + error,
             joint_velocities=state.joint_velocities + speed,
-            palm=state.palm + error[: len(SLIDES)],  # carried by the slides, along the world's axes
+            palm=state.palm
+            + error[: len(SLIDES)],  # carried by the slides, along the world's axes
         )
 
 
@@ -273,7 +300,11 @@ class EpisodeBefore(Stage):
     def __call__(self, reading: Array) -> Array:
         step = len(self._now)
         self._now.append(reading)
-        shown = self._before[min(step, len(self._before) - 1)] if self._before else 0 * reading
+        shown = (
+            self._before[min(step, len(self._before) - 1)]
+            if self._before
+            else 0 * reading
+        )
         self.latest = shown
         return shown
 
@@ -287,7 +318,10 @@ class Sight:
     the shape of the scene's first object."""
 
     def __init__(self, config: SensorConfig, first: Shape) -> None:
-        self._seen, self._is_held = config.object_seen, config.sight_noise_kind == "held"
+        self._seen, self._is_held = (
+            config.object_seen,
+            config.sight_noise_kind == "held",
+        )
         self._scale = np.repeat(config.sight_noise or SIGHT_NOISE, 3)
         self._shape = first
 
@@ -305,7 +339,9 @@ class Sight:
             return state
         if self._seen == "hidden":
             state = replace(state, shape=self._shape)
-            return replace(state, object_position=np.zeros(3), object_orientation=np.zeros(4))
+            return replace(
+                state, object_position=np.zeros(3), object_orientation=np.zeros(4)
+            )
         self._start = start = self._start or state
         position, orientation = start.object_position, start.object_orientation
         if self._seen == "noisy":
@@ -352,7 +388,10 @@ class Observer:
         shape of the scene's first object."""
         for term in hand.observation:
             require_one_of(TERMS, term, f"hand {hand.name}: observation")
-        self.hand, self._terms = hand, [*hand.observation, *["targets"] * config.observe_targets]
+        self.hand, self._terms = (
+            hand,
+            [*hand.observation, *["targets"] * config.observe_targets],
+        )
         self._sight = Sight(config, first)
         is_slide = np.isin(hand.joints, SLIDES)
         white = np.where(is_slide, config.slide_noise, config.joint_noise)
@@ -368,7 +407,9 @@ class Observer:
         self.space = NamedBox(names, len(ages) * len(taxel_names), is_boolean)
         terms = [term for term in self._terms for _ in TERMS[term].entries(hand)]
         taxels = np.repeat(["taxels"] + [""] * (len(ages) - 1), len(taxel_names))
-        self._term_of_entry = np.array([*terms, *[""] * (len(ages) - 1) * len(terms), *taxels])
+        self._term_of_entry = np.array(
+            [*terms, *[""] * (len(ages) - 1) * len(terms), *taxels]
+        )
 
     def entries(self, *terms: str) -> Array:
         """Indices of the newest entries of these terms, as far as the hand has them, or "taxels"."""
@@ -388,7 +429,9 @@ class Observer:
         sensed = self._sight(state)
         if self._joints is not None:
             sensed = self._joints(sensed)
-        terms = np.concatenate([TERMS[term].read(self.hand, sensed) for term in self._terms])
+        terms = np.concatenate(
+            [TERMS[term].read(self.hand, sensed) for term in self._terms]
+        )
         for stage in self._taxels:
             taxels = stage(taxels)
         obs = [*self._past[0].add(terms), *self._past[1].add(taxels)]
@@ -401,9 +444,14 @@ def privileged(hand: Hand, state: State, taxels: Array) -> Array:
     return np.concatenate([*parts, taxels], dtype=np.float32, casting="same_kind")
 
 
-def privileged_space(hand: Hand, taxel_names: Sequence[str], is_boolean: bool) -> NamedBox:
+def privileged_space(
+    hand: Hand, taxel_names: Sequence[str], is_boolean: bool
+) -> NamedBox:
     """Where `privileged` lies."""
-    names = [*term_names(PRIVILEGED_TERMS, hand), *(f"taxel {name}" for name in taxel_names)]
+    names = [
+        *term_names(PRIVILEGED_TERMS, hand),
+        *(f"taxel {name}" for name in taxel_names),
+    ]
     return NamedBox(names, len(taxel_names), is_boolean)
 
 

@@ -27,7 +27,9 @@ def import_modules(names: Iterable[str]) -> None:
             import_module(name)
         except (Exception, SystemExit) as error:  # anything may happen in it
             reason = f"{type(error).__name__}: {error}"
-            raise ValueError(f"import: found {name!r}, which cannot be imported ({reason})") from error
+            raise ValueError(
+                f"import: found {name!r}, which cannot be imported ({reason})"
+            ) from error
         if name not in imported:
             imported.append(name)
 
@@ -39,7 +41,11 @@ def look_here() -> None:
 
 
 def find(
-    group: str, known: dict[str, Any], name: str, fits: Callable[[Any], bool], allowed: str
+    group: str,
+    known: dict[str, Any],
+    name: str,
+    fits: Callable[[Any], bool],
+    allowed: str,
 ) -> Any:
     """What is called `name` among those that are `known`, or else in an installed package; None where
     there is none. ValueError where it cannot be imported, or does not fit."""
@@ -50,7 +56,9 @@ def find(
         try:
             found = point.load()
         except (Exception, SystemExit) as error:
-            reason = f"{point.value} cannot be imported ({type(error).__name__}: {error})"
+            reason = (
+                f"{point.value} cannot be imported ({type(error).__name__}: {error})"
+            )
             raise ValueError(f"{group}: found {name!r}, but {reason}") from error
     if not fits(found):
         raise ValueError(f"{group}: {name!r}: found {found!r:.80}, allowed {allowed}")
@@ -58,7 +66,9 @@ def find(
     return found
 
 
-def require_class(group: str, known: dict[str, Any], base: Any, name: str, field: str) -> None:
+def require_class(
+    group: str, known: dict[str, Any], base: Any, name: str, field: str
+) -> None:
     """ValueError for a field that names no class derived from `base`, known or installed, or one that
     lacks methods."""
 
@@ -71,7 +81,9 @@ def require_class(group: str, known: dict[str, Any], base: Any, name: str, field
         more = "or what a module adds (--import MODULE)"
         raise ValueError(f"{field}: found {name!r}, allowed: {allowed}, {more}")
     if missing := sorted(getattr(found, "__abstractmethods__", ())):
-        raise ValueError(f"{field}: {name!r} ({found.__name__}) lacks {', '.join(missing)}")
+        raise ValueError(
+            f"{field}: {name!r} ({found.__name__}) lacks {', '.join(missing)}"
+        )
 
 
 def names(group: str, known: Iterable[str]) -> list[str]:

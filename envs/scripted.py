@@ -14,7 +14,10 @@ from .hands import ScriptedGrasp
 from .objects import OFFSET, YAW
 from .state import Array
 
-PERIODS = (0.04, 0.05)  # s between targets: the first that is a whole number of timesteps
+PERIODS = (
+    0.04,
+    0.05,
+)  # s between targets: the first that is a whole number of timesteps
 APPROACH, CLOSE, LIFT = 0.4, 0.8, 1.0  # s
 LIFT_HEIGHT = 0.15  # m
 FALLEN = 0.1  # m below where it was at the beginning of the hold
@@ -33,18 +36,28 @@ class Offsets(NamedTuple):
 
 def perturbed_start(rng: np.random.Generator, n_joints: int) -> Offsets:
     """As the environment's jitter would make them, but for the joints' ranges."""
-    joints = np.concatenate([np.zeros(3), rng.uniform(-JITTER_JOINT, JITTER_JOINT, n_joints - 3)])
-    return Offsets(rng.uniform(-OFFSET, OFFSET, 2), float(rng.uniform(-YAW, YAW)), joints)
+    joints = np.concatenate(
+        [np.zeros(3), rng.uniform(-JITTER_JOINT, JITTER_JOINT, n_joints - 3)]
+    )
+    return Offsets(
+        rng.uniform(-OFFSET, OFFSET, 2), float(rng.uniform(-YAW, YAW)), joints
+    )
 
 
 def perturbed_starts(env: GraspEnv, seed: int, n: int) -> Iterator[Offsets]:
     """`n` starts; each follows from `seed` and its number alone."""
     for index in range(n):
-        yield perturbed_start(np.random.default_rng([seed, index]), len(env.hand.joints))
+        yield perturbed_start(
+            np.random.default_rng([seed, index]), len(env.hand.joints)
+        )
 
 
 def hold_steps(
-    env: GraspEnv, grasp: ScriptedGrasp, start: Offsets, seconds: float, dt: float | None = None
+    env: GraspEnv,
+    grasp: ScriptedGrasp,
+    start: Offsets,
+    seconds: float,
+    dt: float | None = None,
 ) -> Iterator[bool]:
     """Perform `grasp` on the environment's simulator and yield once per control step of the
     hold: is the object still up? The environment's own episode is not involved."""
@@ -86,7 +99,9 @@ def legs(
     the fingers go from their start to where the grasp has them: 1 is all the way."""
     start = env.hand.start_targets()
     starts = dict(zip(env.hand.actuators, start, strict=True))
-    closed = np.array([grasp.targets.get(name, value) for name, value in starts.items()])
+    closed = np.array(
+        [grasp.targets.get(name, value) for name, value in starts.items()]
+    )
     closed[3:] += (closing - 1.0) * (closed[3:] - start[3:])
     above = np.concatenate([closed[:3], start[3:]])
     lifted = closed + LIFT_HEIGHT * np.eye(len(closed))[2]
@@ -95,7 +110,11 @@ def legs(
         n = round(seconds / dt)
         return [begin + (end - begin) * k / n for k in range(1, n + 1)]
 
-    return ramp(start, above, APPROACH), ramp(above, closed, CLOSE), ramp(closed, lifted, LIFT)
+    return (
+        ramp(start, above, APPROACH),
+        ramp(above, closed, CLOSE),
+        ramp(closed, lifted, LIFT),
+    )
 
 
 def grasp_for(env: GraspEnv) -> ScriptedGrasp:

@@ -46,9 +46,13 @@ class Shape:
     def squared_distance(self, points: Array) -> Array:
         """Squared distance (...) in m² from points (..., 3) to the solid, 0 inside."""
         if self.kind == "sphere":
-            return np.square(np.maximum(np.linalg.norm(points, axis=-1) - self.half_size[0], 0.0))
+            return np.square(
+                np.maximum(np.linalg.norm(points, axis=-1) - self.half_size[0], 0.0)
+            )
         if self.kind == "cylinder":
-            points = np.stack([np.hypot(points[..., 0], points[..., 1]), points[..., 2]], axis=-1)
+            points = np.stack(
+                [np.hypot(points[..., 0], points[..., 1]), points[..., 2]], axis=-1
+            )
         beyond = np.abs(points)
         beyond -= self.half_size[-points.shape[-1] :]
         np.maximum(beyond, 0.0, out=beyond)
@@ -61,7 +65,9 @@ class Shape:
             return np.full(rotation.shape[:-2], x)
         if self.kind == "cylinder":
             upright = np.abs(rotation[..., 2, 2])
-            return np.asarray(z * upright + x * np.sqrt(np.maximum(0.0, 1.0 - upright**2)))
+            return np.asarray(
+                z * upright + x * np.sqrt(np.maximum(0.0, 1.0 - upright**2))
+            )
         return np.asarray(np.abs(rotation[..., 2, :]) @ self.half_size)
 
 
@@ -123,12 +129,16 @@ class State:
         """Positions (..., k, 3) and rotations (..., k, 3, 3) of some links; ValueError for a name that
         none has."""
         at = places(self.links, links)
-        return self.link_positions.take(at, axis=-2), self.link_rotations.take(at, axis=-3)
+        return self.link_positions.take(at, axis=-2), self.link_rotations.take(
+            at, axis=-3
+        )
 
     @property
     def clearance(self) -> Array:
         """(...) under the object's lowest point, m."""
-        return self.object_position[..., 2] - self.shape.half_height(self.object_rotation)
+        return self.object_position[..., 2] - self.shape.half_height(
+            self.object_rotation
+        )
 
 
 @lru_cache(maxsize=1024)

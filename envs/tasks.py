@@ -21,7 +21,10 @@ from .simulators import Giver, Simulator
 from .state import Array, Shape, State
 from .typed import allow_only_with
 
-BEYOND_REACH, BEYOND_FALLEN = 0.08, 0.03  # m beyond where fingertips get: lost, and missed
+BEYOND_REACH, BEYOND_FALLEN = (
+    0.08,
+    0.03,
+)  # m beyond where fingertips get: lost, and missed
 
 
 @dataclass(frozen=True)
@@ -61,13 +64,17 @@ def validate(config: TaskConfig) -> None:
     """ValueError naming the first invalid field."""
     require_ends(config, "handover_reach")
     task = TASKS[config.task]
-    others = {name for other in TASKS.values() for name in other.options} - {*task.options}
+    others = {name for other in TASKS.values() for name in other.options} - {
+        *task.options
+    }
     for name in sorted(others):
         users = [other for other, kind in TASKS.items() if name in kind.options]
         allow_only_with(f"task {' or '.join(users)}", config, name)
     if config.reward is not None and config.reward not in task.rewards:
         allowed = ", ".join(task.rewards)
-        raise ValueError(f"reward: found {config.reward!r}, allowed for {config.task}: {allowed}")
+        raise ValueError(
+            f"reward: found {config.reward!r}, allowed for {config.task}: {allowed}"
+        )
     task.validate(config)
 
 
@@ -110,7 +117,9 @@ class Task(Protocol):
     def validate(cls, config: TaskConfig) -> None:
         """ValueError naming a field that does not go together with others in this task."""
 
-    def __init__(self, config: TaskConfig, hand: Hand, own_timestep: float, first: Shape) -> None:
+    def __init__(
+        self, config: TaskConfig, hand: Hand, own_timestep: float, first: Shape
+    ) -> None:
         """As configured, for a hand whose own timestep is that, s, and a scene whose first object has
         this shape."""
         self.config, self.first = config, first
@@ -121,7 +130,9 @@ class Task(Protocol):
             out_of_reach=max(OUT_OF_REACH, hand.reach + BEYOND_REACH),
         )
 
-    def start(self, usual: Start, palm: Array, shape: Shape, rng: np.random.Generator) -> Start:
+    def start(
+        self, usual: Start, palm: Array, shape: Shape, rng: np.random.Generator
+    ) -> Start:
         """How an episode begins: usually with the hand open above an object on the ground, both a
         little moved. `palm` (3,) is a place on the palm's skin, at the bases of the fingers."""
         return usual
@@ -134,7 +145,9 @@ class Task(Protocol):
         """What others do in the scene before the hand's action number `step`, or at the start (0)."""
 
     @abstractmethod
-    def after_step(self, simulator: Simulator, state: State, is_last: bool) -> tuple[Array, bool]:
+    def after_step(
+        self, simulator: Simulator, state: State, is_last: bool
+    ) -> tuple[Array, bool]:
         """What was achieved (goal_size,) with an action, the episode's last one or not; and does the
         episode end here by the task's own rules? Then it may use the simulator for a last test."""
 
@@ -159,7 +172,9 @@ class ReachGoal(Task):
     def validate(cls, config: TaskConfig) -> None:
         if not 0 <= config.goal_range <= config.goal_height:
             allowed = f"from 0 to goal_height, {config.goal_height:g} m"
-            raise ValueError(f"goal_range: found {config.goal_range} m, allowed {allowed}")
+            raise ValueError(
+                f"goal_range: found {config.goal_range} m, allowed {allowed}"
+            )
 
     def begin(self, state: State, rng: np.random.Generator) -> tuple[Array, Array]:
         goal = np.array([0.0, 0.0, self.first.half_size[2] + self.config.goal_height])
@@ -167,7 +182,9 @@ class ReachGoal(Task):
             goal += rng.uniform(-furthest, furthest, 3)
         return state.object_position, goal
 
-    def after_step(self, simulator: Simulator, state: State, is_last: bool) -> tuple[Array, bool]:
+    def after_step(
+        self, simulator: Simulator, state: State, is_last: bool
+    ) -> tuple[Array, bool]:
         return state.object_position, False
 
     def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
@@ -208,20 +225,29 @@ class LiftAndHold(Task):
     finger_weight: ClassVar[float] = 0.2
     """alpha of the paper's reward."""
 
-    def __init__(self, config: TaskConfig, hand: Hand, own_timestep: float, first: Shape) -> None:
+    def __init__(
+        self, config: TaskConfig, hand: Hand, own_timestep: float, first: Shape
+    ) -> None:
         super().__init__(config, hand, own_timestep, first)
-        self.only_goal: Array = np.append(np.zeros(1 + len(hand.fingertips)), OUTCOMES["held"])
+        self.only_goal: Array = np.append(
+            np.zeros(1 + len(hand.fingertips)), OUTCOMES["held"]
+        )
         self.goal_size = len(self.only_goal)
 
     def begin(self, state: State, rng: np.random.Generator) -> tuple[Array, Array]:
         self._is_off_ground = False
         return self._achieved(state, "undecided"), self.only_goal
 
-    def after_step(self, simulator: Simulator, state: State, is_last: bool) -> tuple[Array, bool]:
+    def after_step(
+        self, simulator: Simulator, state: State, is_last: bool
+    ) -> tuple[Array, bool]:
         if state.clearance > self.config.lift_clearance:
             is_held = self.hold.run(simulator, state)
             return self._achieved(state, "held" if is_held else "dropped"), True
-        was_off, self._is_off_ground = self._is_off_ground, bool(state.clearance > OFF_GROUND)
+        was_off, self._is_off_ground = (
+            self._is_off_ground,
+            bool(state.clearance > OFF_GROUND),
+        )
         if is_last:  # the paper's time-out is a verdict too, with its -100
             return self._achieved(state, "timed_out"), True
         has_fallen = was_off and not self._is_off_ground
@@ -239,7 +265,12 @@ class LiftAndHold(Task):
         near = closeness[..., 0] + self.finger_weight * closeness[..., 1:].sum(axis=-1)
         failed = near + 5.0
         return _by_outcome(
-            achieved_goal, near, fell_back=failed, dropped=failed, timed_out=-100.0, held=1000.0
+            achieved_goal,
+            near,
+            fell_back=failed,
+            dropped=failed,
+            timed_out=-100.0,
+            held=1000.0,
         )
 
 
@@ -278,17 +309,23 @@ class Handover(Task):
         """ValueError where an episode ends before the hold test, or the giver lets go on the way."""
         least, found = cls.waits[1] + cls.stays + cls.settles, config.max_episode_steps
         if found is not None and found < least:
-            raise ValueError(f"max_episode_steps: found {found}, allowed {least} or more in a handover")
+            raise ValueError(
+                f"max_episode_steps: found {found}, allowed {least} or more in a handover"
+            )
         fastest = 2 * (cls.below + cls.beyond) / cls.giver.speed / cls.stays
         if config.control_dt < fastest:
             found_dt = f"control_dt: found {config.control_dt} s, allowed {fastest:.3f} s or more in a"
             raise ValueError(f"{found_dt} handover: the object would not arrive")
 
-    def __init__(self, config: TaskConfig, hand: Hand, own_timestep: float, first: Shape) -> None:
+    def __init__(
+        self, config: TaskConfig, hand: Hand, own_timestep: float, first: Shape
+    ) -> None:
         super().__init__(config, hand, own_timestep, first)
         self.fallen = max(self.fallen, hand.reach + BEYOND_FALLEN)
 
-    def start(self, usual: Start, palm: Array, shape: Shape, rng: np.random.Generator) -> Start:
+    def start(
+        self, usual: Start, palm: Array, shape: Shape, rng: np.random.Generator
+    ) -> Start:
         x, y, _ = usual.position  # fingers point along -y
         nearest, furthest = bounds("handover_reach", self.config.handover_reach)
         reach = rng.uniform(nearest, furthest) if nearest < furthest else nearest
@@ -309,12 +346,16 @@ class Handover(Task):
         elif step == self.sets_off + self.stays:
             simulator.let_go()
 
-    def after_step(self, simulator: Simulator, state: State, is_last: bool) -> tuple[Array, bool]:
+    def after_step(
+        self, simulator: Simulator, state: State, is_last: bool
+    ) -> tuple[Array, bool]:
         since = self._step - self.sets_off - self.stays
         if since >= 0 and _distance(state.palm, state.object_position) > self.fallen:
             return _outcome("missed"), True
         if since >= self.settles:
-            return _outcome("held" if self.hold.run(simulator, state) else "missed"), True
+            return _outcome(
+                "held" if self.hold.run(simulator, state) else "missed"
+            ), True
         return _outcome("undecided"), False
 
     def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:

@@ -44,7 +44,10 @@ class Point(NamedTuple):
         """Lines of a layout file."""
         values = {"name": self.name, **self._asdict()}.items()
         own = ((key, value) for key, value in values if value != ())
-        return ["[[taxel]]", *(f"{k} = {json.dumps(v, ensure_ascii=False)}" for k, v in own)]
+        return [
+            "[[taxel]]",
+            *(f"{k} = {json.dumps(v, ensure_ascii=False)}" for k, v in own),
+        ]
 
 
 def point(data: Any, index: int) -> Point:
@@ -55,13 +58,17 @@ def point(data: Any, index: int) -> Point:
     link = data.get("link")
     if not isinstance(link, str) or not link:
         raise ValueError(f"{where}: link: found {link!r}, expected the name of a link")
-    position = vector(data.get("position"), 3, f"{where}: position", -FARTHEST, FARTHEST)
+    position = vector(
+        data.get("position"), 3, f"{where}: position", -FARTHEST, FARTHEST
+    )
     normal: tuple[float, ...] = ()
     if "normal" in data:
         normal = vector(data["normal"], 3, f"{where}: normal")
         length = float(np.linalg.norm(normal))
         if not 0.5 <= length <= 2.0:
-            raise ValueError(f"{where}: normal: found {list(normal)}, expected a unit vector")
+            raise ValueError(
+                f"{where}: normal: found {list(normal)}, expected a unit vector"
+            )
         normal = tuple((np.array(normal) / length).tolist())
     radius = number(data.get("radius", RADIUS), f"{where}: radius", 1e-4, 0.02)
     name = str(data.get("name") or f"{link}[{index + 1}]")
@@ -70,7 +77,10 @@ def point(data: Any, index: int) -> Point:
 
 def require_distinct(points: Sequence[Point]) -> None:
     """ValueError when two have the same name or lie in the same place."""
-    for what, of in (("name", lambda p: p.name), ("place", lambda p: (p.link, p.position))):
+    for what, of in (
+        ("name", lambda p: p.name),
+        ("place", lambda p: (p.link, p.position)),
+    ):
         seen: dict[Any, int] = {}
         for index, each in enumerate(points):
             if (first := seen.setdefault(of(each), index)) != index:
@@ -90,12 +100,16 @@ def read(path: Path, link: str | None = None) -> tuple[Point, ...]:
         try:
             tables = list(READERS[path.suffix](content))
         except BROKEN as error:
-            raise ValueError(f"not of this format ({type(error).__name__}: {error})") from None
+            raise ValueError(
+                f"not of this format ({type(error).__name__}: {error})"
+            ) from None
         if not 0 < len(tables) <= MOST:
             raise ValueError(f"found {len(tables)} taxels, allowed from 1 to {MOST}")
         own = {} if link is None else {"link": link}
         if link is None and "link" not in tables[0]:
-            raise ValueError("names no link; put it on one in a layout file: [[sensor]]")
+            raise ValueError(
+                "names no link; put it on one in a layout file: [[sensor]]"
+            )
         points = tuple(point({**one, **own}, index) for index, one in enumerate(tables))
         require_distinct(points)
         return points
@@ -112,15 +126,21 @@ def mounted(sensors: Sequence[Any], index: int, folder: Path) -> Iterator[Point]
         raise ValueError(f"{where}: file: found {file!r}, allowed {allowed}")
     alike = sum(earlier["file"] == file for earlier in sensors[:index])
     again = f" {alike + 1}" if alike else ""
-    shift = vector(data.get("position", (0, 0, 0)), 3, f"{where}: position", -FARTHEST, FARTHEST)
+    shift = vector(
+        data.get("position", (0, 0, 0)), 3, f"{where}: position", -FARTHEST, FARTHEST
+    )
     quaternion = vector(data.get("quaternion", (1, 0, 0, 0)), 4, f"{where}: quaternion")
     if abs(float(np.linalg.norm(quaternion)) - 1.0) > 0.1:
-        raise ValueError(f"{where}: quaternion: found {list(quaternion)}, expected one of length 1")
+        raise ValueError(
+            f"{where}: quaternion: found {list(quaternion)}, expected one of length 1"
+        )
     turn = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
     for link in strings(data.get("links"), f"{where}: links"):
         for number_of, each in enumerate(read(folder / file, link), 1):
             place = tuple((np.array(shift) + turn @ each.position).tolist())
-            radius = number(data.get("radius", each.radius), f"{where}: radius", 1e-4, 0.02)
+            radius = number(
+                data.get("radius", each.radius), f"{where}: radius", 1e-4, 0.02
+            )
             name = f"{link}.{Path(file).stem}{again}[{number_of}]"
             normal = tuple((turn @ each.normal).tolist()) if each.normal else ()
             yield Point(link, place, normal, radius, name)

@@ -41,8 +41,12 @@ def _read_genesis(content: bytes) -> Tables:
 
 def _write_genesis(points: Sequence[Point]) -> bytes:
     entries = []
-    for link, group in groupby(sorted(points, key=lambda p: p.link), key=lambda p: p.link):
-        probes = [{"radius": p.radius, "pos": p.position, "normal": p.normal} for p in group]
+    for link, group in groupby(
+        sorted(points, key=lambda p: p.link), key=lambda p: p.link
+    ):
+        probes = [
+            {"radius": p.radius, "pos": p.position, "normal": p.normal} for p in group
+        ]
         entries.append({"link_name": link, "kind": "grid", "probes": [probes]})
     return (json.dumps(entries, indent=1) + "\n").encode()
 
@@ -97,17 +101,24 @@ def _read_orca(content: bytes) -> Tables:
         raise ValueError(f"units: found {data['units']!r}, allowed {', '.join(UNITS)}")
     rows = data["coordinates"]
     if data.get("num_taxels", len(rows)) != len(rows):
-        raise ValueError(f"num_taxels: found {data['num_taxels']!r} and {len(rows)} coordinates")
+        raise ValueError(
+            f"num_taxels: found {data['num_taxels']!r} and {len(rows)} coordinates"
+        )
     for row in rows:
         normal = {"normal": row["z_axis"]} if "z_axis" in row else {}
-        yield {"position": [UNITS[data["units"]] * row[axis] for axis in "xyz"], **normal}
+        yield {
+            "position": [UNITS[data["units"]] * row[axis] for axis in "xyz"],
+            **normal,
+        }
 
 
 def _read_icub(content: bytes) -> Tables:
     """The skin of a part, named as its link. Rows of zeros stand for taxels that it does not have;
     rows in the place of another, after rounding, are left out as well."""
     head, found, rows = content.decode("utf-8").partition(ROWS)
-    names = [line.split()[1] for line in head.splitlines() if line.split()[:1] == ["name"]]
+    names = [
+        line.split()[1] for line in head.splitlines() if line.split()[:1] == ["name"]
+    ]
     if not found or len(names) != 1:
         raise ValueError(f"found no name and {ROWS}, expected iCub's skin positions")
     seen: set[tuple[float, ...]] = {(0.0, 0.0, 0.0)}
@@ -129,7 +140,9 @@ READERS: dict[str, Callable[[bytes], Tables]] = {
     ".txt": _read_icub,
 }
 WRITERS: dict[str, Callable[[Sequence[Point]], bytes]] = {
-    ".toml": lambda points: ("\n".join("\n".join([*p.toml(), ""]) for p in points)).encode(),
+    ".toml": lambda points: (
+        "\n".join("\n".join([*p.toml(), ""]) for p in points)
+    ).encode(),
     ".json": _write_genesis,
     ".csv": _write_csv,
 }

@@ -29,7 +29,9 @@ if TYPE_CHECKING:
     from .hands.skins import Geom
 
 SKIN = 5e-4  # m, how thick the skin is: what is further from a link's surface does not touch it
-SLACK = 5e-5  # m, by how much the distance of a bone from the object may be taken too large
+SLACK = (
+    5e-5  # m, by how much the distance of a bone from the object may be taken too large
+)
 
 
 class LinkPoints:
@@ -39,7 +41,9 @@ class LinkPoints:
     link; the poses stack to (4k, 3). Poses and points may have leading batch axes (...).
     """
 
-    def __init__(self, links: tuple[str, ...], link_index: Array, points: Array) -> None:
+    def __init__(
+        self, links: tuple[str, ...], link_index: Array, points: Array
+    ) -> None:
         """`points` (n, 3), each in the frame of the link that `link_index` (n,) says, m."""
         n, k = len(points), len(links)
         blocks = np.zeros((n, k, 4))
@@ -61,7 +65,9 @@ class LinkPoints:
 
 def _stacked(positions: Array, rotations: Array) -> Array:
     """Poses (..., k, 3), (..., k, 3, 3) as the factor (..., 4k, 3) of `LinkPoints`."""
-    poses = np.concatenate([rotations.swapaxes(-1, -2), positions[..., None, :]], axis=-2)
+    poses = np.concatenate(
+        [rotations.swapaxes(-1, -2), positions[..., None, :]], axis=-2
+    )
     return poses.reshape(*positions.shape[:-2], -1, 3)
 
 
@@ -107,7 +113,9 @@ class SkinTouch(Rule):
         bones: list[tuple[int, Array, float]] = []  # link, points (m, 3), reach
         bone_of_link: dict[int, int] = {}
         bone = np.arange(len(taxels))  # of each taxel
-        places = zip(taxels.link_index.tolist(), taxels.positions, taxels.radii, strict=True)
+        places = zip(
+            taxels.link_index.tolist(), taxels.positions, taxels.radii, strict=True
+        )
         for taxel, (link, position, radius) in enumerate(places):
             carrier = surfaces[taxels.surfaces[taxel]]
             bone[taxel] = bone_of_link.get(link, len(bones))
@@ -124,14 +132,19 @@ class SkinTouch(Rule):
         self._bone, self._first = bone, np.cumsum([0, *sizes[:-1]])
         self._points = LinkPoints(
             taxels.links,
-            np.concatenate([taxels.link_index, np.repeat([link for link, _, _ in bones], sizes)]),
+            np.concatenate(
+                [taxels.link_index, np.repeat([link for link, _, _ in bones], sizes)]
+            ),
             np.concatenate([taxels.positions, *(points for _, points, _ in bones)]),
         )
         reaches = np.repeat([reach for _, _, reach in bones], sizes)
         self._squared_reaches = np.concatenate([taxels.radii, reaches]) ** 2
 
     def read(self, state: State) -> Array:
-        in_reach = state.shape.squared_distance(self._points.local(state)) <= self._squared_reaches
+        in_reach = (
+            state.shape.squared_distance(self._points.local(state))
+            <= self._squared_reaches
+        )
         n = len(self._bone)
         touches = np.logical_or.reduceat(in_reach[..., n:], self._first, axis=-1)
         is_on = in_reach[..., :n] & touches[..., self._bone]
@@ -160,10 +173,14 @@ class _Shaped:
                 own = list(first[surface.link])
                 nearest, _ = self._geoms.nearest(own, taxels.positions[taxel])
                 carried.setdefault(nearest, []).append(taxel)
-        self._links = {geom: int(taxels.link_index[some[0]]) for geom, some in carried.items()}
+        self._links = {
+            geom: int(taxels.link_index[some[0]]) for geom, some in carried.items()
+        }
         self._taxels = {geom: np.array(some) for geom, some in carried.items()}
 
-    def correct(self, is_on: Array, state: State, positions: Array, rotations: Array) -> None:
+    def correct(
+        self, is_on: Array, state: State, positions: Array, rotations: Array
+    ) -> None:
         """Turn off in `is_on` (..., n) what is on links that do not touch."""
         for geom, taxels in self._taxels.items():
             link = self._links[geom]
@@ -222,12 +239,16 @@ class ForceRule(SkinTouch):
         taxels, contacts = self._taxels, state.contacts
         is_on = super().read(state)
         index = {name: number for number, name in enumerate(taxels.links)}
-        link = np.array([index.get(state.links[link], -1) for link in contacts.links], int)
+        link = np.array(
+            [index.get(state.links[link], -1) for link in contacts.links], int
+        )
         felt = link >= 0
         if not (is_on.any() and felt.any()):
             return np.zeros(len(taxels))
         offsets = self._centres.world(state)[:, None] - contacts.points[felt]
-        weights = is_on[:, None] / (np.square(offsets).sum(axis=-1) + taxels.radii[:, None] ** 2)
+        weights = is_on[:, None] / (
+            np.square(offsets).sum(axis=-1) + taxels.radii[:, None] ** 2
+        )
         weights *= taxels.link_index[:, None] == link[felt]
         total = weights.sum(axis=0)
         return weights @ np.divide(
@@ -235,4 +256,8 @@ class ForceRule(SkinTouch):
         )
 
 
-RULES: dict[str, type[Rule]] = {"skin": SkinTouch, "contact": ContactRule, "force": ForceRule}
+RULES: dict[str, type[Rule]] = {
+    "skin": SkinTouch,
+    "contact": ContactRule,
+    "force": ForceRule,
+}

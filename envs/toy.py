@@ -57,7 +57,9 @@ class LQREnv(gym.Env[Array, Array]):
         """(cost-to-go matrix (2, 2), gain (1, 2)) at each step: the optimal force is -gain @ x."""
         cost, solution = np.zeros((2, 2)), []
         for _ in range(cls.max_episode_steps):
-            gain = np.linalg.solve(cls.R + cls.B.T @ cost @ cls.B, cls.B.T @ cost @ cls.A)
+            gain = np.linalg.solve(
+                cls.R + cls.B.T @ cost @ cls.B, cls.B.T @ cost @ cls.A
+            )
             cost = cls.Q + cls.A.T @ cost @ (cls.A - cls.B @ gain)
             solution.append((cost, gain))
         return solution[::-1]
@@ -96,25 +98,45 @@ class PointReachEnv(gym.Env[Any, Array]):
         self._steps = 0
         return self._obs(), {"is_success": False}
 
-    def step(self, action: Array) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
-        self._point = self._point + self.speed * np.clip(np.asarray(action, np.float64), -1.0, 1.0)
+    def step(
+        self, action: Array
+    ) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
+        self._point = self._point + self.speed * np.clip(
+            np.asarray(action, np.float64), -1.0, 1.0
+        )
         self._steps += 1
         obs = self._obs()
-        reward = float(self.compute_reward(obs["achieved_goal"], obs["desired_goal"], {}))
-        return obs, reward, False, self._steps >= self.max_episode_steps, {"is_success": reward == 0.0}
+        reward = float(
+            self.compute_reward(obs["achieved_goal"], obs["desired_goal"], {})
+        )
+        return (
+            obs,
+            reward,
+            False,
+            self._steps >= self.max_episode_steps,
+            {"is_success": reward == 0.0},
+        )
 
     def render(self) -> Array | None:
         """The point, and its goal in grey, RGB uint8."""
         return None if self.render_mode is None else _drawn(self._goal, self._point)
 
-    def compute_reward(self, achieved_goal: Array, desired_goal: Array, info: Any) -> Array:
+    def compute_reward(
+        self, achieved_goal: Array, desired_goal: Array, info: Any
+    ) -> Array:
         """Rewards (...) of goals (..., 2)."""
-        distance = np.linalg.norm(np.asarray(achieved_goal) - np.asarray(desired_goal), axis=-1)
+        distance = np.linalg.norm(
+            np.asarray(achieved_goal) - np.asarray(desired_goal), axis=-1
+        )
         return (distance <= self.tolerance) - 1.0
 
     def _obs(self) -> dict[str, Array]:
         point, goal = self._point.astype(np.float32), self._goal.astype(np.float32)
-        return {"observation": point, "achieved_goal": point.copy(), "desired_goal": goal}
+        return {
+            "observation": point,
+            "achieved_goal": point.copy(),
+            "desired_goal": goal,
+        }
 
 
 def _drawn(*points: Array) -> Array:

@@ -8,14 +8,27 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator, Mapping
 from types import NoneType
-from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    TypeVar,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 from typeguard import CollectionCheckStrategy, TypeCheckError, check_type
 
 T = TypeVar("T")
 Fraction = Annotated[float, "[0, 1]"]
-WORDS = {int: "a whole number", float: "a number", str: "a string", bool: "True or False"}
+WORDS = {
+    int: "a whole number",
+    float: "a number",
+    str: "a string",
+    bool: "True or False",
+}
 LARGEST = 2**63  # whole numbers stay below, so that they have a place in an array
 
 
@@ -84,11 +97,17 @@ def require_type(value: Any, hint: Any, name: str) -> None:
     """ValueError when `value` is not of the type `hint`, or not in its range; True is no number, nor is
     10**400."""
     try:
-        check_type(value, hint, collection_check_strategy=CollectionCheckStrategy.ALL_ITEMS)
+        check_type(
+            value, hint, collection_check_strategy=CollectionCheckStrategy.ALL_ITEMS
+        )
     except TypeCheckError:
         if allowed := choices(hint):
-            raise ValueError(f"{name}: found {value!r}, allowed: {', '.join(allowed)}") from None
-        raise ValueError(f"{name}: found {_short(value)}, allowed {words(hint)}") from None
+            raise ValueError(
+                f"{name}: found {value!r}, allowed: {', '.join(allowed)}"
+            ) from None
+        raise ValueError(
+            f"{name}: found {_short(value)}, allowed {words(hint)}"
+        ) from None
     items = value if isinstance(value, tuple) else (value,)
     for item, own in zip(items, _of_items(hint, len(items)), strict=True):
         if isinstance(item, str) and "\0" in item:
@@ -96,7 +115,9 @@ def require_type(value: Any, hint: Any, name: str) -> None:
         if isinstance(item, bool) and bool not in parts(own):
             raise ValueError(f"{name}: found {item}, expected a number")
         if isinstance(item, int) and abs(item) >= LARGEST:
-            raise ValueError(f"{name}: found a number of {item.bit_length()} bits, allowed up to 63")
+            raise ValueError(
+                f"{name}: found a number of {item.bit_length()} bits, allowed up to 63"
+            )
         for part in parts(own) if isinstance(item, int | float) else ():
             for interval in getattr(part, "__metadata__", ()):
                 if isinstance(interval, str):
@@ -106,7 +127,9 @@ def require_type(value: Any, hint: Any, name: str) -> None:
 def _of_items(hint: Any, n: int) -> tuple[Any, ...]:
     """The types of the `n` items of a tuple, each its own where the type says so."""
     tuples = (get_args(part) for part in parts(hint) if get_origin(part) is tuple)
-    return next((own for own in tuples if len(own) == n and ... not in own), (hint,) * n)
+    return next(
+        (own for own in tuples if len(own) == n and ... not in own), (hint,) * n
+    )
 
 
 def _require_within(value: float, interval: str, name: str) -> None:
@@ -144,7 +167,9 @@ def words(hint: Any) -> str:
     parts = ["..." if part is ... else words(part) for part in get_args(hint)]
     if get_origin(hint) is tuple:
         return f"a list ({', '.join(parts)})"
-    return " or ".join(parts) or WORDS.get(hint, "None" if hint is NoneType else hint.__name__)
+    return " or ".join(parts) or WORDS.get(
+        hint, "None" if hint is NoneType else hint.__name__
+    )
 
 
 def _short(value: Any) -> str:

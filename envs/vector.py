@@ -37,14 +37,22 @@ class Workers:
     """Environments and who plays in them. Closing them closes all environments."""
 
     def __init__(
-        self, players: Sequence[Player], env: gym.Env[Any, Any], opened: ExitStack | None = None
+        self,
+        players: Sequence[Player],
+        env: gym.Env[Any, Any],
+        opened: ExitStack | None = None,
     ) -> None:
         """`env` answers what does not depend on an episode; a player may play in it. `opened` is
         what has to be closed in the end."""
         self.env, self._players, self._opened = env, players, opened or ExitStack()
-        self.observation_space, self.action_space = env.observation_space, env.action_space
+        self.observation_space, self.action_space = (
+            env.observation_space,
+            env.action_space,
+        )
         # One thread each, so that a player ends what it is at before it begins anything else.
-        self._threads = [self._opened.enter_context(ThreadPoolExecutor(1)) for _ in players]
+        self._threads = [
+            self._opened.enter_context(ThreadPoolExecutor(1)) for _ in players
+        ]
 
     def __len__(self) -> int:
         return len(self._players)
@@ -55,14 +63,22 @@ class Workers:
         limits = [getattr(self.env.unwrapped, "max_episode_steps", None)]
         limits += [self.env.spec.max_episode_steps] if self.env.spec else []
         limit = "_max_episode_steps"  # of a TimeLimit around an environment that is not registered
-        limits += [self.env.get_wrapper_attr(limit)] if self.env.has_wrapper_attr(limit) else []
+        limits += (
+            [self.env.get_wrapper_attr(limit)]
+            if self.env.has_wrapper_attr(limit)
+            else []
+        )
         return min((limit for limit in limits if limit), default=None)
 
-    def compute_reward(self, achieved_goal: np.ndarray, desired_goal: np.ndarray) -> np.ndarray:
+    def compute_reward(
+        self, achieved_goal: np.ndarray, desired_goal: np.ndarray
+    ) -> np.ndarray:
         """Rewards (n,) of goals (n, goal_size), by the outermost wrapper that has an opinion;
         ValueError where there is none."""
         if not self.env.has_wrapper_attr("compute_reward"):
-            raise ValueError("compute_reward: found none, allowed environments that have it")
+            raise ValueError(
+                "compute_reward: found none, allowed environments that have it"
+            )
         reward = self.env.get_wrapper_attr("compute_reward")
         return np.asarray(reward(achieved_goal, desired_goal, {}))
 
@@ -77,7 +93,9 @@ class Workers:
                 yield self._players[0].play(job, number, lambda: True)
             return
         left, lock, is_over = iter(numbers), threading.Lock(), threading.Event()
-        futures: SimpleQueue[Future[T] | None] = SimpleQueue()  # in order; None: there are no more
+        futures: SimpleQueue[Future[T] | None] = (
+            SimpleQueue()
+        )  # in order; None: there are no more
 
         def work(player: Player) -> None:
             while not is_over.is_set():
@@ -86,7 +104,9 @@ class Workers:
                         break
                     futures.put(future := Future[T]())
                 try:
-                    future.set_result(player.play(job, number, lambda: not is_over.is_set()))
+                    future.set_result(
+                        player.play(job, number, lambda: not is_over.is_set())
+                    )
                 except BaseException as error:  # else future.result() never returns
                     future.set_exception(error)
             futures.put(None)
@@ -114,7 +134,10 @@ class LocalPlayer:
 
 
 def previously(
-    job: Job[Any], env: gym.Env[Any, Any], number: int, is_wanted: IsWanted = lambda: True
+    job: Job[Any],
+    env: gym.Env[Any, Any],
+    number: int,
+    is_wanted: IsWanted = lambda: True,
 ) -> None:
     """Where an episode depends on the one before, as with touch "shuffled", play one that depends on
     `number` alone and not on what this worker has played: the episode -1 - `number`, after none."""
@@ -145,8 +168,12 @@ class RemotePlayer:
         # Never forks of this process, which would copy threads' locks and an MPI process's
         # connections. On Linux they are forks of a server that has imported what takes seconds, which
         # is Python's own default from 3.14 on.
-        context: Any = multiprocessing.get_context("forkserver" if sys.platform == "linux" else "spawn")
-        context.set_forkserver_preload(["gymnasium", "torch"])  # no matter when one is not installed
+        context: Any = multiprocessing.get_context(
+            "forkserver" if sys.platform == "linux" else "spawn"
+        )
+        context.set_forkserver_preload(
+            ["gymnasium", "torch"]
+        )  # no matter when one is not installed
         self._connection, there = context.Pipe()
         args = there, make, set_up, plugins.imported
         self._process = context.Process(target=_serve, args=args, daemon=True)
@@ -194,7 +221,10 @@ Player = LocalPlayer | RemotePlayer
 
 
 def _serve(
-    connection: Connection[Any, Any], make: Make, set_up: Callable[[], Any], modules: Sequence[str]
+    connection: Connection[Any, Any],
+    make: Make,
+    set_up: Callable[[], Any],
+    modules: Sequence[str],
 ) -> None:
     """A process's life: do the job it was sent last for the numbers it is sent.
 
@@ -214,7 +244,9 @@ def _serve(
         while True:
             if (message := connection.recv()) is not None:
                 job, number = message[0] or job, message[1]
-                connection.send(_tried(_played, job, env, number, lambda: not connection.poll()))
+                connection.send(
+                    _tried(_played, job, env, number, lambda: not connection.poll())
+                )
 
 
 def _tried(compute: Callable[..., Any], *args: Any) -> Any:
@@ -238,7 +270,11 @@ def start(make: Make, workers: int = 1, set_up: Callable[[], Any] = bool) -> Wor
     """
     with ExitStack() as opened:
         env = opened.enter_context(closing(make()))
-        kind = getattr(env.unwrapped, "side_by_side", "processes") if workers > 1 else "in turn"
+        kind = (
+            getattr(env.unwrapped, "side_by_side", "processes")
+            if workers > 1
+            else "in turn"
+        )
         players: list[Player] = [LocalPlayer(env)]
         if kind == "threads":
             more = (opened.enter_context(closing(make())) for _ in range(workers - 1))

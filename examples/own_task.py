@@ -21,7 +21,9 @@ class HoldCup(Handover):
     limit: ClassVar[float] = 20.0
     """Sum of the normal forces on the cup, N."""
 
-    def after_step(self, simulator: Simulator, state: State, is_last: bool) -> tuple[Array, bool]:
+    def after_step(
+        self, simulator: Simulator, state: State, is_last: bool
+    ) -> tuple[Array, bool]:
         """As in a handover, unless the cup is crushed."""
         if state.contacts.forces.sum() > self.limit:
             return np.array([OUTCOMES["missed"]]), True

@@ -19,8 +19,20 @@ grasps = parser.parse_known_args()[0].steps
 # %% Scripted grasps of cubes that lie somewhat differently each time. They are kept: ask them again
 # about other layouts with `--from`, without playing any.
 out = Path(tempfile.mkdtemp(prefix="tactilerl_"))
-flags = ["--grasps", str(grasps), "--layout", "1", "4", "--folds", "2", "--joint-noise", "0"]
-tactilerl_command(["probe", *flags, "--resamples", "200", "--shuffles", "2", "--out", str(out)])
+flags = [
+    "--grasps",
+    str(grasps),
+    "--layout",
+    "1",
+    "4",
+    "--folds",
+    "2",
+    "--joint-noise",
+    "0",
+]
+tactilerl_command(
+    ["probe", *flags, "--resamples", "200", "--shuffles", "2", "--out", str(out)]
+)
 
 # %% The answers as data, and the figures beside them
 answers = json.loads((out / "probe.json").read_text())

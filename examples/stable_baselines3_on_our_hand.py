@@ -23,7 +23,9 @@ env = gym.wrappers.FilterObservation(env, ["observation", "desired_goal"])
 print(env.observation_space)
 
 # %% Train with Stable-Baselines3's own PPO
-model = PPO("MultiInputPolicy", env, n_steps=min(500, steps), batch_size=50, verbose=1, seed=0)
+model = PPO(
+    "MultiInputPolicy", env, n_steps=min(500, steps), batch_size=50, verbose=1, seed=0
+)
 model.learn(steps)
 
 # %% One episode of what it has learned

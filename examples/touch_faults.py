@@ -28,8 +28,12 @@ else:
 # taxel_false_off, taxel_delay. Lifted objects are judged early, for speed; without `hold_verdict`
 # each hold lasts 20 s.
 for share in (0.0, 0.2, 0.5):
-    hand = tactilerl.make("shadow", layout=4, taxel_dead=share, hold_verdict="settled", hand_seed=0)
+    hand = tactilerl.make(
+        "shadow", layout=4, taxel_dead=share, hold_verdict="settled", hand_seed=0
+    )
     result = tactilerl.evaluate(policy, hand, episodes=EPISODES)
     low, high = result["success_rate_ci"]
-    print(f"{share:4.0%} dead: success rate {result['success_rate']:.2f} ({low:.2f} to {high:.2f})")
+    print(
+        f"{share:4.0%} dead: success rate {result['success_rate']:.2f} ({low:.2f} to {high:.2f})"
+    )
     hand.close()

@@ -34,7 +34,9 @@ run = tactilerl.train(
 # %% How good is it?
 policy = tactilerl.load_policy(run)
 result = tactilerl.evaluate(policy, tactilerl.make("shadow", layout=4), episodes=3)
-print(f"success rate {result['success_rate']:.2f}, interval {result['success_rate_ci']}")
+print(
+    f"success rate {result['success_rate']:.2f}, interval {result['success_rate_ci']}"
+)
 
 # %% Watch it: taxels that fire light up
 film = folder / "film.mp4"

@@ -14,7 +14,9 @@ import sys
 
 from .version import __version__ as __version__
 
-if "gymnasium" in sys.modules:  # else it would be most of what importing this package costs
+if (
+    "gymnasium" in sys.modules
+):  # else it would be most of what importing this package costs
     from . import envs as envs
 
 TYPE_CHECKING = False  # typing's own would be the rest

@@ -76,7 +76,9 @@ class Learner:
         typed.require_type(recipe, str, "recipe")
         defaults = recipes.recipe(self.algo, recipe)
         options = dict(seed=seed, workers=workers, device=device, threads=threads)
-        require_known(hyperparameters, typed.names(defaults) | {*options, "recipe"}, PEERS)
+        require_known(
+            hyperparameters, typed.names(defaults) | {*options, "recipe"}, PEERS
+        )
         self.config = typed.replace(defaults, hyperparameters)
         self._run = typed.replace(RunOptions(algo=self.algo), options)
         for part in (self._run, self.config):
@@ -136,7 +138,10 @@ class Learner:
         return copy.deepcopy(self._learner.policy())
 
     def act(
-        self, obs: Any, deterministic: bool = True, rng: np.random.Generator | None = None
+        self,
+        obs: Any,
+        deterministic: bool = True,
+        rng: np.random.Generator | None = None,
     ) -> np.ndarray:
         """Actions of the current policy: see `Policy.act`."""
         return self._learner.policy().act(obs, deterministic, rng)
@@ -188,14 +193,20 @@ def evaluate(
         policy = policy.policy()
     if not isinstance(policy, Policy):
         found = type(policy).__name__
-        raise ValueError(f"policy: found {found}, allowed what load_policy reads, or a learner")
+        raise ValueError(
+            f"policy: found {found}, allowed what load_policy reads, or a learner"
+        )
     with _threads(1), closing(_start(env, workers)) as played_in:
-        policy.require_spaces(Spaces(played_in.observation_space, played_in.action_space))
+        policy.require_spaces(
+            Spaces(played_in.observation_space, played_in.action_space)
+        )
         played = played_in.play(evaluation.task(policy, stochastic), range(episodes))
         return evaluation.summarise([evaluation.row(episode) for episode in played])
 
 
-def design(*, taxels: int | str = 4, workers: int | None = None, **flags: Any) -> Layout:
+def design(
+    *, taxels: int | str = 4, workers: int | None = None, **flags: Any
+) -> Layout:
     """Choose where a hand's taxels go, as ``tactilerl design`` does; a layout for ``make(layout=...)``.
 
     Flags of the command are keywords, as in ``design(scene="handover", taxels=1, only=("palm",))``. Of
@@ -207,7 +218,9 @@ def design(*, taxels: int | str = 4, workers: int | None = None, **flags: Any) -
 
     wanted = typed.names(DesignFlags)
     require_known(flags, wanted)
-    listed = {name: (flags[name],) for name in ("scene",) if isinstance(flags.get(name), str)}
+    listed = {
+        name: (flags[name],) for name in ("scene",) if isinstance(flags.get(name), str)
+    }
     chosen = {**flags, **listed, "taxels": str(taxels), "workers": workers}
     read = typed.replace(DesignFlags(), chosen)
     read.validate()
@@ -242,7 +255,9 @@ def train(
         raise ValueError("out: found with resume; a resumed run stays in its folder")
     base = resolve(algo, env or "", recipe, scene, resume, trust)
     said = {"algo": algo, "out": out and str(out)}
-    chosen = base.choose({**flags, **{name: value for name, value in said.items() if value}})
+    chosen = base.choose(
+        {**flags, **{name: value for name, value in said.items() if value}}
+    )
     return training.train(chosen, mpi.world())
 
 
@@ -262,11 +277,15 @@ def _start(env: Env, workers: int | None, threads: int = 1) -> vector.Workers:
             f"env: found {type(env).__name__}, allowed an environment, an id or a function"
         )
     try:
-        return vector.start(partial(_made, make), workers or 1, partial(torch.set_num_threads, threads))
+        return vector.start(
+            partial(_made, make), workers or 1, partial(torch.set_num_threads, threads)
+        )
     except ImportError as error:
         raise ValueError(f"env: {error}") from error
     except vector.WorkerDiedError as error:
-        error.add_note('a script that plays in processes needs `if __name__ == "__main__":`')
+        error.add_note(
+            'a script that plays in processes needs `if __name__ == "__main__":`'
+        )
         raise
 
 

@@ -9,7 +9,11 @@ PEERS: dict[str, tuple[str, str]] = {
     name: (ours, difference)
     for names, ours, difference in (
         ("batch_size", "minibatch_size", ""),
-        ("blind no_taxels no_touch run_type taxels", "touch", "with off, all taxels read zero"),
+        (
+            "blind no_taxels no_touch run_type taxels",
+            "touch",
+            "with off, all taxels read zero",
+        ),
         ("cuda gpu", "device", "cuda is a GPU"),
         ("ent_coef", "exploration", "there is no entropy bonus"),
         ("env_id env_name hand robot", "env", ""),
@@ -56,6 +60,13 @@ def input_errors(where: str = "") -> Iterator[None]:
         yield
     except InputError:  # is one line already
         raise
-    except (ValueError, OSError, ImportError, RuntimeError, OverflowError, MemoryError) as error:
+    except (
+        ValueError,
+        OSError,
+        ImportError,
+        RuntimeError,
+        OverflowError,
+        MemoryError,
+    ) as error:
         line = " ".join(str(error).split())
         raise InputError(f"{where}: {line}" if where else line) from error

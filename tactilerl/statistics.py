@@ -56,7 +56,9 @@ def converged_rate(curves: Array) -> Array:
     for run, curve in enumerate(curves):
         if len(rates := curve[~np.isnan(curve)]):
             # Rounded, for 0.58 * 50 is 28.999999999999996.
-            bins = np.minimum(np.floor(np.round(rates * N_BINS, 9)), N_BINS - 1).astype(int)
+            bins = np.minimum(np.floor(np.round(rates * N_BINS, 9)), N_BINS - 1).astype(
+                int
+            )
             counts = np.bincount(bins)[bins]  # at each point, of its bin
             last_of_fullest = np.flatnonzero(counts == counts.max())[-1]
             modes[run] = rates[bins == bins[last_of_fullest]].mean()
@@ -100,7 +102,9 @@ def trimmed(metric: Metric, n_runs: int) -> int:
 def aggregate(scores: Array, metric: Metric) -> Array:
     """Median, IQM or mean over the runs; (runs, ...) → (...)."""
     dropped = trimmed(metric, len(scores))
-    return np.asarray(np.sort(scores, axis=0)[dropped : len(scores) - dropped].mean(axis=0))
+    return np.asarray(
+        np.sort(scores, axis=0)[dropped : len(scores) - dropped].mean(axis=0)
+    )
 
 
 def resample(rng: np.random.Generator, n: int, n_resamples: int = N_RESAMPLES) -> Array:
@@ -131,7 +135,9 @@ def bootstrap(scores: Array, metric: Metric, counts: Array) -> Array:
     return np.asarray(ordered[-1] - (np.diff(ordered) / (n - 2 * k)) @ kept)
 
 
-def percentile_interval(distribution: Array, confidence: float = CONFIDENCE) -> tuple[float, float]:
+def percentile_interval(
+    distribution: Array, confidence: float = CONFIDENCE
+) -> tuple[float, float]:
     """The central part of a bootstrap distribution (n_resamples,): Efron's percentile interval.
     Resamples without a number are left out; NaN where there is no other."""
     distribution = distribution[np.isfinite(distribution)]
@@ -142,13 +148,19 @@ def percentile_interval(distribution: Array, confidence: float = CONFIDENCE) -> 
     return float(low), float(high)
 
 
-def estimate(scores: Array, metric: Metric, counts: Array, confidence: float = CONFIDENCE) -> Estimate:
+def estimate(
+    scores: Array, metric: Metric, counts: Array, confidence: float = CONFIDENCE
+) -> Estimate:
     """An aggregate of scores (runs,) with its percentile interval from `resample`'s counts."""
     value = float(aggregate(scores, metric))
-    return Estimate(value, *percentile_interval(bootstrap(scores, metric, counts), confidence))
+    return Estimate(
+        value, *percentile_interval(bootstrap(scores, metric, counts), confidence)
+    )
 
 
-def sample_efficiency(curves: Array, metric: Metric, counts: Array) -> tuple[Array, Array]:
+def sample_efficiency(
+    curves: Array, metric: Metric, counts: Array
+) -> tuple[Array, Array]:
     """Aggregate over the runs at every point, with pointwise percentile intervals.
 
     (runs, points), counts (runs, n_resamples) → (points,), (points, 2). One point at a time, so
@@ -156,13 +168,17 @@ def sample_efficiency(curves: Array, metric: Metric, counts: Array) -> tuple[Arr
     computed once.
     """
     distinct, place = np.unique(curves, axis=1, return_inverse=True)
-    intervals = np.array([estimate(scores, metric, counts)[1:] for scores in distinct.T])
+    intervals = np.array(
+        [estimate(scores, metric, counts)[1:] for scores in distinct.T]
+    )
     return aggregate(curves, metric), intervals[place.ravel()]
 
 
 def wilson_interval(n_successes: int, n: int) -> tuple[float, float]:
     """Interval of a probability from `n_successes` of `n` (Wilson 1927, scipy)."""
-    found = scipy.stats.binomtest(n_successes, n).proportion_ci(CONFIDENCE, method="wilson")
+    found = scipy.stats.binomtest(n_successes, n).proportion_ci(
+        CONFIDENCE, method="wilson"
+    )
     return float(found.low), float(found.high)
 
 
@@ -187,7 +203,9 @@ def mean(samples: Array, counts: Array, confidence: float = CONFIDENCE) -> Estim
     """Mean of samples (n,), such as differences of pairs, with its expanded percentile interval; NaN
     without samples, and no interval of a single one."""
     if len(samples) < 2:
-        return Estimate(float(samples[0]) if len(samples) else math.nan, math.nan, math.nan)
+        return Estimate(
+            float(samples[0]) if len(samples) else math.nan, math.nan, math.nan
+        )
     return estimate(samples, "mean", counts, expanded(len(samples), confidence))
 
 
@@ -199,7 +217,9 @@ def share(gain: Array, room: Array, counts: Array) -> Estimate:
     return Estimate(value, *percentile_interval(drawn, expanded(len(gain))))
 
 
-def sign_flips(n: int, rng: np.random.Generator, n_resamples: int = N_RESAMPLES) -> Array:
+def sign_flips(
+    n: int, rng: np.random.Generator, n_resamples: int = N_RESAMPLES
+) -> Array:
     """Ways to exchange the labels within `n` pairs, as signs of the differences; (ways, n), the first
     as they are.
 
@@ -219,7 +239,9 @@ def fewest_pairs(alpha: float) -> int:
     return math.ceil(1 - math.log2(alpha))
 
 
-def sign_flip_p(differences: Array, rng: np.random.Generator, n_resamples: int = N_RESAMPLES) -> float:
+def sign_flip_p(
+    differences: Array, rng: np.random.Generator, n_resamples: int = N_RESAMPLES
+) -> float:
     """Two-sided p-value of a mean difference (pairs,) when the labels are exchanged within pairs
     (Fisher 1935).
 
@@ -227,7 +249,9 @@ def sign_flip_p(differences: Array, rng: np.random.Generator, n_resamples: int =
     """
     if (n := len(differences)) < 2:
         return math.nan
-    return sequential_sign_flips(differences, [(n, 0.0)], n, rng, n_resamples)[0].p_value
+    return sequential_sign_flips(differences, [(n, 0.0)], n, rng, n_resamples)[
+        0
+    ].p_value
 
 
 class Look(NamedTuple):
@@ -293,5 +317,7 @@ def holm(p_values: Sequence[float]) -> Array:
     known = np.flatnonzero(~np.isnan(corrected))
     order = known[np.argsort(corrected[known], kind="stable")]
     factors = np.arange(len(order), 0, -1)
-    corrected[order] = np.minimum(1.0, np.maximum.accumulate(factors * corrected[order]))
+    corrected[order] = np.minimum(
+        1.0, np.maximum.accumulate(factors * corrected[order])
+    )
     return corrected

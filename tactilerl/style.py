@@ -5,8 +5,20 @@ from __future__ import annotations
 from typing import Any
 
 INK, FAINT = "#1b1f24", "#b0b0b1"
-ARMS = ("#e0a800", "#2b6cb0", "#8a5a9e", "#4d8f5b")  # treatment and control as in the paper
-OTHERS = ("#1f8a8a", "#b03020", "#6b7280", "#c2588b", "#7a6a1f", "#3f4f9e")  # what is no arm of a study
+ARMS = (
+    "#e0a800",
+    "#2b6cb0",
+    "#8a5a9e",
+    "#4d8f5b",
+)  # treatment and control as in the paper
+OTHERS = (
+    "#1f8a8a",
+    "#b03020",
+    "#6b7280",
+    "#c2588b",
+    "#7a6a1f",
+    "#3f4f9e",
+)  # what is no arm of a study
 ROLES = {
     **dict.fromkeys(("on", "main"), "touch"),
     **dict.fromkeys(("off", "control"), "no touch"),
@@ -38,7 +50,10 @@ STYLE: dict[Any, Any] = {  # with it the same input gives the same bytes
     "grid.color": FAINT,
     "grid.linewidth": 0.4,
     "legend.frameon": False,
-    **{f"{part}color": INK for part in ("text.", "axes.label", "axes.edge", "xtick.", "ytick.")},
+    **{
+        f"{part}color": INK
+        for part in ("text.", "axes.label", "axes.edge", "xtick.", "ytick.")
+    },
 }
 DPI = 180
 HEAD: dict[str, Any] = {"x": 0.01, "ha": "left", "fontweight": "bold", "wrap": True}

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import torch
 from filelock import FileLock
-
 from tactilerl.commands.cli import main
 from tactilerl.envs.hands import HANDS, loading, sandbox
 from tactilerl.envs.simulators import mujoco

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-
 from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.envs.simulators.mujoco import MujocoSimulator
 from tactilerl.envs.tasks import ReachGoal

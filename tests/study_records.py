@@ -8,7 +8,6 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-
 from tactilerl.runs import provenance
 from tactilerl.runs.run_dir import FORMAT
 from tactilerl.study import check, grid

@@ -11,14 +11,14 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
-import torch
-from one_line import printed, python
-
 import tactilerl
+import torch
 from tactilerl.algos import DivergenceError
 from tactilerl.envs.toy import PointReachEnv
 from tactilerl.runs import sealed
 from tactilerl.runs.progress_csv import TIMES
+
+from one_line import printed, python
 
 pytestmark = pytest.mark.usefixtures("in_tmp")
 ROOT = Path(__file__).resolve().parents[1]

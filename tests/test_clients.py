@@ -5,9 +5,9 @@ import json
 import gymnasium as gym
 import numpy as np
 import pytest
-from one_line import python
-
 import tactilerl
+
+from one_line import python
 
 
 def test_an_unknown_keyword_is_pythons_error_and_ours():

@@ -14,7 +14,6 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-
 from tactilerl.commands import cli
 
 ROOT = Path(__file__).resolve().parents[1]

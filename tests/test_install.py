@@ -10,6 +10,7 @@ from pathlib import Path
 from threading import Thread
 
 import pytest
+
 from one_line import python
 
 ROOT = Path(__file__).resolve().parents[1]

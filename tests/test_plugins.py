@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from one_line import fails_with, printed
-
 import tactilerl
 from tactilerl.commands.cli import main
 from tactilerl.envs import hands, plugins, tasks, touch
+
+from one_line import fails_with, printed
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 CUP = ["--import", "own_task", "--scene", str(EXAMPLES / "own_task.toml")]

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from one_line import fails_with, printed
-
 import tactilerl
 from tactilerl import algos
 from tactilerl.commands.cli import main
 from tactilerl.envs import observations, simulators, tasks
 from tests import outside
+
+from one_line import fails_with, printed
 
 TINY = ["--hidden", "8", "--steps-per-epoch", "8", "--n-passes", "1", "--workers", "1"]
 

@@ -7,7 +7,6 @@ import pytest
 from numpy.testing import assert_allclose
 from rliable import library, metrics
 from scipy import stats
-
 from tactilerl import statistics as s
 
 

@@ -35,10 +35,14 @@ def write(folder: Path, table: str) -> None:
             (place / "config.json").write_text(head["record"])
         if head["state"] == "failed":
             records.StudyFiles(folder).write_failure(run, head["reason"])
-        used = [name for name in head if name not in FIXED and any(row[name] for row in own)]
+        used = [
+            name for name in head if name not in FIXED and any(row[name] for row in own)
+        ]
         if used:
             with (place / "progress.csv").open("w", newline="") as file:
-                writer = csv.DictWriter(file, used, extrasaction="ignore", lineterminator="\n")
+                writer = csv.DictWriter(
+                    file, used, extrasaction="ignore", lineterminator="\n"
+                )
                 writer.writeheader()
                 writer.writerows(own)
 
@@ -50,7 +54,10 @@ def main() -> int:
         return 2
     old, new = map(Path, sys.argv[1:])
     try:
-        with tempfile.TemporaryDirectory() as folder, damage_named(old, "not a collected study of 0.3"):
+        with (
+            tempfile.TemporaryDirectory() as folder,
+            damage_named(old, "not a collected study of 0.3"),
+        ):
             write(Path(folder), unzip(old).decode())
             records.collect(Path(folder), out=new)
     except (InputError, FileNotFoundError) as error:

@@ -20,7 +20,9 @@ from typing import Any
 
 from docstring_parser import parse_from_object
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # for benchmarks, which is not installed
+sys.path.insert(
+    0, str(Path(__file__).resolve().parents[1])
+)  # for benchmarks, which is not installed
 
 import tactilerl
 from benchmarks import environments
@@ -63,7 +65,10 @@ def on_config(config: Any) -> Any:
     if config.repo_url:
         config.repo_name = "Repository"
     (section,) = (each for each in config.nav if "Environments" in each)
-    pages = [{environments.title(name): f"environments/{name}.md"} for name in environments.names()]
+    pages = [
+        {environments.title(name): f"environments/{name}.md"}
+        for name in environments.names()
+    ]
     section["Environments"] = [{"Overview": "environments/README.md"}, *pages]
     return config
 
@@ -72,7 +77,9 @@ def repository() -> str:
     """Where the checkout was cloned from, as a page; empty where that is none."""
     asked = ["git", "remote", "get-url", "origin"]
     told = subprocess.run(asked, capture_output=True, text=True).stdout.strip()
-    address = re.sub(r"^(?:ssh://)?git@([^:/]+)[:/]", r"https://\1/", told).removesuffix(".git")
+    address = re.sub(
+        r"^(?:ssh://)?git@([^:/]+)[:/]", r"https://\1/", told
+    ).removesuffix(".git")
     return address if address.startswith("https://") and "@" not in address else ""
 
 
@@ -80,7 +87,10 @@ def on_files(files: Any, *, config: Any) -> Any:
     """Called by mkdocs with the files of the site: adds the README and a page for each environment."""
     from mkdocs.structure.files import File  # only where a site is built
 
-    pages = {f"environments/{name}.md": environments.page(name) for name in environments.names()}
+    pages = {
+        f"environments/{name}.md": environments.page(name)
+        for name in environments.names()
+    }
     for path, text in {"index.md": home(), **pages}.items():
         files.append(File.generated(config, path, content=text))
     return files
@@ -89,7 +99,9 @@ def on_files(files: Any, *, config: Any) -> Any:
 def home() -> str:
     """The README, with links as the site has them; files outside docs/ are named without a link."""
     text = (ROOT / "README.md").read_text(encoding="utf-8").replace("](docs/", "](")
-    outside = "|".join(re.escape(path.name) for path in ROOT.iterdir() if path.is_file())
+    outside = "|".join(
+        re.escape(path.name) for path in ROOT.iterdir() if path.is_file()
+    )
     return re.sub(rf"\[([^\]]*)\]\((?:{outside})\)", r"\1", text)
 
 
@@ -123,7 +135,9 @@ def flags(command: str) -> str:
     with contextlib.redirect_stdout(output), contextlib.suppress(SystemExit):
         cli.main([*command.split(), "--help-all"])
     lines = output.getvalue().splitlines()
-    text = "\n".join(textwrap.fill(line, WIDTH, drop_whitespace=False) for line in lines)
+    text = "\n".join(
+        textwrap.fill(line, WIDTH, drop_whitespace=False) for line in lines
+    )
     return f"\n## tactilerl {command}\n\n```text\n{text}\n```\n"
 
 

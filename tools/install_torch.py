@@ -11,7 +11,15 @@ import subprocess
 import sys
 import urllib.request
 
-PIP = (sys.executable, "-m", "pip", "install", "--quiet", "--no-compile", "--disable-pip-version-check")
+PIP = (
+    sys.executable,
+    "-m",
+    "pip",
+    "install",
+    "--quiet",
+    "--no-compile",
+    "--disable-pip-version-check",
+)
 SECONDS = 5  # to wait for the index
 
 
@@ -26,18 +34,27 @@ def has_torch(index):
 
 def cuda_packages(wanted):
     """What of CUDA pip would install with what is wanted; pip's own message where it finds nothing."""
-    plan = subprocess.run([*PIP, "--dry-run", "--report", "-", *wanted], stdout=subprocess.PIPE)
+    plan = subprocess.run(
+        [*PIP, "--dry-run", "--report", "-", *wanted], stdout=subprocess.PIPE
+    )
     if plan.returncode:
         sys.exit(plan.returncode)
-    names = [package["metadata"]["name"].lower() for package in json.loads(plan.stdout)["install"]]
+    names = [
+        package["metadata"]["name"].lower()
+        for package in json.loads(plan.stdout)["install"]
+    ]
     return [name for name in names if re.match("(nvidia|cuda)[-_.]", name)]
 
 
 def main():
     """Returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--index", required=True, help="package index with the CPU build")
-    parser.add_argument("--constraint", required=True, help="file that pins the version")
+    parser.add_argument(
+        "--index", required=True, help="package index with the CPU build"
+    )
+    parser.add_argument(
+        "--constraint", required=True, help="file that pins the version"
+    )
     parser.add_argument("--cuda", action="store_true", help="allow CUDA")
     args = parser.parse_args()
     wanted = ["--constraint", args.constraint, "torch"]

@@ -27,9 +27,13 @@ def ship(run: Path, folder: Path) -> None:
     state = {name: data["ranks"][0][name] for name in parts}
     folder.mkdir(parents=True, exist_ok=True)
     if any(folder.iterdir()) and not target.checkpoint_file.exists():
-        raise InputError(f"{folder}: found other files in it, allowed a new folder or a policy's")
+        raise InputError(
+            f"{folder}: found other files in it, allowed a new folder or a policy's"
+        )
     content = data | {"ranks": [state], "experience": []}
-    sealed.write(target.checkpoint_file, content, _is_shipped)  # first: it says whose folder this is
+    sealed.write(
+        target.checkpoint_file, content, _is_shipped
+    )  # first: it says whose folder this is
     for name in (source.config_file.name, source.progress.path.name, LAYOUT_COPY):
         if (run / name).exists():
             with files.replacing(folder / name) as file:

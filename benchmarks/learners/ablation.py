@@ -17,13 +17,13 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import stable_baselines3 as sb3
+from tactilerl import envs, statistics
+from tactilerl.algos import recipes
+from tactilerl.algos.ppo import PPO, PPOConfig
 
 from benchmarks.command import run_contenders
 from benchmarks.peers.contenders import Act, learn, play
 from benchmarks.printing import markdown
-from tactilerl import envs, statistics
-from tactilerl.algos import recipes
-from tactilerl.algos.ppo import PPO, PPOConfig
 
 STEPS = 30_000
 EPISODES = 20  # of the evaluation

@@ -17,12 +17,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import torch
-
 import tactilerl
-from benchmarks.command import Part, run_parts
-from benchmarks.learners.by_hand import DDPGHERByHand, PPOByHand
-from benchmarks.printing import markdown
+import torch
 from tactilerl import envs
 from tactilerl.algos import recipes
 from tactilerl.algos.ddpg_her import DDPGHER
@@ -30,6 +26,10 @@ from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.networks import FlatAdam
 from tactilerl.algos.ppo import PPO
 from tactilerl.envs import vector
+
+from benchmarks.command import Part, run_parts
+from benchmarks.learners.by_hand import DDPGHERByHand, PPOByHand
+from benchmarks.printing import markdown
 
 ROUNDS = 6
 PYTORCH, BY_HAND, KERNEL = "PyTorch's own", "gradients by hand", "Adam's kernel"

@@ -16,14 +16,14 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-
-from benchmarks.command import run_contenders
-from benchmarks.peers.contenders import learn
-from benchmarks.printing import markdown
 from tactilerl import envs
 from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.envs.tasks import OUTCOMES
 from tactilerl.style import ROLES
+
+from benchmarks.command import run_contenders
+from benchmarks.peers.contenders import learn
+from benchmarks.printing import markdown
 
 STEPS = 36_000
 PARTS = 10  # of a run

@@ -10,15 +10,14 @@ import sys
 from collections.abc import Sequence
 
 import torch
-from torch import Tensor
-from torch.nn import functional
-
 from tactilerl.algos import ddpg_her, ppo
 from tactilerl.algos.ddpg_her import DDPGHER
 from tactilerl.algos.networks import MLP, FlatAdam
 from tactilerl.algos.ppo import MAX_LOG_RATIO, PPO, Transitions, surrogate
 from tactilerl.commands import cli
 from tactilerl.envs import observations
+from torch import Tensor
+from torch.nn import functional
 
 
 @torch.no_grad()

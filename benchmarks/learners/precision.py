@@ -14,14 +14,14 @@ from typing import Any
 
 import numpy as np
 import torch
-
-from benchmarks.command import run_parts
-from benchmarks.learners.random_goals import fed
-from benchmarks.printing import markdown
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.networks import FlatAdam
 from tactilerl.algos.ppo import PPO, PPOConfig, Transitions
 from tactilerl.style import NAMES
+
+from benchmarks.command import run_parts
+from benchmarks.learners.random_goals import fed
+from benchmarks.printing import markdown
 
 UPDATES = 100
 SEEDS = range(5)

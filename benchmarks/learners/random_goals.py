@@ -7,7 +7,6 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-
 from tactilerl.algos.mpi import Communicator
 from tactilerl.envs import vector
 

@@ -20,12 +20,6 @@ from statistics import median
 from typing import Any
 
 import torch
-
-from benchmarks.command import Part, processes, python, run_parts
-from benchmarks.learners.random_goals import fed
-from benchmarks.peers.env import Steps, mj_step
-from benchmarks.printing import markdown
-from benchmarks.timing import Contender, per_second, rounds
 from tactilerl import envs
 from tactilerl.algos import mpi
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
@@ -34,6 +28,12 @@ from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.algos.rollout import TRAIN, PlayEpisode
 from tactilerl.algos.side_by_side import SideBySide
 from tactilerl.envs import vector
+
+from benchmarks.command import Part, processes, python, run_parts
+from benchmarks.learners.random_goals import fed
+from benchmarks.peers.env import Steps, mj_step
+from benchmarks.printing import markdown
+from benchmarks.timing import Contender, per_second, rounds
 
 REPEATS = 3  # of each number of processes
 CYCLES = 3  # of each rank

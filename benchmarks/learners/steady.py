@@ -26,14 +26,14 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-
-from benchmarks import printing
-from benchmarks.command import run_contenders
-from benchmarks.peers.contenders import Act, Looks, learn, play, sb3_ddpg
 from tactilerl import envs, statistics
 from tactilerl.algos import recipes
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.envs import vector
+
+from benchmarks import printing
+from benchmarks.command import run_contenders
+from benchmarks.peers.contenders import Act, Looks, learn, play, sb3_ddpg
 
 EPISODES = 20  # of a look
 ENOUGH = 0.9

@@ -20,12 +20,12 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from tactilerl import envs
 
 from benchmarks import printing
 from benchmarks.command import run_contenders
 from benchmarks.learners import steady
 from benchmarks.learners.steady import STEADY, Task
-from tactilerl import envs
 
 WAYS: dict[str, dict[str, Any]] = {
     "0.9 per cycle": {"target_update_interval": None},

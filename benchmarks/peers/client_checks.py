@@ -11,9 +11,9 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-
 import tactilerl
 import tactilerl.envs
+
 from benchmarks.command import DATA, python
 from benchmarks.peers.client_check import CHECKS, STEPS, Check, check, play
 

@@ -14,6 +14,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import tactilerl
+
 from benchmarks.command import ROOT, parser, write
 from benchmarks.peers.client_checks import CHECKS
 from benchmarks.printing import markdown, progress

@@ -10,7 +10,6 @@ import numpy as np
 import stable_baselines3 as sb3
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import NormalActionNoise
-
 from tactilerl.algos.ddpg_her import DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
 from tactilerl.envs import vector

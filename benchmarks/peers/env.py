@@ -12,10 +12,10 @@ from typing import Any
 import gymnasium as gym
 import mujoco
 import numpy as np
+from tactilerl import envs
 
 from benchmarks.printing import markdown
 from benchmarks.timing import Contender, contest, rounds
-from tactilerl import envs
 
 CONTROL_DT = 0.04  # s: gymnasium-robotics' own, 20 steps of 2 ms
 STEPS = 250

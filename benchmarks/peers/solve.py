@@ -23,13 +23,13 @@ import numpy as np
 import stable_baselines3 as sb3
 import torch
 from scipy import stats
-
-from benchmarks.peers.contenders import FIRST_START, Act, Looks, learn, play, sb3_ddpg
-from benchmarks.printing import interval, markdown, progress
 from tactilerl import envs
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.envs.toy import LQREnv, PointReachEnv
+
+from benchmarks.peers.contenders import FIRST_START, Act, Looks, learn, play, sb3_ddpg
+from benchmarks.printing import interval, markdown, progress
 
 SEEDS = range(6)
 PPO_CONFIG = PPOConfig(

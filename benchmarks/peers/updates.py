@@ -11,12 +11,12 @@ import gymnasium as gym
 import stable_baselines3 as sb3
 import torch
 from stable_baselines3.common.logger import Logger
+from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
+from tactilerl.algos.ppo import PPO, PPOConfig
 
 from benchmarks.learners.random_goals import GOAL, STEPS, RandomGoals, fed
 from benchmarks.printing import markdown
 from benchmarks.timing import Contender, contest, rounds
-from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
-from tactilerl.algos.ppo import PPO, PPOConfig
 
 OURS, THEIRS, BOUND = "tactilerl", "stable-baselines3", "matrix products"
 WIDTHS = [256] * 3

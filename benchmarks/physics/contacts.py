@@ -6,7 +6,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-
 from tactilerl.envs.grasp import GraspEnv
 
 FAR = 0.01  # m: from there on distances do not matter

@@ -20,11 +20,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from tactilerl.envs.grasp import EJECTED, GraspConfig, GraspEnv, setup
 
 from benchmarks.command import count, earlier, parser, write
 from benchmarks.physics.contacts import deepest
 from benchmarks.printing import markdown
-from tactilerl.envs.grasp import EJECTED, GraspConfig, GraspEnv, setup
 
 SEED = 50_000
 EPISODE = 50  # steps

@@ -20,9 +20,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from benchmarks.command import count, earlier, parser, write
-from benchmarks.printing import markdown
 from tactilerl import envs, statistics
 from tactilerl.envs import scripted
 from tactilerl.envs.hands import LinearAction
@@ -30,6 +27,9 @@ from tactilerl.envs.hold import HoldTest
 from tactilerl.envs.simulators import Simulator
 from tactilerl.envs.state import Array, State
 from tactilerl.runs.policies import read_run
+
+from benchmarks.command import count, earlier, parser, write
+from benchmarks.printing import markdown
 
 SEED = 50_000
 PUSH = 1e-6  # m

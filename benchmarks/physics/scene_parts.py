@@ -21,14 +21,14 @@ from unittest.mock import patch
 import mujoco
 import numpy as np
 import psutil
+from tactilerl.envs import scripted
+from tactilerl.envs.grasp import GraspEnv, setup
+from tactilerl.envs.simulators import Scene
 
 from benchmarks.command import parser, write
 from benchmarks.physics.contacts import self_contact
 from benchmarks.physics.speed_vs_error import SHIPPED
 from benchmarks.printing import markdown
-from tactilerl.envs import scripted
-from tactilerl.envs.grasp import GraspEnv, setup
-from tactilerl.envs.simulators import Scene
 
 SECONDS, GRASPS, SEED = 2.0, 5, 60_000
 STEPS = 20  # of control, timed after each grasp

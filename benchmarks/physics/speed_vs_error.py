@@ -22,13 +22,13 @@ from unittest.mock import patch
 import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
+from tactilerl.envs import hands, scripted
+from tactilerl.envs.grasp import GraspEnv, setup
+from tactilerl.style import NAMES
 
 from benchmarks.command import count, earlier, parser, processes, write
 from benchmarks.physics.contacts import deepest, self_contact
 from benchmarks.printing import markdown
-from tactilerl.envs import hands, scripted
-from tactilerl.envs.grasp import GraspEnv, setup
-from tactilerl.style import NAMES
 
 SECONDS = 5.0
 SEED = 35_000  # starts of this benchmark; the doctor and the search used others

@@ -20,14 +20,14 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-
-from benchmarks.command import ROOT, run_parts
-from benchmarks.printing import markdown
 from tactilerl.envs import hands, layouts, scripted
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.pictures import places
 from tactilerl.probe import files, run
 from tactilerl.probe.options import AnalysisFlags, GraspFlags, Options
+
+from benchmarks.command import ROOT, run_parts
+from benchmarks.printing import markdown
 
 GRIPPER = str(ROOT / "tests" / "hands" / "gripper.toml")
 HANDS = {"shadow (capsules)": "shadow", "gripper (boxes and meshes)": GRIPPER}

@@ -15,15 +15,15 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from tactilerl import envs
+from tactilerl.envs import hands, layouts, scripted, simulators, touch
+from tactilerl.envs.grasp import GraspEnv
+from tactilerl.envs.state import State
 
 from benchmarks.command import count, parser, write
 from benchmarks.physics.contacts import distances
 from benchmarks.printing import markdown
 from benchmarks.timing import rounds
-from tactilerl import envs
-from tactilerl.envs import hands, layouts, scripted, simulators, touch
-from tactilerl.envs.grasp import GraspEnv
-from tactilerl.envs.state import State
 
 SEED = 60_000
 HOLD = 1.0  # s

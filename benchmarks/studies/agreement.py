@@ -9,7 +9,6 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 import scipy.stats
-
 from tactilerl import statistics
 from tactilerl.statistics import Array, Estimate
 from tactilerl.study import verdicts

@@ -19,8 +19,6 @@ from typing import Any
 import numpy as np
 import scipy.stats
 from matplotlib.axes import Axes
-
-from benchmarks.studies.coverage import difference
 from tactilerl import statistics
 from tactilerl.statistics import CONFIDENCE, METRICS, Array, Estimate, Metric
 from tactilerl.study import figures, records, tables
@@ -29,6 +27,8 @@ from tactilerl.study.figures import Picture
 from tactilerl.study.summary import subject
 from tactilerl.study.tables import Table, number, shown
 from tactilerl.style import FAINT, INK
+
+from benchmarks.studies.coverage import difference
 
 ALPHA = 0.05  # of the tests whose power is estimated
 HEADINGS: dict[str, Metric] = {"Mean": "mean", "IQM": "iqm", "Median of runs": "median"}

@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 import scipy.stats
+from tactilerl import statistics
+from tactilerl.statistics import Array
 
 from benchmarks.command import Part, run_parts
 from benchmarks.printing import markdown, progress
-from tactilerl import statistics
-from tactilerl.statistics import Array
 
 Draw = Callable[[np.random.Generator, tuple[int, ...]], np.ndarray]
 N_RUNS = (3, 5, 10, 20)

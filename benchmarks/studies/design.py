@@ -16,10 +16,6 @@ from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
-
-from benchmarks.command import DATA, ROOT, data, run_parts
-from benchmarks.printing import interval, markdown
-from benchmarks.studies import design_study, gates, importance, study_tables
 from tactilerl import statistics, style
 from tactilerl.envs import hands, layouts, scenes, toml_files, vector
 from tactilerl.envs.grasp import GraspEnv, setup
@@ -28,6 +24,10 @@ from tactilerl.probe import candidates, cover, design, gate, timing
 from tactilerl.probe.cover import Aim, Starts
 from tactilerl.probe.recording import Skin, record
 from tactilerl.runs.cores import free_cores
+
+from benchmarks.command import DATA, ROOT, data, run_parts
+from benchmarks.printing import interval, markdown
+from benchmarks.studies import design_study, gates, importance, study_tables
 
 SEED = 46
 GOALS = (("handover_anywhere", 4, 500), ("handover", 1, 200), ("handover_fingers", 5, 200))

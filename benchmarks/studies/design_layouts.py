@@ -7,12 +7,12 @@ python -m benchmarks design_layouts
 from __future__ import annotations
 
 import numpy as np
-
-from benchmarks.command import DATA, no_flags
 from tactilerl.envs import hands, layouts
 from tactilerl.envs.layouts import Taxels
 from tactilerl.probe import candidates, design
 from tactilerl.runs.cores import free_cores
+
+from benchmarks.command import DATA, no_flags
 
 NUMBERS = (1, 2, 4, 8, 14)
 RANDOM = (4, 8)

@@ -9,14 +9,14 @@ import re
 from functools import partial
 
 import numpy as np
+from tactilerl import statistics
+from tactilerl.study import verdicts
+from tactilerl.study.verdicts import BySeed
 
 from benchmarks.command import data
 from benchmarks.printing import markdown
 from benchmarks.studies.agreement import predicts_order
 from benchmarks.studies.study_tables import estimate, in_common, load, mean
-from tactilerl import statistics
-from tactilerl.study import verdicts
-from tactilerl.study.verdicts import BySeed
 
 STUDIES = {"ppo": "design", "ddpg_her": "design_ddpg_her"}
 SKIN, PAPER = "the dense skin", "layout 1"

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 from scipy.special import expit
 from scipy.stats import permutation_test
+from tactilerl import statistics
+from tactilerl.study.grid import Looks
+from tactilerl.study.verdicts import take
 
 from benchmarks.command import Part, run_parts
 from benchmarks.printing import markdown, progress
 from benchmarks.studies.coverage import bca_interval
-from tactilerl import statistics
-from tactilerl.study.grid import Looks
-from tactilerl.study.verdicts import take
 
 Rng = np.random.Generator
 Draw = Callable[[Rng, int], np.ndarray]

@@ -11,12 +11,13 @@ import dataclasses
 import itertools
 from typing import Any
 
-from benchmarks.command import count, earlier, parser, write
-from benchmarks.printing import interval, markdown
 from tactilerl.envs import scenes, tasks
 from tactilerl.envs.grasp import setup
 from tactilerl.probe import gate
 from tactilerl.runs.cores import free_cores
+
+from benchmarks.command import count, earlier, parser, write
+from benchmarks.printing import interval, markdown
 
 HANDS, SIMULATORS = ("mpl", "shadow", "allegro"), ("mujoco", "pybullet")
 LAYOUTS = {str(i): str(i) for i in range(1, 7)} | {

@@ -7,7 +7,6 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-
 import tactilerl
 from tactilerl.algos.policy import Policy
 from tactilerl.envs import scenes

@@ -12,15 +12,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from benchmarks.command import parser, write
-from benchmarks.printing import markdown
 from tactilerl.statistics import final_rate
 from tactilerl.study import records
 from tactilerl.study.grid import SCORES, Setup
 from tactilerl.study.planning import runs_needed, spread
 from tactilerl.study.records import Record
 from tactilerl.study.verdicts import BySeed, both_arms, in_pairs, runs_of
+
+from benchmarks.command import parser, write
+from benchmarks.printing import markdown
 
 EFFECT, POWER, ALPHA = 0.1, 0.8, 0.05
 LONG_TAIL = 0.3

@@ -12,13 +12,14 @@ import time
 from contextlib import ExitStack
 from dataclasses import replace
 
-from benchmarks.command import count, parser, write
-from benchmarks.printing import markdown
 from tactilerl import statistics
 from tactilerl.probe import grasps
 from tactilerl.probe.grasps import Scenes
 from tactilerl.probe.options import GraspFlags
 from tactilerl.style import NAMES
+
+from benchmarks.command import count, parser, write
+from benchmarks.printing import markdown
 
 SEED = 20_000  # not that of any probe that is reported
 

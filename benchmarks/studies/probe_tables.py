@@ -13,10 +13,10 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-
-from benchmarks.printing import interval, markdown
 from tactilerl.probe.figures import CHOSEN, TICKS
 from tactilerl.style import DPI, FAINT, HEAD, INK, NAMES, STYLE
+
+from benchmarks.printing import interval, markdown
 
 HANDS = {"shadow": "Shadow", "mpl": "MPL", "allegro": "Allegro"}
 MARKS = ((CHOSEN, "o", "-"), (INK, "s", ""))  # of the best taxels found, and of layouts

@@ -16,11 +16,12 @@ import sys
 import tempfile
 from pathlib import Path
 
-from benchmarks.command import ROOT
 from tactilerl.envs.choices import nearest
 from tactilerl.errors import InputError
 from tactilerl.runs.progress_csv import TIMES
 from tactilerl.study import records, runner
+
+from benchmarks.command import ROOT
 
 
 def differences(before: list[dict[str, str]], after: list[dict[str, str]]) -> list[str]:

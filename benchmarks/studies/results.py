@@ -6,13 +6,13 @@ python -m benchmarks results
 from __future__ import annotations
 
 import numpy as np
+from tactilerl import style
+from tactilerl.study import verdicts
+from tactilerl.study.tables import median_steps
 
 from benchmarks.printing import markdown
 from benchmarks.studies import study_tables
 from benchmarks.studies.study_tables import estimate, mean
-from tactilerl import style
-from tactilerl.study import verdicts
-from tactilerl.study.tables import median_steps
 
 RUNS = {
     ("learners", "ppo"): {"PPO": ("learners", "ppo", "layout 4", "")},

@@ -16,18 +16,18 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.stats
 from matplotlib.figure import Figure
-
-from benchmarks.command import data
-from benchmarks.printing import markdown
-from benchmarks.studies import agreement
-from benchmarks.studies.design_study import title
-from benchmarks.studies.study_tables import estimate, in_common, load, number
 from tactilerl import statistics, style
 from tactilerl.statistics import Array, Estimate
 from tactilerl.study import verdicts
 from tactilerl.study.records import Record
 from tactilerl.study.tables import p_value
 from tactilerl.study.verdicts import BySeed
+
+from benchmarks.command import data
+from benchmarks.printing import markdown
+from benchmarks.studies import agreement
+from benchmarks.studies.design_study import title
+from benchmarks.studies.study_tables import estimate, in_common, load, number
 
 LAYOUTS = ("layout 1", "layout 2", "layout 5", "8 chosen")
 CHOSEN, NONE, SIGHT = LAYOUTS[-1], "no touch", "sight"

@@ -15,16 +15,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
-
-from benchmarks.command import DATA, earlier
-from benchmarks.printing import interval, markdown
-from benchmarks.studies import gates
-from benchmarks.studies.agreement import agreement_of, predicts_order
 from tactilerl import statistics, style
 from tactilerl.statistics import Array, Estimate
 from tactilerl.study import records, verdicts
 from tactilerl.study.grid import Setup, Study
 from tactilerl.study.records import Record
+
+from benchmarks.command import DATA, earlier
+from benchmarks.printing import interval, markdown
+from benchmarks.studies import gates
+from benchmarks.studies.agreement import agreement_of, predicts_order
 
 CHOSEN = re.compile(r"layout \S*_(\d+)\.toml")
 COLOURS = dict(zip(("main", "control"), style.ARMS, strict=False))

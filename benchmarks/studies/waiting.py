@@ -10,14 +10,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-
 import tactilerl
-from benchmarks.command import on_one_thread, parser, write
-from benchmarks.printing import markdown
-from benchmarks.studies.design_study import title
 from tactilerl.errors import input_errors
 from tactilerl.study.grid import Run
 from tactilerl.study.records import StudyFiles
+
+from benchmarks.command import on_one_thread, parser, write
+from benchmarks.printing import markdown
+from benchmarks.studies.design_study import title
 
 FIRST, STARTS = 3_000_000, 10
 

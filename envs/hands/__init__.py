@@ -9,7 +9,16 @@ from typing import Any
 
 from .. import plugins, toml_files
 from .files import FOLDER, KEPT, SUFFIX, short_digest
-from .hand import DIGITS, SEGMENTS, SLIDES, Hand, LinearAction, Pitch, ScriptedGrasp, Surface
+from .hand import (
+    DIGITS,
+    SEGMENTS,
+    SLIDES,
+    Hand,
+    LinearAction,
+    Pitch,
+    ScriptedGrasp,
+    Surface,
+)
 
 __all__ = [
     "DIGITS", "KEPT", "SEGMENTS", "SLIDES", "SUFFIX", "Hand", "LinearAction", "Pitch", "ScriptedGrasp",
@@ -58,7 +67,9 @@ def file(name: str) -> Path:
         return FOLDER / f"{name}{SUFFIX}"
     if name.endswith(SUFFIX):
         return Path(name)
-    return Path(plugins.find("hands", OTHERS, name, _is_path, "the path of a .toml file"))
+    return Path(
+        plugins.find("hands", OTHERS, name, _is_path, "the path of a .toml file")
+    )
 
 
 def _is_path(found: Any) -> bool:
@@ -73,7 +84,9 @@ def usage(name: str) -> Usage:
         about = toml_files.table(data, "environment", {"id", "closing"})
         closing = about.get("closing", Usage.closing)
         low, high = toml_files.interval(closing, "environment.closing", 0.0, 2.0)
-        return Usage(str(about.get("id", "")), (low, high), toml_files.table(data, "scene"))
+        return Usage(
+            str(about.get("id", "")), (low, high), toml_files.table(data, "scene")
+        )
 
 
 def digest(name: str) -> str:

@@ -37,7 +37,9 @@ class Chain(NamedTuple):
     def name(self) -> str | None:
         """What its links or joints call it."""
         for text in (*self.links, *self.joints):
-            words = text.lower().translate(dict.fromkeys(map(ord, "-:."), "_")).split("_")
+            words = (
+                text.lower().translate(dict.fromkeys(map(ord, "-:."), "_")).split("_")
+            )
             for digit, known in WORDS.items():
                 if any(w in known or w.rstrip("0123456789j") in known or w.startswith(known[0])
                        for w in words):  # fmt: skip
@@ -56,7 +58,9 @@ def palm_of(spec: mujoco.MjSpec) -> str:
             branches.setdefault(carrier.name, []).append(body.parent.name)
     most = max(branches.values(), key=len, default=[])
     if len(most) < 2:
-        raise ValueError("palm: found no body from which two digits branch; name it with --palm")
+        raise ValueError(
+            "palm: found no body from which two digits branch; name it with --palm"
+        )
     return max(most, key=most.count)
 
 
@@ -64,7 +68,9 @@ def joints_above(spec: mujoco.MjSpec, palm: str) -> int:
     """How many move the palm; ValueError where there is no such body."""
     if spec.body(palm) is None:
         raise ValueError(f"palm: found no body {palm!r} in the model")
-    return sum(len(list(spec.body(name).joints)) for name in mounting.chain(spec.body(palm)))
+    return sum(
+        len(list(spec.body(name).joints)) for name in mounting.chain(spec.body(palm))
+    )
 
 
 def chains_of(parts: Parts, palm: str) -> list[Chain]:
@@ -73,10 +79,18 @@ def chains_of(parts: Parts, palm: str) -> list[Chain]:
     spec, data = parts.spec, posed(parts.model, {})
     loops, groups = mounting.loops(spec), list[set[str]]()
     above = set(mounting.chain(spec.body(palm)))
-    for leaf in [body for body in spec.body(palm).find_all("body") if not list(body.bodies)]:
+    for leaf in [
+        body for body in spec.body(palm).find_all("body") if not list(body.bodies)
+    ]:
         chain = set(mounting.chain(leaf)) - above
-        joined = [group for group in groups if any(loop & chain and loop & group for loop in loops)]
-        groups = [group for group in groups if group not in joined] + [chain.union(*joined)]
+        joined = [
+            group
+            for group in groups
+            if any(loop & chain and loop & group for loop in loops)
+        ]
+        groups = [group for group in groups if group not in joined] + [
+            chain.union(*joined)
+        ]
 
     def reach(chain: Chain) -> float:
         tip = placed(data, chain.links[-1], chain.tip)
@@ -87,24 +101,40 @@ def chains_of(parts: Parts, palm: str) -> list[Chain]:
         ends = [
             spec.body(name)
             for name in group
-            if all(below.name not in group for below in spec.body(name).find_all("body"))
+            if all(
+                below.name not in group for below in spec.body(name).find_all("body")
+            )
         ]
-        if chains := [made for end in ends if (made := _chain(parts, end, group, above))]:
+        if chains := [
+            made for end in ends if (made := _chain(parts, end, group, above))
+        ]:
             found.append(max(chains, key=reach))
     if len(found) < 2:
-        raise ValueError(f"digits: found {len(found)} from body {palm!r}, allowed 2 or more")
+        raise ValueError(
+            f"digits: found {len(found)} from body {palm!r}, allowed 2 or more"
+        )
     return found
 
 
 def _chain(parts: Parts, leaf: Any, group: set[str], above: set[str]) -> Chain | None:
     """From the palm to a leaf, of what has a shape; None where nothing has, or drives it."""
     path = [name for name in mounting.chain(leaf) if name not in above]
-    links = [name for name in path if geoms_of(parts.model, parts.model.body(name).id)][-MOST:]
+    links = [name for name in path if geoms_of(parts.model, parts.model.body(name).id)][
+        -MOST:
+    ]
     follows = {coupling.joint: coupling.driver for coupling in parts.follows}
-    moving = [joint.name for joint in parts.spec.joints if joint.parent.name in {*path, *group}]
+    moving = [
+        joint.name
+        for joint in parts.spec.joints
+        if joint.parent.name in {*path, *group}
+    ]
     drivers = dict.fromkeys(follows.get(joint, joint) for joint in moving)
     joints = tuple(joint for joint in drivers if joint in parts.driven)
-    return Chain(tuple(links), joints, _tip(parts, links[-1])) if links and joints else None
+    return (
+        Chain(tuple(links), joints, _tip(parts, links[-1]))
+        if links and joints
+        else None
+    )
 
 
 def _tip(parts: Parts, link: str) -> tuple[float, ...]:

@@ -12,11 +12,21 @@ from . import models, servos
 from .hand import SLIDES, Hand
 from .parts import Parts, placed, posed
 
-NUDGE, STILL, MOST_MOVED = 0.02, 0.4, 0.2  # rad, s, rad: of a hand that should hang still
+NUDGE, STILL, MOST_MOVED = (
+    0.02,
+    0.4,
+    0.2,
+)  # rad, s, rad: of a hand that should hang still
 CLOSING, LOOKS = 1.0, 20  # s; a scripted grasp takes that long
-PRESS, REACHED = 0.3, 0.7  # N at each fingertip, and the share of its way that a servo goes against it
+PRESS, REACHED = (
+    0.3,
+    0.7,
+)  # N at each fingertip, and the share of its way that a servo goes against it
 GROUND = "ground of the check"
-DEEP, ALIKE = 0.01, 0.5  # m, and cosine between palmar sides: of digits that may be in each other
+DEEP, ALIKE = (
+    0.01,
+    0.5,
+)  # m, and cosine between palmar sides: of digits that may be in each other
 IN_GROUND = 1e-3  # m
 
 
@@ -25,7 +35,9 @@ def examine(hand: Hand, parts: Parts, timestep: float) -> tuple[str, ...]:
     spec = hand.build()
     spec.option.timestep = timestep
     plane = mujoco.mjtGeom.mjGEOM_PLANE
-    spec.worldbody.add_geom(name=GROUND, type=plane, size=[1, 1, 0.1], contype=0, conaffinity=0)
+    spec.worldbody.add_geom(
+        name=GROUND, type=plane, size=[1, 1, 0.1], contype=0, conaffinity=0
+    )
     model = models.compiled(spec)
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     _require_still(hand, model, timestep)
@@ -43,9 +55,13 @@ def _begun(hand: Hand, model: mujoco.MjModel, nudge: float = 0.0) -> mujoco.MjDa
     """At the start, the fingers' joints moved a little."""
     data = mujoco.MjData(model)
     joints = [model.joint(name) for name in hand.joints]
-    low, high = np.array([j.range if j.limited[0] else (-np.inf, np.inf) for j in joints]).T
+    low, high = np.array(
+        [j.range if j.limited[0] else (-np.inf, np.inf) for j in joints]
+    ).T
     moved = np.where(np.isin(hand.joints, SLIDES), 0.0, nudge)
-    data.qpos[_places(model, hand.joints)] = np.clip(hand.start_positions() + moved, low, high)
+    data.qpos[_places(model, hand.joints)] = np.clip(
+        hand.start_positions() + moved, low, high
+    )
     servos.hold(model, data, _actuators(hand, model), hand.start_targets())
     return data
 
@@ -61,7 +77,12 @@ def _actuators(hand: Hand, model: mujoco.MjModel) -> list[int]:
 
 def touching(model: mujoco.MjModel, data: mujoco.MjData) -> list[Any]:
     """All contacts, as if whatever collides collided with all else, and the ground with all."""
-    kinds = [model.geom_contype, model.geom_conaffinity, model.body_contype, model.body_conaffinity]
+    kinds = [
+        model.geom_contype,
+        model.geom_conaffinity,
+        model.body_contype,
+        model.body_conaffinity,
+    ]
     before = [kind.copy() for kind in kinds]
     model.geom_conaffinity[:] = model.geom_contype
     model.body_conaffinity[:] = model.body_contype
@@ -113,23 +134,34 @@ def _require_above_ground(hand: Hand, model: mujoco.MjModel) -> None:
     data = _begun(hand, model)
     ground = model.geom(GROUND).id
     depth = -min(
-        (contact.dist for contact in touching(model, data) if ground in contact.geom), default=0
+        (contact.dist for contact in touching(model, data) if ground in contact.geom),
+        default=0,
     )
     if depth > IN_GROUND:
-        raise ValueError(f"place: with this the hand starts {1e3 * depth:.0f} mm in the ground")
+        raise ValueError(
+            f"place: with this the hand starts {1e3 * depth:.0f} mm in the ground"
+        )
 
 
-def _closed(hand: Hand, model: mujoco.MjModel, timestep: float) -> tuple[mujoco.MjData, Array]:
+def _closed(
+    hand: Hand, model: mujoco.MjModel, timestep: float
+) -> tuple[mujoco.MjData, Array]:
     """Where the servos bring it in the air while something presses against each fingertip, and the
     mean positions of the actuated joints in the second half of that."""
     data = _begun(hand, model)
     mujoco.mj_forward(model, data)
     tips = {link: placed(data, link, tip) for link, tip in hand.fingertips}
     targets = hand.start_targets()
-    for k, (actuator, joint) in enumerate(zip(hand.actuators, hand.actuated, strict=True)):
+    for k, (actuator, joint) in enumerate(
+        zip(hand.actuators, hand.actuated, strict=True)
+    ):
         moved = model.joint(joint)
         way = hand.closed.get(actuator, targets[k]) - targets[k]
-        carried = [tip for link, tip in tips.items() if _carries(model, int(moved.bodyid[0]), link)]
+        carried = [
+            tip
+            for link, tip in tips.items()
+            if _carries(model, int(moved.bodyid[0]), link)
+        ]
         arms = [
             np.linalg.norm(np.cross(data.xaxis[moved.id], tip - data.xanchor[moved.id]))
             for tip in carried
@@ -157,10 +189,14 @@ def _carries(model: mujoco.MjModel, body: int, link: str) -> bool:
 def _weak(hand: Hand, reached: Array) -> tuple[str, ...]:
     """What servos do not reach."""
     shares, shared = {}, {each.driver for each in hand.couplings if not each.is_rigid}
-    ends = zip(hand.actuators, hand.actuated, hand.start_targets(), reached, strict=True)
+    ends = zip(
+        hand.actuators, hand.actuated, hand.start_targets(), reached, strict=True
+    )
     for actuator, joint, start, end in ends:
         way = hand.closed.get(actuator, start) - start
-        if abs(way) > NUDGE and joint not in shared:  # of a tendon another joint may go the way
+        if (
+            abs(way) > NUDGE and joint not in shared
+        ):  # of a tendon another joint may go the way
             shares[actuator] = float((end - start) / way)
     weak = {name: share for name, share in shares.items() if not share >= REACHED}
     if not weak:
@@ -168,13 +204,17 @@ def _weak(hand: Hand, reached: Array) -> tuple[str, ...]:
     worst, names = max(0.0, min(weak.values())), ", ".join(list(weak)[:4])
     found = f"{len(weak)} of {len(shares)} servos are weak or slow ({names})"
     does = f"against {PRESS:g} N at the fingertips they go {100 * worst:.0f} % of their way or more"
-    return (f"{found}: in {CLOSING:g} s and {does}; drop them, and joints get the library's",)
+    return (
+        f"{found}: in {CLOSING:g} s and {does}; drop them, and joints get the library's",
+    )
 
 
 def _require_apart(hand: Hand, model: mujoco.MjModel, closed: mujoco.MjData) -> None:
     """ValueError where digits of the closed hand that lie side by side are deep in each other. Those
     that oppose each other press."""
-    surfaces = {surface.link: surface for surface in hand.surfaces if surface.segment != "palm"}
+    surfaces = {
+        surface.link: surface for surface in hand.surfaces if surface.segment != "palm"
+    }
     begun = _begun(hand, model)
     mujoco.mj_kinematics(model, begun)
     for contact in touching(model, closed):
@@ -182,7 +222,9 @@ def _require_apart(hand: Hand, model: mujoco.MjModel, closed: mujoco.MjData) -> 
         if contact.dist >= -DEEP or not all(link in surfaces for link in links):
             continue
         first, second = (surfaces[link] for link in links)
-        sides = [begun.body(s.link).xmat.reshape(3, 3) @ s.palmar for s in (first, second)]
+        sides = [
+            begun.body(s.link).xmat.reshape(3, 3) @ s.palmar for s in (first, second)
+        ]
         digits = {first.digit, second.digit}
         if len(digits - {"thumb"}) == 2 and sides[0] @ sides[1] > ALIKE:
             found = f"{links[0]} ({first.digit}) is {-1e3 * contact.dist:.0f} mm in {links[1]}"

@@ -23,14 +23,20 @@ WRIST = 2  # joints above the palm that are no arm
 ASYMMETRIC = 1.3  # of a range's ends: such a joint flexes
 NUDGE = 0.3  # rad, and at most a quarter of a range: how far a joint is tried
 STEPS = 20  # of a digit's way to its closed end
-TOUCHES, DEEP = 2e-3, 8e-3  # m that fingers may be in the palm, and in each other, before they stop
+TOUCHES, DEEP = (
+    2e-3,
+    8e-3,
+)  # m that fingers may be in the palm, and in each other, before they stop
 LEAST = 0.4  # share of the way that they go all the same
 SAMPLES = 600  # of the thumb's joints
 NEARER = 5e-3  # m
 OPPOSED = 0.4  # length of the mean of the ways that digits go, below which they oppose each other
 ALONE = 0.5  # cosine by which a thumb goes another way than the other digits do
 BEYOND = 0.5  # of the way of a finger's first joint, what those beyond it go
-HALF_OPEN, OPENING = 0.5, 0.11  # how open a hand is at least, and m between its thumb and fingers
+HALF_OPEN, OPENING = (
+    0.5,
+    0.11,
+)  # how open a hand is at least, and m between its thumb and fingers
 PARALLEL = 0.7  # cosine between axes of a thumb's joints that flex
 TURNED = 0.5  # cosine to the axis of a digit's last hinge, below which a hinge spreads or opposes
 
@@ -64,7 +70,9 @@ class Guess:
             self.notes.append(f"root: left out what is beside {root.name}")
         if empty := [body.name for body in mounting.weightless(self._unfused())]:
             self._leave_out(empty)
-            self.notes.append(f"drop: left out links without mass or shape: {', '.join(empty)}")
+            self.notes.append(
+                f"drop: left out links without mass or shape: {', '.join(empty)}"
+            )
         if "palm" not in self.data:
             self.data["palm"] = branches.palm_of(self._unfused())
         if (above := branches.joints_above(self._unfused(), self.data["palm"])) > WRIST:
@@ -96,16 +104,29 @@ class Guess:
         if None in found or len(set(found)) < len(found):
             alike = (self.ways @ self.ways.T).sum(axis=1)
             thumb = int(np.argmin(alike)) if len(found) > 2 else 0
-            is_alone = len(found) == 2 or alike[thumb] < np.delete(alike, thumb).mean() - ALONE
-            names = iter(DIGITS[1:] if len(found) <= len(DIGITS) else map("finger{}".format, range(99)))
-            found = ["thumb" if is_alone and k == thumb else next(names) for k in range(len(found))]
+            is_alone = (
+                len(found) == 2 or alike[thumb] < np.delete(alike, thumb).mean() - ALONE
+            )
+            names = iter(
+                DIGITS[1:]
+                if len(found) <= len(DIGITS)
+                else map("finger{}".format, range(99))
+            )
+            found = [
+                "thumb" if is_alone and k == thumb else next(names)
+                for k in range(len(found))
+            ]
         return dict(zip(map(str, found), self.chains, strict=True))
 
     @cached_property
     def thumb(self) -> int | None:
         """Which opposes the fingers of a hand like ours; None for what closes like a gripper."""
         names = list(self.digits)
-        return names.index("thumb") if "thumb" in names and len(names) > 2 and not self.grips else None
+        return (
+            names.index("thumb")
+            if "thumb" in names and len(names) > 2 and not self.grips
+            else None
+        )
 
     @cached_property
     def grips(self) -> bool:
@@ -129,7 +150,9 @@ class Guess:
         palm = data.body(self.palm)
         begin = [data.joint(next(iter(ends))).xanchor if moving and ends else data.body(c.links[0]).xpos
                  for c, ends in zip(self.chains, self.ends, strict=True)]  # fmt: skip
-        return _rows(self.tips(angles) - (np.array(begin) - palm.xpos) @ palm.xmat.reshape(3, 3))
+        return _rows(
+            self.tips(angles) - (np.array(begin) - palm.xpos) @ palm.xmat.reshape(3, 3)
+        )
 
     def _whole(self, angles: Angles) -> Angles:
         rest = {joint: self.parts.inside(joint) for joint in self.parts.joints}
@@ -142,7 +165,10 @@ class Guess:
         low, high = self.parts.range_of(joint)
         actuator = self.compiled.actuator(self.parts.driven[joint])
         if actuator.ctrllimited[0]:
-            low, high = max(low, actuator.ctrlrange[0]), min(high, actuator.ctrlrange[1])
+            low, high = (
+                max(low, actuator.ctrlrange[0]),
+                min(high, actuator.ctrlrange[1]),
+            )
         return float(low), float(high)
 
     @cached_property
@@ -158,17 +184,23 @@ class Guess:
         begin = {joint: self.parts.inside(joint) for joint in chain.joints}
         slides = {j for j in spans if self.parts.spec.joint(j).type == servos.LINEAR}
         axes = {joint: self._axis(joint, {}) for joint in spans}
-        last = next((axes[joint] for joint in reversed(spans) if joint not in slides), np.zeros(3))
+        last = next(
+            (axes[joint] for joint in reversed(spans) if joint not in slides),
+            np.zeros(3),
+        )
         flexing = [j for j in spans if j in slides or abs(axes[j] @ last) > TURNED]
         nearer = {
-            j: self._nearer(number, j, begin[j], min(NUDGE, np.ptp(spans[j]) / 4)) for j in flexing
+            j: self._nearer(number, j, begin[j], min(NUDGE, np.ptp(spans[j]) / 4))
+            for j in flexing
         }
         found: dict[str, tuple[float, float]] = {}
         turning = np.zeros(3)
         for joint in flexing:
             low, high = spans[joint]
             up, down = high - begin[joint], begin[joint] - low
-            if joint in slides or (len(self.chains) == 2 and abs(nearer[joint]) > NEARER):
+            if joint in slides or (
+                len(self.chains) == 2 and abs(nearer[joint]) > NEARER
+            ):
                 end, other = (high, low) if nearer[joint] > 0 else (low, high)
                 is_long = abs(end - begin[joint]) >= abs(other - begin[joint])
                 found[joint] = begin[joint] if is_long else other, end
@@ -186,13 +218,17 @@ class Guess:
     def _nearer(self, number: int, joint: str, begin: float, step: float) -> float:
         """How much nearer a digit's tip comes to the middle of all as a joint goes up than down, m."""
         middle = self.tips({}).mean(axis=0)
-        down, up = (self.tips({joint: begin + way})[number] - middle for way in (-step, step))
+        down, up = (
+            self.tips({joint: begin + way})[number] - middle for way in (-step, step)
+        )
         return float(np.linalg.norm(down) - np.linalg.norm(up))
 
     @cached_property
     def ways(self) -> Array:
         """Unit vectors (n, 3): where the tips go when the digits close by half."""
-        half = {joint: (a + b) / 2 for ends in self.ends for joint, (a, b) in ends.items()}
+        half = {
+            joint: (a + b) / 2 for ends in self.ends for joint, (a, b) in ends.items()
+        }
         return _rows(self.tips(half) - self.tips({}))
 
     @cached_property
@@ -204,7 +240,9 @@ class Guess:
             across = np.linalg.svd(self.ways - self.ways.mean(axis=0))[2][0]
             towards = along.mean(axis=0)
             towards = unit(towards - (towards @ across) * across, "fingers")
-            return _snapped(towards), _snapped(unit(np.cross(across, towards), "fingers"))
+            return _snapped(towards), _snapped(
+                unit(np.cross(across, towards), "fingers")
+            )
         fingers = unit(along.mean(axis=0), "fingers")
         beside = (self.ways - np.outer(self.ways @ fingers, fingers)).mean(axis=0)
         if self.thumb is not None:
@@ -220,7 +258,9 @@ class Guess:
         touch; the thumb so that it meets them. A grasp starts where an object just fits in."""
         opened, closed = dict[str, float](), dict[str, float]()
         for number, ends in enumerate(self.ends):
-            for count, (joint, (begin, end)) in enumerate(ends.items() if number != self.thumb else ()):
+            for count, (joint, (begin, end)) in enumerate(
+                ends.items() if number != self.thumb else ()
+            ):
                 share = BEYOND if count and self.thumb is not None else 1.0
                 opened[joint], closed[joint] = begin, begin + share * (end - begin)
         closed = _between(opened, closed, self._until_contact(opened, closed))
@@ -230,7 +270,10 @@ class Guess:
             last = self._axis(list(mine)[-1], mine | half)
             for joint, end in mine.items():
                 flexes = abs(self._axis(joint, mine | half) @ last) > PARALLEL
-                opened[joint], closed[joint] = self.parts.inside(joint) if flexes else end, end
+                opened[joint], closed[joint] = (
+                    self.parts.inside(joint) if flexes else end,
+                    end,
+                )
         start = self._wide_open(opened, closed) if len(self.chains) > 2 else opened
         opened, closed, start = (
             {joint: round(angle, 4) for joint, angle in pose.items()}
@@ -243,7 +286,12 @@ class Guess:
         for share in np.arange(HALF_OPEN, 1.0, 1 / STEPS):
             tips = self.tips(pose := _between(closed, opened, float(share)))
             first = self.thumb or 0
-            if np.linalg.norm(tips[first] - np.delete(tips, first, axis=0).mean(axis=0)) > OPENING:
+            if (
+                np.linalg.norm(
+                    tips[first] - np.delete(tips, first, axis=0).mean(axis=0)
+                )
+                > OPENING
+            ):
                 return pose
         return opened
 
@@ -257,9 +305,14 @@ class Guess:
         spans = {joint: self._limits(joint) for joint in self.chains[thumb].joints}
         for number in range(SAMPLES):
             if number < SAMPLES // 2:
-                drawn = {j: float(rng.uniform(low, high)) for j, (low, high) in spans.items()}
+                drawn = {
+                    j: float(rng.uniform(low, high)) for j, (low, high) in spans.items()
+                }
             else:
-                near = ((j, best[1][j] + rng.normal(0, 0.1) * (b - a)) for j, (a, b) in spans.items())
+                near = (
+                    (j, best[1][j] + rng.normal(0, 0.1) * (b - a))
+                    for j, (a, b) in spans.items()
+                )
                 drawn = {j: float(np.clip(x, *spans[j])) for j, x in near}
             away = float(np.linalg.norm(self.tips(fingers | drawn)[thumb] - goal))
             if away < best[0]:
@@ -270,8 +323,12 @@ class Guess:
         """Which share of their way the fingers can go before a fingertip is in the palm, or a finger
         deep in another."""
         model, palm = self.compiled, self.compiled.body(self.palm).id
-        fingers = [chain for number, chain in enumerate(self.chains) if number != self.thumb]
-        owner = {model.body(link).id: chain for chain in fingers for link in chain.links}
+        fingers = [
+            chain for number, chain in enumerate(self.chains) if number != self.thumb
+        ]
+        owner = {
+            model.body(link).id: chain for chain in fingers for link in chain.links
+        }
         last = {model.body(chain.links[-1]).id for chain in fingers}
 
         def stopped(share: float) -> set[tuple[int, ...]]:
@@ -289,7 +346,10 @@ class Guess:
         usual = stopped(0.0)
         steps = (step / STEPS for step in range(1, STEPS + 1))
         share = next((share for share in steps if stopped(share) - usual), 1.0)
-        return max(share - 1 / STEPS if share < 1 else share, 1 / STEPS if self.grips else LEAST)
+        return max(
+            share - 1 / STEPS if share < 1 else share,
+            1 / STEPS if self.grips else LEAST,
+        )
 
     # -- what comes of it --------------------------------------------------------------------
 
@@ -297,16 +357,32 @@ class Guess:
         """The text of a hand's file."""
         (palmar, fingers), (opened, closed, start) = self.directions, self.poses
         frame, known = self.parts.palm_frame, {k: v for k, v in self.data.items() if v}
-        guessed = {"palmar": palmar, "fingers": fingers, "palm_point": self._palm_point() - frame.place}
-        known |= {key: (frame.turn.T @ value).round(4).tolist() for key, value in guessed.items()}
+        guessed = {
+            "palmar": palmar,
+            "fingers": fingers,
+            "palm_point": self._palm_point() - frame.place,
+        }
+        known |= {
+            key: (frame.turn.T @ value).round(4).tolist()
+            for key, value in guessed.items()
+        }
         lines = [f"{key} = {json.dumps(value)}" for key, value in known.items()]
         lines += ["", "[digits]"]
         for name, chain in self.digits.items():
-            links, side = json.dumps(list(chain.links)), self._side(chain, opened, closed)
+            links, side = (
+                json.dumps(list(chain.links)),
+                self._side(chain, opened, closed),
+            )
             palm = f", palmar = {side}" if side else ""
-            lines.append(f"{name} = {{ links = {links}, tip = {list(chain.tip)}{palm} }}")
+            lines.append(
+                f"{name} = {{ links = {links}, tip = {list(chain.tip)}{palm} }}"
+            )
         for title, pose in (("opened", opened), ("closed", closed), ("start", start)):
-            lines += ["", f"[{title}]", *(f"{json.dumps(j)} = {angle}" for j, angle in pose.items())]
+            lines += [
+                "",
+                f"[{title}]",
+                *(f"{json.dumps(j)} = {angle}" for j, angle in pose.items()),
+            ]
         return "\n".join(lines) + "\n"
 
     def _palm_point(self) -> Array:
@@ -315,7 +391,9 @@ class Guess:
         data = posed(self.compiled, self._whole({}))
         palm = data.body(self.palm)
         begin = [
-            data.body(chain.links[0]).xpos for name, chain in self.digits.items() if name != "thumb"
+            data.body(chain.links[0]).xpos
+            for name, chain in self.digits.items()
+            if name != "thumb"
         ]
         bases = (np.mean(begin, axis=0) - palm.xpos) @ palm.xmat.reshape(3, 3)
         if not geoms:
@@ -323,12 +401,16 @@ class Guess:
         points = np.concatenate([geom.points for geom in geoms])
         middle = (points.min(axis=0) + points.max(axis=0)) / 2
         for share in (0.5, 0.25, 0.0, 0.75):
-            if found := meet(geoms, (1 - share) * middle + share * bases, -self.directions[0]):
+            if found := meet(
+                geoms, (1 - share) * middle + share * bases, -self.directions[0]
+            ):
                 return np.asarray(found[0])
         nearest, _ = Distances(list(geoms)).nearest([*range(len(geoms))], middle)
         return np.array(geoms[nearest].position)
 
-    def _side(self, chain: Chain, opened: Angles, closed: Angles) -> list[list[float]] | None:
+    def _side(
+        self, chain: Chain, opened: Angles, closed: Angles
+    ) -> list[list[float]] | None:
         """Palmar directions of the links, where no joint of theirs or above tells: where they go."""
         spec, moved = self.parts.spec, {j for j in closed if closed[j] != opened[j]}
         moved |= {c.joint for c in self.parts.follows if c.driver in moved}
@@ -343,20 +425,34 @@ class Guess:
         for link in chain.links:
             body = data.body(link)
             turn = body.xmat.reshape(3, 3).T
-            along, towards = unit(turn @ (tip - body.xpos), link), turn @ (middle - body.xpos)
-            found.append(unit(towards - (towards @ along) * along, link).round(3).tolist())
+            along, towards = (
+                unit(turn @ (tip - body.xpos), link),
+                turn @ (middle - body.xpos),
+            )
+            found.append(
+                unit(towards - (towards @ along) * along, link).round(3).tolist()
+            )
         return found
 
 
 def _between(opened: Angles, closed: Angles, share: float) -> Angles:
-    return {joint: opened[joint] + share * (end - opened[joint]) for joint, end in closed.items()}
+    return {
+        joint: opened[joint] + share * (end - opened[joint])
+        for joint, end in closed.items()
+    }
 
 
 def _rows(vectors: Array) -> Array:
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1), 1e-9)[:, None])
+    return np.asarray(
+        vectors / np.maximum(np.linalg.norm(vectors, axis=1), 1e-9)[:, None]
+    )
 
 
 def _snapped(direction: Array) -> Array:
     """An axis of the frame, where it is nearly one."""
     axis = int(np.argmax(np.abs(direction)))
-    return np.sign(direction[axis]) * np.eye(3)[axis] if abs(direction[axis]) > 0.95 else direction
+    return (
+        np.sign(direction[axis]) * np.eye(3)[axis]
+        if abs(direction[axis]) > 0.95
+        else direction
+    )

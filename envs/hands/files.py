@@ -12,4 +12,6 @@ KEPT = ".grasp.toml"
 
 def short_digest(*files: Path) -> str:
     """Of what is in them."""
-    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()[:16]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()[
+        :16
+    ]

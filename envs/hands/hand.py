@@ -62,7 +62,9 @@ class Surface:
         pitches hold in the plane they are given in. Raises ValueError when that lies beside the link.
         """
         palmar = np.array(self.palmar)
-        above = np.array(self.centre) + row * np.array(self.along) + column * self.across
+        above = (
+            np.array(self.centre) + row * np.array(self.along) + column * self.across
+        )
         if self.geoms:
             from .skins import meet
 
@@ -82,7 +84,9 @@ class Surface:
                 f"allowed up to its radius, {1e3 * self.radius:.1f} mm"
             )
         height = np.sqrt(max(0.0, self.radius**2 - column**2))
-        return above + height * palmar, (column * self.across + height * palmar) / self.radius
+        return above + height * palmar, (
+            column * self.across + height * palmar
+        ) / self.radius
 
     def is_gap(self, row: float, column: float) -> bool:
         """Has a link of any shape nothing there? (Beside other links no taxel may be.)"""
@@ -113,7 +117,9 @@ class Surface:
         if self.bone is None or self.radius is None:
             return self.offset(point)[2], np.array(self.palmar)
         begin, end = np.array(self.bone)
-        share = np.clip((point - begin) @ (end - begin) / ((end - begin) @ (end - begin)), 0.0, 1.0)
+        share = np.clip(
+            (point - begin) @ (end - begin) / ((end - begin) @ (end - begin)), 0.0, 1.0
+        )
         away = point - begin - share * (end - begin)
         length = float(np.linalg.norm(away))
         normal = away / length if length > 0 else np.array(self.palmar)
@@ -187,16 +193,24 @@ class ClosingAction:
         """New joint targets (n_actuators,) from an action (slides, then groups) in [-1, 1]."""
         targets, n_slides = joint_targets.copy(), len(self.slide_step)
         moved = targets[:n_slides] + self.slide_step * action[:n_slides]
-        targets[:n_slides] = np.clip(moved, self.slide_limits[:, 0], self.slide_limits[:, 1])
+        targets[:n_slides] = np.clip(
+            moved, self.slide_limits[:, 0], self.slide_limits[:, 1]
+        )
         _, members, group = self._indices
-        closing = np.clip(self._closing(targets) + self.closing_step * action[n_slides:], 0.0, 1.0)
-        targets[members] = self.open[members] + closing[group] * (self.closed - self.open)[members]
+        closing = np.clip(
+            self._closing(targets) + self.closing_step * action[n_slides:], 0.0, 1.0
+        )
+        targets[members] = (
+            self.open[members] + closing[group] * (self.closed - self.open)[members]
+        )
         return targets
 
     def commands(self, joint_targets: Array) -> Array:
         """What each action has asked for last: the slides' targets, m, and how far each group is to be
         closed."""
-        return np.concatenate([joint_targets[: len(self.slide_step)], self._closing(joint_targets)])
+        return np.concatenate(
+            [joint_targets[: len(self.slide_step)], self._closing(joint_targets)]
+        )
 
     def _closing(self, targets: Array) -> Array:
         first, way = self._indices[0], self.closed - self.open
@@ -207,7 +221,11 @@ class ClosingAction:
         """The first actuator of each group that moves; all in groups; and the group of each."""
         sizes, way = [len(group) for group in self.groups], self.closed - self.open
         first = np.array([group[way[group] != 0][0] for group in self.groups])
-        return first, np.concatenate(self.groups), np.repeat(np.arange(len(sizes)), sizes)
+        return (
+            first,
+            np.concatenate(self.groups),
+            np.repeat(np.arange(len(sizes)), sizes),
+        )
 
 
 class Frame(NamedTuple):
@@ -321,10 +339,16 @@ class Hand:
         """The hand with its slides standing still and fingers that close and open again, from where
         they are `start` of the way from open to closed: all by one action ("grip") or group by group
         ("fingers")."""
-        action, names = self.closing(np.zeros(0), np.zeros((0, 2)), CLOSING_STEP), tuple(self.groups)
+        action, names = (
+            self.closing(np.zeros(0), np.zeros((0, 2)), CLOSING_STEP),
+            tuple(self.groups),
+        )
         opened = action.open + start * (action.closed - action.open)
         pose = self.start | dict(zip(self.actuated, opened.tolist(), strict=True))
-        pose |= {coupling.joint: coupling.at(pose[coupling.driver]) for coupling in self.couplings}
+        pose |= {
+            coupling.joint: coupling.at(pose[coupling.driver])
+            for coupling in self.couplings
+        }
         action = replace(action, open=opened)
         if actions == "grip":
             action = replace(action, groups=(np.concatenate(action.groups),))
@@ -332,15 +356,23 @@ class Hand:
         pose = {joint: angle for joint, angle in pose.items() if angle}
         return replace(self, action_map=action, action_names=names, start=pose)
 
-    def closing(self, slide_step: Array, slide_limits: Array, closing_step: float) -> ClosingAction:
+    def closing(
+        self, slide_step: Array, slide_limits: Array, closing_step: float
+    ) -> ClosingAction:
         """Actions that close and open its groups; see there."""
         driven = [*zip(self.actuators, self.actuated, strict=True)]
         opened, closed = (
-            np.array([ends.get(name, self.start.get(joint, 0.0)) for name, joint in driven])
+            np.array(
+                [ends.get(name, self.start.get(joint, 0.0)) for name, joint in driven]
+            )
             for ends in (self.opened, self.closed)
         )
-        groups = tuple(np.array([*map(self.actuators.index, own)]) for own in self.groups.values())
-        return ClosingAction(slide_step, slide_limits, closing_step, groups, opened, closed)
+        groups = tuple(
+            np.array([*map(self.actuators.index, own)]) for own in self.groups.values()
+        )
+        return ClosingAction(
+            slide_step, slide_limits, closing_step, groups, opened, closed
+        )
 
     def start_above(self, width: float, height: float) -> Hand:
         """The hand as it starts over an object of these measures, m.
@@ -352,7 +384,9 @@ class Hand:
         """
         if width <= self.start_clearance:
             return self
-        return replace(self, start={**self.start, SLIDES[2]: min(height, self.start_clearance)})
+        return replace(
+            self, start={**self.start, SLIDES[2]: min(height, self.start_clearance)}
+        )
 
     def start_positions(self) -> Array:
         """Joint positions at reset in the order of ``joints``, shape (n_joints,)."""
@@ -364,4 +398,6 @@ class Hand:
 
     @property
     def digits(self) -> tuple[str, ...]:
-        return tuple(dict.fromkeys(s.digit for s in self.surfaces if s.segment != "palm"))
+        return tuple(
+            dict.fromkeys(s.digit for s in self.surfaces if s.segment != "palm")
+        )

@@ -30,14 +30,33 @@ KEYS = {
     "scene", "place", "slides", "servos", "ranges", "passive", "digits", "pitch", "couplings", "start",
     "start_closing", "opened", "closed", "actions", "grasp",
 }  # fmt: skip
-OBSERVATION = ("joint_positions", "joint_velocities", "object_position", "object_orientation")
-HALF_RANGE = (0.03, 0.03, 0.20)  # m, how far actions of 1 move the slides from their centre
+OBSERVATION = (
+    "joint_positions",
+    "joint_velocities",
+    "object_position",
+    "object_orientation",
+)
+HALF_RANGE = (
+    0.03,
+    0.03,
+    0.20,
+)  # m, how far actions of 1 move the slides from their centre
 SLIDE_STEP = (0.01, 0.01, 0.2)  # m, of actions that are increments
-SLIDE_LIMITS = ((-0.02, 0.02), (-0.02, 0.02), (-0.03, 0.06))  # m, around the grasping height
-CLEAR, STEP, HIGHEST = 0.008, 0.002, 0.5  # m: around the hand at the start; of the search for it
+SLIDE_LIMITS = (
+    (-0.02, 0.02),
+    (-0.02, 0.02),
+    (-0.03, 0.06),
+)  # m, around the grasping height
+CLEAR, STEP, HIGHEST = (
+    0.008,
+    0.002,
+    0.5,
+)  # m: around the hand at the start; of the search for it
 FARTHEST = 1.0  # m of anything from the palm or the object
 NANO = 9  # decimals of m that count of a place
-FINGERS = 0.045  # m: how much more than an object is between the tips that it fits between
+FINGERS = (
+    0.045  # m: how much more than an object is between the tips that it fits between
+)
 STANDS_OFF = 5e-3  # m, of a convex hull from its mesh: worth a note
 TIMESTEP = 0.004  # s, of scenes that say nothing else
 
@@ -54,7 +73,9 @@ def load(path: Path) -> Hand:
             timestep = table(data, "scene").get("timestep", TIMESTEP)
             timestep = number(timestep, "scene.timestep", 1e-5, 1.0)
             with models.quiet():
-                hand = replace(hand, notes=hand.notes + checks.examine(hand, parts, timestep))
+                hand = replace(
+                    hand, notes=hand.notes + checks.examine(hand, parts, timestep)
+                )
         return hand
 
 
@@ -74,16 +95,22 @@ def _hand(parts: Parts, path: Path) -> Hand:
         palm_point=parts.palm_point,
         palmar=tuple(parts.palmar.tolist()),
         fingers=tuple(parts.fingers.tolist()),
-        fingertips=tuple((digit.links[-1], digit.tip) for digit in parts.digits.values()),
+        fingertips=tuple(
+            (digit.links[-1], digit.tip) for digit in parts.digits.values()
+        ),
         surfaces=sides,
         pitch=surfaces.pitch(parts, sides),
         action_map=_joint_action(parts, grasps, at),
         action_names=actuators,
-        couplings=tuple(coupling for coupling in parts.follows if coupling.driver in parts.driven),
+        couplings=tuple(
+            coupling for coupling in parts.follows if coupling.driver in parts.driven
+        ),
         first_joints=_names(data, "first_joints", (), parts.joints),
         start={joint: angle for joint, angle in parts.start.items() if angle},
         observation=_names(data, "observation", OBSERVATION),
-        added_inertia=number(data.get("added_inertia", Hand.added_inertia), "added_inertia", 0.0),
+        added_inertia=number(
+            data.get("added_inertia", Hand.added_inertia), "added_inertia", 0.0
+        ),
         grasps=grasps or kept,
         opened={parts.driven[joint]: angle for joint, angle in parts.opened.items()},
         closed={parts.driven[joint]: angle for joint, angle in parts.closed.items()},
@@ -108,17 +135,28 @@ def _notes(parts: Parts) -> tuple[str, ...]:
         )
     if parts.passive:
         found.append(f"joints without servos: {_some(parts.passive)}")
-    links = [parts.palm_frame.link, *(link for digit in parts.digits.values() for link in digit.links)]
+    links = [
+        parts.palm_frame.link,
+        *(link for digit in parts.digits.values() for link in digit.links),
+    ]
     off = {link: stand_off(parts.model, parts.model.body(link).id) for link in links}
-    wide = sorted((link for link in off if off[link] > STANDS_OFF), key=off.__getitem__, reverse=True)
+    wide = sorted(
+        (link for link in off if off[link] > STANDS_OFF),
+        key=off.__getitem__,
+        reverse=True,
+    )
     if wide:
         hulls = ", ".join(f"{link} {1e3 * off[link]:.0f} mm" for link in wide)
-        found.append(f"what touches is the convex hull of a mesh, which stands off it: {hulls}")
+        found.append(
+            f"what touches is the convex hull of a mesh, which stands off it: {hulls}"
+        )
     return tuple(found)
 
 
 def _some(names: tuple[str, ...]) -> str:
-    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
+    return ", ".join(names[:4]) + (
+        f" and {len(names) - 4} more" if len(names) > 4 else ""
+    )
 
 
 def _finger_length(parts: Parts, sides: tuple[Surface, ...]) -> float:
@@ -127,12 +165,16 @@ def _finger_length(parts: Parts, sides: tuple[Surface, ...]) -> float:
     tips = dict(zip(parts.digits, parts.tips(parts.model, data), strict=True))
     for name, digit in parts.digits.items():
         spans = [
-            side.span for side in sides if side.digit == name and side.segment != "palm" and side.bone
+            side.span
+            for side in sides
+            if side.digit == name and side.segment != "palm" and side.bone
         ]
         joints = np.array([*(data.body(link).xpos for link in digit.links), tips[name]])
         steps = np.linalg.norm(np.diff(joints, axis=0), axis=1)
         whole = len(spans) == len(digit.links)
-        found.append(sum(high - low for low, high, _ in spans) if whole else float(steps.sum()))
+        found.append(
+            sum(high - low for low, high, _ in spans) if whole else float(steps.sum())
+        )
     return max(found)
 
 
@@ -165,14 +207,22 @@ def _hung(parts: Parts) -> tuple[Mount, Array]:
     place = table(parts.data, "place", {"of", "at"})
     of = np.array(parts.palm_point)
     if "of" in place:
-        of = np.array(parts.palm_frame.point(vector(place["of"], 3, "place.of", -FARTHEST, FARTHEST)))
+        of = np.array(
+            parts.palm_frame.point(
+                vector(place["of"], 3, "place.of", -FARTHEST, FARTHEST)
+            )
+        )
     data = posed(parts.model, parts.start)
     root, palm = (data.xmat[body].reshape(3, 3) for body in (1, parts.palm))
     turn = mounting.turned(root.T @ palm, parts.palmar, parts.fingers)
     steps = root.T @ (data.xpos[parts.palm] - data.xpos[1]), root.T @ palm @ of
-    is_turned = not np.allclose(turn, posed(parts.model, {}).xmat[1].reshape(3, 3), atol=1e-9)
+    is_turned = not np.allclose(
+        turn, posed(parts.model, {}).xmat[1].reshape(3, 3), atol=1e-9
+    )
     rotation = tuple(map(tuple, turn.tolist()))
-    mount = replace(parts.mount, rotation=rotation, is_turned=is_turned, files=tuple(parts.files))
+    mount = replace(
+        parts.mount, rotation=rotation, is_turned=is_turned, files=tuple(parts.files)
+    )
 
     def at_place(at: Array) -> Mount:
         for step in steps:
@@ -211,7 +261,11 @@ def _above_the_object(parts: Parts, mount: Mount) -> Array:
 def _middle(parts: Parts, model: mujoco.MjModel) -> Array:
     """Between the fingertips (3,), m: of a hand with a thumb, between that and the others, closed as
     far as an object just fits in."""
-    shares = np.linspace(1.0, 0.0, 21) if "thumb" in parts.digits and len(parts.digits) > 2 else [0.5]
+    shares = (
+        np.linspace(1.0, 0.0, 21)
+        if "thumb" in parts.digits and len(parts.digits) > 2
+        else [0.5]
+    )
     for share in shares:
         tips = parts.tips(model, posed(model, parts.pose(float(share))))
         if len(shares) == 1:
@@ -251,16 +305,24 @@ def _grasps(parts: Parts, at: Array, tables: Any) -> tuple[ScriptedGrasp, ...]:
         angles = parts.angles(table(about, "joints"), f"{where}: joints")
         if "closing" in about:
             angles = parts.at(number(about["closing"], f"{where}: closing")) | angles
-        targets = {parts.driven[j]: angle for j, angle in angles.items() if j in parts.driven}
-        found.append(ScriptedGrasp(size, {**dict(zip(SLIDES, slides, strict=True)), **targets}))
+        targets = {
+            parts.driven[j]: angle for j, angle in angles.items() if j in parts.driven
+        }
+        found.append(
+            ScriptedGrasp(size, {**dict(zip(SLIDES, slides, strict=True)), **targets})
+        )
     return tuple(found)
 
 
 def _groups(parts: Parts) -> dict[str, tuple[str, ...]]:
     """Actuators that close together, by what that is called: those of each digit, or of several."""
-    chosen = table(parts.data, "actions").get("groups") or [[digit] for digit in parts.digits]
+    chosen = table(parts.data, "actions").get("groups") or [
+        [digit] for digit in parts.digits
+    ]
     if not isinstance(chosen, list):
-        raise ValueError(f"actions.groups: found {chosen!r}, expected a list of lists of digits")
+        raise ValueError(
+            f"actions.groups: found {chosen!r}, expected a list of lists of digits"
+        )
     found: dict[str, tuple[str, ...]] = {}
     groups = [strings(group, "actions.groups") for group in chosen]
     strings([digit for group in groups for digit in group], "actions.groups")
@@ -277,15 +339,21 @@ def _groups(parts: Parts) -> dict[str, tuple[str, ...]]:
     return found
 
 
-def _joint_action(parts: Parts, grasps: tuple[ScriptedGrasp, ...], at: Array) -> LinearAction:
+def _joint_action(
+    parts: Parts, grasps: tuple[ScriptedGrasp, ...], at: Array
+) -> LinearAction:
     """Every actuator over its range; action 0 of the slides is the grasping height."""
     slides, model = table(parts.data, "slides"), parts.model
     limits = np.array([model.joint(joint).range for joint in parts.driven])
     limited = model.actuator_ctrllimited.astype(bool)
     limits[limited] = model.actuator_ctrlrange[limited]
     height = grasps[-1].targets[SLIDES[2]] if grasps else min(0.0, 0.06 - float(at[2]))
-    centre = vector(slides.get("centre", (0.0, 0.0, round(height, NANO))), 3, "slides.centre")
-    half_range = vector(slides.get("half_range", HALF_RANGE), 3, "slides.half_range", 0.0, 1.0)
+    centre = vector(
+        slides.get("centre", (0.0, 0.0, round(height, NANO))), 3, "slides.centre"
+    )
+    half_range = vector(
+        slides.get("half_range", HALF_RANGE), 3, "slides.half_range", 0.0, 1.0
+    )
     return LinearAction(
         centre=np.concatenate([centre, limits.mean(axis=1)]),
         half_range=np.concatenate([half_range, np.ptp(limits, axis=1) / 2]),
@@ -294,12 +362,19 @@ def _joint_action(parts: Parts, grasps: tuple[ScriptedGrasp, ...], at: Array) ->
 
 def _with_actions(data: dict[str, Any], hand: Hand) -> Hand:
     """The hand with the actions that the file wants: of joints, or increments of slides and groups."""
-    actions, slides = table(data, "actions", {"kind", "step", "groups"}), table(data, "slides")
-    require_one_of(("joints", "closing"), kind := actions.get("kind", "joints"), "actions.kind")
+    actions, slides = (
+        table(data, "actions", {"kind", "step", "groups"}),
+        table(data, "slides"),
+    )
+    require_one_of(
+        ("joints", "closing"), kind := actions.get("kind", "joints"), "actions.kind"
+    )
     if kind == "joints":
         return hand
     if not hand.groups:
-        raise ValueError("actions: kind closing needs the angles of the closed hand: [closed]")
+        raise ValueError(
+            "actions: kind closing needs the angles of the closed hand: [closed]"
+        )
     limits = slides.get("limits", SLIDE_LIMITS)
     if not isinstance(limits, list | tuple) or len(limits) != 3:
         raise ValueError(f"slides.limits: found {limits!r}, expected three pairs")

@@ -12,7 +12,17 @@ from xml.etree import ElementTree
 import mujoco
 
 # Of an element of MjSpec: where it stands, not what it is like.
-NOT_DEFAULTS = {"id", "signature", "parent", "frame", "compiler", "classname", "plugin", "alt", "name"}
+NOT_DEFAULTS = {
+    "id",
+    "signature",
+    "parent",
+    "frame",
+    "compiler",
+    "classname",
+    "plugin",
+    "alt",
+    "name",
+}
 MESHES = (".stl", ".obj", ".msh")
 PACKAGE = "package://"
 DUMMY = {"mass": 1e-3, "inertia": [1e-6] * 3}
@@ -21,7 +31,10 @@ DUMMY = {"mass": 1e-3, "inertia": [1e-6] * 3}
 
 def read(path: Path) -> mujoco.MjSpec:
     """A model's file, with nothing of it merged; ValueError in one line."""
-    beside = {os.path.relpath(file, path.parent): file.read_bytes() for file in included(path)[1:]}
+    beside = {
+        os.path.relpath(file, path.parent): file.read_bytes()
+        for file in included(path)[1:]
+    }
     is_urdf = _root(path).tag == "robot"
     with quiet():
         try:
@@ -66,7 +79,11 @@ def included(path: Path) -> list[Path]:
 def assets(path: Path, spec: mujoco.MjSpec) -> list[Path]:
     """The files of a model's meshes, textures and height fields; FileNotFoundError for what is there
     and no file, such as a pipe: MuJoCo would wait for its end."""
-    folders = {"meshes": spec.meshdir, "hfields": spec.meshdir, "textures": spec.texturedir}
+    folders = {
+        "meshes": spec.meshdir,
+        "hfields": spec.meshdir,
+        "textures": spec.texturedir,
+    }
     found = [
         path.parent / folder / (Path(each.file).name if spec.strippath else each.file)
         for kind, folder in folders.items()
@@ -138,10 +155,16 @@ def _urdf(path: Path) -> str:
                         (missing, "no files for these meshes")):  # fmt: skip
         if names:
             more = f" and {len(set(names)) - 3} more" if len(set(names)) > 3 else ""
-            raise ValueError(f"found {what}: {', '.join([*dict.fromkeys(names)][:3])}{more}")
+            raise ValueError(
+                f"found {what}: {', '.join([*dict.fromkeys(names)][:3])}{more}"
+            )
     extension = ElementTree.SubElement(robot, "mujoco")
     ElementTree.SubElement(
-        extension, "compiler", strippath="false", fusestatic="false", discardvisual="false"
+        extension,
+        "compiler",
+        strippath="false",
+        fusestatic="false",
+        discardvisual="false",
     )
     return ElementTree.tostring(robot, encoding="unicode")
 
@@ -153,8 +176,14 @@ def _mesh(name: str, *folders: Path) -> Path | None:
     if name.startswith(PACKAGE):
         package, _, inside = name.removeprefix(PACKAGE).partition("/")
         above = [first, *first.parents]
-        places = [place for each in above for place in (each / package / inside, each / inside)]
+        places = [
+            place
+            for each in above
+            for place in (each / package / inside, each / inside)
+        ]
     else:
         name = name.removeprefix("file://")
-        places = [place for each in folders for place in (each / name, each / Path(name).name)]
+        places = [
+            place for each in folders for place in (each / name, each / Path(name).name)
+        ]
     return next((place for place in places if place.is_file()), None)

@@ -80,9 +80,15 @@ class Mount:
             servos.add(spec, name, self.slides["gain"], self.slides["force"])
         for actuator in spec.actuators if finger_gain != 1.0 else ():
             moved = spec.joint(next(iter(servos.arms(spec, actuator)))).parent.name
-            if moved not in chain(spec.body(self.palm)):  # it moves a finger, and not the palm
+            if moved not in chain(
+                spec.body(self.palm)
+            ):  # it moves a finger, and not the palm
                 for figure in ("gainprm", "biasprm", "forcerange"):
-                    setattr(actuator, figure, np.array(getattr(actuator, figure)) * finger_gain)
+                    setattr(
+                        actuator,
+                        figure,
+                        np.array(getattr(actuator, figure)) * finger_gain,
+                    )
         return spec
 
     def bare(self, visual: bool = False) -> mujoco.MjSpec:
@@ -93,11 +99,16 @@ class Mount:
                 body.fuse = is_fixed(body)
             with models.quiet():
                 spec.fuse_static()
-        if not self.keeps_contacts:  # contype without conaffinity meets the object and the ground
+        if (
+            not self.keeps_contacts
+        ):  # contype without conaffinity meets the object and the ground
             for pair in (*spec.pairs, *spec.excludes):
                 spec.delete(pair)
             for geom in spec.geoms:
-                geom.contype, geom.conaffinity = int(bool(geom.contype or geom.conaffinity)), 0
+                geom.contype, geom.conaffinity = (
+                    int(bool(geom.contype or geom.conaffinity)),
+                    0,
+                )
         self._couple(spec)
         self._drive(spec)
         return spec
@@ -116,7 +127,10 @@ class Mount:
         if self.fuses:
             for body in weightless(spec):
                 if list(body.bodies):
-                    body.mass, body.inertia = models.DUMMY["mass"], models.DUMMY["inertia"]
+                    body.mass, body.inertia = (
+                        models.DUMMY["mass"],
+                        models.DUMMY["inertia"],
+                    )
                     body.explicitinertial = True
         for joint in spec.joints:
             if joint.name in self.ranges:
@@ -130,12 +144,18 @@ class Mount:
         names = [element.name for kind in kinds for element in getattr(spec, kind)]
         for pattern in self.drop:
             if not filter_names(names, pattern):
-                raise ValueError(f"drop: found {pattern!r}, which nothing in the model is called")
+                raise ValueError(
+                    f"drop: found {pattern!r}, which nothing in the model is called"
+                )
         for kind in kinds:
             elements = getattr(spec, kind)  # those that are left
             chosen = [element for element in elements if self._is_left_out(element)]
             if kind == "bodies":  # one takes along what hangs on it
-                chosen = [body for body in chosen if not any(map(self._is_left_out, _above(body)))]
+                chosen = [
+                    body
+                    for body in chosen
+                    if not any(map(self._is_left_out, _above(body)))
+                ]
             for element in chosen:
                 spec.delete(element)
         used = {geom.meshname for geom in spec.geoms}
@@ -143,8 +163,17 @@ class Mount:
         flat = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD
         floors = [geom for geom in spec.worldbody.geoms if geom.type in flat]
         alone = len(list(spec.worldbody.bodies)) == 1
-        floors += [geom for geom in spec.worldbody.geoms if alone and geom not in floors]
-        for element in (*spec.sensors, *spec.lights, *spec.cameras, *spec.keys, *meshes, *floors):
+        floors += [
+            geom for geom in spec.worldbody.geoms if alone and geom not in floors
+        ]
+        for element in (
+            *spec.sensors,
+            *spec.lights,
+            *spec.cameras,
+            *spec.keys,
+            *meshes,
+            *floors,
+        ):
             spec.delete(element)
 
     def _is_left_out(self, element: Any) -> bool:
@@ -222,7 +251,9 @@ def _with_one_root(spec: mujoco.MjSpec, root: str) -> mujoco.MjSpec:
         if chosen is None:
             base = whole.worldbody.add_body(name=BASE)
             whole.attach(spec, prefix="", frame=base.add_frame())
-            if all(list(body.joints) for body in roots):  # nothing of it is part of the base
+            if all(
+                list(body.joints) for body in roots
+            ):  # nothing of it is part of the base
                 base.mass, base.inertia = models.DUMMY["mass"], models.DUMMY["inertia"]
                 base.explicitinertial = True
         else:
@@ -261,7 +292,9 @@ def is_loose(body: mujoco.MjsBody) -> bool:
 
 def is_fixed(body: mujoco.MjsBody) -> bool:
     """To another body, that is: not at the root, and without joints."""
-    return body.name != "world" and body.parent.name != "world" and not list(body.joints)
+    return (
+        body.name != "world" and body.parent.name != "world" and not list(body.joints)
+    )
 
 
 def weightless(spec: mujoco.MjSpec) -> list[mujoco.MjsBody]:
@@ -277,15 +310,26 @@ def weightless(spec: mujoco.MjSpec) -> list[mujoco.MjsBody]:
 def _quaternion(rotation: Array) -> Array:
     turn = Rotation.from_matrix(rotation).as_rotvec()
     angle = float(np.linalg.norm(turn))
-    return np.array([np.cos(angle / 2), *(np.sin(angle / 2) * np.round(turn / max(angle, 1e-9), 12))])
+    return np.array(
+        [
+            np.cos(angle / 2),
+            *(np.sin(angle / 2) * np.round(turn / max(angle, 1e-9), 12)),
+        ]
+    )
 
 
 def followed(spec: mujoco.MjSpec) -> Iterator[Coupling]:
     """Where an equality of the model couples two joints: the second drives, unless only the first has
     a servo; ValueError where not by a straight line."""
-    driven = {joint for actuator in spec.actuators for joint in servos.arms(spec, actuator)}
+    driven = {
+        joint for actuator in spec.actuators for joint in servos.arms(spec, actuator)
+    }
     for equality in spec.equalities:
-        if equality.type != mujoco.mjtEq.mjEQ_JOINT or not equality.name2 or not equality.active:
+        if (
+            equality.type != mujoco.mjtEq.mjEQ_JOINT
+            or not equality.name2
+            or not equality.active
+        ):
             continue
         joint, driver = equality.name1, equality.name2
         offset, ratio, *higher = (float(value) for value in equality.data[:5])
@@ -300,12 +344,18 @@ def followed(spec: mujoco.MjSpec) -> Iterator[Coupling]:
 
 def _unit(joint: mujoco.MjsJoint) -> float:
     """Of a joint's angles in its model: 1 or a degree, rad; of what slides 1 m."""
-    return float(np.radians(1.0)) if joint.compiler.degree and joint.type != LINEAR else 1.0
+    return (
+        float(np.radians(1.0))
+        if joint.compiler.degree and joint.type != LINEAR
+        else 1.0
+    )
 
 
 def _rest(spec: mujoco.MjSpec, joint: str, driver: str, ratio: float) -> float:
     """What a coupled joint is beyond `ratio` times its driver where both are at their `ref`."""
-    rest, of_driver = (each.ref * _unit(each) for each in map(spec.joint, (joint, driver)))
+    rest, of_driver = (
+        each.ref * _unit(each) for each in map(spec.joint, (joint, driver))
+    )
     return float(rest - ratio * of_driver)
 
 

@@ -57,7 +57,9 @@ class Parts:
         data = self.data
         contacts = data.get("contacts", "others")
         require_one_of(("others", "model"), contacts, "contacts")
-        slides = table(data, "slides", {*servos.SLIDE, "centre", "half_range", "step", "limits"})
+        slides = table(
+            data, "slides", {*servos.SLIDE, "centre", "half_range", "step", "limits"}
+        )
         figures = table(data, "servos", set(servos.SERVOS))
         for kind in figures:
             only(table(figures, kind), set(servos.SERVOS[kind]), f"servos.{kind}")
@@ -69,7 +71,9 @@ class Parts:
             drop=strings(data["drop"], "drop") if "drop" in data else (),
             masses=numbers(table(data, "masses"), "masses"),
             keeps_contacts=contacts == "model",
-            slides=numbers({k: slides.get(k, v) for k, v in servos.SLIDE.items()}, "slides"),
+            slides=numbers(
+                {k: slides.get(k, v) for k, v in servos.SLIDE.items()}, "slides"
+            ),
             servos={k: numbers(figures[k], f"servos.{k}") for k in figures},
         )
 
@@ -80,13 +84,17 @@ class Parts:
         for body in self.asked.masses:
             require_one_of([each.name for each in spec.bodies], body, "masses")
             if not spec.body(body).explicitinertial:
-                raise ValueError(f"masses: found {body!r}, allowed bodies whose model has an inertial")
+                raise ValueError(
+                    f"masses: found {body!r}, allowed bodies whose model has an inertial"
+                )
         for joint in spec.joints:
             of_body = f"a joint of body {joint.parent.name!r}"
             if joint.type not in (servos.HINGE, servos.LINEAR):
                 kind = joint.type.name.removeprefix("mjJNT_").lower()
                 what = f"joint {joint.name!r}" if joint.name else of_body
-                raise ValueError(f"{what}: is a {kind} joint, allowed hinges and slides")
+                raise ValueError(
+                    f"{what}: is a {kind} joint, allowed hinges and slides"
+                )
             if not joint.name:
                 raise ValueError(f"{of_body}: has no name; give it one")
         if empty := [body.name for body in mounting.weightless(spec)]:
@@ -132,12 +140,22 @@ class Parts:
     def passive(self) -> tuple[str, ...]:
         """Joints without servos: those that the file names, and those in closed loops that it does not
         move."""
-        named = strings(self.data["passive"], "passive") if "passive" in self.data else ()
-        found = [joint for pattern in named for joint in self.matching(pattern, "passive")]
+        named = (
+            strings(self.data["passive"], "passive") if "passive" in self.data else ()
+        )
+        found = [
+            joint for pattern in named for joint in self.matching(pattern, "passive")
+        ]
         keys = "opened", "closed", "start"
-        moved = set().union(*(self.angles(table(self.data, key), key, False) for key in keys))
+        moved = set().union(
+            *(self.angles(table(self.data, key), key, False) for key in keys)
+        )
         looped = set().union(*mounting.loops(self.raw))
-        found += [j.name for j in self.raw.joints if j.parent.name in looped and j.name not in moved]
+        found += [
+            j.name
+            for j in self.raw.joints
+            if j.parent.name in looped and j.name not in moved
+        ]
         return tuple(dict.fromkeys(found))
 
     @cached_property
@@ -146,7 +164,9 @@ class Parts:
         spec = self.mount.bare()
         for actuator in spec.actuators:
             if not servos.is_servo(spec, actuator):
-                raise ValueError(f"actuator {actuator.name!r}: is no position servo of a joint")
+                raise ValueError(
+                    f"actuator {actuator.name!r}: is no position servo of a joint"
+                )
         return spec
 
     @cached_property
@@ -162,12 +182,16 @@ class Parts:
         free = [
             joint
             for joint, actuator in self.driven.items()
-            if not (model.joint(joint).limited[0] or model.actuator(actuator).ctrllimited[0])
+            if not (
+                model.joint(joint).limited[0] or model.actuator(actuator).ctrllimited[0]
+            )
         ]
         if free:
             more = "; so have " + ", ".join(free[1:]) if free[1:] else ""
             hint = f'[ranges] "{free[0]}" = [low, high]'
-            raise ValueError(f"joint {free[0]!r}: has no range; give it one: {hint}{more}")
+            raise ValueError(
+                f"joint {free[0]!r}: has no range; give it one: {hint}{more}"
+            )
         return model
 
     @cached_property
@@ -181,7 +205,9 @@ class Parts:
         found = {}
         for actuator in self.spec.actuators:
             arms = servos.arms(self.spec, actuator)
-            found[next((j for j in arms if j not in followers), next(iter(arms)))] = actuator.name
+            found[next((j for j in arms if j not in followers), next(iter(arms)))] = (
+                actuator.name
+            )
         return found
 
     @cached_property
@@ -201,7 +227,10 @@ class Parts:
     @cached_property
     def follows(self) -> tuple[Coupling, ...]:
         """Of joints that follow others, those of the file first: each by what moves them all."""
-        found = {each.joint: each for each in (*self.own_couplings, *mounting.followed(self.spec))}
+        found = {
+            each.joint: each
+            for each in (*self.own_couplings, *mounting.followed(self.spec))
+        }
         for driver, name in self.driven.items():
             for joint in servos.arms(self.spec, self.spec.actuator(name)):
                 if joint != driver:
@@ -213,14 +242,20 @@ class Parts:
         bodies = [body.name for body in self.raw.bodies[1:]]
         if name not in bodies:
             allowed = ", ".join(bodies)
-            raise ValueError(f"{where}: found no body {name!r} in the model, allowed: {allowed}")
+            raise ValueError(
+                f"{where}: found no body {name!r} in the model, allowed: {allowed}"
+            )
         return self.welded.get(str(name), Frame(str(name)))
 
     @cached_property
     def welded(self) -> dict[str, Frame]:
         """The bodies that are part of links."""
         # Nobody can mean what has no name.
-        fixed = [b.name for b in self.raw.bodies if self.is_own and b.name and mounting.is_fixed(b)]
+        fixed = [
+            b.name
+            for b in self.raw.bodies
+            if self.is_own and b.name and mounting.is_fixed(b)
+        ]
         if not fixed:
             return {}
         data, found = posed(models.compiled(self.raw.copy()), {}), {}
@@ -231,17 +266,23 @@ class Parts:
             here, there = data.body(name), data.body(body.name)
             turn = there.xmat.reshape(3, 3).T
             own = turn @ here.xmat.reshape(3, 3)
-            found[name] = Frame(body.name, np.round(own, 12), turn @ (here.xpos - there.xpos))
+            found[name] = Frame(
+                body.name, np.round(own, 12), turn @ (here.xpos - there.xpos)
+            )
         return found
 
     # -- joint angles ------------------------------------------------------------------------
 
     def matching(self, pattern: str, where: str) -> list[str]:
         """The joints of that name, or pattern; ValueError where there is none."""
-        joints = [pattern] if pattern in self.joints else matching(self.joints, str(pattern))
+        joints = (
+            [pattern] if pattern in self.joints else matching(self.joints, str(pattern))
+        )
         if not joints:
             allowed = ", ".join(self.joints)
-            raise ValueError(f"{where}: found no joint {pattern!r} in the model, allowed: {allowed}")
+            raise ValueError(
+                f"{where}: found no joint {pattern!r} in the model, allowed: {allowed}"
+            )
         return joints
 
     def angles(self, values: dict[str, Any], where: str, ranged: bool = True) -> Angles:
@@ -275,10 +316,14 @@ class Parts:
         idle = [joint for joint in closed if joint not in self.driven]
         if idle:
             hint = "leave it out"
-            if self.driven and not any(joint == each.joint for joint in idle for each in self.follows):
+            if self.driven and not any(
+                joint == each.joint for joint in idle for each in self.follows
+            ):
                 names = ", ".join(f'"{name}"' for name in self.driven.values())
                 hint = f"add the missing ones, or give all joints the library's: drop = [{names}]"
-            raise ValueError(f"closed.{idle[0]}: found a joint without an actuator; {hint}")
+            raise ValueError(
+                f"closed.{idle[0]}: found a joint without an actuator; {hint}"
+            )
         return closed
 
     @cached_property
@@ -287,7 +332,9 @@ class Parts:
         opened = self.angles(table(self.data, "opened"), "opened")
         for joint in opened:
             if joint not in self.closed:
-                raise ValueError(f"opened.{joint}: found it without a value in [closed]")
+                raise ValueError(
+                    f"opened.{joint}: found it without a value in [closed]"
+                )
         return {joint: self.inside(joint) for joint in self.closed} | opened
 
     @cached_property
@@ -298,11 +345,16 @@ class Parts:
     def way(self, joint: str) -> float:
         """How far it goes from open to closed, by itself or following another, rad or m."""
         own = self.closed.get(joint, 0.0) - self.opened.get(joint, 0.0)
-        return own or sum(c.ratio * self.way(c.driver) for c in self.follows if c.joint == joint)
+        return own or sum(
+            c.ratio * self.way(c.driver) for c in self.follows if c.joint == joint
+        )
 
     def at(self, share: float) -> Angles:
         """A share of the way from open to closed."""
-        return {j: self.opened[j] + share * (self.closed[j] - self.opened[j]) for j in self.closed}
+        return {
+            j: self.opened[j] + share * (self.closed[j] - self.opened[j])
+            for j in self.closed
+        }
 
     def pose(self, share: float) -> Angles:
         """Of all joints: at a share of the way from open to closed, the others as at the start."""
@@ -334,17 +386,26 @@ class Parts:
         found: dict[str, Digit] = {}
         for name, about in table(self.data, "digits").items():
             where = f"digits.{name}"
-            table({where: about}, where, {"links", "tip", "palmar", "base", "base_link"})
+            table(
+                {where: about}, where, {"links", "tip", "palmar", "base", "base_link"}
+            )
             bodies = strings(about.get("links"), f"{where}.links")
             frames = [self.frame(body, where) for body in bodies]
             sides: dict[str, Array | None] = {}
             for frame, side in zip(
                 frames, _sides(about.get("palmar"), len(bodies), where), strict=True
             ):
-                sides.setdefault(frame.link, None if side is None else np.array(frame.direction(side)))
-                others = (other for other, digit in found.items() if frame.link in digit.links)
+                sides.setdefault(
+                    frame.link,
+                    None if side is None else np.array(frame.direction(side)),
+                )
+                others = (
+                    other for other, digit in found.items() if frame.link in digit.links
+                )
                 if other := next(others, None):
-                    raise ValueError(f"{where}.links: found {frame.link!r}, which is a link of {other}")
+                    raise ValueError(
+                        f"{where}.links: found {frame.link!r}, which is a link of {other}"
+                    )
             tip = frames[-1].point(vector(about.get("tip"), 3, f"{where}.tip"))
             found[name] = Digit(tuple(sides), tip, tuple(sides.values()))
         if not found:
@@ -354,8 +415,14 @@ class Parts:
     def closing_of(self, digit: str) -> list[str]:
         """The joints of [closed] that move a digit, through closed loops too."""
         chain = set(mounting.chain(self.spec.body(self.digits[digit].links[-1])))
-        chain |= {body for loop in mounting.loops(self.spec) if chain & loop for body in loop}
-        return [joint for joint in self.closed if self.spec.joint(joint).parent.name in chain]
+        chain |= {
+            body for loop in mounting.loops(self.spec) if chain & loop for body in loop
+        }
+        return [
+            joint
+            for joint in self.closed
+            if self.spec.joint(joint).parent.name in chain
+        ]
 
     def tips(self, model: mujoco.MjModel, data: mujoco.MjData) -> Array:
         """(n_digits, 3) in a posed model, m."""
@@ -375,7 +442,9 @@ class Parts:
     @cached_property
     def palm_point(self) -> tuple[float, ...]:
         """In its frame, m."""
-        return self.palm_frame.point(vector(self.data.get("palm_point"), 3, "palm_point"))
+        return self.palm_frame.point(
+            vector(self.data.get("palm_point"), 3, "palm_point")
+        )
 
     @cached_property
     def palmar(self) -> Array:
@@ -386,10 +455,14 @@ class Parts:
     @cached_property
     def fingers(self) -> Array:
         """Unit vector (3,) from the palm towards the fingers, in its frame."""
-        fingers = self.palm_frame.direction(vector(self.data.get("fingers"), 3, "fingers"))
+        fingers = self.palm_frame.direction(
+            vector(self.data.get("fingers"), 3, "fingers")
+        )
         fingers = unit(fingers, "fingers")
         if abs(self.palmar @ fingers) > 0.9:
-            raise ValueError("fingers: found the direction of palmar, expected one along the palm")
+            raise ValueError(
+                "fingers: found the direction of palmar, expected one along the palm"
+            )
         return beside(fingers, self.palmar)
 
 
@@ -411,9 +484,15 @@ def _sides(value: Any, n: int, where: str) -> list[Array | None]:
     where = f"{where}.palmar"
     if value is None:
         return [None] * n
-    each = value if isinstance(value, list) and value and isinstance(value[0], list) else [value] * n
+    each = (
+        value
+        if isinstance(value, list) and value and isinstance(value[0], list)
+        else [value] * n
+    )
     if len(each) != n:
-        raise ValueError(f"{where}: found {len(each)} directions, expected one, or one for each link")
+        raise ValueError(
+            f"{where}: found {len(each)} directions, expected one, or one for each link"
+        )
     return [unit(vector(one, 3, where), where) for one in each]
 
 
@@ -448,17 +527,25 @@ def unit(direction: Any, where: str) -> Array:
 def beside(direction: Array, other: Array) -> Array:
     """What of a unit vector is at right angles to another, of length 1."""
     along = float(direction @ other)
-    return direction if abs(along) < 1e-9 else unit(direction - along * other, "directions")
+    return (
+        direction
+        if abs(along) < 1e-9
+        else unit(direction - along * other, "directions")
+    )
 
 
 def _model_file(name: Any, folder: Path) -> Path:
     """A path beside the hand's file, or "package:path" in a package that is installed."""
     if not isinstance(name, str) or not name:
-        raise ValueError(f"model: found {name!r}, expected the path of an MJCF or URDF file")
+        raise ValueError(
+            f"model: found {name!r}, expected the path of an MJCF or URDF file"
+        )
     package, colon, inside = name.partition(":")
     if not colon:
         return folder / name
-    spec = find_spec(package) if package.isidentifier() else None  # not imported: that may be slow
+    spec = (
+        find_spec(package) if package.isidentifier() else None
+    )  # not imported: that may be slow
     if spec is None or not spec.submodule_search_locations:
         package = package.replace("_", "-")
         what = f"the hand's model files come with {package}, which is not installed"

@@ -27,9 +27,12 @@ MEMORY = 8 * 2**30  # bytes of address space
 ASKED, RESULT = "asked", "result"
 TRIED = "TACTILERL_HANDS_TRIED"
 """Environment variable: what has been read well, for processes that are started from here."""
-MOST_TRIED = 60_000  # characters of that: Linux starts no process with a variable of 128 KiB
+MOST_TRIED = (
+    60_000  # characters of that: Linux starts no process with a variable of 128 KiB
+)
 KINDS: dict[str, type[Exception]] = {
-    kind.__name__: kind for kind in (ValueError, FileNotFoundError, ImportError, OSError)
+    kind.__name__: kind
+    for kind in (ValueError, FileNotFoundError, ImportError, OSError)
 }
 _read: dict[Path, tuple[str, Hand]] = {}
 _lock = threading.Lock()
@@ -49,7 +52,9 @@ def load(path: Path) -> Hand:
 
 def describe(model: str, folder: Path, said: dict[str, Any]) -> tuple[str, list[str]]:
     """The text of a hand's file for a model, and notes; raises as `describing.describe`."""
-    found: tuple[str, list[str]] = _ask("describe", model, (model, folder.absolute(), said), folder)
+    found: tuple[str, list[str]] = _ask(
+        "describe", model, (model, folder.absolute(), said), folder
+    )
     return found
 
 
@@ -72,7 +77,9 @@ def _load(path: Path, whole: Path) -> Hand:
     hand: Hand = _ask("load", f"hand file {path}", (whole,), path.parent)
     kept = [state for state in tried if json.loads(state)[0][0] != str(whole)]
     kept.append(_state(whole, *hand.build.files))
-    while sum(map(len, kept)) > MOST_TRIED:  # what is forgotten is only read in a process again
+    while (
+        sum(map(len, kept)) > MOST_TRIED
+    ):  # what is forgotten is only read in a process again
         kept.pop(0)
     os.environ[TRIED] = "\n".join(kept)
     return hand
@@ -105,7 +112,12 @@ def _run(what: str, folder: str) -> None:
     there: Any = {"cwd": folder, "env": {**os.environ, **threads, "PYTHONPATH": search}}
     try:
         code = subprocess.run(
-            command, timeout=SECONDS, start_new_session=True, check=False, **there, **silent
+            command,
+            timeout=SECONDS,
+            start_new_session=True,
+            check=False,
+            **there,
+            **silent,
         ).returncode
     except subprocess.TimeoutExpired:
         code = -signal.SIGXCPU
@@ -115,7 +127,9 @@ def _run(what: str, folder: str) -> None:
             how = f"takes longer than {CPU_SECONDS} s to read"
         elif code < 0:
             how = f"breaks MuJoCo's reader ({signal.Signals(-code).name})"
-        raise ValueError(f"{what}: the model {how}; make it smaller, or drop what is no hand")
+        raise ValueError(
+            f"{what}: the model {how}; make it smaller, or drop what is no hand"
+        )
 
 
 def main() -> None:
@@ -123,7 +137,9 @@ def main() -> None:
     from . import describing, loading
 
     job, what, args, seconds = pickle.loads(Path(ASKED).read_bytes())
-    with contextlib.suppress(ImportError, ValueError, OSError):  # where there are such limits
+    with contextlib.suppress(
+        ImportError, ValueError, OSError
+    ):  # where there are such limits
         import resource
 
         for limit, value in (("AS", MEMORY), ("CPU", seconds), ("CORE", 0)):
@@ -136,7 +152,10 @@ def main() -> None:
         kind = next(name for name, kind in KINDS.items() if isinstance(error, kind))
         result = kind, str(error)
     except MemoryError:
-        result = "ValueError", f"{what}: the model needs more than {MEMORY >> 30} GB to read"
+        result = (
+            "ValueError",
+            f"{what}: the model needs more than {MEMORY >> 30} GB to read",
+        )
     except Exception as error:  # whatever MuJoCo or a parser raises
         line = " ".join(str(error).split())[:300]
         result = "ValueError", f"{what}: model: {type(error).__name__}: {line}"

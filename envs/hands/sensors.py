@@ -20,16 +20,30 @@ LEAST, MOST = 1e-3, 0.02  # m, of radii
 def of(parts: Parts) -> tuple[Point, ...]:
     """The sites of `<touch>` sensors, and what is fixed to a link and called a sensor, as in URDF.
     Those that are not at the skin of a link are left out."""
-    links = {link for digit in parts.digits.values() for link in digit.links} | {parts.palm_frame.link}
+    links = {link for digit in parts.digits.values() for link in digit.links} | {
+        parts.palm_frame.link
+    }
     geoms = {link: geoms_of(parts.model, parts.model.body(link).id) for link in links}
     found = []
-    named = [(n, at.link, at.place, RADIUS) for n, at in parts.welded.items() if WORDS.search(n)]
+    named = [
+        (n, at.link, at.place, RADIUS)
+        for n, at in parts.welded.items()
+        if WORDS.search(n)
+    ]
     for name, link, place, radius in (*_sites(parts), *named):
         if own := geoms.get(link):
             away, normal = outside(own, place)
             if abs(away) < NEAR and normal.any():
                 radius = float(np.clip(radius, LEAST, MOST))
-                found.append(Point(link, tuple(place.tolist()), tuple(normal.tolist()), radius, name))
+                found.append(
+                    Point(
+                        link,
+                        tuple(place.tolist()),
+                        tuple(normal.tolist()),
+                        radius,
+                        name,
+                    )
+                )
     return tuple(found)
 
 
@@ -38,6 +52,11 @@ def _sites(parts: Parts) -> list[tuple[str, str, np.ndarray, float]]:
     touch = mujoco.mjtSensor.mjSENS_TOUCH
     sensors = models.read(parts.asked.model).sensors
     chosen = {sensor.objname for sensor in sensors if sensor.type == touch}
-    sites = [parts.model.site(site.name) for site in parts.spec.sites if site.name in chosen]
+    sites = [
+        parts.model.site(site.name) for site in parts.spec.sites if site.name in chosen
+    ]
     links = (parts.model.body(site.bodyid[0]).name for site in sites)
-    return [(site.name, link, site.pos, site.size[0]) for site, link in zip(sites, links, strict=True)]
+    return [
+        (site.name, link, site.pos, site.size[0])
+        for site, link in zip(sites, links, strict=True)
+    ]

@@ -16,7 +16,11 @@ SERVOS = {
 """Of joints whose model has no servos: N m/rad, N m s/rad, kg m², N m; for slides N/m and so on."""
 HINGE, LINEAR = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
 JOINT, TENDON = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_TENDON
-DYNAMICS = (mujoco.mjtDyn.mjDYN_NONE, mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
+DYNAMICS = (
+    mujoco.mjtDyn.mjDYN_NONE,
+    mujoco.mjtDyn.mjDYN_FILTER,
+    mujoco.mjtDyn.mjDYN_FILTEREXACT,
+)
 
 
 def add(spec: mujoco.MjSpec, joint: str, gain: float, limit: float) -> None:
@@ -58,7 +62,11 @@ def arms(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> dict[str, float]:
 def measure_in_joints(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> None:
     """Have the control of a servo be the position of its joint, or of all joints of its tendon, as
     they are where the servo holds still."""
-    gain, offset, stiffness = actuator.gainprm[0], actuator.biasprm[0], -actuator.biasprm[1]
+    gain, offset, stiffness = (
+        actuator.gainprm[0],
+        actuator.biasprm[0],
+        -actuator.biasprm[1],
+    )
     length = sum(arms(spec, actuator).values())
     if gain == stiffness and offset == 0 and length == 1:
         return
@@ -69,11 +77,15 @@ def measure_in_joints(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> None
     actuator.gainprm, actuator.biasprm = gains, biases
 
 
-def hold(model: mujoco.MjModel, data: mujoco.MjData, actuators: list[int], targets: Array) -> None:
+def hold(
+    model: mujoco.MjModel, data: mujoco.MjData, actuators: list[int], targets: Array
+) -> None:
     """Have servos hold these targets from now on, and before: in what they filter and delay, too."""
     data.ctrl[actuators] = targets
     for actuator, target in zip(actuators, targets, strict=True):
         if model.actuator_actnum[actuator]:
             data.act[model.actuator_actadr[actuator]] = target
         if n := int(model.actuator_history[actuator, 0]):
-            mujoco.mj_initCtrlHistory(model, data, actuator, None, np.full((n, 1), target))
+            mujoco.mj_initCtrlHistory(
+                model, data, actuator, None, np.full((n, 1), target)
+            )

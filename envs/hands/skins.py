@@ -45,7 +45,9 @@ class Geom(NamedTuple):
         if self.kind in ("sphere", "capsule", "cylinder"):
             length = {"sphere": radius, "capsule": half + radius}.get(self.kind, half)
             size = radius, radius, length
-        corners = np.array(self.corners or [*product((-1, 1), repeat=3)] * np.array(size))
+        corners = np.array(
+            self.corners or [*product((-1, 1), repeat=3)] * np.array(size)
+        )
         return np.array(self.position) + corners @ np.array(self.rotation).T
 
 
@@ -53,7 +55,9 @@ def geoms_of(model: mujoco.MjModel, body: int) -> tuple[Geom, ...]:
     """What collides of a body; ValueError for a shape that no link has."""
     names = {int(value): name for name, value in KINDS.items()}
     found = []
-    for index in range(model.body_geomadr[body], model.body_geomadr[body] + model.body_geomnum[body]):
+    for index in range(
+        model.body_geomadr[body], model.body_geomadr[body] + model.body_geomnum[body]
+    ):
         geom = model.geom(index)
         if not (geom.contype[0] or geom.conaffinity[0]):
             continue
@@ -70,7 +74,9 @@ def geoms_of(model: mujoco.MjModel, body: int) -> tuple[Geom, ...]:
                 corners = corners[ConvexHull(corners).vertices]
         rotation = np.zeros(9)
         mujoco.mju_quat2Mat(rotation, geom.quat)
-        rows, points = (tuple(map(tuple, a.tolist())) for a in (rotation.reshape(3, 3), corners))
+        rows, points = (
+            tuple(map(tuple, a.tolist())) for a in (rotation.reshape(3, 3), corners)
+        )
         found.append(Geom(kind, tuple(geom.size), tuple(geom.pos), rows, points))
     return tuple(found)
 
@@ -103,7 +109,9 @@ def _scattered(triangles: Array, n: int, rng: np.random.Generator) -> Array:
     return a[chosen] + u * (b - a)[chosen] + v * (c - a)[chosen]
 
 
-def meet(geoms: tuple[Geom, ...], above: Array, direction: Array) -> tuple[Array, Array] | None:
+def meet(
+    geoms: tuple[Geom, ...], above: Array, direction: Array
+) -> tuple[Array, Array] | None:
     """Where one comes upon the geoms from outside, on the line through `above` (3,) along `direction`,
     and the outward normal there; None when one passes."""
     start = above - FAR * direction
@@ -117,14 +125,22 @@ class Distances:
     def __init__(self, geoms: list[Geom]) -> None:
         spec = mujoco.MjSpec()
         for number, geom in enumerate(geoms):
-            more = {"meshname": f"mesh{number}"} if geom.kind == MESH else {"size": geom.size}
+            more = (
+                {"meshname": f"mesh{number}"}
+                if geom.kind == MESH
+                else {"size": geom.size}
+            )
             if geom.kind == MESH:
                 spec.add_mesh(name=f"mesh{number}", uservert=np.ravel(geom.corners))
             quaternion = np.zeros(4)
             mujoco.mju_mat2Quat(quaternion, np.ravel(geom.rotation))
-            spec.worldbody.add_geom(type=KINDS[geom.kind], pos=geom.position, quat=quaternion, **more)
+            spec.worldbody.add_geom(
+                type=KINDS[geom.kind], pos=geom.position, quat=quaternion, **more
+            )
         for kind in ("box", "sphere", "cylinder"):
-            spec.worldbody.add_geom(name=kind, type=KINDS[kind], size=[0.01, 0.01, 0.01], group=1)
+            spec.worldbody.add_geom(
+                name=kind, type=KINDS[kind], size=[0.01, 0.01, 0.01], group=1
+            )
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
         mujoco.mj_kinematics(self._model, self._data)
@@ -138,19 +154,25 @@ class Distances:
         model, data = self._model, self._data
         x, _, z = shape.half_size
         thing = model.geom(shape.kind).id
-        model.geom_size[thing] = (x, z, 0.0) if shape.kind == "cylinder" else shape.half_size
+        model.geom_size[thing] = (
+            (x, z, 0.0) if shape.kind == "cylinder" else shape.half_size
+        )
         model.geom_rbound[thing] = float(np.linalg.norm(shape.half_size))
         data.geom_xpos[thing], data.geom_xmat[thing] = centre, turn.ravel()
         place, axes = self._places[0][geom], self._places[1][geom].reshape(3, 3)
         data.geom_xpos[geom] = position + rotation @ place
         data.geom_xmat[geom] = (rotation @ axes).ravel()
-        return bool(mujoco.mj_geomDistance(model, data, geom, thing, 2 * reach, None) <= reach)
+        return bool(
+            mujoco.mj_geomDistance(model, data, geom, thing, 2 * reach, None) <= reach
+        )
 
     def along(self, start: Array, direction: Array) -> tuple[float, Array]:
         """How far a ray goes to the geoms where they are on their link, m, -1 where it passes; and the
         normal (3,) there."""
         normal, group = np.zeros(3), np.array([1, 0, 0, 0, 0, 0], np.uint8)
-        away = mujoco.mj_ray(self._model, self._data, start, direction, group, True, -1, None, normal)
+        away = mujoco.mj_ray(
+            self._model, self._data, start, direction, group, True, -1, None, normal
+        )
         return float(away), normal
 
     def nearest(self, candidates: list[int], point: Array) -> tuple[int, float]:
@@ -160,8 +182,13 @@ class Distances:
         model.geom_size[thing] = model.geom_rbound[thing] = 1e-6
         data.geom_xpos[thing] = point
         for geom in candidates:
-            data.geom_xpos[geom], data.geom_xmat[geom] = (places[geom] for places in self._places)
-        away = [mujoco.mj_geomDistance(model, data, geom, thing, FAR, None) for geom in candidates]
+            data.geom_xpos[geom], data.geom_xmat[geom] = (
+                places[geom] for places in self._places
+            )
+        away = [
+            mujoco.mj_geomDistance(model, data, geom, thing, FAR, None)
+            for geom in candidates
+        ]
         best = int(np.argmin(away))
         return candidates[best], float(away[best])
 
@@ -171,7 +198,12 @@ def outside(geoms: tuple[Geom, ...], point: Array) -> tuple[float, Array]:
     normal (3,) of the nearest one's skin, zeros where there is none, as in the middle of a sphere."""
     skin, own = _distances(geoms), list(range(len(geoms)))
     ways = STEP * np.eye(3)
-    slope = np.array([skin.nearest(own, point + d)[1] - skin.nearest(own, point - d)[1] for d in ways])
+    slope = np.array(
+        [
+            skin.nearest(own, point + d)[1] - skin.nearest(own, point - d)[1]
+            for d in ways
+        ]
+    )
     return skin.nearest(own, point)[1], slope / max(float(np.linalg.norm(slope)), 1e-12)
 
 

@@ -22,19 +22,29 @@ BEYOND = 0.01  # m that a fingertip may lie off the shapes of its link
 def of(parts: Parts) -> tuple[Surface, ...]:
     """The palmar sides of all segments, then of the palm at the bases of the fingers."""
     open_hand, found = posed(parts.model, parts.open_pose), []
-    shift = number(table(parts.data, "pitch").get("distal_shift", 0.0), "pitch.distal_shift")
+    shift = number(
+        table(parts.data, "pitch").get("distal_shift", 0.0), "pitch.distal_shift"
+    )
     tips = dict(zip(parts.digits, parts.tips(parts.model, open_hand), strict=True))
     for digit, (links, tip, sides) in parts.digits.items():
-        for count, (link, segment) in enumerate(zip(links, _segments(len(links)), strict=True)):
+        for count, (link, segment) in enumerate(
+            zip(links, _segments(len(links)), strict=True)
+        ):
             body = parts.model.body(link).id
             away = tips[digit] - open_hand.xpos[body]
-            towards = unit(open_hand.xmat[body].reshape(3, 3).T @ away, f"digits.{digit}.tip")
+            towards = unit(
+                open_hand.xmat[body].reshape(3, 3).T @ away, f"digits.{digit}.tip"
+            )
             flexion = _flexion(parts, links[count:], open_hand)
-            found.append(_segment(parts, digit, segment, link, towards, flexion, sides[count]))
+            found.append(
+                _segment(parts, digit, segment, link, towards, flexion, sides[count])
+            )
         centre = np.array(found[-1].centre) + shift * np.array(found[-1].along)
         found[-1] = replace(found[-1], centre=tuple(centre))
         _require_on_link(parts, digit, links[-1], tip)
-    bases = {digit: about for digit, about in parts.data["digits"].items() if "base" in about}
+    bases = {
+        digit: about for digit, about in parts.data["digits"].items() if "base" in about
+    }
     for digit, about in bases.items() or [("palm", {})]:
         found.append(_palm_side(parts, digit, about))
     return tuple(found)
@@ -49,7 +59,10 @@ def pitch(parts: Parts, surfaces: tuple[Surface, ...]) -> Pitch:
     for surface in segments:
         low, high, _ = surface.span
         rows[surface.segment] = min(rows[surface.segment], 0.3 * (high - low))
-    usual = {"column": min(5e-3, 0.6 * min(s.span[2] for s in segments)), "radius": 2e-3}
+    usual = {
+        "column": min(5e-3, 0.6 * min(s.span[2] for s in segments)),
+        "radius": 2e-3,
+    }
     own = {**usual, "large_radius": 3.8e-3, **about}
     rows |= numbers(table(about, "rows", set(rows)), "pitch.rows")
     figures = ("column", "radius", "large_radius")
@@ -59,7 +72,9 @@ def pitch(parts: Parts, surfaces: tuple[Surface, ...]) -> Pitch:
 def _segments(n: int) -> tuple[str, ...]:
     """What `n` links from knuckle to tip are called."""
     between = [SEGMENTS[1], *(f"{SEGMENTS[1]}{k}" for k in range(2, n - 1))]
-    return {1: SEGMENTS[2:], 2: SEGMENTS[::2]}.get(n, (SEGMENTS[0], *between, SEGMENTS[2]))
+    return {1: SEGMENTS[2:], 2: SEGMENTS[::2]}.get(
+        n, (SEGMENTS[0], *between, SEGMENTS[2])
+    )
 
 
 def _flexion(parts: Parts, links: tuple[str, ...], data: mujoco.MjData) -> list[Array]:
@@ -67,14 +82,20 @@ def _flexion(parts: Parts, links: tuple[str, ...], data: mujoco.MjData) -> list[
     what turns them: unit vectors (3,) in the frame of the first. One against which the first is turned
     by more, as a link that stays parallel, counts the other way."""
     carried = _carried(parts, links[0], data, servos.HINGE)
-    beyond = [move for link in links[1:] for move in _moves(parts, links[0], link, data, servos.HINGE)]
+    beyond = [
+        move
+        for link in links[1:]
+        for move in _moves(parts, links[0], link, data, servos.HINGE)
+    ]
     own = len(_moves(parts, links[0], links[0], data, servos.HINGE))
     net = sum((way * axis for way, axis in carried), np.zeros(3))
     axes = [axis for _, axis in carried[:own] + beyond + carried[own:]]
     return [-axis if axis @ net < 0 else axis for axis in axes]
 
 
-def _carried(parts: Parts, link: str, data: mujoco.MjData, kind: Any) -> list[tuple[float, Array]]:
+def _carried(
+    parts: Parts, link: str, data: mujoco.MjData, kind: Any
+) -> list[tuple[float, Array]]:
     """How far, and about which axis, joints of a kind move a link, its own first."""
     body, found = parts.spec.body(link), []
     while body.name != "world":
@@ -111,10 +132,17 @@ def _segment(
     geoms = geoms_of(parts.model, parts.model.body(link).id)
     if not geoms:
         raise ValueError(f"digits.{digit}: body {link!r} has no geom that collides")
-    ends = _bone(parts, link, geoms[0]) if [geom.kind for geom in geoms] == ["capsule"] else None
+    ends = (
+        _bone(parts, link, geoms[0])
+        if [geom.kind for geom in geoms] == ["capsule"]
+        else None
+    )
     along = towards if ends is None else unit(ends[1] - ends[0], link)
     if side is None:
-        turning = next((axis for axis in flexion if np.linalg.norm(np.cross(axis, along)) > 0.5), None)
+        turning = next(
+            (axis for axis in flexion if np.linalg.norm(np.cross(axis, along)) > 0.5),
+            None,
+        )
         if turning is not None:
             along = beside(along, turning) if ends is None else along
             side = unit(np.cross(turning, along), link)
@@ -123,15 +151,26 @@ def _segment(
         slides = _carried(parts, link, data, servos.LINEAR)
         if not slides:
             hint = "say which side of it is palmar: palmar = [x, y, z]"
-            raise ValueError(f"digits.{digit}: nothing in [closed] bends {link!r}; {hint}")
+            raise ValueError(
+                f"digits.{digit}: nothing in [closed] bends {link!r}; {hint}"
+            )
         side = slides[0][1]
-        along = along if abs(side @ along) < PARALLEL else np.cross(side, np.roll(side, 1))
+        along = (
+            along if abs(side @ along) < PARALLEL else np.cross(side, np.roll(side, 1))
+        )
     if ends is None:
-        axes: dict[str, Any] = {"along": tuple(beside(along, side)), "palmar": tuple(side)}
-        return _around(Surface(digit, segment, link, (0.0, 0.0, 0.0), **axes, geoms=geoms))
+        axes: dict[str, Any] = {
+            "along": tuple(beside(along, side)),
+            "palmar": tuple(side),
+        }
+        return _around(
+            Surface(digit, segment, link, (0.0, 0.0, 0.0), **axes, geoms=geoms)
+        )
     axes = {"along": tuple(along), "palmar": tuple(beside(side, along))}
     bone, radius = (tuple(ends[0]), tuple(ends[1])), geoms[0].size[0]
-    return Surface(digit, segment, link, tuple(ends.mean(axis=0)), **axes, radius=radius, bone=bone)
+    return Surface(
+        digit, segment, link, tuple(ends.mean(axis=0)), **axes, radius=radius, bone=bone
+    )
 
 
 def _around(surface: Surface) -> Surface:
@@ -140,17 +179,27 @@ def _around(surface: Surface) -> Surface:
     points = np.concatenate([geom.points for geom in surface.geoms]) @ axes.T
     low, high = points.min(axis=0), points.max(axis=0)
     length, width, _ = (high - low) / 2
-    return replace(surface, centre=tuple((low + high) / 2 @ axes), extent=(float(length), float(width)))
+    return replace(
+        surface,
+        centre=tuple((low + high) / 2 @ axes),
+        extent=(float(length), float(width)),
+    )
 
 
 def _bone(parts: Parts, link: str, capsule: Geom) -> Array:
     """Both ends (2, 3) of a capsule's axis, that at the joint first."""
     axis = np.array(capsule.rotation)[:, 2] * capsule.size[1]
     each = [np.array(capsule.position) + np.outer([-1.0, 1.0], axis)]
-    written = [geom.fromto for geom in parts.spec.body(link).geoms if np.isfinite(geom.fromto).all()]
+    written = [
+        geom.fromto
+        for geom in parts.spec.body(link).geoms
+        if np.isfinite(geom.fromto).all()
+    ]
     if len(written) == 1:
         each.append(np.array(written[0]).reshape(2, 3))
-    ends, *own = (ends[np.argsort(np.linalg.norm(ends, axis=1), kind="stable")] for ends in each)
+    ends, *own = (
+        ends[np.argsort(np.linalg.norm(ends, axis=1), kind="stable")] for ends in each
+    )
     # As the file has it, to the last digit, where that is in the link's frame.
     return own[0] if own and np.allclose(own[0], ends, atol=1e-6) else ends
 
@@ -167,15 +216,21 @@ def _palm_side(parts: Parts, digit: str, about: dict[str, Any]) -> Surface:
     data = posed(parts.model, {})
     here, there = (data.xmat[b].reshape(3, 3) for b in (body, parts.palm))
     turn = np.round(here.T @ there, 12)
-    along, palmar = (tuple((turn @ v + 0.0).tolist()) for v in (parts.fingers, parts.palmar))
+    along, palmar = (
+        tuple((turn @ v + 0.0).tolist()) for v in (parts.fingers, parts.palmar)
+    )
     plane = Surface(digit, "palm", link, base, along, palmar)  # type: ignore[arg-type]
     if parts.data.get("palm_is_flat"):
         return plane
     geoms = geoms_of(parts.model, body)
     if meet(geoms, np.array(base), -np.array(palmar)) is None:
-        raise ValueError(f"palm: found no surface of body {link!r} at {list(base)} on its palmar side")
+        raise ValueError(
+            f"palm: found no surface of body {link!r} at {list(base)} on its palmar side"
+        )
     whole = _around(replace(plane, geoms=geoms))
-    return replace(whole if digit == "palm" else replace(plane, geoms=geoms), centre=plane.centre)
+    return replace(
+        whole if digit == "palm" else replace(plane, geoms=geoms), centre=plane.centre
+    )
 
 
 def _require_on_link(parts: Parts, digit: str, link: str, tip: Any) -> None:
@@ -183,4 +238,6 @@ def _require_on_link(parts: Parts, digit: str, link: str, tip: Any) -> None:
     away, _ = outside(geoms_of(parts.model, parts.model.body(link).id), np.array(tip))
     if away > BEYOND:
         found = f"found a point {1e3 * away:.1f} mm off body {link!r}"
-        raise ValueError(f"digits.{digit}.tip: {found}, allowed up to {1e3 * BEYOND:g} mm")
+        raise ValueError(
+            f"digits.{digit}.tip: {found}, allowed up to {1e3 * BEYOND:g} mm"
+        )

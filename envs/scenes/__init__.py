@@ -42,7 +42,9 @@ class NamedScene:
         if hand == self.env or not self.scaled:
             return self.scene
         factor = hands.get(hand).finger_length / hands.get(self.env).finger_length
-        return self.scene | {name: scaled(self.scene[name], factor) for name in self.scaled}
+        return self.scene | {
+            name: scaled(self.scene[name], factor) for name in self.scaled
+        }
 
 
 def renamed(choices: Mapping[str, Any]) -> dict[str, Any]:
@@ -77,13 +79,22 @@ def load(name: str) -> NamedScene:
         )
     path = Path(name) if name.endswith(SUFFIX) else FOLDER / f"{name}{SUFFIX}"
     data = toml_files.read(path, "scene file")
-    kinds = {"about": str, "base": str, "env": str, "scene": dict, "train": dict, "scaled": list}
+    kinds = {
+        "about": str,
+        "base": str,
+        "env": str,
+        "scene": dict,
+        "train": dict,
+        "scaled": list,
+    }
     toml_files.only(data, set(kinds), f"scene file {path}")
     base = NamedScene()
     for key, value in data.items():
         if not isinstance(value, kinds[key]):
             allowed = f"a {kinds[key].__name__}"
-            raise ValueError(f"scene file {path}: {key}: found {value!r}, allowed {allowed}")
+            raise ValueError(
+                f"scene file {path}: {key}: found {value!r}, allowed {allowed}"
+            )
         if key == "base":
             require_one_of(names(), value, f"scene file {path}: base")
             base = load(value)

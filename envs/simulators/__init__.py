@@ -85,7 +85,11 @@ class Scene:
     def with_object(self, shape: Shape, mass: float, friction: float) -> Scene:
         """The scene with another object; itself where it is the same."""
         is_same = (shape, mass, friction) == (self.shape, self.mass, self.friction)
-        return self if is_same else replace(self, shape=shape, mass=mass, friction=friction)
+        return (
+            self
+            if is_same
+            else replace(self, shape=shape, mass=mass, friction=friction)
+        )
 
     def build_hand(self, visual: bool) -> mujoco.MjSpec:
         """The hand alone, where it starts."""
@@ -101,7 +105,9 @@ class Scene:
         links, points = zip(palm, *self.hand.fingertips, strict=True)
         return links, np.array(points)[:, :, None]
 
-    def points(self, links: tuple[str, ...], positions: Array, rotations: Array) -> dict[str, Array]:
+    def points(
+        self, links: tuple[str, ...], positions: Array, rotations: Array
+    ) -> dict[str, Array]:
         """Palm point (3,) and fingertips (n_digits, 3) of a state with these links."""
         some, points = self._points
         at = places(links, some)
@@ -145,7 +151,11 @@ class Simulator(Protocol):
         self.scene = self.scene.with_object(shape, mass, friction)
 
     def reset(
-        self, joint_positions: Array, object_position: Array, yaw: float, targets: Array | None = None
+        self,
+        joint_positions: Array,
+        object_position: Array,
+        yaw: float,
+        targets: Array | None = None,
     ) -> None:
         """Put everything at rest; afterwards the past has no influence. SimulationError when the
         physics cannot begin there. `targets` (n_actuators,) are the state's until the next step;

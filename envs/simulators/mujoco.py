@@ -17,7 +17,16 @@ import numpy as np
 from ..hands import models
 from ..hands.servos import hold
 from ..state import Array, Contacts, Shape, State
-from . import Camera, Giver, Scene, Sensor, SimulationError, Simulator, Sphere, joint_limits
+from . import (
+    Camera,
+    Giver,
+    Scene,
+    Sensor,
+    SimulationError,
+    Simulator,
+    Sphere,
+    joint_limits,
+)
 
 OBJECT, GIVER = "object", "giver"
 GIVERS_GROUP = 30  # of actuators, the last: a hand's are elsewhere
@@ -27,10 +36,15 @@ OBJECT_FIGURES = {
     "body": ("body_pos", "body_ipos", "body_iquat", "body_mass", "body_inertia"),
     "geom": ("geom_type", "geom_size", "geom_rbound", "geom_aabb", "geom_friction"),
 }
-SOLVER_ITERATIONS = 20  # enough for the grasps' contacts: docs/appendix/physics_settings.md
+SOLVER_ITERATIONS = (
+    20  # enough for the grasps' contacts: docs/appendix/physics_settings.md
+)
 # Warnings after which the state is not the physics' any more.
 KINDS = mujoco.mjtWarning
-BROKEN = [int(kind) for kind in (KINDS.mjWARN_BADQPOS, KINDS.mjWARN_BADQVEL, KINDS.mjWARN_BADQACC)]
+BROKEN = [
+    int(kind)
+    for kind in (KINDS.mjWARN_BADQPOS, KINDS.mjWARN_BADQVEL, KINDS.mjWARN_BADQACC)
+]
 
 # Dry friction does not creep, MuJoCo's soft contacts do: with the model's pyramidal cones and
 # ratio 1 a held cube slides out of the fingers within the 20 s of a hold test.
@@ -51,8 +65,12 @@ def build_spec(scene: Scene) -> mujoco.MjSpec:
     )
     if scene.visual:
         _lighten(spec)
-    spec.worldbody.add_light(pos=[0.1, -0.2, -0.6], dir=[-0.1, 0.2, 0.6], diffuse=[0.3] * 3)
-    spec.worldbody.add_light(pos=[0.3, -0.5, 1.0], dir=[-0.3, 0.5, -1.0], diffuse=[0.5] * 3)
+    spec.worldbody.add_light(
+        pos=[0.1, -0.2, -0.6], dir=[-0.1, 0.2, 0.6], diffuse=[0.3] * 3
+    )
+    spec.worldbody.add_light(
+        pos=[0.3, -0.5, 1.0], dir=[-0.3, 0.5, -1.0], diffuse=[0.5] * 3
+    )
     _add_object(spec, scene)
     if scene.giver is not None:
         _add_giver(spec, scene.giver)
@@ -122,7 +140,11 @@ def _lighten(spec: mujoco.MjSpec) -> None:
 
 def _add_touch_sensor(spec: mujoco.MjSpec, name: str, sensor: Sensor) -> None:
     spec.body(sensor.link).add_site(
-        name=name, type=GEOM.mjGEOM_SPHERE, size=[sensor.radius] * 3, pos=sensor.centre, group=NOT_DRAWN
+        name=name,
+        type=GEOM.mjGEOM_SPHERE,
+        size=[sensor.radius] * 3,
+        pos=sensor.centre,
+        group=NOT_DRAWN,
     )
     site, touch = mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtSensor.mjSENS_TOUCH
     spec.add_sensor(name=name, type=touch, objtype=site, objname=name)
@@ -149,7 +171,9 @@ def _renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Renderer
     """Draws; where there is no display, and nobody says with what, by EGL, or else OSMesa."""
     if sys.platform == "linux" and not any(map(os.environ.get, DISPLAYS)):
         found = "egl" if find_library("EGL") else "osmesa"
-        chosen = sys.modules[mujoco.Renderer.__module__].gl_context  # when MuJoCo was imported
+        chosen = sys.modules[
+            mujoco.Renderer.__module__
+        ].gl_context  # when MuJoCo was imported
         chosen.GLContext = importlib.import_module(f"mujoco.{found}").GLContext
     return mujoco.Renderer(model, height, width)
 
@@ -189,12 +213,18 @@ class MujocoSimulator(Simulator):
         self._object_geom = model.geom(OBJECT).id
         self._giver: Array | None = None
         if scene.giver is not None:
-            self._giver = np.array([model.actuator(f"{GIVER}{axis}").id for axis in range(3)])
+            self._giver = np.array(
+                [model.actuator(f"{GIVER}{axis}").id for axis in range(3)]
+            )
         self._targets = hand.start_targets()
-        self._bodies = np.array([b for b in range(1, model.nbody) if b != self._object_body])
+        self._bodies = np.array(
+            [b for b in range(1, model.nbody) if b != self._object_body]
+        )
         self._links = tuple(model.body(body).name for body in self._bodies)
         link_of_body = {body: link for link, body in enumerate(self._bodies.tolist())}
-        self._link_of_geom = [link_of_body.get(body, -1) for body in model.geom_bodyid.tolist()]
+        self._link_of_geom = [
+            link_of_body.get(body, -1) for body in model.geom_bodyid.tolist()
+        ]
 
     @property
     def warnings(self) -> int:
@@ -216,12 +246,18 @@ class MujocoSimulator(Simulator):
         for values in ("qpos0", "qpos_spring"):
             getattr(model, values)[self._object_qpos] = getattr(compiled, values)
         leaf = model.body_bvhadr[self._object_body]
-        model.bvh_aabb[leaf] = compiled.bvh_aabb[compiled.body_bvhadr[compiled.body(OBJECT).id]]
+        model.bvh_aabb[leaf] = compiled.bvh_aabb[
+            compiled.body_bvhadr[compiled.body(OBJECT).id]
+        ]
         mujoco.mj_setConst(model, self.data)
         _set_mean_inertia(model)
 
     def reset(
-        self, joint_positions: Array, object_position: Array, yaw: float, targets: Array | None = None
+        self,
+        joint_positions: Array,
+        object_position: Array,
+        yaw: float,
+        targets: Array | None = None,
     ) -> None:
         self._targets = self.scene.hand.start_targets() if targets is None else targets
         self._past_warnings = self.warnings  # MuJoCo forgets them
@@ -233,7 +269,9 @@ class MujocoSimulator(Simulator):
         with self._checked():
             self.place(joint_positions, object_position, turn)
 
-    def place(self, joint_positions: Array, object_position: Array, orientation: Array) -> None:
+    def place(
+        self, joint_positions: Array, object_position: Array, orientation: Array
+    ) -> None:
         """Put hand and object (quaternion wxyz) somewhere, velocities and time as they are."""
         self.data.qpos[self._qpos] = joint_positions
         self.data.qpos[self._object_qpos] = [*object_position, *orientation]
@@ -275,7 +313,9 @@ class MujocoSimulator(Simulator):
         model.opt.disableactuator &= ~(1 << GIVERS_GROUP)
         model.actuator_actrange[self._giver] = np.sort([position, goal], axis=0).T
         data.act[model.actuator_actadr[self._giver]] = position
-        data.ctrl[self._giver] = self.scene.giver.speed * way / max(np.linalg.norm(way), 1e-9)
+        data.ctrl[self._giver] = (
+            self.scene.giver.speed * way / max(np.linalg.norm(way), 1e-9)
+        )
         data.xfrc_applied[self._object_body, :3] = -self.scene.mass * model.opt.gravity
 
     def let_go(self) -> None:
@@ -320,30 +360,43 @@ class MujocoSimulator(Simulator):
                     where.append(index)
                     links.append(link)
                     forces.append(force[0])
-        points = self.data.contact.pos.reshape(-1, 3)[where] if where else np.zeros((0, 3))
+        points = (
+            self.data.contact.pos.reshape(-1, 3)[where] if where else np.zeros((0, 3))
+        )
         return Contacts(points, np.array(links, int), np.array(forces))
 
     def render(self, camera: Camera, spheres: Sequence[Sphere] = ()) -> Array:
         if _failures:  # a second attempt would end the process
             raise _failures[0]
         drawn = self._renderer
-        if drawn is not None and (drawn.width, drawn.height) != (camera.width, camera.height):
+        if drawn is not None and (drawn.width, drawn.height) != (
+            camera.width,
+            camera.height,
+        ):
             self.close()
         if self._renderer is None:
             offscreen = self.model.vis.global_
             offscreen.offwidth, offscreen.offheight = camera.width, camera.height
             try:
-                with warnings.catch_warnings(action="ignore"):  # GLFW's, before the error says it
+                with warnings.catch_warnings(
+                    action="ignore"
+                ):  # GLFW's, before the error says it
                     self._renderer = _renderer(self.model, camera.height, camera.width)
             except (mujoco.FatalError, ImportError, AttributeError) as error:
                 reason = " ".join(str(error).split()).partition(", this most")[0]
                 where = "without a display it needs EGL or OSMesa (Debian: libegl1 or libosmesa6)"
-                _failures.append(OSError(f"MuJoCo cannot draw here; {where} ({reason})"))
+                _failures.append(
+                    OSError(f"MuJoCo cannot draw here; {where} ({reason})")
+                )
                 raise _failures[0] from error
         view = mujoco.MjvCamera()
         middle = (self.data.xpos[self._object_body] + self.state().palm) / 2
         view.lookat[:] = middle if camera.lookat is None else camera.lookat
-        view.distance, view.azimuth, view.elevation = camera.distance, camera.azimuth, camera.elevation
+        view.distance, view.azimuth, view.elevation = (
+            camera.distance,
+            camera.azimuth,
+            camera.elevation,
+        )
         self._renderer.update_scene(self.data, view)
         scene = self._renderer.scene
         scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = camera.shadows

@@ -49,7 +49,10 @@ GRAVITY = 9.81
 ENGINE = {"numSolverIterations": 50, "deterministicOverlappingPairs": 1}
 LOADING = pybullet.URDF_USE_INERTIA_FROM_FILE
 TINY = 1e-9
-GEAR_ERP, GEAR_FORCE = 0.5, 1e3  # of an error that a step takes back, and N m, of coupled joints
+GEAR_ERP, GEAR_FORCE = (
+    0.5,
+    1e3,
+)  # of an error that a step takes back, and N m, of coupled joints
 JOINT_DAMPING = 0.01  # N m s/rad
 SPINNING_FRICTION = 0.005  # m, of the object's contacts
 FRICTION_ANCHOR = 1  # contacts remember where they stick; without, held objects creep
@@ -57,8 +60,13 @@ FRICTION_ANCHOR = 1  # contacts remember where they stick; without, held objects
 
 def _bound(client: int) -> Any:
     """PyBullet for one of its clients."""
-    functions = {name: value for name, value in vars(pybullet).items() if isbuiltin(value)}
-    own = {name: partial(function, physicsClientId=client) for name, function in functions.items()}
+    functions = {
+        name: value for name, value in vars(pybullet).items() if isbuiltin(value)
+    }
+    own = {
+        name: partial(function, physicsClientId=client)
+        for name, function in functions.items()
+    }
     return SimpleNamespace(**vars(pybullet) | own)
 
 
@@ -88,16 +96,22 @@ class PyBulletSimulator(Simulator):
         self._joints = [self._joint_index[name] for name in hand.joints]
         self._motors, self._gains, self._forces = self._motor_figures()
         self._targets = hand.start_targets()
-        self._names = tuple(self.model.body(body).name for body in range(1, self.model.nbody))
+        self._names = tuple(
+            self.model.body(body).name for body in range(1, self.model.nbody)
+        )
         self._indices = [self._links[name] for name in self._names]
         self._link_of_index = {index: link for link, index in enumerate(self._indices)}
         self._painter: MujocoSimulator | None = None
-        self._rest: Array | None = None  # of the giver's spring, while the object is carried
+        self._rest: Array | None = (
+            None  # of the giver's spring, while the object is carried
+        )
         self._goal = np.zeros(3)
 
     def __reduce__(self) -> Any:
         """Bullet's worlds cannot be copied whole: a copy would share this one's."""
-        raise TypeError("a PyBullet environment cannot be copied or pickled: make another")
+        raise TypeError(
+            "a PyBullet environment cannot be copied or pickled: make another"
+        )
 
     # -- building ----------------------------------------------------------------------------
 
@@ -109,11 +123,18 @@ class PyBulletSimulator(Simulator):
         bullet.setPhysicsEngineParameter(fixedTimeStep=scene.timestep, **ENGINE)
         self.hand = bullet.loadURDF(str(self._urdf), useFixedBase=True, flags=LOADING)
         # By name; a joint has its child link's index.
-        infos = [bullet.getJointInfo(self.hand, i) for i in range(bullet.getNumJoints(self.hand))]
-        self._joint_index = {info[1].decode(): index for index, info in enumerate(infos)}
+        infos = [
+            bullet.getJointInfo(self.hand, i)
+            for i in range(bullet.getNumJoints(self.hand))
+        ]
+        self._joint_index = {
+            info[1].decode(): index for index, info in enumerate(infos)
+        }
         self._links = {info[12].decode(): index for index, info in enumerate(infos)}
         self._body(mass=0.0, friction=1.0, shapeType=pybullet.GEOM_PLANE)
-        self.object = self._body(mass=scene.mass, friction=scene.friction, **_measures(scene.shape))
+        self.object = self._body(
+            mass=scene.mass, friction=scene.friction, **_measures(scene.shape)
+        )
         self._set_dynamics()
         for coupling in scene.hand.couplings:
             if coupling.is_rigid:
@@ -123,9 +144,18 @@ class PyBulletSimulator(Simulator):
         """Have two joints move as one, whichever of them is pushed."""
         follower, driver = (self._joint_index[name] for name in coupling[:2])
         bullet, hand, origin = self._bullet, self.hand, [0.0, 0.0, 0.0]
-        bullet.setJointMotorControl2(hand, follower, pybullet.VELOCITY_CONTROL, force=0.0)
+        bullet.setJointMotorControl2(
+            hand, follower, pybullet.VELOCITY_CONTROL, force=0.0
+        )
         gear = bullet.createConstraint(
-            hand, follower, hand, driver, pybullet.JOINT_GEAR, [0.0, 0.0, 1.0], origin, origin
+            hand,
+            follower,
+            hand,
+            driver,
+            pybullet.JOINT_GEAR,
+            [0.0, 0.0, 1.0],
+            origin,
+            origin,
         )
         law = {"gearRatio": -coupling.ratio, "relativePositionTarget": coupling.offset}
         bullet.changeConstraint(gear, **law, erp=GEAR_ERP, maxForce=GEAR_FORCE)
@@ -133,16 +163,25 @@ class PyBulletSimulator(Simulator):
     def _body(self, mass: float, friction: float, **shape: Any) -> int:
         bullet = self._bullet
         body = int(bullet.createMultiBody(mass, bullet.createCollisionShape(**shape)))
-        bullet.changeDynamics(body, -1, lateralFriction=friction, linearDamping=0.0, angularDamping=0.0)
+        bullet.changeDynamics(
+            body, -1, lateralFriction=friction, linearDamping=0.0, angularDamping=0.0
+        )
         return body
 
     def _set_dynamics(self) -> None:
         """Bullet multiplies the frictions of two bodies: 1 everywhere but on the object."""
         change, added = self._bullet.changeDynamics, self.scene.hand.added_inertia
-        change(self.object, -1, spinningFriction=SPINNING_FRICTION, frictionAnchor=FRICTION_ANCHOR)
+        change(
+            self.object,
+            -1,
+            spinningFriction=SPINNING_FRICTION,
+            frictionAnchor=FRICTION_ANCHOR,
+        )
         for name, index in self._links.items():
             body = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, name)
-            inertia = self.model.body_inertia[body] + added if body >= 0 else np.zeros(3)
+            inertia = (
+                self.model.body_inertia[body] + added if body >= 0 else np.zeros(3)
+            )
             change(
                 self.hand, index, lateralFriction=1.0, linearDamping=0.0, angularDamping=0.0,
                 jointDamping=JOINT_DAMPING, localInertiaDiagonal=inertia.tolist(),
@@ -158,12 +197,18 @@ class PyBulletSimulator(Simulator):
         limits, gains = [], []
         for actuator, joint in zip(hand.actuators, hand.actuated, strict=True):
             servo, moved = model.actuator(actuator), model.joint(joint)
-            arm = float(servo.gainprm[0] / -servo.biasprm[1])  # force on the joint by the servo's
+            arm = float(
+                servo.gainprm[0] / -servo.biasprm[1]
+            )  # force on the joint by the servo's
             damping = model.dof_damping[moved.dofadr[0]] - servo.biasprm[2]
             unlimited = servo.gainprm[0] * np.ptp(moved.range)
-            limits.append(float(servo.forcerange[1] if servo.forcelimited[0] else unlimited) * arm)
+            limits.append(
+                float(servo.forcerange[1] if servo.forcelimited[0] else unlimited) * arm
+            )
             stiffness = servo.gainprm[0] * arm
-            gains.append(min(1.0, float(stiffness / max(damping, TINY)) * self.scene.timestep))
+            gains.append(
+                min(1.0, float(stiffness / max(damping, TINY)) * self.scene.timestep)
+            )
         soft = [each for each in hand.couplings if not each.is_rigid]
         self._drivers = [hand.actuated.index(each.driver) for each in soft]
         self._ratios = np.array([each.ratio for each in soft])
@@ -176,7 +221,11 @@ class PyBulletSimulator(Simulator):
     # -- running -----------------------------------------------------------------------------
 
     def reset(
-        self, joint_positions: Array, object_position: Array, yaw: float, targets: Array | None = None
+        self,
+        joint_positions: Array,
+        object_position: Array,
+        yaw: float,
+        targets: Array | None = None,
     ) -> None:
         self._targets = self.scene.hand.start_targets() if targets is None else targets
         bullet = self._bullet
@@ -216,8 +265,12 @@ class PyBulletSimulator(Simulator):
         )  # fmt: skip
         for _ in range(n_substeps):  # external forces last one step
             position, _ = bullet.getBasePositionAndOrientation(self.object)
-            force = self._weight if self._rest is None else self._pull(np.array(position))
-            bullet.applyExternalForce(self.object, -1, force, position, pybullet.WORLD_FRAME)
+            force = (
+                self._weight if self._rest is None else self._pull(np.array(position))
+            )
+            bullet.applyExternalForce(
+                self.object, -1, force, position, pybullet.WORLD_FRAME
+            )
             bullet.stepSimulation()
 
     def _pull(self, position: Array) -> Array:
@@ -228,7 +281,9 @@ class PyBulletSimulator(Simulator):
         assert rest is not None
         way, step = self._goal - rest, giver.speed * self.scene.timestep
         distance = float(np.linalg.norm(way))
-        self._rest = rest = self._goal if distance <= step else rest + way * (step / distance)
+        self._rest = rest = (
+            self._goal if distance <= step else rest + way * (step / distance)
+        )
         velocity, _ = self._bullet.getBaseVelocity(self.object)
         return giver.pull(rest, position, np.array(velocity))
 
@@ -248,7 +303,9 @@ class PyBulletSimulator(Simulator):
         bullet = self._bullet
         position, xyzw = bullet.getBasePositionAndOrientation(self.object)
         velocity, spin = bullet.getBaseVelocity(self.object)
-        poses = bullet.getLinkStates(self.hand, self._indices, computeForwardKinematics=True)
+        poses = bullet.getLinkStates(
+            self.hand, self._indices, computeForwardKinematics=True
+        )
         positions = np.array([pose[4] for pose in poses])
         rotations = Rotation.from_quat([pose[5] for pose in poses]).as_matrix()
         angles, speeds = np.array(self._joint_states()).T
@@ -256,7 +313,9 @@ class PyBulletSimulator(Simulator):
         return State(
             shape=self.scene.shape,
             object_position=np.array(position),
-            object_rotation=np.array(pybullet.getMatrixFromQuaternion(xyzw)).reshape(3, 3),
+            object_rotation=np.array(pybullet.getMatrixFromQuaternion(xyzw)).reshape(
+                3, 3
+            ),
             object_orientation=np.array([xyzw[3], *xyzw[:3]]),
             object_velocity=np.array(velocity),
             object_angular_velocity=np.array(spin),
@@ -286,7 +345,9 @@ class PyBulletSimulator(Simulator):
             return np.zeros(0, bool)
         names, centres, radii = zip(*self.scene.sensors, strict=True)
         at = places(self._names, names)
-        centres = positions[at] + np.einsum("nij,nj->ni", rotations[at], np.array(centres))
+        centres = positions[at] + np.einsum(
+            "nij,nj->ni", rotations[at], np.array(centres)
+        )
         gaps = np.square(points[None] - centres[:, None]).sum(axis=2)
         return (gaps <= np.square(radii)[:, None]).any(axis=1)
 
@@ -296,7 +357,9 @@ class PyBulletSimulator(Simulator):
             self._painter = MujocoSimulator(self.scene)
         scene, state = self.scene, self.state()
         self._painter.change_object(scene.shape, scene.mass, scene.friction)
-        self._painter.place(state.joint_positions, state.object_position, state.object_orientation)
+        self._painter.place(
+            state.joint_positions, state.object_position, state.object_orientation
+        )
         return self._painter.render(camera, spheres)
 
     def close(self) -> None:

@@ -44,11 +44,15 @@ def from_model(model: mujoco.MjModel, folder: Path) -> str:
 
 
 def _unknown(found: str, allowed: str) -> ValueError:
-    return ValueError(f"simulator: found 'pybullet' with {found}, allowed for PyBullet: {allowed}")
+    return ValueError(
+        f"simulator: found 'pybullet' with {found}, allowed for PyBullet: {allowed}"
+    )
 
 
 def _add_link(robot: Element, model: mujoco.MjModel, body: int, folder: Path) -> None:
-    link = _link(robot, model.body(body).name, model.body_mass[body], model.body_inertia[body])
+    link = _link(
+        robot, model.body(body).name, model.body_mass[body], model.body_inertia[body]
+    )
     _origin(link[0], model.body_ipos[body], model.body_iquat[body])
     first = model.body_geomadr[body]
     in_pairs = {*model.pair_geom1, *model.pair_geom2}
@@ -109,7 +113,9 @@ def _hull(model: mujoco.MjModel, mesh: int) -> str:
 def _add_joints(robot: Element, model: mujoco.MjModel, body: int) -> None:
     """The joints between a body and its parent, with massless links between them."""
     name, parent = model.body(body).name, model.body(model.body_parentid[body]).name
-    joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
+    joints = range(
+        model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]
+    )
     if not joints:
         joint = _joint(robot, f"{name} fixed", "fixed", parent, name)
         _origin(joint, model.body_pos[body], model.body_quat[body])
@@ -122,19 +128,29 @@ def _add_joints(robot: Element, model: mujoco.MjModel, body: int) -> None:
             child = _link(robot, f"{name} {number}", 0.0, np.zeros(3)).attrib["name"]
         kind = _JOINTS[int(model.jnt_type[index])]
         joint = _joint(robot, model.joint(index).name, kind, parent, child)
-        at, turned = (model.body_pos[body], model.body_quat[body]) if number == 0 else _UNMOVED
-        if ref := model.qpos0[model.jnt_qposadr[index]]:  # the angle at which MuJoCo's joint is unmoved
+        at, turned = (
+            (model.body_pos[body], model.body_quat[body]) if number == 0 else _UNMOVED
+        )
+        if ref := model.qpos0[
+            model.jnt_qposadr[index]
+        ]:  # the angle at which MuJoCo's joint is unmoved
             at, turned = _moved(at, turned, -ref * model.jnt_axis[index], kind)
         if number == 0 or ref:
             _origin(joint, at, turned)
         SubElement(joint, "axis", xyz=_text(model.jnt_axis[index]))
-        limits = model.jnt_range[index] if model.jnt_limited[index] else (-_UNLIMITED, _UNLIMITED)
+        limits = (
+            model.jnt_range[index]
+            if model.jnt_limited[index]
+            else (-_UNLIMITED, _UNLIMITED)
+        )
         lower, upper = (repr(float(limit)) for limit in limits)
         SubElement(joint, "limit", effort="0", velocity="0", lower=lower, upper=upper)
         parent = child
 
 
-def _moved(position: Array, quaternion: Array, by: Array, kind: str) -> tuple[Array, Array]:
+def _moved(
+    position: Array, quaternion: Array, by: Array, kind: str
+) -> tuple[Array, Array]:
     """A pose, moved along or turned about an axis of its own."""
     turn = Rotation.from_quat(quaternion, scalar_first=True)
     if kind == "prismatic":
@@ -150,7 +166,9 @@ def _joint(robot: Element, name: str, kind: str, parent: str, child: str) -> Ele
 
 
 def _origin(parent: Element, position: Array, quaternion: Array) -> None:
-    with warnings.catch_warnings():  # where other angles would say the same (gimbal lock)
+    with (
+        warnings.catch_warnings()
+    ):  # where other angles would say the same (gimbal lock)
         warnings.simplefilter("ignore", UserWarning)
         angles = Rotation.from_quat(quaternion, scalar_first=True).as_euler("xyz")
     SubElement(parent, "origin", xyz=_text(position), rpy=_text(angles))

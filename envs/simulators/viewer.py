@@ -34,7 +34,10 @@ class Viewed:
     """
 
     def __init__(
-        self, simulator: MujocoSimulator, spheres: Callable[[], Iterable[Sphere]], speed: float = 1.0
+        self,
+        simulator: MujocoSimulator,
+        spheres: Callable[[], Iterable[Sphere]],
+        speed: float = 1.0,
     ) -> None:
         """`spheres` are drawn besides, `speed` is that of the scene's time. OSError where no window can
         be opened."""
@@ -92,7 +95,9 @@ class Viewed:
             drawn.ngeom = 0
             add_spheres(drawn, [*self._spheres()])
             for number in range(drawn.ngeom):
-                drawn.geoms[number].emission = 1.0  # they shine: the palm is in the shade
+                drawn.geoms[
+                    number
+                ].emission = 1.0  # they shine: the palm is in the shade
         self._viewer.sync()  # also writes the mouse's pull into the copy
 
     def _pressed(self, key: int) -> None:
@@ -104,15 +109,21 @@ class Viewed:
 
     def close(self) -> None:
         self._viewer.close()
-        for thread in self._threads:  # it draws until its end, and must not outlive the scene
+        for (
+            thread
+        ) in self._threads:  # it draws until its end, and must not outlive the scene
             thread.join()
         self._inner.close()
 
 
-def _opened(model: mujoco.MjModel, data: mujoco.MjData, pressed: Callable[[int], None]) -> Any:
+def _opened(
+    model: mujoco.MjModel, data: mujoco.MjData, pressed: Callable[[int], None]
+) -> Any:
     """The viewer's handle; OSError where there is no display, which the viewer would wait for."""
     try:
-        with warnings.catch_warnings(action="ignore"):  # GLFW's, before the error says it
+        with warnings.catch_warnings(
+            action="ignore"
+        ):  # GLFW's, before the error says it
             import glfw
             import mujoco.viewer as viewer
 

@@ -34,10 +34,16 @@ LONGEST = 600  # characters of an error's line: a path may have 5,000
 def main(args: Sequence[str] | None = None) -> int:
     """Run one command; the exit code: 0 done, 1 stopped or failed a check, 2 bad input, 75
     another process writes there."""
-    for name in ("stdout", "stderr"):  # one that was closed takes everything and shows nothing
+    for name in (
+        "stdout",
+        "stderr",
+    ):  # one that was closed takes everything and shows nothing
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
-    for stream in (sys.stdout, sys.stderr):  # a terminal that cannot show a character shows "?"
+    for stream in (
+        sys.stdout,
+        sys.stderr,
+    ):  # a terminal that cannot show a character shows "?"
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
@@ -47,7 +53,10 @@ def main(args: Sequence[str] | None = None) -> int:
             sys.stdout.flush()
     except BrokenPipeError:  # who read our output has gone, such as `head`
         code, nowhere = 1, os.open(os.devnull, os.O_WRONLY)
-        for stream in (sys.stdout, sys.stderr):  # nothing more can be written, not even at the end
+        for stream in (
+            sys.stdout,
+            sys.stderr,
+        ):  # nothing more can be written, not even at the end
             os.dup2(nowhere, stream.fileno())
     except Exception:
         traceback.print_exc()
@@ -61,12 +70,17 @@ def main(args: Sequence[str] | None = None) -> int:
 
 def _run(args: list[str]) -> int:
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    parser.add_argument("--import", dest="modules", action="append", default=[], nargs="?", const="")
+    parser.add_argument(
+        "--import", dest="modules", action="append", default=[], nargs="?", const=""
+    )
     first, args = parser.parse_known_args(args)
     if not args or args[0] in ("-h", "--help"):
         lines = ["usage: tactilerl COMMAND [OPTIONS]", "", "commands:"]
         lines += [f"  {name:10}{about}" for name, about in COMMANDS.items()]
-        lines += ["", "--import MODULE, with any command, imports a module of your own first."]
+        lines += [
+            "",
+            "--import MODULE, with any command, imports a module of your own first.",
+        ]
         lines += ["", "tactilerl COMMAND --help lists a command's options."]
         print("\n".join(lines))
         return 0 if args else 2
@@ -82,19 +96,26 @@ def _run(args: list[str]) -> int:
             from ..envs.choices import nearest
 
             hint = nearest(name, COMMANDS)
-            raise InputError(f"unknown command {name!r}; {hint}allowed: {', '.join(COMMANDS)}")
+            raise InputError(
+                f"unknown command {name!r}; {hint}allowed: {', '.join(COMMANDS)}"
+            )
         code: int = import_module(f".{name}", __package__).main(rest)
         return code
     except InputError as error:
         from ..algos import mpi
 
         if mpi.launched_rank() not in (None, "0"):
-            time.sleep(1.0)  # mostly rank 0 has found the same, and its end is the others'
+            time.sleep(
+                1.0
+            )  # mostly rank 0 has found the same, and its end is the others'
         _say("error", error, rest)
         return BUSY if isinstance(error, BusyError) else BAD_INPUT
     except BrokenPipeError:
         raise
-    except (FloatingPointError, OSError) as error:  # DivergenceError, without importing PyTorch for it
+    except (
+        FloatingPointError,
+        OSError,
+    ) as error:  # DivergenceError, without importing PyTorch for it
         _say("stopped", error)
         return 1
     except KeyboardInterrupt as error:
@@ -102,10 +123,13 @@ def _run(args: list[str]) -> int:
         return 130
     except Exception as error:
         where = {
-            Path(frame.filename).parent.name for frame in traceback.extract_tb(error.__traceback__)
+            Path(frame.filename).parent.name
+            for frame in traceback.extract_tb(error.__traceback__)
         }
         chosen = os.environ.get("MUJOCO_GL")
-        if not chosen or "mujoco" in sys.modules or "mujoco" not in where:  # something else is to blame
+        if (
+            not chosen or "mujoco" in sys.modules or "mujoco" not in where
+        ):  # something else is to blame
             raise
         found = f"MUJOCO_GL: found {chosen!r}, which does not work here ({error})"
         cure = "install its library (Debian: libosmesa6, libegl1), or unset it where nothing is drawn"

@@ -79,7 +79,9 @@ def main(args: list[str]) -> int:
     _print(found)
     numbers = dict(zip(written, found.chosen, strict=False))  # layouts come first
     for path in written:
-        console.print(f"{path}{_hint(found, path, numbers[path]) if path in numbers else ''}")
+        console.print(
+            f"{path}{_hint(found, path, numbers[path]) if path in numbers else ''}"
+        )
     return 0
 
 
@@ -87,9 +89,15 @@ def _hint(found: Design, path: Path, n: int) -> str:
     """What trains the hand with the layout."""
     asked, closing = found.result["asking"], found.waits_at(n)
     parts = [f"    tactilerl train --scene {pasted(asked['scene'][0])}"]
-    parts += [f"--{flag} {pasted(asked[flag])}" for flag in ("env", "simulator") if asked[flag]]
+    parts += [
+        f"--{flag} {pasted(asked[flag])}"
+        for flag in ("env", "simulator")
+        if asked[flag]
+    ]
     parts.append(f"--layout {pasted(path)}")
-    return " ".join(parts + ([] if closing is None else [f"--start-closing {closing:g}"]))
+    return " ".join(
+        parts + ([] if closing is None else [f"--start-closing {closing:g}"])
+    )
 
 
 LISTS = ("--scene", "--only", "--not", "--beside", "--weights", "--start-closing")
@@ -107,11 +115,16 @@ def _gathered(args: Sequence[str]) -> list[str]:
             arg = value
         elif arg.startswith("--"):
             current = rest
-        current += [arg] if current is rest else [part for part in arg.split(",") if part]
+        current += (
+            [arg] if current is rest else [part for part in arg.split(",") if part]
+        )
     for name, values in lists.items():
         if not values and name != "--beside":  # with nothing
             raise InputError(f"{name}: found nothing, expected one or more values")
-    return [*rest, *(part for name, values in lists.items() for part in (name, *values))]
+    return [
+        *rest,
+        *(part for name, values in lists.items() for part in (name, *values)),
+    ]
 
 
 def _print(found: Design) -> None:
@@ -128,7 +141,9 @@ def _print(found: Design) -> None:
         kept = f"layout {layouts.short(asked['keep'])}"
         console.print(f"chosen and random taxels are added to those of {kept}")
     if result["early"]:
-        console.print(f"left out, since they fire before anything comes: {', '.join(result['early'])}")
+        console.print(
+            f"left out, since they fire before anything comes: {', '.join(result['early'])}"
+        )
     table = Table("taxels", "which", measure, "95 % interval")
     if key == "success":
         table.add_column("felt")
@@ -142,7 +157,11 @@ def _print(found: Design) -> None:
         cells = [str(row["taxels"]), _which(row), f"{row[key]:.2f}"]
         cells.append(f"{low:.2f} – {high:.2f}" if low != "" else "")
         cells += [f"{row['felt']:.2f}"] if "felt" in row else []
-        cells += [f"{row['start_closing']:g}" if "start_closing" in row else ""] if waits else []
+        cells += (
+            [f"{row['start_closing']:g}" if "start_closing" in row else ""]
+            if waits
+            else []
+        )
         if "difference" in row:
             cells.append("{:+.2f} ({:+.2f} to {:+.2f})".format(*row["difference"][key]))
         table.add_row(*cells)
@@ -157,7 +176,11 @@ def _print(found: Design) -> None:
 
 
 def _which(row: dict[str, Any]) -> str:
-    named = {"chosen": "chosen", "random": "random sets, mean", "whole skin": "all candidates"}
+    named = {
+        "chosen": "chosen",
+        "random": "random sets, mean",
+        "whole skin": "all candidates",
+    }
     return named.get(row["layout"], f"layout {layouts.short(row['layout'])}")
 
 

@@ -61,10 +61,14 @@ def _require_used(scene: GraspConfig, env: str) -> None:
     for name, usual in vars(setup(env)).items():
         if name not in USED and (found := getattr(scene, name)) != usual:
             flag = flags.of_field(name)
-            raise InputError(f"{flag}: found {found}, which has no effect here; leave it out")
+            raise InputError(
+                f"{flag}: found {found}, which has no effect here; leave it out"
+            )
     with input_errors():
         if Items(scene).vary:
-            raise ValueError("object: found several, or a range, allowed a single object")
+            raise ValueError(
+                "object: found several, or a range, allowed a single object"
+            )
 
 
 def main(args: list[str]) -> int:
@@ -77,18 +81,34 @@ def main(args: list[str]) -> int:
     with input_errors():
         require_grasp(name, scene)
         scenes = [dataclasses.replace(scene, layout=layout) for layout in names]
-        figures = [doctor.examine(name, each, read.grasps, read.seconds) for each in scenes]
+        figures = [
+            doctor.examine(name, each, read.grasps, read.seconds) for each in scenes
+        ]
     code = int(any(f.is_blind for f in figures))
     if read.json:
         print(json.dumps([dataclasses.asdict(f) for f in figures]))
         return code
-    table = Table(title=f"{name} in {scene.simulator}, rule {scene.touch_rule}: taxels during the hold")
-    for column in ("layout", "taxels", "held", "taxels on", "steps with any", "never fired", ""):
+    table = Table(
+        title=f"{name} in {scene.simulator}, rule {scene.touch_rule}: taxels during the hold"
+    )
+    for column in (
+        "layout",
+        "taxels",
+        "held",
+        "taxels on",
+        "steps with any",
+        "never fired",
+        "",
+    ):
         table.add_column(column, justify="right")
     for f in figures:
         table.add_row(
             *(f.layout, str(f.taxels), f"{f.held}/{f.grasps}", f"{f.mean_bits:.2f}"),
-            *(f"{100 * f.share_any:.0f} %", str(len(f.never_fired)), "blind" if f.is_blind else "ok"),
+            *(
+                f"{100 * f.share_any:.0f} %",
+                str(len(f.never_fired)),
+                "blind" if f.is_blind else "ok",
+            ),
         )
     console.print(table)
     for f in figures:

@@ -25,7 +25,10 @@ ABOUT = About(
     "Describe an environment: what it is, its actions, observations and taxels. Without flags it also "
     "lists the named scenes.",
     first=("layout", "touch", "simulator", "task"),
-    examples=("tactilerl env --scene handover", "tactilerl env --env shadow --layout 4 --describe"),
+    examples=(
+        "tactilerl env --scene handover",
+        "tactilerl env --env shadow --layout 4 --describe",
+    ),
 )
 MJCF = ".xml"
 
@@ -49,13 +52,21 @@ def _export(path: Path, base: Any) -> None:
     """Write taxels as points on links, or as sensors of the hand's model, as the name says."""
     taxels: Taxels | None = getattr(base, "taxels", None)
     if taxels is None:
-        raise InputError("--export: found an environment without taxels, allowed those of hands")
+        raise InputError(
+            "--export: found an environment without taxels, allowed those of hands"
+        )
     if path.suffix not in (*WRITERS, MJCF):
         allowed = ", ".join((*WRITERS, MJCF))
-        raise InputError(f"--export: found {path.name!r}, allowed names that end in {allowed}")
+        raise InputError(
+            f"--export: found {path.name!r}, allowed names that end in {allowed}"
+        )
     with input_errors("--export"):
         is_model = path.suffix == MJCF
-        made = tactile.xml(base.hand, taxels) if is_model else WRITERS[path.suffix](taxels.points)
+        made = (
+            tactile.xml(base.hand, taxels)
+            if is_model
+            else WRITERS[path.suffix](taxels.points)
+        )
     with replacing(path, lambda there: content(there) == made) as file:
         file.write(made)
 
@@ -63,16 +74,28 @@ def _export(path: Path, base: Any) -> None:
 def main(args: list[str]) -> int:
     """`tactilerl env --describe`"""
     read, scene = read_any(EnvFlags, args, "tactilerl env", ABOUT)
-    with input_errors(), closing(GraspEnv(read.env, scene) if scene else envs.make(read.env)) as made:
+    with (
+        input_errors(),
+        closing(GraspEnv(read.env, scene) if scene else envs.make(read.env)) as made,
+    ):
         base: Any = made.unwrapped
-        spaces = {"action_space": made.action_space, "observation_space": made.observation_space}
+        spaces = {
+            "action_space": made.action_space,
+            "observation_space": made.observation_space,
+        }
         described: dict[str, Any] = {
             "env": read.env,
             **{name: str(space) for name, space in spaces.items()},
         }
         if scene:
-            described |= {"observation": base.observation_names(), "action": base.hand.action_names}
-            described |= {"taxels": len(base.taxels), "notes": layout_notes(read.env, scene.layout)}
+            described |= {
+                "observation": base.observation_names(),
+                "action": base.hand.action_names,
+            }
+            described |= {
+                "taxels": len(base.taxels),
+                "notes": layout_notes(read.env, scene.layout),
+            }
     if read.export is not None:
         _export(read.export, base)
     if read.json:
@@ -84,12 +107,17 @@ def main(args: list[str]) -> int:
         lines.append(f"task: {scene.task} in {scene.simulator}, {length}")
     lines += [f"{name}: {_short(space)}" for name, space in spaces.items()]
     if scene:
-        lines += [f"taxels: {described['taxels']}", *(f"note: {it}" for it in described["notes"])]
+        lines += [
+            f"taxels: {described['taxels']}",
+            *(f"note: {it}" for it in described["notes"]),
+        ]
     if not args:
         lines.append("named scenes (--scene NAME):")
         lines += [f"  {name:18} {scenes.load(name).about}" for name in scenes.names()]
     for key in ("action", "observation") if read.describe else ():
-        lines += [f"{key}[{i}] {entry}" for i, entry in enumerate(described.get(key, ()))]
+        lines += [
+            f"{key}[{i}] {entry}" for i, entry in enumerate(described.get(key, ()))
+        ]
     print("\n".join(lines))
     return 0
 
@@ -99,4 +127,8 @@ def _short(space: gym.Space[Any]) -> str:
     if isinstance(space, gym.spaces.Dict):
         return f"Dict({', '.join(f'{key}: {_short(part)}' for key, part in space.spaces.items())})"
     whole = str(space)
-    return whole if "[" not in whole and "inf" not in whole else f"{type(space).__name__}{space.shape}"
+    return (
+        whole
+        if "[" not in whole and "inf" not in whole
+        else f"{type(space).__name__}{space.shape}"
+    )

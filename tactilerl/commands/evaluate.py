@@ -62,13 +62,17 @@ class EvaluateFlags:
 
 def main(args: list[str]) -> int:
     """`tactilerl evaluate RUN`"""
-    read, sensors = _read(args, SensorConfig())  # which run, before its sensors are known
+    read, sensors = _read(
+        args, SensorConfig()
+    )  # which run, before its sensors are known
     saved = RunDir(read.run).read_config(read.env, read.trust).scene
     if saved is None:
         read = flags.parse(EvaluateFlags, args, "tactilerl evaluate", ABOUT)
     else:
         names = typed.names(SensorConfig)
-        read, sensors = _read(args, SensorConfig(**{name: getattr(saved, name) for name in names}))
+        read, sensors = _read(
+            args, SensorConfig(**{name: getattr(saved, name) for name in names})
+        )
     trained = policies.read_run(read.run, read.env, read.trust)
     run = trained.config
     about: dict[str, Any] = {
@@ -81,8 +85,12 @@ def main(args: list[str]) -> int:
         run = dataclasses.replace(run, scene=dataclasses.replace(run.scene, **others))
         about |= {"sensors": others} if others else {}
     elif read.touch:
-        raise InputError(f"--touch: found a run on {run.run.env!r}, allowed one of a grasping scene")
-    name, values, runs = sweep.vary(run, read.sweep) if read.sweep else ("", [""], [run])
+        raise InputError(
+            f"--touch: found a run on {run.run.env!r}, allowed one of a grasping scene"
+        )
+    name, values, runs = (
+        sweep.vary(run, read.sweep) if read.sweep else ("", [""], [run])
+    )
     _require_taxels(trained.config, runs)
     rows = [evaluation.summarise(_play(each, trained.policy, read)) for each in runs]
     result = about | rows[0]
@@ -99,7 +107,9 @@ def main(args: list[str]) -> int:
 def _require_taxels(trained: RunConfig, runs: list[RunConfig]) -> None:
     """InputError where a policy would be shown more or fewer inputs than it was trained with."""
     for run in runs:
-        touches = [each.scene.touch for each in (trained, run) if each.scene is not None]
+        touches = [
+            each.scene.touch for each in (trained, run) if each.scene is not None
+        ]
         if touches.count("absent") == 1:
             own, found = touches
             raise InputError(f"--touch: found {found} for a run that was trained with touch {own}; its "
@@ -108,7 +118,10 @@ def _require_taxels(trained: RunConfig, runs: list[RunConfig]) -> None:
 
 def _read(args: list[str], sensors: SensorConfig) -> tuple[EvaluateFlags, SensorConfig]:
     """The flags, and the sensors: these, but for flags that say otherwise."""
-    kinds: list[Any] = [("command_part", EvaluateFlags), ("sensor_part", SensorConfig, sensors)]
+    kinds: list[Any] = [
+        ("command_part", EvaluateFlags),
+        ("sensor_part", SensorConfig, sensors),
+    ]
     options: Any = dataclasses.make_dataclass("Options", kinds)
     read = flags.parse(options, args, "tactilerl evaluate", ABOUT)
     return read.command_part, read.sensor_part
@@ -121,7 +134,9 @@ def _play(run: RunConfig, policy: Any, read: EvaluateFlags) -> list[dict[str, An
     rows = []
     with closing(workers), progress("playing", read.episodes, not read.json) as tick:
         try:
-            for episode in workers.play(evaluation.task(policy, read.stochastic), range(read.episodes)):
+            for episode in workers.play(
+                evaluation.task(policy, read.stochastic), range(read.episodes)
+            ):
                 rows.append(evaluation.row(episode))
                 tick()
         except UnfitError as error:
@@ -131,7 +146,10 @@ def _play(run: RunConfig, policy: Any, read: EvaluateFlags) -> list[dict[str, An
 
 def _table(result: dict[str, Any]) -> Table:
     """Which policy, with which sensors where they are not those of the run, and how good it is."""
-    others = (f"{name.replace('_', '-')} {value}" for name, value in result.get("sensors", {}).items())
+    others = (
+        f"{name.replace('_', '-')} {value}"
+        for name, value in result.get("sensors", {}).items()
+    )
     about = ", ".join([result["run"], f"epoch {result['epoch']}", *others])
     # A policy that has just begun to learn may succeed with its exploration noise only.
     noise = "without exploration noise; --stochastic plays with it"
@@ -139,10 +157,18 @@ def _table(result: dict[str, Any]) -> Table:
     if "sweep" in result:
         name, points = result["sweep"], result["points"]
         table.title = f"{about}, {points[0]['episodes']} episodes each"
-        for column in (name.replace("_", "-"), "success rate", "95 % interval", "return"):
+        for column in (
+            name.replace("_", "-"),
+            "success rate",
+            "95 % interval",
+            "return",
+        ):
             table.add_column(column)
         for point in points:
-            table.add_row(*_row(point, "success_rate", str(point[name])), f"{point['mean_return']:.2f}")
+            table.add_row(
+                *_row(point, "success_rate", str(point[name])),
+                f"{point['mean_return']:.2f}",
+            )
         return table
     table.title = f"{about}, {result['episodes']} episodes"
     for column in ("", "mean", "95 % interval"):
@@ -150,7 +176,9 @@ def _table(result: dict[str, Any]) -> Table:
     if "success_rate" in result:
         table.add_row(*_row(result, "success_rate", "success rate"))
         if result["mean_held_steps"] > 1:  # where success does not end the episode
-            table.add_row("steps at the goal, at the end", f"{result['mean_held_steps']:.1f}", "")
+            table.add_row(
+                "steps at the goal, at the end", f"{result['mean_held_steps']:.1f}", ""
+            )
     table.add_row(*_row(result, "mean_return", "return", ".2f"))
     table.add_row("length", f"{result['mean_length']:.1f}", "")
     for fault, what in (("diverged", "diverged episodes"), ("warnings", "warnings")):
@@ -159,7 +187,9 @@ def _table(result: dict[str, Any]) -> Table:
     return table
 
 
-def _row(result: dict[str, Any], measure: str, what: str, form: str = ".3f") -> tuple[str, str, str]:
+def _row(
+    result: dict[str, Any], measure: str, what: str, form: str = ".3f"
+) -> tuple[str, str, str]:
     """What it is, its value, and its interval."""
     low, high = result[f"{measure}_ci"]
     return what, format(result[measure], form), f"{low:{form}} – {high:{form}}"

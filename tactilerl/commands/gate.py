@@ -66,7 +66,10 @@ def main(args: list[str]) -> int:
             layouts.load(each.layout).place(hands.get(read.env))
         if scene.task != "handover":
             require_grasp(read.env, scene)
-    with progress("trying scripted hands", is_shown=not read.json) as tick, input_errors():
+    with (
+        progress("trying scripted hands", is_shown=not read.json) as tick,
+        input_errors(),
+    ):
         examine = partial(
             gate.examine, read.env, starts=read.starts, search=read.search, seed=read.seed,
             workers=read.workers or free_cores(), tick=tick,
@@ -75,18 +78,28 @@ def main(args: list[str]) -> int:
         touch = {each.layout: examine(each, senses=["touch"])[0] for each in beside}
     sentence = gate.verdict(rows, "Touch" if scene.touch == "on" else "Shuffled touch")
     if read.json:
-        more = {"layouts": {name: dataclasses.asdict(row) for name, row in touch.items()}}
-        result = {"reflexes": [dataclasses.asdict(r) for r in rows], "verdict": sentence}
+        more = {
+            "layouts": {name: dataclasses.asdict(row) for name, row in touch.items()}
+        }
+        result = {
+            "reflexes": [dataclasses.asdict(r) for r in rows],
+            "verdict": sentence,
+        }
         print(json.dumps(result | (more if touch else {})))
         return 0
     table = Table("scripted hand", "switches when", "success", "95 % interval")
     for row in rows:
         shown = {row.name: row}
         if touch and row.name == "touch":
-            shown = {f"touch, layout {name}": it for name, it in {scene.layout: row, **touch}.items()}
+            shown = {
+                f"touch, layout {name}": it
+                for name, it in {scene.layout: row, **touch}.items()
+            }
         for name, one in shown.items():
             rate, (low, high) = f"{one.rate:.2f}", one.interval
-            table.add_row(name, gate.SENSES[row.name][1], rate, f"{low:.2f} – {high:.2f}")
+            table.add_row(
+                name, gate.SENSES[row.name][1], rate, f"{low:.2f} – {high:.2f}"
+            )
     console.print(table)
     console.print(sentence)
     return 0

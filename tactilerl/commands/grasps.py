@@ -28,7 +28,9 @@ def require_grasp(name: str, scene: GraspConfig) -> None:
         return
     found = found_grasp(name, scene)
     if found is None:
-        raise ValueError(f"hand {name}: found no grasp that holds; look at [opened] and [closed]")
+        raise ValueError(
+            f"hand {name}: found no grasp that holds; look at [opened] and [closed]"
+        )
     path = hands.file(name)
     kept = path.with_suffix(hands.KEPT)
     with replacing(kept, begins_with(MARK)) as file:
@@ -46,9 +48,13 @@ def found_grasp(name: str, scene: GraspConfig) -> grasp_search.Found | None:
     up = f"{100 * found.share:.0f} % of the time"
     size = f"a {1e3 * found.grasp.object_size:g} mm object"
     if found.share >= LEAST:
-        beside.print(f"found one: it holds {size} {up}, touched by {found.digits:.1f} digits")
+        beside.print(
+            f"found one: it holds {size} {up}, touched by {found.digits:.1f} digits"
+        )
         if found.shift is not None:
-            beside.print(f"touched {1e3 * found.shift:.0f} mm beyond the middle of the last links")
+            beside.print(
+                f"touched {1e3 * found.shift:.0f} mm beyond the middle of the last links"
+            )
         return found
     beside.print(f"found no grasp that holds {size}: the best keeps it up {up}")
     beside.print("look at [opened] and [closed], or at the force of the servos")

@@ -56,7 +56,9 @@ def main(args: list[str]) -> int:
     if not read.model:
         raise InputError("MODEL: found none, expected the path of an MJCF or URDF file")
     if read.out.suffix != hands.SUFFIX:
-        raise InputError(f"--out: found {read.out.name!r}, allowed names that end in {hands.SUFFIX}")
+        raise InputError(
+            f"--out: found {read.out.name!r}, allowed names that end in {hands.SUFFIX}"
+        )
     with input_errors():
         _write(read)
         hand = hands.get(str(read.out))
@@ -64,14 +66,20 @@ def main(args: list[str]) -> int:
         scene = setup(str(read.out), layout="1")
         found = found_grasp(str(read.out), scene)
     if found is not None:
-        more = "" if found.shift is None else f"\n[pitch]\ndistal_shift = {found.shift:.4g}\n"
+        more = (
+            ""
+            if found.shift is None
+            else f"\n[pitch]\ndistal_shift = {found.shift:.4g}\n"
+        )
         _append(read.out, f"{more}\n{grasp_search.toml(hand, found.grasp)}\n")
     pose: Literal["start", "grasp"] = "start" if found is None else "grasp"
     what, picture = f"the {pose}, and the hand unrolled", read.out.with_suffix(".png")
     draw(console, what, str(read.out), scene, pose, picture)
     if found is None:
         return 1
-    simulators = ["mujoco"] + ["pybullet"] * (importlib.util.find_spec("pybullet") is not None)
+    simulators = ["mujoco"] + ["pybullet"] * (
+        importlib.util.find_spec("pybullet") is not None
+    )
     for simulator in simulators:
         _try(read.out, simulator)
     name = pasted(read.out)
@@ -108,7 +116,9 @@ def _servos_fail(path: Path) -> str:
     """How the model's own servos fail, "" where they do not."""
     try:
         notes = hands.get(str(path)).notes
-        return next((note.partition(";")[0] for note in notes if "weak or slow" in note), "")
+        return next(
+            (note.partition(";")[0] for note in notes if "weak or slow" in note), ""
+        )
     except ValueError as error:
         if "hang still" not in str(error):
             raise
@@ -128,7 +138,9 @@ def _say_what_was_guessed(path: Path, hand: hands.Hand) -> None:
         console.print(f"  {key}: {data[key]}")
     for name, about in data["digits"].items():
         console.print(f"  digits.{name}: {', '.join(about['links'])}")
-    console.print(f"  closing: {len(hand.closed)} of {len(hand.actuators) - 3} actuators")
+    console.print(
+        f"  closing: {len(hand.closed)} of {len(hand.actuators) - 3} actuators"
+    )
     for note in hand.notes:
         console.print(f"  note: {note}")
 

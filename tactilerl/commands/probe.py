@@ -47,11 +47,16 @@ def main(args: list[str]) -> int:
         with input_errors():
             require_grasp(read.grasp.env, read.grasp.config)
     with ExitStack() as held:
-        with progress("grasps", is_shown=not read.output.json) as show, interrupts.in_order():
+        with (
+            progress("grasps", is_shown=not read.output.json) as show,
+            interrupts.in_order(),
+        ):
             played, out = run.grasps(read, held, show)
         if not read.output.json:
             console.print(f"analysing {len(played.records['held'])} grasps")
-        with Console(stderr=True, quiet=read.output.json).status("evaluating classifiers"):
+        with Console(stderr=True, quiet=read.output.json).status(
+            "evaluating classifiers"
+        ):
             result = run.analyse(read, played, out)
     if read.output.json:
         print(json.dumps(result))
@@ -85,13 +90,21 @@ def _print(result: dict[str, Any], out: Path) -> None:
         taxels = {name: about["taxels"] for name, about in result["layouts"].items()}
         title = f"joint noise {noise:g} rad: will it hold?"
         console.print(_table(title, rows, HOLDS, taxels))
-        console.print(_table("where is the object, and which is it?", rows, OBJECT, taxels))
+        console.print(
+            _table("where is the object, and which is it?", rows, OBJECT, taxels)
+        )
     check = result["shuffled"]
-    verdict = "compatible with 0" if check["is_zero"] else "not 0: do not trust the gains"
+    verdict = (
+        "compatible with 0" if check["is_zero"] else "not 0: do not trust the gains"
+    )
     gain = _signed(check["gain"], check["interval"])
-    console.print(f"outcomes shuffled: layout {check['layout']} gains {gain}, {verdict}")
+    console.print(
+        f"outcomes shuffled: layout {check['layout']} gains {gain}, {verdict}"
+    )
     _print_differences([d for d in result["differences"] if d["question"] == "hold"])
-    written = sorted(path.name for path in out.iterdir() if not path.name.startswith("."))
+    written = sorted(
+        path.name for path in out.iterdir() if not path.name.startswith(".")
+    )
     console.print(f"{out}: {', '.join(written)}")
 
 
@@ -112,7 +125,10 @@ def _print_differences(found: list[dict[str, Any]]) -> None:
 
 
 def _table(
-    title: str, rows: list[dict[str, Any]], columns: dict[str, tuple[str, str]], taxels: dict[str, int]
+    title: str,
+    rows: list[dict[str, Any]],
+    columns: dict[str, tuple[str, str]],
+    taxels: dict[str, int],
 ) -> Table:
     """A row for each that is told something else, a column for each measure that there is."""
     found = {(row["told"], row["layout"], row["metric"]): row for row in rows}
@@ -133,7 +149,9 @@ def _table(
             value = row.get("value")
             cells.append("" if value is None else format(value, columns[metric][1]))
         if "gain" in measured.get("auc", {}):
-            cells.append(_signed(measured["auc"]["gain"], measured["auc"]["gain_interval"]))
+            cells.append(
+                _signed(measured["auc"]["gain"], measured["auc"]["gain_interval"])
+            )
         table.add_row(*cells)
     return table
 

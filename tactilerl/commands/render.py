@@ -67,7 +67,9 @@ def main(args: list[str]) -> int:
     for flag in ("env", "out", "pose") if read.run else ("video", "episodes"):
         if getattr(read, flag) != getattr(RenderFlags, flag):
             found, needed = ("with", "without") if read.run else ("without", "with")
-            raise InputError(f"--{flag}: found {found} a run folder, allowed only {needed} one")
+            raise InputError(
+                f"--{flag}: found {found} a run folder, allowed only {needed} one"
+            )
     if read.run:
         return _film(args, read, scene)
     with input_errors():
@@ -91,7 +93,13 @@ def _film(args: list[str], read: RenderFlags, scene: GraspConfig) -> int:
             "render RUN: found scene flags, allowed only --hold-seconds: a run keeps its scene"
         )
     with input_errors(), progress("pictures") as tick:
-        for shown in render.film(read.run, read.episodes, hold_seconds, read.camera, read.video, tick):
-            verdicts = ", ".join("success" if success else "no success" for success in shown)
-            console.print(f"{read.video}: {verdicts} (hold tests of {hold_seconds:g} s)")
+        for shown in render.film(
+            read.run, read.episodes, hold_seconds, read.camera, read.video, tick
+        ):
+            verdicts = ", ".join(
+                "success" if success else "no success" for success in shown
+            )
+            console.print(
+                f"{read.video}: {verdicts} (hold tests of {hold_seconds:g} s)"
+            )
     return 0

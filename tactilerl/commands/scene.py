@@ -30,7 +30,9 @@ def read_any(
         named = scenes.load(name) if name else NamedScene(env=command.env)
     env = flags.peek(args, "--env", named.env)
     if name and not hands.is_hand(env):
-        raise InputError(f"--env: found {env!r} with --scene, allowed: {hands.allowed()}")
+        raise InputError(
+            f"--env: found {env!r} with --scene, allowed: {hands.allowed()}"
+        )
     parts: dict[str, Any] = {"command": dataclasses.replace(command, env=env)}
     if hands.is_hand(env):
         with input_errors(f"scene {name}" if name else ""):
@@ -40,11 +42,15 @@ def read_any(
     return read.command_part, getattr(read, "scene_part", None)
 
 
-def read_scene(kind: type[T], args: Sequence[str], prog: str, about: About) -> tuple[T, GraspConfig]:
+def read_scene(
+    kind: type[T], args: Sequence[str], prog: str, about: About
+) -> tuple[T, GraspConfig]:
     """The same; InputError where the environment has no scene."""
     read, scene = read_any(kind, args, prog, about)
     if scene is None:
-        raise InputError(f"--env: found {vars(read)['env']!r}, allowed: {hands.allowed()}")
+        raise InputError(
+            f"--env: found {vars(read)['env']!r}, allowed: {hands.allowed()}"
+        )
     return read, scene
 
 
@@ -54,10 +60,18 @@ def layout_notes(name: str, layout: str) -> list[str]:
     wanted, hand = layouts.load(layout), hands.get(name)
     placed = wanted.place(hand)
     found = {
-        "no taxels at {}, which " + name + " does not have": layouts.left_out(wanted, hand),
+        "no taxels at {}, which " + name + " does not have": layouts.left_out(
+            wanted, hand
+        ),
         "beyond the end of their segment: {}": hand_map.beyond(hand, placed),
-        "further from the skin of their link than they reach: {}": hand_map.off_skin(hand, placed),
+        "further from the skin of their link than they reach: {}": hand_map.off_skin(
+            hand, placed
+        ),
     }
     short = layouts.short(layout)
-    notes = [f"layout {short}: {text.format(', '.join(it))}" for text, it in found.items() if it]
+    notes = [
+        f"layout {short}: {text.format(', '.join(it))}"
+        for text, it in found.items()
+        if it
+    ]
     return [*hand.notes, *notes]

@@ -61,13 +61,18 @@ class Run:
 
     def __call__(self) -> int:
         """`tactilerl study run FILE`"""
-        chosen = engine.Engine(self.on, self.jobs, self.ranks_per_run, self.walltime, self.memory)
+        chosen = engine.Engine(
+            self.on, self.jobs, self.ranks_per_run, self.walltime, self.memory
+        )
         with chosen.executor() as pool:
             return self._train(*pool) if pool is not None else 0
 
     def _train(self, pool: Executor, parallel: Callable[[], int]) -> int:
         study = grid.read(self.study)
-        files, title = StudyFiles(self.out or Path("studies") / study.name), f"study {study.name}"
+        files, title = (
+            StudyFiles(self.out or Path("studies") / study.name),
+            f"study {study.name}",
+        )
         runs = study.runs()
         console.print(f"{title}: checking {len(runs)} runs")
         configs = check.configure(runs, self.trust)
@@ -114,7 +119,10 @@ class Run:
         for one in found:
             if one.state != "done" and (not one.has_ended or self.retry_failed):
                 own = (1 - one.fraction) * configs[one.run.name].run.total_timesteps
-                steps, left = steps + own, left + own * seconds.get(one.run.setup, 0.0) / parallel
+                steps, left = (
+                    steps + own,
+                    left + own * seconds.get(one.run.setup, 0.0) / parallel,
+                )
         about = f"about {duration(left)} with {parallel} at a time"
         console.print(f"{steps:,.0f} steps to do: {about}")
         if left < LONG or self.yes or not sys.stdin.isatty():
@@ -153,12 +161,18 @@ class Todo:
         study = grid.read(self.study)
         files = StudyFiles(self.out or Path("studies") / study.name)
         found = [files.record(run) for run in study.runs()]
-        check.require_same(found, check.configure((record.run for record in found), self.trust))
+        check.require_same(
+            found, check.configure((record.run for record in found), self.trust)
+        )
         files.create(study)
         for record in found:
             if record.state != "done":
                 print(
-                    shlex.join(RunJob(files.path, record.run, self.ranks_per_run).command("tactilerl"))
+                    shlex.join(
+                        RunJob(files.path, record.run, self.ranks_per_run).command(
+                            "tactilerl"
+                        )
+                    )
                 )
 
 
@@ -180,7 +194,11 @@ class Status:
         said = looks.answers(study, verdicts)
         if self.json:
             states = {
-                one.run.name: {"state": one.state, "fraction": one.fraction, "seconds": one.seconds}
+                one.run.name: {
+                    "state": one.state,
+                    "fraction": one.fraction,
+                    "seconds": one.seconds,
+                }
                 for one in found
             }
             result = {"study": study.name, "runs": len(states), **counts, "eta_s": eta}
@@ -215,10 +233,16 @@ class Plan:
             from ..study import planning
         for name in ("effect", "power", "alpha"):
             if not 0 < getattr(self, name) < 1:
-                raise InputError(f"--{name}: found {getattr(self, name)}, allowed between 0 and 1")
-        needs = planning.plan(*records.load(self.study), self.effect, self.power, self.alpha)
+                raise InputError(
+                    f"--{name}: found {getattr(self, name)}, allowed between 0 and 1"
+                )
+        needs = planning.plan(
+            *records.load(self.study), self.effect, self.power, self.alpha
+        )
         if not needs:
-            raise InputError(f"{self.study}: no comparison with two or more pairs of runs to plan from")
+            raise InputError(
+                f"{self.study}: no comparison with two or more pairs of runs to plan from"
+            )
         if self.json:
             print(_json([dataclasses.asdict(need) for need in needs]))
             return
@@ -228,17 +252,41 @@ class Plan:
             "alone: unpaired runs per group; 95 %: interval of pairs\n"
             "Holm: pairs, corrected for all settings"
         )
-        table = Table(title=title, caption=caption, box=box.SIMPLE_HEAD, padding=0, show_edge=False)
-        for column in ("set-up", "score", "n", "r", "sd", "alone", "pairs", "95 %", "Holm"):
+        table = Table(
+            title=title,
+            caption=caption,
+            box=box.SIMPLE_HEAD,
+            padding=0,
+            show_edge=False,
+        )
+        for column in (
+            "set-up",
+            "score",
+            "n",
+            "r",
+            "sd",
+            "alone",
+            "pairs",
+            "95 %",
+            "Holm",
+        ):
             table.add_column(column, no_wrap=True)
         for need in needs:
             counts = need.unpaired, need.needed, *need.interval, need.needed_holm
             alone, pairs, low, high, holm = (str(n) if n else "–" for n in counts)
-            row = [need.setup, need.score, str(need.pairs), f"{need.correlation:.2f}", f"{need.sd:.2f}"]
+            row = [
+                need.setup,
+                need.score,
+                str(need.pairs),
+                f"{need.correlation:.2f}",
+                f"{need.sd:.2f}",
+            ]
             table.add_row(*row, alone, pairs, f"{low}–{high}", holm)
         console.print(table)
         for name, need in planning.best(needs).items():
-            console.print(f"{name}: {need.score} needs the fewest pairs. In the study file:")
+            console.print(
+                f"{name}: {need.score} needs the fewest pairs. In the study file:"
+            )
             console.print(f'  primary = {{score = "{need.score}"}}')
             if need.needed_holm:
                 pairs_at = planning.looks(need.needed_holm, self.alpha / need.settings)
@@ -268,13 +316,21 @@ class Compare:
         if self.json:
             print(_json({"differing": differing, "rows": rows}))
             return
-        table = Table(title=f"{self.a} − {self.b}: {self.score}", box=box.SIMPLE_HEAD, padding=0)
+        table = Table(
+            title=f"{self.a} − {self.b}: {self.score}", box=box.SIMPLE_HEAD, padding=0
+        )
         for column in ("", "runs", "steps", "pairs", "difference", "p", "p, Holm"):
             table.add_column(column, no_wrap=bool(column), overflow="fold")
         for one in rows:
             gap = "{value:+.3f} ({low:+.3f} to {high:+.3f})".format(**one)
-            sizes = "{} / {}".format(*one["runs"]), f"{one['until']:,.0f}", str(one["pairs"])
-            p_values = (f"{p:.3f}" if p == p else "–" for p in (one["p"], one["p_holm"]))
+            sizes = (
+                "{} / {}".format(*one["runs"]),
+                f"{one['until']:,.0f}",
+                str(one["pairs"]),
+            )
+            p_values = (
+                f"{p:.3f}" if p == p else "–" for p in (one["p"], one["p_holm"])
+            )
             table.add_row(one["place"], *sizes, gap, *p_values)
         console.print(table)
         console.print(f"they differ in: {'; '.join(differing) or 'nothing'}")
@@ -312,11 +368,17 @@ class Report:
         with extra("study"):
             from ..study import analysis, report, summary
         found = analysis.analyse(*records.load(self.study), self.resamples)
-        out = self.out or (self.study if os.path.isdir(self.study) else self.study.parent) / "report"
+        out = (
+            self.out
+            or (self.study if os.path.isdir(self.study) else self.study.parent)
+            / "report"
+        )
         try:
             path = report.write(found, out)
         except OSError as error:
-            raise InputError(f"cannot write the report into {str(out)!r}: {error.strerror}") from error
+            raise InputError(
+                f"cannot write the report into {str(out)!r}: {error.strerror}"
+            ) from error
         for sentence in summary.answers(found):
             console.print(sentence)
         for warning in summary.warnings(found):
@@ -332,13 +394,19 @@ def main(args: list[str]) -> int:
     """`tactilerl study PART`"""
     about = {name: str(kind.__doc__) for name, kind in PARTS.items()}
     if not args or args[0] in ("-h", "--help", "--help-all"):
-        lines = [f"  {name:9}{text[0].lower()}{text[1:-1]}" for name, text in about.items()]
+        lines = [
+            f"  {name:9}{text[0].lower()}{text[1:-1]}" for name, text in about.items()
+        ]
         lines += ["", "tactilerl study PART --help lists a part's options."]
-        print("\n".join(["usage: tactilerl study PART [OPTIONS]", "", "parts:", *lines]))
+        print(
+            "\n".join(["usage: tactilerl study PART [OPTIONS]", "", "parts:", *lines])
+        )
         return 0 if args else 2
     name, *rest = args
     if name not in PARTS:
         raise InputError(f"study: found {name!r}, allowed: {', '.join(PARTS)}")
-    part = flags.parse(PARTS[name], rest, f"tactilerl study {name}", about=About(about[name]))
+    part = flags.parse(
+        PARTS[name], rest, f"tactilerl study {name}", about=About(about[name])
+    )
     code: int = part() or 0
     return code

@@ -26,7 +26,9 @@ def main(args: list[str]) -> int:
     notes = []
     with input_errors():
         comm = mpi.world()
-        if config.scene and not options.resume:  # which has its layout's own copy: the file may be gone
+        if (
+            config.scene and not options.resume
+        ):  # which has its layout's own copy: the file may be gone
             notes = layout_notes(config.run.env, config.scene.layout)
     summary = _summary(config, usual, comm.size, notes)
     path = train(config, comm, summary)

@@ -52,14 +52,18 @@ def main(args: list[str]) -> int:
     if not read.run:
         env, play = _waiting(read.env, scene)
     elif flags.peek(args, "--scene", "") or scene != setup(read.env):
-        raise InputError("view RUN: found scene flags, allowed none: a run keeps its scene")
+        raise InputError(
+            "view RUN: found scene flags, allowed none: a run keeps its scene"
+        )
     else:
         env, play = _playing(Path(read.run))
     from ..envs.simulators.viewer import ClosedError, Viewed  # imports the viewer
 
     with closing(env):
         if (found := env.config.simulator) != "mujoco":
-            raise InputError(f"view: found the simulator {found}, allowed mujoco, whose viewer it is")
+            raise InputError(
+                f"view: found the simulator {found}, allowed mujoco, whose viewer it is"
+            )
         simulator: Any = env.simulator
         try:
             viewed = Viewed(simulator, env.spheres, read.speed)

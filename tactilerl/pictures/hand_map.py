@@ -16,12 +16,22 @@ from . import places
 from .places import Place
 
 # All mm.
-COLUMN, ROW = 38.0, 52.0  # between digits and between segments on the map, or more where they are large
+COLUMN, ROW = (
+    38.0,
+    52.0,
+)  # between digits and between segments on the map, or more where they are large
 MARGIN = 6.0  # around all of it
-EDGE = 3.0  # of a panel beyond the places of its outermost taxels, for they have a radius
+EDGE = (
+    3.0  # of a panel beyond the places of its outermost taxels, for they have a radius
+)
 LETTERS = 10.0  # the height of a label
 ROUND = 0.4  # radius of a panel's corners, of half its width
-PAPER, PHALANX, TAXEL, LIT = (255, 255, 255), (224, 224, 224), (70, 90, 160), (255, 200, 0)
+PAPER, PHALANX, TAXEL, LIT = (
+    (255, 255, 255),
+    (224, 224, 224),
+    (70, 90, 160),
+    (255, 200, 0),
+)
 LETTER = (20, 20, 20)
 
 
@@ -46,12 +56,16 @@ def panels(hand: Hand) -> list[Panel]:
     found, segments = [], dict.fromkeys(hand.digits, 0)
     for surface, (low, high, half_width) in zip(hand.surfaces, spans, strict=True):
         middle = (len(columns) - 1) / 2
-        x = across * (columns.index(surface.digit) if surface.digit in columns else middle)
+        x = across * (
+            columns.index(surface.digit) if surface.digit in columns else middle
+        )
         y = low - high - 27.0
         if surface.segment != "palm":
             y = apart * segments[surface.digit]
             segments[surface.digit] += 1
-            if surface.segment == "distal" and surface.bone is not None:  # a fingertip is round
+            if (
+                surface.segment == "distal" and surface.bone is not None
+            ):  # a fingertip is round
                 high += half_width
         found.append(Panel(x, y, half_width, low, high))
     return found
@@ -83,8 +97,14 @@ def beyond(hand: Hand, taxels: Taxels) -> list[str]:
     """Names of the taxels that lie beyond an end of their segment, where nothing carries them."""
     drawn, found = panels(hand), []
     for name, place in zip(taxels.names, places.of(taxels), strict=True):
-        panel, is_tip = drawn[place.surface], hand.surfaces[place.surface].segment == "distal"
-        low, high = panel.low - panel.half_width, panel.high + (0.0 if is_tip else panel.half_width)
+        panel, is_tip = (
+            drawn[place.surface],
+            hand.surfaces[place.surface].segment == "distal",
+        )
+        low, high = (
+            panel.low - panel.half_width,
+            panel.high + (0.0 if is_tip else panel.half_width),
+        )
         is_within = low - place.radius <= place.row <= high + place.radius
         if not (is_within or place.height):  # which was put there as it is
             found.append(name)
@@ -96,7 +116,11 @@ def off_skin(hand: Hand, taxels: Taxels) -> list[str]:
     found = []
     offsets = zip(taxels.points, taxels.surfaces.tolist(), taxels.offsets, strict=True)
     for taxel, index, (_, _, height) in offsets:
-        if height and abs(hand.surfaces[index].skin(np.array(taxel.position))[0]) > taxel.radius:
+        if (
+            height
+            and abs(hand.surfaces[index].skin(np.array(taxel.position))[0])
+            > taxel.radius
+        ):
             found.append(taxel.name)
     return found
 
@@ -110,14 +134,19 @@ class TaxelMap:
         right = max(panel.x + panel.half_width for panel in drawn) + MARGIN
         bottom = min(panel.y + panel.low for panel in drawn) - MARGIN - LETTERS
         top = max(panel.y + panel.high for panel in drawn) + MARGIN + LETTERS
-        n_columns = 2 * round(height * (right - left) / (top - bottom) / 2)  # even: films want that
+        n_columns = 2 * round(
+            height * (right - left) / (top - bottom) / 2
+        )  # even: films want that
         x = np.linspace(left, right, n_columns)
         y = np.linspace(top, bottom, height)[:, None]
         self._blank = np.full((height, n_columns, 3), PAPER, np.uint8)
         for panel in drawn:
             self._blank[_inside(x, y, panel)] = PHALANX
         scale = height / (top - bottom)
-        words = [(text, (x - left) * scale, (top - y) * scale) for text, x, y in labels(hand, drawn)]
+        words = [
+            (text, (x - left) * scale, (top - y) * scale)
+            for text, x, y in labels(hand, drawn)
+        ]
         self._blank = lettered(self._blank, words, LETTERS * scale, "ms")
         self._discs = []
         for place in places.of(taxels):
@@ -135,7 +164,10 @@ class TaxelMap:
 def _inside(x: Array, y: Array, panel: Panel) -> Array:
     """Which points lie in a panel, whose corners are round."""
     corner, half_width = ROUND * panel.half_width + EDGE, panel.half_width + EDGE
-    middle, half_height = panel.y + (panel.low + panel.high) / 2, (panel.high - panel.low) / 2 + EDGE
+    middle, half_height = (
+        panel.y + (panel.low + panel.high) / 2,
+        (panel.high - panel.low) / 2 + EDGE,
+    )
     beyond_x = np.maximum(np.abs(x - panel.x) - (half_width - corner), 0.0)
     beyond_y = np.maximum(np.abs(y - middle) - (half_height - corner), 0.0)
     is_inside: Array = np.hypot(beyond_x, beyond_y) <= corner

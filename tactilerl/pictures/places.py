@@ -40,7 +40,9 @@ def skin(name: str, hand: Hand) -> Taxels:
     try:
         spacing = float(name[:-2])
     except ValueError:
-        raise ValueError(f"skin: found {name!r}, allowed a layout, or a spacing such as 2mm") from None
+        raise ValueError(
+            f"skin: found {name!r}, allowed a layout, or a spacing such as 2mm"
+        ) from None
     return dense_skin(hand, 1e-3 * spacing).place(hand)
 
 
@@ -53,10 +55,14 @@ def dense_skin(hand: Hand, spacing: float) -> Layout:
     for surface in hand.surfaces:
         offsets = _grid(surface, spacing, radius)
         patches.append(Patch((surface.digit,), (surface.segment,), offsets, radius))
-    return Layout(f"{1e3 * spacing:g}mm", f"a taxel every {1e3 * spacing:g} mm", tuple(patches))
+    return Layout(
+        f"{1e3 * spacing:g}mm", f"a taxel every {1e3 * spacing:g} mm", tuple(patches)
+    )
 
 
-def _grid(surface: Surface, spacing: float, radius: float) -> tuple[tuple[float, float], ...]:
+def _grid(
+    surface: Surface, spacing: float, radius: float
+) -> tuple[tuple[float, float], ...]:
     """As many rows and columns as the surface carries, through its middle.
 
     The tip of a capsule is round and its taxels stand as on a cylinder: rows go on over the tip as

@@ -52,7 +52,9 @@ def picture(
         env.reset(seed=0)
         if pose == "grasp":
             start = scripted.Offsets()
-            for _ in scripted.hold_steps(env, grasp or scripted.grasp_for(env), start, seconds=0.5):
+            for _ in scripted.hold_steps(
+                env, grasp or scripted.grasp_for(env), start, seconds=0.5
+            ):
                 pass
         with replacing(out, is_picture) as file:
             save_picture(_beside(env, camera), file, out.suffix)
@@ -64,18 +66,24 @@ def _beside(env: GraspEnv, camera: Camera) -> np.ndarray:
     found = env.picture(camera)
     if env.config.touch not in READS:
         return found
-    drawn = TaxelMap(env.hand, env.taxels, camera.height).picture(env.told_readings() > 0)
+    drawn = TaxelMap(env.hand, env.taxels, camera.height).picture(
+        env.told_readings() > 0
+    )
     return np.hstack([found, drawn])
 
 
-def staged(run: Path, hold_seconds: float = HOLD_SECONDS) -> tuple[GraspEnv, Job[Episode[Any]], int]:
+def staged(
+    run: Path, hold_seconds: float = HOLD_SECONDS
+) -> tuple[GraspEnv, Job[Episode[Any]], int]:
     """A run's own scene, with hold tests of so many seconds, who plays its policy there, and with how
     many threads; InputError when that is no grasping scene."""
     from ..runs import evaluation, policies
 
     config, policy, *_ = policies.read_run(run)
     if config.scene is None:
-        raise InputError(f"{run}: found a run on {config.run.env!r}, allowed runs of grasping scenes")
+        raise InputError(
+            f"{run}: found a run on {config.run.env!r}, allowed runs of grasping scenes"
+        )
     scene = replace(config.scene, hold_seconds=hold_seconds)
     env: GraspEnv = replace(config, scene=scene).make_env(render_mode="rgb_array")
     return env, evaluation.task(policy), config.run.threads
@@ -91,12 +99,18 @@ class _Player:
         self.name, self.label = run.name, ROLES.get(scene.touch, scene.touch)
         every = max(1, int(1 / FPS / scene.timestep + 1e-6))
         self.fps = 1 / (every * scene.timestep)
-        self._map = TaxelMap(self.env.hand, self.env.taxels, UNROLLED) if scene.touch in READS else None
+        self._map = (
+            TaxelMap(self.env.hand, self.env.taxels, UNROLLED)
+            if scene.touch in READS
+            else None
+        )
         self._camera, self._successes = camera, 0
         self._show: Callable[[], None] = lambda: None
         self.env.simulator = _Filmed(self.env.simulator, every, lambda: self._show())
 
-    def play(self, number: int, tick: Callable[[], None]) -> tuple[list[np.ndarray], bool]:
+    def play(
+        self, number: int, tick: Callable[[], None]
+    ) -> tuple[list[np.ndarray], bool]:
         """An episode's pictures; did it succeed?"""
         pictures: list[np.ndarray] = []
         beside: list[np.ndarray] = []  # where the camera looks, from the palm; m
@@ -104,8 +118,13 @@ class _Player:
         def show(outcome: str = "", colour: tuple[int, int, int] = PAPER) -> None:
             state = self.env.simulator.state()
             beside[:] = beside or [(state.object_position - state.palm) / 3]
-            camera = replace(self._camera, lookat=tuple((state.palm + beside[0]).tolist()))
-            lines = f"{self.label}{outcome}", f"start {number + 1}, successes so far: {self._successes}"
+            camera = replace(
+                self._camera, lookat=tuple((state.palm + beside[0]).tolist())
+            )
+            lines = (
+                f"{self.label}{outcome}",
+                f"start {number + 1}, successes so far: {self._successes}",
+            )
             pictures.append(self._picture(camera, lines, colour))
             tick()
 
@@ -118,7 +137,9 @@ class _Player:
         show(*((": success", GREEN) if success else (": failure", RED)))
         return pictures + pictures[-1:] * END_PICTURES, success
 
-    def _picture(self, camera: Camera, lines: Sequence[str], colour: Sequence[int]) -> np.ndarray:
+    def _picture(
+        self, camera: Camera, lines: Sequence[str], colour: Sequence[int]
+    ) -> np.ndarray:
         """The scene, two lines above it, in a corner the hand unrolled, with what its taxels feel."""
         found = self.env.picture(camera)
         if self._map is not None:
@@ -154,14 +175,24 @@ def film(
             for player in players:
                 player.label = player.name
         if len({player.fps for player in players}) > 1:
-            raise InputError("render: found runs with different timesteps, allowed runs with the same")
+            raise InputError(
+                "render: found runs with different timesteps, allowed runs with the same"
+            )
         size = SIDE * len(runs), SIDE + LINES
-        options = {"fps": players[0].fps, "macro_block_size": 2, "output_params": PLAYABLE}
+        options = {
+            "fps": players[0].fps,
+            "macro_block_size": 2,
+            "output_params": PLAYABLE,
+        }
         writer = ffmpeg.write_frames(out, size, **options)
         opened.enter_context(closing(writer)).send(None)
         for number in range(episodes):
-            films, successes = zip(*(player.play(number, tick) for player in players), strict=True)
-            for index in range(max(map(len, films))):  # whose film is shorter waits at its end
+            films, successes = zip(
+                *(player.play(number, tick) for player in players), strict=True
+            )
+            for index in range(
+                max(map(len, films))
+            ):  # whose film is shorter waits at its end
                 beside = np.hstack([film[min(index, len(film) - 1)] for film in films])
                 writer.send(np.ascontiguousarray(beside))
             yield [*successes]
@@ -170,7 +201,9 @@ def film(
 class _Filmed:
     """A simulator that calls `show` after every `every` timesteps."""
 
-    def __init__(self, simulator: Simulator, every: int, show: Callable[[], None]) -> None:
+    def __init__(
+        self, simulator: Simulator, every: int, show: Callable[[], None]
+    ) -> None:
         self._inner, self._every, self._show = simulator, every, show
         self._since = 0
 
@@ -191,9 +224,13 @@ class _Filmed:
 def _writer(flag: str, out: Path, endings: tuple[str, ...], module: str) -> Any:
     """The extra's module that writes it; InputError where `out` cannot be written."""
     if out.suffix.lower() not in endings:
-        raise InputError(f"{flag}: found {out.name!r}, allowed names that end in {', '.join(endings)}")
+        raise InputError(
+            f"{flag}: found {out.name!r}, allowed names that end in {', '.join(endings)}"
+        )
     if not out.parent.is_dir():
-        raise InputError(f"{flag}: found no folder {out.parent}, allowed one that exists")
+        raise InputError(
+            f"{flag}: found no folder {out.parent}, allowed one that exists"
+        )
     require_ours(out, is_picture)
     try:
         return importlib.import_module(module)

@@ -96,18 +96,24 @@ class Probe:
         inputs: list[Inputs] = [(noises[0], ALONE, layout) for layout in layouts]
         for noise in noises:
             inputs += [(noise, JOINTS, None), (noise, SIGHT, None)]
-            inputs += [(noise, told, layout) for told in (TAXELS, BOTH) for layout in layouts]
+            inputs += [
+                (noise, told, layout) for told in (TAXELS, BOTH) for layout in layouts
+            ]
         return inputs
 
     def folds(self, held: Array) -> list[estimators.Fold]:
         """The folds that everybody is asked in."""
-        groups = self.grasps.objects()[1] if self.choices.hold_out == "objects" else None
+        groups = (
+            self.grasps.objects()[1] if self.choices.hold_out == "objects" else None
+        )
         return estimators.folds(held, self.choices.folds, groups, self.seed)
 
     def weights(self) -> Array:
         """How often each grasp is in all of them (1, n), and in each bootstrap sample below."""
         n, rng = len(self.grasps), np.random.default_rng([self.seed, BOOTSTRAP])
-        drawn = np.ascontiguousarray(statistics.resample(rng, n, self.choices.resamples).T)
+        drawn = np.ascontiguousarray(
+            statistics.resample(rng, n, self.choices.resamples).T
+        )
         return np.concatenate([np.ones((1, n), drawn.dtype), drawn])
 
     def will_it_hold(self, held: Array) -> Question:
@@ -121,7 +127,9 @@ class Probe:
         kept = self.folds(grasps.held)
         place, (names, index) = grasps.object_in_hand()[0][:, :2], grasps.objects()
         predict = partial(estimators.values, targets=place, kept=kept)
-        asked.append(Question("position", ("r2", "error_mm"), place, predict, of_the_blind=True))
+        asked.append(
+            Question("position", ("r2", "error_mm"), place, predict, of_the_blind=True)
+        )
         if self.choices.hold_out == "grasps" and len(names) > 1:
             predict = partial(estimators.classes, targets=index, kept=kept)
             asked.append(Question("object", ("balanced_accuracy",), index, predict))
@@ -130,11 +138,16 @@ class Probe:
             truth = np.column_stack([yaw, np.full(len(yaw), 2 * math.pi / parts)])
             circle = np.column_stack([np.cos(parts * yaw), np.sin(parts * yaw)])
             predict = partial(estimators.values, targets=circle, kept=kept)
-            asked.append(Question("yaw", ("error_deg",), truth, predict, of_the_blind=True))
+            asked.append(
+                Question("yaw", ("error_deg",), truth, predict, of_the_blind=True)
+            )
         return asked
 
     def answers(
-        self, asked: Sequence[Question], inputs: Sequence[Inputs], weights: Array | None = None
+        self,
+        asked: Sequence[Question],
+        inputs: Sequence[Inputs],
+        weights: Array | None = None,
     ) -> Samples:
         """All measures of all answers; every one in the same bootstrap samples, or by `weights`. In
         processes, for the solvers are Python half of the time."""
@@ -145,7 +158,8 @@ class Probe:
             if not (question.of_the_blind and "sight" in given[1])
         ]
         found = Parallel(self.jobs, backend="loky", idle_worker_timeout=IDLE)(
-            delayed(answer)(question, self.features(*given), every) for question, given in pairs
+            delayed(answer)(question, self.features(*given), every)
+            for question, given in pairs
         )
         return {
             Cell(question.name, metric, *given): values
@@ -162,7 +176,10 @@ def answer(question: Question, features: Array, weights: Array) -> list[Array]:
     """
     with threadpool_limits(1), estimators.expected_warnings():
         told = question.predict(features)
-        return [metrics.measure(name, question.truth, told, weights) for name in question.metrics]
+        return [
+            metrics.measure(name, question.truth, told, weights)
+            for name in question.metrics
+        ]
 
 
 def gain(samples: Samples, cell: Cell) -> Array:
@@ -171,7 +188,9 @@ def gain(samples: Samples, cell: Cell) -> Array:
     return metrics.sign(cell.metric) * (samples[cell] - samples[control])
 
 
-def hold_gain(samples: Samples, noise: float, layout: str, question: str = "hold") -> Array:
+def hold_gain(
+    samples: Samples, noise: float, layout: str, question: str = "hold"
+) -> Array:
     """Gain in AUC (1 + resamples,) of a layout over the joints."""
     return gain(samples, Cell(question, "auc", noise, TAXELS, layout))
 
@@ -185,19 +204,31 @@ def table(samples: Samples) -> list[dict[str, Any]]:
     return rows
 
 
-def differences(probe: Probe, asked: list[Question], samples: Samples) -> list[dict[str, Any]]:
+def differences(
+    probe: Probe, asked: list[Question], samples: Samples
+) -> list[dict[str, Any]]:
     """Every two layouts, given with the joints, by each question's first measure; p-values of one
     question at one noise are corrected together (Holm)."""
     rows = []
     for question, noise in itertools.product(asked, probe.choices.joint_noise):
         name, metric = question.name, question.metrics[0]
-        known = {x: samples[Cell(name, metric, noise, TAXELS, x)] for x in probe.readings}
+        known = {
+            x: samples[Cell(name, metric, noise, TAXELS, x)] for x in probe.readings
+        }
         pairs = list(itertools.combinations(known, 2))
         ways = [metrics.sign(metric) * (known[a] - known[b]) for a, b in pairs]
         p_values = [statistics.bootstrap_p(way[1:]) for way in ways]
         corrected = statistics.holm(p_values).tolist()
-        for (a, b), way, p, p_holm in zip(pairs, ways, p_values, corrected, strict=True):
-            about = {"question": name, "metric": metric, "joint_noise": noise, "a": a, "b": b}
+        for (a, b), way, p, p_holm in zip(
+            pairs, ways, p_values, corrected, strict=True
+        ):
+            about = {
+                "question": name,
+                "metric": metric,
+                "joint_noise": noise,
+                "a": a,
+                "b": b,
+            }
             told = metrics.estimate("difference", way)
             rows.append({**about, **told, "p": p, "p_holm": p_holm})
     return rows
@@ -210,16 +241,28 @@ def shuffled_gain(probe: Probe) -> dict[str, Any]:
     from scipy import stats
 
     rng = np.random.default_rng([probe.seed, SHUFFLE])
-    noise, layout, shuffles = probe.choices.joint_noise[0], probe.densest, probe.choices.shuffles
+    noise, layout, shuffles = (
+        probe.choices.joint_noise[0],
+        probe.densest,
+        probe.choices.shuffles,
+    )
     asked = [
-        replace(probe.will_it_hold(rng.permutation(probe.grasps.held)), name=str(k), metrics=("auc",))
+        replace(
+            probe.will_it_hold(rng.permutation(probe.grasps.held)),
+            name=str(k),
+            metrics=("auc",),
+        )
         for k in range(shuffles)
     ]
     inputs: list[Inputs] = [(noise, JOINTS, None), (noise, TAXELS, layout)]
     samples = probe.answers(asked, inputs, np.ones((1, len(probe.grasps)), np.uint8))
-    gains = [float(hold_gain(samples, noise, layout, question.name)[0]) for question in asked]
+    gains = [
+        float(hold_gain(samples, noise, layout, question.name)[0]) for question in asked
+    ]
     mean, spread = float(np.mean(gains)), float(np.std(gains, ddof=1))
-    width = float(stats.t.ppf(0.975, shuffles - 1)) * spread * math.sqrt(1 + 1 / shuffles)
+    width = (
+        float(stats.t.ppf(0.975, shuffles - 1)) * spread * math.sqrt(1 + 1 / shuffles)
+    )
     return {
         "layout": layout, "joint_noise": noise, "shuffles": shuffles, "gain": mean,
         "interval": [mean - width, mean + width], "is_zero": mean - width <= 0 <= mean + width,

@@ -25,7 +25,9 @@ from .recording import Skin
 MOST = 250_000  # starts
 USUAL = {True: 200, False: 2_000}  # handovers, or grasps
 BESIDE = tuple("123456")
-BESIDE_EACH_OTHER = 0.9  # share of the sum of radii; a chord is shorter than the skin under it
+BESIDE_EACH_OTHER = (
+    0.9  # share of the sum of radii; a chord is shorter than the skin under it
+)
 MADE = "placed by tactilerl"
 """Stands in the description of every layout that was designed."""
 
@@ -82,17 +84,23 @@ class DesignFlags:
         found = re.fullmatch(r"(\d{1,4})(?:\.\.(\d{1,4}))?", self.taxels)
         low, high = (int(found[1]), int(found[2] or found[1])) if found else (0, 0)
         if not 1 <= low <= high:
-            raise ValueError(f"taxels: found {self.taxels!r}, allowed a number from 1 up, or LOW..HIGH")
+            raise ValueError(
+                f"taxels: found {self.taxels!r}, allowed a number from 1 up, or LOW..HIGH"
+            )
         return range(low, high + 1)
 
     def validate(self) -> None:
         """Raise ValueError naming the first invalid flag."""
         typed.require(type(self), vars(self))
         if len(set(self.start_closing)) < len(self.start_closing):
-            raise ValueError(f"start_closing: found {list(self.start_closing)}, allowed each once")
+            raise ValueError(
+                f"start_closing: found {list(self.start_closing)}, allowed each once"
+            )
         _ = self.numbers  # ValueError where it is no range
         if self.redundancy > 1 and (self.taxel_dead or self.taxel_false_on):
-            raise ValueError("redundancy: found with taxel_dead or taxel_false_on, allowed one of both")
+            raise ValueError(
+                "redundancy: found with taxel_dead or taxel_false_on, allowed one of both"
+            )
 
     @property
     def aim(self) -> Aim:
@@ -110,37 +118,56 @@ class Scene:
 
     def waiting(self, closing: float | None) -> GraspConfig:
         """With a hand that is so far closed while it waits; None for as the scene has it."""
-        return self.config if closing is None else replace(self.config, start_closing=closing)
+        return (
+            self.config
+            if closing is None
+            else replace(self.config, start_closing=closing)
+        )
 
 
 def candidates(flags: DesignFlags, hand: Hand) -> Taxels:
     """What may be chosen; ValueError where nothing may."""
     segments = {surface.segment for surface in hand.surfaces}
     own = [
-        {surface.segment, f"{surface.digit}.{surface.segment}", *({surface.digit} - segments)}
+        {
+            surface.segment,
+            f"{surface.digit}.{surface.segment}",
+            *({surface.digit} - segments),
+        }
         for surface in hand.surfaces
     ]
     require_known((*flags.only, *flags.leave_out), set().union(*own))
     taxels = places.skin(flags.skin, hand)
     if flags.radius is not None:
-        resized = (point._replace(radius=1e-3 * flags.radius) for point in taxels.points)
+        resized = (
+            point._replace(radius=1e-3 * flags.radius) for point in taxels.points
+        )
         taxels = replace(taxels, points=tuple(resized))
     is_allowed = [
-        (not flags.only or not names.isdisjoint(flags.only)) and names.isdisjoint(flags.leave_out)
+        (not flags.only or not names.isdisjoint(flags.only))
+        and names.isdisjoint(flags.leave_out)
         for names in own
     ]
-    left = [taxel for taxel, surface in enumerate(taxels.surfaces) if is_allowed[surface]]
+    left = [
+        taxel for taxel, surface in enumerate(taxels.surfaces) if is_allowed[surface]
+    ]
     if not left:
         name, but = ("only", "--not ") if flags.only else ("not", "")
-        chosen = " ".join([*flags.only, *(f"{but}{left_out}" for left_out in flags.leave_out)])
-        raise ValueError(f"{name}: found {chosen!r}, which leaves no taxel of the skin {flags.skin}")
+        chosen = " ".join(
+            [*flags.only, *(f"{but}{left_out}" for left_out in flags.leave_out)]
+        )
+        raise ValueError(
+            f"{name}: found {chosen!r}, which leaves no taxel of the skin {flags.skin}"
+        )
     _require_enough(flags, left)
     return taxels.take(left)
 
 
 def _require_enough(flags: DesignFlags, left: Sequence[int]) -> None:
     if (most := flags.numbers[-1]) > len(left):
-        raise ValueError(f"taxels: found {most}, allowed up to the {len(left)} that may be chosen")
+        raise ValueError(
+            f"taxels: found {most}, allowed up to the {len(left)} that may be chosen"
+        )
 
 
 @dataclass(frozen=True)
@@ -160,15 +187,23 @@ class Design:
     def layout(self, n: int) -> Layout:
         """A layout of `n` taxels, and those that were there already."""
         taxels = self.pool.take(sorted([*self.chosen[n], *self.kept]))
-        about = f"{n} taxel{'s' * (n > 1)} {MADE} for {', '.join(self.result['scenes'])}"
+        about = (
+            f"{n} taxel{'s' * (n > 1)} {MADE} for {', '.join(self.result['scenes'])}"
+        )
         if (closing := self.waits_at(n)) is not None:
             about += f", waiting {closing:g} closed"
         return layouts.of_taxels(taxels, self.hand, about)
 
     def waits_at(self, n: int) -> float | None:
         """How far the hand with `n` taxels is closed while it waits; None for as the scene has it."""
-        rows = (row for row in self.result["rows"] if row["layout"] == "chosen" and row["taxels"] == n)
-        return next((row["start_closing"] for row in rows if "start_closing" in row), None)
+        rows = (
+            row
+            for row in self.result["rows"]
+            if row["layout"] == "chosen" and row["taxels"] == n
+        )
+        return next(
+            (row["start_closing"] for row in rows if "start_closing" in row), None
+        )
 
 
 @dataclass(frozen=True)
@@ -219,7 +254,9 @@ class Pool:
         apart = cdist(taxels.positions, taxels.positions)
         needed = BESIDE_EACH_OTHER * (taxels.radii[:, None] + taxels.radii)
         is_same_link = taxels.link_index[:, None] == taxels.link_index
-        return np.asarray(is_same_link & (apart < needed) & ~np.eye(len(taxels), dtype=bool))
+        return np.asarray(
+            is_same_link & (apart < needed) & ~np.eye(len(taxels), dtype=bool)
+        )
 
     @property
     def n_starts(self) -> int:
@@ -232,14 +269,23 @@ class Pool:
         kept, free = self.columns[: self.n_kept], self.columns[self.n_kept :]
         left = [column for column in free if not early[column]]
         _require_enough(self.flags, left)
-        names = tuple(self.skin.taxels.names[column] for column in free if early[column])
+        names = tuple(
+            self.skin.taxels.names[column] for column in free if early[column]
+        )
         return replace(self, columns=[*kept, *left], early=names)
 
-    def design(self, chosen: dict[int, list[int]], worth: Array, about: dict[str, Any]) -> Design:
+    def design(
+        self, chosen: dict[int, list[int]], worth: Array, about: dict[str, Any]
+    ) -> Design:
         """What was `chosen`, by number of taxels, as indices of the columns, with what is said `about`
         it."""
-        own, names = self.skin.taxels.take(self.columns), typed.names(DesignFlags) - {"workers"}
-        asked = {name: value for name, value in asdict(self.flags).items() if name in names}
+        own, names = (
+            self.skin.taxels.take(self.columns),
+            typed.names(DesignFlags) - {"workers"},
+        )
+        asked = {
+            name: value for name, value in asdict(self.flags).items() if name in names
+        }
         result = {
             "env": self.env,
             "simulator": self.scenes[0].config.simulator,
@@ -248,7 +294,10 @@ class Pool:
             "candidates": len(self.columns) - self.n_kept,
             "early": list(self.early),
             **about,
-            "places": {n: [asdict(place) for place in places.of(own.take(chosen[n]))] for n in chosen},
+            "places": {
+                n: [asdict(place) for place in places.of(own.take(chosen[n]))]
+                for n in chosen
+            },
         }
         return Design(self.hand, own, chosen, list(range(self.n_kept)), worth, result)
 
@@ -256,10 +305,14 @@ class Pool:
 def _scenes(flags: DesignFlags) -> tuple[str, list[Scene]]:
     """The hand, and its scenes; ValueError where they do not go together."""
     if not flags.scene or len(set(flags.scene)) < len(flags.scene):
-        raise ValueError(f"scene: found {list(flags.scene)}, allowed one or more, each once")
+        raise ValueError(
+            f"scene: found {list(flags.scene)}, allowed one or more, each once"
+        )
     weights = flags.weights or (1.0,) * len(flags.scene)
     if len(weights) != len(flags.scene):
-        raise ValueError(f"weights: found {len(weights)}, allowed one for each of the scenes")
+        raise ValueError(
+            f"weights: found {len(weights)}, allowed one for each of the scenes"
+        )
     every = [scenes.load(name) for name in flags.scene]
     hand = flags.env or every[0].env
     if not hands.is_hand(hand):
@@ -274,7 +327,9 @@ def _scenes(flags: DesignFlags) -> tuple[str, list[Scene]]:
         typed.validate(config)
         if flags.start_closing and config.actions == "all":
             allowed = "allowed only with scenes whose actions are fingers or grip"
-            raise ValueError(f"start_closing: found {list(flags.start_closing)}, {allowed}")
+            raise ValueError(
+                f"start_closing: found {list(flags.start_closing)}, {allowed}"
+            )
         found.append(Scene(name, config, weight / sum(weights)))
     if len({tasks.TASKS[scene.config.task].giver is None for scene in found}) > 1:
         raise ValueError("scene: found handovers beside other tasks, allowed one kind")

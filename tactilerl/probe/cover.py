@@ -99,7 +99,9 @@ def scores(starts: Starts, sets: Array, aim: Aim) -> Array:
     """(n, s): does each start count for each set of taxels (s, k)? With faults, how probably?"""
     if not sets.shape[1]:
         return np.zeros((len(starts), len(sets)))
-    step = max(1, MEMORY // (len(starts) * (sets.shape[1] if aim.is_certain else NEVER)))
+    step = max(
+        1, MEMORY // (len(starts) * (sets.shape[1] if aim.is_certain else NEVER))
+    )
     parts = [sets[i : i + step] for i in range(0, len(sets), step)]
     score = _certain if aim.is_certain else _expected
     return np.concatenate([score(starts, part, aim) for part in parts], axis=1)
@@ -125,12 +127,16 @@ def _expected(starts: Starts, sets: Array, aim: Aim) -> Array:
         is_before = moments < starts.fires[:, column, None]
         none *= aim.dead + (1.0 - aim.dead) * silent * is_before
     fires = -np.diff(none, axis=2, prepend=1.0)
-    return np.asarray(np.einsum("nst,nt->ns", fires, starts.succeeds[:, :NEVER].astype(float)))
+    return np.asarray(
+        np.einsum("nst,nt->ns", fires, starts.succeeds[:, :NEVER].astype(float))
+    )
 
 
 def value(starts: Starts, taxels: Sequence[int], aim: Aim = FIRST) -> float:
     """Share of the starts that count for these taxels."""
-    return float(starts.weights @ scores(starts, np.array([list(taxels)], int), aim)[:, 0])
+    return float(
+        starts.weights @ scores(starts, np.array([list(taxels)], int), aim)[:, 0]
+    )
 
 
 def greedy(
@@ -149,15 +155,23 @@ def greedy(
 
     def best(rests: list[list[int]], redundancy: int) -> tuple[float, list[int]]:
         free = [(rest, every[~overlap[rest].any(axis=0)]) for rest in rests]
-        sets = np.array([[*rest, j] for rest, own in free for j in own if j not in rest], int)
+        sets = np.array(
+            [[*rest, j] for rest, own in free for j in own if j not in rest], int
+        )
         if not len(sets):
-            room = f"{len(chosen) - len(kept)}; there is no room for more of this radius"
+            room = (
+                f"{len(chosen) - len(kept)}; there is no room for more of this radius"
+            )
             raise ValueError(f"taxels: found {k - len(kept)}, allowed up to {room}")
-        found = starts.weights @ scores(starts, sets, aim._replace(redundancy=redundancy))
+        found = starts.weights @ scores(
+            starts, sets, aim._replace(redundancy=redundancy)
+        )
         at = int(np.argmax(found.round(12) + 1e-9 * ties[sets[:, -1]]))
         return float(found[at]), sets[at].tolist()
 
-    while len(chosen) < k:  # of several that must feel a start, the first alone gain nothing
+    while (
+        len(chosen) < k
+    ):  # of several that must feel a start, the first alone gain nothing
         _, chosen = best([chosen], min(aim.redundancy, len(chosen) + 1))
     for _ in range(rounds):
         rests = [[i for i in chosen if i != out] for out in chosen if out not in kept]
@@ -193,7 +207,9 @@ def choose(
     taxels, bound = exact()
     if taxels is not None and (reached := value(starts, taxels, aim)) >= least - 1e-12:
         found, least = taxels, reached
-    return Chosen(sorted(found), least, max(bound, least) if bound is not None else None)
+    return Chosen(
+        sorted(found), least, max(bound, least) if bound is not None else None
+    )
 
 
 def _exact(
@@ -217,7 +233,8 @@ def _exact(
     data, columns, limits = zip(*rows, strict=True)
     pointers = np.cumsum([0, *map(len, columns)])
     matrix = sparse.csr_array(
-        (np.concatenate(data), np.concatenate(columns), pointers), shape=(len(rows), m + n)
+        (np.concatenate(data), np.concatenate(columns), pointers),
+        shape=(len(rows), m + n),
     )
     size = sparse.csr_array(np.r_[np.ones(m), np.zeros(n)][None])
     found = optimize.milp(
@@ -235,7 +252,9 @@ def _exact(
         bound = None
     elif np.ptp(starts.weights) == 0.0:  # whole starts
         bound = int(bound * len(starts) + 1e-6) / len(starts)
-    return None if found.x is None else np.flatnonzero(found.x[:m] > 0.5).tolist(), bound
+    return None if found.x is None else np.flatnonzero(
+        found.x[:m] > 0.5
+    ).tolist(), bound
 
 
 def _constraints(
@@ -244,7 +263,9 @@ def _constraints(
     """Rows (coefficients, columns, upper limit) of a matrix, and the weight of each start's variables;
     starts in which the same happens count together."""
     m, good = starts.fires.shape[1], starts.good
-    patterns, which = np.unique(np.hstack([starts.fires, good]), axis=0, return_inverse=True)
+    patterns, which = np.unique(
+        np.hstack([starts.fires, good]), axis=0, return_inverse=True
+    )
     weights = np.bincount(which.reshape(-1), starts.weights)
     rows: list[tuple[list[float], list[int], float]] = []
     gains: list[float] = []
@@ -269,6 +290,8 @@ def _constraints(
     return rows, gains
 
 
-def _cover(taxels: list[int], z: int, redundancy: int) -> tuple[list[float], list[int], float]:
+def _cover(
+    taxels: list[int], z: int, redundancy: int
+) -> tuple[list[float], list[int], float]:
     """z may be 1 where `redundancy` of the taxels are chosen."""
     return [-1.0] * len(taxels) + [float(redundancy)], [*taxels, z], 0.0

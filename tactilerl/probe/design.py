@@ -11,7 +11,9 @@ from .candidates import Design, DesignFlags, Pool
 
 
 def design(
-    flags: DesignFlags, workers: int, show: Callable[[int, int], None] = lambda done, of: None
+    flags: DesignFlags,
+    workers: int,
+    show: Callable[[int, int], None] = lambda done, of: None,
 ) -> Design:
     """Where an object is handed over, when to close is the question: taxels by which a hand succeeds
     that closes at the first touch. Elsewhere it is whether a grasp will hold: taxels that tell most of
@@ -20,9 +22,13 @@ def design(
     if pool.is_timing:
         return timing.design(pool, workers, show)
     if len(pool.scenes) > 1:
-        raise ValueError(f"scene: found {len(pool.scenes)}, allowed one, or several handovers")
+        raise ValueError(
+            f"scene: found {len(pool.scenes)}, allowed one, or several handovers"
+        )
     faults = "redundancy", "taxel_dead", "taxel_false_on"
-    typed.allow_only_with("a handover", flags, *faults, "test_starts", "weights", "start_closing")
+    typed.allow_only_with(
+        "a handover", flags, *faults, "test_starts", "weights", "start_closing"
+    )
     with extra("probe"):
         from . import information
     return information.design(pool, workers, show)

@@ -33,7 +33,9 @@ def require(out: Path | None, numbers: Sequence[int]) -> None:
             )
         require_ours(out, is_layout)
         if not out.parent.is_dir():
-            raise InputError(f"cannot write {str(out)!r}: there is no folder {str(out.parent)!r}")
+            raise InputError(
+                f"cannot write {str(out)!r}: there is no folder {str(out.parent)!r}"
+            )
     elif out.suffix:
         raise InputError(f"--out: found {str(out)!r}, allowed FILE.toml or a folder")
     elif (out.exists() or out.is_symlink()) and not out.is_dir():

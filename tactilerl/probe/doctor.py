@@ -44,7 +44,10 @@ def examine(hand: str, config: GraspConfig, n: int, seconds: float) -> LayoutFig
         felt = [_felt(env, chosen, start, seconds) for start in starts]
     held = [bits for bits in felt if bits is not None]
     bits = np.concatenate(held) if held else np.zeros((1, len(names)), bool)
-    mean_bits, share_any = float(bits.sum(axis=1).mean()), float(bits.any(axis=1).mean())
+    mean_bits, share_any = (
+        float(bits.sum(axis=1).mean()),
+        float(bits.any(axis=1).mean()),
+    )
     # The densest layout must feel more than the others.
     needed_share, needed_bits = (0.9, 3.0) if config.layout == "1" else (0.5, 0.0)
     return LayoutFigures(
@@ -59,7 +62,9 @@ def examine(hand: str, config: GraspConfig, n: int, seconds: float) -> LayoutFig
     )
 
 
-def _felt(env: GraspEnv, grasp: ScriptedGrasp, start: scripted.Offsets, seconds: float) -> Felt:
+def _felt(
+    env: GraspEnv, grasp: ScriptedGrasp, start: scripted.Offsets, seconds: float
+) -> Felt:
     """At each control step of one hold."""
     felt = []
     try:

@@ -29,7 +29,12 @@ from ..envs.state import Array
 Fold = tuple[Array, Array]
 """Indices of grasps to fit on, and of those held back."""
 INNER_FOLDS = 3  # in which hyperparameters are chosen
-PENALTIES = [0.003, 0.03, 0.3, 3.0]  # C of the logistic regression, of standardised features
+PENALTIES = [
+    0.003,
+    0.03,
+    0.3,
+    3.0,
+]  # C of the logistic regression, of standardised features
 RIDGES = np.logspace(-1, 4, 11)
 
 
@@ -54,12 +59,16 @@ def folds(held: Array, n: int, groups: Array | None, seed: int) -> list[Fold]:
                 "of both outcomes"
             )
         if count < n:
-            raise ValueError(f"folds: found {n}, allowed up to {count}, the grasps that {what}")
+            raise ValueError(
+                f"folds: found {n}, allowed up to {count}, the grasps that {what}"
+            )
     splitter: Any = StratifiedKFold(n, shuffle=True, random_state=seed)
     if groups is not None:
         objects = len(np.unique(groups))
         if objects < 2:
-            raise ValueError(f"hold_out: found {objects} object, allowed two or more, to hold some out")
+            raise ValueError(
+                f"hold_out: found {objects} object, allowed two or more, to hold some out"
+            )
         splitter = GroupKFold(min(n, objects))
     found = list(splitter.split(np.zeros((len(held), 1)), held, groups))
     for train, _ in found:
@@ -80,7 +89,10 @@ def probabilities(features: Array, targets: Array, kept: list[Fold]) -> Array:
         Cs=PENALTIES, l1_ratios=(0.0,), cv=inner, scoring="neg_log_loss", tol=1e-3, max_iter=1000,
         use_legacy_attributes=False,
     )  # fmt: skip
-    model, predicted = make_pipeline(StandardScaler(), chosen), np.full((len(targets), 2), np.nan)
+    model, predicted = (
+        make_pipeline(StandardScaler(), chosen),
+        np.full((len(targets), 2), np.nan),
+    )
     for train, test in kept:
         model.fit(features[train], targets[train])
         predicted[test, 0] = model.predict_proba(features[test])[:, 1]
@@ -90,7 +102,9 @@ def probabilities(features: Array, targets: Array, kept: list[Fold]) -> Array:
 
 def values(features: Array, targets: Array, kept: list[Fold]) -> Array:
     """(n, d) predictions of `targets` (n, d)."""
-    model = make_pipeline(StandardScaler(), RidgeCV(RIDGES))  # leaves one out, in closed form
+    model = make_pipeline(
+        StandardScaler(), RidgeCV(RIDGES)
+    )  # leaves one out, in closed form
     # Ridge regression shrinks what is measured in large units less.
     scaled = TransformedTargetRegressor(model, transformer=StandardScaler())
     return cross_val_predict(scaled, features, targets, cv=kept)

@@ -47,7 +47,10 @@ def of_probe(result: dict[str, Any], hand: Hand) -> dict[str, Figure]:
 @rc_context(STYLE)
 def of_design(found: Design) -> dict[str, Figure]:
     """Figures by name: where arrivals are felt, with the largest set that was chosen, and the curve."""
-    title, n = f"{_where(found.result)}: {', '.join(found.result['scenes'])}", max(found.chosen)
+    title, n = (
+        f"{_where(found.result)}: {', '.join(found.result['scenes'])}",
+        max(found.chosen),
+    )
     drawn = hand_map(
         found.hand,
         places.of(found.pool),
@@ -61,7 +64,9 @@ def of_design(found: Design) -> dict[str, Figure]:
 
 
 @rc_context(STYLE)
-def save(drawn: dict[str, Figure], out: Path, is_ours: IsOurs | None = None) -> list[Path]:
+def save(
+    drawn: dict[str, Figure], out: Path, is_ours: IsOurs | None = None
+) -> list[Path]:
     """Write figures to a folder, replacing what `is_ours`, with who made them: which files those
     are. The same figure gives the same bytes."""
     files = []
@@ -88,11 +93,15 @@ def new_figure(width: float, height: float) -> tuple[Figure, Any]:
 def _gains(result: dict[str, Any], title: str) -> Figure:
     """Gain in AUC of each layout at each joint noise."""
     told = ("joints+taxels", "joints+sight")
-    rows = [row for row in result["table"] if row["metric"] == "auc" and row["told"] in told]
+    rows = [
+        row for row in result["table"] if row["metric"] == "auc" and row["told"] in told
+    ]
     figure, axes = new_figure(6, 3.4)
     for place, noise in enumerate(result["asking"]["joint_noise"]):
         some = [row for row in rows if row["joint_noise"] == noise]
-        labels = [Path(row["layout"]).stem if row["layout"] else "sight" for row in some]
+        labels = [
+            Path(row["layout"]).stem if row["layout"] else "sight" for row in some
+        ]
         gains = np.array([row["gain"] for row in some])
         ends = np.array([row["gain_interval"] for row in some]).T
         axes.errorbar(
@@ -123,7 +132,9 @@ def hand_map(
     for x, y, half_width, low, high in drawn:
         corner, size = (x - half_width, y + low), (2 * half_width, high - low)
         shape = f"round,pad={EDGE},rounding_size={ROUND * half_width + EDGE}"
-        axes.add_patch(FancyBboxPatch(corner, *size, shape, facecolor="0.95", edgecolor="0.6"))
+        axes.add_patch(
+            FancyBboxPatch(corner, *size, shape, facecolor="0.95", edgecolor="0.6")
+        )
     for text, x, y in labels(hand, drawn):
         axes.text(x, y, text, ha="center", va="baseline")
     axes.set_aspect("equal")
@@ -139,7 +150,10 @@ def hand_map(
     return figure
 
 
-WORTH = {"timing": "share of starts won by this taxel alone", "information": "bits per grasp"}
+WORTH = {
+    "timing": "share of starts won by this taxel alone",
+    "information": "bits per grasp",
+}
 MEASURES = {
     "timing": ("success", "success in unseen starts"),
     "information": ("gain", "gain in AUC over joint angles"),
@@ -150,7 +164,10 @@ def _curve(result: dict[str, Any], title: str) -> Figure:
     """By number of taxels: what was chosen, random sets of as many, and layouts as dots."""
     drawn, axes = new_figure(6, 3.6)
     key, measured = MEASURES[result["question"]]
-    for name, style in (("chosen", {"color": CHOSEN, "marker": "o"}), ("random", {"color": "0.6"})):
+    for name, style in (
+        ("chosen", {"color": CHOSEN, "marker": "o"}),
+        ("random", {"color": "0.6"}),
+    ):
         some = [row for row in result["rows"] if row["layout"] == name]
         if not some:
             continue
@@ -160,8 +177,12 @@ def _curve(result: dict[str, Any], title: str) -> Figure:
         if name == "chosen":
             low, high = np.array([row[f"{key}_interval"] for row in some]).T
             axes.fill_between(numbers, low, high, color=CHOSEN, alpha=0.15)
-    others = [row for row in result["rows"] if row["layout"] not in ("chosen", "random")]
-    axes.plot([row["taxels"] for row in others], [row[key] for row in others], "s", color=INK)
+    others = [
+        row for row in result["rows"] if row["layout"] not in ("chosen", "random")
+    ]
+    axes.plot(
+        [row["taxels"] for row in others], [row[key] for row in others], "s", color=INK
+    )
     for i, row in enumerate(others):
         # To the left where another of the same size has its name on the right.
         alike = [o for o in others[:i] if o["taxels"] == row["taxels"]]

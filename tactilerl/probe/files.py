@@ -36,7 +36,9 @@ class Played(NamedTuple):
     """What they follow from, besides their number."""
 
 
-def play(path: Path | None, asked: GraspFlags, workers: int, show: Callable[[int], None]) -> Played:
+def play(
+    path: Path | None, asked: GraspFlags, workers: int, show: Callable[[int], None]
+) -> Played:
     """All grasps that are asked for; those in the file at `path`, if any, are not played again.
 
     `show` is told how many there are. What was played stays in the file whatever stops it.
@@ -70,7 +72,10 @@ def _kept(path: Path, settings: dict[str, Any]) -> list[Measured]:
         if mine != other:
             raise InputError(f"{path}: {name}: found {mine!r}, but its grasps have {other!r}; "
                              "choose another folder with --out")  # fmt: skip
-    return [{name: values[k] for name, values in arrays.items()} for k in range(len(arrays["held"]))]
+    return [
+        {name: values[k] for name, values in arrays.items()}
+        for k in range(len(arrays["held"]))
+    ]
 
 
 def write(path: Path, played: Played) -> None:
@@ -107,8 +112,13 @@ def _check(arrays: Measured, about: dict[str, Any]) -> None:
     for name, values in arrays.items():
         expected = (arrays["held"].size, *shapes.get(name, ()))
         if values.shape != expected:
-            raise ValueError(f"{name} has the shape {values.shape}, expected {expected}")
-        if values.dtype.kind not in "fiub" or not (np.abs(values.astype(float)) < LARGEST).all():
+            raise ValueError(
+                f"{name} has the shape {values.shape}, expected {expected}"
+            )
+        if (
+            values.dtype.kind not in "fiub"
+            or not (np.abs(values.astype(float)) < LARGEST).all()
+        ):
             raise ValueError(f"{name} is not finite, or out of range")
     kinds, sizes = arrays["object_kind"], arrays["object_half_size"]
     if not (np.isin(kinds, range(len(KINDS))).all() and (sizes > 0).all()):

@@ -59,9 +59,17 @@ def examine(
         sense, _ = SENSES[name]
         if name == "sight" and scene.object_seen in ("hidden", "exact"):
             continue  # nothing to go by, or what "sighted" is
-        own = scene if sense == "touch" else dataclasses.replace(scene, touch="absent", **NO_FAULTS)
+        own = (
+            scene
+            if sense == "touch"
+            else dataclasses.replace(scene, touch="absent", **NO_FAULTS)
+        )
         if name == "sighted":
-            exact: Any = {"object_seen": "exact", "sight_noise": None, "sight_noise_kind": "white"}
+            exact: Any = {
+                "object_seen": "exact",
+                "sight_noise": None,
+                "sight_noise_kind": "white",
+            }
             own = dataclasses.replace(own, **exact)
         make = partial(GraspEnv, hand, own)
         with closing(make()) as example:
@@ -75,11 +83,15 @@ def examine(
                 tick()
             best = candidates[int(np.argmax(rates))]
             said = success_rate(_play(played_in, best, first, starts))
-            found.append(Found(name, best, said["success_rate"], said["success_rate_ci"], starts))
+            found.append(
+                Found(name, best, said["success_rate"], said["success_rate_ci"], starts)
+            )
     return found
 
 
-def _play(workers: vector.Workers, reflex: reflexes.Reflex, first: int, n: int) -> np.ndarray:
+def _play(
+    workers: vector.Workers, reflex: reflexes.Reflex, first: int, n: int
+) -> np.ndarray:
     """(n,) whether each start succeeds."""
     return np.array(list(workers.play(reflex.play, range(first, first + n))))
 
@@ -87,7 +99,10 @@ def _play(workers: vector.Workers, reflex: reflexes.Reflex, first: int, n: int) 
 def verdict(found: list[Found], touch: str = "Touch") -> str:
     """One sentence about the scene, in which touch is called `touch`."""
     rates = {each.name: each.rate for each in found}
-    best = max((name for name in rates if name not in ("touch", "sighted")), key=rates.__getitem__)
+    best = max(
+        (name for name in rates if name not in ("touch", "sighted")),
+        key=rates.__getitem__,
+    )
     without, room = rates[best], rates["sighted"] - rates[best]
     if room < TELLS:
         return (

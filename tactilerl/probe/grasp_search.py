@@ -18,17 +18,26 @@ from ..envs.state import Array, State
 
 SEED = 30_000  # apart from the doctor's starts and from those of training
 SECONDS = 1.0  # of a hold
-STARTS, OTHERS = 4, 8  # from which each candidate is tried, and from which the best are once more
+STARTS, OTHERS = (
+    4,
+    8,
+)  # from which each candidate is tried, and from which the best are once more
 ROUNDS = (48, 16, 16, 16)  # candidates; the first are spread over all that is allowed
-GOOD = 0.9  # share of the time that an object is held, below which there is another search
+GOOD = (
+    0.9  # share of the time that an object is held, below which there is another search
+)
 BEST = 6  # candidates from which the next are drawn around
 BESIDE = 0.025  # m that the palm may be beside its place at the start
 GROUNDS = 0.004, -0.03, -0.03
 """In each search, m of the lowest fingertip over the ground: as the hand closes, tips rise."""
 UP = 0.05  # m above its place at the start
 CLOSINGS = (0.3, 1.2)
-TOUCHING = CENTRED = 0.1  # what all digits touching, and all that is possible off the middle, count
-NARROWEST = np.array([2e-3, 2e-3, 2e-3, 0.03])  # m and share: what the draws differ by at least
+TOUCHING = CENTRED = (
+    0.1  # what all digits touching, and all that is possible off the middle, count
+)
+NARROWEST = np.array(
+    [2e-3, 2e-3, 2e-3, 0.03]
+)  # m and share: what the draws differ by at least
 
 
 class Found(NamedTuple):
@@ -45,7 +54,10 @@ class Found(NamedTuple):
 
 
 def find(
-    hand: str, config: GraspConfig, workers: int, tick: Callable[[], None] = lambda: None
+    hand: str,
+    config: GraspConfig,
+    workers: int,
+    tick: Callable[[], None] = lambda: None,
 ) -> Found:
     """The best grasp of the scene's object: of those that hold it as long, the one that most digits
     touch and that has it best in the middle.
@@ -57,7 +69,9 @@ def find(
     make = partial(GraspEnv, hand, config)
     with closing(make()) as example:
         if not example.hand.closed:
-            raise ValueError(f"hand {hand}: has no [closed], the joint angles of the closed hand")
+            raise ValueError(
+                f"hand {hand}: has no [closed], the joint angles of the closed hand"
+            )
         own, size = example.hand, example.shape.width
         tip = float(example.simulator.state().fingertips[:, 2].min())
     highest = np.array([BESIDE, BESIDE, UP, CLOSINGS[1]])
@@ -68,20 +82,29 @@ def find(
             task = partial(_hold, _grasp(own, size, figures))
             tick()
             went = np.ma.masked_invalid(list(played_in.play(task, starts)))
-            return np.asarray(went.mean(axis=0).filled(np.nan))  # NaN where no contact was seen
+            return np.asarray(
+                went.mean(axis=0).filled(np.nan)
+            )  # NaN where no contact was seen
 
         for attempt, ground in enumerate(GROUNDS):
             lowest = np.array([-BESIDE, -BESIDE, min(ground - tip, 0.0), CLOSINGS[0]])
-            found.append(_search(tested, lowest, highest, np.random.default_rng(SEED + attempt)))
+            found.append(
+                _search(tested, lowest, highest, np.random.default_rng(SEED + attempt))
+            )
             if found[-1][0][1] >= GOOD:
                 break
     (_, share, digits, shift), figures = max(found, key=lambda each: each[0][0])
     grasp = _grasp(own, size, np.round(figures, 4))
-    return Found(grasp, float(share), float(digits), None if np.isnan(shift) else float(shift))
+    return Found(
+        grasp, float(share), float(digits), None if np.isnan(shift) else float(shift)
+    )
 
 
 def _search(
-    tested: Callable[[Array, range], Array], lowest: Array, highest: Array, rng: np.random.Generator
+    tested: Callable[[Array, range], Array],
+    lowest: Array,
+    highest: Array,
+    rng: np.random.Generator,
 ) -> tuple[Array, Array]:
     """How the best candidate went, and what it is."""
     tried: list[tuple[Array, Array]] = []
@@ -109,7 +132,10 @@ def _grasp(hand: Hand, size: float, figures: Array) -> ScriptedGrasp:
 
 
 def _hold(
-    grasp: ScriptedGrasp, env: gym.Env[Any, Any], number: int, is_wanted: vector.IsWanted
+    grasp: ScriptedGrasp,
+    env: gym.Env[Any, Any],
+    number: int,
+    is_wanted: vector.IsWanted,
 ) -> Array:
     """(4,): how good a hold is, the share of its steps in which the object was up, how many digits
     touched it, and how far beyond the middle of their last links, m."""
@@ -127,7 +153,9 @@ def _hold(
     if last is None:
         return np.array([share, share, 0.0, np.nan])
     digits, rows = _touched(base.hand, last)
-    beside = float(np.linalg.norm(last.object_position - _middle(base.hand, last.fingertips)))
+    beside = float(
+        np.linalg.norm(last.object_position - _middle(base.hand, last.fingertips))
+    )
     touching = TOUCHING * len(digits) / len(base.hand.digits)
     good = share * (1 + touching - CENTRED * min(1, beside / UP))
     return np.array([good, share, len(digits), np.mean(rows) if rows else np.nan])
@@ -135,7 +163,9 @@ def _hold(
 
 def _touched(hand: Hand, state: State) -> tuple[set[str], list[float]]:
     """The digits that touch the object, and how far beyond the middle of last links, m."""
-    surfaces = {surface.link: surface for surface in hand.surfaces if surface.segment != "palm"}
+    surfaces = {
+        surface.link: surface for surface in hand.surfaces if surface.segment != "palm"
+    }
     digits, rows = set[str](), []
     for point, index in zip(state.contacts.points, state.contacts.links, strict=True):
         if surface := surfaces.get(state.links[index]):
@@ -157,7 +187,9 @@ def _middle(hand: Hand, tips: Array) -> Array:
 
 def toml(hand: Hand, grasp: ScriptedGrasp) -> str:
     """The grasp as text to paste into the hand's file."""
-    moving = next(name for name, angle in hand.closed.items() if angle != hand.opened[name])
+    moving = next(
+        name for name, angle in hand.closed.items() if angle != hand.opened[name]
+    )
     opened, closed = hand.opened[moving], hand.closed[moving]
     share = (grasp.targets[moving] - opened) / (closed - opened)
     slides = ", ".join(f"{grasp.targets[name]:.4g}" for name in SLIDES)

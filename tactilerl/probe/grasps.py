@@ -49,7 +49,9 @@ class Scenes(gym.Wrapper[Any, Any, Any, Any]):
             env.close()
 
 
-def play(env: gym.Env[Any, Any], number: int, is_wanted: IsWanted = lambda: True) -> Measured:
+def play(
+    env: gym.Env[Any, Any], number: int, is_wanted: IsWanted = lambda: True
+) -> Measured:
     """Play the scripted grasp of a number in `Scenes`: its record; what it is when the grasp is not
     wanted any more does not matter."""
     assert isinstance(env, Scenes)
@@ -63,19 +65,27 @@ def play(env: gym.Env[Any, Any], number: int, is_wanted: IsWanted = lambda: True
         return broken(scene)
 
 
-def drawn_start(grasps: GraspFlags, env: GraspEnv, rng: np.random.Generator) -> scripted.Offsets:
+def drawn_start(
+    grasps: GraspFlags, env: GraspEnv, rng: np.random.Generator
+) -> scripted.Offsets:
     """Where a grasp starts, joints within their ranges."""
     at_rest = env.hand.start_positions()
     offset = rng.uniform(-grasps.start_offset, grasps.start_offset, 2)
     yaw = float(rng.uniform(-grasps.start_yaw, grasps.start_yaw))
     joints = at_rest.copy()
-    joints[3:] += rng.uniform(-grasps.joint_jitter, grasps.joint_jitter, len(joints) - 3)
+    joints[3:] += rng.uniform(
+        -grasps.joint_jitter, grasps.joint_jitter, len(joints) - 3
+    )
     joints = np.clip(joints, *env.simulator.joint_limits.T)
     return scripted.Offsets(offset, yaw, joints - at_rest)
 
 
 def _play(
-    env: GraspEnv, start: scripted.Offsets, closing: float, may_settle: bool, is_wanted: IsWanted
+    env: GraspEnv,
+    start: scripted.Offsets,
+    closing: float,
+    may_settle: bool,
+    is_wanted: IsWanted,
 ) -> Measured:
     """Approach, close, take the record, lift, hold."""
     dt = scripted.period(env.config.timestep)
@@ -89,10 +99,15 @@ def _play(
     record = moment(env)
     for targets in lift:
         env.simulator.step(targets, n_substeps)
-    return {**record, "held": np.array(_holds(env, lift[-1], dt, may_settle, is_wanted))}
+    return {
+        **record,
+        "held": np.array(_holds(env, lift[-1], dt, may_settle, is_wanted)),
+    }
 
 
-def _holds(env: GraspEnv, targets: Array, dt: float, may_settle: bool, is_wanted: IsWanted) -> bool:
+def _holds(
+    env: GraspEnv, targets: Array, dt: float, may_settle: bool, is_wanted: IsWanted
+) -> bool:
     """Is the object still up after HOLD_SECONDS? What has fallen stays down; what is at rest where
     nothing creeps stays up, if it `may_settle`."""
     up = env.shape.half_size[2] + scripted.LIFT_HEIGHT / 2
@@ -116,13 +131,20 @@ def _in_hand(env: GraspEnv) -> Array:
 
 def links_of(hand: Hand) -> tuple[str, ...]:
     """The bodies whose poses are kept: all that may carry taxels, and the palm."""
-    return tuple(dict.fromkeys([*(surface.link for surface in hand.surfaces), hand.palm]))
+    return tuple(
+        dict.fromkeys([*(surface.link for surface in hand.surfaces), hand.palm])
+    )
 
 
 def moment(env: GraspEnv) -> Measured:
     """The state of hand and object now, SI units, world frame, quaternions wxyz."""
     state, record = env.simulator.state(), broken(env)
-    for name in ("joint_positions", "joint_velocities", "object_position", "object_orientation"):
+    for name in (
+        "joint_positions",
+        "joint_velocities",
+        "object_position",
+        "object_orientation",
+    ):
         record[name] = getattr(state, name)
     record["link_positions"], record["link_rotations"] = state.poses(links_of(env.hand))
     return {**record, "broken": np.array(False)}

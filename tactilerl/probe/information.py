@@ -19,20 +19,28 @@ def design(pool: Pool, workers: int, show: Callable[[int, int], None]) -> Design
     """Choose taxels by scripted grasps; ValueError where the hand has none, or they have too few of one
     outcome."""
     flags, (scene,), numbers = pool.flags, pool.scenes, list(pool.flags.numbers)
-    own: dict[str, Any] = {"env": pool.env, "simulator": scene.config.simulator, "seed": flags.seed}
+    own: dict[str, Any] = {
+        "env": pool.env,
+        "simulator": scene.config.simulator,
+        "seed": flags.seed,
+    }
     playing = replace(GraspFlags.of_scene(scene.name), **own, grasps=pool.n_starts)
     playing.validate()
     played = files.play(None, playing, workers, lambda done: show(done, playing.grasps))
     grasps = Grasps.whole(pool.hand, played.records)
     felt = grasps.feel(pool.skin.taxels)
-    readings = {name: felt[:, pool.skin.columns(taxels)] for name, taxels in pool.beside.items()}
+    readings = {
+        name: felt[:, pool.skin.columns(taxels)] for name, taxels in pool.beside.items()
+    }
     has, skin = np.split(felt[:, pool.columns], [pool.n_kept], axis=1)
     probe = analysis.Probe(grasps, readings, AnalysisFlags(), flags.seed, workers)
     with estimators.expected_warnings():
         try:
             path, best, told = selection.select(probe, skin, numbers, has, pool.overlap)
         except ValueError as error:  # names what `design` has no flag for
-            raise ValueError(f"starts: found {pool.n_starts}, allowed more ({error})") from error
+            raise ValueError(
+                f"starts: found {pool.n_starts}, allowed more ({error})"
+            ) from error
         worth = selection.bits(probe, skin)
     if len(path) < numbers[-1]:
         room = "" if pool.overlap is None else " and have room"
@@ -47,7 +55,11 @@ def design(pool: Pool, workers: int, show: Callable[[int, int], None]) -> Design
             row["difference"] = {"gain": [more["gain"], *more["gain_interval"]]}
         rows.append(row)
     chosen = {n: [pool.n_kept + taxel for taxel in path[:n]] for n in numbers}
-    about = {"question": "information", "beside": first and first["layout"], "rows": rows}
+    about = {
+        "question": "information",
+        "beside": first and first["layout"],
+        "rows": rows,
+    }
     worth = np.concatenate([np.zeros(pool.n_kept), worth])
     return pool.design(chosen, worth, about)
 

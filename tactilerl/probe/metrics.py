@@ -20,7 +20,9 @@ def measure(name: str, truth: Array, prediction: Array, weights: Array) -> Array
     """The measure of that name, (b,)."""
     size = max(1, MEMORY // weights.shape[1])
     batches = (weights[i : i + size] for i in range(0, len(weights), size))
-    return np.concatenate([MEASURES[name](truth, prediction, batch) for batch in batches])
+    return np.concatenate(
+        [MEASURES[name](truth, prediction, batch) for batch in batches]
+    )
 
 
 def sign(name: str) -> int:
@@ -37,18 +39,24 @@ def auc(held: Array, prediction: Array, weights: Array) -> Array:
     negative = counts - positive
     starts = np.flatnonzero(np.r_[True, np.diff(scores) > 0])
     if len(starts) < len(scores):
-        positive, negative = (np.add.reduceat(c, starts, axis=1) for c in (positive, negative))
+        positive, negative = (
+            np.add.reduceat(c, starts, axis=1) for c in (positive, negative)
+        )
     below = np.cumsum(negative, axis=1)
     below -= negative / 2
     pairs = np.einsum("bi,bi->b", positive, below, dtype=np.float64)
     with np.errstate(invalid="ignore"):
-        return pairs / (positive.sum(1, dtype=np.float64) * negative.sum(1, dtype=np.float64))
+        return pairs / (
+            positive.sum(1, dtype=np.float64) * negative.sum(1, dtype=np.float64)
+        )
 
 
 def bits(held: Array, prediction: Array, weights: Array) -> Array:
     """Information about the outcome, bits a grasp: how much smaller the log loss of the first
     column's probabilities is than that of the second's, the share that held in training."""
-    return _mean(-_surprise(held, prediction[:, 0]) + _surprise(held, prediction[:, 1]), weights)
+    return _mean(
+        -_surprise(held, prediction[:, 0]) + _surprise(held, prediction[:, 1]), weights
+    )
 
 
 def log_loss(held: Array, prediction: Array, weights: Array) -> Array:
@@ -95,7 +103,8 @@ def _mean(values: Array, weights: Array) -> Array:
 
 
 MEASURES: dict[str, Callable[[Array, Array, Array], Array]] = {
-    each.__name__: each for each in (auc, bits, log_loss, r2, error_mm, error_deg, balanced_accuracy)
+    each.__name__: each
+    for each in (auc, bits, log_loss, r2, error_mm, error_deg, balanced_accuracy)
 }
 """(truth, prediction, weights (b, n)) -> (b,), by name."""
 
@@ -105,7 +114,10 @@ def estimate(name: str, samples: Array, interval: str = "interval") -> dict[str,
     samples behind it, under these names; None where there is no number."""
     low, high = statistics.percentile_interval(samples[1:])
     ends = None if math.isnan(low) else [low, high]
-    return {name: float(samples[0]) if math.isfinite(samples[0]) else None, interval: ends}
+    return {
+        name: float(samples[0]) if math.isfinite(samples[0]) else None,
+        interval: ends,
+    }
 
 
 def gain(samples: Array) -> dict[str, Any]:

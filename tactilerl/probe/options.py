@@ -16,7 +16,11 @@ from ..envs.observations import TaxelFaults, validate_faults
 from ..envs.state import Kind
 from ..runs.config import WorkerCount
 
-LOST = {"object_density", "finger_gain", "timestep"}  # of a scene: probed grasps keep the hand's
+LOST = {
+    "object_density",
+    "finger_gain",
+    "timestep",
+}  # of a scene: probed grasps keep the hand's
 RULE = "skin"
 """By which taxels are read of the recorded poses."""
 
@@ -28,7 +32,9 @@ def _validate(flags: Any, *lists: str) -> None:
     for name in lists:
         values = getattr(flags, name)
         if not values or len(set(values)) < len(values):
-            raise ValueError(f"{name}: found {list(values)}, allowed one or more, each once")
+            raise ValueError(
+                f"{name}: found {list(values)}, allowed one or more, each once"
+            )
 
 
 @dataclass(frozen=True)
@@ -78,8 +84,13 @@ class GraspFlags:
             raise ValueError(f"scene: found {scene!r}, which has several measures of an object or sets "
                              f"{', '.join(sorted(LOST))}, allowed scenes that do not")  # fmt: skip
         copied = ("start_offset", "start_yaw", "hold_verdict")
-        said: dict[str, Any] = {name: named.scene[name] for name in copied if name in named.scene}
-        for name, values in (("object_size", config.object_size), ("friction", (config.friction,))):
+        said: dict[str, Any] = {
+            name: named.scene[name] for name in copied if name in named.scene
+        }
+        for name, values in (
+            ("object_size", config.object_size),
+            ("friction", (config.friction,)),
+        ):
             if name in named.scene:  # of a range, both ends
                 ends = {end for value in values for end in objects.bounds(name, value)}
                 said[name] = tuple(sorted(ends))
@@ -95,12 +106,19 @@ class GraspFlags:
     @property
     def config(self) -> GraspConfig:
         """The hand's scene."""
-        return setup(self.env, **({"simulator": self.simulator} if self.simulator else {}))
+        return setup(
+            self.env, **({"simulator": self.simulator} if self.simulator else {})
+        )
 
     def scenes(self) -> list[GraspConfig]:
         """One for each object."""
-        usual, every = self.config, itertools.product(self.object, self.object_size, self.friction)
-        return [replace(usual, object=k, object_size=(s,), friction=f) for k, s, f in every]
+        usual, every = (
+            self.config,
+            itertools.product(self.object, self.object_size, self.friction),
+        )
+        return [
+            replace(usual, object=k, object_size=(s,), friction=f) for k, s, f in every
+        ]
 
     def settings(self) -> dict[str, Any]:
         """What a grasp follows from, besides its number: as the file of grasps has it."""
@@ -122,7 +140,9 @@ class GraspFlags:
         _validate(self, "object", "object_size", "friction")
         low, high = self.closes
         if not 0 <= low <= high <= 2:
-            raise ValueError(f"closing: found {low} {high}, allowed from 0 to 2, the smaller first")
+            raise ValueError(
+                f"closing: found {low} {high}, allowed from 0 to 2, the smaller first"
+            )
         for scene in self.scenes():
             typed.validate(scene)
 
@@ -156,7 +176,9 @@ class OutputFlags:
     out: Path | None = None
     """Folder for grasps.npz, probe.json and figures; default: probes/ENV_SIMULATOR, or with --from the
     folder of that file. Repeating the command continues an unfinished probe."""
-    grasps_file: Annotated[Path | None, tyro.conf.arg(name="from", metavar="FILE")] = None
+    grasps_file: Annotated[Path | None, tyro.conf.arg(name="from", metavar="FILE")] = (
+        None
+    )
     """Read the grasps from this file instead of simulating them."""
     workers: WorkerCount = None
     """Grasps simulated side by side; default: one per free core. Results do not depend on it."""

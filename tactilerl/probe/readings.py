@@ -60,12 +60,16 @@ class Grasps:
         the palm: along towards the fingertips, across, and out of the palm; m."""
         palm = links_of(self.hand).index(self.hand.palm)
         rotation = self.records["link_rotations"][:, palm]
-        point = self.records["link_positions"][:, palm] + rotation @ np.array(self.hand.palm_point)
+        point = self.records["link_positions"][:, palm] + rotation @ np.array(
+            self.hand.palm_point
+        )
         along, palmar = np.array(self.hand.fingers), np.array(self.hand.palmar)
         axes = rotation @ np.column_stack([along, np.cross(palmar, along), palmar])
         away = self.records["object_position"] - point
         position = np.einsum("nij,ni->nj", axes, away)
-        return position, axes.swapaxes(1, 2) @ _rotations(self.records["object_orientation"])
+        return position, axes.swapaxes(1, 2) @ _rotations(
+            self.records["object_orientation"]
+        )
 
     def turn(self) -> tuple[Array, int]:
         """Yaw (n,) of the object in the palm's plane, rad, and after how many equal parts of a turn
@@ -79,7 +83,9 @@ class Grasps:
     def sight(self) -> Array:
         """The object's pose in the hand (n, 7): position, quaternion wxyz with w from 0 up."""
         position, rotation = self.object_in_hand()
-        quaternion = Rotation.from_matrix(rotation).as_quat(canonical=True, scalar_first=True)
+        quaternion = Rotation.from_matrix(rotation).as_quat(
+            canonical=True, scalar_first=True
+        )
         return np.column_stack([position, quaternion])
 
     def feel(self, taxels: Taxels) -> Array:
@@ -97,7 +103,10 @@ class Grasps:
         """Of grasps of one object."""
         of = {name: values[some] for name, values in self.records.items()}
         return State(
-            shape=Shape(KINDS[int(of["object_kind"][0])], tuple(of["object_half_size"][0].tolist())),
+            shape=Shape(
+                KINDS[int(of["object_kind"][0])],
+                tuple(of["object_half_size"][0].tolist()),
+            ),
             object_position=of["object_position"],
             object_rotation=_rotations(of["object_orientation"]),
             links=links_of(self.hand),
@@ -110,7 +119,9 @@ def _rotations(quaternions: Array) -> Array:
     return Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
 
 
-def with_faults(readings: Array, faults: TaxelFaults, rng: np.random.Generator) -> Array:
+def with_faults(
+    readings: Array, faults: TaxelFaults, rng: np.random.Generator
+) -> Array:
     """What the environment does to readings on their way, done to bool (n, taxels): the same taxels are
     broken in all."""
     sensors = SensorConfig(**asdict(faults), hand_seed=int(rng.integers(2**32)))

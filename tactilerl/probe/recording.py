@@ -55,7 +55,9 @@ class SkinnedEnv(GraspEnv):
 
     def __init__(self, hand: str, config: GraspConfig, taxels: Taxels) -> None:
         if config.touch_rule == "contact":
-            raise ValueError("touch: found contact, allowed rules that any taxel can be read by later")
+            raise ValueError(
+                "touch: found contact, allowed rules that any taxel can be read by later"
+            )
         super().__init__(hand, config)
         self.taxels, self._touch = taxels, RULES[config.touch_rule](taxels, self.hand)
 
@@ -81,7 +83,9 @@ def record(
             found.append(row)
             tick()
     fires, succeeds, sets_off, lets_go = map(np.array, zip(*found, strict=True))
-    return Starts(fires, succeeds, sets_off, lets_go, np.full(len(found), weight / len(found)))
+    return Starts(
+        fires, succeeds, sets_off, lets_go, np.full(len(found), weight / len(found))
+    )
 
 
 def _play(
@@ -101,7 +105,9 @@ def _play(
         *_, terminated, truncated, _ = base.step_to(waiting)
         step, is_over = step + 1, terminated or truncated
     sets_off = base.task.sets_off
-    for moment in range(step) if every_moment else np.unique(fires[fires < NEVER]).tolist():
+    for moment in (
+        range(step) if every_moment else np.unique(fires[fires < NEVER]).tolist()
+    ):
         if not is_wanted():
             break
         succeeds[moment] = Reflex("time", moment, 1.0).play(env, number)

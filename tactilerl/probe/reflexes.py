@@ -47,13 +47,19 @@ class Reflex:
     """How far the hand closes: 1 is all the way of its scripted grasp, or to the closed hand."""
 
     def play(
-        self, env: gym.Env[Any, Any], number: int, is_wanted: vector.IsWanted = lambda: True
+        self,
+        env: gym.Env[Any, Any],
+        number: int,
+        is_wanted: vector.IsWanted = lambda: True,
     ) -> bool:
         """Does it succeed from the start that the seed `number` draws?"""
         base: Any = env.unwrapped
         obs, _ = env.reset(seed=number % 2**64)  # below 0: it only precedes another
         reading = _Reading(base, obs)
-        says, latest = getattr(reading, self.sense), base.max_episode_steps - LATEST - reading.n_second
+        says, latest = (
+            getattr(reading, self.sense),
+            base.max_episode_steps - LATEST - reading.n_second,
+        )
         parts = _parts(base, self.closing, reading.shift(self.sense))
         first: Iterator[Array]
         first, second = (chain(part, repeat(part[-1])) for part in parts)
@@ -61,7 +67,9 @@ class Reflex:
             first = cycle([parts[1][-1]] * TRIAL + [parts[0][-1]] * TRIAL)
         targets, is_over = first, False
         while not is_over:
-            if targets is first and (says() >= self.threshold or reading.step >= latest):
+            if targets is first and (
+                says() >= self.threshold or reading.step >= latest
+            ):
                 targets = second
             obs, _, terminated, truncated, info = base.step_to(next(targets))
             reading.add(obs)
@@ -77,7 +85,9 @@ class _Reading:
         self._joints = entries("hand_position", "finger_joints", "joint_positions")
         self._object, self._taxels = entries("object_position"), entries("taxels")
         if not (len(self._joints) and len(self._object)):
-            raise ValueError("reflexes go by joints and the object, which this hand does not observe")
+            raise ValueError(
+                "reflexes go by joints and the object, which this hand does not observe"
+            )
         self._touching = env.palm_skin[2] - env.shape.half_size[2]
         self._lifts = env.task.giver is None
         parts = _parts(env, 1.0, np.zeros(2)) if self._lifts else ((), ())
@@ -89,7 +99,9 @@ class _Reading:
         """After another action."""
         self._seen.append(obs["observation"])
         self.step = len(self._seen) - 1
-        self._may_go = not self._lifts or self.step > self._n_first // 2  # the fingers have set off
+        self._may_go = (
+            not self._lifts or self.step > self._n_first // 2
+        )  # the fingers have set off
 
     def shift(self, sense: str) -> Array:
         """Where the object is seen beside its place (2,), m, by those that look."""
@@ -102,7 +114,11 @@ class _Reading:
 
     def sight(self) -> float:
         """How near the object is to the palm, m; of one on the ground, the time."""
-        return self.time() if self._lifts else float(self._seen[-1][self._object[2]] - self._touching)
+        return (
+            self.time()
+            if self._lifts
+            else float(self._seen[-1][self._object[2]] - self._touching)
+        )
 
     def time(self) -> float:
         """Actions so far; of a lift, since a grasp could be closed."""
@@ -113,11 +129,15 @@ class _Reading:
         by then; of a lift, how still the joints are, rad."""
         seen = np.array(self._seen)[:, self._joints].astype(float)
         if self._lifts:
-            return -float(np.abs(seen[-1] - seen[-2]).max()) if self._may_go else -np.inf
+            return (
+                -float(np.abs(seen[-1] - seen[-2]).max()) if self._may_go else -np.inf
+            )
         if self.step < BASELINE:
             return 0.0
         first = seen[:BASELINE]
-        return float((np.abs(seen[-1] - first.mean(0)) / (first.std(0) + RESOLUTION)).max())
+        return float(
+            (np.abs(seen[-1] - first.mean(0)) / (first.std(0) + RESOLUTION)).max()
+        )
 
     def active(self) -> float:
         """After a test squeeze: how far joints and hand are from where the first one took them, on the
@@ -137,7 +157,9 @@ def candidates(env: GraspEnv, sense: str) -> list[Reflex]:
     return [Reflex(sense, *values) for values in product(lifted, CLOSINGS)]
 
 
-def _parts(env: GraspEnv, closing: float, shift: Array) -> tuple[list[Array], list[Array]]:
+def _parts(
+    env: GraspEnv, closing: float, shift: Array
+) -> tuple[list[Array], list[Array]]:
     """Joint targets of the first part and of the second, of an object `shift` (2,) m beside its place;
     at the end of a part they stay."""
     opened = env.hand.start_targets()
@@ -151,4 +173,6 @@ def _parts(env: GraspEnv, closing: float, shift: Array) -> tuple[list[Array], li
         end = lift[-1] + (height - LIFT_HEIGHT) * np.eye(len(opened))[2]
         lift = lift[:n] + [end] * (len(lift) - n)
     beside = np.pad(shift, (0, len(opened) - 2))
-    return [targets + beside for targets in approach + close], [targets + beside for targets in lift]
+    return [targets + beside for targets in approach + close], [
+        targets + beside for targets in lift
+    ]

@@ -25,7 +25,9 @@ from .options import AnalysisFlags, Options
 from .readings import Grasps, with_faults
 
 
-def grasps(read: Options, held: ExitStack, show: Callable[[int], None]) -> tuple[files.Played, Path]:
+def grasps(
+    read: Options, held: ExitStack, show: Callable[[int], None]
+) -> tuple[files.Played, Path]:
     """The grasps, played or read, and the folder where everything goes, to which no other process
     writes while it is `held`. Whatever cannot be asked is refused before minutes of playing."""
     asked, source, out = read.grasp, read.output.grasps_file, read.output.out
@@ -35,7 +37,9 @@ def grasps(read: Options, held: ExitStack, show: Callable[[int], None]) -> tuple
         played = files.read(source)
         env = str(played.settings.get("env"))
         if not hands.is_hand(env):
-            raise InputError(f"{source}: found grasps of {env!r}, allowed: {hands.allowed()}")
+            raise InputError(
+                f"{source}: found grasps of {env!r}, allowed: {hands.allowed()}"
+            )
         _placed(read.analysis, hands.get(env))
         held.enter_context(locked(out := out or source.parent))
         _require_ours(out)
@@ -44,13 +48,17 @@ def grasps(read: Options, held: ExitStack, show: Callable[[int], None]) -> tuple
     name = f"{hands.file(asked.env).stem}_{asked.config.simulator}"
     held.enter_context(locked(out := out or Path("probes") / name))
     _require_ours(out)
-    return files.play(out / "grasps.npz", asked, read.output.workers or free_cores(), show), out
+    return files.play(
+        out / "grasps.npz", asked, read.output.workers or free_cores(), show
+    ), out
 
 
 def _require_ours(out: Path) -> None:
     """InputError where a file of somebody else would be lost."""
     for name in ("probe.json", "gains.npz"):  # together they are a probe's
-        require_ours(out / name, lambda path: "asking" in read_json(path.with_name("probe.json")))
+        require_ours(
+            out / name, lambda path: "asking" in read_json(path.with_name("probe.json"))
+        )
 
 
 @input_errors()
@@ -61,7 +69,11 @@ def _placed(asking: AnalysisFlags, hand: Hand) -> dict[str, layouts.Taxels]:
 
 def analyse(read: Options, played: files.Played, out: Path) -> dict[str, Any]:
     """Ask the grasps; writes probe.json and the figures to `out`."""
-    hand, asking, settings = hands.get(played.settings["env"]), read.analysis, played.settings
+    hand, asking, settings = (
+        hands.get(played.settings["env"]),
+        read.analysis,
+        played.settings,
+    )
     grasps = Grasps.whole(hand, played.records)
     taxels = _placed(asking, hand)
     gains: dict[str, Any] = {}  # to compare hands
@@ -81,7 +93,10 @@ def analyse(read: Options, played: files.Played, out: Path) -> dict[str, Any]:
             gains[f"{noise:g} {name}"] = gained.astype(np.float32)
         densest = probe.densest
         result = {
-            **{name: settings[name] for name in ("env", "simulator", "touch_rule", "seed")},
+            **{
+                name: settings[name]
+                for name in ("env", "simulator", "touch_rule", "seed")
+            },
             "playing": settings,
             "asking": asdict(asking),
             "faults": asdict(read.fault),
@@ -90,7 +105,9 @@ def analyse(read: Options, played: files.Played, out: Path) -> dict[str, Any]:
             "held": float(grasps.held.mean()),
             "objects": grasps.objects()[0],
             "versions": provenance.versions("scipy", "scikit-learn"),
-            "layouts": {name: {"taxels": len(placed)} for name, placed in taxels.items()},
+            "layouts": {
+                name: {"taxels": len(placed)} for name, placed in taxels.items()
+            },
             "table": analysis.table(samples),
             "differences": analysis.differences(probe, asked, samples),
             "shuffled": analysis.shuffled_gain(probe),

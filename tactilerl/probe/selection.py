@@ -29,9 +29,13 @@ REDUNDANT = 1e-6  # share of a candidate's variance that the others leave unexpl
 def bits(probe: Probe, skin: Array) -> Array:
     """What each taxel of a skin (n, m) would tell alone, beyond the angles with the last of the noises:
     bits a grasp (m,), less what a taxel of noise would seem to tell."""
-    known = StandardScaler().fit_transform(probe.features(probe.choices.joint_noise[-1], JOINTS))
+    known = StandardScaler().fit_transform(
+        probe.features(probe.choices.joint_noise[-1], JOINTS)
+    )
     held = probe.grasps.held
-    with threadpool_limits(1):  # as everywhere here: the digits do not depend on the cores
+    with threadpool_limits(
+        1
+    ):  # as everywhere here: the digits do not depend on the cores
         score = _scores(known, skin.astype(float), held)
     return np.maximum(score - 1.0, 0.0) / (2.0 * len(held) * math.log(2.0))
 
@@ -78,7 +82,11 @@ def _scores(features: Array, candidates: Array, held: Array) -> Array:
 
 
 def select(
-    probe: Probe, skin: Array, numbers: Sequence[int], has: Array, overlap: Array | None = None
+    probe: Probe,
+    skin: Array,
+    numbers: Sequence[int],
+    has: Array,
+    overlap: Array | None = None,
 ) -> tuple[list[int], dict[int, Array], dict[str, Array]]:
     """The taxels of `skin` (n, m) chosen from all grasps, in order; and gains in AUC over the angles
     with the last of the noises: of the best so many, and of each of the probe's layouts. `has` (n, h)
@@ -95,7 +103,9 @@ def select(
     in_threads = Parallel(probe.jobs, prefer="threads")
     with threadpool_limits(1):
         *paths, final = in_threads(
-            delayed(forward)(known[train], skin[train], held[train], max(numbers), overlap)
+            delayed(forward)(
+                known[train], skin[train], held[train], max(numbers), overlap
+            )
             for train in (*(train for train, _ in kept), np.arange(len(held)))
         )
 
@@ -103,12 +113,20 @@ def select(
             """AUC (b,) where each fold has features of its own."""
             predicted = np.full((len(held), 2), np.nan)
             for own, fold in zip(features, kept, strict=True):
-                predicted[fold[1]] = estimators.probabilities(own, held, [fold])[fold[1]]
+                predicted[fold[1]] = estimators.probabilities(own, held, [fold])[
+                    fold[1]
+                ]
             return metrics.measure("auc", held, predicted, weights)
 
         alone = told([joints] * len(kept))
-        best = [[np.column_stack([known, skin[:, path[:n]]]) for path in paths] for n in numbers]
-        layouts = [[np.column_stack([joints, felt])] * len(kept) for felt in probe.readings.values()]
+        best = [
+            [np.column_stack([known, skin[:, path[:n]]]) for path in paths]
+            for n in numbers
+        ]
+        layouts = [
+            [np.column_stack([joints, felt])] * len(kept)
+            for felt in probe.readings.values()
+        ]
         found = in_threads(delayed(told)(features) for features in (*best, *layouts))
     gains = [one - alone for one in found]
     by_layout = zip(probe.readings, gains[len(best) :], strict=True)

@@ -16,7 +16,10 @@ from .candidates import Design, Pool
 from .cover import Aim, Starts
 from .recording import Skin, record
 
-CHOICE, TEST = 500_000, 750_000  # starts to choose from, to judge on, and of the gate are all different
+CHOICE, TEST = (
+    500_000,
+    750_000,
+)  # starts to choose from, to judge on, and of the gate are all different
 RANDOM_SETS = 20
 FEW = 20  # starts, to say where arrivals are felt
 ByWait = dict[float | None, Starts]
@@ -59,7 +62,9 @@ def design(pool: Pool, workers: int, show: Callable[[int, int], None]) -> Design
     return pool.design(chosen, largest.take(pool.columns).worth, about)
 
 
-def _played(pool: Pool, first: int, n: int, workers: int, tick: Callable[[], None]) -> ByWait:
+def _played(
+    pool: Pool, first: int, n: int, workers: int, tick: Callable[[], None]
+) -> ByWait:
     """`n` starts of each scene with the whole skin, for each way to wait."""
     flags, found = pool.flags, dict[float | None, Starts]()
     first += 2 * gate.SEARCH * flags.seed
@@ -68,9 +73,13 @@ def _played(pool: Pool, first: int, n: int, workers: int, tick: Callable[[], Non
         parts = []
         for one in pool.scenes:
             scene = one.waiting(wait)
-            starts = record(pool.env, scene, pool.skin, numbers, workers, every, tick, one.weight)
+            starts = record(
+                pool.env, scene, pool.skin, numbers, workers, every, tick, one.weight
+            )
             parts.append(vars(starts))
-        joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        joined = {
+            name: np.concatenate([part[name] for part in parts]) for name in parts[0]
+        }
         found[wait] = Starts(**joined)
     return found
 
@@ -79,7 +88,9 @@ def _choose(choice: ByWait, pool: Pool, n: int) -> cover.Chosen:
     """The best `n` taxels of all ways to wait, and the bound of all."""
     aim, kept = pool.flags.aim, range(pool.n_kept)
     found = [
-        cover.choose(starts.take(pool.columns), n + pool.n_kept, aim, kept, overlap=pool.overlap)
+        cover.choose(
+            starts.take(pool.columns), n + pool.n_kept, aim, kept, overlap=pool.overlap
+        )
         for starts in choice.values()
     ]
     bounds = [one.bound for one in found if one.bound is not None]
@@ -91,21 +102,29 @@ class _Judge:
     """What sets of taxels win in starts from which none of them was chosen. A set waits as suited it
     best in those to choose from."""
 
-    def __init__(self, choice: ByWait, test: ByWait, aim: Aim, n_scenes: int = 1) -> None:
+    def __init__(
+        self, choice: ByWait, test: ByWait, aim: Aim, n_scenes: int = 1
+    ) -> None:
         self.test, self._choice, self._aim = test, choice, aim
         self._weights = next(iter(test.values())).weights
         rng, n = np.random.default_rng(0), len(self._weights) // n_scenes
         # Within each scene: which ones there are is not by chance.
-        self._counts = np.vstack([statistics.resample(rng, n, 10_000) for _ in range(n_scenes)])
+        self._counts = np.vstack(
+            [statistics.resample(rng, n, 10_000) for _ in range(n_scenes)]
+        )
 
     def wait(self, taxels: list[int]) -> float | None:
         """How far the hand is closed meanwhile; None for as the scene has it."""
-        return max(self._choice, key=lambda w: cover.value(self._choice[w], taxels, self._aim))
+        return max(
+            self._choice, key=lambda w: cover.value(self._choice[w], taxels, self._aim)
+        )
 
     @property
     def hopeless(self) -> float:
         """Share of the starts in which the hand fails at whichever touch it closes."""
-        can = np.any([starts.succeeds.any(axis=1) for starts in self.test.values()], axis=0)
+        can = np.any(
+            [starts.succeeds.any(axis=1) for starts in self.test.values()], axis=0
+        )
         return float(self._weights @ ~can)
 
     def row(self, layout: str, taxels: list[int]) -> dict[str, Any]:
@@ -121,14 +140,20 @@ class _Judge:
     def random(self, n: int, pool: Pool, rng: np.random.Generator) -> dict[str, Any]:
         """Means over random sets of the same size, or as many of it as find room."""
         every = [self._scores(_drawn(n, pool, rng)) for _ in range(RANDOM_SETS)]
-        means = {name: np.mean([scores[name] for scores in every], axis=0) for name in every[0]}
+        means = {
+            name: np.mean([scores[name] for scores in every], axis=0)
+            for name in every[0]
+        }
         shares = {name: float(self._weights @ scores) for name, scores in means.items()}
         return {"layout": "random", "taxels": n, **shares}
 
     def difference(self, a: list[int], b: list[int]) -> dict[str, Any]:
         """By how much `a` is above `b` in the same starts, with intervals."""
         others = self._scores(b)
-        return {name: list(self._mean(own - others[name])) for name, own in self._scores(a).items()}
+        return {
+            name: list(self._mean(own - others[name]))
+            for name, own in self._scores(a).items()
+        }
 
     def _scores(self, taxels: list[int]) -> dict[str, Array]:
         """(n,) of each start: does it succeed, or how probably? Is it felt?"""
@@ -169,8 +194,14 @@ def _require_felt(choice: ByWait, pool: Pool, workers: int) -> None:
         skin = Skin.of([places.skin("6mm", hand)])
         scene, numbers = pool.scenes[0].waiting(wait), range(CHOICE, CHOICE + FEW)
         seen = record(name, scene, skin, numbers, workers).worth > 0
-        felt = {hand.surfaces[place.surface] for place, column in skin.index.items() if seen[column]}
-        where = ", ".join(sorted(f"{surface.digit}.{surface.segment}" for surface in felt))
+        felt = {
+            hand.surfaces[place.surface]
+            for place, column in skin.index.items()
+            if seen[column]
+        }
+        where = ", ".join(
+            sorted(f"{surface.digit}.{surface.segment}" for surface in felt)
+        )
         where = where or "nothing of the hand in time"
         raise ValueError(
             f"skin: no taxel feels any start in time; arrivals meet {where}, where it has none"
@@ -178,9 +209,13 @@ def _require_felt(choice: ByWait, pool: Pool, workers: int) -> None:
     n, without = min(pool.n_starts, 100), list[gate.Found]()
     for one in pool.scenes:
         scene = one.waiting(wait)
-        found = gate.examine(name, scene, n, max(1, n // 20), 0, workers, senses=("joints", "sight"))
+        found = gate.examine(
+            name, scene, n, max(1, n // 20), 0, workers, senses=("joints", "sight")
+        )
         without.append(max(found, key=lambda each: each.rate))
-    rate = sum(one.weight * best.rate for one, best in zip(pool.scenes, without, strict=True))
+    rate = sum(
+        one.weight * best.rate for one, best in zip(pool.scenes, without, strict=True)
+    )
     if worth[wait] - rate < gate.TELLS:
         sense = " or ".join(dict.fromkeys(best.name for best in without))
         raise ValueError(

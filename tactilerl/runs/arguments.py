@@ -19,7 +19,9 @@ from .config import RunConfig
 from .run_dir import resolve
 
 
-def _extra(field: str, default: Any, about: str, kind: Any = str, **named: Any) -> tuple[str, Any, Any]:
+def _extra(
+    field: str, default: Any, about: str, kind: Any = str, **named: Any
+) -> tuple[str, Any, Any]:
     """A field of a flag that is in no part of a run's configuration."""
     return field, Annotated[kind, tyro.conf.arg(help=about, **named)], default
 
@@ -28,7 +30,12 @@ ABOUT = f"A named scene ({', '.join(scenes.names())}) or a scene's .toml file; o
 NAMED_SCENE = _extra("scene", "", ABOUT)
 TRUST = "With --resume: allow importing the module named in the environment's id."
 RESUME = (
-    _extra("resume", "", "Continue the run in this folder from its last full epoch.", metavar="RUN"),
+    _extra(
+        "resume",
+        "",
+        "Continue the run in this folder from its last full epoch.",
+        metavar="RUN",
+    ),
     _extra("trust", False, TRUST, bool),
 )
 TRAIN = About(
@@ -59,7 +66,9 @@ def read(args: Sequence[str], base: RunConfig) -> tuple[RunConfig, Any]:
     names = tuple(recipes.recipes(base.run.algo))
     known: Any = Literal[names]
     about = "A set of hyperparameters, which other flags override; default: the scene's, or paper."
-    recipe = _extra("recipe", None, about, known | None, metavar=f"{{{','.join(names)}}}")
+    recipe = _extra(
+        "recipe", None, about, known | None, metavar=f"{{{','.join(names)}}}"
+    )
     more = (recipe, NAMED_SCENE, *RESUME)
     given = read_parts(base.run.env, base.parts, args, "tactilerl train", TRAIN, *more)
     return dataclasses.replace(
@@ -68,20 +77,31 @@ def read(args: Sequence[str], base: RunConfig) -> tuple[RunConfig, Any]:
 
 
 def read_parts(
-    env: str, parts: Mapping[str, Any], args: Sequence[str], prog: str, about: About, *more: Any
+    env: str,
+    parts: Mapping[str, Any],
+    args: Sequence[str],
+    prog: str,
+    about: About,
+    *more: Any,
 ) -> Any:
     """The flags over the values of several dataclasses, NAME_part each, and `more` of them.
 
     Where a flag of a scene is refused because `env` is no hand, it is said which hands there are.
     """
-    kinds = [(f"{name}_part", type(part)) for name, part in parts.items()]  # no flag has such a name
+    kinds = [
+        (f"{name}_part", type(part)) for name, part in parts.items()
+    ]  # no flag has such a name
     options = dataclasses.make_dataclass("Options", [*kinds, *more])
     usual = options(**{f"{name}_part": part for name, part in parts.items()})
     try:
         return flags.parse(options, args, prog, about, usual)
     except InputError as error:
         refused = str(error).partition("'--")[2].partition("'")[0].partition("=")[0]
-        if hands.is_hand(env) or refused.replace("-", "_") not in typed.names(GraspConfig):
+        if hands.is_hand(env) or refused.replace("-", "_") not in typed.names(
+            GraspConfig
+        ):
             raise
         hint = nearest(env, hands.HANDS)
-        raise InputError(f"{error} ({hint}--env {env} is none of {hands.allowed()})") from error
+        raise InputError(
+            f"{error} ({hint}--env {env} is none of {hands.allowed()})"
+        ) from error

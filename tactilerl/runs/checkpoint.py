@@ -21,7 +21,14 @@ from .config import RunConfig
 from .files import damage_named, own_folder
 from .run_dir import FORMAT, RunDir, with_new_names
 
-TYPES = {"format": int, "epoch": int, "config": str, "ranks": list, "experience": list, "spaces": str}
+TYPES = {
+    "format": int,
+    "epoch": int,
+    "config": str,
+    "ranks": list,
+    "experience": list,
+    "spaces": str,
+}
 PART = {"format": int, "epoch": int, "config": str, "rank": int, "experience": dict}
 REWRITE = 2.0  # the parts are written anew as one when they take this many times a full memory
 
@@ -29,8 +36,15 @@ REWRITE = 2.0  # the parts are written anew as one when they take this many time
 class Checkpoint:
     """The state of one run on disk; rank 0 alone writes."""
 
-    def __init__(self, run_dir: RunDir, config: RunConfig, learner: Learner, comm: Communicator):
-        self.run_dir, self.config, self.learner, self.comm = run_dir, config, learner, comm
+    def __init__(
+        self, run_dir: RunDir, config: RunConfig, learner: Learner, comm: Communicator
+    ):
+        self.run_dir, self.config, self.learner, self.comm = (
+            run_dir,
+            config,
+            learner,
+            comm,
+        )
         self._memory = learner.replay
         self._about = {"format": FORMAT, "config": json.dumps(config.identity())}
         self._parts: list[int] = []  # epochs whose experience is on disk
@@ -38,11 +52,20 @@ class Checkpoint:
     def save(self, epoch: int) -> None:
         """Write the states of all ranks after `epoch`; every rank must call it."""
         is_anew = self.comm.all_gather(self.comm.rank == 0 and self._has_outgrown())[0]
-        experience = self._memory.new_experience(everything=bool(is_anew)) if self._memory else {}
+        experience = (
+            self._memory.new_experience(everything=bool(is_anew))
+            if self._memory
+            else {}
+        )
         for rank, part in enumerate(self.comm.receive(experience)):
             if part:
                 own_folder(self.run_dir.experience_folder)
-                content = {**self._about, "epoch": epoch, "rank": rank, "experience": part}
+                content = {
+                    **self._about,
+                    "epoch": epoch,
+                    "rank": rank,
+                    "experience": part,
+                }
                 sealed.write(self._part(epoch, rank), content)
         states = list(self.comm.receive(_compact(self.learner.state_dict())))
         if experience:
@@ -79,7 +102,9 @@ class Checkpoint:
                 with damage_named(path := self._part(epoch, rank)):
                     part = sealed.read_fields(path, "checkpoint", FORMAT, PART)
                     about = {**self._about, "epoch": epoch, "rank": rank}
-                    if other := next((name for name in about if part[name] != about[name]), None):
+                    if other := next(
+                        (name for name in about if part[name] != about[name]), None
+                    ):
                         raise ValueError(f"it is the experience of another {other}")
                     self._memory.add_experience(part["experience"])
         return int(data["epoch"])
@@ -122,5 +147,7 @@ def read(run_dir: RunDir, config: RunConfig) -> dict[str, Any]:
         if parts != sorted(set(parts)):
             raise ValueError("experience of epochs that are not in order")
         if difference := config.difference(with_new_names(json.loads(data["config"]))):
-            raise InputError(f"{path}: from another configuration than config.json ({difference})")
+            raise InputError(
+                f"{path}: from another configuration than config.json ({difference})"
+            )
     return data

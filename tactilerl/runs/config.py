@@ -61,7 +61,9 @@ class RunOptions:
 
 
 PARTS = ("run", "scene", "learner")
-ENV_ID = re.compile(r"(([^\W\d]\w*)(\.[^\W\d]\w*)*:)?[\w/.-]+")  # that of Gymnasium, [module:]id
+ENV_ID = re.compile(
+    r"(([^\W\d]\w*)(\.[^\W\d]\w*)*:)?[\w/.-]+"
+)  # that of Gymnasium, [module:]id
 # Fields that may differ between a run and its continuation: they do not change its course.
 FREE_ON_RESUME = {"total_timesteps", "workers", "out", "tensorboard"}
 LAYOUT_COPY = "layout.toml"  # in the run folder, when the layout is a file
@@ -84,14 +86,18 @@ class RunConfig:
     @property
     def parts(self) -> dict[str, Any]:
         """Those that there are, by name."""
-        return {name: part for name in PARTS if (part := getattr(self, name)) is not None}
+        return {
+            name: part for name in PARTS if (part := getattr(self, name)) is not None
+        }
 
     def choose(self, choices: Mapping[str, Any]) -> RunConfig:
         """A copy with other values of some fields, by name; ValueError naming an unknown field."""
         own = {name: typed.names(part) for name, part in self.parts.items()}
         require_known(choices, set().union(*own.values()), PEERS)
         chosen = {
-            name: typed.replace(part, {k: v for k, v in choices.items() if k in own[name]})
+            name: typed.replace(
+                part, {k: v for k, v in choices.items() if k in own[name]}
+            )
             for name, part in self.parts.items()
         }
         return dataclasses.replace(self, **chosen)
@@ -129,7 +135,9 @@ class RunConfig:
             choices["hand_seed"] = self.run.seed
         if self.layout_file and self.folder and (self.folder / LAYOUT_COPY).is_file():
             choices["layout"] = str(self.folder / LAYOUT_COPY)
-        return partial(GraspEnv, self.run.env, dataclasses.replace(self.scene, **choices))
+        return partial(
+            GraspEnv, self.run.env, dataclasses.replace(self.scene, **choices)
+        )
 
     @property
     def layout_file(self) -> Path | None:
@@ -141,25 +149,39 @@ class RunConfig:
     def again(self) -> str:
         """What a command needs besides the folder: the id, where it names a module, and modules."""
         flags = [f" --import {module}" for module in plugins.imported]
-        return "".join([f" --env {self.run.env}" if ":" in self.run.env else "", *flags])
+        return "".join(
+            [f" --env {self.run.env}" if ":" in self.run.env else "", *flags]
+        )
 
     def name(self) -> str:
         """Default name of the run's folder."""
-        env = hands.file(self.run.env).stem if hands.is_hand(self.run.env) else self.run.env
+        env = (
+            hands.file(self.run.env).stem
+            if hands.is_hand(self.run.env)
+            else self.run.env
+        )
         parts = [self.run.algo, re.sub("[/:]", "-", env)]
         if self.scene is not None:
             scene = self.scene
-            parts += [scene.task, f"layout{layouts.short(scene.layout)}", f"touch-{scene.touch}"]
+            parts += [
+                scene.task,
+                f"layout{layouts.short(scene.layout)}",
+                f"touch-{scene.touch}",
+            ]
         return "_".join([*parts, f"s{self.run.seed}"])
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for config.json."""
-        return dict.fromkeys(PARTS) | {k: dataclasses.asdict(part) for k, part in self.parts.items()}
+        return dict.fromkeys(PARTS) | {
+            k: dataclasses.asdict(part) for k, part in self.parts.items()
+        }
 
     def identity(self) -> dict[str, Any]:
         """What makes it this run: plain values without those that may change on resume."""
         parts = json.loads(json.dumps(self.as_dict()))
-        counts = {"total_timesteps"} if getattr(self.learner, "anneals", False) else set()
+        counts = (
+            {"total_timesteps"} if getattr(self.learner, "anneals", False) else set()
+        )
         for name in FREE_ON_RESUME - counts:
             del parts["run"][name]
         return parts
@@ -190,7 +212,9 @@ def defaults(
     with input_errors():
         named = scenes.load(scene) if scene else NamedScene(env=RunOptions.env)
         for name in ("algo", "recipe"):
-            typed.require_type(named.train.get(name, ""), str, f"scene {scene}: train: {name}")
+            typed.require_type(
+                named.train.get(name, ""), str, f"scene {scene}: train: {name}"
+            )
     own, env = named.train.get("algo", RunOptions.algo), env or named.env
     if scene and algo not in (None, own):
         defaults(scene=scene)  # what is left out is checked as well
@@ -199,16 +223,24 @@ def defaults(
     usual = train.pop("recipe", recipes.PAPER)
     if algo not in (known := algos.ALGORITHMS):
         hint = nearest(algo, known)
-        raise InputError(f"--algo: unknown algorithm {algo!r}; {hint}allowed: {', '.join(known)}")
+        raise InputError(
+            f"--algo: unknown algorithm {algo!r}; {hint}allowed: {', '.join(known)}"
+        )
     with input_errors(f"scene {scene}: train"):
-        require_known(train, {"total_timesteps", *typed.names(algos.get(algo)[0])}, PEERS)
+        require_known(
+            train, {"total_timesteps", *typed.names(algos.get(algo)[0])}, PEERS
+        )
     if scene and not hands.is_hand(env):
-        raise InputError(f"--env: found {env!r} with --scene, allowed: {hands.allowed()}")
+        raise InputError(
+            f"--env: found {env!r} with --scene, allowed: {hands.allowed()}"
+        )
     paper = known[algo]
     with input_errors(f"scene {scene}" if scene else ""):
         config = RunConfig(
             RunOptions(algo=algo, env=env, total_timesteps=paper.total_timesteps),
-            setup(env, **{"task": paper.task, **named.on(env)}) if hands.is_hand(env) else None,
+            setup(env, **{"task": paper.task, **named.on(env)})
+            if hands.is_hand(env)
+            else None,
             recipes.recipe(algo, recipe or usual),
         ).choose(train)
         config.validate()
@@ -220,7 +252,11 @@ def from_dict(data: dict[str, Any]) -> RunConfig:
     try:
         run = typed.make(RunOptions, data["run"], "run")
         config_type, _ = algos.get(run.algo)
-        scene = None if data["scene"] is None else typed.make(GraspConfig, data["scene"], "scene")
+        scene = (
+            None
+            if data["scene"] is None
+            else typed.make(GraspConfig, data["scene"], "scene")
+        )
         learner = recipes.current(run.algo, data["learner"])
         config = RunConfig(run, scene, typed.make(config_type, learner, "learner"))
         config.validate()

@@ -37,7 +37,9 @@ def mean_interval(values: np.ndarray) -> tuple[float, float]:
     """Percentile bootstrap interval of the mean of `values` (n,)."""
     rng, each = np.random.default_rng(0), max(1, MOST_DRAWN // len(values))
     drawn = [
-        statistics.bootstrap(values, "mean", statistics.resample(rng, len(values), min(each, rest)))
+        statistics.bootstrap(
+            values, "mean", statistics.resample(rng, len(values), min(each, rest))
+        )
         for rest in range(N_RESAMPLES, 0, -each)
     ]
     return statistics.percentile_interval(np.concatenate(drawn))
@@ -56,7 +58,9 @@ def summarise(played: list[dict[str, Any]]) -> dict[str, Any]:
     result["mean_return_ci"] = list(mean_interval(returns))
     if not np.isnan(successes).any():
         result |= success_rate(successes)
-        result["mean_held_steps"] = float(np.mean([episode["held"] for episode in played]))
+        result["mean_held_steps"] = float(
+            np.mean([episode["held"] for episode in played])
+        )
     return result
 
 

@@ -28,15 +28,24 @@ UNPACKED, RATIO = 50_000_000, 100  # bytes, or times its size, that a file may u
 NAME = re.compile(r"[A-Za-z0-9][\w.+-]*")
 LONGEST_NAME = 240  # bytes; file systems allow 255, endings included
 PATIENCE = 2.0  # s; who only looks at a lock has it for an instant
-LEFTOVER = re.compile(r"\.[0-9a-f]{16}\.tmp")  # of a process that was killed while it wrote
+LEFTOVER = re.compile(
+    r"\.[0-9a-f]{16}\.tmp"
+)  # of a process that was killed while it wrote
 MAKER = "made by tactilerl"  # in the metadata of pictures
 IsOurs = Callable[[Path], Any]
 """Is the regular file there one of ours, by its content? What is false, or a ValueError, says no."""
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)  # not the fault of who named the file
+FULL = (
+    errno.ENOSPC,
+    errno.EDQUOT,
+    errno.EIO,
+    errno.EFBIG,
+)  # not the fault of who named the file
 
 
 @contextmanager
-def damage_named(path: Path, found: str = "damaged", missing: str = "") -> Iterator[None]:
+def damage_named(
+    path: Path, found: str = "damaged", missing: str = ""
+) -> Iterator[None]:
     """Whatever a file's content breaks is an InputError that names the file, and says what it is. Where
     there is no file it is a FileNotFoundError, or an InputError that says `missing`."""
     try:
@@ -46,10 +55,14 @@ def damage_named(path: Path, found: str = "damaged", missing: str = "") -> Itera
             raise
         raise InputError(missing) from None
     except InputError as error:
-        raise error if str(path) in str(error) else InputError(f"{path}: {error}") from error
+        raise (
+            error if str(path) in str(error) else InputError(f"{path}: {error}")
+        ) from error
     except Exception as error:  # parsers answer garbage with errors of any kind
         reason = getattr(error, "strerror", None) or " ".join(str(error).split())[:200]
-        raise InputError(f"{path}: {found} ({reason or type(error).__name__})") from error
+        raise InputError(
+            f"{path}: {found} ({reason or type(error).__name__})"
+        ) from error
 
 
 def open_regular(path: Path) -> BinaryIO:
@@ -149,11 +162,24 @@ def require_ours(path: Path, is_ours: IsOurs | None = None) -> None:
             return
         mode = path.lstat().st_mode
         if not stat.S_ISREG(mode):
-            found = "a link" if stat.S_ISLNK(mode) else "a folder" if stat.S_ISDIR(mode) else "no file"
-            raise InputError(f"cannot write {str(path)!r}: it is {found}, allowed a file or a new name")
+            found = (
+                "a link"
+                if stat.S_ISLNK(mode)
+                else "a folder"
+                if stat.S_ISDIR(mode)
+                else "no file"
+            )
+            raise InputError(
+                f"cannot write {str(path)!r}: it is {found}, allowed a file or a new name"
+            )
         try:
             is_known = is_ours is None or is_ours(path)
-        except (ValueError, TypeError, AttributeError, FileNotFoundError):  # other things are in it
+        except (
+            ValueError,
+            TypeError,
+            AttributeError,
+            FileNotFoundError,
+        ):  # other things are in it
             is_known = False
     if not is_known:
         raise InputError(
@@ -172,7 +198,9 @@ def own_folder(path: Path) -> Path:
     with writable(path):
         path.mkdir(exist_ok=True)
     if path.is_symlink():
-        raise InputError(f"cannot write into {str(path)!r}: it is a link, allowed a folder")
+        raise InputError(
+            f"cannot write into {str(path)!r}: it is a link, allowed a folder"
+        )
     return path
 
 
@@ -197,7 +225,10 @@ def locked(folder: Path) -> Iterator[None]:
                     left.unlink(missing_ok=True)
             yield
     except filelock.Timeout:
-        holder = path.read_text(encoding="utf-8", errors="replace")[:200] or "another process"
+        holder = (
+            path.read_text(encoding="utf-8", errors="replace")[:200]
+            or "another process"
+        )
         raise BusyError(f"{folder}: {holder} is writing to this folder") from None
 
 

@@ -26,7 +26,13 @@ if TYPE_CHECKING:
 
 FORMAT = 1  # of a policy's file
 FLOAT = 4  # bytes
-TYPES = {"policy_format": int, "algo": str, "learner": str, "spaces": str, "state": dict}
+TYPES = {
+    "policy_format": int,
+    "algo": str,
+    "learner": str,
+    "spaces": str,
+    "state": dict,
+}
 
 
 class Trained(NamedTuple):
@@ -56,7 +62,9 @@ def load_policy(path: str | Path) -> Policy:
         told = recipes.current(data["algo"], json.loads(data["learner"]))
         config: Any = typed.make(config_type, told, "learner")
         config.validate()
-        return _policy(path, data["algo"], config, Spaces.from_json(data["spaces"]), data["state"])
+        return _policy(
+            path, data["algo"], config, Spaces.from_json(data["spaces"]), data["state"]
+        )
 
 
 def save_policy(path: str | Path, algo: str, learner: Learner) -> None:
@@ -67,12 +75,16 @@ def save_policy(path: str | Path, algo: str, learner: Learner) -> None:
     """
     path = Path(path)
     if path.is_dir() or not path.parent.is_dir():
-        raise ValueError(f"path: found {str(path)!r}, allowed a file in a folder that exists")
+        raise ValueError(
+            f"path: found {str(path)!r}, allowed a file in a folder that exists"
+        )
     state = learner.state_dict()
     content = {
         "policy_format": FORMAT,
         "algo": algo,
-        "learner": json.dumps(dataclasses.asdict(learner.config.acting(learner.progress_remaining))),
+        "learner": json.dumps(
+            dataclasses.asdict(learner.config.acting(learner.progress_remaining))
+        ),
         "spaces": learner.spaces.to_json(),
         "state": {name: state[name] for name in learner.policy_parts},
     }
@@ -80,10 +92,14 @@ def save_policy(path: str | Path, algo: str, learner: Learner) -> None:
 
 
 def _fields(path: Path) -> dict[str, Any]:
-    return sealed.read_fields(path, "policy", FORMAT, TYPES, "; for a run, give its folder")
+    return sealed.read_fields(
+        path, "policy", FORMAT, TYPES, "; for a run, give its folder"
+    )
 
 
-def _policy(path: Path, algo: str, config: Any, spaces: Spaces, state: dict[str, Any]) -> Policy:
+def _policy(
+    path: Path, algo: str, config: Any, spaces: Spaces, state: dict[str, Any]
+) -> Policy:
     """The policy in a learner's state; ValueError before a network is made that no such file holds."""
     sizes = network_sizes(config.hidden, spaces)
     if FLOAT * sum(a * b for a, b in pairwise(sizes)) > path.stat().st_size:
@@ -106,7 +122,9 @@ def read_run(path: Path, env: str = "", trust: bool = False) -> Trained:
     with damage_named(file):
         spaces, state = Spaces.from_json(data["spaces"]), data["ranks"][0]
         remaining = progress_remaining(state["env_steps"], saved.run.total_timesteps)
-        policy = _policy(file, saved.run.algo, saved.learner.acting(remaining), spaces, state)
+        policy = _policy(
+            file, saved.run.algo, saved.learner.acting(remaining), spaces, state
+        )
     run = dataclasses.replace(saved.run, workers=1, device="cpu")
     scene = saved.scene and dataclasses.replace(saved.scene, hold_verdict="full")
     config = dataclasses.replace(saved, run=run, scene=scene)

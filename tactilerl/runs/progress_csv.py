@@ -26,12 +26,16 @@ class ProgressTable:
 
     def append(self, row: dict[str, Any]) -> None:
         """Add one row; the first decides the columns, also those of a version that had fewer."""
-        with open(self.path, "a+", newline="", encoding="utf-8", opener=no_link) as file:
+        with open(
+            self.path, "a+", newline="", encoding="utf-8", opener=no_link
+        ) as file:
             file.seek(0)
             columns = next(csv.reader(file), None)
             unknown = sorted(set(columns or ()) - set(row))
             if unknown:
-                raise InputError(f"{self.path}: found the column {unknown[0]!r}, not one of this run")
+                raise InputError(
+                    f"{self.path}: found the column {unknown[0]!r}, not one of this run"
+                )
             writer = csv.DictWriter(
                 file, columns or list(row), extrasaction="ignore", lineterminator="\n"
             )
@@ -58,7 +62,9 @@ class ProgressTable:
         lines, epochs = self._read()
         last = epochs[-1] if epochs else 0
         if epochs != [*range(last - len(epochs) + 1, last + 1)]:
-            raise InputError(f"{self.path}: damaged (the epochs do not follow one another)")
+            raise InputError(
+                f"{self.path}: damaged (the epochs do not follow one another)"
+            )
         if last not in (epoch, epoch + 1):
             raise InputError(
                 f"{self.path}: found epochs up to {last}, the checkpoint's is {epoch}; put back the "

@@ -30,7 +30,12 @@ class Origin(TypedDict):
 
 def origin(epoch: int = 0, env_steps: int = 0) -> Origin:
     """What is here now."""
-    return {"epoch": epoch, "env_steps": env_steps, "versions": versions(), "commit": commit(HERE)}
+    return {
+        "epoch": epoch,
+        "env_steps": env_steps,
+        "versions": versions(),
+        "commit": commit(HERE),
+    }
 
 
 def versions(*more: str) -> dict[str, str]:
@@ -53,7 +58,9 @@ def difference(before: Origin, now: Origin) -> str:
         if a.get(name) != b.get(name)
     ]
     if before["commit"] != now["commit"]:
-        changed.append("commit {} -> {}".format(*(short(r["commit"]) for r in (before, now))))
+        changed.append(
+            "commit {} -> {}".format(*(short(r["commit"]) for r in (before, now)))
+        )
     return ", ".join(changed)
 
 
@@ -69,7 +76,9 @@ def commit(folder: Path) -> str | None:
 
     None where none does: a virtual environment may lie inside somebody else's repository.
     """
-    env = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
+    env = {
+        name: value for name, value in os.environ.items() if not name.startswith("GIT_")
+    }
     describe = ["describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
     found = ""
     for command in (["ls-files", "--error-unmatch", "__init__.py"], describe):

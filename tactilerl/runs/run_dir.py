@@ -61,7 +61,9 @@ class RunDir:
                 f"folder {str(self.path)!r} exists but is not a run folder; choose another with --out"
             )
 
-    def write_config(self, config: RunConfig, ranks: int, epoch: int = 0, env_steps: int = 0) -> str:
+    def write_config(
+        self, config: RunConfig, ranks: int, epoch: int = 0, env_steps: int = 0
+    ) -> str:
         """Write config.json: every value, the number of ranks, and with what it was made.
 
         A run that goes on after `epoch` with other versions keeps the record of those before;
@@ -72,7 +74,12 @@ class RunDir:
         changed = provenance.difference(records[-1], now) if records else ""
         if changed or not records:
             records.append(now)
-        content = {"format": FORMAT, **config.as_dict(), "ranks": ranks, "provenance": records}
+        content = {
+            "format": FORMAT,
+            **config.as_dict(),
+            "ranks": ranks,
+            "provenance": records,
+        }
         if hand := config.hand or hands.digest(config.run.env):
             content["hand"] = hand
         with replacing(self.config_file) as file:
@@ -92,10 +99,14 @@ class RunDir:
         with damage_named(self.config_file):
             config = from_dict({name: data[name] for name in PARTS})
         if env not in ("", config.run.env):
-            raise InputError(f"env: found {env!r}, the run was made with {config.run.env!r}")
+            raise InputError(
+                f"env: found {env!r}, the run was made with {config.run.env!r}"
+            )
         is_trusted = trust or env == config.run.env
         hand = str(data.get("hand", ""))
-        return dataclasses.replace(config, folder=self.path, is_trusted=is_trusted, hand=hand)
+        return dataclasses.replace(
+            config, folder=self.path, is_trusted=is_trusted, hand=hand
+        )
 
     def record(self) -> dict[str, Any]:
         """What config.json holds, with values of this version or another; InputError when damaged."""
@@ -114,7 +125,9 @@ def as_record(data: Any) -> dict[str, Any]:
     where they are something else."""
     require_type(data, dict[str, Any], "record")
     if data.get("format") != FORMAT:
-        raise ValueError(f"not of format {FORMAT}; continue runs of version 0.1 with that version")
+        raise ValueError(
+            f"not of format {FORMAT}; continue runs of version 0.1 with that version"
+        )
     for name, kind in RECORD.items():
         if name not in data:
             raise ValueError(f"no {name!r} in it")
@@ -128,7 +141,10 @@ def with_new_names(parts: dict[str, Any]) -> dict[str, Any]:
     """The parts of a run, named as in this version, which has one precision."""
     run = parts.get("run", {}).items()
     run = {name: value for name, value in run if (name, value) != ("matmul", "float32")}
-    return parts | {"run": run, "scene": parts.get("scene") and scenes.renamed(parts["scene"])}
+    return parts | {
+        "run": run,
+        "scene": parts.get("scene") and scenes.renamed(parts["scene"]),
+    }
 
 
 def resolve(
@@ -148,5 +164,7 @@ def resolve(
     saved = RunDir(Path(resume)).read_config(env, trust)
     if recipe:
         with input_errors():
-            saved = dataclasses.replace(saved, learner=recipes.recipe(saved.run.algo, recipe))
+            saved = dataclasses.replace(
+                saved, learner=recipes.recipe(saved.run.algo, recipe)
+            )
     return saved

@@ -49,8 +49,12 @@ def read(path: Path, what: str = "checkpoint") -> Any:
         with open_regular(path) as file:
             require_small(file, 0, 1)  # `torch.save` does not compress
             with zipfile.ZipFile(file) as archive:
-                (values,) = (name for name in archive.namelist() if name.endswith("data.pkl"))
-                if b"bytearray" in archive.read(values):  # which PyTorch would make of any length
+                (values,) = (
+                    name for name in archive.namelist() if name.endswith("data.pkl")
+                )
+                if b"bytearray" in archive.read(
+                    values
+                ):  # which PyTorch would make of any length
                     raise ValueError("it holds a bytearray")
         return torch.load(path, weights_only=True, map_location="cpu", mmap=True)
 
@@ -71,10 +75,17 @@ def read_fields(
 
 def require_whole(path: Path) -> None:
     """ValueError where a file has no checksum, or one that does not fit."""
-    with open_regular(path) as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+    with (
+        open_regular(path) as file,
+        mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data,
+    ):
         size = max(0, len(data) - SEAL_SIZE)
         if not data[size:].startswith(MARK):
-            raise ValueError("no checksum at its end: cut off, or of a version before 0.2")
+            raise ValueError(
+                "no checksum at its end: cut off, or of a version before 0.2"
+            )
         with memoryview(data)[:size] as sealed:
             if data[size:] != MARK + hashlib.sha256(sealed).hexdigest().encode():
-                raise ValueError("its checksum does not match: it was changed after it was written")
+                raise ValueError(
+                    "its checksum does not match: it was changed after it was written"
+                )

@@ -32,7 +32,9 @@ from .run_dir import RunDir
 COUNTS = ("episodes", *FAULTS, "updates")  # columns of progress.csv that are sums
 
 
-def make_algorithm(config: RunConfig, comm: Communicator) -> tuple[Learner, vector.Workers]:
+def make_algorithm(
+    config: RunConfig, comm: Communicator
+) -> tuple[Learner, vector.Workers]:
     """The learner and its workers; InputError when they do not go together."""
     run = config.run
     with input_errors():
@@ -42,14 +44,19 @@ def make_algorithm(config: RunConfig, comm: Communicator) -> tuple[Learner, vect
 
 
 def start_learner(
-    run: RunOptions, hyperparameters: Any, start: Callable[[], vector.Workers], comm: Communicator
+    run: RunOptions,
+    hyperparameters: Any,
+    start: Callable[[], vector.Workers],
+    comm: Communicator,
 ) -> tuple[Learner, vector.Workers]:
     """The learner and the workers that `start` returns; ValueError when they do not go together."""
     _, algorithm = algos.get(run.algo)
     _require_device(run.device)
     with ExitStack() as started:
         workers = started.enter_context(closing(start()))
-        cores = run.workers or free_cores(comm)  # a toy is played on one and learned from on two
+        cores = run.workers or free_cores(
+            comm
+        )  # a toy is played on one and learned from on two
         _warn_of_wrappers(workers.env)
         options = comm, run.seed, run.total_timesteps, run.device, cores
         learner = algorithm(hyperparameters, workers, *options)
@@ -60,7 +67,9 @@ def start_learner(
 def _warn_of_wrappers(env: Any) -> None:
     """A warning where a wrapper's running statistics are of one process, and in no saved policy."""
     while isinstance(env, gym.Wrapper):
-        if isinstance(env, gym.wrappers.NormalizeObservation | gym.wrappers.NormalizeReward):
+        if isinstance(
+            env, gym.wrappers.NormalizeObservation | gym.wrappers.NormalizeReward
+        ):
             kind = type(env).__name__
             warnings.warn(
                 f"{kind} keeps statistics that no policy is saved with and that differ with the number "
@@ -70,7 +79,9 @@ def _warn_of_wrappers(env: Any) -> None:
         env = env.env
 
 
-def start_workers(config: RunConfig, comm: Communicator, n: int | None) -> vector.Workers:
+def start_workers(
+    config: RunConfig, comm: Communicator, n: int | None
+) -> vector.Workers:
     """`n` environments and who plays in them; by default as many as there are free cores. PyTorch
     computes with the run's number of threads from here on, in this process and in theirs."""
     set_up = partial(torch.set_num_threads, config.run.threads)
@@ -86,7 +97,9 @@ def train(config: RunConfig, comm: Communicator, summary: str = "") -> Path:
     Raises InputError over bad input and DivergenceError when the learner or every episode
     breaks; the last checkpoint stays.
     """
-    run_dir = RunDir(config.folder or Path(config.run.out or Path("runs") / config.name()))
+    run_dir = RunDir(
+        config.folder or Path(config.run.out or Path("runs") / config.name())
+    )
     config = run_dir.settled(config)
     learner, workers = make_algorithm(config, comm)
     try:
@@ -103,14 +116,22 @@ def train(config: RunConfig, comm: Communicator, summary: str = "") -> Path:
                 notes.append(paragraph("resumed", done))
             if comm.rank == 0:
                 run_dir.progress.cut(epoch)
-                if changed := run_dir.write_config(config, comm.size, epoch, learner.env_steps):
-                    notes.append(paragraph("versions", f"{changed}; from epoch {epoch + 1} on"))
+                if changed := run_dir.write_config(
+                    config, comm.size, epoch, learner.env_steps
+                ):
+                    notes.append(
+                        paragraph("versions", f"{changed}; from epoch {epoch + 1} on")
+                    )
             if epoch == 0:
                 checkpoint.save(0)
             if learner.env_steps >= learner.total_timesteps:
                 done = f"{learner.env_steps:,} of {learner.total_timesteps:,}"
-                notes.append(f"  nothing to do: {done} steps done; raise --total-timesteps")
-            with ProgressBar(learner, comm, run_dir.path if config.run.tensorboard else None) as report:
+                notes.append(
+                    f"  nothing to do: {done} steps done; raise --total-timesteps"
+                )
+            with ProgressBar(
+                learner, comm, run_dir.path if config.run.tensorboard else None
+            ) as report:
                 report.note("\n".join(filter(None, notes)))
                 for row in epochs(learner, epoch):
                     if comm.rank == 0:
@@ -154,7 +175,9 @@ def _begun(checkpoint: Checkpoint) -> int:
             )
         return 0
     epoch, goal = checkpoint.restore(), learner.total_timesteps
-    if epoch and goal < min(learner.env_steps, run_dir.read_config().run.total_timesteps):
+    if epoch and goal < min(
+        learner.env_steps, run_dir.read_config().run.total_timesteps
+    ):
         raise InputError(
             f"total_timesteps: found {goal:,} for a run that has made {learner.env_steps:,} steps, "
             "allowed more: they count from the run's beginning"
@@ -192,15 +215,21 @@ def _epoch(learner: Learner) -> dict[str, Any]:
         **test,
         "collect_s": round(float(spent[::2].sum()), 4),
         "update_s": round(float(spent[1::2].sum()), 4),
-        "steps_per_s": round((learner.env_steps - before) / (time.perf_counter() - times[0]), 1),
+        "steps_per_s": round(
+            (learner.env_steps - before) / (time.perf_counter() - times[0]), 1
+        ),
     }
 
 
-def _merged(rows: list[dict[str, float]], weights: list[float] | None = None) -> dict[str, float]:
+def _merged(
+    rows: list[dict[str, float]], weights: list[float] | None = None
+) -> dict[str, float]:
     """One row for an epoch's cycles: counts are added, everything else is averaged."""
     columns = {key: [row[key] for row in rows] for key in rows[0]}
     return {
-        key: sum(values) if key in COUNTS else float(np.average(values, weights=weights))
+        key: sum(values)
+        if key in COUNTS
+        else float(np.average(values, weights=weights))
         for key, values in columns.items()
     }
 

@@ -81,15 +81,23 @@ class Analysis:
     setups: list[SetupResult]
 
 
-def analyse(study: Study, records: list[Record], n_resamples: int = statistics.N_RESAMPLES) -> Analysis:
+def analyse(
+    study: Study, records: list[Record], n_resamples: int = statistics.N_RESAMPLES
+) -> Analysis:
     """All numbers of a report."""
     setups = []
     for index, setup in enumerate(study.setups):
         own = [record for record in records if record.run.setup == setup.name]
         finished = [record for record in own if record.is_finished]
         first, last = verdicts.span(finished)
-        points = min(MOST_POINTS, max((len(one.curve[0]) for one in finished), default=0))
-        steps = np.linspace(first, last, points) if first < last else np.full(min(1, points), last)
+        points = min(
+            MOST_POINTS, max((len(one.curve[0]) for one in finished), default=0)
+        )
+        steps = (
+            np.linspace(first, last, points)
+            if first < last
+            else np.full(min(1, points), last)
+        )
         groups = {}
         rng = np.random.default_rng([SEED, index])
         for cell in setup.cells:
@@ -101,26 +109,41 @@ def analyse(study: Study, records: list[Record], n_resamples: int = statistics.N
                     groups[cell, arm] = _group(runs, steps, common, counts)
         compared = {
             cell: _comparison(study, setup, verdict, records, n_resamples)
-            for cell, verdict in verdicts.judge(study, setup, records, n_resamples).items()
+            for cell, verdict in verdicts.judge(
+                study, setup, records, n_resamples
+            ).items()
             if all((cell, arm) in groups for arm in setup.arms[:2])
         }
         setups.append(SetupResult(setup, steps, groups, compared, own))
     return Analysis(study, records, setups)
 
 
-def _group(runs: list[Record], steps: Array, common: tuple[float, float], counts: Array) -> Group:
+def _group(
+    runs: list[Record], steps: Array, common: tuple[float, float], counts: Array
+) -> Group:
     curves = np.array([np.interp(steps, *record.curve) for record in runs])
     reached = [verdicts.scores(record, *common) for record in runs]
     scores = {name: np.array([one[name] for one in reached]) for name in reached[0]}
     aggregated = statistics.sample_efficiency(curves, "iqm", counts)
-    return Group([record.run.seed for record in runs], curves, *aggregated, scores, counts)
+    return Group(
+        [record.run.seed for record in runs], curves, *aggregated, scores, counts
+    )
 
 
 def _comparison(
-    study: Study, setup: Setup, verdict: Verdict, records: list[Record], n_resamples: int
+    study: Study,
+    setup: Setup,
+    verdict: Verdict,
+    records: list[Record],
+    n_resamples: int,
 ) -> Comparison:
     others = [score for score in SCORES if score != study.primary.score]
-    both = {score: verdicts.both_arms(records, setup, verdict.cell, score) for score in others}
-    secondary = {score: verdicts.in_pairs(arms, n_resamples) for score, arms in both.items()}
+    both = {
+        score: verdicts.both_arms(records, setup, verdict.cell, score)
+        for score in others
+    }
+    secondary = {
+        score: verdicts.in_pairs(arms, n_resamples) for score, arms in both.items()
+    }
     room = verdicts.headroom(study, setup, verdict.cell, records, n_resamples)
     return Comparison(verdict, secondary, room)

@@ -33,9 +33,13 @@ def configure(runs: Iterable[Run], trust: bool = True) -> dict[str, RunConfig]:
                 with input_errors():
                     plugins.import_modules(run.modules)
                 flags = run.arguments
-                read[run.combination] = train_flags.read(flags, train_flags.defaults(flags))[0]
+                read[run.combination] = train_flags.read(
+                    flags, train_flags.defaults(flags)
+                )[0]
             config = read[run.combination]
-            config = dataclasses.replace(config, run=dataclasses.replace(config.run, seed=run.seed))
+            config = dataclasses.replace(
+                config, run=dataclasses.replace(config.run, seed=run.seed)
+            )
             with input_errors():
                 config.validate()
             module, colon, _ = config.run.env.partition(":")
@@ -48,7 +52,9 @@ def configure(runs: Iterable[Run], trust: bool = True) -> dict[str, RunConfig]:
 
 def _require_trust(modules: list[str], trust: bool) -> None:
     if modules and not trust:
-        raise InputError(f"it imports the module {modules[0]!r}; if you trust it, give --trust")
+        raise InputError(
+            f"it imports the module {modules[0]!r}; if you trust it, give --trust"
+        )
 
 
 def require_same(records: Iterable[Record], configs: Mapping[str, RunConfig]) -> None:
@@ -60,7 +66,9 @@ def require_same(records: Iterable[Record], configs: Mapping[str, RunConfig]) ->
         for part, wanted in config.identity().items():
             made = (record.config or {}).get(part) or {}
             if part == "learner" and made:
-                wanted, made = (recipes.comparable(config.run.algo, each) for each in (wanted, made))
+                wanted, made = (
+                    recipes.comparable(config.run.algo, each) for each in (wanted, made)
+                )
             for key, value in (wanted or {}).items():
                 if key in made and made[key] != value:
                     raise InputError(
@@ -79,7 +87,9 @@ def _require_no_cut(record: Record, config: RunConfig) -> None:
         )
 
 
-def start(records: Iterable[Record], configs: Mapping[str, RunConfig]) -> dict[str, float]:
+def start(
+    records: Iterable[Record], configs: Mapping[str, RunConfig]
+) -> dict[str, float]:
     """Make the environment and the learner of every combination that has not begun yet, as `train`
     would; InputError naming the first run for which that fails.
 

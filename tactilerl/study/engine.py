@@ -18,7 +18,13 @@ from ..runs.cores import free_cores
 from .records import StudyFiles
 from .runner import LOOK, PATIENCE, Ending, RunJob, run_job, threads
 
-BATCH = {"slurm": "SLURM", "pbs": "PBS", "lsf": "LSF", "sge": "SGE", "htcondor": "HTCondor"}
+BATCH = {
+    "slurm": "SLURM",
+    "pbs": "PBS",
+    "lsf": "LSF",
+    "sge": "SGE",
+    "htcondor": "HTCondor",
+}
 DASK = "dask:"
 MEMORY = "3GB"  # of a process, as the guide says
 
@@ -46,13 +52,17 @@ class Engine:
         if is_batch and not self.jobs:
             raise InputError(f"--on {self.on}: how many jobs to submit? Give --jobs N")
         if self.jobs and not is_batch and self.on != "local":
-            raise InputError(f"--jobs: found with --on {self.on}, which has as many as there are")
+            raise InputError(
+                f"--jobs: found with --on {self.on}, which has as many as there are"
+            )
         for flag in ("walltime", "memory"):
             if getattr(self, flag) and not is_batch:
                 raise InputError(f"--{flag}: allowed only with --on {', '.join(BATCH)}")
 
     @contextmanager
-    def executor(self) -> Iterator[tuple[concurrent.futures.Executor, Callable[[], int]] | None]:
+    def executor(
+        self,
+    ) -> Iterator[tuple[concurrent.futures.Executor, Callable[[], int]] | None]:
         """Where jobs are submitted to, and how many it trains at a time now.
 
         None on the ranks of MPI that do the work; they are done when the first rank is.
@@ -62,7 +72,9 @@ class Engine:
             ranks = mpi.world().size
         if self.on == "mpi" or (self.on == "local" and ranks > 1):
             if ranks == 1:
-                raise InputError("--on mpi: found one process; start it with mpirun -n N, N > 1")
+                raise InputError(
+                    "--on mpi: found one process; start it with mpirun -n N, N > 1"
+                )
             if self.jobs:
                 where = f"under mpirun, which trains {ranks - 1} at a time"
                 raise InputError(f"--jobs: found {where}; leave it out")
@@ -79,7 +91,10 @@ class Engine:
                 yield pool, lambda: n
         else:
             with self._client() as client:
-                yield client.get_executor(pure=False), lambda: sum(client.nthreads().values())
+                yield (
+                    client.get_executor(pure=False),
+                    lambda: sum(client.nthreads().values()),
+                )
 
     def _client(self) -> Any:
         with extra("cluster"):
@@ -95,7 +110,11 @@ class Engine:
                 where.scale(jobs=self.jobs)
             connect: Any = Client  # which has no types
             return connect(where)
-        except (OSError, ValueError, RuntimeError) as error:  # no scheduler there, no sbatch here
+        except (
+            OSError,
+            ValueError,
+            RuntimeError,
+        ) as error:  # no scheduler there, no sbatch here
             raise InputError(f"--on {self.on}: {error}") from error
 
     def cluster(self) -> Any:
@@ -105,23 +124,33 @@ class Engine:
         with extra("cluster"):
             import dask
             import dask_jobqueue
-        signal.signal(signal.SIGINT, on_interrupt)  # dask_jobqueue brings a handler that exits
+        signal.signal(
+            signal.SIGINT, on_interrupt
+        )  # dask_jobqueue brings a handler that exits
 
         options: dict[str, Any] = {
             "cores": self.ranks,
             "processes": 1,
             "worker_extra_args": ["--nthreads", "1"],
-            "memory": self.memory or dask.config.get(f"jobqueue.{self.on}.memory") or MEMORY,
+            "memory": self.memory
+            or dask.config.get(f"jobqueue.{self.on}.memory")
+            or MEMORY,
         }
         if self.on == "htcondor":  # which has no limit of time
             options["disk"] = dask.config.get("jobqueue.htcondor.disk") or "1GB"
         elif self.walltime:
-            is_lsf = self.on == "lsf" and self.walltime.count(":") == 2  # which has no seconds
-            options["walltime"] = self.walltime.rpartition(":")[0] if is_lsf else self.walltime
+            is_lsf = (
+                self.on == "lsf" and self.walltime.count(":") == 2
+            )  # which has no seconds
+            options["walltime"] = (
+                self.walltime.rpartition(":")[0] if is_lsf else self.walltime
+            )
         return getattr(dask_jobqueue, f"{BATCH[self.on]}Cluster")(**options)
 
 
-def run_all(jobs: list[RunJob], pool: concurrent.futures.Executor, watch: Watch) -> dict[str, Ending]:
+def run_all(
+    jobs: list[RunJob], pool: concurrent.futures.Executor, watch: Watch
+) -> dict[str, Ending]:
     """Run the jobs in order; the endings by name of the run.
 
     `watch` is called every second and whenever jobs end, with the jobs that run and the endings so
@@ -135,7 +164,9 @@ def run_all(jobs: list[RunJob], pool: concurrent.futures.Executor, watch: Watch)
             time.sleep(PATIENCE)
         waiting = {pool.submit(run_job, job): job for job in batch}
         while waiting:
-            ended, _ = concurrent.futures.wait(waiting, LOOK, concurrent.futures.FIRST_COMPLETED)
+            ended, _ = concurrent.futures.wait(
+                waiting, LOOK, concurrent.futures.FIRST_COMPLETED
+            )
             for future in ended:
                 job = waiting.pop(future)
                 if (ending := _ending(future, job)) is None:
@@ -155,5 +186,7 @@ def _ending(future: concurrent.futures.Future[Ending], job: RunJob) -> Ending | 
     except Exception as error:
         if type(error).__name__ != "KilledWorker":  # Dask's
             raise
-        StudyFiles(job.folder).write_failure(job.run, f"it ended several workers ({error})"[:300])
+        StudyFiles(job.folder).write_failure(
+            job.run, f"it ended several workers ({error})"[:300]
+        )
         return "failed"

@@ -19,7 +19,9 @@ COLUMNS = ["setup", "setting", "arm", "score", "n", "estimate", "low", "high", "
 
 def scores(analysis: Analysis) -> bytes:
     """A row for each arm and score, and for each difference in pairs: its estimate, low and high."""
-    table = pd.DataFrame(_rows(analysis), columns=COLUMNS).dropna(axis="columns", how="all")
+    table = pd.DataFrame(_rows(analysis), columns=COLUMNS).dropna(
+        axis="columns", how="all"
+    )
     return table.to_csv(index=False, lineterminator="\n").encode()
 
 
@@ -29,12 +31,30 @@ def _rows(analysis: Analysis) -> Iterator[tuple[Any, ...]]:
         for (cell, arm), group in one.groups.items():
             for score in SCORES:
                 mean = statistics.mean(group.scores[score], group.counts)
-                yield one.setup.name, cell, one.setup.label(arm), score, len(group), *mean, None
+                yield (
+                    one.setup.name,
+                    cell,
+                    one.setup.label(arm),
+                    score,
+                    len(group),
+                    *mean,
+                    None,
+                )
         difference = " − ".join(map(one.setup.label, one.setup.arms[:2]))
         for cell, found in one.comparisons.items():
-            for score, pairs in ({primary: found.verdict.pairs} | found.secondary).items():
+            for score, pairs in (
+                {primary: found.verdict.pairs} | found.secondary
+            ).items():
                 p_holm = found.verdict.p_holm if score == primary else None
-                yield one.setup.name, cell, difference, score, len(pairs), *pairs.difference, p_holm
+                yield (
+                    one.setup.name,
+                    cell,
+                    difference,
+                    score,
+                    len(pairs),
+                    *pairs.difference,
+                    p_holm,
+                )
 
 
 def arrays(analysis: Analysis) -> bytes:
@@ -52,7 +72,10 @@ def arrays(analysis: Analysis) -> bytes:
             })  # fmt: skip
             table = table.reindex(one.setup.seeds).dropna()
             if table.size:
-                parts = [one.setup.name if len(analysis.setups) > 1 else "", one.setup.label(arm)]
+                parts = [
+                    one.setup.name if len(analysis.setups) > 1 else "",
+                    one.setup.label(arm),
+                ]
                 found[", ".join(filter(None, parts))] = np.ascontiguousarray(table)
     file = io.BytesIO()
     np.savez(file, **found)  # type: ignore[arg-type]

@@ -43,7 +43,10 @@ class Picture:
         made: dict[str, bytes] = {}
         shown: dict[str, Any] = {}
         with matplotlib.rc_context(STYLE):
-            figure = Figure(figsize=(self.size[0] * columns, self.size[1] * rows), layout="constrained")
+            figure = Figure(
+                figsize=(self.size[0] * columns, self.size[1] * rows),
+                layout="constrained",
+            )
             axes = figure.subplots(rows, columns, squeeze=False).ravel()
             for (title, draw), one in zip(self.panels, axes, strict=False):
                 draw(one)
@@ -84,7 +87,9 @@ def differences(one: SetupResult, score: str) -> Picture:
     """Every pair's difference by the primary score, and their means with intervals."""
     treatment, control = map(one.setup.label, one.setup.arms[:2])
     label = f"{MEANS[score]}: {treatment} − {control}"
-    title = f"{treatment} − {control}, {MEANS[score]}: each pair, mean and 95 % interval"
+    title = (
+        f"{treatment} − {control}, {MEANS[score]}: each pair, mean and 95 % interval"
+    )
     panels = [("", partial(_differences_of, one, label))]
     size = 6.4, 1.5 + 0.45 * len(one.comparisons)
     return Picture(f"{one.setup.name}_differences", title, setting(one), panels, size)
@@ -96,7 +101,12 @@ def _differences_of(one: SetupResult, label: str, axes: Axes) -> None:
         pairs, is_first = found.verdict.pairs, row == 0
         gaps = pairs.treatment - pairs.control
         axes.plot(
-            gaps, np.full(len(gaps), row + 0.22), ".", color=FAINT, ms=6, label="a pair" * is_first
+            gaps,
+            np.full(len(gaps), row + 0.22),
+            ".",
+            color=FAINT,
+            ms=6,
+            label="a pair" * is_first,
         )
         if len(gaps):
             bar(axes, row, pairs.difference, ARMS[0], "s", "their mean" * is_first)
@@ -120,21 +130,47 @@ def _curves_of(one: SetupResult, cell: str, axes: Axes) -> None:
         if group is None:
             continue
         # Bands below everything and so light that two of them do not mix to a third colour.
-        axes.fill_between(one.steps, *group.iqm_bounds.T, color=colour, alpha=0.13, lw=0, zorder=1)
+        axes.fill_between(
+            one.steps, *group.iqm_bounds.T, color=colour, alpha=0.13, lw=0, zorder=1
+        )
         axes.plot(one.steps, group.curves.T, color=colour, lw=0.8, alpha=0.7, zorder=2)
-        marker, named = "o" if len(one.steps) == 1 else None, label_of(one.setup.label(name))
+        marker, named = (
+            "o" if len(one.steps) == 1 else None,
+            label_of(one.setup.label(name)),
+        )
         label = ", ".join(filter(None, [named, "IQM"]))
         axes.plot(
-            one.steps, group.iqm_curve, color=colour, lw=2.2, label=label, marker=marker, zorder=3
+            one.steps,
+            group.iqm_curve,
+            color=colour,
+            lw=2.2,
+            label=label,
+            marker=marker,
+            zorder=3,
         )
     axes.plot([], [], color=INK, lw=0.8, alpha=0.7, label="a run")
-    axes.fill_between([], [], color=INK, alpha=0.13, lw=0, label="95 % interval of the IQM")
-    axes.set(xlabel="environment steps", ylabel=one.setup.measure.replace("_", " "), ylim=(-0.02, 1.02))
+    axes.fill_between(
+        [], [], color=INK, alpha=0.13, lw=0, label="95 % interval of the IQM"
+    )
+    axes.set(
+        xlabel="environment steps",
+        ylabel=one.setup.measure.replace("_", " "),
+        ylim=(-0.02, 1.02),
+    )
     axes.xaxis.set_major_locator(matplotlib.ticker.MaxNLocator(4))
     axes.xaxis.set_major_formatter(matplotlib.ticker.EngFormatter(sep=""))
 
 
-def bar(axes: Axes, y: float, estimate: Estimate, colour: str, marker: str, label: str) -> None:
+def bar(
+    axes: Axes, y: float, estimate: Estimate, colour: str, marker: str, label: str
+) -> None:
     """An estimate and its interval."""
-    axes.plot(estimate[1:], [y, y], color=colour, linewidth=2.2, alpha=0.55, solid_capstyle="butt")
+    axes.plot(
+        estimate[1:],
+        [y, y],
+        color=colour,
+        linewidth=2.2,
+        alpha=0.55,
+        solid_capstyle="butt",
+    )
     axes.plot(estimate.value, y, marker, color=colour, ms=4.5, label=label)

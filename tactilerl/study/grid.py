@@ -43,7 +43,10 @@ from ..errors import InputError, input_errors
 from ..runs.files import require_name
 from ..style import ROLES
 
-MEASURES = ("success_rate", "test_success_rate")  # columns of progress.csv that are shares
+MEASURES = (
+    "success_rate",
+    "test_success_rate",
+)  # columns of progress.csv that are shares
 KEYS = {"name", "measure", "compare", "primary", "looks", "grid", "setups"}
 OWN_KEYS = {"measure", "compare", "grid"}  # of a set-up, besides flags
 SEED, IMPORT = "seed", "import"
@@ -78,7 +81,10 @@ class Looks:
 
     def validate(self) -> None:
         """ValueError unless the looks follow one another."""
-        if sorted(set(self.pairs)) != list(self.pairs) or min(self.pairs, default=0) < 2:
+        if (
+            sorted(set(self.pairs)) != list(self.pairs)
+            or min(self.pairs, default=0) < 2
+        ):
             found = f"found {list(self.pairs)}"
             raise ValueError(
                 f"looks: pairs: {found}, allowed increasing numbers, such as [6, 9, 12, 16]"
@@ -124,7 +130,11 @@ class Setup:
         if self.compare is None:
             return [""]
         first = [self.compare.treatment, self.compare.control]
-        rest = [text(value) for value in self.grid[self.compare.flag] if text(value) not in first]
+        rest = [
+            text(value)
+            for value in self.grid[self.compare.flag]
+            if text(value) not in first
+        ]
         return first + rest
 
     @property
@@ -139,7 +149,9 @@ class Setup:
     def runs(self, seed: int) -> Iterator[Run]:
         """Those of one seed, in order of the grid."""
         compared = self.compare.flag if self.compare else ""
-        flags = sorted(self.grid, key=lambda flag: flag == compared)  # the compared one last
+        flags = sorted(
+            self.grid, key=lambda flag: flag == compared
+        )  # the compared one last
         for values in itertools.product(*(self.grid[flag] for flag in flags)):
             chosen = dict(zip(flags, values, strict=True))
             shown = {flag: text(value) for flag, value in chosen.items()}
@@ -180,7 +192,9 @@ class Run:
     def arguments(self) -> list[str]:
         """The command line of `tactilerl train`, without where it is written and what is imported
         first; one core to itself."""
-        flags = {flag: value for flag, value in renamed(self.flags).items() if flag != IMPORT}
+        flags = {
+            flag: value for flag, value in renamed(self.flags).items() if flag != IMPORT
+        }
         return ["--workers", "1", *to_arguments(flags), "--seed", str(self.seed)]
 
     @property
@@ -225,7 +239,9 @@ class Study:
         for name in names:
             if name not in known:
                 allowed = ", ".join(known)[:300]
-                raise InputError(f"{where}: found no {name!r} in it, allowed: {allowed}")
+                raise InputError(
+                    f"{where}: found no {name!r} in it, allowed: {allowed}"
+                )
         return {
             run: tuple(name for name in told if name not in names)
             for run, told in own.items()
@@ -238,12 +254,19 @@ class Study:
         if self.looks:
             self.looks.validate()
         for setup in self.setups:
-            if self.looks and setup.compare and len(setup.seeds) != self.looks.pairs[-1]:
+            if (
+                self.looks
+                and setup.compare
+                and len(setup.seeds) != self.looks.pairs[-1]
+            ):
                 raise ValueError(
                     f"looks: pairs: found {list(self.looks.pairs)}, but {setup.name} has "
                     f"{len(setup.seeds)} seeds; the last look is at all of them"
                 )
-        n_runs = sum(len(one.seeds) * math.prod(map(len, one.grid.values())) for one in self.setups)
+        n_runs = sum(
+            len(one.seeds) * math.prod(map(len, one.grid.values()))
+            for one in self.setups
+        )
         if n_runs > MOST_RUNS:
             allowed = f"allowed are up to {MOST_RUNS:,} runs in a study"
             raise ValueError(f"setups: found {n_runs:,} runs, {allowed}")
@@ -262,17 +285,25 @@ def from_dict(data: Any) -> Study:
     """
     tables = {}
     for one in data["setups"]:
-        setup = Setup(**{**one, "compare": one["compare"] and Contrast(**one["compare"])})
+        setup = Setup(
+            **{**one, "compare": one["compare"] and Contrast(**one["compare"])}
+        )
         for part in filter(None, (setup, setup.compare)):
             typed.require(type(part), vars(part))
-        pair = setup.compare and {setup.compare.flag: [setup.compare.treatment, setup.compare.control]}
+        pair = setup.compare and {
+            setup.compare.flag: [setup.compare.treatment, setup.compare.control]
+        }
         grid = {**setup.grid, SEED: list(setup.seeds)}
         parts = {"measure": setup.measure, "compare": pair or {}, "grid": grid}
         tables[setup.name] = {**setup.flags, **parts}
     if len(tables) < len(data["setups"]):
         raise ValueError("setups: found one twice")
-    known = {key: data[key] for key in ("primary", "looks") if data.get(key) is not None}
-    return _study({"name": data["name"], "setups": tables, **known})  # 0.2.0 had neither of `known`
+    known = {
+        key: data[key] for key in ("primary", "looks") if data.get(key) is not None
+    }
+    return _study(
+        {"name": data["name"], "setups": tables, **known}
+    )  # 0.2.0 had neither of `known`
 
 
 def read(path: Path) -> Study:
@@ -287,7 +318,9 @@ def _study(data: dict[str, Any]) -> Study:
     toml_files.only(data, KEYS, "study file")
     setups = toml_files.table(data, "setups")
     if not setups:
-        raise ValueError("setups: found none, expected one or more tables [setups.NAME]")
+        raise ValueError(
+            "setups: found none, expected one or more tables [setups.NAME]"
+        )
     found = []
     for name in setups:
         with toml_files.blamed(f"setups.{name}"[:60]):
@@ -309,12 +342,18 @@ def _setup(name: str, own: dict[str, Any], study: dict[str, Any]) -> Setup:
     require_name(name, "name")
     grid = _grid(toml_files.table(own if "grid" in own else study, "grid"))
     seeds = _seeds(grid.pop(SEED, [0]))
-    flags = _flags({key: value for key, value in own.items() if key not in OWN_KEYS}, TAKEN)
+    flags = _flags(
+        {key: value for key, value in own.items() if key not in OWN_KEYS}, TAKEN
+    )
     if both := sorted(flags.keys() & grid.keys()):
-        raise ValueError(f"{both[0]}: found in the set-up and in its grid, allowed in one")
+        raise ValueError(
+            f"{both[0]}: found in the set-up and in its grid, allowed in one"
+        )
     measure = own.get("measure", study.get("measure", MEASURES[0]))
     require_one_of(MEASURES, measure, "measure")
-    compare = _compare(toml_files.table(own if "compare" in own else study, "compare"), grid)
+    compare = _compare(
+        toml_files.table(own if "compare" in own else study, "compare"), grid
+    )
     return Setup(name, flags, grid, seeds, compare, measure)
 
 
@@ -325,7 +364,9 @@ def _flags(table: dict[str, Any], taken: set[str]) -> dict[str, Any]:
         flag = _flag(key)
         if flag in taken:
             decided = "is decided by `tactilerl study`; leave it out"
-            raise ValueError(f"{key}: {'belongs in the grid' if flag == SEED else decided}")
+            raise ValueError(
+                f"{key}: {'belongs in the grid' if flag == SEED else decided}"
+            )
         if flag in flags:
             raise ValueError(f"{key}: found twice, with a dash and with an underscore")
         _require_values(value, key)
@@ -355,7 +396,9 @@ def _seeds(values: list[Any]) -> list[int]:
         match = re.fullmatch(r"\s*(\d+)\s*(?:-\s*(\d+))?\s*", part)
         first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
         if last < first:
-            raise ValueError(f'seed: found {part!r}, expected numbers and ranges, such as "0-9"')
+            raise ValueError(
+                f'seed: found {part!r}, expected numbers and ranges, such as "0-9"'
+            )
         if len(seeds) + last - first >= MOST_RUNS:
             raise ValueError(f"seed: found {part!r}, allowed up to {MOST_RUNS:,} seeds")
         seeds += range(first, last + 1)
@@ -379,14 +422,18 @@ def _compare(table: dict[str, Any], grid: dict[str, list[Any]]) -> Contrast | No
     for value in (treatment, control):
         require_one_of(map(text, grid[flag]), value, f"compare: {key}")
     if treatment == control:
-        raise ValueError(f"compare: {key}: found {control!r} as treatment and as control")
+        raise ValueError(
+            f"compare: {key}: found {control!r} as treatment and as control"
+        )
     return Contrast(flag, treatment, control)
 
 
 def _flag(key: str) -> str:
     """A flag's name with underscores, as in config.json; dashes are read as well."""
     if not FLAG.fullmatch(key):
-        raise ValueError(f"found {key[:60]!r}, expected the name of a flag, such as layout")
+        raise ValueError(
+            f"found {key[:60]!r}, expected the name of a flag, such as layout"
+        )
     return key.replace("-", "_")
 
 
@@ -397,8 +444,12 @@ def _require_values(value: Any, where: str) -> None:
             _require_values(one, where)
     elif not isinstance(value, bool | int | float | str):
         found = type(value).__name__
-        raise ValueError(f"{where}: found a {found}, expected a value, or a list of them")
-    elif isinstance(value, str) and value.startswith("-") and not NUMBER.fullmatch(value):
+        raise ValueError(
+            f"{where}: found a {found}, expected a value, or a list of them"
+        )
+    elif (
+        isinstance(value, str) and value.startswith("-") and not NUMBER.fullmatch(value)
+    ):
         raise ValueError(f"{where}: found {value[:60]!r}, expected a value, not a flag")
 
 

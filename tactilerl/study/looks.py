@@ -38,7 +38,11 @@ def run(
 
     for n in study.looks.pairs:
         is_last, found = n == study.looks.pairs[-1], now()
-        due = [r for r in study.runs() if r.name in waiting and _is_due(study, r, n, is_last, found)]
+        due = [
+            r
+            for r in study.runs()
+            if r.name in waiting and _is_due(study, r, n, is_last, found)
+        ]
         batch = [waiting.pop(r.name) for r in due]
         endings |= run_all(batch)
         while busy := [job for job in batch if endings[job.run.name] == "busy"]:
@@ -58,7 +62,11 @@ def judge(study: Study, found: Sequence[Record]) -> Found:
 def answers(study: Study, found: Found) -> list[str]:
     """A sentence for each comparison."""
     score = study.primary.score
-    return [summary.answer(one, v, score) for one in study.setups for v in found[one.name].values()]
+    return [
+        summary.answer(one, v, score)
+        for one in study.setups
+        for v in found[one.name].values()
+    ]
 
 
 def have_ended(found: Found) -> bool:
@@ -72,4 +80,6 @@ def _is_due(study: Study, run: Run, n: int, is_last: bool, found: Found) -> bool
     setup = next(one for one in study.setups if one.name == run.setup)
     own = found[setup.name].get(run.cell)
     is_open = not have_ended({setup.name: {run.cell: own}} if own else found)
-    return is_open and (setup.seeds.index(run.seed) < n or (is_last and setup.compare is None))
+    return is_open and (
+        setup.seeds.index(run.seed) < n or (is_last and setup.compare is None)
+    )

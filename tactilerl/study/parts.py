@@ -49,7 +49,11 @@ def compare(a: Part, b: Part, score: str) -> list[dict[str, Any]]:
         pairs = [(place, place) for place in a if place in b]
     if not pairs:
         names = (", ".join(" ".join(place) for place in part) for part in (a, b))
-        raise InputError("compare: found {} in one and {} in the other, nothing in both".format(*names))
+        raise InputError(
+            "compare: found {} in one and {} in the other, nothing in both".format(
+                *names
+            )
+        )
     rows: list[dict[str, Any]] = []
     for at_a, at_b in pairs:
         both = a[at_a], b[at_b]
@@ -61,7 +65,9 @@ def compare(a: Part, b: Part, score: str) -> list[dict[str, Any]]:
             )
         compared, place = in_pairs(scored(score, *both)), " ".join(at_a) or "all"
         if not len(compared):
-            raise InputError(f"compare: {place}: found no seed that both have, needed for pairs")
+            raise InputError(
+                f"compare: {place}: found no seed that both have, needed for pairs"
+            )
         counts = {"runs": [*map(len, both)], "until": end, "pairs": len(compared)}
         gap = compared.difference._asdict()
         rows.append({"place": place, **counts, **gap, "p": compared.p_value})

@@ -16,7 +16,12 @@ from .records import Record
 from .verdicts import Pairs, both_arms, in_pairs
 
 MOST = 100_000  # runs; more are none that anybody could train
-SHARES = (3 / 8, 9 / 16, 3 / 4, 1)  # of the pairs, at which to look: 6, 9, 12 and 16 of 16
+SHARES = (
+    3 / 8,
+    9 / 16,
+    3 / 4,
+    1,
+)  # of the pairs, at which to look: 6, 9, 12 and 16 of 16
 
 
 @dataclass(frozen=True)
@@ -50,7 +55,9 @@ def plan(
     needs = []
     for setup in study.setups:
         for score in SCORES if setup.compare else ():
-            cells = [in_pairs(both_arms(records, setup, cell, score)) for cell in setup.cells]
+            cells = [
+                in_pairs(both_arms(records, setup, cell, score)) for cell in setup.cells
+            ]
             cells = [one for one in cells if len(one) > 1]
             if cells:
                 needs.append(_need(setup, score, cells, effect, power, alpha))
@@ -58,12 +65,20 @@ def plan(
 
 
 def _need(
-    setup: Setup, score: str, cells: Sequence[Pairs], effect: float, power: float, alpha: float
+    setup: Setup,
+    score: str,
+    cells: Sequence[Pairs],
+    effect: float,
+    power: float,
+    alpha: float,
 ) -> Need:
     correlation, sd, sd_arm = spread([(one.treatment, one.control) for one in cells])
     n_pairs, tail = sum(map(len, cells)), (1 - CONFIDENCE) / 2
     freedom = n_pairs - len(cells)
-    low, high = (sd * math.sqrt(freedom / scipy.stats.chi2.isf(t, freedom)) for t in (tail, 1 - tail))
+    low, high = (
+        sd * math.sqrt(freedom / scipy.stats.chi2.isf(t, freedom))
+        for t in (tail, 1 - tail)
+    )
 
     def pairs_for(sd: float, level: float = alpha) -> int | None:
         return runs_needed(effect, sd, power, level)
@@ -78,12 +93,18 @@ def _need(
 def spread(cells: Sequence[tuple[Array, Array]]) -> tuple[float, float, float]:
     """Correlation within pairs, standard deviation of their differences and of the runs of an arm;
     of (treatment, control), both (pairs,), of each cell, about the cell's own means."""
-    a, b = (np.concatenate([arms[i] - arms[i].mean() for arms in cells]) for i in (0, 1))
+    a, b = (
+        np.concatenate([arms[i] - arms[i].mean() for arms in cells]) for i in (0, 1)
+    )
     freedom = len(a) - len(cells)
     squares, product = float(a @ a), float(a @ b)
     size = (squares * float(b @ b)) ** 0.5
     sd = (float((a - b) @ (a - b)) / freedom) ** 0.5
-    return product / size if size else np.nan, sd, ((squares + float(b @ b)) / (2 * freedom)) ** 0.5
+    return (
+        product / size if size else np.nan,
+        sd,
+        ((squares + float(b @ b)) / (2 * freedom)) ** 0.5,
+    )
 
 
 def runs_needed(
@@ -93,7 +114,10 @@ def runs_needed(
     a sign-flip test needs to fall below `alpha`; None where `MOST` do not suffice."""
     least = fewest_pairs(alpha) if in_pairs else 2
     test, size = (TTestPower() if in_pairs else TTestIndPower()), effect / max(sd, 1e-9)
-    level = {"alpha": alpha / 2, "alternative": "larger"}  # the other tail is nothing, or NaN
+    level = {
+        "alpha": alpha / 2,
+        "alternative": "larger",
+    }  # the other tail is nothing, or NaN
     if not test.power(size, least, **level) < power:  # NaN: too close to 1
         return least
     if test.power(size, MOST, **level) < power:

@@ -36,7 +36,11 @@ def eta(records: Sequence[Record], parallel: int) -> float | None:
 
 def _seconds_per_run(records: Iterable[Record]) -> float | None:
     begun = [(one.fraction, one.seconds) for one in records]
-    begun = [(fraction, seconds) for fraction, seconds in begun if fraction > 0 and seconds > 0]
+    begun = [
+        (fraction, seconds)
+        for fraction, seconds in begun
+        if fraction > 0 and seconds > 0
+    ]
     return sum(s for _, s in begun) / sum(f for f, _ in begun) if begun else None
 
 
@@ -55,13 +59,18 @@ class Watch:
     """Shows a study while it runs: a bar on a terminal, and a line for each run that ends."""
 
     def __init__(
-        self, files: StudyFiles, records: Mapping[str, Record], parallel: Callable[[], int]
+        self,
+        files: StudyFiles,
+        records: Mapping[str, Record],
+        parallel: Callable[[], int],
     ) -> None:
         self.files, self.records, self.parallel = files, dict(records), parallel
         self.console = Console(highlight=False, soft_wrap=True, markup=False)
         self._seen: dict[str, Ending] = {}
         columns = BarColumn(), TextColumn("{task.description}")
-        self._bar = Progress(*columns, console=self.console, disable=not self.console.is_terminal)
+        self._bar = Progress(
+            *columns, console=self.console, disable=not self.console.is_terminal
+        )
         self._task = self._bar.add_task("", total=1.0)
 
     def __enter__(self) -> Watch:
@@ -78,17 +87,25 @@ class Watch:
                 self._seen[name] = ending
                 record = self.records[name] = self.files.record(self.records[name].run)
                 spent = duration(record.seconds)
-                self.console.print(f"[{self._ended}] {name} {record.state} {spent}  {self._left}")
+                self.console.print(
+                    f"[{self._ended}] {name} {record.state} {spent}  {self._left}"
+                )
         if self.console.is_terminal:
             for job in running:
                 self.records[job.run.name] = self.files.record(job.run)
-            done = sum(1 if one.has_ended else one.fraction for one in self.records.values())
+            done = sum(
+                1 if one.has_ended else one.fraction for one in self.records.values()
+            )
             text = f"{self._ended} runs, {len(running)} running, {self._left}"
-            self._bar.update(self._task, completed=done / len(self.records), description=text)
+            self._bar.update(
+                self._task, completed=done / len(self.records), description=text
+            )
 
     @property
     def _ended(self) -> str:
-        return f"{sum(one.has_ended for one in self.records.values())}/{len(self.records)}"
+        return (
+            f"{sum(one.has_ended for one in self.records.values())}/{len(self.records)}"
+        )
 
     @property
     def _left(self) -> str:

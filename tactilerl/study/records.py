@@ -28,7 +28,15 @@ import numpy as np
 
 from ..errors import InputError
 from ..runs.config import PARTS
-from ..runs.files import LEFTOVER, MAX_JSON, content, damage_named, replacing, unzip, writable
+from ..runs.files import (
+    LEFTOVER,
+    MAX_JSON,
+    content,
+    damage_named,
+    replacing,
+    unzip,
+    writable,
+)
 from ..runs.progress_csv import Row, parse
 from ..runs.run_dir import RunDir, as_record
 from ..statistics import Array
@@ -70,7 +78,9 @@ class Record:
     @property
     def diverged(self) -> int:
         """Episodes that diverged."""
-        return int(sum(np.nansum(self.column(name)) for name in ("diverged", "test_diverged")))
+        return int(
+            sum(np.nansum(self.column(name)) for name in ("diverged", "test_diverged"))
+        )
 
     @property
     def is_finished(self) -> bool:
@@ -94,21 +104,31 @@ class Record:
         seconds, steps = 0.0, 0
         for row in self.rows:
             now, speed = int(row["env_steps"]), float(row.get("steps_per_s") or 0)
-            seconds, steps = seconds + ((now - steps) / speed if speed > 0 else 0.0), now
+            seconds, steps = (
+                seconds + ((now - steps) / speed if speed > 0 else 0.0),
+                now,
+            )
         return seconds
 
 
 def _asked(run: Run, config: dict[str, Any]) -> float:
     """Steps that a run should have: the study's, or if it says nothing, those that it was made for."""
     try:
-        return max(1, int(run.flags.get("total_timesteps", config["run"].get("total_timesteps"))))
+        return max(
+            1,
+            int(run.flags.get("total_timesteps", config["run"].get("total_timesteps"))),
+        )
     except (TypeError, ValueError, OverflowError):
         return math.inf
 
 
 def settings(config: Mapping[str, Any]) -> dict[str, Any]:
     """Every value of a config.json by its flag."""
-    return {flag: value for name in PARTS for flag, value in (config.get(name) or {}).items()}
+    return {
+        flag: value
+        for name in PARTS
+        for flag, value in (config.get(name) or {}).items()
+    }
 
 
 class StudyFiles:
@@ -116,7 +136,9 @@ class StudyFiles:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._packed = _unpacked(path) if os.path.isfile(path) else None  # False for any name
+        self._packed = (
+            _unpacked(path) if os.path.isfile(path) else None
+        )  # False for any name
 
     def read(self, name: str) -> bytes:
         """A file's content; FileNotFoundError where there is none."""
@@ -148,7 +170,9 @@ class StudyFiles:
         name, nothing = f"{RUNS}/{run.name}", (list[Row](), "")
         config, unread = self._parsed(f"{name}/config.json", _config, None)
         table = f"{name}/progress.csv"
-        (rows, cut), damaged = self._parsed(table, lambda data: parse(data.decode()), nothing)
+        (rows, cut), damaged = self._parsed(
+            table, lambda data: parse(data.decode()), nothing
+        )
         failure, _ = self._parsed(f"{name}.json", _failure, "")
         done = Record(run, "done", "", config, rows)
         if done.fraction == 1:
@@ -162,7 +186,9 @@ class StudyFiles:
                 failure = failure.replace(f"{place / RUNS}{os.sep}", "")
         return Record(run, state, failure or unread or damaged or cut, config, rows)
 
-    def _parsed(self, name: str, parse: Callable[[bytes], T], nothing: T) -> tuple[T, str]:
+    def _parsed(
+        self, name: str, parse: Callable[[bytes], T], nothing: T
+    ) -> tuple[T, str]:
         """What a file says, or `nothing`; and why not, where it is there."""
         try:
             with damage_named(Path(name)):
@@ -193,14 +219,20 @@ class StudyFiles:
     def create(self, study: Study) -> None:
         """Make the folder, or write the study anew into one that it was run in."""
         with writable(self.path):
-            names = {p.name for p in self.path.iterdir()} if self.path.exists() else set()
+            names = (
+                {p.name for p in self.path.iterdir()} if self.path.exists() else set()
+            )
         if STUDY in names and (other := self.study().name) != study.name:
             raise InputError(
                 f"{str(self.path)!r} holds the study {other!r}, not {study.name!r}; choose another "
                 "with --out"
             )
-        if STUDY not in names and not all(LEFTOVER.fullmatch(one) or one == RUNS for one in names):
-            raise InputError(f"{str(self.path)!r} exists and holds no study; choose another with --out")
+        if STUDY not in names and not all(
+            LEFTOVER.fullmatch(one) or one == RUNS for one in names
+        ):
+            raise InputError(
+                f"{str(self.path)!r} exists and holds no study; choose another with --out"
+            )
         with writable(self.path):
             (self.path / RUNS).mkdir(parents=True, exist_ok=True)
         with replacing(self.path / STUDY) as file:
@@ -231,7 +263,9 @@ def load(path: Path) -> tuple[Study, list[Record]]:
     """The study in a folder or a packed file, and all its runs in order of the grid."""
     if path.suffix == ".toml":
         folder = f"studies/{read(path).name}"
-        raise InputError(f"{path}: found a study file, expected the study's folder, such as {folder}")
+        raise InputError(
+            f"{path}: found a study file, expected the study's folder, such as {folder}"
+        )
     files = StudyFiles(path)
     study = files.study()
     return study, [files.record(run) for run in study.runs()]
@@ -267,7 +301,9 @@ def _unpacked(path: Path) -> dict[str, bytes]:
     with damage_named(path, "not a collected study"):
         data, found = unzip(path), {}
         if data.startswith(b"run,state,"):
-            raise ValueError("of version 0.3: tools/convert_collected.py makes one of this version")
+            raise ValueError(
+                "of version 0.3: tools/convert_collected.py makes one of this version"
+            )
         with tarfile.open(fileobj=io.BytesIO(data)) as archive:
             for entry in archive:
                 if entry.type == tarfile.REGTYPE and not entry.issparse():

@@ -39,9 +39,14 @@ def write(analysis: Analysis, folder: Path) -> Path:
     require_ours(page, lambda path: FOOTER in read(path))
     made = sections(analysis)
     for part in (part for section in made for part in section.parts):
-        place = folder / ("tables" if isinstance(part, Table) else "figures") / part.name
+        place = (
+            folder / ("tables" if isinstance(part, Table) else "figures") / part.name
+        )
         formats = part.formats()
-        beside |= {place.with_name(f"{part.name}.{ending}"): it for ending, it in formats.items()}
+        beside |= {
+            place.with_name(f"{part.name}.{ending}"): it
+            for ending, it in formats.items()
+        }
         images[part.name] = b64encode(formats.get("svg", b"")).decode()
     beside |= {folder / "scores.csv": export.scores(analysis)}
     beside |= {folder / "scores.npz": export.arrays(analysis)}
@@ -51,7 +56,10 @@ def write(analysis: Analysis, folder: Path) -> Path:
         if path.parent != folder:
             own_folder(path.parent)
         require_ours(path, (lambda _: False) if is_new else None)
-    for path, content in {page: _page(analysis, made, images).encode(), **beside}.items():
+    for path, content in {
+        page: _page(analysis, made, images).encode(),
+        **beside,
+    }.items():
         with replacing(path) as file:
             file.write(content)
     return page
@@ -67,7 +75,9 @@ def _page(analysis: Analysis, made: list[Section], images: dict[str, str]) -> st
     )
     return environment.get_template(TEMPLATE).render(
         study=analysis.study,
-        about=[summary.about(one, analysis.study.primary.score) for one in analysis.setups],
+        about=[
+            summary.about(one, analysis.study.primary.score) for one in analysis.setups
+        ],
         provenance=summary.provenance(analysis.records),
         answers=summary.answers(analysis),
         warnings=summary.warnings(analysis),
@@ -88,5 +98,11 @@ def sections(analysis: Analysis) -> list[Section]:
         title = f"{one.setup.name}: {summary.subject(one)}"
         found.append(Section(f"setup-{one.setup.name}", title, parts))
     about = (tables.cost, tables.deviations, tables.versions, tables.runs)
-    last: list[Picture | Table] = [made for table in about if (made := table(analysis)).rows]
-    return [one for one in (*found, Section("runs", "Runs, cost and versions", last)) if one.parts]
+    last: list[Picture | Table] = [
+        made for table in about if (made := table(analysis)).rows
+    ]
+    return [
+        one
+        for one in (*found, Section("runs", "Runs, cost and versions", last))
+        if one.parts
+    ]

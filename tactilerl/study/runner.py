@@ -61,7 +61,9 @@ class RunJob:
         command = [*program, "train", *self.run.arguments, "--out", str(out)]
         modules = dict.fromkeys((*self.imports, *self.run.modules))
         command += [f"--import={module}" for module in modules]
-        return [launcher, "-n", str(self.ranks), *command] if self.ranks > 1 else command
+        return (
+            [launcher, "-n", str(self.ranks), *command] if self.ranks > 1 else command
+        )
 
 
 def run_job(job: RunJob) -> Ending:
@@ -122,7 +124,9 @@ def _process(log_file: Path, job: RunJob) -> int:
 def _environment() -> dict[str, str]:
     """One thread a run; and it is no rank of the launch that started the study."""
     kept = {k: v for k, v in os.environ.items() if not k.startswith(LAUNCHER_PREFIXES)}
-    allowed = {k: v for k, v in os.environ.items() if k.startswith("OMPI_ALLOW_RUN_AS_ROOT")}
+    allowed = {
+        k: v for k, v in os.environ.items() if k.startswith("OMPI_ALLOW_RUN_AS_ROOT")
+    }
     return kept | allowed | dict.fromkeys(THREADS, "1")
 
 

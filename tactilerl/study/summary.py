@@ -20,7 +20,11 @@ RATES = {
     "success_rate": "success rate of the training episodes",
     "test_success_rate": "success rate of the tests",
 }
-MEANS = {"area": "mean success", "final": "final success", "converged": "converged success"}
+MEANS = {
+    "area": "mean success",
+    "final": "final success",
+    "converged": "converged success",
+}
 """Scores as sentences have them."""
 ENDINGS = {
     "": "the study goes on",
@@ -35,7 +39,9 @@ def subject(one: SetupResult) -> str:
     config = one.config
     if not config:
         return one.setup.name
-    env, learner = (NAMES.get(config["run"][name], config["run"][name]) for name in ("env", "algo"))
+    env, learner = (
+        NAMES.get(config["run"][name], config["run"][name]) for name in ("env", "algo")
+    )
     simulator = (config.get("scene") or {}).get("simulator")
     where = f" in {NAMES.get(simulator, simulator)}" if simulator else ""
     return f"{env}{where}, {learner}"
@@ -44,7 +50,11 @@ def subject(one: SetupResult) -> str:
 def about(one: SetupResult, score: str) -> str:
     """What was compared, in a sentence or two."""
     scene = one.config.get("scene") or {}
-    seen = "" if scene.get("object_seen", "exact") == "exact" else f"object {scene['object_seen']}"
+    seen = (
+        ""
+        if scene.get("object_seen", "exact") == "exact"
+        else f"object {scene['object_seen']}"
+    )
     length = one.config.get("run", {}).get("total_timesteps")
     steps = f"{length:,} steps a run" if length else ""
     parts = [part for part in (subject(one), scene.get("task"), seen, steps) if part]
@@ -78,17 +88,25 @@ def plural(n: int, what: str) -> str:
 
 def signed(value: float) -> str:
     """With its sign."""
-    return "–" if math.isnan(value) else f"{round(value, 2) + 0.0:+.2f}".replace("-", "−")
+    return (
+        "–" if math.isnan(value) else f"{round(value, 2) + 0.0:+.2f}".replace("-", "−")
+    )
 
 
 def ranging(estimate: Estimate) -> str:
     """`+0.05 (−0.02 to +0.12)`"""
-    return f"{signed(estimate.value)} ({signed(estimate.low)} to {signed(estimate.high)})"
+    return (
+        f"{signed(estimate.value)} ({signed(estimate.low)} to {signed(estimate.high)})"
+    )
 
 
 def answer(setup: Setup, verdict: Verdict, score: str) -> str:
     """The primary comparison of a cell in a sentence or two, with its interval."""
-    where, found, stage = _place(setup, verdict.cell), verdict.pairs.difference, verdict.stage
+    where, found, stage = (
+        _place(setup, verdict.cell),
+        verdict.pairs.difference,
+        verdict.stage,
+    )
     missing = verdict.n_seeds - len(verdict.pairs)
     if not len(verdict.pairs):
         return f"{where}: no seed has both runs yet."
@@ -99,8 +117,14 @@ def answer(setup: Setup, verdict: Verdict, score: str) -> str:
     if stage and not stage.look:
         return f"{where}: {gap}, {pairs}; the first look is still to come."
     p = verdict.pairs.p_value if verdict.valid_p == 1 else verdict.p_holm
-    told = pairs if math.isnan(p) else f"p {'< 0.001' if p < 0.001 else f'= {p:.3f}'}, {pairs}"
-    look = f" Look {stage.look} of {stage.of}: {ENDINGS[stage.ending]}." if stage else ""
+    told = (
+        pairs
+        if math.isnan(p)
+        else f"p {'< 0.001' if p < 0.001 else f'= {p:.3f}'}, {pairs}"
+    )
+    look = (
+        f" Look {stage.look} of {stage.of}: {ENDINGS[stage.ending]}." if stage else ""
+    )
     if verdict.is_difference:
         is_higher = found.value > 0
         bounds = found[1:] if is_higher else (-found.high, -found.low)
@@ -112,13 +136,17 @@ def answer(setup: Setup, verdict: Verdict, score: str) -> str:
     fewest = statistics.fewest_pairs(verdict.alpha / len(setup.cells))
     if stage and not stage.ending:
         said = "not decided yet"
-    elif len(verdict.pairs) < fewest and not (stage and stage.ending == "no difference"):
+    elif len(verdict.pairs) < fewest and not (
+        stage and stage.ending == "no difference"
+    ):
         said = f"too few runs to find a difference at {verdict.alpha:g}, which takes {fewest} pairs"
     elif found.low == found.high:  # as where no run learned anything
         said = "no difference, all pairs are alike"
     else:
         bound = max(-found.low, found.high)
-        said = f"no significant difference, and one above about {bound:.2f} is ruled out"
+        said = (
+            f"no significant difference, and one above about {bound:.2f} is ruled out"
+        )
     return f"{where}: {said} ({gap}; {told}).{look}"
 
 
@@ -129,7 +157,9 @@ def _place(setup: Setup, cell: str) -> str:
 def room(setup: Setup, cell: str, found: Headroom) -> str:
     """What touch gives of what sight would give, or that the scene cannot tell."""
     where = _place(setup, cell)
-    sight = f"without touch, seeing the object makes a difference of {ranging(found.room)}"
+    sight = (
+        f"without touch, seeing the object makes a difference of {ranging(found.room)}"
+    )
     if not found.is_enough:
         return (
             f"{where}: this scene cannot tell what touch is worth: {sight}, and {LEAST_ROOM} is the "
@@ -170,10 +200,16 @@ def warnings(analysis: Analysis) -> list[str]:
         for record in one.records:
             comparison = one.comparisons.get(record.run.cell)
             stage = comparison.verdict.stage if comparison else None
-            if record.has_ended or not (stage and stage.ending):  # else nobody needs it any more
+            if record.has_ended or not (
+                stage and stage.ending
+            ):  # else nobody needs it any more
                 states[record.state] += 1
-    if unfinished := [f"{n} {state}" for state, n in sorted(states.items()) if state != "done"]:
-        found.append(f"Of {len(analysis.records)} runs {', '.join(unfinished)}: they are in no figure.")
+    if unfinished := [
+        f"{n} {state}" for state, n in sorted(states.items()) if state != "done"
+    ]:
+        found.append(
+            f"Of {len(analysis.records)} runs {', '.join(unfinished)}: they are in no figure."
+        )
     groups = [group for one in analysis.setups for group in one.groups.values()]
     if (fewest := min(map(len, groups), default=FEW_RUNS)) < FEW_RUNS:
         found.append(
@@ -181,7 +217,10 @@ def warnings(analysis: Analysis) -> list[str]:
             f"{FEW_RUNS} runs are too narrow: they contain the truth less often than they say."
         )
     levels = [
-        [statistics.aggregate(one.scores[name], "iqm") for name in ("final", "converged")]
+        [
+            statistics.aggregate(one.scores[name], "iqm")
+            for name in ("final", "converged")
+        ]
         for one in groups
     ]
     if rising := sum(final - converged > STILL_RISING for final, converged in levels):
@@ -191,9 +230,20 @@ def warnings(analysis: Analysis) -> list[str]:
         )
     for one in analysis.setups:
         if not one.groups:
-            found.append(f"{one.setup.name}: no finished run with a {one.setup.measure}.")
+            found.append(
+                f"{one.setup.name}: no finished run with a {one.setup.measure}."
+            )
     for one in analysis.setups:
-        if len({frozenset(made_with(record.config)) for record in one.records if record.config}) > 1:
+        if (
+            len(
+                {
+                    frozenset(made_with(record.config))
+                    for record in one.records
+                    if record.config
+                }
+            )
+            > 1
+        ):
             found.append(
                 f"{one.setup.name}: versions or commits differ between runs, and could change results: "
                 "see Versions."

@@ -42,13 +42,18 @@ class Table:
     def frame(self) -> pd.DataFrame:
         """Rows under headings; without settings or groups where there is only one."""
         frame = pd.DataFrame(self.rows).fillna("–")
-        return frame.drop(columns=[n for n in (SETTING, "Group") if {*frame.get(n, ())} == {"all"}])
+        return frame.drop(
+            columns=[n for n in (SETTING, "Group") if {*frame.get(n, ())} == {"all"}]
+        )
 
     def formats(self) -> dict[str, bytes]:
         """The table in each format, by the ending of its file."""
         frame = self.frame
         parts = [f"**{self.title}**", self.note, _text(frame, "pipe")]
-        made = {"md": "\n\n".join(filter(None, parts)), "tex": _text(frame, "latex_booktabs")}
+        made = {
+            "md": "\n\n".join(filter(None, parts)),
+            "tex": _text(frame, "latex_booktabs"),
+        }
         if self.brief:
             columns = [name for name in self.brief if name in frame]
             made["brief.tex"] = _text(frame[columns], "latex_booktabs")
@@ -57,7 +62,10 @@ class Table:
 
 
 def _text(frame: pd.DataFrame, style: str) -> str:
-    return str(frame.to_markdown(index=False, tablefmt=style, disable_numparse=True)) + "\n"
+    return (
+        str(frame.to_markdown(index=False, tablefmt=style, disable_numparse=True))
+        + "\n"
+    )
 
 
 def number(value: float, digits: int = 2) -> str:
@@ -88,14 +96,19 @@ def comparisons(one: SetupResult, score: str) -> Table:
     for cell, found in one.comparisons.items():
         verdict, room = found.verdict, found.headroom
         row = {SETTING: cell, "Pairs": f"{len(verdict.pairs)} of {verdict.n_seeds}"}
-        row |= {heading: shown(verdict.pairs.difference, 3), "p": p_value(verdict.p_holm)}
+        row |= {
+            heading: shown(verdict.pairs.difference, 3),
+            "p": p_value(verdict.p_holm),
+        }
         if stage := verdict.stage:
             row["Look"] = f"{stage.look} of {stage.of}: {ENDINGS[stage.ending]}"
         for name, pairs in found.secondary.items():
             row[MEANS[name].capitalize()] = shown(pairs.difference, 3)
         if room:
             row["Sight gives"] = shown(room.room)
-            row["Touch, share of it"] = shown(room.share) if room.is_enough else "cannot tell"
+            row["Touch, share of it"] = (
+                shown(room.share) if room.is_enough else "cannot tell"
+            )
         rows.append(row)
     if "Look" in rows[0]:
         note += (
@@ -103,9 +116,17 @@ def comparisons(one: SetupResult, score: str) -> Table:
             "looks; the other scores are of all runs."
         )
     if any("Sight gives" in row for row in rows):
-        note += f" Sight gives: the object seen exactly, minus not, both with {control}."
+        note += (
+            f" Sight gives: the object seen exactly, minus not, both with {control}."
+        )
     title = f"{treatment} − {control} in pairs: {subject(one)}"
-    return Table(f"{one.setup.name}_comparisons", title, rows, note, (SETTING, "Pairs", heading, "p"))
+    return Table(
+        f"{one.setup.name}_comparisons",
+        title,
+        rows,
+        note,
+        (SETTING, "Pairs", heading, "p"),
+    )
 
 
 def median_steps(steps: Array) -> str:
@@ -121,7 +142,9 @@ def measures(one: SetupResult, score: str) -> Table:
     for (cell, arm), group in one.groups.items():
         row = {SETTING: cell, "Group": one.setup.label(arm), "Runs": str(len(group))}
         for name in dict.fromkeys([score, *SCORES]):
-            row[MEANS[name].capitalize()] = shown(statistics.mean(group.scores[name], group.counts))
+            row[MEANS[name].capitalize()] = shown(
+                statistics.mean(group.scores[name], group.counts)
+            )
         for threshold in THRESHOLDS:
             steps = median_steps(group.scores[f"steps to {threshold:g}"])
             row[f"Steps to {threshold:g} (median; reached by)"] = steps
@@ -131,7 +154,9 @@ def measures(one: SetupResult, score: str) -> Table:
         "converged: the level where a run spends most of its epochs. Steps are those of the first "
         "epoch at or above the threshold."
     )
-    return Table(f"{one.setup.name}_measures", f"Each group of runs: {subject(one)}", rows, note)
+    return Table(
+        f"{one.setup.name}_measures", f"Each group of runs: {subject(one)}", rows, note
+    )
 
 
 def cost(analysis: Analysis) -> Table:
@@ -144,7 +169,9 @@ def cost(analysis: Analysis) -> Table:
         steps = sum(int(r.rows[-1]["env_steps"]) for r in begun)
         row = {"Set-up": one.setup.name, "Runs begun": str(len(begun))}
         row["Core-hours"] = number(float(np.dot(seconds, ranks)) / 3600, 3)
-        row["Median minutes per run"] = number(float(np.median(seconds or [math.nan])) / 60, 1)
+        row["Median minutes per run"] = number(
+            float(np.median(seconds or [math.nan])) / 60, 1
+        )
         row["Steps per second"] = f"{steps / sum(seconds):.0f}" if sum(seconds) else "–"
         rows.append(row)
     note = "Time in epochs, without starting and saving; core-hours: times the processes of a run."
@@ -157,7 +184,14 @@ def deviations(analysis: Analysis) -> Table:
     for one in analysis.setups:
         for flag, mine, default in _differences(one.config):
             if flag not in (*one.setup.grid, *UNTOLD, "device", "algo", "env"):
-                rows.append({"Set-up": one.setup.name, "Flag": flag, "Default": default, "Here": mine})
+                rows.append(
+                    {
+                        "Set-up": one.setup.name,
+                        "Flag": flag,
+                        "Default": default,
+                        "Here": mine,
+                    }
+                )
     note = (
         "Flags that are not the defaults of tactilerl train; the defaults are the paper's values, and "
         "where its text leaves something open, what the project's documentation of deviations says."
@@ -189,8 +223,13 @@ def in_words(value: Any) -> str:
 
 def versions(analysis: Analysis) -> Table:
     """Software that could change the runs' results, and by how many runs it was used."""
-    found = Counter(one for record in analysis.records for one in made_with(record.config or {}))
-    rows = [{"Package": p, "Version": v, "Runs": str(n)} for (p, v), n in sorted(found.items())]
+    found = Counter(
+        one for record in analysis.records for one in made_with(record.config or {})
+    )
+    rows = [
+        {"Package": p, "Version": v, "Runs": str(n)}
+        for (p, v), n in sorted(found.items())
+    ]
     return Table("versions", "Versions", rows)
 
 
@@ -198,15 +237,37 @@ def runs(analysis: Analysis) -> Table:
     """Every run: its seed, how it ended and what it reached."""
     setups, rows = {one.setup.name: one for one in analysis.setups}, []
     for record in analysis.records:
-        run, one, steps = record.run, setups[record.run.setup], record.column("env_steps")
+        run, one, steps = (
+            record.run,
+            setups[record.run.setup],
+            record.column("env_steps"),
+        )
         group = one.groups.get((run.cell, run.arm))
         is_in = group is not None and run.seed in group.seeds
-        row = {"Set-up": run.setup, SETTING: run.cell, "Group": one.setup.label(run.arm)}
-        row |= {"Seed": str(run.seed), "State": record.state, "Epochs": str(len(record.rows))}
+        row = {
+            "Set-up": run.setup,
+            SETTING: run.cell,
+            "Group": one.setup.label(run.arm),
+        }
+        row |= {
+            "Seed": str(run.seed),
+            "State": record.state,
+            "Epochs": str(len(record.rows)),
+        }
         row["Steps"] = f"{steps[-1]:.0f}" if len(steps) else "0"
         for name in SCORES:
-            reached = group.scores[name][group.seeds.index(run.seed)] if group and is_in else math.nan
+            reached = (
+                group.scores[name][group.seeds.index(run.seed)]
+                if group and is_in
+                else math.nan
+            )
             row[MEANS[name].capitalize()] = number(reached)
-        rows.append(row | {"Diverged episodes": str(record.diverged), "Why it failed": record.reason})
+        rows.append(
+            row
+            | {
+                "Diverged episodes": str(record.diverged),
+                "Why it failed": record.reason,
+            }
+        )
     said = [f"{name}: {one.setup.measure}" for name, one in setups.items()]
     return Table("runs", "Runs", rows, f"Rates: {'; '.join(said)}.")

@@ -19,7 +19,9 @@ from .records import Record, settings
 SEED = 20_210_830  # of all resampling: the same records give the same report
 SIGHT = ("object_seen", "sight_noise", "sight_noise_kind")
 THRESHOLDS = (0.5, 0.9)
-LEAST_ROOM = 0.3  # between the controls without and with sight, to tell what touch is worth
+LEAST_ROOM = (
+    0.3  # between the controls without and with sight, to tell what touch is worth
+)
 BySeed = dict[int, float]
 """A score by seed."""
 Ending = Literal["", "difference", "no difference", "last look"]
@@ -71,7 +73,10 @@ class Verdict:
     def valid_p(self) -> float:
         """1 where a look has not ended the comparison yet, or has for want of a difference: who could
         stop whenever p is small would find too much."""
-        is_valid = self.stage is None or self.stage.ending in ("difference", "last look")
+        is_valid = self.stage is None or self.stage.ending in (
+            "difference",
+            "last look",
+        )
         return self.pairs.p_value if is_valid else 1.0
 
     @property
@@ -97,7 +102,9 @@ class Headroom:
         return self.room.value >= LEAST_ROOM
 
 
-def runs_of(records: Iterable[Record], setup: Setup, cell: str, arm: str) -> list[Record]:
+def runs_of(
+    records: Iterable[Record], setup: Setup, cell: str, arm: str
+) -> list[Record]:
     """The finished runs of one arm, in order of the seeds."""
     place = setup.name, cell, arm
     return [one for one in records if one.run.combination == place and one.is_finished]
@@ -107,7 +114,10 @@ def span(records: Iterable[Record]) -> tuple[float, float]:
     """The first and the last step at which all of the runs have a rate; the first is behind the last
     where there is none."""
     steps = [record.curve[0] for record in records]
-    first, last = max((one[0] for one in steps), default=0), min((one[-1] for one in steps), default=0)
+    first, last = (
+        max((one[0] for one in steps), default=0),
+        min((one[-1] for one in steps), default=0),
+    )
     return float(first), float(last)
 
 
@@ -123,14 +133,18 @@ def scores(record: Record, first: float, last: float) -> dict[str, float]:
         "converged": statistics.converged_rate(rates),
     }
     for threshold in THRESHOLDS:
-        found[f"steps to {threshold:g}"] = statistics.steps_to_threshold(at, rates, threshold)
+        found[f"steps to {threshold:g}"] = statistics.steps_to_threshold(
+            at, rates, threshold
+        )
     return {name: float(value[0]) for name, value in found.items()}
 
 
 def scored(score: str, *groups: Sequence[Record]) -> list[BySeed]:
     """A score of each run of several groups, over the steps that all of them have."""
     common = span(itertools.chain(*groups))
-    return [{one.run.seed: scores(one, *common)[score] for one in group} for group in groups]
+    return [
+        {one.run.seed: scores(one, *common)[score] for one in group} for group in groups
+    ]
 
 
 @cache
@@ -139,17 +153,26 @@ def resamples(n: int, n_resamples: int = statistics.N_RESAMPLES) -> Array:
     return statistics.resample(np.random.default_rng([SEED, n]), n, n_resamples)
 
 
-def in_pairs(arms: Sequence[BySeed], n_resamples: int = statistics.N_RESAMPLES) -> Pairs:
+def in_pairs(
+    arms: Sequence[BySeed], n_resamples: int = statistics.N_RESAMPLES
+) -> Pairs:
     """The seeds that treatment and control have, in the treatment's order."""
     treatment, control = arms
     seeds = [seed for seed in treatment if seed in control]
     a, b = (np.array([arm[seed] for seed in seeds]) for arm in arms)
-    p_value = statistics.sign_flip_p(a - b, np.random.default_rng([SEED, len(seeds)]), n_resamples)
-    return Pairs(seeds, a, b, statistics.mean(a - b, resamples(len(seeds), n_resamples)), p_value)
+    p_value = statistics.sign_flip_p(
+        a - b, np.random.default_rng([SEED, len(seeds)]), n_resamples
+    )
+    return Pairs(
+        seeds, a, b, statistics.mean(a - b, resamples(len(seeds), n_resamples)), p_value
+    )
 
 
 def judge(
-    study: Study, setup: Setup, records: Sequence[Record], n_resamples: int = statistics.N_RESAMPLES
+    study: Study,
+    setup: Setup,
+    records: Sequence[Record],
+    n_resamples: int = statistics.N_RESAMPLES,
 ) -> dict[str, Verdict]:
     """The primary comparison of every cell that has runs of both arms."""
     found = []
@@ -160,26 +183,47 @@ def judge(
         else:
             found.append(Verdict(cell, in_pairs(arms, n_resamples), len(setup.seeds)))
     corrected = statistics.holm([one.valid_p for one in found])
-    return {one.cell: replace(one, p_holm=float(p)) for one, p in zip(found, corrected, strict=True)}
+    return {
+        one.cell: replace(one, p_holm=float(p))
+        for one, p in zip(found, corrected, strict=True)
+    }
 
 
-def both_arms(records: Sequence[Record], setup: Setup, cell: str, score: str) -> list[BySeed]:
+def both_arms(
+    records: Sequence[Record], setup: Setup, cell: str, score: str
+) -> list[BySeed]:
     """The scores of treatment and control."""
-    return scored(score, *(runs_of(records, setup, cell, arm) for arm in setup.arms[:2]))
+    return scored(
+        score, *(runs_of(records, setup, cell, arm) for arm in setup.arms[:2])
+    )
 
 
 def _at_looks(
-    looks: Looks, setup: Setup, cell: str, records: Sequence[Record], arms: Sequence[BySeed]
+    looks: Looks,
+    setup: Setup,
+    cell: str,
+    records: Sequence[Record],
+    arms: Sequence[BySeed],
 ) -> Verdict:
     """As it stands at the last look whose runs have all ended. Runs beyond the look that ended the
     comparison do not count."""
     own = [(setup.name, cell, arm) for arm in setup.arms[:2]]
-    is_open = {r.run.seed for r in records if r.run.combination in own and not r.has_ended}
-    n_ended = next((i for i, seed in enumerate(setup.seeds) if seed in is_open), len(setup.seeds))
+    is_open = {
+        r.run.seed for r in records if r.run.combination in own and not r.has_ended
+    }
+    n_ended = next(
+        (i for i, seed in enumerate(setup.seeds) if seed in is_open), len(setup.seeds)
+    )
     whole = in_pairs(arms)
-    at_hand = [sum(s in whole.seeds for s in setup.seeds[:n]) for n in looks.pairs if n <= n_ended]
+    at_hand = [
+        sum(s in whole.seeds for s in setup.seeds[:n])
+        for n in looks.pairs
+        if n <= n_ended
+    ]
     taken = take(looks, whole.treatment - whole.control, at_hand, len(setup.cells))
-    n, gap, p_value, ending = taken[-1] if taken else Taken(len(whole), whole.difference, math.nan, "")
+    n, gap, p_value, ending = (
+        taken[-1] if taken else Taken(len(whole), whole.difference, math.nan, "")
+    )
     seen = Pairs(whole.seeds[:n], whole.treatment[:n], whole.control[:n], gap, p_value)
     stage = Stage(len(taken), len(looks.pairs), ending)
     return Verdict(cell, seen, len(setup.seeds), stage, alpha=looks.alpha)
@@ -231,7 +275,11 @@ def headroom(
     if not made or made[0][1] == "exact":
         return None
     alike = (made[0][0], "exact")
-    seen = [one for one in records if one.is_finished and _but_sight(one.config or {}) == alike]
+    seen = [
+        one
+        for one in records
+        if one.is_finished and _but_sight(one.config or {}) == alike
+    ]
     arms = scored(study.primary.score, seen, touch, control)
     seeds = [seed for seed in arms[1] if seed in arms[0] and seed in arms[2]]
     if not seeds:

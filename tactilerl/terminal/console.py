@@ -7,7 +7,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeRemainingColumn,
+)
 
 console = Console(highlight=False, soft_wrap=True, markup=False)
 beside = Console(stderr=True, soft_wrap=True, markup=False)
@@ -33,13 +39,18 @@ def progress(
     begun = iter([f"{what} ..."] if is_shown and not screen.is_terminal else [])
     columns = TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     with Progress(
-        *columns, console=screen, transient=True, disable=not (is_shown and screen.is_terminal)
+        *columns,
+        console=screen,
+        transient=True,
+        disable=not (is_shown and screen.is_terminal),
     ) as bar:
         task = bar.add_task("", total=total)
 
         def show(done: int | None = None, of: int | None = None) -> None:
             for line in begun:
                 screen.print(line)
-            bar.update(task, completed=done, total=of, advance=1 if done is None else None)
+            bar.update(
+                task, completed=done, total=of, advance=1 if done is None else None
+            )
 
         yield show

@@ -26,28 +26,44 @@ POSITIONAL = {"folder", "run", "study"}
 """Fields that are written without a flag."""
 
 
-def parse(kind: type[T], args: Sequence[str], prog: str, about: help.About, default: Any = None) -> T:
+def parse(
+    kind: type[T],
+    args: Sequence[str],
+    prog: str,
+    about: help.About,
+    default: Any = None,
+) -> T:
     """Read `args` into a dataclass; InputError over bad flags, SystemExit(0) after --help."""
     if help.SHORT & {*args} or help.ALL in args:
         help.show(kind, default, prog, about, everything=help.ALL in args)
     known = [field.name for field, _ in _fields(kind)]
     extra = {} if default is None else {"default": default}
-    options: dict[str, Any] = {"config": (tyro.conf.OmitArgPrefixes,), "return_unknown_args": True}
+    options: dict[str, Any] = {
+        "config": (tyro.conf.OmitArgPrefixes,),
+        "return_unknown_args": True,
+    }
     try:
         with contextlib.redirect_stderr(io.StringIO()) as said:
             read, unknown = tyro.cli(kind, args=args, prog=prog, **options, **extra)
     except SystemExit as stop:
         if not stop.code:
             raise
-        reason, names = _reason(said.getvalue()), {name.replace("_", "-") for name in known}
+        reason, names = (
+            _reason(said.getvalue()),
+            {name.replace("_", "-") for name in known},
+        )
         given = [arg.partition("=")[0] for arg in args if arg.startswith("--")]
         wrong = [flag for flag in given if flag[2:].removeprefix("no-") not in names]
-        if wrong and reason.startswith("Missing"):  # something else, that is, than what is wrong
+        if wrong and reason.startswith(
+            "Missing"
+        ):  # something else, that is, than what is wrong
             reason = f"found {wrong[0]!r}, {_hint(wrong[0], known)}"
         raise InputError(f"{reason}; see {prog} --help") from None
     if unknown:
         reason = f"found {unknown[0]!r}, {_hint(unknown[0], known)}"
-        raise InputError(f"{reason}{' See' if reason.endswith('?') else '; see'} {prog} --help")
+        raise InputError(
+            f"{reason}{' See' if reason.endswith('?') else '; see'} {prog} --help"
+        )
     own = getattr(read, "command_part", read)
     if not hasattr(own, "validate"):  # what has, is validated with what it belongs to
         with input_errors():
@@ -56,9 +72,15 @@ def parse(kind: type[T], args: Sequence[str], prog: str, about: help.About, defa
     return read
 
 
-CHOICE = re.compile(r"invalid choice ('.*') for argument '(--\S+)'\. Expected one of \((.*)\)\.")
-NUMBER = re.compile(r"Error parsing (--\S+): (.*\b(?:int|INT|float|FLOAT)\b.*?)('.*')(?:\]\.)?")
-NUMBERS = re.compile(r"Error parsing (--\S+): Could not find valid parse for arguments: \[(.*)\]")
+CHOICE = re.compile(
+    r"invalid choice ('.*') for argument '(--\S+)'\. Expected one of \((.*)\)\."
+)
+NUMBER = re.compile(
+    r"Error parsing (--\S+): (.*\b(?:int|INT|float|FLOAT)\b.*?)('.*')(?:\]\.)?"
+)
+NUMBERS = re.compile(
+    r"Error parsing (--\S+): Could not find valid parse for arguments: \[(.*)\]"
+)
 """What tyro says of values of other types; any other list can be parsed."""
 
 
@@ -87,8 +109,12 @@ def several(args: Sequence[str], flag: str) -> tuple[list[str], list[str]]:
 def _reason(said: str) -> str:
     """What tyro says is wrong, without its box and the flag's help, which follows."""
     lines = (line.strip(" │╭╮╰╯─|+") for line in said.splitlines()[1:])
-    texts = (line if line.strip("-") else "" for line in lines)  # a rule is dashes in plain ASCII
-    reason = " ".join(takewhile(bool, dropwhile(not_, texts))).replace("command-part.", "")
+    texts = (
+        line if line.strip("-") else "" for line in lines
+    )  # a rule is dashes in plain ASCII
+    reason = " ".join(takewhile(bool, dropwhile(not_, texts))).replace(
+        "command-part.", ""
+    )
     if choice := CHOICE.fullmatch(reason):
         allowed = ", ".join(re.findall(r"'([^']*)'", choice[3]))
         return f"{choice[2]}: found {choice[1]}, allowed: {allowed}"
@@ -115,7 +141,11 @@ def _hint(token: str, known: Sequence[str]) -> str:
 
 def _named(field: str) -> str:
     """How it is written on the command line."""
-    return f"{field.upper()}, given without a flag" if field in POSITIONAL else of_field(field)
+    return (
+        f"{field.upper()}, given without a flag"
+        if field in POSITIONAL
+        else of_field(field)
+    )
 
 
 def _placed(token: str, known: Sequence[str]) -> str:

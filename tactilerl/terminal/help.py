@@ -9,7 +9,15 @@ import shutil
 import textwrap
 from collections.abc import Iterator, Mapping
 from types import NoneType
-from typing import Annotated, Any, NamedTuple, NoReturn, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    NamedTuple,
+    NoReturn,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import docstring_parser
 import tyro
@@ -30,7 +38,9 @@ class About(NamedTuple):
     """What happens without a flag, where that is not its field's default."""
 
 
-def show(kind: Any, default: Any, prog: str, about: About, everything: bool) -> NoReturn:
+def show(
+    kind: Any, default: Any, prog: str, about: About, everything: bool
+) -> NoReturn:
     """Print the flags of a dataclass; raises SystemExit."""
     groups = list(_groups(kind, default, about.defaults))
     every = {field[0]: field for _, fields in groups for field in fields}
@@ -54,7 +64,9 @@ def show(kind: Any, default: Any, prog: str, about: About, everything: bool) -> 
     print(flags.strip())
     if about.examples:
         print("\n".join(["examples:", *(f"  {line}" for line in about.examples), ""]))
-    print("--import MODULE imports a module of yours first, such as one that adds a task.")
+    print(
+        "--import MODULE imports a module of yours first, such as one that adds a task."
+    )
     if is_short:
         print(f"{prog} {ALL} lists all {len(every)} flags.")
     raise SystemExit(0)
@@ -70,7 +82,9 @@ Shown = tuple[str, Any, Any]
 """Name, annotated type and default of a field, as `make_dataclass` takes them."""
 
 
-def _groups(kind: Any, default: Any, usual: Mapping[str, str]) -> Iterator[tuple[str, list[Shown]]]:
+def _groups(
+    kind: Any, default: Any, usual: Mapping[str, str]
+) -> Iterator[tuple[str, list[Shown]]]:
     """Fields of a dataclass, and of each of its parts under the name of its class."""
     hints = get_type_hints(kind, include_extras=True)
     docs = {p.arg_name: p.description or "" for base in kind.__mro__[-2::-1]
@@ -80,23 +94,42 @@ def _groups(kind: Any, default: Any, usual: Mapping[str, str]) -> Iterator[tuple
         hint, value = hints[field.name], getattr(default, field.name, field.default)
         if dataclasses.is_dataclass(hint):
             parts = list(_groups(hint, value, usual))
-            yield getattr(hint, "__name__", ""), [each for _, fields in parts for each in fields]
+            yield (
+                getattr(hint, "__name__", ""),
+                [each for _, fields in parts for each in fields],
+            )
         else:
             own.append(_shown(field.name, hint, value, docs.get(field.name, ""), usual))
     yield "", own
 
 
-def _shown(name: str, hint: Any, value: Any, doc: str, usual: Mapping[str, str]) -> Shown:
+def _shown(
+    name: str, hint: Any, value: Any, doc: str, usual: Mapping[str, str]
+) -> Shown:
     """A field as its flag is to be shown: its text in one paragraph, no default that says nothing."""
     base, *notes = get_args(hint) if get_origin(hint) is Annotated else (hint,)
-    own: Any = next((note for note in notes if hasattr(note, "metavar")), tyro.conf.arg())
+    own: Any = next(
+        (note for note in notes if hasattr(note, "metavar")), tyro.conf.arg()
+    )
     said = usual.get(name, "" if value is None or value is False else value)
     said = " ".join(map(str, said)) if isinstance(said, tuple) else str(said)
-    hint_of_it = "(required)" if value is dataclasses.MISSING else f"(default: {said})" if said else ""
+    hint_of_it = (
+        "(required)"
+        if value is dataclasses.MISSING
+        else f"(default: {said})"
+        if said
+        else ""
+    )
     metavar = own.metavar or ("PATH" if name == "out" else None)
     if NoneType in get_args(base):  # which nobody types
         of_kind = [METAVARS[part] for part in METAVARS if part in typed.parts(base)]
         metavar = metavar or next(iter(of_kind), None)
     words = " ".join((own.help or doc).split())
-    flag = tyro.conf.arg(name=own.name, metavar=metavar, help=words, help_behavior_hint=hint_of_it)
-    return name, Annotated[(base, *(note for note in notes if note is not own), flag)], value
+    flag = tyro.conf.arg(
+        name=own.name, metavar=metavar, help=words, help_behavior_hint=hint_of_it
+    )
+    return (
+        name,
+        Annotated[(base, *(note for note in notes if note is not own), flag)],
+        value,
+    )

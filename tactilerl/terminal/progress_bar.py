@@ -25,8 +25,12 @@ SAID = {  # of a run that has had such faults
 class ProgressBar:
     """Shows each epoch; writes TensorBoard events to a folder when given one."""
 
-    def __init__(self, learner: Learner, comm: Communicator, events: Path | None = None) -> None:
-        self.console = Console(quiet=comm.rank > 0, highlight=False, soft_wrap=True, markup=False)
+    def __init__(
+        self, learner: Learner, comm: Communicator, events: Path | None = None
+    ) -> None:
+        self.console = Console(
+            quiet=comm.rank > 0, highlight=False, soft_wrap=True, markup=False
+        )
         self.total = learner.total_timesteps
         self._first_step, self._started = learner.env_steps, time.perf_counter()
         self._events: Any = None
@@ -36,17 +40,24 @@ class ProgressBar:
         self._bar: progress.Progress | None = None
         # mpirun hands its ranks a terminal that is none: plain lines for several processes
         if self.console.is_terminal and comm.size == 1:
-            whole, wraps = Column(no_wrap=True), Column(no_wrap=False)  # where the terminal is narrow
+            whole, wraps = (
+                Column(no_wrap=True),
+                Column(no_wrap=False),
+            )  # where the terminal is narrow
             self._bar = progress.Progress(
                 progress.BarColumn(),
                 progress.MofNCompleteColumn(table_column=whole.copy()),
                 progress.TextColumn("steps  {task.description}", table_column=wraps),
                 progress.TimeElapsedColumn(table_column=whole.copy()),
                 progress.TextColumn("ETA"),
-                progress.TimeRemainingColumn(elapsed_when_finished=False, table_column=whole.copy()),
+                progress.TimeRemainingColumn(
+                    elapsed_when_finished=False, table_column=whole.copy()
+                ),
                 console=self.console,
             )
-            self._task = self._bar.add_task("", total=self.total, completed=learner.env_steps)
+            self._task = self._bar.add_task(
+                "", total=self.total, completed=learner.env_steps
+            )
 
     def __enter__(self) -> ProgressBar:
         if self._bar is not None:
@@ -70,16 +81,28 @@ class ProgressBar:
         """Show one row of the progress table."""
         for fault in self._faults:
             self._faults[fault] += row.get(fault, 0.0) + row.get(f"test_{fault}", 0.0)
-        test = f"test {_rate(row['test_success_rate'])}  " if "test_success_rate" in row else ""
+        test = (
+            f"test {_rate(row['test_success_rate'])}  "
+            if "test_success_rate" in row
+            else ""
+        )
         text = (
             f"success {_rate(row['success_rate'])}  {test}return {row['mean_return']:.1f}  "
             f"{row['steps_per_s']:.0f} steps/s"
         )
         if self._bar is not None:
-            self._bar.update(self._task, completed=min(row["env_steps"], self.total), description=text)
+            self._bar.update(
+                self._task,
+                completed=min(row["env_steps"], self.total),
+                description=text,
+            )
         else:
             done = row["env_steps"] - self._first_step
-            left = (time.perf_counter() - self._started) * (self.total - row["env_steps"]) / done
+            left = (
+                (time.perf_counter() - self._started)
+                * (self.total - row["env_steps"])
+                / done
+            )
             self.console.print(
                 f"epoch {row['epoch']:4d}  steps {row['env_steps']:,}/{self.total:,}  {text}  "
                 f"ETA {duration(max(0.0, left))}"

@@ -8,9 +8,8 @@ import pickle
 import gymnasium as gym
 import numpy as np
 import pytest
-import torch
-
 import tactilerl
+import torch
 from tactilerl.algos import DivergenceError, recipes
 from tactilerl.algos.ddpg_her import (
     DDPGHER,

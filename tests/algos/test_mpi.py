@@ -12,11 +12,11 @@ import numpy as np
 import psutil
 import pytest
 import torch
-from states import flat
-from tiny_study import learned, write
-
 from tactilerl.algos import mpi
 from tactilerl.commands.cli import main
+
+from states import flat
+from tiny_study import learned, write
 
 pytest.importorskip("mpi4py")
 MPIRUN = Path(sys.executable).with_name("mpirun")

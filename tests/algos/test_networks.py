@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import torch
-
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.networks import MLP, FlatAdam

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import torch
-
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.normalizer import MIN_STD, Normalizer
 

@@ -9,14 +9,14 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
-from states import flat
-
 from tactilerl.algos import DivergenceError, UnfitError, recipes
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.policy import Policy
 from tactilerl.algos.ppo import PPO, Gaussian, PPOConfig, gae, normalise, surrogate
 from tactilerl.algos.spaces import Spaces
 from tactilerl.envs import typed, vector
+
+from states import flat
 
 SMALL = dict(hidden=(32, 32), steps_per_epoch=60, n_passes=5)
 STEADY = {**asdict(recipes.recipe("ppo", "steady")), **SMALL, "minibatch_size": 16}

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from scipy import stats
-
 from tactilerl.algos.ddpg_her import GoalInputs
 from tactilerl.algos.replay import GoalObs, Replay
 from tactilerl.algos.rollout import Episode

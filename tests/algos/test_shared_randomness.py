@@ -7,7 +7,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import torch
-
 from tactilerl import envs
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.networks import MLP, start_orthogonal

@@ -5,7 +5,6 @@ from contextlib import closing
 
 import pytest
 import torch
-
 from tactilerl import envs
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator

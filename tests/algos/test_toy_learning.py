@@ -4,7 +4,6 @@ from functools import partial
 
 import numpy as np
 import pytest
-
 from tactilerl import envs
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator

@@ -3,11 +3,10 @@
 import numpy as np
 import pandas
 import pytest
+from benchmarks.studies import agreement
 from numpy.testing import assert_allclose
 from statsmodels.formula.api import ols
 from statsmodels.stats.anova import anova_lm
-
-from benchmarks.studies import agreement
 
 
 class TestOrder:

@@ -5,13 +5,13 @@ import sys
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
-from study_records import make_study
-
 from benchmarks.studies import as_the_paper
+from numpy.testing import assert_allclose
 from tactilerl import statistics
 from tactilerl.study import analysis, records
 from tactilerl.study.tables import Table
+
+from study_records import make_study
 
 
 @pytest.fixture(scope="module")

@@ -6,14 +6,14 @@ import sys
 from dataclasses import replace
 
 import pytest
-
-from benchmarks import command, tables, times
 from benchmarks.command import run_missing
 from benchmarks.learners import steady
 from benchmarks.peers import clients
 from benchmarks.peers.client_check import Check
 from benchmarks.physics import hold_verdict
 from benchmarks.physics.speed_vs_error import Setting, environment
+
+from benchmarks import command, tables, times
 
 
 @pytest.mark.pybullet

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
+from benchmarks.studies.coverage import bca_interval
 from numpy.testing import assert_allclose
 from scipy import stats
-
-from benchmarks.studies.coverage import bca_interval
 from tactilerl import statistics
 
 

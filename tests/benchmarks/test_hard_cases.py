@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from benchmarks.physics import hard_cases
 from tactilerl.envs.grasp import GraspEnv
 

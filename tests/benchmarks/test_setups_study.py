@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from study_records import make_study
-
 from benchmarks.command import ROOT
 from benchmarks.studies import setups_study
 from tactilerl.study import records
+
+from study_records import make_study
 
 
 @pytest.fixture(scope="module")

@@ -15,11 +15,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
-from one_line import fails_with, printed, python
-from states import flat
-
 import tactilerl
+import torch
 from tactilerl.algos import recipes
 from tactilerl.commands.cli import COMMANDS, main
 from tactilerl.commands.study import PARTS
@@ -29,6 +26,9 @@ from tactilerl.runs import arguments, evaluation, sealed
 from tactilerl.runs.progress_csv import TIMES
 from tactilerl.runs.run_dir import with_new_names
 from tactilerl.study import grid
+
+from one_line import fails_with, printed, python
+from states import flat
 
 FAST = ["--hidden", "16", "--steps-per-epoch", "120", "--n-passes", "2"]
 TOY = ["train", "--env", "lqr", *FAST]

@@ -14,13 +14,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from study_records import make_study
-
 from tactilerl.algos.ppo import PPOConfig
 from tactilerl.commands.cli import main
 from tactilerl.envs import typed
 from tactilerl.runs.config import RunOptions
 from tactilerl.study import engine, records
+
+from study_records import make_study
 
 FEW = 12  # times as many cases are tried with `-m slow`
 TRAIN = ["train", "--env", "lqr", "--hidden", "8", "--steps-per-epoch", "60", "--n-passes", "1"]

@@ -6,12 +6,12 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from one_line import fails_with, printed
-
 from tactilerl.commands.cli import main
 from tactilerl.envs import hands
 from tactilerl.envs.hands import describing, sandbox
 from tactilerl.probe import grasp_search
+
+from one_line import fails_with, printed
 
 sys.path.append(str(Path(__file__).parents[1] / "envs"))
 from test_published_hands import FINGERS, MODEL, PALM, TIP, urdf

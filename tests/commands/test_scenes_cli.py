@@ -4,9 +4,9 @@ import json
 from pathlib import Path
 
 import pytest
-from one_line import fails_with, printed
-
 from tactilerl.commands.cli import main
+
+from one_line import fails_with, printed
 
 pytestmark = pytest.mark.usefixtures("in_tmp")
 PPO = ["--algo", "ppo", "--hidden", "8", "--steps-per-epoch", "16", "--n-passes", "1"]

@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import pytest
+
 from one_line import fails_with, python
 
 DRAG = """

@@ -13,7 +13,6 @@ import mujoco
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-
 from tactilerl import envs
 from tactilerl.envs import hold, scripted, tasks
 from tactilerl.envs.simulators import SimulationError

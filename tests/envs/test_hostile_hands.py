@@ -6,10 +6,10 @@ import random
 from pathlib import Path
 
 import pytest
-from one_line import fails_with
-
 from tactilerl.envs import hands
 from tactilerl.envs.hands import sandbox
+
+from one_line import fails_with
 
 FILES = Path(__file__).parents[1] / "hands"
 TOML, MODEL = ((FILES / name).read_text() for name in ("gripper.toml", "gripper.xml"))

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from tactilerl.envs import hands, layouts
 from tactilerl.pictures.hand_map import LIT, TaxelMap, beyond, panels
 

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import gymnasium as gym
 import pytest
-from one_line import fails_with
-
 import tactilerl
 from tactilerl.commands.cli import main
 from tactilerl.envs import scenes
 from tactilerl.envs.hands import HANDS, get
 from tactilerl.runs.config import defaults
+
+from one_line import fails_with
 
 pytestmark = pytest.mark.usefixtures("in_tmp")
 SHORT = ["--total-timesteps", "1", "--steps-per-epoch", "60", "--n-passes", "1", "--workers", "1"]

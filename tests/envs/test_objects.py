@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-
 from tactilerl import envs
 from tactilerl.envs.objects import make
 

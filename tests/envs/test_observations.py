@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-
 from tactilerl import envs
 from tactilerl.envs import objects, observations, scenes
 from tactilerl.envs.observations import Broken, Delay, FalseReadings

@@ -7,16 +7,16 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from one_line import fails_with
-from scipy.spatial.transform import Rotation
-
 import tactilerl
+from scipy.spatial.transform import Rotation
 from tactilerl.commands.cli import main
 from tactilerl.envs import hands, layouts, toml_files
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.pictures import hand_map, places
 from tactilerl.probe import grasp_search
 from tactilerl.runs.run_dir import RunDir
+
+from one_line import fails_with
 
 FILES = Path(__file__).parents[1] / "hands"
 GRIPPER = str(FILES / "gripper.toml")

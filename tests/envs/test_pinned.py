@@ -6,7 +6,6 @@ from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 import pytest
-
 from tactilerl import envs
 from tactilerl.envs import scripted
 

@@ -6,7 +6,6 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-
 from tactilerl.envs import hands, layouts, scripted, taxel_files
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.hands import models

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from one_line import fails_with
-
 from tactilerl import envs
 from tactilerl.commands.cli import main
 from tactilerl.envs import vector
 from tactilerl.probe.reflexes import Reflex
+
+from one_line import fails_with
 
 N = 79  # taxels of layout 2
 handover = partial(envs.make, scene="handover", layout="2", history=1)

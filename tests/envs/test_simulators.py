@@ -7,11 +7,11 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from one_line import fails_with
-
 from tactilerl import envs
 from tactilerl.envs import hands, objects, scripted, simulators
 from tactilerl.envs.grasp import GraspEnv, setup
+
+from one_line import fails_with
 
 GRIPPER = str(Path(__file__).parents[1] / "hands" / "gripper.toml")
 

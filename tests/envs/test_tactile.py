@@ -5,7 +5,6 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-
 from tactilerl.commands.cli import main
 from tactilerl.envs import hands, layouts, objects, touch
 from tactilerl.envs.hands import tactile

@@ -4,7 +4,6 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-
 from tactilerl import envs
 from tactilerl.envs import hands, tasks
 

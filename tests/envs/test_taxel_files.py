@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from tactilerl.envs import hands, layouts, taxel_files, taxel_formats
 
 GRIPPER = str(Path(__file__).parents[1] / "hands" / "gripper.toml")

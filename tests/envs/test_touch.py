@@ -7,7 +7,6 @@ import mujoco
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-
 from tactilerl import envs
 from tactilerl.envs import hands, layouts, objects, scripted, touch
 from tactilerl.envs.hands import Surface

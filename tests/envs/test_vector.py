@@ -14,7 +14,6 @@ import gymnasium as gym
 import numpy as np
 import psutil
 import pytest
-
 from tactilerl import envs
 from tactilerl.envs import vector
 

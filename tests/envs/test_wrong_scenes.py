@@ -1,7 +1,6 @@
 """Choices of a scene that cannot be, or not together: each is named, with what was found."""
 
 import pytest
-
 from tactilerl import envs
 
 REACH, HANDOVER = {"task": "reach-goal"}, {"scene": "handover"}

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from one_line import fails_with
-
 import tactilerl
 from tactilerl.commands.cli import main
 from tactilerl.envs import hands
 from tactilerl.probe import cover, selection, timing
 from tactilerl.probe.candidates import DesignFlags, Pool, candidates
 from tactilerl.probe.cover import NEVER, Aim, Starts
+
+from one_line import fails_with
 
 FEW = ["--starts", "4", "--test-starts", "4", "--workers", "1", "--seed", "7", "--beside", "2"]
 FEW += ["--skin", "8mm"]

@@ -4,8 +4,6 @@ import json
 
 import numpy as np
 import pytest
-from one_line import fails_with
-
 from tactilerl import envs
 from tactilerl.commands.cli import main
 from tactilerl.envs.grasp import setup
@@ -13,6 +11,8 @@ from tactilerl.probe import gate, reflexes
 from tactilerl.probe.gate import Found
 from tactilerl.probe.reflexes import Reflex
 from tactilerl.terminal import flags
+
+from one_line import fails_with
 
 FEW = ["--starts", "12", "--search", "1", "--workers", "1", "--seed", "10000"]
 

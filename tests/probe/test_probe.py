@@ -7,10 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from one_line import fails_with
 from sklearn.metrics import balanced_accuracy_score, r2_score, roc_auc_score
-from threadpoolctl import threadpool_info, threadpool_limits
-
 from tactilerl import statistics
 from tactilerl.commands.cli import main
 from tactilerl.envs import hands, layouts, scripted
@@ -21,6 +18,9 @@ from tactilerl.probe.grasps import Scenes, drawn_start, links_of, moment, stack
 from tactilerl.probe.options import AnalysisFlags, GraspFlags
 from tactilerl.probe.readings import Grasps
 from tactilerl.runs.files import locked
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from one_line import fails_with
 
 GRIPPER = str(Path(__file__).parents[1] / "hands" / "gripper.toml")
 ASKED = ["--joint-noise", "0", "--resamples", "200", "--shuffles", "2", "--folds", "2", "--workers=1"]

@@ -19,13 +19,13 @@ import filelock
 import numpy as np
 import pytest
 import torch
-from one_line import fails_with, printed, python
-
 from tactilerl.commands.cli import main
 from tactilerl.errors import BUSY, InputError
 from tactilerl.runs import files, provenance, sealed
 from tactilerl.runs.progress_csv import ProgressTable
 from tactilerl.runs.run_dir import RunDir
+
+from one_line import fails_with, printed, python
 
 PPO = ["train", "--env", "lqr", "--hidden", "8", "--steps-per-epoch", "60", "--n-passes", "1"]
 HER = ["train", "--algo", "ddpg_her", "--env", "point-reach", "--hidden", "8", "--n-cycles", "1"]

@@ -7,9 +7,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from one_line import printed
-
 from tactilerl.commands import cli
+
+from one_line import printed
 
 ROOT = Path(__file__).parents[2]
 POLICIES = ROOT / "examples" / "policies"

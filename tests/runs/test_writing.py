@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from study_records import make_study
-
 import tactilerl
 from tactilerl.commands.cli import main
 from tactilerl.pictures.hand_map import save_picture
 from tactilerl.runs import files
+
+from study_records import make_study
 
 TRAIN = ["train", "--env", "lqr", "--hidden", "8", "--steps-per-epoch", "60", "--n-passes", "1"]
 STUDY = """

@@ -12,11 +12,11 @@ import time
 from importlib.util import find_spec
 
 import pytest
-from one_line import fails_with
-from tiny_study import TINY, learned, write
-
 from tactilerl.commands.cli import main
 from tactilerl.study.engine import BATCH, Engine
+
+from one_line import fails_with
+from tiny_study import TINY, learned, write
 
 distributed = pytest.importorskip("distributed")
 needs_jobqueue = pytest.mark.skipif(find_spec("dask_jobqueue") is None, reason="no dask-jobqueue")

@@ -4,11 +4,11 @@ import json
 from pathlib import Path
 
 import pytest
-from one_line import fails_with, printed
-from tiny_study import write
-
 from tactilerl.errors import InputError
 from tactilerl.study import check, grid
+
+from one_line import fails_with, printed
+from tiny_study import write
 
 ROOT = Path(__file__).resolve().parents[2]
 GOOD = """

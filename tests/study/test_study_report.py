@@ -15,16 +15,16 @@ from pathlib import Path
 import numpy as np
 import pandas
 import pytest
-from one_line import fails_with, printed
 from rliable import library, metrics
-from study_records import fail, interrupt, make_study
-
 from tactilerl import study as package
 from tactilerl.commands.cli import main
 from tactilerl.study import analysis, figures, planning, records, report, summary, tables, verdicts
 from tactilerl.study.grid import Looks
 from tactilerl.study.records import StudyFiles
 from tactilerl.terminal.console import console
+
+from one_line import fails_with, printed
+from study_records import fail, interrupt, make_study
 
 ROOT = Path(__file__).parents[2]
 RESAMPLES = 500

@@ -15,14 +15,14 @@ from pathlib import Path
 
 import filelock
 import pytest
-from one_line import fails_with, printed, python
-from tiny_study import TINY, learned, write
-
 from benchmarks.studies import reproduce
 from tactilerl.commands.cli import main
 from tactilerl.errors import InputError
 from tactilerl.study import engine, records, runner
 from tactilerl.study.records import StudyFiles
+
+from one_line import fails_with, printed, python
+from tiny_study import TINY, learned, write
 
 ROOT = Path(__file__).parents[2]
 LAUNCH = [sys.executable, "-m", "tactilerl", "study", "run"]

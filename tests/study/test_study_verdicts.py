@@ -7,13 +7,13 @@ import shutil
 
 import numpy as np
 import pytest
-from one_line import fails_with, printed
-from study_records import PAPER_LIKE, fail, make_study
-
 from tactilerl.study import looks, records, summary, verdicts
 from tactilerl.study.grid import Contrast, Looks, Run, Setup
 from tactilerl.study.runner import RunJob
 from tactilerl.terminal.console import console
+
+from one_line import fails_with, printed
+from study_records import PAPER_LIKE, fail, make_study
 
 LOOKS = PAPER_LIKE[: PAPER_LIKE.index("[setups.mujoco]")].replace(
     'name = "made-up"', 'name = "made-up"\nlooks.pairs = [6, 9, 12]\nlooks.effect = 0.03'
