@@ -15,6 +15,8 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
+
 from .. import algos, envs
 from ..algos import recipes
 from ..envs import hands, layouts, plugins, scenes, typed
@@ -94,12 +96,13 @@ class RunConfig:
         """A copy with other values of some fields, by name; ValueError naming an unknown field."""
         own = {name: typed.names(part) for name, part in self.parts.items()}
         require_known(choices, set().union(*own.values()), PEERS)
-        chosen = {
-            name: typed.replace(
-                part, {k: v for k, v in choices.items() if k in own[name]}
-            )
-            for name, part in self.parts.items()
-        }
+        chosen = {}
+        for name, part in self.parts.items():
+            values = {k: v for k, v in choices.items() if k in own[name]}
+            for k, value in values.items():  # one value stands for a tuple of one
+                if isinstance(getattr(part, k), tuple) and np.isscalar(value):
+                    values[k] = (value,)
+            chosen[name] = typed.replace(part, values)
         return dataclasses.replace(self, **chosen)
 
     def validate(self) -> None:
@@ -245,6 +248,22 @@ def defaults(
         ).choose(train)
         config.validate()
         return config
+
+
+def configure(choices: Mapping[str, Any]) -> RunConfig:
+    """Return the validated configuration that some choices make, by the names of fields.
+
+    `algo`, `env`, `recipe` and `scene` decide which fields there are and their defaults; values
+    are plain, as TOML or JSON has them. Raises InputError naming the first that is wrong.
+    """
+    deciding = {key: choices.get(key) for key in ("algo", "env", "recipe", "scene")}
+    rest = {k: v for k, v in choices.items() if k not in ("recipe", "scene")}
+    with input_errors():
+        for key, value in deciding.items():
+            typed.require_type(value, str | None, key)
+        config = defaults(**deciding).choose(rest)
+        config.validate()
+    return config
 
 
 def from_dict(data: dict[str, Any]) -> RunConfig:
