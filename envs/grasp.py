@@ -23,8 +23,7 @@ from . import (
 )
 from .choices import require_known, require_one_of
 from .objects import ObjectConfig
-from .observations import EpisodeBefore, ObservationConfig, Observer
-from .scenes import renamed
+from .observations import ObservationConfig, Observer
 from .simulators import SimulationError, Sphere
 from .state import Array, Shape, State
 from .tasks import TaskConfig
@@ -33,7 +32,6 @@ from .toml_files import blamed
 LIMIT = 1e6  # observations beyond this are a broken simulation
 EJECTED = 10.0  # m/s, of the object during an action: twice what random actions ever throw it at
 JITTER_JOINT = 0.02  # rad, of every joint but the slides, within its range
-READS = ("on", "shuffled")  # touch, where the policy is told something by it
 LIT, DARK = (1.0, 0.85, 0.0, 1.0), (0.05, 0.25, 0.9, 1.0)  # of taxels in pictures
 LIT_SCALE = (
     2.0  # a taxel that fires is drawn larger: between hand and object it is hard to see
@@ -52,10 +50,9 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
     layout: str = "2"
     """Where the taxels (touch sensors) are: 1 to 6 (paper, Fig. 2), smarthand, zhang or abbass (other
     publications), model (the hand's own), or a .toml file."""
-    touch: Literal["on", "off", "absent", "shuffled"] = "on"
+    touch: Literal["on", "off", "absent"] = "on"
     """on: taxels read contact; off: all read zero, the paper's control; absent: the observation has no
-    taxels; shuffled: they read what they felt at the same step of the previous episode, which had
-    another start."""
+    taxels."""
     touch_rule: str = "skin"
     """When a taxel fires. skin: its sphere overlaps the object, which touches the skin there; contact:
     a contact of the simulator meets its sphere (paper); force: the taxel reads the normal
@@ -85,10 +82,8 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
     def validate(self) -> None:
         """Raise ValueError naming what is not there or does not go together; ranges are in types."""
         require_one_of(simulators.SIMULATORS, self.simulator, "simulator")
-        plugins.require_class(
-            "sensors", touch.RULES, touch.Rule, self.touch_rule, "touch_rule"
-        )
-        plugins.require_class("tasks", tasks.TASKS, tasks.Task, self.task, "task")
+        plugins.require_class(touch.RULES, self.touch_rule, "touch_rule")
+        plugins.require_class(tasks.TASKS, self.task, "task")
         ratio = self.control_dt / self.timestep
         if self.n_substeps < 1 or abs(ratio - self.n_substeps) > 1e-6 * ratio:
             allowed = f"a whole number of timesteps of {self.timestep} s"
@@ -105,7 +100,7 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
 def setup(hand: str, **choices: Any) -> GraspConfig:
     """The configuration of a hand's set-up, with some fields chosen otherwise; ValueError when there is
     no such field."""
-    usual, known = renamed(hands.usage(hand).scene), typed.names(GraspConfig)
+    usual, known = hands.usage(hand).scene, typed.names(GraspConfig)
     with blamed(f"hand file {hands.file(hand)}: scene"):
         require_known(usual, known)
     require_known(choices, known)
@@ -122,14 +117,6 @@ class GraspEnv(gym.Env[Any, Array]):
     is void, the observation the last good one, and the episode truncated; and ``warnings``, how often
     the simulator has warned since the last step.
     ``state`` is what was true after the last action, before any hold test.
-
-    With touch "shuffled" the policy is told the readings of another episode, in which nothing is
-    known of this one: the control for whether it is what touch says that helps, or more inputs. They
-    are those of the episode before in this environment, the first one's are 0. Workers
-    (`vector.previously`) have another episode of the same policy precede each one, begun from
-    another start and without touch; it follows from the number of its successor, takes as long and
-    counts for nothing. So results depend neither on the number of workers nor on what was played
-    earlier, and runs resume bit for bit.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}
@@ -183,7 +170,6 @@ class GraspEnv(gym.Env[Any, Array]):
         self._observer = Observer(
             config, self.hand, names, is_boolean, config.control_dt, first.shape
         )
-        self._before = EpisodeBefore(len(names))
         self.simulator.reset(
             self.hand.start_positions(), np.array([0.0, 0.0, items.height / 2]), 0.0
         )
@@ -219,11 +205,6 @@ class GraspEnv(gym.Env[Any, Array]):
             "achieved_goal": _float_box(-unbounded, unbounded),
             "desired_goal": _float_box(lowest, highest),
         }
-        if self.config.critic_sees == "truth":
-            names, is_boolean = self.taxels.names, self._touch.is_boolean
-            spaces["truth"] = observations.privileged_space(
-                self.hand, names, is_boolean
-            )
         return gym.spaces.Dict(spaces)
 
     def reset(
@@ -237,7 +218,6 @@ class GraspEnv(gym.Env[Any, Array]):
             self._jittered(item.shape), self.palm_skin, item.shape, goal_rng
         )
         self._observer.begin(observer_rng)
-        self._before.begin(observer_rng)
         try:
             self.simulator.change_object(item.shape, item.mass, item.friction)
             self.simulator.reset(*start)
@@ -341,25 +321,10 @@ class GraspEnv(gym.Env[Any, Array]):
         """How several of these may be played in at once (`vector.start`)."""
         return "processes" if self.simulator.holds_gil else "threads"
 
-    @property
-    def looks_back(self) -> bool:
-        """Is the policy told what was felt in the episode before? (`vector.previously`)"""
-        return self.config.touch == "shuffled"
-
-    def forget(self) -> None:
-        """The next episode is the first."""
-        self._before.forget()
-
     def taxel_readings(self) -> Array:
-        """(n_taxels,) what the taxels feel now by the configured touch rule, without their faults:
-        bool, or by rule "force" N."""
+        """Return what the taxels feel now, (n_taxels,), without their faults: bool, or by the touch
+        rule "force" N."""
         return self._touch.read(self.simulator.state())
-
-    def told_readings(self) -> Array:
-        """(n_taxels,) what the policy is told of that, without faults; 0 where it is told nothing."""
-        if self.config.touch == "on":
-            return self.taxel_readings()
-        return self._before.latest if self.looks_back else np.zeros(len(self.taxels))
 
     def render(self) -> Array | None:
         """A picture of the scene, taxels that fire lit, when made with "rgb_array"."""
@@ -374,7 +339,8 @@ class GraspEnv(gym.Env[Any, Array]):
         state = self.simulator.state()
         if self.config.touch != "absent":
             centres, radii = self._points.world(state), self.taxels.radii
-            lit = self.told_readings() > 0
+            felt = self._touch.read(state) if self.config.touch == "on" else 0 * radii
+            lit = felt > 0
             for centre, radius, on in zip(centres, radii, lit, strict=True):
                 yield Sphere(
                     centre, radius * (LIT_SCALE if on else 1.0), LIT if on else DARK
@@ -392,23 +358,18 @@ class GraspEnv(gym.Env[Any, Array]):
             what = f"the object moved at {speed:.3g} m/s"
             raise SimulationError(f"{what}: it was ejected or the physics broke")
 
-    def _sense(self, state: State) -> dict[str, Array]:
-        """What policy and critic are shown; SimulationError when the physics broke."""
-        switch, is_privileged = self.config.touch, self.config.critic_sees == "truth"
-        felt = shown = np.zeros(len(self.taxels) if switch == "off" else 0)
-        if is_privileged or switch in READS:
+    def _sense(self, state: State) -> Array:
+        """Return what the policy observes; SimulationError when the physics broke."""
+        felt = np.zeros(len(self.taxels) if self.config.touch == "off" else 0)
+        if self.config.touch == "on":
             felt = self._touch.read(state)
-        if switch in READS:
-            shown = felt if switch == "on" else self._before(felt)
-        obs = {"observation": self._observer.observe(state, shown)}
-        largest = np.abs(obs["observation"]).max()
+        observation = self._observer.observe(state, felt)
+        largest = np.abs(observation).max()
         if not largest < LIMIT:
             raise SimulationError(
                 f"an observation is as large as {largest}: the physics broke"
             )
-        if is_privileged:
-            obs["truth"] = observations.privileged(self.hand, state, felt)
-        return obs
+        return observation
 
     def _info(self, **said: Any) -> dict[str, Any]:
         """With all of its keys."""
@@ -420,9 +381,9 @@ class GraspEnv(gym.Env[Any, Array]):
         before, self._warnings = self._warnings, self.simulator.warnings
         return self._warnings - before
 
-    def _goal_obs(self, sensed: dict[str, Array], achieved: Array) -> dict[str, Array]:
+    def _goal_obs(self, observation: Array, achieved: Array) -> dict[str, Array]:
         return {
-            **sensed,
+            "observation": observation,
             "achieved_goal": achieved.astype(np.float32),
             "desired_goal": self._desired_goal.copy(),
         }

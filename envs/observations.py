@@ -79,9 +79,6 @@ class ObservationConfig(SensorConfig):
     observe_targets: bool = False
     """Include the current joint targets in the observation; with --actions fingers or grip, how
     far the fingers are to close. The paper leaves them out."""
-    critic_sees: Literal["observation", "truth"] = "observation"
-    """truth: the critic, but not the policy, also sees the object's pose, exact joint angles and
-    contacts."""
 
 
 def validate(config: ObservationConfig, touch: str, is_boolean: bool) -> None:
@@ -89,8 +86,8 @@ def validate(config: ObservationConfig, touch: str, is_boolean: bool) -> None:
     validate_faults(config)
     if config.object_seen != "noisy":
         allow_only_with("object_seen noisy", config, "sight_noise", "sight_noise_kind")
-    if touch not in ("on", "shuffled"):
-        what = "touch on or shuffled (else no taxel is read)"
+    if touch != "on":
+        what = "touch on (else no taxel is read)"
         allow_only_with(what, config, *vars(TaxelFaults()), "taxel_delay")
     if not is_boolean:
         what = "Boolean taxels (touch_rule skin or contact)"
@@ -167,14 +164,6 @@ TERMS = {
         lambda h, state: h.action_map.commands(state.targets),
     ),
 }
-PRIVILEGED_TERMS = (
-    "joint_positions",
-    "joint_velocities",
-    "object_position",
-    "object_orientation",
-)
-
-
 # -- stages ----------------------------------------------------------------------------------
 
 
@@ -277,36 +266,6 @@ class Delay(Past):
 
     def __call__(self, reading: Array) -> Array:
         return self.add(reading)[-1]
-
-
-class EpisodeBefore(Stage):
-    """What was read at the same step of the episode before, and 0 where there is none.
-
-    A longer episode goes on with the last reading of the shorter one. So readings come as often, as
-    many and as long as touch does, and say nothing of the episode that they are shown in.
-    """
-
-    def __init__(self, n: int) -> None:
-        self.latest = np.zeros(n)
-        self.forget()
-
-    def forget(self) -> None:
-        """There was none."""
-        self._now: list[Array] = []
-
-    def begin(self, rng: np.random.Generator) -> None:
-        self._before, self._now = self._now, []
-
-    def __call__(self, reading: Array) -> Array:
-        step = len(self._now)
-        self._now.append(reading)
-        shown = (
-            self._before[min(step, len(self._before) - 1)]
-            if self._before
-            else 0 * reading
-        )
-        self.latest = shown
-        return shown
 
 
 # -- sight -----------------------------------------------------------------------------------
@@ -436,23 +395,6 @@ class Observer:
             taxels = stage(taxels)
         obs = [*self._past[0].add(terms), *self._past[1].add(taxels)]
         return np.concatenate(obs, dtype=np.float32, casting="same_kind")
-
-
-def privileged(hand: Hand, state: State, taxels: Array) -> Array:
-    """(n,) float32: what a critic may see of an episode, whatever the policy does."""
-    parts = [TERMS[name].read(hand, state) for name in PRIVILEGED_TERMS]
-    return np.concatenate([*parts, taxels], dtype=np.float32, casting="same_kind")
-
-
-def privileged_space(
-    hand: Hand, taxel_names: Sequence[str], is_boolean: bool
-) -> NamedBox:
-    """Where `privileged` lies."""
-    names = [
-        *term_names(PRIVILEGED_TERMS, hand),
-        *(f"taxel {name}" for name in taxel_names),
-    ]
-    return NamedBox(names, len(taxel_names), is_boolean)
 
 
 STAGES: list[Callable[[SensorConfig, int], Stage | None]] = [

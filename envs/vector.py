@@ -30,7 +30,7 @@ Make = Callable[[], gym.Env[Any, Any]]
 IsWanted = Callable[[], bool]
 Job = Callable[[gym.Env[Any, Any], int, IsWanted], T]
 """What a worker does: (env, number, is_wanted) -> result. When `is_wanted` turns false it may stop and
-return anything. Numbers below 0 are those of `previously`. Picklable, where workers are processes."""
+return anything. Picklable, where workers are processes."""
 
 
 class Workers:
@@ -130,26 +130,7 @@ class LocalPlayer:
         self.env = env
 
     def play(self, job: Job[T], number: int, is_wanted: IsWanted) -> T:
-        return _played(job, self.env, number, is_wanted)
-
-
-def previously(
-    job: Job[Any],
-    env: gym.Env[Any, Any],
-    number: int,
-    is_wanted: IsWanted = lambda: True,
-) -> None:
-    """Where an episode depends on the one before, as with touch "shuffled", play one that depends on
-    `number` alone and not on what this worker has played: the episode -1 - `number`, after none."""
-    base: Any = env.unwrapped
-    if getattr(base, "looks_back", False):
-        base.forget()
-        job(env, -1 - number, is_wanted)
-
-
-def _played(job: Job[T], env: gym.Env[Any, Any], number: int, is_wanted: IsWanted) -> T:
-    previously(job, env, number, is_wanted)
-    return job(env, number, is_wanted)
+        return job(self.env, number, is_wanted)
 
 
 class WorkerDiedError(OSError):
@@ -244,9 +225,7 @@ def _serve(
         while True:
             if (message := connection.recv()) is not None:
                 job, number = message[0] or job, message[1]
-                connection.send(
-                    _tried(_played, job, env, number, lambda: not connection.poll())
-                )
+                connection.send(_tried(job, env, number, lambda: not connection.poll()))
 
 
 def _tried(compute: Callable[..., Any], *args: Any) -> Any:

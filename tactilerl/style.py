@@ -23,7 +23,6 @@ ROLES = {
     **dict.fromkeys(("on", "main"), "touch"),
     **dict.fromkeys(("off", "control"), "no touch"),
     "absent": "no touch, and no inputs for it",
-    "shuffled": "touch of another episode",
 }
 """What the arms of `touch` are, and of `run_type`, as studies called it up to 0.3.0."""
 NAMES = {

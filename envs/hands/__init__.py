@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from .. import plugins, toml_files
+from .. import toml_files
 from .files import FOLDER, KEPT, SUFFIX, short_digest
 from .hand import (
     DIGITS,
@@ -28,7 +28,7 @@ __all__ = [
 HANDS = ("shadow", "mpl", "allegro")
 """The library's own: each is a file here."""
 OTHERS: dict[str, Any] = {}
-"""The file of each hand of another package, by name (`plugins`)."""
+"""The file of each hand of another package, by name, as its module adds it (`plugins`)."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def is_hand(name: str) -> bool:
 
 def names() -> list[str]:
     """Hands that can be asked for by name."""
-    return plugins.names("hands", [*HANDS, *OTHERS])
+    return [*HANDS, *OTHERS]
 
 
 def allowed() -> str:
@@ -67,13 +67,7 @@ def file(name: str) -> Path:
         return FOLDER / f"{name}{SUFFIX}"
     if name.endswith(SUFFIX):
         return Path(name)
-    return Path(
-        plugins.find("hands", OTHERS, name, _is_path, "the path of a .toml file")
-    )
-
-
-def _is_path(found: Any) -> bool:
-    return isinstance(found, str | Path) and Path(found).suffix == SUFFIX
+    return Path(OTHERS[name])
 
 
 def usage(name: str) -> Usage:

@@ -100,7 +100,7 @@ def load(name: str) -> NamedScene:
             base = load(value)
     env, lengths = data.get("env", base.env), tuple(data.get("scaled", base.scaled))
     with toml_files.blamed(f"scene file {path}"):
-        scene = {**base.on(env), **renamed(data.get("scene", {}))}
+        scene = {**base.on(env), **data.get("scene", {})}
         for name in lengths:
             require_one_of(sorted(LENGTHS & scene.keys()), name, "scaled")
     train = {**base.train, **data.get("train", {})}

@@ -52,7 +52,7 @@ class EvaluateFlags:
     """The run's environment id, repeated to allow importing the module that it names."""
     trust: bool = False
     """Allow that import without repeating the id."""
-    touch: Literal["on", "off", "shuffled"] | None = None
+    touch: Literal["on", "off"] | None = None
     """What the policy reads of its taxels, as in training; default: the run's."""
     sweep: tuple[str, ...] = ()
     """A sensor flag or touch, and the values to try, such as --sweep taxel-dead 0 0.1 0.2 0.5."""

@@ -10,7 +10,6 @@ from typing import Annotated
 from rich.table import Table
 
 from ..envs import hands, layouts, typed
-from ..envs.grasp import READS
 from ..errors import InputError, input_errors
 from ..probe import gate
 from ..runs.config import WorkerCount
@@ -57,9 +56,8 @@ def main(args: list[str]) -> int:
     chosen, args = flags.several(args, "--layout")
     read, scene = read_scene(GateFlags, args, "tactilerl gate", ABOUT)
     with input_errors():
-        if scene.touch not in READS:
-            why = "or give shuffled; the gate always compares with no touch"
-            raise InputError(f"--touch: leave it out, {why}")
+        if scene.touch != "on":
+            raise InputError("--touch: leave it out; the gate compares with no touch")
         beside = [dataclasses.replace(scene, layout=layout) for layout in chosen[1:]]
         for each in (scene, *beside):
             typed.validate(each)
@@ -76,7 +74,7 @@ def main(args: list[str]) -> int:
         )  # fmt: skip
         rows = examine(scene)
         touch = {each.layout: examine(each, senses=["touch"])[0] for each in beside}
-    sentence = gate.verdict(rows, "Touch" if scene.touch == "on" else "Shuffled touch")
+    sentence = gate.verdict(rows, "Touch")
     if read.json:
         more = {
             "layouts": {name: dataclasses.asdict(row) for name, row in touch.items()}

@@ -14,10 +14,10 @@ import torch
 
 from ..algos.rollout import Episode
 from ..envs import scripted
-from ..envs.grasp import READS, GraspConfig, GraspEnv
+from ..envs.grasp import GraspConfig, GraspEnv
 from ..envs.hands import ScriptedGrasp
 from ..envs.simulators import Camera, Simulator
-from ..envs.vector import Job, previously
+from ..envs.vector import Job
 from ..errors import InputError
 from ..runs.files import MAKER, is_picture, replacing, require_ours
 from ..style import ROLES
@@ -64,11 +64,10 @@ def picture(
 def _beside(env: GraspEnv, camera: Camera) -> np.ndarray:
     """The scene, and beside it what each taxel feels, which is hard to see in the hand's shade."""
     found = env.picture(camera)
-    if env.config.touch not in READS:
+    if env.config.touch != "on":
         return found
-    drawn = TaxelMap(env.hand, env.taxels, camera.height).picture(
-        env.told_readings() > 0
-    )
+    felt = env.taxel_readings() > 0
+    drawn = TaxelMap(env.hand, env.taxels, camera.height).picture(felt)
     return np.hstack([found, drawn])
 
 
@@ -101,7 +100,7 @@ class _Player:
         self.fps = 1 / (every * scene.timestep)
         self._map = (
             TaxelMap(self.env.hand, self.env.taxels, UNROLLED)
-            if scene.touch in READS
+            if scene.touch == "on"
             else None
         )
         self._camera, self._successes = camera, 0
@@ -129,8 +128,6 @@ class _Player:
             tick()
 
         torch.set_num_threads(self._threads)  # as it was trained, to the last digit
-        self._show = lambda: None
-        previously(self._task, self.env, number)
         self._show = show
         success = bool(self._task(self.env, number, lambda: True).success == 1.0)
         self._successes += success
@@ -143,7 +140,7 @@ class _Player:
         """The scene, two lines above it, in a corner the hand unrolled, with what its taxels feel."""
         found = self.env.picture(camera)
         if self._map is not None:
-            drawn = self._map.picture(self.env.told_readings() > 0)
+            drawn = self._map.picture(self.env.taxel_readings() > 0)
             found[-drawn.shape[0] :, -drawn.shape[1] :] = drawn
         head = np.full((LINES, camera.width, 3), colour, np.uint8)
         for text, size, y in zip(lines, LETTERS, (LINES / 2, LINES - 10), strict=True):

@@ -141,10 +141,10 @@ def with_new_names(parts: dict[str, Any]) -> dict[str, Any]:
     """The parts of a run, named as in this version, which has one precision."""
     run = parts.get("run", {}).items()
     run = {name: value for name, value in run if (name, value) != ("matmul", "float32")}
-    return parts | {
-        "run": run,
-        "scene": parts.get("scene") and scenes.renamed(parts["scene"]),
-    }
+    scene = parts.get("scene") and scenes.renamed(parts["scene"])
+    if scene and scene.get("critic_sees") == "observation":  # of 0.4.0
+        del scene["critic_sees"]
+    return parts | {"run": run, "scene": scene}
 
 
 def resolve(

@@ -301,7 +301,7 @@ class TestBadInput:
             (["train", "--gama", "0.9"], ["found '--gama'", "did you mean --gamma? See"]),
             (["train", "--total-timesteps", "1e4"], ["--total-timesteps: found '1e4'", "whole number"]),
             (["design", "--radius", "4mm"], ["--radius: found '4mm', allowed a number;"]),
-            (["train", "--touch", "x"], ["--touch: found 'x', allowed: on, off, absent, shuffled;"]),
+            (["train", "--touch", "x"], ["--touch: found 'x', allowed: on, off, absent;"]),
             (["train", "--foo", "0.9"], ["found '--foo', which is not a flag; see tactilerl train"]),
             (["evaluate", "--runs", "x"], ["found '--runs'", "RUN, given without a flag"]),
             (["train", "more"], ["found 'more', which no flag takes; see tactilerl train --help"]),

@@ -7,7 +7,6 @@ from tactilerl import envs
 from tactilerl.envs import objects, observations, scenes
 from tactilerl.envs.observations import Broken, Delay, FalseReadings
 from tactilerl.envs.state import State
-from tactilerl.probe.reflexes import Reflex
 
 BOTH = [("shadow", "mujoco"), ("mpl", "pybullet")]
 
@@ -210,42 +209,6 @@ class TestTargets:
         assert told["asked for: closing of index"] == pytest.approx(0.4, abs=1e-6)
 
 
-class TestTruth:
-    @pytest.mark.parametrize("touch", ["on", "off"])
-    def test_is_there_whatever_is_hidden_from_the_policy(self, touch):
-        choices = {"object_seen": "hidden", "joint_noise": 0.1, "touch": touch, "layout": "1"}
-        env = make(critic_sees="truth", **choices)
-        told, _, _ = episode(env)
-        plain, _, _ = episode(make(**choices))
-        for name, values in plain.items():
-            np.testing.assert_array_equal(told[name], values)
-        obs, _ = env.reset(seed=3)
-        assert env.observation_space["truth"].contains(obs["truth"])
-        n_joints = len(env.hand.joints)
-        exact = env.simulator.state().joint_positions.astype(np.float32)
-        np.testing.assert_array_equal(obs["truth"][:n_joints], exact)
-        position = obs["truth"][2 * n_joints : 2 * n_joints + 3]
-        np.testing.assert_allclose(position, env.simulator.state().object_position, atol=1e-7)
-        np.testing.assert_array_equal(obs["truth"][-139:], env.taxel_readings())
-
-
-def test_the_truth_of_taxels_is_not_that_after_a_hold_test():
-    """They are read before it moves the hand, as the policy's are."""
-    env = envs.make("mpl", scene="dark_mpl", critic_sees="truth", object_seen="exact")
-    n, seen = len(env.taxels), []
-    step_to = env.step_to
-
-    def watched(targets):
-        obs, *rest = step_to(targets)
-        seen.append((obs["observation"][-n:].sum(), obs["truth"][-n:].sum(), rest[1]))
-        return obs, *rest
-
-    env.step_to = watched
-    assert any(Reflex("time", 2, 1.0).play(env, seed) for seed in range(3))
-    assert all(observed == told for observed, told, _ in seen)
-    assert any(told > 0 for _, told, is_last in seen if is_last)
-
-
 @pytest.mark.parametrize("scene", scenes.names())
 def test_nothing_tells_what_a_scene_hides(scene, hand):
     """Of objects that differ in all that a scene may hide, observations first differ in what is seen
@@ -273,13 +236,13 @@ def test_nothing_tells_what_a_scene_hides(scene, hand):
 
 @pytest.mark.parametrize("seen", ["exact", "noisy"])
 def test_quaternions_have_one_sign(simulator, seen):
-    env = envs.make("shadow", simulator=simulator, object_seen=seen, critic_sees="truth")
+    env = envs.make("shadow", simulator=simulator, object_seen=seen)
     entries, told = env.observation_entries("object_orientation"), []
     obs, _ = env.reset(seed=0)
     for turn in np.linspace(0.1, 4 * np.pi, 40):
         env.simulator.reset(env.hand.start_positions(), np.array([0.0, 0.0, 1.0]), turn)
         env.state = env.simulator.state()
         obs, *_ = env.step(np.zeros(env.action_space.shape))
-        told += [obs["observation"][entries], obs["truth"][-4 - len(env.taxels) : -len(env.taxels)]]
+        told.append(obs["observation"][entries])
     assert np.abs(np.array(told)[:, 3]).max() > 0.9
     assert np.array(told)[:, 0].min() >= 0.0
