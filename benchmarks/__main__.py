@@ -19,9 +19,7 @@ HERE = Path(__file__).parent
 def benchmarks() -> dict[str, Path]:
     """The files that have a `main`, or `TABLES` to be printed, by name."""
     files = sorted(
-        path
-        for path in HERE.rglob("*.py")
-        if path.parent != HERE or path.stem in ("figures", "tables", "times")
+        path for path in HERE.rglob("*.py") if path.parent != HERE or path.stem in ("figures", "tables")
     )
     is_one = re.compile(r"^(def main\(|TABLES = )", re.MULTILINE)
     return {path.stem: path for path in files if is_one.search(path.read_text(encoding="utf-8"))}

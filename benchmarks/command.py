@@ -62,29 +62,6 @@ def run_parts(description: str | None, parts: dict[str, Part], *packages: str) -
     write(options.out, result)
 
 
-def run_contenders(
-    description: str | None,
-    about: dict[str, Any],
-    run: Callable[[str, str, int], dict[str, Any]],
-    contenders: Sequence[str],
-    tasks: Sequence[str],
-    first_seed: int,
-    jobs: int,
-) -> dict[str, Any]:
-    """A command line for `run(contender, task, seed)`, seeds outermost: what is written, with all
-    `runs`."""
-    flags = parser(description)
-    flags.add_argument("--jobs", type=count, default=jobs)
-    flags.add_argument("--seeds", type=count, default=5)
-    flags.add_argument("--first-seed", type=int, default=first_seed, help="10000 and more for pilots")
-    flags.add_argument("--only", nargs="+", choices=contenders, default=contenders, metavar="NAME")
-    flags.add_argument("--tasks", nargs="+", choices=tasks, default=tasks, metavar="TASK")
-    options = flags.parse_args()
-    seeds = range(options.first_seed, options.first_seed + options.seeds)
-    places = [(name, task, s) for s in seeds for task in options.tasks for name in options.only]
-    return {"runs": run_missing(options.out, about, places, run, options.jobs)}
-
-
 def run_missing(
     out: Path | None,
     about: dict[str, Any],

@@ -17,14 +17,12 @@ from adjustText import adjust_text
 from matplotlib.ticker import LogLocator, NullFormatter
 from tactilerl.envs import hands, layouts
 from tactilerl.pictures.hand_map import TaxelMap
-from tactilerl.pictures.places import Place
-from tactilerl.probe.figures import hand_map
 from tactilerl.study import figures as study_figures
 from tactilerl.study.analysis import analyse
-from tactilerl.style import ARMS, DPI, HEAD, INK, NAMES, OTHERS, STYLE
+from tactilerl.style import DPI, HEAD, NAMES, OTHERS, STYLE
 
 from benchmarks.command import DOCS, data, no_flags
-from benchmarks.studies import faults, probe_tables, setups_study, study_tables
+from benchmarks.studies import setups_study, study_tables
 
 IMAGES, FOUR = DOCS / "images", str(DOCS / "data/chosen/anywhere_4.toml")
 SETTING, SHIPPED = OTHERS[:2]
@@ -32,11 +30,6 @@ SETTING, SHIPPED = OTHERS[:2]
 STUDIES = {
     "learners": {"ppo": "learning_shadow_ppo"},
     "paper": {"mujoco": "paper_mujoco", "pybullet": "paper_pybullet"},
-}
-# Picture: the probe of which the first taxels chosen are shown.
-CHOSEN = {
-    "probe_chosen_shadow_mujoco": "Shadow, MuJoCo",
-    "probe_chosen_mpl_pybullet": "MPL, PyBullet",
 }
 
 
@@ -92,33 +85,6 @@ def study_curves(study: str, pictures: dict[str, str]) -> None:
             (IMAGES / f"{pictures[one.setup.name]}.png").write_bytes(picture)
 
 
-def chosen_taxels(name: str, result: dict[str, Any]) -> None:
-    """Where the taxels that a probe chose lie, in their order."""
-    places = [Place(**place) for place in result["selection"]["places"]]
-    where = f"{NAMES[result['env']]} in {NAMES[result['simulator']]}"
-    title = f"{where}: the first {len(places)} taxels chosen"
-    order = np.arange(1, len(places) + 1)
-    hand = hands.get(result["env"])
-    save(hand_map(hand, places, order, "order of choice", title, cmap="viridis_r"), name)
-
-
-def fault_curves() -> None:
-    """Success of trained hands by kind and size of a fault."""
-    results = data("faults")
-    figure, grid = plt.subplots(
-        1, len(faults.SWEEPS), figsize=(7.4, 2.5), sharey=True, layout="constrained"
-    )
-    for axes, (flag, sizes) in zip(grid, faults.SWEEPS.items(), strict=True):
-        rates = np.array([found[flag] for found in results.values()])
-        axes.plot(rates.mean(axis=0), color=ARMS[0], linewidth=2)
-        axes.plot(rates.T, ".", color=INK, markersize=3, alpha=0.6)
-        axes.set_xticks(range(len(sizes)), sizes, fontsize="small")
-        axes.set_xlabel(faults.IN_WORDS[flag].replace(", ", ",\n", 1))
-    grid[0].set(ylabel="success rate", ylim=(-0.02, 1.02))
-    figure.suptitle("MPL hand in MuJoCo, PPO, handover, 30,000 steps: touch that fails", **HEAD)
-    save(figure, "study_faults")
-
-
 def unrolled(picture: str, hand: str, names: Sequence[str], rows: int, title: str) -> None:
     """Some layouts on a hand."""
     columns = len(names) // rows
@@ -145,16 +111,11 @@ def save(figure: plt.Figure, name: str) -> None:
 def main() -> None:
     """Every figure that is drawn from docs/data, in the style of the studies' reports."""
     no_flags(__doc__)
-    probes = data("probe")
     with matplotlib.rc_context(STYLE):
         speed_against_error()
         unrolled("layouts", "shadow", [*layouts.PAPER], 2, "Shadow Hand: the paper's six layouts")
         unrolled("design_places", "mpl", [FOUR, "1"], 1, "MPL hand: four chosen taxels, and layout 1")
-        fault_curves()
         study_tables.draw(IMAGES)
         setups_study.draw(IMAGES)
-        for name, pair in CHOSEN.items():
-            chosen_taxels(name, probes[pair])
-    probe_tables.figure(probes, IMAGES / "probe_selection.png")
     for study, pictures in STUDIES.items():
         study_curves(study, pictures)

@@ -15,26 +15,12 @@ from contextlib import redirect_stdout
 from functools import partial
 from typing import Any
 
-from benchmarks import environments, times
+from benchmarks import environments
 from benchmarks.command import DOCS, ROOT, data, no_flags
-from benchmarks.learners import ablation, bounces, precision, scaling, steady, targets
-from benchmarks.peers import clients, env, solve, updates
+from benchmarks.learners import scaling
+from benchmarks.peers import env, solve, updates
 from benchmarks.physics import hands, hard_cases, hold_verdict, scene_parts, speed_vs_error
-from benchmarks.studies import (
-    coverage,
-    design,
-    design_study,
-    error_rates,
-    faults,
-    gates,
-    pairs,
-    probe_agreement,
-    probe_hold,
-    probe_tables,
-    results,
-    setups_study,
-    study_tables,
-)
+from benchmarks.studies import gates, setups_study, study_tables
 
 MARKED = re.compile(r"(<!-- table (.+?) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
@@ -53,21 +39,11 @@ def _settings(pair: str) -> Callable[[], None]:
 
 
 PRINTED: dict[str, Callable[[], None]] = {
-    "probe gains": _of("probe", probe_tables.gains, 0.05),
-    "probe gains, exact joints": _of("probe", probe_tables.gains, 0.0),
-    "probe places": _of("probe", probe_tables.places, 0.05),
-    "probe chosen": _of("probe", probe_tables.chosen),
-    "probe differences": _of("probe", probe_tables.differences, 0.05),
-    "probe agreement": _of("probe_agreement", probe_agreement.show),
-    "probe hold": _of("probe_hold", probe_hold.show),
     "hold verdict": _of("hold_verdict", hold_verdict.show),
-    "bounces": _of("bounces", bounces.show),
-    "clients": _parts("clients", clients.show, "checks", "versions"),
     "updates": _parts("peers", updates.show, "updates"),
     "steps": _parts("peers", env.show, "env"),
     "toys": _parts("peers", solve.show, "solve"),
     "second core": _parts("scaling", scaling.show, "limit", "collecting", "updates", "ranks"),
-    "rounding": _parts("precision", precision.show_learners, "learners"),
     "scene parts": _parts("scene_parts", scene_parts.show, "pairs"),
     "physics": _of("speed_vs_error", speed_vs_error.show_shipped),
     **{
@@ -79,24 +55,8 @@ PRINTED: dict[str, Callable[[], None]] = {
     "hands": _of("hands", hands.show),
     "hard cases": _of("hard_cases", hard_cases.show_short),
     "hard cases, long": _of("hard_cases_long", hard_cases.show),
-    "ablation": _of("ablation", ablation.show),
-    "steady": _of("steady", steady.markdown),
-    "targets": _of("targets", targets.markdown),
-    "pairs": _of("pairs", pairs.show),
-    "error rates": _parts("error_rates", error_rates.show_p_values, "p_values"),
-    "looks": _parts("error_rates", error_rates.show_looks, "looks", "p_values"),
-    "coverage": _parts("coverage", coverage.show, "coverage"),
-    "design goals": _parts("design", design.show_goals, "goals"),
-    "design waits": _parts("design", design.show_layouts, "layouts"),
-    "design hands": _parts("design", design.show_hands, "hands"),
-    "design ways": _parts("design", design.show_ways, "ways"),
-    "design transfers": _parts("design", design.show_transfers, "transfers"),
-    **design_study.TABLES,
     **setups_study.TABLES,
     **study_tables.TABLES,
-    **results.TABLES,
-    **{f"study faults, {flag}": _of("faults", faults.show, [flag]) for flag in faults.SWEEPS},
-    "times": _parts("times", times.show, "seconds"),
     **{f"gates {name}": _of("gates", partial(gates.show, name)) for name in gates.tables()},
     **environments.TABLES,
 }

@@ -1,14 +1,10 @@
-"""What a simulator itself knows of contacts between hand and object, and how to make it find others."""
+"""Read contacts of hand and object from a simulator, and let a hand touch itself."""
 
 from __future__ import annotations
 
 from typing import Any
 
-import mujoco
-import numpy as np
 from tactilerl.envs.grasp import GraspEnv
-
-FAR = 0.01  # m: from there on distances do not matter
 
 
 def deepest(env: GraspEnv) -> float:
@@ -22,21 +18,6 @@ def deepest(env: GraspEnv) -> float:
     thing, ground = sim.model.geom("object").id, sim.model.geom("ground").id
     touching = (c for c in sim.data.contact if thing in c.geom and ground not in c.geom)
     return -min((contact.dist for contact in touching), default=0.0)
-
-
-def distances(env: GraspEnv, links: tuple[str, ...]) -> np.ndarray:
-    """The simulator's own distance (k,) of each link from the object, m, at most FAR."""
-    sim: Any = env.simulator
-    if env.config.simulator == "pybullet":
-        from tactilerl.envs.simulators.pybullet import pybullet
-
-        found = pybullet.getClosestPoints(sim.hand, sim.object, FAR, physicsClientId=sim.client)
-        numbers = [sim._links[link] for link in links]
-        return np.array([min([p[8] for p in found if p[3] == n], default=FAR) for n in numbers])
-    thing, body_of = sim.model.geom("object").id, sim.model.geom_bodyid
-    geoms = [np.flatnonzero(body_of == sim.model.body(link).id) for link in links]
-    ask = mujoco.mj_geomDistance
-    return np.array([min(ask(sim.model, sim.data, g, thing, FAR, None) for g in of) for of in geoms])
 
 
 def self_contact() -> int:

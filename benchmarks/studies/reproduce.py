@@ -1,11 +1,9 @@
-"""Does a run of a collected study come out again, bit for bit? Trains it and compares every epoch.
+"""Train a run of a collected study again, and compare every epoch bit for bit.
 
-    python -m benchmarks reproduce --by-hand docs/data/handover.tar.gz \\
-        handover_layout-2_run_type-main_s0
+    python -m benchmarks reproduce docs/data/handover.tar.gz RUN
 
-The same bits need the same machine and versions, so both versions are printed. For runs of before 0.4.0
-give --by-hand: learners had gradients by hand, which round differently, and observed quaternions either
-sign. Exit code 1 where an epoch differs.
+The same bits need the same machine and versions, so both versions are printed. Exit code 1
+where an epoch differs.
 """
 
 from __future__ import annotations
@@ -44,7 +42,6 @@ def main() -> int:
     flags = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     flags.add_argument("study", type=Path, help="a collected file, or a study's folder")
     flags.add_argument("run", help="name of a run in it, such as handover_layout-2_run_type-main_s0")
-    flags.add_argument("--by-hand", action="store_true", help="for runs of before 0.4.0")
     options = flags.parse_args()
     found = {one.run.name: one for one in records.load(options.study)[1] if one.state == "done"}
     if options.run not in found:
@@ -56,9 +53,8 @@ def main() -> int:
         files = records.StudyFiles(Path(folder))
         (files.path / records.RUNS).mkdir()
         job = runner.RunJob(files.path, before.run, config.get("ranks", 1))
-        program = "benchmarks.learners.by_hand" if options.by_hand else "tactilerl"
         done = subprocess.run(
-            job.command(sys.executable, "-m", program), cwd=ROOT, stdout=subprocess.DEVNULL
+            job.command(sys.executable, "-m", "tactilerl"), cwd=ROOT, stdout=subprocess.DEVNULL
         )
         if done.returncode:  # it has said why
             return done.returncode

@@ -7,6 +7,7 @@ Set-ups differ in hand, simulator and learner.
 
 from __future__ import annotations
 
+import itertools
 import textwrap
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
@@ -25,14 +26,12 @@ from tactilerl.study.verdicts import BySeed
 
 from benchmarks.command import data
 from benchmarks.printing import markdown
-from benchmarks.studies import agreement
-from benchmarks.studies.design_study import title
-from benchmarks.studies.study_tables import estimate, in_common, load, number
+from benchmarks.studies.study_tables import estimate, in_common, load, number, title
 
 LAYOUTS = ("layout 1", "layout 2", "layout 5", "8 chosen")
-CHOSEN, NONE, SIGHT = LAYOUTS[-1], "no touch", "sight"
+CHOSEN, NONE = LAYOUTS[-1], "no touch"
 ORDER = ("ppo", "ddpg_her", "mpl", "shadow", "allegro", "mujoco", "pybullet")
-LEAST_SIGHT, LEAST_GAIN = 0.85, 0.3  # of the pilot, for a set-up to take part
+N_PERMUTATIONS = 50_000
 MARGIN = 0.05  # by which chosen taxels may be behind
 
 
@@ -58,15 +57,13 @@ def place(record: Record) -> tuple[SetUp, str]:
     config = record.config or {}
     run, scene = config["run"], config["scene"]
     layout = title(scene["layout"]) if scene["touch"] == "on" else NONE
-    if scene["object_seen"] != "hidden":
-        layout = SIGHT
     return SetUp(run["algo"], run["env"], scene["simulator"]), layout
 
 
-def learned(score: str, name: str = "setups") -> Learned:
+def learned(score: str) -> Learned:
     """Of every run that is done, over the steps that all runs of its set-up have."""
     groups: dict[SetUp, dict[str, list[Record]]] = defaultdict(lambda: defaultdict(list))
-    for record in load(name)[1]:
+    for record in load("setups")[1]:
         if record.is_finished:
             setup, layout = place(record)
             groups[setup][layout].append(record)
@@ -74,17 +71,6 @@ def learned(score: str, name: str = "setups") -> Learned:
         setup: dict(zip(runs, verdicts.scored(score, *runs.values()), strict=True))
         for setup, runs in sorted(groups.items(), key=lambda item: [*map(ORDER.index, item[0])])
     }
-
-
-def show_pilot() -> None:
-    """Which set-ups can tell what touch is worth?"""
-    rows = []
-    for setup, of in learned("final", "setups_pilot").items():
-        sight, touch, none = (np.array([*of[name].values()]) for name in (SIGHT, LAYOUTS[0], NONE))
-        takes_part = sight.mean() >= LEAST_SIGHT and touch.mean() - none.mean() >= LEAST_GAIN
-        each = (", ".join(f"{one:.2f}" for one in group) for group in (sight, touch, none))
-        rows.append((setup, *each, "yes" if takes_part else "no"))
-    markdown("| set-up | sight | touch | no touch | takes part |", rows)
 
 
 def in_whole_seeds(score: str) -> Arms:
@@ -161,34 +147,56 @@ def show_chosen() -> None:
 
 
 def show_order() -> None:
-    """Do the set-ups put the layouts into the same order?"""
+    """Print whether the set-ups put the layouts into the same order (Kendall's W)."""
     rows = []
-    for name, score, middle in (
-        ("mean over the run", "area", np.mean),
-        ("the same, median of the seeds", "area", np.median),
-        ("last tenth", "final", np.mean),
-    ):
-        each = gains(score)
-        values = np.array([middle(one, axis=1) for one in each.values()])
-        concordance, by_setup = agreement.concordance(values)
-        _, by_hand = agreement.concordance(values, [setup.hand for setup in each])
-        correlation = number(agreement.rank_agreement(values).value, ".2f")
-        p_values = map(p_value, (by_setup, by_hand))
-        rows.append((name, f"{concordance:.2f}", correlation, *p_values))
-    head = "gain by | Kendall's W | mean rank correlation of two set-ups | p, by set-up | p, by hand"
-    markdown(f"| {head} |", rows)
+    for name, score in (("mean over the run", "area"), ("last tenth", "final")):
+        by_setup = gains(score)
+        values = np.array([one.mean(axis=1) for one in by_setup.values()])
+        hands = [setup.hand for setup in by_setup]
+        w, p = concordance(values, [str(i) for i in range(len(values))])
+        _, p_by_hand = concordance(values, hands)
+        rows.append((name, f"{w:.2f}", p_value(p), p_value(p_by_hand)))
+    markdown("| gain by | Kendall's W | p, by set-up | p, by hand |", rows)
 
 
-def show_variance() -> None:
-    """What takes which share of the gains' variance? Do layouts differ alike everywhere (p)?"""
-    found = [*gains().values()]
-    n_seeds = min(one.shape[1] for one in found)
-    balanced = np.array([one[:, :n_seeds] for one in found])
-    rows = [
-        (name, estimate(share, ".2f"), p_value(agreement.differ(balanced)) if "×" in name else "")
-        for name, share in agreement.variance_shares(balanced).items()
-    ]
-    markdown("| part of the gain's variance | share | p |", rows)
+def concordance(values: Array, blocks: Sequence[str]) -> tuple[float, float]:
+    """Return Kendall's W of the order of layouts over set-ups, and its p-value.
+
+    `values` has shape (setups, layouts). The test shuffles the order of all set-ups of a
+    block, such as a hand, in the same way.
+    """
+    n_setups, n_layouts = values.shape
+    ranks = scipy.stats.rankdata(values, axis=1)
+    friedman = scipy.stats.friedmanchisquare(*values.T).statistic
+    names = np.array(blocks)
+    sums = np.array([ranks[names == name].sum(axis=0) for name in dict.fromkeys(blocks)])
+    rng = np.random.default_rng(0)
+    shuffled = rng.permuted(np.broadcast_to(sums, (N_PERMUTATIONS, *sums.shape)), axis=2)
+    # Rows of ranks have the same sum, so the variance of the column sums orders W.
+    spread = shuffled.sum(axis=1).var(axis=1)
+    as_large = (spread >= ranks.sum(axis=0).var() - 1e-9).sum()
+    return float(friedman / (n_setups * (n_layouts - 1))), (1 + as_large) / (1 + N_PERMUTATIONS)
+
+
+def prediction(
+    predictors: Sequence[Array], values: Array, blocks: Sequence[str]
+) -> tuple[float, float]:
+    """Return the rank correlation of a predictor with values, averaged over set-ups, and p.
+
+    Both have shape (setups, layouts). The exact two-sided test reorders the predictor in
+    all ways, which the set-ups of a block share.
+    """
+    told, reached = (
+        scipy.stats.zscore(scipy.stats.rankdata(x, axis=-1), axis=-1) for x in (predictors, values)
+    )
+    orders = np.array([*itertools.permutations(range(values.shape[1]))])
+    names, sums = np.array(blocks), np.zeros(1)
+    for name in dict.fromkeys(blocks):
+        (members,) = np.nonzero(names == name)
+        by_order = told[members[0]][orders] @ reached[members].sum(axis=0)
+        sums = np.add.outer(sums, by_order).ravel()
+    sums = np.round(sums / values.size, 9)
+    return float(sums[0]), float((np.abs(sums) >= abs(sums[0])).mean())
 
 
 PREDICTORS: dict[str, Callable[[dict[str, Any]], float]] = {
@@ -196,7 +204,7 @@ PREDICTORS: dict[str, Callable[[dict[str, Any]], float]] = {
     "success at the first touch, as the scene begins": lambda row: row["success"],
     "success at the first touch, waiting at its best": lambda row: row["best"]["success"],
 }
-"""What might predict the order of a hand's layouts (`python -m benchmarks design --only hands`). The
+"""What might predict the order of a hand's layouts (`python -m benchmarks design` of 0.4.0). The
 share of starts felt in time puts them into the same order as the second."""
 
 
@@ -213,7 +221,7 @@ def show_predictors() -> None:
     rows = []
     for name in PREDICTORS:
         told = [*predicted(name, found).values()]
-        correlation, p = agreement.predicted_by_block(told, values, [setup.hand for setup in found])
+        correlation, p = prediction(told, values, [setup.hand for setup in found])
         rows.append((name, number(correlation, ".2f"), p_value(p)))
     markdown("| predictor | mean rank correlation with the gain | p, by hand |", rows)
 
@@ -248,11 +256,9 @@ def look(setup: SetUp) -> dict[str, Any]:
 
 
 TABLES = {
-    "setups pilot": show_pilot,
     "setups worth": show_worth,
     "setups layouts": show_layouts,
     "setups order": show_order,
-    "setups variance": show_variance,
     "setups predictors": show_predictors,
     "setups chosen": show_chosen,
 }

@@ -1,4 +1,4 @@
-"""What the studies found: the tables of docs/study.md, from the collected data beside it.
+"""Print what the committed studies found: tables of the docs, from docs/data.
 
 python -m benchmarks study_tables
 """
@@ -20,16 +20,14 @@ from tactilerl.statistics import Array, Estimate
 from tactilerl.study import records, verdicts
 from tactilerl.study.grid import Setup, Study
 from tactilerl.study.records import Record
+from tactilerl.study.verdicts import BySeed, Pairs
 
-from benchmarks.command import DATA, earlier
+from benchmarks.command import DATA, data
 from benchmarks.printing import interval, markdown
-from benchmarks.studies import gates
-from benchmarks.studies.agreement import agreement_of, predicts_order
 
-CHOSEN = re.compile(r"layout \S*_(\d+)\.toml")
+EARLIER = re.compile(r"layout \S*mpl_mujoco_(\d+)\.toml")
+DESIGNED = re.compile(r"docs/data/chosen/(?:[a-z]+_)?anywhere_(.+)\.toml")
 COLOURS = dict(zip(("main", "control"), style.ARMS, strict=False))
-SIGHTED = "no touch, but sight"
-PAIR = "MPL, MuJoCo"  # of the probe's results: the hand and simulator of the handover scenes
 BETWEEN = {
     ("2", "4"): "places of the 79 taxels",
     ("2", "3"): "the 15 taxels in the middle of phalanges",
@@ -43,219 +41,277 @@ SETUPS = {
     "mujoco": "Shadow Hand, MuJoCo, DDPG+HER",
     "pybullet": "MPL hand, PyBullet, PPO",
 }
-"""The paper's, as the tables call them."""
+"""The paper's set-ups, as the tables call them."""
 FAULTS = {"dead": "a fifth of the taxels dead", "late": "readings one step (0.1 s) late"}
+DESIGN_STUDIES = {"ppo": "design", "ddpg_her": "design_ddpg_her"}
+Place = tuple[str, str, str, str]
+"""Study, set-up, cell and arm of a group of runs."""
 
 
 @cache
 def load(name: str) -> tuple[Study, list[Record]]:
-    """A collected study with its runs."""
+    """Return a collected study and its runs."""
     return records.load(DATA / f"{name}.tar.gz")
 
 
 def load_setup(name: str, setup_name: str = "") -> tuple[Setup, list[Record]]:
-    """One set-up of a collected study, by default its only one, with the study's runs."""
-    study, found = load(name)
+    """Return a set-up of a study, by default its only one, and the study's runs."""
+    study, runs = load(name)
     (setup,) = (one for one in study.setups if setup_name in ("", one.name))
-    return setup, found
+    return setup, runs
 
 
 def label(cell: str) -> str:
-    """A cell as the tables call it: `layout 2`, `layout of the probe's 5`."""
-    found = CHOSEN.fullmatch(cell)
-    return f"layout of the probe's {found[1]}" if found else cell
+    """Return the name of a cell in tables: `layout 2`, `5 of 0.3`."""
+    match = EARLIER.fullmatch(cell)
+    return f"{match[1]} of 0.3" if match else cell.removeprefix("layout ")
 
 
-def decides(name: str = "handover") -> None:
-    """Every arm."""
-    study, found = load(name)
-    main, *sighted = study.setups
-    (cell,) = main.cells
-    arms = {style.ROLES[each]: (main, cell, each) for each in main.arms}
-    if sighted:
-        arms[SIGHTED] = sighted[0], sighted[0].cells[0], ""
-    groups = [verdicts.runs_of(found, *place) for place in arms.values()]
-    both = (verdicts.scored(score, *groups) for score in ("area", "final"))
+def title(layout: str) -> str:
+    """Return the name of a layout in tables: `4 chosen`, `4 random, set 2`."""
+    match = DESIGNED.fullmatch(layout)
+    if match is None:
+        return f"layout {layout}"
+    kind, *rest = match[1].split("_")
+    if kind == "random":
+        return f"{rest[0]} random, set {rest[1]}"
+    return "the dense skin" if kind == "skin" else f"{kind} chosen"
+
+
+# -- the handover studies ----------------------------------------------------------------
+
+
+def groups(name: str = "handover") -> None:
+    """Print what each group of runs reached."""
+    study, runs = load(name)
+    main, sighted = study.setups
+    arms = {style.ROLES[arm]: (main, main.cells[0], arm) for arm in main.arms}
+    arms["no touch, but sight"] = sighted, sighted.cells[0], ""
+    selected = [verdicts.runs_of(runs, *place) for place in arms.values()]
+    areas = verdicts.scored("area", *selected)
+    finals = verdicts.scored("final", *selected)
     rows = [
-        (title, len(area), mean(area.values()), mean(final.values()))
-        for title, area, final in zip(arms, *both, strict=True)
+        (group, len(area), mean(area.values()), mean(final.values()))
+        for group, area, final in zip(arms, areas, finals, strict=True)
     ]
     markdown("| hand | runs | mean success over the run | over its last tenth |", rows)
 
 
 def worth(name: str = "handover") -> None:
-    """Differences within pairs, and the share of the headroom."""
-    study, found = load(name)
-    setup, (cell,) = study.setups[0], study.setups[0].cells
-    rows: list[tuple[object, ...]] = []
-    for other in setup.arms[1:]:
-        runs = [verdicts.runs_of(found, setup, cell, arm) for arm in (setup.arms[0], other)]
-        area, final = (paired(*runs, score) for score in ("area", "final"))
-        gaps = (estimate(pairs.difference, "+.2f") for pairs in (area, final))
-        title = f"{style.ROLES['on']} − {style.ROLES[other]}"
-        rows.append((title, len(area), next(gaps), f"{area.p_value:.3f}", next(gaps)))
-    share = verdicts.headroom(study, setup, cell, found, statistics.N_RESAMPLES)
-    if share is not None:
-        rows.append(("sight − no touch", share.n, estimate(share.room, "+.2f"), "", ""))
-        rows.append(
-            ("what touch gives of what sight gives", share.n, estimate(share.share, ".2f"), "", "")
-        )
-    markdown("| difference within pairs | pairs | mean success over the run | p | last tenth |", rows)
+    """Print differences within pairs of touch and each kind of no touch."""
+    study, runs = load(name)
+    setup = study.setups[0]
+    touch, *others = (verdicts.runs_of(runs, setup, setup.cells[0], a) for a in setup.arms)
+    rows = []
+    for arm, control in zip(setup.arms[1:], others, strict=True):
+        area, final = (paired(touch, control, score) for score in ("area", "final"))
+        difference = estimate(area.difference, "+.2f")
+        last = estimate(final.difference, "+.2f")
+        rows.append((f"touch − {style.ROLES[arm]}", len(area), difference, f"{area.p_value:.3f}", last))
+    head = "| difference within pairs | pairs | mean success over the run | p | last tenth |"
+    markdown(head, rows)
 
 
 def layouts(name: str, setup_name: str = "") -> None:
-    """Each layout against its control, and what a scripted hand does with it where that is known."""
-    setup, found = load_setup(name, setup_name)
+    """Print each layout with touch against the same layout without."""
+    setup, runs = load_setup(name, setup_name)
+    pairs, finals = {}, {}
+    for cell in setup.cells:
+        arms = [verdicts.runs_of(runs, setup, cell, arm) for arm in setup.arms[:2]]
+        pairs[cell] = paired(*arms)
+        finals[cell] = verdicts.scored("final", *arms)[0]
     scripted = reflexes(name)
+    corrected = holm(pairs.values())
     rows = []
-    for cell, verdict in verdicts.judge(load(name)[0], setup, found).items():
-        pairs, where = verdict.pairs, label(cell)
-        finals, _ = verdicts.both_arms(found, setup, cell, "final")
-        means = (f"{np.mean(v):.2f}" if len(v) else "" for v in (pairs.treatment, pairs.control))
-        row = [where.removeprefix("layout "), len(pairs), *means]
-        row += [estimate(pairs.difference, "+.2f"), p_value(verdict), mean(finals.values())]
-        reflex = f"{scripted[where]:.2f}" if where in scripted else ""
-        rows.append([*row, reflex] if scripted else row)
-    head = "| layout | pairs | touch | no touch | difference | p, corrected | last tenth, touch |"
-    markdown(head + " scripted hand |" * bool(scripted), rows)
+    for (cell, pair), p in zip(pairs.items(), corrected, strict=True):
+        means = f"{np.mean(pair.treatment):.2f}", f"{np.mean(pair.control):.2f}"
+        last = mean(finals[cell].values())
+        difference = estimate(pair.difference, "+.2f")
+        row = [label(cell), len(pair), *means, difference, f"{p:.3f}", last]
+        if scripted:
+            rate = scripted.get(label(cell))
+            row.append("" if rate is None else f"{rate:.2f}")
+        rows.append(row)
+    head = "| layout | pairs | touch | no touch | difference | p, Holm | last tenth, touch |"
+    markdown(head + (" scripted hand |" if scripted else ""), rows)
 
 
-def over_layouts(name: str) -> None:
-    """What touch adds in each set-up: the mean over its layouts within each seed."""
-    study, found = load(name)
-    rows, p_values = [], []
-    for setup in study.setups:
-        seeds, arms = both_by_seed(found, setup)
-        if seeds:
-            means = arms.mean(axis=1)
-            pairs = verdicts.in_pairs([dict(zip(seeds, map(float, one), strict=True)) for one in means])
-            rows.append((SETUPS[setup.name], *compared(pairs)))
-            p_values.append(pairs.p_value)
-    corrected = [f"{p:.3f}" for p in statistics.holm(p_values)]
-    head = "| set-up | seeds | touch | no touch | difference | p | p, Holm |"
-    markdown(head, [(*row, p) for row, p in zip(rows, corrected, strict=True)])
+def reflexes(scene: str) -> dict[str, float]:
+    """Return the success of the best scripted hand with touch, by layout."""
+    return {
+        key.rpartition(" ")[2]: row["reflexes"]["touch"]["rate"]
+        for key, row in data("gates")["layouts"].items()
+        if re.fullmatch(rf"{scene}, layout \d", key)
+    }
 
 
-def both_by_seed(found: list[Record], setup: Setup) -> tuple[list[int], Array]:
-    """Seeds that every cell has with touch and without, and what both reach, (2, cells, seeds)."""
-    cells = [verdicts.both_arms(found, setup, cell, "area") for cell in setup.cells]
-    seeds, scores = in_common([arm for arms in zip(*cells, strict=True) for arm in arms])
-    return seeds, scores.reshape(2, len(cells), len(seeds))
-
-
-def in_common(groups: Sequence[verdicts.BySeed]) -> tuple[list[int], Array]:
-    """Seeds that all groups of runs have, and their scores, (groups, seeds)."""
-    seeds = sorted(set.intersection(*map(set, groups)))
-    return seeds, np.array([[scores[seed] for seed in seeds] for scores in groups])
-
-
-def agreement(name: str) -> None:
-    """Do the set-ups put the layouts into the same order?"""
-    study, found = load(name)
-    arms = [both_by_seed(found, setup)[1] for setup in study.setups]
+def between(name: str) -> None:
+    """Print layouts with touch against each other, in pairs."""
+    setup, runs = load_setup(name)
+    by_layout = {label(cell): verdicts.runs_of(runs, setup, cell, "main") for cell in setup.cells}
+    pairs = [paired(by_layout[a], by_layout[b]) for a, b in BETWEEN]
     rows = [
-        (by, estimate(agreement_of(each), ".2f"))
-        for by, each in (
-            ("mean with touch", [touch for touch, _ in arms]),
-            ("touch − no touch", [touch - control for touch, control in arms]),
-        )
-    ]
-    markdown("| layouts ordered by | rank correlation of the set-ups |", rows)
-
-
-def between(name: str, setup_name: str = "") -> None:
-    """Layouts with touch against each other, in pairs: what the paper says of them."""
-    setup, found = load_setup(name, setup_name)
-    runs = {cell: verdicts.runs_of(found, setup, cell, "main") for cell in setup.cells}
-    pairs = [paired(runs[f"layout {a}"], runs[f"layout {b}"]) for a, b in BETWEEN]
-    corrected = statistics.holm([each.p_value for each in pairs])
-    rows = [
-        (f"{a} − {b}", what, len(each), estimate(each.difference, "+.2f"), f"{p:.3f}")
-        for ((a, b), what), each, p in zip(BETWEEN.items(), pairs, corrected, strict=True)
+        (f"{a} − {b}", what, len(pair), estimate(pair.difference, "+.2f"), f"{p:.3f}")
+        for ((a, b), what), pair, p in zip(BETWEEN.items(), pairs, holm(pairs), strict=True)
     ]
     markdown("| layouts | they differ in | pairs | difference | p, Holm |", rows)
 
 
 def trained_with(name: str = "faults", without: str = "handover") -> None:
-    """Hands that learned with faulty touch, in pairs with those whose touch was sound or silent."""
-    study, found = load(name)
-    others, sound = load(without)
-    place = others.setups[0], others.setups[0].cells[0]
+    """Print hands that learned with faulty touch against hands with sound and with no touch."""
+    study, runs = load(name)
+    sound, sound_runs = load(without)
+    place = sound.setups[0], sound.setups[0].cells[0]
     rows = []
     for setup in study.setups:
-        own = verdicts.runs_of(found, setup, setup.cells[0], "")
-        pairs = [paired(own, verdicts.runs_of(sound, *place, arm)) for arm in ("main", "control")]
-        differences = (estimate(each.difference, "+.2f") for each in pairs)
-        rows.append((FAULTS[setup.name], len(pairs[0]), mean(pairs[0].treatment), *differences))
+        faulty = verdicts.runs_of(runs, setup, setup.cells[0], "")
+        pairs = [
+            paired(faulty, verdicts.runs_of(sound_runs, *place, arm)) for arm in ("main", "control")
+        ]
+        differences = (estimate(pair.difference, "+.2f") for pair in pairs)
+        success = mean(pairs[0].treatment)
+        rows.append((FAULTS[setup.name], len(pairs[0]), success, *differences))
     head = "| trained with | pairs | mean success | − touch without faults | − no touch |"
     markdown(head, rows)
 
 
-def p_value(verdict: verdicts.Verdict) -> str:
-    """Corrected for cells and looks, or what a look has not decided."""
-    if verdict.stage is not None and not verdict.stage.ending:
-        return "not decided"
-    return f"{verdict.p_holm:.3f}"
-
-
 def senses(name: str = "senses") -> None:
-    """What touch adds, by sight and error of the joints."""
-    study, found = load(name)
+    """Print what touch adds, by sight and by error of the joints."""
+    study, runs = load(name)
     cells = study.setups[0].cells
     rows = []
     for setup in study.setups:
         row = [re.sub(r"noisy_(\d)cm", r"error of \1 cm", setup.name)]
         for cell in cells:
-            pairs = verdicts.in_pairs(verdicts.both_arms(found, setup, cell, "area"))
-            row.append(estimate(pairs.difference, "+.2f") if len(pairs) else "")
+            pairs = verdicts.in_pairs(verdicts.both_arms(runs, setup, cell, "area"))
+            row.append(estimate(pairs.difference, "+.2f"))
         rows.append(row)
     noises = (f"joint error {cell.removeprefix('joint noise held ')} rad" for cell in cells)
     markdown(f"| sight | {' | '.join(noises)} |", rows)
 
 
-def orders(name: str, setup_name: str = "", pair: str = PAIR) -> None:
-    """Do scripted hands and the probe predict the order of layouts in learning?"""
-    setup, found = load_setup(name, setup_name)
-    runs = {label(cell): verdicts.runs_of(found, setup, cell, "main") for cell in setup.cells}
-    runs = {cell: own for cell, own in runs.items() if own}
-    areas = dict(zip(runs, verdicts.scored("area", *runs.values()), strict=True))
-    seeds, learned = in_common([*areas.values()])
-    predictors = {
-        "scripted hand with touch, same scene": reflexes(name),
-        "probe, gain over joints": probed(pair),
+# -- the paper's scenes ------------------------------------------------------------------
+
+
+def over_layouts(name: str) -> None:
+    """Print what touch adds in each set-up: the mean over its layouts within each seed."""
+    study, runs = load(name)
+    rows, pairs = [], []
+    for setup in study.setups:
+        cells = [verdicts.both_arms(runs, setup, cell, "area") for cell in setup.cells]
+        seeds, scores = in_common([arm for arms in zip(*cells, strict=True) for arm in arms])
+        means = scores.reshape(2, len(cells), len(seeds)).mean(axis=1)
+        pair = verdicts.in_pairs([dict(zip(seeds, arm, strict=True)) for arm in means])
+        levels = (f"{arm.mean():.2f}" for arm in means)
+        rows.append((SETUPS[setup.name], len(pair), *levels, estimate(pair.difference, "+.2f")))
+        pairs.append(pair)
+    head = "| set-up | seeds | touch | no touch | difference | p | p, Holm |"
+    rows = [
+        (*row, f"{pair.p_value:.3f}", f"{p:.3f}")
+        for row, pair, p in zip(rows, pairs, holm(pairs), strict=True)
+    ]
+    markdown(head, rows)
+
+
+def in_common(by_group: Sequence[BySeed]) -> tuple[list[int], Array]:
+    """Return the seeds that all groups have, and their scores, (groups, seeds)."""
+    seeds = sorted(set.intersection(*map(set, by_group)))
+    return seeds, np.array([[scores[seed] for seed in seeds] for scores in by_group])
+
+
+# -- how fast runs learn -----------------------------------------------------------------
+
+
+def learned(places: dict[str, Place]) -> None:
+    """Print how far some groups of runs learned, over the seeds that all of them have."""
+    selected = []
+    for name, setup_name, cell, arm in places.values():
+        setup, runs = load_setup(name, setup_name)
+        selected.append(verdicts.runs_of(runs, setup, cell, arm))
+    seeds = set.intersection(*({run.run.seed for run in runs} for runs in selected))
+    selected = [[run for run in runs if run.run.seed in seeds] for runs in selected]
+    areas, finals = (verdicts.scored(score, *selected) for score in ("area", "final"))
+    rows = [
+        (group, len(area), mean(area.values()), mean(final.values()))
+        for group, area, final in zip(places, areas, finals, strict=True)
+    ]
+    markdown("| runs | seeds | mean success over the run | over its last tenth |", rows)
+
+
+# -- designed layouts --------------------------------------------------------------------
+
+
+def designed(learner: str) -> None:
+    """Print what was learned with each designed layout, and in pairs with layout 1."""
+    study, runs = load(DESIGN_STUDIES[learner])
+    setups = {one.name: one for one in study.setups}
+    touch = setups[learner]
+    by_layout = {
+        title(layout): verdicts.runs_of(runs, touch, "all", layout)
+        for layout in map(str, touch.grid["layout"])
     }
+    by_layout["no touch"] = [
+        run for run in runs if run.run.setup == f"{learner}_blind" and run.is_finished
+    ]
+    by_layout = {name: group for name, group in by_layout.items() if group}
+    finals, areas = (
+        dict(zip(by_layout, verdicts.scored(score, *by_layout.values()), strict=True))
+        for score in ("final", "area")
+    )
+    others = [name for name in finals if name != "layout 1"]
+    pairs = {name: verdicts.in_pairs([finals[name], finals["layout 1"]]) for name in others}
+    p_values = dict(zip(others, holm(pairs.values()), strict=True))
+    scripted = data("design")["layouts"]
     rows = []
-    for title, predictor in predictors.items():
-        known = [i for i, cell in enumerate(areas) if cell in predictor]
-        if known:
-            values = np.array([predictor[cell] for cell in np.array(list(areas))[known]])
-            found_order = predicts_order(values, learned[known])
-            rows.append((title, len(known), len(seeds), estimate(found_order, ".2f")))
-    order = "rank correlation with the mean success over the run"
-    markdown(f"| predictor | layouts | seeds | {order} |", rows)
+    for name, final in finals.items():
+        best = f"{scripted[name]['best']['success']:.2f}" if name in scripted else ""
+        row = [name, best, len(final), mean(areas[name].values()), mean(final.values())]
+        if name in pairs:
+            row += [estimate(pairs[name].difference, "+.2f"), f"{p_values[name]:.3f}"]
+        rows.append(row if name in pairs else [*row, "", ""])
+    markdown(
+        "| layout | scripted hand | runs | success over the run | over its last tenth "
+        "| − layout 1 | p, Holm |",
+        rows,
+    )
 
 
-def reflexes(scene: str) -> dict[str, float]:
-    """Success of the best scripted hand with touch, by layout."""
-    rows = earlier(DATA / "gates.json")["layouts"]
-    return {
-        f"layout {each}": rows[f"{scene}, layout {each}"]["reflexes"]["touch"]["rate"]
-        for each in gates.LAYOUTS
-        if f"{scene}, layout {each}" in rows
-    }
+def design_goals() -> None:
+    """Print how well a few chosen taxels do in unseen starts of each handover."""
+    signed = partial(interval, form="+.2f", to=" to ")
+    rows = [
+        (
+            row["scene"],
+            row["taxels"],
+            interval(row["felt"], *row["felt_interval"]),
+            signed(*row["difference"]["felt"]).replace("-", "−"),
+            interval(row["gate"]["rate"], *row["gate"]["interval"]),
+            signed(*row["gate"]["difference"]).replace("-", "−"),
+        )
+        for row in data("design")["goals"]["rows"]
+    ]
+    head = "| scene | taxels | felt | − layout 1 | scripted hand with touch | − layout 1 |"
+    markdown(head, rows)
 
 
-def probed(pair: str) -> dict[str, float]:
-    """Gain in AUC over noisy joint angles, by layout."""
-    result = earlier(DATA / "probe.json")[pair]
-    gains = {
-        f"layout {row['layout']}": row["gain"]
-        for row in result["table"]
-        if (row["question"], row["metric"], row["joint_noise"]) == ("hold", "auc", 0.05)
-        and row["told"] == "joints+taxels"
-    }
-    chosen = {row["taxels"]: row["gain"] for row in result["selection"]["curve"]}
-    return gains | {f"layout of the probe's {n}": chosen[n] for n in (5, 10) if n in chosen}
+def design_hands() -> None:
+    """Print a scripted hand's success with each layout, by how far closed it waits."""
+    rows = []
+    for hand, by_layout in data("design")["hands"].items():
+        for name, row in by_layout.items():
+            waits = [f"{rate:.2f}" for rate in row["waits"].values()]
+            best = interval(row["best"]["success"], *row["best"]["interval"])
+            rows.append((style.NAMES[hand], name, row["taxels"], *waits, best))
+    head = " | ".join(f"{0.1 * wait:.1f}" for wait in range(1, 6))
+    markdown(f"| hand | layout | taxels | {head} | at its best |", rows)
+
+
+# -- helpers -----------------------------------------------------------------------------
+
+
+def holm(pairs: Iterable[Pairs]) -> Sequence[float]:
+    """Return p-values corrected for their number (Holm)."""
+    return statistics.holm([pair.p_value for pair in pairs])
 
 
 def mean(values: Iterable[float], form: str = ".2f") -> str:
@@ -267,12 +323,6 @@ def mean(values: Iterable[float], form: str = ".2f") -> str:
 def paired(a: list[Record], b: list[Record], score: str = "area") -> verdicts.Pairs:
     """The runs of both that have the same seed, by a score."""
     return verdicts.in_pairs(verdicts.scored(score, a, b))
-
-
-def compared(pairs: verdicts.Pairs) -> tuple[object, ...]:
-    """Their number, both means, the difference and p."""
-    means = (f"{np.mean(each):.2f}" for each in (pairs.treatment, pairs.control))
-    return len(pairs), *means, estimate(pairs.difference, "+.2f"), f"{pairs.p_value:.3f}"
 
 
 def estimate(found: Estimate, form: str) -> str:
@@ -319,7 +369,7 @@ def _curves(axes: Axes, study: Study, found: list[Record]) -> None:
 def _layouts(axes: Axes, study: Study, found: list[Record]) -> None:
     """Success over the last tenth, each run and their mean."""
     (setup,) = study.setups
-    labels = [label(cell).removeprefix("layout ").replace("of the ", "") for cell in setup.cells]
+    labels = [label(cell) for cell in setup.cells]
     for arm, (run_type, aside) in enumerate(zip(setup.arms, (-0.13, 0.13), strict=True)):
         colour, named = COLOURS[run_type], style.ROLES[run_type]
         for place, cell in enumerate(setup.cells):
@@ -340,28 +390,32 @@ def _layouts(axes: Axes, study: Study, found: list[Record]) -> None:
 
 
 def tables(*rows: tuple[Any, ...]) -> dict[str, partial[None]]:
-    """By what the docs call them: what prints each table. A row has the name, a function, and its
-    arguments."""
-    return {name: partial(show, *of) for name, show, *of in rows}
+    """Return what prints each table, by its name; a row is a name, a function, its arguments."""
+    return {name: partial(show, *arguments) for name, show, *arguments in rows}
 
 
 TABLES = tables(
-    ("study arms", decides, "handover"),
-    ("study worth", worth, "handover"),
-    ("study shuffled", decides, "shuffled"),
-    ("study shuffled, in pairs", worth, "shuffled"),
+    ("study arms", groups),
+    ("study worth", worth),
     ("study fingers", layouts, "handover_fingers"),
     ("study palm", layouts, "handover_layouts"),
-    ("study orders", orders, "handover_fingers"),
-    ("study senses", senses, "senses"),
     ("study between", between, "handover_fingers"),
-    ("study trained with faults", trained_with, "faults"),
-    ("study paper", over_layouts, "paper"),
-    ("study paper, agreement", agreement, "paper"),
-    ("study paper, ddpg_her", layouts, "paper", "mujoco"),
-    ("study paper, ddpg_her, between", between, "paper", "mujoco"),
-    ("study paper, ddpg_her, orders", orders, "paper", "mujoco", "Shadow, MuJoCo"),
-    ("study paper, ppo", layouts, "paper", "pybullet"),
-    ("study paper, ppo, between", between, "paper", "pybullet"),
-    ("study paper, ppo, orders", orders, "paper", "pybullet", "MPL, PyBullet"),
+    ("study senses", senses),
+    ("study trained with faults", trained_with),
+    ("paper", over_layouts, "paper"),
+    ("paper ddpg_her", layouts, "paper", "mujoco"),
+    ("paper ppo", layouts, "paper", "pybullet"),
+    ("learned ppo", learned, {"PPO, 50,000 steps": ("learners", "ppo", "layout 4", "")}),
+    (
+        "learned updates",
+        learned,
+        {
+            "40 updates per cycle": ("learners", "updates", "layout 2", ""),
+            "16 updates per cycle": ("paper", "mujoco", "layout 2", "main"),
+        },
+    ),
+    ("design goals", design_goals),
+    ("design hands", design_hands),
+    ("design ppo", designed, "ppo"),
+    ("design ddpg_her", designed, "ddpg_her"),
 )

@@ -2,18 +2,11 @@
 
 import importlib
 import json
-import sys
-from dataclasses import replace
 
 import pytest
 from benchmarks.command import run_missing
-from benchmarks.learners import steady
-from benchmarks.peers import clients
-from benchmarks.peers.client_check import Check
 from benchmarks.physics import hold_verdict
 from benchmarks.physics.speed_vs_error import Setting, environment
-
-from benchmarks import command, tables, times
 
 
 @pytest.mark.pybullet
@@ -55,30 +48,3 @@ def test_a_second_call_runs_what_is_missing(tmp_path):
     }
     with pytest.raises(SystemExit, match="other configurations"):
         run_missing(out, {"sizes": (1, 3)}, [(3,)], doubled, 1)
-
-
-@pytest.mark.parametrize("learn", [steady.ours, steady.theirs])
-def test_curves_of_both_libraries_have_points_where_the_task_says(learn):
-    task = replace(steady.TASKS["point-reach"], steps=200, every=100, sizes={"hidden": (8,)})
-    curve = learn(replace(steady.STEADY, n_batches=2, batch_size=16), task, seed=10_000)
-    assert curve.steps == [100, 200]
-    assert all(0.0 <= rate <= 1.0 for rate in curve.rates)
-    assert -25.0 <= curve.returns[-1] <= 0.0
-
-
-def test_a_client_works_or_says_why_in_a_line_or_is_not_there(monkeypatch):
-    monkeypatch.setitem(clients.CHECKS, "nothing", Check("gymnasium", "what is not there", dict))
-    monkeypatch.setitem(clients.CHECKS, "elsewhere", Check("no-such-package", "nothing", dict))
-    rows = clients.measure(["check_env", "nothing", "elsewhere"])
-    assert [row["result"] for row in rows] == [clients.WORKS, "KeyError: 'nothing'"]
-
-
-def test_times_of_commands_are_a_table(monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr(times, "COMMANDS", ("env --env lqr", "env --env shadow --export OUT.toml"))
-    monkeypatch.setattr(sys, "argv", ["times", "--out", str(tmp_path / "times.json")])
-    times.main()
-    table = capsys.readouterr().out
-    assert "| `tactilerl env --env lqr` | " in table
-    monkeypatch.setattr(command, "DATA", tmp_path)
-    page = "<!-- table times -->\nold\n<!-- end -->\n"
-    assert tables.filled(page) == page.replace("old\n", table)
