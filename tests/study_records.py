@@ -17,11 +17,11 @@ PAPER_LIKE = """
 name = "made-up"
 
 [compare]
-run_type = ["main", "control"]
+touch = ["on", "off"]
 
 [grid]
 layout = [1, 2, 5]
-run_type = ["main", "control"]
+touch = ["on", "off"]
 seed = "0-{last}"
 
 [setups.pybullet]
@@ -83,7 +83,7 @@ def _made(text, epochs, total):
 
 def write_progress(run_dir, run, rng, epochs, total):
     """A curve that rises to its level, with noise."""
-    level = LEVEL.get(run.cell, 0.6) if run.arm in ("main", "0.95") else LEVEL.get(run.setup, 0.55)
+    level = LEVEL.get(run.cell, 0.6) if run.arm in ("on", "0.95") else LEVEL.get(run.setup, 0.55)
     level += rng.normal(0, 0.05)
     with run_dir.progress.path.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")

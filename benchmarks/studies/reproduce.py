@@ -41,7 +41,7 @@ def main() -> int:
     """Train the run anew, in a folder that goes again."""
     flags = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     flags.add_argument("study", type=Path, help="a collected file, or a study's folder")
-    flags.add_argument("run", help="name of a run in it, such as handover_layout-2_run_type-main_s0")
+    flags.add_argument("run", help="name of a run in it, such as handover_layout-2_touch-on_s0")
     options = flags.parse_args()
     found = {one.run.name: one for one in records.load(options.study)[1] if one.state == "done"}
     if options.run not in found:

@@ -27,7 +27,7 @@ from benchmarks.printing import interval, markdown
 
 EARLIER = re.compile(r"layout \S*mpl_mujoco_(\d+)\.toml")
 DESIGNED = re.compile(r"docs/data/chosen/(?:[a-z]+_)?anywhere_(.+)\.toml")
-COLOURS = dict(zip(("main", "control"), style.ARMS, strict=False))
+COLOURS = dict(zip(("on", "off"), style.ARMS, strict=False))
 BETWEEN = {
     ("2", "4"): "places of the 79 taxels",
     ("2", "3"): "the 15 taxels in the middle of phalanges",
@@ -148,7 +148,7 @@ def reflexes(scene: str) -> dict[str, float]:
 def between(name: str) -> None:
     """Print layouts with touch against each other, in pairs."""
     setup, runs = load_setup(name)
-    by_layout = {label(cell): verdicts.runs_of(runs, setup, cell, "main") for cell in setup.cells}
+    by_layout = {label(cell): verdicts.runs_of(runs, setup, cell, "on") for cell in setup.cells}
     pairs = [paired(by_layout[a], by_layout[b]) for a, b in BETWEEN]
     rows = [
         (f"{a} − {b}", what, len(pair), estimate(pair.difference, "+.2f"), f"{p:.3f}")
@@ -166,7 +166,7 @@ def trained_with(name: str = "faults", without: str = "handover") -> None:
     for setup in study.setups:
         faulty = verdicts.runs_of(runs, setup, setup.cells[0], "")
         pairs = [
-            paired(faulty, verdicts.runs_of(sound_runs, *place, arm)) for arm in ("main", "control")
+            paired(faulty, verdicts.runs_of(sound_runs, *place, arm)) for arm in ("on", "off")
         ]
         differences = (estimate(pair.difference, "+.2f") for pair in pairs)
         success = mean(pairs[0].treatment)
@@ -353,13 +353,13 @@ def draw(folder: Path) -> None:
 def _curves(axes: Axes, study: Study, found: list[Record]) -> None:
     """Every run thin, their mean thick."""
     setup = study.setups[0]
-    for run_type in setup.arms[:2]:
-        runs = [one.curve for one in verdicts.runs_of(found, setup, setup.cells[0], run_type)]
+    for touch in setup.arms[:2]:
+        runs = [one.curve for one in verdicts.runs_of(found, setup, setup.cells[0], touch)]
         steps = np.linspace(max(x[0] for x, _ in runs), min(x[-1] for x, _ in runs), 60)
         curves = np.array([np.interp(steps, *run) for run in runs])
-        axes.plot(steps, curves.T, color=COLOURS[run_type], lw=0.8, alpha=0.6)
-        label = f"{style.ROLES[run_type]}, mean of {len(runs)} runs"
-        axes.plot(steps, curves.mean(axis=0), color=COLOURS[run_type], lw=2.5, label=label)
+        axes.plot(steps, curves.T, color=COLOURS[touch], lw=0.8, alpha=0.6)
+        label = f"{style.ROLES[touch]}, mean of {len(runs)} runs"
+        axes.plot(steps, curves.mean(axis=0), color=COLOURS[touch], lw=2.5, label=label)
     axes.plot([], [], color=style.INK, lw=0.8, alpha=0.7, label="a run")
     axes.set(title="Handover to the palm", xlabel="environment steps", ylabel="success rate")
     axes.set_ylim(0, 1.02)
@@ -370,8 +370,8 @@ def _layouts(axes: Axes, study: Study, found: list[Record]) -> None:
     """Success over the last tenth, each run and their mean."""
     (setup,) = study.setups
     labels = [label(cell) for cell in setup.cells]
-    for arm, (run_type, aside) in enumerate(zip(setup.arms, (-0.13, 0.13), strict=True)):
-        colour, named = COLOURS[run_type], style.ROLES[run_type]
+    for arm, (touch, aside) in enumerate(zip(setup.arms, (-0.13, 0.13), strict=True)):
+        colour, named = COLOURS[touch], style.ROLES[touch]
         for place, cell in enumerate(setup.cells):
             rates = list(verdicts.both_arms(found, setup, cell, "final")[arm].values())
             x, is_first = place + aside, place == 0
@@ -411,7 +411,7 @@ TABLES = tables(
         learned,
         {
             "40 updates per cycle": ("learners", "updates", "layout 2", ""),
-            "16 updates per cycle": ("paper", "mujoco", "layout 2", "main"),
+            "16 updates per cycle": ("paper", "mujoco", "layout 2", "on"),
         },
     ),
     ("design goals", design_goals),

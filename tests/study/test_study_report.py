@@ -92,7 +92,7 @@ def by_seed(group, score):
 class TestNumbers:
     def test_runs_of_the_same_seed_are_compared_by_their_areas(self, result):
         one = result.setups[0]
-        arms = [by_seed(one.groups["layout 2", arm], "area") for arm in ("main", "control")]
+        arms = [by_seed(one.groups["layout 2", arm], "area") for arm in ("on", "off")]
         gaps = np.array([arms[0][seed] - arms[1][seed] for seed in (0, 1, 2, 3)])
         found = one.comparisons["layout 2"].verdict
         assert found.pairs.seeds == [0, 1, 2, 3]
@@ -103,7 +103,7 @@ class TestNumbers:
 
     def test_a_pair_counts_only_where_both_runs_are_done(self, tmp_path, capsys):
         folder = make_study(tmp_path / "s", n_seeds=3)
-        lost = next(r for r in folder.study().runs() if (r.arm, r.seed) == ("control", 1))
+        lost = next(r for r in folder.study().runs() if (r.arm, r.seed) == ("off", 1))
         fail(folder, lost)
         found = analysis.analyse(*records.load(folder.path), 100).setups[0].comparisons[lost.cell]
         assert found.verdict.pairs.seeds == [0, 2]
@@ -111,10 +111,10 @@ class TestNumbers:
         assert "2 of 3 pairs" in reported(capsys, folder.path)
 
     def test_a_group_is_its_runs(self, folder, result):
-        group = result.setups[1].groups["layout 2", "main"]
+        group = result.setups[1].groups["layout 2", "on"]
         _, own = records.load(folder.path)
         place = own, result.setups[1].setup, "layout 2"
-        arms = [verdicts.runs_of(*place, arm) for arm in ("main", "control")]
+        arms = [verdicts.runs_of(*place, arm) for arm in ("on", "off")]
         expected = list(verdicts.scored("converged", *arms)[0].values())
         assert group.seeds == [0, 1, 2, 3]
         np.testing.assert_allclose(group.scores["converged"], expected)
@@ -401,7 +401,7 @@ class TestForReadersAndPrograms:
     def test_scores_are_exact_and_in_columns(self, result, written):
         found = pandas.read_csv(written.parent / "scores.csv", float_precision="round_trip")
         one = result.setups[0]
-        group = one.groups["layout 2", "main"]
+        group = one.groups["layout 2", "on"]
         row = found.query("setup == 'pybullet' and setting == 'layout 2' and score == 'area'")
         arm, gap = (row[row.arm == name].iloc[0] for name in ("touch", "touch − no touch"))
         assert arm.estimate == group.scores["area"].mean()

@@ -391,8 +391,8 @@ def test_controls_of_layouts_with_as_many_taxels_are_the_same_run(same):
     """docs/study.md says so of the paper's study."""
     found = {one.run.name: one for one in records.load(ROOT / "docs/data/paper.tar.gz")[1]}
     for seed in range(5):
-        a, b = (found[f"mujoco_layout-{n}_run_type-control_s{seed}"].rows for n in same)
-        other = found[f"mujoco_layout-1_run_type-control_s{seed}"].rows
+        a, b = (found[f"mujoco_layout-{n}_touch-off_s{seed}"].rows for n in same)
+        other = found[f"mujoco_layout-1_touch-off_s{seed}"].rows
         assert not reproduce.differences(a, b)
         assert reproduce.differences(a, other)
 
@@ -402,26 +402,3 @@ def test_a_benchmark_ends_with_one_line_over_bad_input(tmp_path):
     assert (result.returncode, result.stderr.count("\n")) == (2, 1)
     assert "gone.tar.gz' is not a study's folder" in result.stderr
 
-
-class TestAfterAnUpgrade:
-    """Runs that version 0.3.0 has made and recorded as done."""
-
-    @pytest.fixture
-    def old(self, tmp_path):
-        shutil.copytree(Path(__file__).with_name("of_0_3_0"), tmp_path / "of_0_3_0")
-        return tmp_path / "of_0_3_0"
-
-    @pytest.mark.parametrize("unknown", ["", "gamma", "clip_range"])
-    def test_finished_runs_stay_finished(self, old, monkeypatch, capsys, unknown):
-        """Also where they lack a value that this version knows."""
-        monkeypatch.setattr(runner, "_process", None)
-        for path in old.glob("runs/*/config.json"):
-            config = json.loads(path.read_text())
-            config["learner"].pop(unknown, None)
-            path.write_text(json.dumps(config))
-        before = {path: path.read_bytes() for path in old.glob("runs/**/*.*")}
-        args = ["study", "run", old / "study.toml", "--out", old]
-        assert "4 runs, 0 to do" in printed(capsys, args)
-        assert {path: path.read_bytes() for path in before} == before
-        assert "in no figure" not in printed(capsys, ["study", "report", old, "--resamples", "100"])
-        assert [one.state for one in records.load(records.collect(old))[1]] == ["done"] * 4

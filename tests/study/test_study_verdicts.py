@@ -26,12 +26,12 @@ algo = "ppo"
 env = "shadow"
 object_seen = "hidden"
 total_timesteps = 30_000
-compare = {run_type = ["main", "control"]}
-grid = {run_type = ["main", "control"], seed = "0-7"}
+compare = {touch = ["on", "off"]}
+grid = {touch = ["on", "off"], seed = "0-7"}
 [setups.sighted]
 algo = "ppo"
 env = "shadow"
-run_type = "control"
+touch = "off"
 total_timesteps = 30_000
 grid = {seed = "0-8"}
 """
@@ -132,7 +132,7 @@ class TestHeadroom:
         study, found = records.load(folder.path)
         room = verdicts.headroom(study, study.setups[0], "all", found, 500)
         blind, sighted = study.setups
-        arms = [(sighted, ""), (blind, "main"), (blind, "control")]
+        arms = [(sighted, ""), (blind, "on"), (blind, "off")]
         runs = [verdicts.runs_of(found, setup, "all", arm) for setup, arm in arms]
         seen, main_arm, control = verdicts.scored("area", *runs)
         sight = [seen[seed] - control[seed] for seed in range(8)]
@@ -150,7 +150,7 @@ class TestHeadroom:
         assert (little.is_enough, much.is_enough) == (False, True)
 
     def test_another_difference_than_sight_is_no_sighted_control(self, tmp_path):
-        text = SIGHT.replace('run_type = "control"\n', 'run_type = "control"\ngamma = 0.9\n')
+        text = SIGHT.replace('touch = "off"\n', 'touch = "off"\ngamma = 0.9\n')
         study, found = records.load(make_study(tmp_path / "s", text, n_seeds=8).path)
         assert verdicts.headroom(study, study.setups[0], "all", found, 500) is None
 
@@ -221,8 +221,8 @@ class TestCompare:
 
 
 class TestErrorsOfLooks:
-    arms = Contrast("run_type", "main", "control")
-    setup = Setup("one", {}, {"run_type": ["main", "control"]}, [0], arms, "success_rate")
+    arms = Contrast("touch", "on", "off")
+    setup = Setup("one", {}, {"touch": ["on", "off"]}, [0], arms, "success_rate")
 
     def verdict(self, ending, p, p_holm=1.0):
         pairs = verdicts.Pairs(list(range(9)), np.ones(9), np.zeros(9), verdicts.Estimate(0.1, 0, 1), p)
@@ -271,7 +271,7 @@ class TestCommonRange:
     """Runs that are compared are scored over the steps that all of them have."""
 
     def record(self, steps, rates, seed=0):
-        run = Run(f"r{seed}", "one", "all", "main", seed, "success_rate", {})
+        run = Run(f"r{seed}", "one", "all", "on", seed, "success_rate", {})
         points = zip(map(str, steps), map(str, rates), strict=True)
         rows = [dict(zip(("env_steps", "success_rate"), point, strict=True)) for point in points]
         return records.Record(run, "done", "", {}, rows)
@@ -301,7 +301,7 @@ class TestCommonRange:
         """Also where one arm's runs are longer."""
         folder = make_study(tmp_path / "s", n_seeds=4)
         for run in folder.study().runs():
-            if (run.setup, run.arm, run.seed) == ("pybullet", "main", 2):
+            if (run.setup, run.arm, run.seed) == ("pybullet", "on", 2):
                 path = folder.run_dir(run).progress.path
                 path.write_text(path.read_text() + "26,36000,0.0,0.0,0.0,100.0\n")
         study, found = records.load(folder.path)
