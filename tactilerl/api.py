@@ -32,9 +32,9 @@ from .envs import typed, vector
 from .envs.choices import require_known
 from .envs.layouts import Layout
 from .errors import PEERS
-from .runs import config, evaluation, policies, training
+from .machine import WorkerCount, free_cores
+from .runs import evaluation, policies, training
 from .runs.config import RunOptions
-from .runs.cores import free_cores
 from .runs.run_dir import resolve
 from .terminal.progress_bar import ProgressBar
 
@@ -188,7 +188,7 @@ def evaluate(
     for `env` and `workers` see `PPO`. Raises ValueError when the policy does not fit `env`.
     """
     typed.require_type(episodes, evaluation.EpisodeCount, "episodes")
-    typed.require_type(workers, config.WorkerCount, "workers")
+    typed.require_type(workers, WorkerCount, "workers")
     if isinstance(policy, Learner):
         policy = policy.policy()
     if not isinstance(policy, Policy):

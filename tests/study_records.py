@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from tactilerl.runs import provenance
+from tactilerl import machine
 from tactilerl.runs.run_dir import FORMAT
 from tactilerl.study import check, grid
 from tactilerl.study.records import StudyFiles
@@ -70,7 +70,7 @@ def _made(text, epochs, total):
     runs = study.runs()
     configs = check.configure(runs)
     folder.create(study)
-    made_with = [provenance.origin()]
+    made_with = [machine.origin()]
     for index, run in enumerate(runs):
         run_dir = folder.run_dir(run)
         run_dir.path.mkdir()

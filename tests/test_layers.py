@@ -9,10 +9,22 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 # The rooms of the application, and the few files beside them: each may use itself and those before.
 ROOMS = (
-    *("envs", "algos", "version", "errors", "statistics", "style", "terminal", "runs", "pictures"),
+    *(
+        "envs",
+        "algos",
+        "version",
+        "errors",
+        "files",
+        "machine",
+        "statistics",
+        "style",
+        "terminal",
+        "runs",
+        "pictures",
+    ),
     *("probe", "study", "commands", "api", "", "__main__"),
 )
-BESIDE = {"version", "errors", "statistics", "style", "api", "", "__main__"}
+BESIDE = {"version", "errors", "files", "machine", "statistics", "style", "api", "", "__main__"}
 ALLOWED = {
     "mujoco": ("envs/simulators/", "envs/hands/"),
     "pybullet": ("envs/simulators/pybullet.py",),

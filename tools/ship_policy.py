@@ -11,9 +11,9 @@ import argparse
 import sys
 from pathlib import Path
 
-from tactilerl import algos
+from tactilerl import algos, files
 from tactilerl.errors import InputError
-from tactilerl.runs import checkpoint, files, sealed
+from tactilerl.runs import checkpoint, sealed
 from tactilerl.runs.config import LAYOUT_COPY
 from tactilerl.runs.run_dir import FORMAT, RunDir
 

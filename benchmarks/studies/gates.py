@@ -13,8 +13,8 @@ from typing import Any
 
 from tactilerl.envs import scenes, tasks
 from tactilerl.envs.grasp import setup
+from tactilerl.machine import free_cores
 from tactilerl.probe import gate
-from tactilerl.runs.cores import free_cores
 
 from benchmarks.command import count, earlier, parser, write
 from benchmarks.printing import interval, markdown

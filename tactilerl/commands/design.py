@@ -13,10 +13,10 @@ from rich.table import Table
 
 from ..envs import layouts
 from ..errors import InputError, input_errors
+from ..files import pasted
+from ..machine import free_cores
 from ..probe import design, design_files
 from ..probe.candidates import Design, DesignFlags
-from ..runs.cores import free_cores
-from ..runs.files import pasted
 from ..terminal import flags
 from ..terminal.console import console, progress
 from ..terminal.help import About

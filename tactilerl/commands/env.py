@@ -17,7 +17,7 @@ from ..envs.hands import tactile
 from ..envs.layouts import Taxels
 from ..envs.taxel_formats import WRITERS
 from ..errors import InputError, input_errors
-from ..runs.files import content, replacing
+from ..files import content, replacing
 from ..terminal.help import About
 from .scene import layout_notes, read_any
 

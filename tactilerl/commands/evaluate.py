@@ -17,8 +17,9 @@ from ..algos.mpi import Communicator
 from ..envs import typed
 from ..envs.observations import SensorConfig
 from ..errors import InputError, input_errors
+from ..machine import WorkerCount
 from ..runs import evaluation, policies, sweep
-from ..runs.config import RunConfig, WorkerCount
+from ..runs.config import RunConfig
 from ..runs.run_dir import RunDir
 from ..runs.training import start_workers
 from ..terminal import flags

@@ -11,9 +11,8 @@ from rich.table import Table
 
 from ..envs import hands, layouts, typed
 from ..errors import InputError, input_errors
+from ..machine import WorkerCount, free_cores
 from ..probe import gate
-from ..runs.config import WorkerCount
-from ..runs.cores import free_cores
 from ..terminal import flags
 from ..terminal.console import console, progress
 from ..terminal.help import About

@@ -11,10 +11,10 @@ from ..envs.grasp import GraspConfig
 from ..envs.hands import ScriptedGrasp
 from ..envs.simulators import Camera
 from ..errors import InputError
+from ..files import begins_with, replacing
+from ..machine import free_cores
 from ..pictures import render
 from ..probe import grasp_search
-from ..runs.cores import free_cores
-from ..runs.files import begins_with, replacing
 from ..terminal.console import beside, progress
 
 LEAST = 0.5  # of the time that an object must be up for a found grasp to be of use

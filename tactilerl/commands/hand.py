@@ -16,8 +16,8 @@ from ..envs import hands
 from ..envs.grasp import setup
 from ..envs.hands import sandbox
 from ..errors import InputError, input_errors
+from ..files import begins_with, pasted, replacing
 from ..probe import doctor, grasp_search
-from ..runs.files import begins_with, pasted, replacing
 from ..terminal import flags
 from ..terminal.console import console
 from ..terminal.help import About

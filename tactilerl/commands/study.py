@@ -19,9 +19,9 @@ from rich import box
 from rich.table import Table
 
 from ..errors import InputError, extra
+from ..files import pasted
+from ..machine import free_cores
 from ..runs.config import RunConfig
-from ..runs.cores import free_cores
-from ..runs.files import pasted
 from ..study import check, engine, grid, looks, parts, progress, records
 from ..study.records import Record, StudyFiles
 from ..study.runner import RunJob

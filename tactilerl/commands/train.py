@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from ..algos import mpi
 from ..errors import InputError, input_errors
+from ..files import pasted
 from ..runs import arguments
 from ..runs.config import RunConfig
-from ..runs.files import pasted
 from ..runs.training import train
 from ..terminal import flags
 from ..terminal.console import console, paragraph

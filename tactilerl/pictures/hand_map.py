@@ -11,7 +11,7 @@ import numpy as np
 from ..envs.hands import DIGITS, Hand
 from ..envs.layouts import Taxels
 from ..envs.state import Array
-from ..runs.files import MAKER
+from ..files import MAKER
 from . import places
 from .places import Place
 

@@ -19,7 +19,7 @@ from ..envs.hands import ScriptedGrasp
 from ..envs.simulators import Camera, Simulator
 from ..envs.vector import Job
 from ..errors import InputError
-from ..runs.files import MAKER, is_picture, replacing, require_ours
+from ..files import MAKER, is_picture, replacing, require_ours
 from ..style import ROLES
 from .hand_map import PAPER, TaxelMap, lettered, save_picture
 

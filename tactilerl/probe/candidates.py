@@ -17,8 +17,8 @@ from ..envs.grasp import GraspConfig, setup
 from ..envs.hands import Hand
 from ..envs.layouts import Layout, Taxels
 from ..envs.state import Array
+from ..machine import WorkerCount
 from ..pictures import places
-from ..runs.config import WorkerCount
 from .cover import Aim
 from .recording import Skin
 

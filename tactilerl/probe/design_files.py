@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..envs import toml_files
 from ..errors import InputError, extra
-from ..runs.files import is_picture, locked, read_json, replacing, require_ours
+from ..files import is_picture, locked, read_json, replacing, require_ours
 from .candidates import MADE, Design
 
 

@@ -14,10 +14,10 @@ from matplotlib.patches import FancyBboxPatch
 
 from ..envs import layouts
 from ..envs.hands import Hand
+from ..files import MAKER, IsOurs, replacing
 from ..pictures import places
 from ..pictures.hand_map import EDGE, ROUND, labels, panels, point
 from ..pictures.places import Place
-from ..runs.files import MAKER, IsOurs, replacing
 from ..style import DPI, FAINT, HEAD, INK, NAMES, OTHERS, STYLE
 from .candidates import Design
 

@@ -17,7 +17,7 @@ from ..envs import hands, typed, vector
 from ..envs.scenes import renamed
 from ..envs.state import KINDS
 from ..errors import InputError
-from ..runs.files import damage_named, read_arrays, replacing
+from ..files import damage_named, read_arrays, replacing
 from . import grasps
 from .grasps import Measured, Scenes, shapes_of, stack
 from .options import GraspFlags

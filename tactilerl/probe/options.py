@@ -14,7 +14,7 @@ from ..envs.grasp import GraspConfig, setup
 from ..envs.hold import Verdict
 from ..envs.observations import TaxelFaults, validate_faults
 from ..envs.state import Kind
-from ..runs.config import WorkerCount
+from ..machine import WorkerCount
 
 LOST = {
     "object_density",

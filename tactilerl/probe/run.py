@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
+from .. import machine
 from ..envs import hands, layouts, typed
 from ..envs.hands import Hand
 from ..envs.state import Array
 from ..errors import InputError, input_errors
+from ..files import is_picture, locked, read_json, replacing, require_ours
+from ..machine import free_cores
 from ..pictures import places
-from ..runs import provenance
-from ..runs.cores import free_cores
-from ..runs.files import is_picture, locked, read_json, replacing, require_ours
 from . import analysis, estimators, figures, files, selection
 from .options import AnalysisFlags, Options
 from .readings import Grasps, with_faults
@@ -104,7 +104,7 @@ def analyse(read: Options, played: files.Played, out: Path) -> dict[str, Any]:
             "broken": int(played.records["broken"].sum()),
             "held": float(grasps.held.mean()),
             "objects": grasps.objects()[0],
-            "versions": provenance.versions("scipy", "scikit-learn"),
+            "versions": machine.versions("scipy", "scikit-learn"),
             "layouts": {
                 name: {"taxels": len(placed)} for name, placed in taxels.items()
             },

@@ -16,9 +16,9 @@ import torch
 from ..algos.learner import Learner
 from ..algos.mpi import Communicator
 from ..errors import InputError
+from ..files import damage_named, own_folder
 from . import sealed
 from .config import RunConfig
-from .files import damage_named, own_folder
 from .run_dir import FORMAT, RunDir, with_new_names
 
 TYPES = {

@@ -24,9 +24,7 @@ from ..envs.choices import nearest, require_known
 from ..envs.grasp import GraspConfig, GraspEnv, setup
 from ..envs.scenes import NamedScene
 from ..errors import PEERS, InputError, input_errors
-
-WorkerCount = Annotated[int, "[1, 256]"] | None
-"""More than any machine has cores would be a slip, and a process each."""
+from ..machine import WorkerCount
 
 
 @dataclass(frozen=True)

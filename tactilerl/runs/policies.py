@@ -17,8 +17,8 @@ from ..algos.learner import progress_remaining
 from ..algos.policy import Policy, network_sizes
 from ..algos.spaces import Spaces
 from ..envs import typed
+from ..files import damage_named
 from . import sealed
-from .files import damage_named
 
 if TYPE_CHECKING:
     from ..algos.learner import Learner

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import InputError
-from .files import content, damage_named, no_link, replacing
+from ..files import content, damage_named, no_link, replacing
 
 FIRST = ["epoch", "env_steps"]  # the columns that every table begins with
 TIMES = ("collect_s", "update_s", "steps_per_s")  # columns that no seed decides

@@ -13,19 +13,19 @@ import os
 from pathlib import Path
 from typing import Annotated, Any
 
+from .. import machine
 from ..algos import recipes
 from ..envs import hands, layouts, scenes
 from ..envs.typed import require_type
 from ..errors import InputError, input_errors
-from . import provenance
+from ..files import damage_named, read_json, replacing, writable
 from .config import LAYOUT_COPY, PARTS, RunConfig, defaults, from_dict
-from .files import damage_named, read_json, replacing, writable
 from .progress_csv import ProgressTable
 
 FORMAT = 3  # of all files in a run folder; 1 and 2 are those of 0.1
 Values = dict[str, Any]
 RECORD: dict[str, Any] = {"run": Values, "scene": Values | None, "learner": Values}
-RECORD |= {"ranks": Annotated[int, "[1, inf)"], "provenance": list[provenance.Origin]}
+RECORD |= {"ranks": Annotated[int, "[1, inf)"], "provenance": list[machine.Origin]}
 
 
 class RunDir:
@@ -70,8 +70,8 @@ class RunDir:
         returns in words what changed.
         """
         records = self.record()["provenance"] if self.config_file.exists() else []
-        now = provenance.origin(epoch, env_steps)
-        changed = provenance.difference(records[-1], now) if records else ""
+        now = machine.origin(epoch, env_steps)
+        changed = machine.difference(records[-1], now) if records else ""
         if changed or not records:
             records.append(now)
         content = {

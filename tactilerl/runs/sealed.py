@@ -16,7 +16,7 @@ from typing import Any, BinaryIO
 import torch
 
 from ..errors import InputError
-from .files import IsOurs, damage_named, open_regular, replacing, require_small
+from ..files import IsOurs, damage_named, open_regular, replacing, require_small
 
 MARK = b"\ntactilerl sha256 "
 SEAL_SIZE = len(MARK) + 2 * hashlib.sha256().digest_size

@@ -20,13 +20,13 @@ from ..algos.mpi import Communicator
 from ..algos.rollout import FAULTS
 from ..envs import vector
 from ..errors import InputError, input_errors
+from ..files import locked, pasted
+from ..machine import free_cores
 from ..terminal import interrupts
 from ..terminal.console import paragraph
 from ..terminal.progress_bar import ProgressBar, require_tensorboard
 from .checkpoint import Checkpoint
 from .config import RunConfig, RunOptions
-from .cores import free_cores
-from .files import locked, pasted
 from .run_dir import RunDir
 
 COUNTS = ("episodes", *FAULTS, "updates")  # columns of progress.csv that are sums
@@ -55,7 +55,7 @@ def start_learner(
     with ExitStack() as started:
         workers = started.enter_context(closing(start()))
         cores = run.workers or free_cores(
-            comm
+            comm.local_size
         )  # a toy is played on one and learned from on two
         _warn_of_wrappers(workers.env)
         options = comm, run.seed, run.total_timesteps, run.device, cores
@@ -86,7 +86,7 @@ def start_workers(
     computes with the run's number of threads from here on, in this process and in theirs."""
     set_up = partial(torch.set_num_threads, config.run.threads)
     set_up()
-    return vector.start(config.make_env, n or free_cores(comm), set_up)
+    return vector.start(config.make_env, n or free_cores(comm.local_size), set_up)
 
 
 def train(config: RunConfig, comm: Communicator, summary: str = "") -> Path:

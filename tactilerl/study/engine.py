@@ -14,7 +14,7 @@ from typing import Any, cast
 
 from ..algos import mpi
 from ..errors import InputError, extra, input_errors
-from ..runs.cores import free_cores
+from ..machine import free_cores
 from .records import StudyFiles
 from .runner import LOOK, PATIENCE, Ending, RunJob, run_job, threads
 

@@ -40,7 +40,7 @@ from ..envs import toml_files, typed
 from ..envs.choices import require_one_of
 from ..envs.scenes import renamed
 from ..errors import InputError, input_errors
-from ..runs.files import require_name
+from ..files import require_name
 from ..style import ROLES
 
 MEASURES = (

@@ -12,7 +12,7 @@ from typing import Any
 
 from .. import statistics
 from ..errors import InputError
-from ..runs.provenance import short
+from ..machine import short
 from .records import UNTOLD, Record, load, settings
 from .verdicts import in_pairs, scored, span
 

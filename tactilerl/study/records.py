@@ -27,8 +27,7 @@ import filelock
 import numpy as np
 
 from ..errors import InputError
-from ..runs.config import PARTS
-from ..runs.files import (
+from ..files import (
     LEFTOVER,
     MAX_JSON,
     content,
@@ -37,6 +36,7 @@ from ..runs.files import (
     unzip,
     writable,
 )
+from ..runs.config import PARTS
 from ..runs.progress_csv import Row, parse
 from ..runs.run_dir import RunDir, as_record
 from ..statistics import Array

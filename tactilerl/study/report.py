@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import jinja2
 
-from ..runs.files import content as read
-from ..runs.files import own_folder, replacing, require_ours
+from ..files import content as read
+from ..files import own_folder, replacing, require_ours
 from . import export, figures, summary, tables
 from .analysis import Analysis
 from .figures import Picture

@@ -22,7 +22,7 @@ import filelock
 
 from ..envs import plugins
 from ..errors import BAD_INPUT, BUSY
-from ..runs.files import no_link
+from ..files import no_link
 from ..terminal import interrupts
 from .grid import Run
 from .records import StudyFiles

@@ -7,7 +7,7 @@ from collections import Counter
 from typing import Any
 
 from .. import statistics
-from ..runs.provenance import short
+from ..machine import short
 from ..statistics import FEW_RUNS, Estimate
 from ..style import NAMES
 from .analysis import Analysis, SetupResult

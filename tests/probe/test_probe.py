@@ -12,12 +12,12 @@ from tactilerl import statistics
 from tactilerl.commands.cli import main
 from tactilerl.envs import hands, layouts, scripted
 from tactilerl.errors import BUSY, InputError
+from tactilerl.files import locked
 from tactilerl.pictures import places
 from tactilerl.probe import analysis, estimators, figures, files, grasps, metrics, selection
 from tactilerl.probe.grasps import Scenes, drawn_start, links_of, moment, stack
 from tactilerl.probe.options import AnalysisFlags, GraspFlags
 from tactilerl.probe.readings import Grasps
-from tactilerl.runs.files import locked
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from one_line import fails_with

@@ -19,9 +19,10 @@ import filelock
 import numpy as np
 import pytest
 import torch
+from tactilerl import files, machine
 from tactilerl.commands.cli import main
 from tactilerl.errors import BUSY, InputError
-from tactilerl.runs import files, provenance, sealed
+from tactilerl.runs import sealed
 from tactilerl.runs.progress_csv import ProgressTable
 from tactilerl.runs.run_dir import RunDir
 
@@ -263,7 +264,7 @@ class TestReading:
 
 class TestLock:
     def test_a_second_process_is_refused_and_a_killed_one_lets_go(self, ppo, capsys):
-        code = "import time; from pathlib import Path; from tactilerl.runs.files import locked\n"
+        code = "import time; from pathlib import Path; from tactilerl.files import locked\n"
         code += "with locked(Path('run')): print(flush=True); time.sleep(60)"  # without PyTorch
         first = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
         first.stdout.readline()
@@ -395,12 +396,12 @@ class TestProvenance:
         git("init")
         git("commit", "--allow-empty", "-m", "theirs")
         monkeypatch.setenv("GIT_DIR", str(tmp_path / ".git"))
-        assert provenance.commit(package) is None
+        assert machine.commit(package) is None
         git("add", "venv")
         git("commit", "-m", "ours")
-        assert provenance.commit(package) == git("rev-parse", "HEAD")
+        assert machine.commit(package) == git("rev-parse", "HEAD")
         (package / "__init__.py").write_text("1 + 1")
-        assert provenance.commit(package) == git("rev-parse", "HEAD") + "-dirty"
+        assert machine.commit(package) == git("rev-parse", "HEAD") + "-dirty"
 
 
 class TestTerminal:

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tactilerl
+from tactilerl import files
 from tactilerl.commands.cli import main
 from tactilerl.pictures.hand_map import save_picture
-from tactilerl.runs import files
 
 from study_records import make_study
 

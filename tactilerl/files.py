@@ -20,7 +20,7 @@ from typing import Any, BinaryIO
 import filelock
 import numpy as np
 
-from ..errors import BusyError, InputError
+from .errors import BusyError, InputError
 
 LARGEST = 10**9  # bytes of a table; what else is read as a whole says so itself
 MAX_JSON = 1_000_000  # bytes of a file with settings

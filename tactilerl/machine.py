@@ -1,0 +1,97 @@
+"""The cores that a process may use here, and the versions that it runs with."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Annotated, TypedDict
+
+from .envs.simulators import SIMULATORS
+from .version import __version__
+
+PACKAGES = ("torch", "numpy", "gymnasium", "gymnasium-robotics", "mpi4py")
+WorkerCount = Annotated[int, "[1, 256]"] | None
+"""How many episodes are played side by side; None: as many as there are free cores."""
+
+
+def free_cores(local_ranks: int = 1) -> int:
+    """Return how many cores this process may use, at least 1, beside the other MPI ranks here.
+
+    A container's quota counts, other processes do not: what a run does by default does not
+    depend on what else runs.
+    """
+    from joblib import cpu_count  # slow to import
+
+    return max(1, min(cpu_count(), (os.cpu_count() or 1) // local_ranks))
+
+
+class Origin(TypedDict):
+    """The software that made a run, from one of its epochs on."""
+
+    epoch: int
+    """The last epoch that was made with other software."""
+    env_steps: int
+    versions: dict[str, str]
+    commit: str | None
+    """Commit of our source, with "-dirty" where files differ from it; None where it is no
+    repository."""
+
+
+def origin(epoch: int = 0, env_steps: int = 0) -> Origin:
+    """Return what a run would be made with here and now."""
+    return {
+        "epoch": epoch,
+        "env_steps": env_steps,
+        "versions": versions(),
+        "commit": commit(Path(__file__).resolve().parent),
+    }
+
+
+def versions(*more: str) -> dict[str, str]:
+    """Return the versions of Python, this package, its packages and `more`, where installed."""
+    result = {"tactilerl": __version__, "python": platform.python_version()}
+    for package in (*PACKAGES, *SIMULATORS, *more):
+        try:
+            result[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return result
+
+
+def difference(before: Origin, now: Origin) -> str:
+    """Return in words what changed between two origins; "" when nothing did."""
+    a, b = before["versions"], now["versions"]
+    pairs = [(name, a.get(name, "none"), b.get(name, "none")) for name in {**a, **b}]
+    pairs.append(("commit", short(before["commit"]), short(now["commit"])))
+    return ", ".join(f"{name} {old} -> {new}" for name, old, new in pairs if old != new)
+
+
+def short(commit: str | None) -> str:
+    """Return the first 12 letters of a commit, and its "-dirty"."""
+    name, dash, dirty = (commit or "none").partition("-")
+    return f"{name[:12]}{dash}{dirty}"
+
+
+def commit(folder: Path) -> str | None:
+    """Return the commit of the repository that tracks this package in `folder`, with "-dirty"
+    where tracked files were changed; None where no repository does."""
+    env = {k: v for k, v in os.environ.items() if not k.startswith("GIT_")}
+    git = ["git", "-C", str(folder)]
+    # A virtual environment may lie inside a repository that does not track it.
+    is_tracked = ["ls-files", "--error-unmatch", "__init__.py"]
+    describe = ["describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    try:
+        for command in (is_tracked, describe):
+            output = subprocess.check_output(
+                [*git, *command],
+                env=env,
+                text=True,
+                timeout=5,
+                stderr=subprocess.DEVNULL,
+            )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return output.strip()
