@@ -16,8 +16,8 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.envs.registration import WrapperSpec
 
-from . import hands, plugins, scenes, typed
-from .choices import nearest, require_known
+from . import hands, plugins, scenes, validation
+from .validation import nearest, require_known
 
 TOYS = {"lqr": "tactilerl/LQR-v0", "point-reach": "tactilerl/PointReach-v0"}
 
@@ -26,7 +26,7 @@ def _require_keywords(choices: dict[str, Any]) -> None:
     from .grasp import GraspConfig
 
     try:
-        require_known(choices, known := typed.names(GraspConfig))
+        require_known(choices, known := validation.names(GraspConfig))
     except ValueError as error:
         unknown = next(name for name in choices if name not in known)
         raise UnexpectedKeyword(
@@ -54,7 +54,7 @@ def make(
     says. Raises ValueError when there is none of that name.
     """
     for key, word in {"name": name, "env": env, "scene": scene}.items():
-        typed.require_type(word, str | None, key)
+        validation.require_type(word, str | None, key)
     if name is not None and env is not None:
         raise ValueError(
             f"env: found {env!r} with the name {name!r}, allowed one of them"
@@ -112,8 +112,8 @@ def at_its_length(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
     if not isinstance(env, gym.wrappers.TimeLimit) or base.spec is None:
         return env
     steps = env._max_episode_steps
-    base.config = typed.replace(base.config, {"max_episode_steps": steps})
-    typed.validate(base.config)
+    base.config = validation.replace(base.config, {"max_episode_steps": steps})
+    validation.validate(base.config)
     base.max_episode_steps = base.spec.kwargs["max_episode_steps"] = steps
     return env.env
 

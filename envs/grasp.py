@@ -19,15 +19,14 @@ from . import (
     simulators,
     tasks,
     touch,
-    typed,
+    validation,
 )
-from .choices import require_known, require_one_of
 from .objects import ObjectConfig
 from .observations import ObservationConfig, Observer
 from .simulators import SimulationError, Sphere
 from .state import Array, Shape, State
 from .tasks import TaskConfig
-from .toml_files import blamed
+from .validation import blamed, require_known, require_one_of
 
 LIMIT = 1e6  # observations beyond this are a broken simulation
 EJECTED = 10.0  # m/s, of the object during an action: twice what random actions ever throw it at
@@ -71,7 +70,7 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
         chosen = {**vars(self), "layout": str(self.layout)}  # 4 is "4"
         if np.ndim(self.object_size) == 0:
             chosen["object_size"] = (self.object_size,)
-        for name, value in typed.plain(chosen).items():
+        for name, value in validation.plain(chosen).items():
             object.__setattr__(self, name, value)
 
     @property
@@ -91,7 +90,7 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
                 f"control_dt: found {self.control_dt} s, allowed {allowed}"
             )
         if self.actions == "all":
-            typed.allow_only_with("actions fingers or grip", self, "start_closing")
+            validation.allow_only_with("actions fingers or grip", self, "start_closing")
         objects.validate(self)
         tasks.validate(self)
         observations.validate(self, self.touch, touch.RULES[self.touch_rule].is_boolean)
@@ -100,7 +99,7 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
 def setup(hand: str, **choices: Any) -> GraspConfig:
     """The configuration of a hand's set-up, with some fields chosen otherwise; ValueError when there is
     no such field."""
-    usual, known = hands.usage(hand).scene, typed.names(GraspConfig)
+    usual, known = hands.usage(hand).scene, validation.names(GraspConfig)
     with blamed(f"hand file {hands.file(hand)}: scene"):
         require_known(usual, known)
     require_known(choices, known)
@@ -128,7 +127,7 @@ class GraspEnv(gym.Env[Any, Array]):
         render_mode: str | None = None,
     ) -> None:
         self.config = config = config or setup(hand)
-        typed.validate(config)
+        validation.validate(config)
         if render_mode not in (None, "rgb_array"):
             raise ValueError(
                 f"render_mode: found {render_mode!r}, allowed None or 'rgb_array'"

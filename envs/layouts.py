@@ -19,13 +19,12 @@ from typing import Any
 
 import numpy as np
 
-from . import taxel_files, toml_files
-from .choices import require_one_of
+from . import taxel_files, validation
 from .hands import DIGITS, HANDS, SEGMENTS, Hand, Pitch, Surface
 from .state import Array
 from .taxel_files import Point
 from .taxel_formats import READERS
-from .toml_files import number, only, strings, table, vector
+from .validation import number, only, require_one_of, strings, table, vector
 
 MODEL = "model"
 """The layout of the sensors that a hand's own model has."""
@@ -152,7 +151,7 @@ class Layout:
         own = hand.sensors if self.is_model else self.taxels
         points = [_of_link(point, hand) for point in own]
         if not self.is_model:
-            with toml_files.blamed(f"layout {self.name!r}"):
+            with validation.blamed(f"layout {self.name!r}"):
                 taxel_files.require_distinct(
                     [*(point for point, *_ in placed), *points]
                 )
@@ -317,7 +316,7 @@ def load(name: str) -> Layout:
     if name == MODEL:
         return Layout(MODEL, "the touch sensors that the hand's model has", ())
     if "\n" in name:
-        with toml_files.blamed("layout"):
+        with validation.blamed("layout"):
             return parse(tomllib.loads(name), Path("own"))
     path = Path(name)
     if path.suffix in READERS:
@@ -333,8 +332,8 @@ def load(name: str) -> Layout:
                 f"unknown layout {name!r}; {meant}allowed: {', '.join((*names(), MODEL))} or the path "
                 f"of a file: .toml, {', '.join(READERS)}"
             )
-    data = toml_files.read(path, "layout file")
-    with toml_files.blamed(f"layout file {path}"):
+    data = validation.read(path, "layout file")
+    with validation.blamed(f"layout file {path}"):
         return parse(data, path)
 
 

@@ -8,9 +8,8 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from .choices import require_one_of
 from .state import KINDS, Kind, Shape
-from .typed import allow_only_with, hints, require_type
+from .validation import allow_only_with, hints, require_one_of, require_type
 
 Number = float | str
 """A value, or LOW..HIGH: drawn uniformly from there in every episode."""

@@ -17,10 +17,9 @@ import gymnasium as gym
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .choices import require_one_of
 from .hands import SLIDES, Hand
 from .state import KINDS, Array, Shape, State
-from .typed import Fraction, allow_only_with
+from .validation import Fraction, allow_only_with, require_one_of
 
 Metres = Annotated[float, "[0, 1]"]
 Radians = Annotated[float, "[0, 3.142]"]

@@ -19,7 +19,7 @@ from .hold import LOOK_STEPS, OUT_OF_REACH, HoldTest, Verdict
 from .objects import bounds, require_ends
 from .simulators import Giver, Simulator
 from .state import Array, Shape, State
-from .typed import allow_only_with
+from .validation import allow_only_with
 
 BEYOND_REACH, BEYOND_FALLEN = (
     0.08,

@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from . import toml_files
+from . import validation
 from .taxel_formats import LARGEST, READERS
-from .toml_files import number, strings, table, vector
+from .validation import number, strings, table, vector
 
 FARTHEST = 1.0  # m from the origin of its link
 RADIUS = 2e-3  # m, where a file gives none
@@ -93,7 +93,7 @@ def read(path: Path, link: str | None = None) -> tuple[Point, ...]:
     ValueError naming what is wrong with it, and FileNotFoundError."""
     if not path.is_file():
         raise FileNotFoundError(f"taxel file {str(path)!r} does not exist")
-    with toml_files.blamed(f"taxel file {path}"), path.open("rb") as file:
+    with validation.blamed(f"taxel file {path}"), path.open("rb") as file:
         content = file.read(LARGEST + 1)
         if len(content) > LARGEST:
             raise ValueError(f"found more than {LARGEST // 10**6} MB")

@@ -28,9 +28,9 @@ from .algos import mpi, recipes
 from .algos.mpi import Communicator
 from .algos.policy import Policy
 from .algos.spaces import Spaces
-from .envs import typed, vector
-from .envs.choices import require_known
+from .envs import validation, vector
 from .envs.layouts import Layout
+from .envs.validation import require_known
 from .errors import PEERS
 from .machine import WorkerCount, free_cores
 from .runs import evaluation, policies, training
@@ -73,16 +73,16 @@ class Learner:
 
         Raises ValueError, in one line, for an invalid argument.
         """
-        typed.require_type(recipe, str, "recipe")
+        validation.require_type(recipe, str, "recipe")
         defaults = recipes.recipe(self.algo, recipe)
         options = dict(seed=seed, workers=workers, device=device, threads=threads)
         require_known(
-            hyperparameters, typed.names(defaults) | {*options, "recipe"}, PEERS
+            hyperparameters, validation.names(defaults) | {*options, "recipe"}, PEERS
         )
-        self.config = typed.replace(defaults, hyperparameters)
-        self._run = typed.replace(RunOptions(algo=self.algo), options)
+        self.config = validation.replace(defaults, hyperparameters)
+        self._run = validation.replace(RunOptions(algo=self.algo), options)
         for part in (self._run, self.config):
-            typed.validate(part)
+            validation.validate(part)
         self._comm, self._epoch = Communicator(), 0
         start = partial(_start, env, workers, threads)
         with _threads(threads):  # a thread that is started inside inherits their number
@@ -114,8 +114,8 @@ class Learner:
         """
         if isinstance(total_timesteps, float) and total_timesteps % 1 == 0:  # 1e5
             total_timesteps = int(total_timesteps)
-        run = typed.replace(self._run, {"total_timesteps": total_timesteps})
-        typed.validate(run)
+        run = validation.replace(self._run, {"total_timesteps": total_timesteps})
+        validation.validate(run)
         total_timesteps = run.total_timesteps
         learner = self._learner
         learner.total_timesteps = learner.env_steps + total_timesteps
@@ -187,8 +187,8 @@ def evaluate(
     steps and more, as ``tactilerl evaluate --json`` does. `stochastic` keeps the exploration noise;
     for `env` and `workers` see `PPO`. Raises ValueError when the policy does not fit `env`.
     """
-    typed.require_type(episodes, evaluation.EpisodeCount, "episodes")
-    typed.require_type(workers, WorkerCount, "workers")
+    validation.require_type(episodes, evaluation.EpisodeCount, "episodes")
+    validation.require_type(workers, WorkerCount, "workers")
     if isinstance(policy, Learner):
         policy = policy.policy()
     if not isinstance(policy, Policy):
@@ -216,13 +216,13 @@ def design(
     from .probe import design as designing
     from .probe.candidates import DesignFlags
 
-    wanted = typed.names(DesignFlags)
+    wanted = validation.names(DesignFlags)
     require_known(flags, wanted)
     listed = {
         name: (flags[name],) for name in ("scene",) if isinstance(flags.get(name), str)
     }
     chosen = {**flags, **listed, "taxels": str(taxels), "workers": workers}
-    read = typed.replace(DesignFlags(), chosen)
+    read = validation.replace(DesignFlags(), chosen)
     read.validate()
     found = designing.design(read, workers or free_cores())
     return found.layout(max(found.chosen))

@@ -14,7 +14,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tactilerl.envs.choices import nearest
+from tactilerl.envs.validation import nearest
 from tactilerl.errors import InputError
 from tactilerl.runs.progress_csv import TIMES
 from tactilerl.study import records, runner

@@ -165,9 +165,7 @@ def trained_with(name: str = "faults", without: str = "handover") -> None:
     rows = []
     for setup in study.setups:
         faulty = verdicts.runs_of(runs, setup, setup.cells[0], "")
-        pairs = [
-            paired(faulty, verdicts.runs_of(sound_runs, *place, arm)) for arm in ("on", "off")
-        ]
+        pairs = [paired(faulty, verdicts.runs_of(sound_runs, *place, arm)) for arm in ("on", "off")]
         differences = (estimate(pair.difference, "+.2f") for pair in pairs)
         success = mean(pairs[0].treatment)
         rows.append((FAULTS[setup.name], len(pairs[0]), success, *differences))

@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from .. import toml_files
+from .. import validation
 from .files import FOLDER, KEPT, SUFFIX, short_digest
 from .hand import (
     DIGITS,
@@ -73,13 +73,13 @@ def file(name: str) -> Path:
 def usage(name: str) -> Usage:
     """Of a hand by name or file; ValueError and FileNotFoundError where the file is wrong."""
     path = file(name)
-    with toml_files.blamed(f"hand file {path}"):
-        data = toml_files.read(path, "hand file")
-        about = toml_files.table(data, "environment", {"id", "closing"})
+    with validation.blamed(f"hand file {path}"):
+        data = validation.read(path, "hand file")
+        about = validation.table(data, "environment", {"id", "closing"})
         closing = about.get("closing", Usage.closing)
-        low, high = toml_files.interval(closing, "environment.closing", 0.0, 2.0)
+        low, high = validation.interval(closing, "environment.closing", 0.0, 2.0)
         return Usage(
-            str(about.get("id", "")), (low, high), toml_files.table(data, "scene")
+            str(about.get("id", "")), (low, high), validation.table(data, "scene")
         )
 
 

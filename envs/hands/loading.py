@@ -13,10 +13,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from .. import toml_files
-from ..choices import require_one_of
+from .. import validation
 from ..state import Array
-from ..toml_files import interval, number, only, strings, table, vector
+from ..validation import interval, number, only, require_one_of, strings, table, vector
 from . import checks, models, mounting, sensors, surfaces
 from .files import KEPT, short_digest
 from .hand import CLOSING_STEP, SLIDES, Hand, LinearAction, ScriptedGrasp, Surface
@@ -64,8 +63,8 @@ TIMESTEP = 0.004  # s, of scenes that say nothing else
 def load(path: Path) -> Hand:
     """The hand of a file; ValueError naming what is wrong with it or its model, FileNotFoundError,
     and ImportError where the model's package is not installed."""
-    with toml_files.blamed(f"hand file {path}"):
-        data = toml_files.read(path, "hand file")
+    with validation.blamed(f"hand file {path}"):
+        data = validation.read(path, "hand file")
         only(data, KEYS, "the file")
         parts = Parts(data, path.parent)
         hand = _hand(parts, path)
@@ -285,7 +284,7 @@ def _kept(path: Path) -> Any:
     kept = path.with_suffix(KEPT)
     if not kept.is_file():
         return []
-    data = toml_files.read(kept, "grasp file")
+    data = validation.read(kept, "grasp file")
     return data.get("grasp", []) if data.get("hand") == short_digest(path) else []
 
 

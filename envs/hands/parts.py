@@ -14,9 +14,8 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from ..choices import require_one_of
 from ..state import Array
-from ..toml_files import interval, number, only, strings, table, vector
+from ..validation import interval, number, only, require_one_of, strings, table, vector
 from . import models, mounting, servos
 from .files import FOLDER
 from .hand import Coupling, Frame

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from ..state import Array
-from ..toml_files import number, table, vector
+from ..validation import number, table, vector
 from . import servos
 from .hand import SEGMENTS, Pitch, Surface
 from .parts import Parts, beside, numbers, posed, unit

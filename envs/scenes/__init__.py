@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from .. import hands, toml_files
-from ..choices import nearest, require_one_of
+from .. import hands, validation
 from ..objects import scaled
+from ..validation import nearest, require_one_of
 
 FOLDER = Path(__file__).parent
 SUFFIX = ".toml"
@@ -78,7 +78,7 @@ def load(name: str) -> NamedScene:
             "path of a .toml file"
         )
     path = Path(name) if name.endswith(SUFFIX) else FOLDER / f"{name}{SUFFIX}"
-    data = toml_files.read(path, "scene file")
+    data = validation.read(path, "scene file")
     kinds = {
         "about": str,
         "base": str,
@@ -87,7 +87,7 @@ def load(name: str) -> NamedScene:
         "train": dict,
         "scaled": list,
     }
-    toml_files.only(data, set(kinds), f"scene file {path}")
+    validation.only(data, set(kinds), f"scene file {path}")
     base = NamedScene()
     for key, value in data.items():
         if not isinstance(value, kinds[key]):
@@ -99,7 +99,7 @@ def load(name: str) -> NamedScene:
             require_one_of(names(), value, f"scene file {path}: base")
             base = load(value)
     env, lengths = data.get("env", base.env), tuple(data.get("scaled", base.scaled))
-    with toml_files.blamed(f"scene file {path}"):
+    with validation.blamed(f"scene file {path}"):
         scene = {**base.on(env), **data.get("scene", {})}
         for name in lengths:
             require_one_of(sorted(LENGTHS & scene.keys()), name, "scaled")

@@ -93,7 +93,7 @@ def _run(args: list[str]) -> int:
             raise InputError(f"found {odd[:50]!r}, allowed no character 0")
         _import(first.modules)
         if name not in COMMANDS:
-            from ..envs.choices import nearest
+            from ..envs.validation import nearest
 
             hint = nearest(name, COMMANDS)
             raise InputError(

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from ..algos import UnfitError
 from ..algos.mpi import Communicator
-from ..envs import typed
+from ..envs import validation
 from ..envs.observations import SensorConfig
 from ..errors import InputError, input_errors
 from ..machine import WorkerCount
@@ -70,7 +70,7 @@ def main(args: list[str]) -> int:
     if saved is None:
         read = flags.parse(EvaluateFlags, args, "tactilerl evaluate", ABOUT)
     else:
-        names = typed.names(SensorConfig)
+        names = validation.names(SensorConfig)
         read, sensors = _read(
             args, SensorConfig(**{name: getattr(saved, name) for name in names})
         )

@@ -9,7 +9,7 @@ from typing import Annotated
 
 from rich.table import Table
 
-from ..envs import hands, layouts, typed
+from ..envs import hands, layouts, validation
 from ..errors import InputError, input_errors
 from ..machine import WorkerCount, free_cores
 from ..probe import gate
@@ -59,7 +59,7 @@ def main(args: list[str]) -> int:
             raise InputError("--touch: leave it out; the gate compares with no touch")
         beside = [dataclasses.replace(scene, layout=layout) for layout in chosen[1:]]
         for each in (scene, *beside):
-            typed.validate(each)
+            validation.validate(each)
             layouts.load(each.layout).place(hands.get(read.env))
         if scene.task != "handover":
             require_grasp(read.env, scene)

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any, TypeVar
 
-from ..envs import hands, layouts, scenes, typed
+from ..envs import hands, layouts, scenes, validation
 from ..envs.grasp import GraspConfig, setup
 from ..envs.scenes import NamedScene
 from ..errors import InputError, input_errors
@@ -37,7 +37,7 @@ def read_any(
     if hands.is_hand(env):
         with input_errors(f"scene {name}" if name else ""):
             parts["scene"] = setup(env, **named.on(env))
-            typed.validate(parts["scene"])  # before tyro reads it as the defaults
+            validation.validate(parts["scene"])  # before tyro reads it as the defaults
     read = read_parts(env, parts, args, prog, about, NAMED_SCENE)
     return read.command_part, getattr(read, "scene_part", None)
 

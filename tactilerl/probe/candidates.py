@@ -11,12 +11,12 @@ from typing import Annotated, Any
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from ..envs import hands, layouts, scenes, tasks, typed
-from ..envs.choices import require_known
+from ..envs import hands, layouts, scenes, tasks, validation
 from ..envs.grasp import GraspConfig, setup
 from ..envs.hands import Hand
 from ..envs.layouts import Layout, Taxels
 from ..envs.state import Array
+from ..envs.validation import require_known
 from ..machine import WorkerCount
 from ..pictures import places
 from .cover import Aim
@@ -91,7 +91,7 @@ class DesignFlags:
 
     def validate(self) -> None:
         """Raise ValueError naming the first invalid flag."""
-        typed.require(type(self), vars(self))
+        validation.require(type(self), vars(self))
         if len(set(self.start_closing)) < len(self.start_closing):
             raise ValueError(
                 f"start_closing: found {list(self.start_closing)}, allowed each once"
@@ -281,7 +281,7 @@ class Pool:
         it."""
         own, names = (
             self.skin.taxels.take(self.columns),
-            typed.names(DesignFlags) - {"workers"},
+            validation.names(DesignFlags) - {"workers"},
         )
         asked = {
             name: value for name, value in asdict(self.flags).items() if name in names
@@ -324,7 +324,7 @@ def _scenes(flags: DesignFlags) -> tuple[str, list[Scene]]:
                 f"scene: found {name} of {named.env}, allowed scenes of one hand, or --env"
             )
         config = setup(hand, **{**named.on(hand), **choices})
-        typed.validate(config)
+        validation.validate(config)
         if flags.start_closing and config.actions == "all":
             allowed = "allowed only with scenes whose actions are fingers or grip"
             raise ValueError(

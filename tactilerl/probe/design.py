@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ..envs import typed
+from ..envs import validation
 from ..errors import extra
 from . import timing
 from .candidates import Design, DesignFlags, Pool
@@ -26,7 +26,7 @@ def design(
             f"scene: found {len(pool.scenes)}, allowed one, or several handovers"
         )
     faults = "redundancy", "taxel_dead", "taxel_false_on"
-    typed.allow_only_with(
+    validation.allow_only_with(
         "a handover", flags, *faults, "test_starts", "weights", "start_closing"
     )
     with extra("probe"):

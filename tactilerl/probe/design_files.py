@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..envs import toml_files
+from ..envs import validation
 from ..errors import InputError, extra
 from ..files import is_picture, locked, read_json, replacing, require_ours
 from .candidates import MADE, Design
@@ -14,7 +14,7 @@ from .candidates import MADE, Design
 
 def is_layout(path: Path) -> bool:
     """Is the layout file one that was designed?"""
-    return MADE in str(toml_files.read(path, "layout file").get("description"))
+    return MADE in str(validation.read(path, "layout file").get("description"))
 
 
 def is_result(path: Path) -> bool:

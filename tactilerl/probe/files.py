@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..envs import hands, typed, vector
+from ..envs import hands, validation, vector
 from ..envs.scenes import renamed
 from ..envs.state import KINDS
 from ..errors import InputError
@@ -103,7 +103,7 @@ def read(path: Path) -> Played:
 def _check(arrays: Measured, about: dict[str, Any]) -> None:
     """ValueError unless all is there, as one of our hands gives it, and of numbers that occur."""
     for setting, kind in (("simulator", str), ("touch_rule", str), ("seed", int)):
-        typed.require_type(about.get(setting), kind, setting)
+        validation.require_type(about.get(setting), kind, setting)
     hand = hands.get(about["env"])
     shapes = {"held": (), "broken": (), **shapes_of(hand)}
     for name in shapes:

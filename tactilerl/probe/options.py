@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from ..envs import hands, objects, scenes, tasks, typed
+from ..envs import hands, objects, scenes, tasks, validation
 from ..envs.grasp import GraspConfig, setup
 from ..envs.hold import Verdict
 from ..envs.observations import TaxelFaults, validate_faults
@@ -28,7 +28,7 @@ RULE = "skin"
 def _validate(flags: Any, *lists: str) -> None:
     """ValueError naming the first flag that is out of its range, and the first of the `lists` that is
     empty or has something twice."""
-    typed.require(type(flags), vars(flags))
+    validation.require(type(flags), vars(flags))
     for name in lists:
         values = getattr(flags, name)
         if not values or len(set(values)) < len(values):
@@ -65,7 +65,7 @@ class GraspFlags:
     closing: tuple[float, float] | None = None
     """How far the fingers close, from and to; 1: fully, as in the scripted grasp. Default: a range
     in which 30 to 70 % of the grasps hold (mpl 0.8 1.1, others 0.5 0.9)."""
-    joint_jitter: typed.Fraction = 0.1
+    joint_jitter: validation.Fraction = 0.1
     """Largest random offset of a finger joint at the start, rad."""
     hold_verdict: Verdict = "settled"
     """full: is the object up 2 s after the lift?; settled: the same, but PyBullet stops early when
@@ -144,7 +144,7 @@ class GraspFlags:
                 f"closing: found {low} {high}, allowed from 0 to 2, the smaller first"
             )
         for scene in self.scenes():
-            typed.validate(scene)
+            validation.validate(scene)
 
 
 @dataclass(frozen=True)
@@ -199,6 +199,6 @@ class Options:
         """Raise ValueError naming the first invalid flag."""
         self.grasp.validate()
         self.analysis.validate()
-        typed.require(TaxelFaults, vars(self.fault))
+        validation.require(TaxelFaults, vars(self.fault))
         validate_faults(self.fault)
-        typed.require(OutputFlags, vars(self.output))
+        validation.require(OutputFlags, vars(self.output))

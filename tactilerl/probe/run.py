@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from .. import machine
-from ..envs import hands, layouts, typed
+from ..envs import hands, layouts, validation
 from ..envs.hands import Hand
 from ..envs.state import Array
 from ..errors import InputError, input_errors
@@ -33,7 +33,7 @@ def grasps(
     asked, source, out = read.grasp, read.output.grasps_file, read.output.out
     if source is not None:
         with input_errors():
-            typed.allow_only_with("grasps that are played", asked, *vars(asked))
+            validation.allow_only_with("grasps that are played", asked, *vars(asked))
         played = files.read(source)
         env = str(played.settings.get("env"))
         if not hands.is_hand(env):

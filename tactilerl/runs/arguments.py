@@ -9,9 +9,9 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from ..algos import recipes
-from ..envs import hands, scenes, typed
-from ..envs.choices import nearest
+from ..envs import hands, scenes, validation
 from ..envs.grasp import GraspConfig
+from ..envs.validation import nearest
 from ..errors import InputError
 from ..terminal import flags
 from ..terminal.help import About
@@ -97,7 +97,7 @@ def read_parts(
         return flags.parse(options, args, prog, about, usual)
     except InputError as error:
         refused = str(error).partition("'--")[2].partition("'")[0].partition("=")[0]
-        if hands.is_hand(env) or refused.replace("-", "_") not in typed.names(
+        if hands.is_hand(env) or refused.replace("-", "_") not in validation.names(
             GraspConfig
         ):
             raise

@@ -19,10 +19,10 @@ import numpy as np
 
 from .. import algos, envs
 from ..algos import recipes
-from ..envs import hands, layouts, plugins, scenes, typed
-from ..envs.choices import nearest, require_known
+from ..envs import hands, layouts, plugins, scenes, validation
 from ..envs.grasp import GraspConfig, GraspEnv, setup
 from ..envs.scenes import NamedScene
+from ..envs.validation import nearest, require_known
 from ..errors import PEERS, InputError, input_errors
 from ..machine import WorkerCount
 
@@ -92,7 +92,7 @@ class RunConfig:
 
     def choose(self, choices: Mapping[str, Any]) -> RunConfig:
         """A copy with other values of some fields, by name; ValueError naming an unknown field."""
-        own = {name: typed.names(part) for name, part in self.parts.items()}
+        own = {name: validation.names(part) for name, part in self.parts.items()}
         require_known(choices, set().union(*own.values()), PEERS)
         chosen = {}
         for name, part in self.parts.items():
@@ -100,13 +100,13 @@ class RunConfig:
             for k, value in values.items():  # one value stands for a tuple of one
                 if isinstance(getattr(part, k), tuple) and np.isscalar(value):
                     values[k] = (value,)
-            chosen[name] = typed.replace(part, values)
+            chosen[name] = validation.replace(part, values)
         return dataclasses.replace(self, **chosen)
 
     def validate(self) -> None:
         """Raise ValueError naming the first invalid field."""
         for part in self.parts.values():
-            typed.validate(part)
+            validation.validate(part)
         if (self.scene is None) == hands.is_hand(self.run.env):
             found = "no scene" if self.scene is None else "a scene"
             raise ValueError(f"env: found {self.run.env!r} with {found}")
@@ -213,7 +213,7 @@ def defaults(
     with input_errors():
         named = scenes.load(scene) if scene else NamedScene(env=RunOptions.env)
         for name in ("algo", "recipe"):
-            typed.require_type(
+            validation.require_type(
                 named.train.get(name, ""), str, f"scene {scene}: train: {name}"
             )
     own, env = named.train.get("algo", RunOptions.algo), env or named.env
@@ -229,7 +229,7 @@ def defaults(
         )
     with input_errors(f"scene {scene}: train"):
         require_known(
-            train, {"total_timesteps", *typed.names(algos.get(algo)[0])}, PEERS
+            train, {"total_timesteps", *validation.names(algos.get(algo)[0])}, PEERS
         )
     if scene and not hands.is_hand(env):
         raise InputError(
@@ -258,7 +258,7 @@ def configure(choices: Mapping[str, Any]) -> RunConfig:
     rest = {k: v for k, v in choices.items() if k not in ("recipe", "scene")}
     with input_errors():
         for key, value in deciding.items():
-            typed.require_type(value, str | None, key)
+            validation.require_type(value, str | None, key)
         config = defaults(**deciding).choose(rest)
         config.validate()
     return config
@@ -267,15 +267,15 @@ def configure(choices: Mapping[str, Any]) -> RunConfig:
 def from_dict(data: dict[str, Any]) -> RunConfig:
     """The configuration that `as_dict` wrote; InputError when it is not one."""
     try:
-        run = typed.make(RunOptions, data["run"], "run")
+        run = validation.make(RunOptions, data["run"], "run")
         config_type, _ = algos.get(run.algo)
         scene = (
             None
             if data["scene"] is None
-            else typed.make(GraspConfig, data["scene"], "scene")
+            else validation.make(GraspConfig, data["scene"], "scene")
         )
         learner = recipes.current(run.algo, data["learner"])
-        config = RunConfig(run, scene, typed.make(config_type, learner, "learner"))
+        config = RunConfig(run, scene, validation.make(config_type, learner, "learner"))
         config.validate()
         return config
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:

@@ -16,7 +16,7 @@ from ..algos import recipes
 from ..algos.learner import progress_remaining
 from ..algos.policy import Policy, network_sizes
 from ..algos.spaces import Spaces
-from ..envs import typed
+from ..envs import validation
 from ..files import damage_named
 from . import sealed
 
@@ -60,7 +60,7 @@ def load_policy(path: str | Path) -> Policy:
     with damage_named(path):
         config_type, _ = algos.get(data["algo"])
         told = recipes.current(data["algo"], json.loads(data["learner"]))
-        config: Any = typed.make(config_type, told, "learner")
+        config: Any = validation.make(config_type, told, "learner")
         config.validate()
         return _policy(
             path, data["algo"], config, Spaces.from_json(data["spaces"]), data["state"]

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 from .. import machine
 from ..algos import recipes
 from ..envs import hands, layouts, scenes
-from ..envs.typed import require_type
+from ..envs.validation import require_type
 from ..errors import InputError, input_errors
 from ..files import damage_named, read_json, replacing, writable
 from .config import LAYOUT_COPY, PARTS, RunConfig, defaults, from_dict

@@ -36,9 +36,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args
 
-from ..envs import toml_files, typed
-from ..envs.choices import require_one_of
+from ..envs import validation
 from ..envs.scenes import renamed
+from ..envs.validation import require_one_of
 from ..errors import InputError, input_errors
 from ..files import require_name
 from ..style import ROLES
@@ -289,7 +289,7 @@ def from_dict(data: Any) -> Study:
             **{**one, "compare": one["compare"] and Contrast(**one["compare"])}
         )
         for part in filter(None, (setup, setup.compare)):
-            typed.require(type(part), vars(part))
+            validation.require(type(part), vars(part))
         pair = setup.compare and {
             setup.compare.flag: [setup.compare.treatment, setup.compare.control]
         }
@@ -309,22 +309,22 @@ def from_dict(data: Any) -> Study:
 def read(path: Path) -> Study:
     """Read and check a study file; InputError, one line, for everything that is wrong with it."""
     with input_errors():
-        data = toml_files.read(path, "study file")
-        with toml_files.blamed(str(path)):
+        data = validation.read(path, "study file")
+        with validation.blamed(str(path)):
             return _study(data)
 
 
 def _study(data: dict[str, Any]) -> Study:
-    toml_files.only(data, KEYS, "study file")
-    setups = toml_files.table(data, "setups")
+    validation.only(data, KEYS, "study file")
+    setups = validation.table(data, "setups")
     if not setups:
         raise ValueError(
             "setups: found none, expected one or more tables [setups.NAME]"
         )
     found = []
     for name in setups:
-        with toml_files.blamed(f"setups.{name}"[:60]):
-            found.append(_setup(name, toml_files.table(setups, name), data))
+        with validation.blamed(f"setups.{name}"[:60]):
+            found.append(_setup(name, validation.table(setups, name), data))
     looks = _part(Looks, data, "looks") if "looks" in data else None
     study = Study(data.get("name"), found, _part(Primary, data, "primary"), looks)  # type: ignore[arg-type]
     study.validate()
@@ -333,14 +333,14 @@ def _study(data: dict[str, Any]) -> Study:
 
 def _part(kind: type[Part], data: dict[str, Any], key: str) -> Part:
     """A table that has a dataclass of its own."""
-    given = toml_files.table(data, key, typed.names(kind))
-    with toml_files.blamed(key):
-        return typed.make(kind, vars(kind()) | given, key)
+    given = validation.table(data, key, validation.names(kind))
+    with validation.blamed(key):
+        return validation.make(kind, vars(kind()) | given, key)
 
 
 def _setup(name: str, own: dict[str, Any], study: dict[str, Any]) -> Setup:
     require_name(name, "name")
-    grid = _grid(toml_files.table(own if "grid" in own else study, "grid"))
+    grid = _grid(validation.table(own if "grid" in own else study, "grid"))
     seeds = _seeds(grid.pop(SEED, [0]))
     flags = _flags(
         {key: value for key, value in own.items() if key not in OWN_KEYS}, TAKEN
@@ -352,7 +352,7 @@ def _setup(name: str, own: dict[str, Any], study: dict[str, Any]) -> Setup:
     measure = own.get("measure", study.get("measure", MEASURES[0]))
     require_one_of(MEASURES, measure, "measure")
     compare = _compare(
-        toml_files.table(own if "compare" in own else study, "compare"), grid
+        validation.table(own if "compare" in own else study, "compare"), grid
     )
     return Setup(name, flags, grid, seeds, compare, measure)
 

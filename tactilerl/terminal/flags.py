@@ -15,8 +15,8 @@ from typing import Any, TypeVar, get_type_hints
 
 import tyro
 
-from ..envs import typed
-from ..envs.choices import meant
+from ..envs import validation
+from ..envs.validation import meant
 from ..errors import PEERS, InputError, input_errors
 from . import help
 from .help import of_field as of_field
@@ -68,7 +68,7 @@ def parse(
     if not hasattr(own, "validate"):  # what has, is validated with what it belongs to
         with input_errors():
             for name, hint in get_type_hints(type(own), include_extras=True).items():
-                typed.require_type(getattr(own, name), hint, of_field(name))
+                validation.require_type(getattr(own, name), hint, of_field(name))
     return read
 
 

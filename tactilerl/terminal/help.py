@@ -22,7 +22,7 @@ from typing import (
 import docstring_parser
 import tyro
 
-from ..envs import typed
+from ..envs import validation
 
 SHORT, ALL = {"-h", "--help"}, "--help-all"
 
@@ -122,7 +122,9 @@ def _shown(
     )
     metavar = own.metavar or ("PATH" if name == "out" else None)
     if NoneType in get_args(base):  # which nobody types
-        of_kind = [METAVARS[part] for part in METAVARS if part in typed.parts(base)]
+        of_kind = [
+            METAVARS[part] for part in METAVARS if part in validation.parts(base)
+        ]
         metavar = metavar or next(iter(of_kind), None)
     words = " ".join((own.help or doc).split())
     flag = tyro.conf.arg(

@@ -14,7 +14,7 @@ from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.policy import Policy
 from tactilerl.algos.ppo import PPO, Gaussian, PPOConfig, gae, normalise, surrogate
 from tactilerl.algos.spaces import Spaces
-from tactilerl.envs import typed, vector
+from tactilerl.envs import validation, vector
 
 from states import flat
 
@@ -407,4 +407,4 @@ class TestHardCases:
 @pytest.mark.parametrize("choices", [dict(actor_lr=0.0), dict(hidden=()), dict(target_kl=0.0)])
 def test_config_rejects(choices):
     with pytest.raises(ValueError, match=next(iter(choices))):
-        typed.validate(PPOConfig(**choices))
+        validation.validate(PPOConfig(**choices))

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from tactilerl.algos.ppo import PPOConfig
 from tactilerl.commands.cli import main
-from tactilerl.envs import typed
+from tactilerl.envs import validation
 from tactilerl.runs.config import RunOptions
 from tactilerl.study import engine, records
 
@@ -26,7 +26,7 @@ FEW = 12  # times as many cases are tried with `-m slow`
 TRAIN = ["train", "--env", "lqr", "--hidden", "8", "--steps-per-epoch", "60", "--n-passes", "1"]
 TRAIN += ["--total-timesteps", "1"]
 FLAGS = {"recipe", "resume", "out", "layout", "task", "object_size", "timestep"}
-FLAGS = sorted(typed.names(RunOptions) | typed.names(PPOConfig) | FLAGS)
+FLAGS = sorted(validation.names(RunOptions) | validation.names(PPOConfig) | FLAGS)
 WORDS = ["", "-1", "0", "1", "0.5", "nan", "-inf", "1e400", "9" * 400, "9" * 5000, "x", "None", "[]"]
 WORDS += ["../x:Id", "no.module:Id", ":", "é", "\udcff", "x" * 5000, "../..", "true", "0x10", "meta"]
 VALUES = [None, True, -1, 0, 1.5, 10**400, 2**63, float("inf"), float("nan"), "", "x", "../x:Id"]

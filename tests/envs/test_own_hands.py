@@ -10,7 +10,7 @@ import pytest
 import tactilerl
 from scipy.spatial.transform import Rotation
 from tactilerl.commands.cli import main
-from tactilerl.envs import hands, layouts, toml_files
+from tactilerl.envs import hands, layouts, validation
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.pictures import hand_map, places
 from tactilerl.probe import grasp_search
@@ -128,7 +128,7 @@ class TestHand:
 
     def test_a_file_that_is_too_large_is_refused(self, own, tmp_path):
         path = Path(own())
-        path.write_text(path.read_text() + "#" * toml_files.LARGEST)
+        path.write_text(path.read_text() + "#" * validation.LARGEST_FILE)
         with pytest.raises(ValueError, match="found more than 10,000,000 bytes"):
             hands.get(str(path))
 

@@ -347,7 +347,7 @@ class TestConfig:
             ("run", "env", "shadow", "env: found 'shadow' with no scene"),
             ("run", "algo", "os", "unknown algorithm 'os'"),
             ("run", "more", 1, "run: found an unknown field 'more'"),
-            ("learner", "hidden", [8, "8"], "hidden: found tuple"),
+            ("learner", "hidden", [8, "8"], "hidden: found '8'"),
             ("learner", "hidden", [10**30], "hidden: found a number"),
             ("learner", "truncation", "never", "truncation: found 'never'"),
             (None, "ranks", float("inf"), "ranks: found inf"),

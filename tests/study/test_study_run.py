@@ -401,4 +401,3 @@ def test_a_benchmark_ends_with_one_line_over_bad_input(tmp_path):
     result = python("-m", "benchmarks", "reproduce", str(tmp_path / "gone.tar.gz"), "x")
     assert (result.returncode, result.stderr.count("\n")) == (2, 1)
     assert "gone.tar.gz' is not a study's folder" in result.stderr
-
