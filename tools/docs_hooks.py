@@ -111,7 +111,7 @@ def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
     if page.file.src_uri == "reference/command-line.md":
         calls = [call for name in cli.COMMANDS for call in SEVERAL.get(name, (name,))]
         return markdown + "".join(map(flags, calls))
-    if page.file.src_uri == "reference/python.md":
+    if page.file.src_uri == "guides/python.md":
         return f"{markdown}\n## Entries\n\n" + "".join(map(entry, python()))
     return markdown
 
