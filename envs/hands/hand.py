@@ -314,7 +314,7 @@ class Hand:
     hand hangs higher; over what is wider it starts further up its slide (`start_above`)."""
     added_inertia: float = 1e-4
     """Rotational inertia that every link gets in Bullet, kg m²: the solver needs it, and the value
-    is the one that comes nearest to small timesteps (docs/appendix/physics_settings.md)."""
+    is the one that comes nearest to small timesteps (docs/accuracy_and_speed.md)."""
     grasps: tuple[ScriptedGrasp, ...] = ()
     opened: dict[str, float] = field(default_factory=dict)
     """Targets by actuator of the open hand, from where fingers that close in groups set off, rad."""

@@ -37,7 +37,7 @@ OBJECT_FIGURES = {
     "geom": ("geom_type", "geom_size", "geom_rbound", "geom_aabb", "geom_friction"),
 }
 SOLVER_ITERATIONS = (
-    20  # enough for the grasps' contacts: docs/appendix/physics_settings.md
+    20  # enough for the grasps' contacts: docs/accuracy_and_speed.md
 )
 # Warnings after which the state is not the physics' any more.
 KINDS = mujoco.mjtWarning

@@ -388,7 +388,7 @@ def test_a_doubtful_reader_trains_a_run_again(undisturbed, tmp_path, monkeypatch
 
 @pytest.mark.parametrize("same", ["24", "56"])
 def test_controls_of_layouts_with_as_many_taxels_are_the_same_run(same):
-    """docs/study.md says so of the paper's study."""
+    """docs/statistics.md says so of the paper's study."""
     found = {one.run.name: one for one in records.load(ROOT / "docs/data/paper.tar.gz")[1]}
     for seed in range(5):
         a, b = (found[f"mujoco_layout-{n}_touch-off_s{seed}"].rows for n in same)
