@@ -236,7 +236,6 @@ def train(
     scene: str | None = None,
     out: str | Path | None = None,
     resume: str | Path | None = None,
-    trust: bool = False,
     **flags: Any,
 ) -> Path:
     """Do what ``tactilerl train`` does, and return the run folder, which `load_policy` and the commands
@@ -253,7 +252,7 @@ def train(
     """
     if resume is not None and out is not None:
         raise ValueError("out: found with resume; a resumed run stays in its folder")
-    base = resolve(algo, env or "", recipe, scene, resume, trust)
+    base = resolve(algo, env or "", recipe, scene, resume)
     said = {"algo": algo, "out": out and str(out)}
     chosen = base.choose(
         {**flags, **{name: value for name, value in said.items() if value}}

@@ -15,26 +15,24 @@ from rich.table import Table
 from ..algos import UnfitError
 from ..algos.mpi import Communicator
 from ..envs import validation
+from ..envs.grasp import GraspConfig
 from ..envs.observations import SensorConfig
 from ..errors import InputError, input_errors
 from ..machine import WorkerCount
-from ..runs import evaluation, policies, sweep
+from ..runs import evaluation, policies
 from ..runs.config import RunConfig
 from ..runs.run_dir import RunDir
 from ..runs.training import start_workers
 from ..terminal import flags
 from ..terminal.console import console, progress
-from ..terminal.help import About
 
-ABOUT = About(
-    "Success rate and return of a trained run, with confidence intervals. Sensor flags replace the "
-    "sensor settings of the training.",
-    first=("run", "episodes", "stochastic", "taxel_dead", "sweep", "workers", "json"),
-    examples=(
-        "tactilerl evaluate runs/X",
-        "tactilerl evaluate runs/X --sweep taxel-dead 0 0.1 0.2 0.5",
-    ),
-)
+ABOUT = """\
+Success rate and return of a trained run, with confidence intervals. Sensor flags replace the
+sensor settings of the training.
+
+examples:
+  tactilerl evaluate runs/X
+  tactilerl evaluate runs/X --taxel-dead 0.2"""
 
 
 @dataclass(frozen=True)
@@ -49,95 +47,74 @@ class EvaluateFlags:
     """Keep the exploration noise."""
     workers: WorkerCount = None
     """Episodes played side by side; default: one per free core."""
-    env: str = ""
-    """The run's environment id, repeated to allow importing the module that it names."""
-    trust: bool = False
-    """Allow that import without repeating the id."""
     touch: Literal["on", "off"] | None = None
-    """What the policy reads of its taxels, as in training; default: the run's."""
-    sweep: tuple[str, ...] = ()
-    """A sensor flag or touch, and the values to try, such as --sweep taxel-dead 0 0.1 0.2 0.5."""
+    """Whether the policy reads its taxels, as in training; default: the run's."""
     json: bool = False
     """Print JSON instead of a table."""
 
 
+@dataclass(frozen=True)
+class _AllFlags:
+    command: EvaluateFlags
+    sensors: SensorConfig = dataclasses.field(default_factory=SensorConfig)
+
+
 def main(args: list[str]) -> int:
     """`tactilerl evaluate RUN`"""
-    read, sensors = _read(
-        args, SensorConfig()
-    )  # which run, before its sensors are known
-    saved = RunDir(read.run).read_config(read.env, read.trust).scene
-    if saved is None:
-        read = flags.parse(EvaluateFlags, args, "tactilerl evaluate", ABOUT)
-    else:
-        names = validation.names(SensorConfig)
-        read, sensors = _read(
-            args, SensorConfig(**{name: getattr(saved, name) for name in names})
-        )
-    trained = policies.read_run(read.run, read.env, read.trust)
+    prog = "tactilerl evaluate"
+    command = flags.parse(_AllFlags, args, prog, ABOUT).command
+    saved = RunDir(command.run).read_config()
+    if saved.scene is None:
+        flags.parse(EvaluateFlags, args, prog, ABOUT)  # which has no flag of a sensor
+    trained = policies.read_run(command.run)
     run = trained.config
-    about: dict[str, Any] = {
-        "run": str(read.run), "epoch": trained.epoch, "env_steps": trained.env_steps,
-        "stochastic": read.stochastic,
-    }  # fmt: skip
+    changed: dict[str, Any] = {}
     if run.scene is not None:
-        chosen = vars(sensors) | {"touch": read.touch or run.scene.touch}
-        others = {k: v for k, v in chosen.items() if v != getattr(run.scene, k)}
-        run = dataclasses.replace(run, scene=dataclasses.replace(run.scene, **others))
-        about |= {"sensors": others} if others else {}
-    elif read.touch:
+        names = validation.names(SensorConfig)
+        usual = SensorConfig(**{name: getattr(run.scene, name) for name in names})
+        kinds: Any = [("command", EvaluateFlags), ("sensors", SensorConfig, usual)]
+        options = dataclasses.make_dataclass("Options", kinds)
+        sensors: Any = flags.parse(options, args, prog, ABOUT).sensors
+        chosen = {**vars(sensors), "touch": command.touch or run.scene.touch}
+        changed = {k: v for k, v in chosen.items() if v != getattr(run.scene, k)}
+        _require_inputs(run.scene, changed)
+        run = dataclasses.replace(run, scene=dataclasses.replace(run.scene, **changed))
+    elif command.touch:
         raise InputError(
-            f"--touch: found a run on {run.run.env!r}, allowed one of a grasping scene"
+            f"touch: found with a run on {run.run.env!r}, which has no hand"
         )
-    name, values, runs = (
-        sweep.vary(run, read.sweep) if read.sweep else ("", [""], [run])
-    )
-    _require_taxels(trained.config, runs)
-    rows = [evaluation.summarise(_play(each, trained.policy, read)) for each in runs]
-    result = about | rows[0]
-    if read.sweep:
-        points = [{name: value, **row} for value, row in zip(values, rows, strict=True)]
-        result = {**about, "sweep": name, "points": points}
-    if read.json:
+    with input_errors():
+        run.validate()
+    result = {
+        "run": str(command.run), "epoch": trained.epoch, "env_steps": trained.env_steps,
+        "stochastic": command.stochastic, **({"sensors": changed} if changed else {}),
+        **evaluation.summarise(_play(run, trained.policy, command)),
+    }  # fmt: skip
+    if command.json:
         print(json.dumps(result))
     else:
         console.print(_table(result))
     return 0
 
 
-def _require_taxels(trained: RunConfig, runs: list[RunConfig]) -> None:
-    """InputError where a policy would be shown more or fewer inputs than it was trained with."""
-    for run in runs:
-        touches = [
-            each.scene.touch for each in (trained, run) if each.scene is not None
-        ]
-        if touches.count("absent") == 1:
-            own, found = touches
-            raise InputError(f"--touch: found {found} for a run that was trained with touch {own}; its "
-                             "policy has another number of inputs")  # fmt: skip
+def _require_inputs(scene: GraspConfig, changed: dict[str, Any]) -> None:
+    """Raise InputError where the policy was trained without the inputs of taxels."""
+    if scene.touch == "absent" and "touch" in changed:
+        raise InputError(
+            f"touch: found {changed['touch']}, allowed absent, as the run was trained"
+        )
 
 
-def _read(args: list[str], sensors: SensorConfig) -> tuple[EvaluateFlags, SensorConfig]:
-    """The flags, and the sensors: these, but for flags that say otherwise."""
-    kinds: list[Any] = [
-        ("command_part", EvaluateFlags),
-        ("sensor_part", SensorConfig, sensors),
-    ]
-    options: Any = dataclasses.make_dataclass("Options", kinds)
-    read = flags.parse(options, args, "tactilerl evaluate", ABOUT)
-    return read.command_part, read.sensor_part
-
-
-def _play(run: RunConfig, policy: Any, read: EvaluateFlags) -> list[dict[str, Any]]:
-    """Play an evaluation's episodes; a row each."""
+def _play(run: RunConfig, policy: Any, command: EvaluateFlags) -> list[dict[str, Any]]:
+    """Play the episodes of an evaluation; return a row for each."""
     with input_errors():
-        workers = start_workers(run, Communicator(), read.workers)
+        workers = start_workers(run, Communicator(), command.workers)
     rows = []
-    with closing(workers), progress("playing", read.episodes, not read.json) as tick:
+    task = evaluation.task(policy, command.stochastic)
+    shown = progress("playing", command.episodes, not command.json)
+    with closing(workers), shown as tick:
         try:
-            for episode in workers.play(
-                evaluation.task(policy, read.stochastic), range(read.episodes)
-            ):
+            for episode in workers.play(task, range(command.episodes)):
                 rows.append(evaluation.row(episode))
                 tick()
         except UnfitError as error:
@@ -146,51 +123,31 @@ def _play(run: RunConfig, policy: Any, read: EvaluateFlags) -> list[dict[str, An
 
 
 def _table(result: dict[str, Any]) -> Table:
-    """Which policy, with which sensors where they are not those of the run, and how good it is."""
-    others = (
-        f"{name.replace('_', '-')} {value}"
-        for name, value in result.get("sensors", {}).items()
-    )
-    about = ", ".join([result["run"], f"epoch {result['epoch']}", *others])
+    """Return a table of how good a policy is, headed by its run and sensors."""
+    sensors = result.get("sensors", {}).items()
+    changed = [f"{name.replace('_', '-')} {value}" for name, value in sensors]
+    about = ", ".join([result["run"], f"epoch {result['epoch']}", *changed])
     # A policy that has just begun to learn may succeed with its exploration noise only.
     noise = "without exploration noise; --stochastic plays with it"
-    table = Table(caption="with exploration noise" if result["stochastic"] else noise)
-    if "sweep" in result:
-        name, points = result["sweep"], result["points"]
-        table.title = f"{about}, {points[0]['episodes']} episodes each"
-        for column in (
-            name.replace("_", "-"),
-            "success rate",
-            "95 % interval",
-            "return",
-        ):
-            table.add_column(column)
-        for point in points:
-            table.add_row(
-                *_row(point, "success_rate", str(point[name])),
-                f"{point['mean_return']:.2f}",
-            )
-        return table
-    table.title = f"{about}, {result['episodes']} episodes"
-    for column in ("", "mean", "95 % interval"):
-        table.add_column(column)
-    if "success_rate" in result:
-        table.add_row(*_row(result, "success_rate", "success rate"))
-        if result["mean_held_steps"] > 1:  # where success does not end the episode
-            table.add_row(
-                "steps at the goal, at the end", f"{result['mean_held_steps']:.1f}", ""
-            )
-    table.add_row(*_row(result, "mean_return", "return", ".2f"))
+    table = Table(
+        "", "mean", "95 % interval",
+        title=f"{about}, {result['episodes']} episodes",
+        caption="with exploration noise" if result["stochastic"] else noise,
+    )  # fmt: skip
+    measures = {
+        "success_rate": ("success rate", ".3f"),
+        "mean_return": ("return", ".2f"),
+    }
+    for measure, (label, form) in measures.items():
+        if measure in result:
+            low, high = result[f"{measure}_ci"]
+            interval = f"{low:{form}} – {high:{form}}"
+            table.add_row(label, format(result[measure], form), interval)
+    if result.get("mean_held_steps", 0) > 1:  # where success does not end the episode
+        held = f"{result['mean_held_steps']:.1f}"
+        table.add_row("steps at the goal, at the end", held, "")
     table.add_row("length", f"{result['mean_length']:.1f}", "")
-    for fault, what in (("diverged", "diverged episodes"), ("warnings", "warnings")):
+    for fault, label in (("diverged", "diverged episodes"), ("warnings", "warnings")):
         if result[fault]:
-            table.add_row(what, str(result[fault]), "")
+            table.add_row(label, str(result[fault]), "")
     return table
-
-
-def _row(
-    result: dict[str, Any], measure: str, what: str, form: str = ".3f"
-) -> tuple[str, str, str]:
-    """What it is, its value, and its interval."""
-    low, high = result[f"{measure}_ci"]
-    return what, format(result[measure], form), f"{low:{form}} – {high:{form}}"

@@ -1,9 +1,11 @@
-"""`tactilerl render`: a picture of a scripted grasp, or a film of a run."""
+"""`tactilerl render`: a picture of a scripted grasp; a trained run on the screen or in a film."""
 
 from __future__ import annotations
 
-import dataclasses
-from dataclasses import dataclass
+import os
+import sys
+from contextlib import closing
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -11,22 +13,23 @@ import tyro
 
 from ..envs.grasp import GraspConfig, setup
 from ..envs.simulators import Camera
+from ..envs.vector import LocalPlayer
 from ..errors import InputError, input_errors
 from ..pictures import render
+from ..runs import evaluation, policies
 from ..terminal import flags
 from ..terminal.console import console, progress
-from ..terminal.help import About
 from .grasps import require_grasp
 from .scene import layout_notes, read_scene
 
-ABOUT = About(
-    "Draw a scripted grasp with its taxels, or film a trained run (extra: render).",
-    first=("layout", "simulator"),
-    examples=(
-        "tactilerl render --env shadow --layout 1",
-        "tactilerl render runs/X --video film.mp4",
-    ),
-)
+ABOUT = """\
+Draw a scripted grasp with its taxels, film a trained run, or watch it (extra: render).
+
+examples:
+  tactilerl render --env shadow --layout 1
+  tactilerl render runs/X --video film.mp4
+  tactilerl render runs/X"""
+SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
 @dataclass(frozen=True)
@@ -34,13 +37,14 @@ class RenderFlags:
     """Flags of `tactilerl render`, besides the scene's."""
 
     run: tyro.conf.Positional[tuple[Path, ...]] = ()
-    """Run folder whose policy is filmed in the run's own scene. Several runs are filmed side by side,
+    """Run folder whose policy plays in the run's own scene. Several runs are filmed side by side,
     from the same initial states. Without a run, a scripted grasp is drawn."""
-    video: Path = Path("episodes.mp4")
-    """File of the film."""
+    video: Path | None = None
+    """File of the film; default: none where there is a display, which shows the run instead;
+    episodes.mp4 elsewhere, and of several runs."""
     episodes: Annotated[int, "[1, inf)"] = 3
-    """Number of episodes in the film: the first ones that `evaluate` plays. Hold tests last 2 s
-    unless --hold-seconds is given."""
+    """Number of episodes: the first ones that `evaluate` plays. Hold tests last 2 s unless
+    --hold-seconds is given."""
     env: str = "shadow"
     """The hand in the picture."""
     out: Path = Path("grasp.png")
@@ -61,45 +65,70 @@ class RenderFlags:
 
 
 def main(args: list[str]) -> int:
-    """`tactilerl render`: a scripted grasp with its taxels; `tactilerl render RUN`: a film."""
+    """`tactilerl render`: a scripted grasp with its taxels; `tactilerl render RUN`: a run"""
     read, scene = read_scene(RenderFlags, args, "tactilerl render", ABOUT)
-    name = read.env
     for flag in ("env", "out", "pose") if read.run else ("video", "episodes"):
         if getattr(read, flag) != getattr(RenderFlags, flag):
             found, needed = ("with", "without") if read.run else ("without", "with")
             raise InputError(
-                f"--{flag}: found {found} a run folder, allowed only {needed} one"
+                f"{flag}: found {found} a run folder, allowed only {needed} one"
             )
     if read.run:
-        return _film(args, read, scene)
+        hold_seconds = _hold_seconds(args, read, scene)
+        if read.video is None and len(read.run) == 1 and _has_display():
+            _watch(read.run[0], read.episodes, hold_seconds)
+        else:
+            _film(read, hold_seconds)
+        return 0
     with input_errors():
         if read.pose == "grasp":
-            require_grasp(name, scene)
-        lit = render.picture(name, scene, read.pose, read.camera, read.out)
+            require_grasp(read.env, scene)
+        lit = render.picture(read.env, scene, read.pose, read.camera, read.out)
     console.print(f"{read.out}: {lit} taxels fire")
-    for note in layout_notes(name, scene.layout):
+    for note in layout_notes(read.env, scene.layout):
         console.print(note)
     return 0
 
 
-def _film(args: list[str], read: RenderFlags, scene: GraspConfig) -> int:
-    """The film of a run: of a scene's flags, only the length of the hold test has a meaning."""
+def _hold_seconds(args: list[str], read: RenderFlags, scene: GraspConfig) -> float:
+    """Return the length of hold tests, s; a run keeps everything else of its scene."""
     hold_seconds = render.HOLD_SECONDS
-    if flags.peek(args, "--hold-seconds", ""):
+    if flags.peek(args, "hold-seconds")["hold_seconds"]:
         hold_seconds = scene.hold_seconds
-        scene = dataclasses.replace(scene, hold_seconds=setup(read.env).hold_seconds)
+        scene = replace(scene, hold_seconds=setup(read.env).hold_seconds)
     if scene != setup(read.env):
         raise InputError(
             "render RUN: found scene flags, allowed only --hold-seconds: a run keeps its scene"
         )
+    return hold_seconds
+
+
+def _has_display() -> bool:
+    return sys.platform != "linux" or any(os.environ.get(name) for name in SCREENS)
+
+
+def _watch(folder: Path, episodes: int, hold_seconds: float) -> None:
+    """Play a run's policy in a window."""
+    config, policy, *_ = policies.read_run(folder)
+    if config.scene is None:
+        raise InputError(f"{folder}: found no grasping scene, allowed runs of hands")
+    scene = replace(config.scene, hold_seconds=hold_seconds)
+    with (
+        input_errors(),
+        closing(replace(config, scene=scene).make_env(render_mode="human")) as env,
+    ):
+        for number in range(episodes):
+            task = evaluation.task(policy)
+            episode = LocalPlayer(env).play(task, number, lambda: True)
+            verdict = "success" if episode.success == 1.0 else "no success"
+            console.print(f"{folder}: {verdict}")
+
+
+def _film(read: RenderFlags, hold_seconds: float) -> None:
+    video = read.video or Path("episodes.mp4")
     with input_errors(), progress("pictures") as tick:
-        for shown in render.film(
-            read.run, read.episodes, hold_seconds, read.camera, read.video, tick
+        for successes in render.film(
+            read.run, read.episodes, hold_seconds, read.camera, video, tick
         ):
-            verdicts = ", ".join(
-                "success" if success else "no success" for success in shown
-            )
-            console.print(
-                f"{read.video}: {verdicts} (hold tests of {hold_seconds:g} s)"
-            )
-    return 0
+            verdicts = ", ".join("success" if it else "no success" for it in successes)
+            console.print(f"{video}: {verdicts} (hold tests of {hold_seconds:g} s)")

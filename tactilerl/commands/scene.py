@@ -4,62 +4,84 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from ..envs import hands, layouts, scenes, validation
+import gymnasium as gym
+
+from ..envs import TOYS, hands, layouts, scenes, validation
 from ..envs.grasp import GraspConfig, setup
 from ..envs.scenes import NamedScene
+from ..envs.validation import nearest
 from ..errors import InputError, input_errors
 from ..pictures import hand_map
-from ..runs.arguments import NAMED_SCENE, read_parts
 from ..terminal import flags
-from ..terminal.help import About
 
 T = TypeVar("T")
 
 
-def read_any(
-    kind: type[T], args: Sequence[str], prog: str, about: About
-) -> tuple[T, GraspConfig | None]:
-    """The command's own flags, and the scene's where its environment has a scene. --help shows the
-    first, and of the scene's those that `about` names."""
-    command: Any = kind()
-    about = about._replace(first=("scene", "env", *about.first, *vars(command)))
-    with input_errors():
-        name = flags.peek(args, "--scene")
-        named = scenes.load(name) if name else NamedScene(env=command.env)
-    env = flags.peek(args, "--env", named.env)
-    if name and not hands.is_hand(env):
-        raise InputError(
-            f"--env: found {env!r} with --scene, allowed: {hands.allowed()}"
-        )
-    parts: dict[str, Any] = {"command": dataclasses.replace(command, env=env)}
+@dataclass(frozen=True)
+class SceneFlag:
+    """Where the other flags of a scene start."""
+
+    scene: str = ""
+    """A named scene (`tactilerl env` lists them) or a scene's .toml file; other flags override it."""
+
+
+def require_env(env: str, scene: str) -> None:
+    """Raise InputError for an environment that is a slip, or is no hand where a scene is named."""
     if hands.is_hand(env):
-        with input_errors(f"scene {name}" if name else ""):
+        return
+    if scene:
+        allowed = f"with --scene, allowed: {hands.allowed()}"
+        raise InputError(f"env: found {env!r} {allowed}")
+    hint = nearest(env, [*hands.HANDS, *TOYS])
+    if hint and env not in gym.registry and env not in TOYS:
+        raise InputError(
+            f"env: found {env!r}, {hint}allowed: {hands.allowed()}, a toy, a Gymnasium id"
+        )
+
+
+def read_any(
+    kind: type[T], args: Sequence[str], prog: str, about: object
+) -> tuple[T, GraspConfig | None]:
+    """Return the command's own flags, and the scene's where its environment is a hand."""
+    command: Any = kind()
+    given = flags.peek(args, "scene", "env")
+    with input_errors():
+        named = NamedScene(env=command.env)
+        if given["scene"]:
+            named = scenes.load(given["scene"])
+    env = given["env"] or named.env
+    require_env(env, given["scene"])
+    parts: dict[str, Any] = {"command": dataclasses.replace(command, env=env)}
+    parts["named"] = SceneFlag()
+    if hands.is_hand(env):
+        with input_errors(f"scene {given['scene']}" if given["scene"] else ""):
             parts["scene"] = setup(env, **named.on(env))
             validation.validate(parts["scene"])  # before tyro reads it as the defaults
-    read = read_parts(env, parts, args, prog, about, NAMED_SCENE)
-    return read.command_part, getattr(read, "scene_part", None)
+    read = flags.parse_parts(parts, args, prog, about)
+    return read.command, getattr(read, "scene", None)
 
 
 def read_scene(
-    kind: type[T], args: Sequence[str], prog: str, about: About
+    kind: type[T], args: Sequence[str], prog: str, about: object
 ) -> tuple[T, GraspConfig]:
-    """The same; InputError where the environment has no scene."""
+    """Return the same; raise InputError where the environment is no hand."""
     read, scene = read_any(kind, args, prog, about)
     if scene is None:
         raise InputError(
-            f"--env: found {vars(read)['env']!r}, allowed: {hands.allowed()}"
+            f"env: found {vars(read)['env']!r}, allowed: {hands.allowed()}"
         )
     return read, scene
 
 
 def layout_notes(name: str, layout: str) -> list[str]:
-    """What to know about a layout on a hand: where it wants taxels and the hand has no surface, and
-    which of its taxels lie beyond theirs."""
+    """Return what to know about a layout on a hand: where it wants taxels and the hand has no
+    surface, and which of its taxels lie beyond theirs."""
     wanted, hand = layouts.load(layout), hands.get(name)
     placed = wanted.place(hand)
-    found = {
+    places = {
         "no taxels at {}, which " + name + " does not have": layouts.left_out(
             wanted, hand
         ),
@@ -68,10 +90,9 @@ def layout_notes(name: str, layout: str) -> list[str]:
             hand, placed
         ),
     }
-    short = layouts.short(layout)
     notes = [
-        f"layout {short}: {text.format(', '.join(it))}"
-        for text, it in found.items()
-        if it
+        f"layout {layouts.short(layout)}: {text.format(', '.join(names))}"
+        for text, names in places.items()
+        if names
     ]
     return [*hand.notes, *notes]

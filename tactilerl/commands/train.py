@@ -2,36 +2,59 @@
 
 from __future__ import annotations
 
+import dataclasses
+from dataclasses import dataclass
+
 from ..algos import mpi
 from ..errors import InputError, input_errors
 from ..files import pasted
-from ..runs import arguments
 from ..runs.config import RunConfig
+from ..runs.run_dir import resolve
 from ..runs.training import train
 from ..terminal import flags
 from ..terminal.console import console, paragraph
-from .scene import layout_notes
+from .scene import SceneFlag, layout_notes, require_env
 
+ABOUT = """\
+Train a policy. --scene, --algo, --env and --recipe decide which other flags there are, and their
+defaults: those of the paper where neither a scene nor a recipe is given.
+
+examples:
+  tactilerl train --scene handover
+  tactilerl train --scene handover --touch off
+  tactilerl train --algo ddpg_her --layout 4 --total-timesteps 26000
+  tactilerl train --resume runs/X --total-timesteps 1000000"""
+ALWAYS_SHOWN = {"algo", "env", "layout", "touch", "task", "total_timesteps", "seed"}
 SETTLED_NOTE = "hold_verdict=settled decides holds early; how often it is wrong: docs/concepts/tasks.md"
+
+
+@dataclass(frozen=True)
+class TrainFlags(SceneFlag):
+    """Where the other flags start."""
+
+    recipe: str = ""
+    """A set of hyperparameters (paper, steady, ...); default: the scene's, or paper."""
+    resume: str = ""
+    """Folder of a run that is continued from its last full epoch."""
 
 
 def main(args: list[str]) -> int:
     """`tactilerl train`"""
-    usual = arguments.defaults(args)
-    config, options = arguments.read(args, usual)
-    if options.trust and not options.resume:
-        raise InputError("--trust: found without --resume, allowed only with it")
-    if options.resume and flags.peek(args, "--out"):
-        raise InputError("--out: a resumed run stays in its folder; leave it out")
+    given = flags.peek(args, "algo", "env", "recipe", "scene", "resume", "out")
+    if given.pop("out") and given["resume"]:
+        raise InputError("out: found with --resume; a resumed run stays in its folder")
+    if given["env"]:
+        require_env(given["env"], given["scene"])
+    usual = resolve(**given)
+    parts = {"start": TrainFlags(), **usual.parts}
+    read = vars(flags.parse_parts(parts, args, "tactilerl train", ABOUT))
+    config = dataclasses.replace(usual, **{name: read[name] for name in usual.parts})
     notes = []
     with input_errors():
         comm = mpi.world()
-        if (
-            config.scene and not options.resume
-        ):  # which has its layout's own copy: the file may be gone
+        if config.scene and not given["resume"]:  # its layout's file may be gone
             notes = layout_notes(config.run.env, config.scene.layout)
-    summary = _summary(config, usual, comm.size, notes)
-    path = train(config, comm, summary)
+    path = train(config, comm, _summary(config, usual, comm.size, notes))
     if comm.rank == 0:
         console.print(
             f"\nThe run is in {path}: progress.csv (learning curve), checkpoint.pt, "
@@ -42,14 +65,14 @@ def main(args: list[str]) -> int:
 
 
 def _summary(config: RunConfig, usual: RunConfig, ranks: int, notes: list[str]) -> str:
-    """What matters first and what is not as usual, a paragraph per part; config.json has the rest."""
-    lines = [f"tactilerl train: {ranks} process{'es' * (ranks > 1)}"]
+    """Return a paragraph for each part: what matters first, and what is not as usual."""
+    lines = [f"tactilerl train: {ranks} process{'es' if ranks > 1 else ''}"]
     before = usual.as_dict()
     for part, values in config.as_dict().items():
         pairs = "  ".join(
             f"{name}={value}".replace(", ", ",")  # tuples stay on one line
             for name, value in (values or {}).items()
-            if name in arguments.TRAIN.first or value != before[part][name]
+            if name in ALWAYS_SHOWN or value != before[part][name]
         )
         if pairs:
             lines.append(paragraph(part, pairs))

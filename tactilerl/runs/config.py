@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -78,8 +79,6 @@ class RunConfig:
     learner: Any
     folder: Path | None = None
     """The run's folder, once it exists: its copy of a layout file counts, not the original."""
-    is_trusted: bool = True
-    """May a module that the environment's id names be imported?"""
     hand: str = ""
     """Digest of the files of a hand of one's own (`hands.digest`) with which the run was made."""
 
@@ -113,13 +112,16 @@ class RunConfig:
 
     @property
     def make_env(self) -> Callable[..., Any]:
-        """Makes one environment; can be pickled. InputError when that would import a module that is
-        not trusted, or the files of its hand have gone or changed."""
+        """A function that makes one environment; can be pickled.
+
+        InputError when that would import a module that nobody has asked for, or the files of its
+        hand have gone or changed.
+        """
         module, colon, _ = self.run.env.partition(":")
-        if colon and not self.is_trusted:
+        if colon and module not in sys.modules:  # the folder may be somebody else's
             raise InputError(
-                f"{self.folder}: this run's environment imports the module {module!r}; "
-                f"if you trust it, repeat --env {self.run.env} or give --trust"
+                f"env: found {self.run.env!r}, of the module {module}; if you trust it, give "
+                f"--import {module}"
             )
         if self.hand:
             with input_errors(f"{self.folder}: the hand of this run cannot be read"):
@@ -148,11 +150,8 @@ class RunConfig:
 
     @property
     def again(self) -> str:
-        """What a command needs besides the folder: the id, where it names a module, and modules."""
-        flags = [f" --import {module}" for module in plugins.imported]
-        return "".join(
-            [f" --env {self.run.env}" if ":" in self.run.env else "", *flags]
-        )
+        """The flags that a command needs besides the folder: modules to import."""
+        return "".join(f" --import {module}" for module in plugins.imported)
 
     def name(self) -> str:
         """Default name of the run's folder."""

@@ -108,16 +108,16 @@ def _policy(
     return policy
 
 
-def read_run(path: Path, env: str = "", trust: bool = False) -> Trained:
+def read_run(path: Path) -> Trained:
     """The policy of a run folder at its last checkpoint, and its configuration.
 
-    For `env` and `trust` see `RunDir.read_config`. InputError as of `load_policy`.
+    InputError as of `load_policy`.
     """
     from . import checkpoint  # a policy's file needs no environments' configuration
     from .run_dir import RunDir
 
     run_dir = RunDir(path)
-    saved = run_dir.read_config(env, trust)
+    saved = run_dir.read_config()
     data, file = checkpoint.read(run_dir, saved), run_dir.checkpoint_file
     with damage_named(file):
         spaces, state = Spaces.from_json(data["spaces"]), data["ranks"][0]

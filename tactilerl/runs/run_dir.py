@@ -15,7 +15,7 @@ from typing import Annotated, Any
 
 from .. import machine
 from ..algos import recipes
-from ..envs import hands, layouts, scenes
+from ..envs import hands, layouts, plugins, scenes
 from ..envs.validation import require_type
 from ..errors import InputError, input_errors
 from ..files import damage_named, read_json, replacing, writable
@@ -43,7 +43,7 @@ class RunDir:
         config = dataclasses.replace(config, folder=self.path)
         if not os.path.exists(self.config_file):  # False for any name
             return config
-        saved = self.read_config(config.run.env)
+        saved = self.read_config()
         if difference := saved.difference(config.identity()):
             raise InputError(
                 f"{self.path}: {difference}; a continued run keeps its settings (another --out "
@@ -89,24 +89,13 @@ class RunDir:
                 file.write(layouts.load(str(config.layout_file)).toml().encode())
         return changed
 
-    def read_config(self, env: str = "", trust: bool = False) -> RunConfig:
-        """The run's configuration; InputError when there is none.
-
-        A module that its environment's id names is imported only when the caller named the same
-        (`env`) or trusts the folder: the folder may be somebody else's.
-        """
+    def read_config(self) -> RunConfig:
+        """Return the run's configuration; raise InputError when there is none."""
         data = self.record()
         with damage_named(self.config_file):
             config = from_dict({name: data[name] for name in PARTS})
-        if env not in ("", config.run.env):
-            raise InputError(
-                f"env: found {env!r}, the run was made with {config.run.env!r}"
-            )
-        is_trusted = trust or env == config.run.env
         hand = str(data.get("hand", ""))
-        return dataclasses.replace(
-            config, folder=self.path, is_trusted=is_trusted, hand=hand
-        )
+        return dataclasses.replace(config, folder=self.path, hand=hand)
 
     def record(self) -> dict[str, Any]:
         """What config.json holds, with values of this version or another; InputError when damaged."""
@@ -148,23 +137,28 @@ def with_new_names(parts: dict[str, Any]) -> dict[str, Any]:
 
 
 def resolve(
-    algo: str | None,
-    env: str,
-    recipe: str | None,
-    scene: str | None,
-    resume: str | Path | None,
-    trust: bool,
+    algo: str | None = None,
+    env: str = "",
+    recipe: str | None = None,
+    scene: str | None = None,
+    resume: str | Path | None = None,
 ) -> RunConfig:
-    """The configuration before other choices: `config.defaults`, or that of the run in the folder
-    `resume`; InputError where there is none, or a scene is named as well."""
+    """Return the configuration before other choices: `config.defaults`, or that of the run in
+    the folder `resume`. Imports the module that `env` names. InputError where there is no such
+    run, or a scene is named as well."""
+    module, colon, _ = env.partition(":")
+    if colon:
+        with input_errors("env"):
+            plugins.import_modules([module])
     if not resume:
         return defaults(algo, env, recipe, scene)
     if scene:
         raise InputError("scene: found with resume; a resumed run keeps its settings")
-    saved = RunDir(Path(resume)).read_config(env, trust)
+    saved = RunDir(Path(resume)).read_config()
+    if env not in ("", saved.run.env):
+        raise InputError(f"env: found {env!r}, the run was made with {saved.run.env!r}")
     if recipe:
         with input_errors():
-            saved = dataclasses.replace(
-                saved, learner=recipes.recipe(saved.run.algo, recipe)
-            )
+            learner = recipes.recipe(saved.run.algo, recipe)
+        saved = dataclasses.replace(saved, learner=learner)
     return saved

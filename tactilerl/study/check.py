@@ -11,8 +11,8 @@ from ..algos import recipes
 from ..algos.mpi import Communicator
 from ..envs import plugins
 from ..errors import InputError, input_errors
-from ..runs import arguments as train_flags
 from ..runs.config import RunConfig
+from ..runs.config import configure as configured
 from ..runs.training import make_algorithm
 from .grid import Run
 from .records import Record
@@ -32,10 +32,8 @@ def configure(runs: Iterable[Run], trust: bool = True) -> dict[str, RunConfig]:
                 _require_trust(run.modules, trust)
                 with input_errors():
                     plugins.import_modules(run.modules)
-                flags = run.arguments
-                read[run.combination] = train_flags.read(
-                    flags, train_flags.defaults(flags)
-                )[0]
+                flags = {k: v for k, v in run.flags.items() if k != "import"}
+                read[run.combination] = configured({**flags, "workers": 1})
             config = read[run.combination]
             config = dataclasses.replace(
                 config, run=dataclasses.replace(config.run, seed=run.seed)
