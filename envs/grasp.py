@@ -276,9 +276,11 @@ class GraspEnv(gym.Env[Any, Array]):
             before, self.state = self.state, self.simulator.state()
             self._require_whole(before)
             sensed = self._sense(self.state)
-            achieved, terminated = self.task.after_step(
-                self.simulator, self.state, is_last
-            )
+            achieved, terminated = self.task.after_step(self.state, is_last)
+            if not terminated and self.task.is_hold_due(self.state):
+                is_held = self.task.hold.run(self.simulator, self.state)
+                achieved = self.task.after_hold(self.state, is_held)
+                terminated = True
         except SimulationError as error:
             obs = {key: value.copy() for key, value in self._obs.items()}
             faults = {

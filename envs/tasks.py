@@ -8,9 +8,9 @@ relabelling can recompute them.
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
@@ -91,7 +91,7 @@ class Start(NamedTuple):
     """(n_actuators,) that the hand is held to at first."""
 
 
-class Task(Protocol):
+class Task(ABC):
     """Goals, rewards and verdicts of one environment's episodes. Unless it says otherwise, the object
     lies on the ground, and nobody but the hand moves it."""
 
@@ -145,11 +145,17 @@ class Task(Protocol):
         """What others do in the scene before the hand's action number `step`, or at the start (0)."""
 
     @abstractmethod
-    def after_step(
-        self, simulator: Simulator, state: State, is_last: bool
-    ) -> tuple[Array, bool]:
-        """What was achieved (goal_size,) with an action, the episode's last one or not; and does the
-        episode end here by the task's own rules? Then it may use the simulator for a last test."""
+    def after_step(self, state: State, is_last: bool) -> tuple[Array, bool]:
+        """Return what was achieved (goal_size,) with an action, the episode's last one or not, and
+        whether the episode ends here by the task's own rules."""
+
+    def is_hold_due(self, state: State) -> bool:
+        """Tell whether the hold test decides the episode now, after a step that did not end it."""
+        return False
+
+    def after_hold(self, state: State, is_held: bool) -> Array:
+        """Return what was achieved (goal_size,) in an episode that a hold test has ended."""
+        raise NotImplementedError
 
     @abstractmethod
     def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
@@ -182,9 +188,7 @@ class ReachGoal(Task):
             goal += rng.uniform(-furthest, furthest, 3)
         return state.object_position, goal
 
-    def after_step(
-        self, simulator: Simulator, state: State, is_last: bool
-    ) -> tuple[Array, bool]:
+    def after_step(self, state: State, is_last: bool) -> tuple[Array, bool]:
         return state.object_position, False
 
     def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
@@ -238,20 +242,19 @@ class LiftAndHold(Task):
         self._is_off_ground = False
         return self._achieved(state, "undecided"), self.only_goal
 
-    def after_step(
-        self, simulator: Simulator, state: State, is_last: bool
-    ) -> tuple[Array, bool]:
-        if state.clearance > self.config.lift_clearance:
-            is_held = self.hold.run(simulator, state)
-            return self._achieved(state, "held" if is_held else "dropped"), True
-        was_off, self._is_off_ground = (
-            self._is_off_ground,
-            bool(state.clearance > OFF_GROUND),
-        )
-        if is_last:  # the paper's time-out is a verdict too, with its -100
-            return self._achieved(state, "timed_out"), True
+    def after_step(self, state: State, is_last: bool) -> tuple[Array, bool]:
+        was_off = self._is_off_ground
+        self._is_off_ground = bool(state.clearance > OFF_GROUND)
+        if is_last and not self.is_hold_due(state):
+            return self._achieved(state, "timed_out"), True  # a verdict, with its -100
         has_fallen = was_off and not self._is_off_ground
         return self._achieved(state, "fell_back" if has_fallen else "undecided"), False
+
+    def is_hold_due(self, state: State) -> bool:
+        return bool(state.clearance > self.config.lift_clearance)
+
+    def after_hold(self, state: State, is_held: bool) -> Array:
+        return self._achieved(state, "held" if is_held else "dropped")
 
     def _achieved(self, state: State, outcome: Outcome) -> Array:
         points = np.vstack([state.palm, state.fingertips])
@@ -346,17 +349,22 @@ class Handover(Task):
         elif step == self.sets_off + self.stays:
             simulator.let_go()
 
-    def after_step(
-        self, simulator: Simulator, state: State, is_last: bool
-    ) -> tuple[Array, bool]:
-        since = self._step - self.sets_off - self.stays
-        if since >= 0 and _distance(state.palm, state.object_position) > self.fallen:
+    def after_step(self, state: State, is_last: bool) -> tuple[Array, bool]:
+        is_far = _distance(state.palm, state.object_position) > self.fallen
+        if self._since_letting_go >= 0 and is_far:
             return _outcome("missed"), True
-        if since >= self.settles:
-            return _outcome(
-                "held" if self.hold.run(simulator, state) else "missed"
-            ), True
         return _outcome("undecided"), False
+
+    def is_hold_due(self, state: State) -> bool:
+        return self._since_letting_go >= self.settles
+
+    def after_hold(self, state: State, is_held: bool) -> Array:
+        return _outcome("held" if is_held else "missed")
+
+    @property
+    def _since_letting_go(self) -> int:
+        """Actions since the giver let go."""
+        return self._step - self.sets_off - self.stays
 
     def reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
         """1000 for an object that is held in the end, -100 for one that is missed."""

@@ -16,7 +16,8 @@ nothing is felt twice.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Protocol
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -82,7 +83,7 @@ def sensors(taxels: Taxels) -> tuple[Sensor, ...]:
     return tuple(map(Sensor, links, taxels.positions, taxels.radii.tolist()))
 
 
-class Rule(Protocol):
+class Rule(ABC):
     """A touch rule for the taxels of one layout on one hand."""
 
     is_boolean: bool = True
@@ -90,10 +91,13 @@ class Rule(Protocol):
     by_sensors: bool = False
     """Does it read sensors that the simulator has where the taxels are?"""
 
-    def __init__(self, taxels: Taxels, hand: Hand) -> None: ...
+    @abstractmethod
+    def __init__(self, taxels: Taxels, hand: Hand) -> None:
+        """Prepare the rule for these taxels on this hand."""
 
+    @abstractmethod
     def read(self, state: State) -> Array:
-        """(..., n_taxels) what the taxels feel."""
+        """Return what the taxels feel, (..., n_taxels)."""
 
 
 class SkinTouch(Rule):

@@ -10,7 +10,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from tactilerl.envs.simulators import Simulator
 from tactilerl.envs.state import Array, State
 from tactilerl.envs.tasks import OUTCOMES, TASKS, Handover
 
@@ -21,13 +20,11 @@ class HoldCup(Handover):
     limit: ClassVar[float] = 20.0
     """Sum of the normal forces on the cup, N."""
 
-    def after_step(
-        self, simulator: Simulator, state: State, is_last: bool
-    ) -> tuple[Array, bool]:
+    def after_step(self, state: State, is_last: bool) -> tuple[Array, bool]:
         """As in a handover, unless the cup is crushed."""
         if state.contacts.forces.sum() > self.limit:
             return np.array([OUTCOMES["missed"]]), True
-        return super().after_step(simulator, state, is_last)
+        return super().after_step(state, is_last)
 
 
 TASKS["hold-cup"] = HoldCup

@@ -84,22 +84,42 @@ def usage(name: str) -> Usage:
 
 
 def digest(name: str) -> str:
-    """Of the files of anybody's own hand, of its meshes too; "" for the library's hands and for what
-    is no hand. ValueError and OSError where they cannot be read."""
+    """Return a digest of the files of anybody's own hand, of its meshes too; "" for the library's
+    hands and for what is no hand. ValueError and OSError where they cannot be read."""
     if name in HANDS or not is_hand(name):
         return ""
     return short_digest(file(name), *get(name).build.files)
 
 
 def get(name: str) -> Hand:
-    """The hand of this name or file. ValueError or FileNotFoundError saying what is wrong with its
-    file or model, ImportError where the package that has the model is not installed."""
+    """Return the hand of this name or file. ValueError or FileNotFoundError saying what is wrong with
+    its file or model, ImportError where the package that has the model is not installed.
+
+    Anybody's own hand is read once, as long as its files stay as they are, in a process of its own.
+    """
     path = file(name)
     if path.parent == FOLDER:
         return _packaged(path)
-    from . import sandbox
+    if not path.is_file():
+        raise FileNotFoundError(f"hand file {name!r} does not exist")
+    path = path.absolute()
+    if path not in _read or _read[path][0] != _state(path, _read[path][1]):
+        from . import loading, sandbox
 
-    return sandbox.load(path)
+        with validation.blamed(f"hand file {name}"):
+            hand = sandbox.call(loading.load, path)
+        _read[path] = _state(path, hand), hand
+    return _read[path][1]
+
+
+_read: dict[Path, tuple[list[Any], Hand]] = {}
+
+
+def _state(path: Path, hand: Hand) -> list[Any]:
+    """Return what changes when a file of a hand does, or a grasp is kept beside it."""
+    files = [path, *hand.build.files, path.with_suffix(KEPT)]
+    looks = [file.stat() if file.exists() else None for file in files]
+    return [look and (look.st_size, look.st_mtime_ns) for look in looks]
 
 
 @cache

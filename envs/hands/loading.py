@@ -61,21 +61,19 @@ TIMESTEP = 0.004  # s, of scenes that say nothing else
 
 
 def load(path: Path) -> Hand:
-    """The hand of a file; ValueError naming what is wrong with it or its model, FileNotFoundError,
-    and ImportError where the model's package is not installed."""
-    with validation.blamed(f"hand file {path}"):
-        data = validation.read(path, "hand file")
-        only(data, KEYS, "the file")
-        parts = Parts(data, path.parent)
-        hand = _hand(parts, path)
-        if parts.is_own:
-            timestep = table(data, "scene").get("timestep", TIMESTEP)
-            timestep = number(timestep, "scene.timestep", 1e-5, 1.0)
-            with models.quiet():
-                hand = replace(
-                    hand, notes=hand.notes + checks.examine(hand, parts, timestep)
-                )
-        return hand
+    """Return the hand of a file; ValueError naming what is wrong with it or its model,
+    FileNotFoundError, and ImportError where the model's package is not installed."""
+    data = validation.read(path, "hand file")
+    only(data, KEYS, "the file")
+    parts = Parts(data, path.parent)
+    hand = _hand(parts, path)
+    if parts.is_own:
+        timestep = table(data, "scene").get("timestep", TIMESTEP)
+        timestep = number(timestep, "scene.timestep", 1e-5, 1.0)
+        with models.quiet():
+            notes = checks.examine(hand, parts, timestep)
+            hand = replace(hand, notes=hand.notes + notes)
+    return hand
 
 
 def _hand(parts: Parts, path: Path) -> Hand:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import importlib
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -131,7 +132,7 @@ class Camera:
     """Without a graphics card they take five sixths of the time."""
 
 
-class Simulator(Protocol):
+class Simulator(ABC):
     """One running scene. Everything is in SI units, the world's frame, z up, ground at 0."""
 
     scene: Scene
@@ -145,11 +146,13 @@ class Simulator(Protocol):
     @property
     def warnings(self) -> int:
         """How often the engine has warned of something since it was made, resets included."""
+        return 0
 
     def change_object(self, shape: Shape, mass: float, friction: float) -> None:
         """Have another object in the scene, of which a reset must follow."""
         self.scene = self.scene.with_object(shape, mass, friction)
 
+    @abstractmethod
     def reset(
         self,
         joint_positions: Array,
@@ -161,13 +164,16 @@ class Simulator(Protocol):
         physics cannot begin there. `targets` (n_actuators,) are the state's until the next step;
         usually the hand's at its start."""
 
+    @abstractmethod
     def step(self, joint_targets: Array, n_substeps: int) -> None:
         """Advance by `n_substeps` timesteps; SimulationError when that broke the state."""
 
+    @abstractmethod
     def carry(self, goal: Array) -> None:
         """The scene's giver carries the object towards `goal` (3,), m, from where it is. After a reset
         nobody carries it."""
 
+    @abstractmethod
     def let_go(self) -> None:
         """Nobody carries the object any more."""
 
@@ -175,12 +181,15 @@ class Simulator(Protocol):
         """From now on, let what sticks creep this many times as fast as it does in the scene as it
         is built (1); nothing where dry friction does not creep."""
 
+    @abstractmethod
     def state(self) -> State:
         """What is true now; contacts are those of the last timestep."""
 
+    @abstractmethod
     def render(self, camera: Camera, spheres: Sequence[Sphere] = ()) -> Array:
         """RGB picture (height, width, 3) uint8 of the scene with some spheres."""
 
+    @abstractmethod
     def close(self) -> None:
         """Release what is held outside Python."""
 

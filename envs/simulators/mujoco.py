@@ -36,9 +36,7 @@ OBJECT_FIGURES = {
     "body": ("body_pos", "body_ipos", "body_iquat", "body_mass", "body_inertia"),
     "geom": ("geom_type", "geom_size", "geom_rbound", "geom_aabb", "geom_friction"),
 }
-SOLVER_ITERATIONS = (
-    20  # enough for the grasps' contacts: docs/accuracy_and_speed.md
-)
+SOLVER_ITERATIONS = 20  # enough for the grasps' contacts: docs/accuracy_and_speed.md
 # Warnings after which the state is not the physics' any more.
 KINDS = mujoco.mjtWarning
 BROKEN = [

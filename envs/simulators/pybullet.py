@@ -75,7 +75,6 @@ class PyBulletSimulator(Simulator):
 
     holds_gil = True
     creeps = False  # friction anchors
-    warnings = 0  # Bullet has none
 
     def __init__(self, scene: Scene) -> None:
         self.scene, hand = scene, scene.hand

@@ -14,7 +14,7 @@ import tyro
 
 from ..envs import hands
 from ..envs.grasp import setup
-from ..envs.hands import sandbox
+from ..envs.hands import describing, sandbox
 from ..errors import InputError, input_errors
 from ..files import begins_with, pasted, replacing
 from ..probe import doctor, grasp_search
@@ -106,7 +106,8 @@ def _write(read: HandFlags) -> None:
 
 def _written(path: Path, model: str, said: dict[str, Any]) -> list[str]:
     """Notes on what was guessed."""
-    text, notes = sandbox.describe(model, path.parent, said)
+    folder = path.parent.absolute()
+    text, notes = sandbox.call(describing.describe, model, folder, said)
     with replacing(path, is_ours) as file:
         file.write((MARK + text).encode())
     return notes

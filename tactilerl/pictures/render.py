@@ -105,7 +105,8 @@ class _Player:
         )
         self._camera, self._successes = camera, 0
         self._show: Callable[[], None] = lambda: None
-        self.env.simulator = _Filmed(self.env.simulator, every, lambda: self._show())
+        filmed: Any = _Filmed(self.env.simulator, every, lambda: self._show())
+        self.env.simulator = filmed
 
     def play(
         self, number: int, tick: Callable[[], None]
