@@ -1,4 +1,4 @@
-"""What the benchmarks' command lines have in common: a description, parts, runs side by side, JSON."""
+"""What benchmarks share: command lines, processes, timing, tables and JSON."""
 
 from __future__ import annotations
 
@@ -7,17 +7,21 @@ import json
 import multiprocessing
 import os
 import platform
+import statistics
 import subprocess
 import sys
+import time
 import warnings
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from .printing import progress
+from rich.console import Console
+from rich.progress import track
 
+T = TypeVar("T")
 ROOT = Path(__file__).resolve().parents[1]  # where `python -m benchmarks` runs
 DOCS = ROOT / "docs"
 DATA = DOCS / "data"
@@ -62,29 +66,6 @@ def run_parts(description: str | None, parts: dict[str, Part], *packages: str) -
     write(options.out, result)
 
 
-def run_missing(
-    out: Path | None,
-    about: dict[str, Any],
-    places: Iterable[tuple[Any, ...]],
-    run: Callable[..., dict[str, Any]],
-    jobs: int,
-) -> dict[str, Any]:
-    """`run(*place)` for each place that `out` does not have yet, `jobs` at a time, each on one thread;
-    all by place, in words. Written as soon as one is there, beside what they are `about`: a second call
-    goes on."""
-    about, before = json.loads(json.dumps(about)), earlier(out)
-    if before and {key: before.get(key) for key in about} != about:
-        raise SystemExit(f"{out}: of other configurations; give another --out")
-    runs: dict[str, Any] = before.get("runs", {})
-    todo = [place for place in places if " ".join(map(str, place)) not in runs]
-    with processes(jobs, on_one_thread) as pool:
-        futures = {pool.submit(run, *place): place for place in todo}
-        for future in progress(as_completed(futures), "runs", len(todo)):
-            runs[" ".join(map(str, futures[future]))] = future.result()
-            write(out, {**about, "runs": runs})
-    return runs
-
-
 def processes(n: int, begin: Callable[[], None] | None = None) -> ProcessPoolExecutor:
     """Fresh processes that share nothing with this one."""
     return ProcessPoolExecutor(n, multiprocessing.get_context("spawn"), begin)
@@ -123,3 +104,50 @@ def write(path: Path | None, result: Any) -> None:
     """Write JSON where it was asked for."""
     if path:
         path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+
+
+# -- tables and progress ---------------------------------------------------------------------
+
+
+def markdown(head: str, rows: Iterable[Iterable[Any]]) -> None:
+    """A table, with its head as it stands in the docs."""
+    print(head, "|---" * (head.count("|") - 1) + "|", sep="\n")
+    for row in rows:
+        print(f"| {' | '.join(map(str, row))} |")
+
+
+def interval(value: float, low: float, high: float, form: str = ".2f", to: str = " – ") -> str:
+    """A number with its interval."""
+    return f"{value:{form}} ({low:{form}}{to}{high:{form}})"
+
+
+def progress(things: Iterable[T], what: str, total: int | None = None) -> Iterable[T]:
+    """The same things, and on standard error how many of them are done."""
+    return track(things, what, total=total, console=Console(stderr=True))
+
+
+# -- timing: contenders in turn on one machine -----------------------------------------------
+
+ROUNDS = 7
+Contender = Callable[[], int]
+"""Does its work once and says how many things it did."""
+Clock = Callable[[], float]
+"""`time.perf_counter`; for work of one process and thread `time.process_time`, which stands still
+while the machine does something else."""
+
+
+def per_second(run: Contender, clock: Clock = time.perf_counter) -> float:
+    """Things done per second of one call."""
+    started = clock()
+    return run() / (clock() - started)
+
+
+def rounds(contenders: dict[str, Contender], clock: Clock = time.perf_counter) -> dict[str, float]:
+    """Median rate of each contender; they take turns, after one round to warm up."""
+    turns = [[per_second(run, clock) for run in contenders.values()] for _ in range(ROUNDS + 1)]
+    return dict(zip(contenders, map(statistics.median, zip(*turns[1:], strict=True)), strict=True))
+
+
+def contest(rates: dict[str, float], *pairs: tuple[str, str]) -> dict[str, Any]:
+    """Rates, and for pairs of names the first's over the second's."""
+    return {"per_s": rates, "ratios": {f"{a} / {b}": rates[a] / rates[b] for a, b in pairs}}

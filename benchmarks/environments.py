@@ -20,8 +20,7 @@ from tactilerl.envs import hands, scenes
 from tactilerl.envs.grasp import GraspConfig, GraspEnv, setup
 from tactilerl.envs.hands import LinearAction
 
-from benchmarks.command import DOCS, data
-from benchmarks.printing import markdown
+from benchmarks.command import DOCS, data, markdown
 
 UNITS = {  # of entries whose names begin like that
     "position of slide|hand |object [xyz]": "m",

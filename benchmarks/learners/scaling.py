@@ -29,11 +29,18 @@ from tactilerl.algos.rollout import TRAIN, PlayEpisode
 from tactilerl.algos.side_by_side import SideBySide
 from tactilerl.envs import vector
 
-from benchmarks.command import Part, processes, python, run_parts
+from benchmarks.command import (
+    Contender,
+    Part,
+    markdown,
+    per_second,
+    processes,
+    python,
+    rounds,
+    run_parts,
+)
 from benchmarks.learners.random_goals import fed
 from benchmarks.peers.env import Steps, mj_step
-from benchmarks.printing import markdown
-from benchmarks.timing import Contender, per_second, rounds
 
 REPEATS = 3  # of each number of processes
 CYCLES = 3  # of each rank

@@ -14,8 +14,7 @@ import mujoco
 import numpy as np
 from tactilerl import envs
 
-from benchmarks.printing import markdown
-from benchmarks.timing import Contender, contest, rounds
+from benchmarks.command import Contender, contest, markdown, rounds
 
 CONTROL_DT = 0.04  # s: gymnasium-robotics' own, 20 steps of 2 ms
 STEPS = 250

@@ -28,8 +28,8 @@ from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.envs.toy import LQREnv, PointReachEnv
 
+from benchmarks.command import interval, markdown, progress
 from benchmarks.peers.contenders import FIRST_START, Act, Looks, learn, play, sb3_ddpg
-from benchmarks.printing import interval, markdown, progress
 
 SEEDS = range(6)
 PPO_CONFIG = PPOConfig(

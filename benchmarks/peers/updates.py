@@ -14,9 +14,8 @@ from stable_baselines3.common.logger import Logger
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.ppo import PPO, PPOConfig
 
+from benchmarks.command import Contender, contest, markdown, rounds
 from benchmarks.learners.random_goals import GOAL, STEPS, RandomGoals, fed
-from benchmarks.printing import markdown
-from benchmarks.timing import Contender, contest, rounds
 
 OURS, THEIRS, BOUND = "tactilerl", "stable-baselines3", "matrix products"
 WIDTHS = [256] * 3

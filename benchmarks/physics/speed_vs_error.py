@@ -26,9 +26,8 @@ from tactilerl.envs import hands, scripted
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.style import NAMES
 
-from benchmarks.command import count, earlier, parser, processes, write
+from benchmarks.command import count, earlier, markdown, parser, processes, write
 from benchmarks.physics.contacts import deepest, self_contact
-from benchmarks.printing import markdown
 
 SECONDS = 5.0
 SEED = 35_000  # starts of this benchmark; the doctor and the search used others

@@ -16,8 +16,7 @@ from tactilerl.envs.grasp import setup
 from tactilerl.machine import free_cores
 from tactilerl.probe import gate
 
-from benchmarks.command import count, earlier, parser, write
-from benchmarks.printing import interval, markdown
+from benchmarks.command import count, earlier, interval, markdown, parser, write
 
 HANDS, SIMULATORS = ("mpl", "shadow", "allegro"), ("mujoco", "pybullet")
 LAYOUTS = tuple("123456")

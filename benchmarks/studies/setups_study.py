@@ -24,8 +24,7 @@ from tactilerl.study.records import Record
 from tactilerl.study.tables import p_value
 from tactilerl.study.verdicts import BySeed
 
-from benchmarks.command import data
-from benchmarks.printing import markdown
+from benchmarks.command import data, markdown
 from benchmarks.studies.study_tables import estimate, in_common, load, number, title
 
 LAYOUTS = ("layout 1", "layout 2", "layout 5", "8 chosen")

@@ -22,8 +22,7 @@ from tactilerl.study.grid import Setup, Study
 from tactilerl.study.records import Record
 from tactilerl.study.verdicts import BySeed, Pairs
 
-from benchmarks.command import DATA, data
-from benchmarks.printing import interval, markdown
+from benchmarks.command import DATA, data, interval, markdown
 
 EARLIER = re.compile(r"layout \S*mpl_mujoco_(\d+)\.toml")
 DESIGNED = re.compile(r"docs/data/chosen/(?:[a-z]+_)?anywhere_(.+)\.toml")

@@ -15,13 +15,11 @@ from pathlib import Path
 
 import filelock
 import pytest
-from benchmarks.studies import reproduce
 from tactilerl.commands.cli import main
-from tactilerl.errors import InputError
 from tactilerl.study import engine, records, runner
 from tactilerl.study.records import StudyFiles
 
-from one_line import fails_with, printed, python
+from one_line import fails_with, printed
 from tiny_study import TINY, learned, write
 
 ROOT = Path(__file__).parents[2]
@@ -358,46 +356,3 @@ def test_ranks_of_a_run_end_with_the_study(tmp_path, one_launch, number):
     while any(Path(f"/proc/{pid}/cmdline").exists() for pid in below):
         assert time.monotonic() < until
         time.sleep(0.1)
-
-
-def test_a_doubtful_reader_trains_a_run_again(undisturbed, tmp_path, monkeypatch, capsys):
-    """`python -m benchmarks reproduce`: the same bits, and a number that is not."""
-    collected = records.collect(undisturbed, out=tmp_path / "c.tar.gz")
-    name = records.load(collected)[1][0].run.name
-    monkeypatch.setattr(sys, "argv", ["reproduce", str(collected), name])
-    assert reproduce.main() == 0
-    assert "4 epochs: the same, bit for bit" in capsys.readouterr().out
-    made = tmp_path / "run"
-
-    def copied(command, **_):
-        shutil.copytree(made, command[command.index("--out") + 1])
-        return subprocess.CompletedProcess(command, 0)
-
-    monkeypatch.setattr(reproduce.subprocess, "run", copied)
-    shutil.copytree(undisturbed / "runs" / name, made)
-    table = made / "progress.csv"
-    text = table.read_text()
-    assert "\n4,200," in text
-    table.write_text(text.replace("\n4,200,", "\n4,201,"))
-    assert reproduce.main() == 1
-    assert "epoch 4, env_steps: 200 -> 201" in capsys.readouterr().out
-    monkeypatch.setattr(sys, "argv", ["reproduce", str(collected), f"../{name}"])
-    with pytest.raises(InputError, match=f"run: found '../{name}'; did you mean {name}"):
-        reproduce.main()
-
-
-@pytest.mark.parametrize("same", ["24", "56"])
-def test_controls_of_layouts_with_as_many_taxels_are_the_same_run(same):
-    """docs/statistics.md says so of the paper's study."""
-    found = {one.run.name: one for one in records.load(ROOT / "docs/data/paper.tar.gz")[1]}
-    for seed in range(5):
-        a, b = (found[f"mujoco_layout-{n}_touch-off_s{seed}"].rows for n in same)
-        other = found[f"mujoco_layout-1_touch-off_s{seed}"].rows
-        assert not reproduce.differences(a, b)
-        assert reproduce.differences(a, other)
-
-
-def test_a_benchmark_ends_with_one_line_over_bad_input(tmp_path):
-    result = python("-m", "benchmarks", "reproduce", str(tmp_path / "gone.tar.gz"), "x")
-    assert (result.returncode, result.stderr.count("\n")) == (2, 1)
-    assert "gone.tar.gz' is not a study's folder" in result.stderr
