@@ -1,4 +1,4 @@
-"""The learners. They know Gymnasium's spaces and nothing of the environments behind them."""
+"""Learn to act in any Gymnasium environment: the learners, and what they ask of environments."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Protocol, TypeVar
 
 import gymnasium as gym
-
-from .spaces import Array as Array
+import numpy as np
 
 T = TypeVar("T")
+Array = np.ndarray
 # Of hyperparameters, with their ranges; float32 has room for 1e30.
 Positive32 = Annotated[float, "(0, 1e30]"]
 NotNegative = Annotated[float, "[0, inf)"]
@@ -21,7 +21,7 @@ Count = Annotated[int, "[1, inf)"]
 
 @dataclass(frozen=True)
 class LearnerSpec:
-    """A learner that can be asked for by name."""
+    """Say where a learner is that can be asked for by name."""
 
     config: str
     """Name of the class of its hyperparameters."""
@@ -32,7 +32,7 @@ class LearnerSpec:
     task: str
     """The paper's task with it, where an environment has several."""
     module: str = ""
-    """Where both classes are; default: in the module here that has the learner's name."""
+    """Module of both classes; default: the module here that has the learner's name."""
 
 
 ALGORITHMS = {
@@ -43,40 +43,40 @@ ALGORITHMS = {
 
 
 class DivergenceError(FloatingPointError):
-    """Something the learner needs is no longer a finite number."""
+    """Say that something the learner needs is no longer a finite number."""
 
 
 class UnfitError(ValueError):
-    """The environment is not what the learner takes for granted."""
+    """Say that the environment is not what the learner takes for granted."""
 
 
 class Workers(Protocol):
-    """Environments of one kind, and who plays in them side by side."""
+    """Play episodes in environments of one kind, several side by side."""
 
     observation_space: gym.Space[Any]
-    """Of each environment."""
+    """Observation space of each environment."""
     action_space: gym.Space[Any]
 
     def __len__(self) -> int:
-        """How many episodes are played at the same time."""
+        """Return how many episodes are played at the same time."""
 
     @property
     def max_episode_steps(self) -> int | None:
         """Steps after which an episode is cut off; None where the environment does not say."""
 
     def compute_reward(self, achieved_goal: Array, desired_goal: Array) -> Array:
-        """A goal environment's rewards (n,) of goals (n, goal_size)."""
+        """Return a goal environment's rewards (n,) for goals (n, goal_size)."""
 
     def play(
         self,
         job: Callable[[gym.Env[Any, Any], int, Callable[[], bool]], T],
         numbers: Iterable[int],
     ) -> Iterator[T]:
-        """`job(env, number, is_wanted)` for `numbers`, in order; who has enough stops iterating."""
+        """Yield `job(env, number, is_wanted)` for `numbers`, in order; stop iterating at will."""
 
 
 def get(name: str) -> tuple[Any, Any]:
-    """(hyperparameters, `Learner`) by name; PyTorch is imported here and not before."""
+    """Return (hyperparameters, `Learner`) by name; PyTorch is imported here and not before."""
     if name not in ALGORITHMS:
         raise ValueError(
             f"unknown algorithm {name!r}; allowed: {', '.join(ALGORITHMS)}"

@@ -2,7 +2,7 @@
 
 Read from top to bottom: the choices, what it computes, the learner. The order of operations is OpenAI
 baselines' (baselines/her), which the paper used through Melnik et al. 2021: an epoch is `n_cycles`
-times {episodes, normaliser, `n_batches` updates, one or more moves of the target networks}, then test
+times {episodes, normalizer, `n_batches` updates, one or more moves of the target networks}, then test
 episodes without noise.
 """
 
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any, Literal
@@ -20,18 +20,25 @@ import torch
 from torch import Tensor
 
 from . import Array, Count, Fraction, NotNegative, Positive32, rollout
-from .learner import Learner, restore
+from .learner import Learner, restore, set_lr
 from .mpi import Communicator
-from .networks import MLP, FlatAdam, flatten, require_hidden
+from .networks import MLP, flushed_denormals, require_hidden
 from .normalizer import Normalizer, Scaling
-from .policy import Policy, flat_stats, new_actor, on_cpu
+from .policy import (
+    Policy,
+    Spaces,
+    TaxelScale,
+    action_size,
+    goal_size,
+    input_stats,
+    n_boolean,
+    new_actor,
+    on_cpu,
+)
 from .replay import Batch, GoalObs, Replay
 from .rollout import PlayEpisode, discounted, play_episodes, summary
-from .spaces import PRIVILEGED, Spaces, action_size, flat_size, goal_size, n_boolean
 
-CHECK_EVERY = (
-    100  # updates between two looks at whether the ranks' parameters are equal
-)
+CHECK_EVERY = 100  # updates; then the ranks' parameters are compared
 REPLAY_P = 0.8  # paper
 
 
@@ -66,6 +73,10 @@ class DDPGHERConfig:
     """Bound on observations and goals before they are normalised."""
     norm_clip: Positive32 = 5.0
     """Bound on observations and goals after they are normalised."""
+    taxel_scale: TaxelScale = "each"
+    """Scale of observed entries between 0 and 1, such as Boolean taxels. none: as they are; block: one
+    gain for all, so that together they count as much as twelve normalised inputs, however many they
+    are; each: every one normalised by itself."""
     batch_size: Count = 256
     """Transitions per update, in each process."""
     n_rollouts: Count = 2
@@ -77,7 +88,10 @@ class DDPGHERConfig:
     n_test_rollouts: Annotated[int, "[0, inf)"] = 10
     """Test episodes per epoch, in each process, as a multiple of --n-rollouts."""
     random_eps: Fraction = 0.3
-    """Probability of a uniformly random action."""
+    """Share of steps with a uniformly random action."""
+    random_hold: Annotated[float, "[1, 1e6]"] = 1.0
+    """Mean number of steps for which a random action is held: of a geometric distribution (temporally
+    extended exploration, Dabney et al. 2021). Their share of steps stays --random-eps."""
     noise_eps: NotNegative = 0.2
     """Standard deviation of the noise on other actions, relative to half the action range."""
     replay_p: Fraction | None = None
@@ -98,11 +112,11 @@ class DDPGHERConfig:
 
     @property
     def anneals(self) -> bool:
-        """Does the course of a run depend on how long it will be?"""
+        """Whether the course of a run depends on how long it will be."""
         return self.anneal_lr or self.anneal_noise or self.anneal_action_l2
 
     def acting(self, remaining: float) -> DDPGHERConfig:
-        """With the noise of the moment at which that fraction of the run is left."""
+        """Return a copy with annealed exploration noise; `remaining` falls from 1 to 0 over a run."""
         left = remaining if self.anneal_noise else 1.0
         return dataclasses.replace(
             self, noise_eps=left * self.noise_eps, random_eps=left * self.random_eps
@@ -120,7 +134,7 @@ def td_targets(
     gamma: float,
     span: tuple[float, float] | None,
 ) -> Tensor:
-    """What the critic should say (n,): r + gamma Q'(next), of arguments (n,).
+    """Return the critic's targets (n,): r + gamma Q'(next), from arguments (n,).
 
     `terminal` is 1 where nothing follows. Values are cut to the returns that rewards in `span` can
     make (Andrychowicz et al. 2017, appendix A).
@@ -132,95 +146,96 @@ def td_targets(
 
 
 def largest_return(rewards: Sequence[float], gamma: float) -> float:
-    """The largest discounted return, without its sign, from any step of an episode to its end."""
+    """Return the largest discounted return, without its sign, from any step to the episode's end."""
     return max([0.0, *map(abs, discounted(rewards, gamma))])
 
 
-def explore(
-    actions: Array, rng: np.random.Generator, noise_eps: float, random_eps: float
-) -> Array:
-    """Noisy copies of actions (n, d) in [-1, 1]; whole rows are random with `random_eps`."""
-    noisy = actions + np.float32(noise_eps) * rng.standard_normal(
-        actions.shape, dtype=np.float32
-    )
-    noisy = np.clip(noisy, -1.0, 1.0)
-    is_random = rng.random(actions.shape[:-1])[..., None] < random_eps
-    return np.where(
-        is_random, rng.uniform(-1.0, 1.0, actions.shape).astype(np.float32), noisy
-    )
+class Exploration:
+    """Make the actions of one episode noisy, and some of them random for several steps.
+
+    This is the exploration of OpenAI baselines (Gaussian noise, and a uniformly random action with
+    probability `random_eps`), where random actions are held for a geometric number of steps with mean
+    `random_hold` (Dabney et al. 2021). Their share of steps is `random_eps` from the first step on.
+    """
+
+    def __init__(
+        self,
+        rng: np.random.Generator,
+        noise_eps: float,
+        random_eps: float,
+        random_hold: float = 1.0,
+    ) -> None:
+        self.rng, self.noise_eps, self.random_eps = rng, noise_eps, random_eps
+        self.random_hold = random_hold
+        # Probability that a random action begins after another one: where holds last h steps on
+        # average, a share of h q / (h q + 1 - q) of all steps is random.
+        self._begin = random_eps / (random_eps + random_hold * (1.0 - random_eps))
+        self._is_random: Array | None = (
+            None  # (n, 1) in the last step; None before the first
+        )
+        self._random = np.zeros(0, np.float32)  # (n, d)
+
+    def __call__(self, actions: Array) -> Array:
+        """Return noisy copies of actions (n, d) in [-1, 1]; n is the same in every call."""
+        rng, hold = self.rng, self.random_hold
+        noise = rng.standard_normal(actions.shape, dtype=np.float32)
+        noisy = np.clip(actions + np.float32(self.noise_eps) * noise, -1.0, 1.0)
+        chance = rng.random(actions.shape[:-1])[..., None]
+        drawn = rng.uniform(-1.0, 1.0, actions.shape).astype(np.float32)
+        if self._is_random is None:  # as in any other step
+            is_new, is_held = chance < self.random_eps, np.zeros(chance.shape, bool)
+            self._random = drawn
+        else:  # a hold ends with probability 1 / hold, and another may follow at once
+            begin = np.where(self._is_random, self._begin / hold, self._begin)
+            is_new = chance < begin
+            is_held = self._is_random & (chance >= 1.0 / hold)
+        self._random = np.where(is_new, drawn, self._random)
+        self._is_random = is_new | is_held
+        return np.where(self._is_random, self._random, noisy)
 
 
 @dataclass(frozen=True)
 class GoalInputs:
-    """The actor's input: observation and goal, cut and normalised."""
+    """Turn observation and goal, cut and normalized, into the networks' input."""
 
     obs_scaling: Scaling
     goal_scaling: Scaling
     limit: float
 
     def read(self, obs: Any) -> GoalObs:
-        whole = {
-            "achieved_goal": obs["desired_goal"],
-            **obs,
-        }  # a network sees no achieved goal
+        whole = {"achieved_goal": obs["desired_goal"], **obs}  # networks do not see it
         return GoalObs(
             *(np.array(whole[key], np.float32).ravel() for key in GoalObs._fields)
         )
 
     def stack(self, views: Sequence[GoalObs]) -> Tensor:
-        obs, _, goals = (
-            torch.from_numpy(np.stack(part)) for part in zip(*views, strict=True)
-        )
-        return self(obs, goals)
+        obs = np.stack([view.observation for view in views])
+        goals = np.stack([view.desired_goal for view in views])
+        return self(torch.from_numpy(obs), torch.from_numpy(goals))
 
     def __call__(self, obs: Tensor, goals: Tensor) -> Tensor:
-        """Of observations (n, obs) and goals (n, goal): (n, obs + goal)."""
-        parts = (self.obs_scaling, obs), (self.goal_scaling, goals)
-        return torch.cat(
-            [scale(part.clamp(-self.limit, self.limit)) for scale, part in parts], dim=1
-        )
-
-
-def _stats(
-    config: DDPGHERConfig, spaces: Spaces, comm: Communicator
-) -> list[Normalizer]:
-    """Moments of observations and of goals, before anything was seen."""
-    n_goal, n_obs = goal_size(spaces.observation), flat_size(spaces.observation)
-    return [Normalizer(n, comm, config.norm_clip) for n in (n_obs - n_goal, n_goal)]
-
-
-def _policy(
-    config: DDPGHERConfig,
-    spaces: Spaces,
-    actor: MLP,
-    obs_stats: Normalizer,
-    goal_stats: Normalizer,
-) -> Policy:
-    noise = partial(explore, noise_eps=config.noise_eps, random_eps=config.random_eps)
-    inputs = GoalInputs(obs_stats.scaling(), goal_stats.scaling(), config.clip_obs)
-    return Policy(on_cpu(actor), inputs, noise, spaces)
+        """Return inputs (n, obs + goal) from observations (n, obs) and goals (n, goal)."""
+        scaled_obs = self.obs_scaling(obs.clamp(-self.limit, self.limit))
+        scaled_goals = self.goal_scaling(goals.clamp(-self.limit, self.limit))
+        return torch.cat([scaled_obs, scaled_goals], dim=1)
 
 
 class DDPGHER(Learner):
-    """Actor, critic, their targets and the replay; the interface is `Learner`'s."""
+    """Learn by DDPG with hindsight: actor, critic, their targets and the replay."""
 
     replay: Replay
     policy_parts = ("actor", "obs_stats", "goal_stats")
     saved = (
         *policy_parts,
-        "critic",
-        "target_actor",
-        "target_critic",
-        "adam",
-        "privileged_stats",
+        *("critic", "target_actor", "target_critic", "actor_adam", "critic_adam"),
     )
-    counters = ("env_steps", "updates", "cycles", "worst", "best", "reward_scale")
+    plain = ("env_steps", "updates", "cycles", "worst", "best", "reward_scale")
 
     def build(self, generator: torch.Generator) -> None:
         config: DDPGHERConfig = self.config
         workers, comm, seed = self.workers, self.comm, self.seed
         space, n_actions = self.spaces.observation, action_size(self.spaces.action)
-        n_goal, n_privileged = goal_size(space), flat_size(self.spaces.privileged)
+        n_goal = goal_size(space)
         if not (steps := workers.max_episode_steps):
             raise ValueError(
                 "max_episode_steps: found none, allowed environments with a limit"
@@ -234,40 +249,30 @@ class DDPGHER(Learner):
         replay_p = her if config.replay_p is None else config.replay_p
         self.config = dataclasses.replace(config, gamma=gamma, replay_p=replay_p)
         self.actor = new_actor(config.hidden, self.spaces, generator).to(self.device)
-        n_inputs = self._n_obs + n_privileged + n_actions
-        names = self.spaces.inputs(PRIVILEGED, "action")
-        self.critic = MLP((n_inputs, *config.hidden, 1), generator, inputs=names).to(
-            self.device
-        )
+        sizes = (self._n_obs + n_actions, *config.hidden, 1)
+        names = self.spaces.inputs(with_action=True)
+        self.critic = MLP(sizes, generator, inputs=names).to(self.device)
+        self.actor_parameters = [*self.actor.parameters()]
+        self.critic_parameters = [*self.critic.parameters()]
+        self.actor_adam = self.adam(self.actor_parameters, config.actor_lr)
+        self.critic_adam = self.adam(self.critic_parameters, config.critic_lr)
         self.target_actor, self.target_critic = copy.deepcopy((self.actor, self.critic))
-        self.adam = FlatAdam(
-            (self.actor, config.actor_lr), (self.critic, config.critic_lr)
-        )
-        self._target_vector = flatten(
-            self.target_actor, self.target_critic
-        ).requires_grad_(False)
-        comm.broadcast_(self.adam.vector)
-        comm.broadcast_(self._target_vector)
         self.obs_stats, self.goal_stats = _stats(config, self.spaces, comm)
-        self.privileged_stats = flat_stats(
-            self.spaces.privileged, config.norm_clip, comm
-        )
-        sizes, rewards = (
-            (self._n_obs - n_goal, n_goal, n_actions, n_privileged),
-            workers.compute_reward,
-        )
-        rng = np.random.default_rng([seed, comm.rank, rollout.LEARN])
         self.replay = Replay(
-            config.buffer_size, steps, sizes, n_boolean(space), rewards, rng
+            config.buffer_size,
+            steps,
+            (self._n_obs - n_goal, n_goal, n_actions),
+            n_boolean(space),
+            workers.compute_reward,
+            np.random.default_rng([seed, comm.rank, rollout.LEARN]),
         )
-        self._penalty = config.action_l2
+        self._action_l2 = config.action_l2
         self.cycles_per_epoch = config.n_cycles
         self.updates = self.cycles = 0
         # All rewards so far lie from -worst to best, in the source from the start from -1 to 0.
         self.worst = self.reward_scale = 0.0 if config.normalise_rewards else 1.0
-        self.best = self._largest = (
-            0.0  # the largest return is that of the last episodes
-        )
+        self.best = 0.0
+        self._largest_return = 0.0  # of the last episodes
 
     def check(self) -> None:
         *_, episode = play_episodes(self.workers, self._player(rollout.PROBE), 1)
@@ -290,91 +295,159 @@ class DDPGHER(Learner):
         return _policy(config, self.spaces, self.actor, self.obs_stats, self.goal_stats)
 
     def _player(self, purpose: int) -> PlayEpisode[GoalObs]:
-        """Plays episodes of this rank's own."""
+        """Return what plays this rank's episodes, for one of the purposes in `rollout`."""
         key = (self.seed, self.comm.rank, purpose, self.cycles)
-        return PlayEpisode[GoalObs](
-            self.policy(), key, explores=purpose != rollout.TEST
-        )
+        explores = purpose != rollout.TEST
+        return PlayEpisode[GoalObs](self.policy(), key, explores=explores)
 
     def collect(self) -> dict[str, float]:
-        """One cycle's episodes: into the replay, and relabelled into the normaliser."""
-        config, key = (
-            self.config,
-            [self.seed, self.comm.rank, rollout.LEARN, self.cycles],
-        )
+        """Play one cycle's episodes: into the replay, and relabelled into the normalizers."""
+        config, rank = self.config, self.comm.rank
+        key = [self.seed, rank, rollout.LEARN, self.cycles]
         self.replay.rng = np.random.default_rng(key)  # whatever came before
         remaining = self.progress_remaining
-        self.adam.scale_lr(remaining if config.anneal_lr else 1.0)
-        self._penalty = config.action_l2 * (
-            remaining if config.anneal_action_l2 else 1.0
-        )
-        episodes = play_episodes(
-            self.workers, self._player(rollout.TRAIN), config.n_rollouts
-        )
+        if config.anneal_lr:
+            set_lr(self.actor_adam, remaining * config.actor_lr)
+            set_lr(self.critic_adam, remaining * config.critic_lr)
+        if config.anneal_action_l2:
+            self._action_l2 = remaining * config.action_l2
+        player = self._player(rollout.TRAIN)
+        episodes = play_episodes(self.workers, player, config.n_rollouts)
         self.cycles += 1
         stats = summary(episodes, self.comm)
         self.env_steps += int(stats.pop("steps"))
         usable = [episode for episode in episodes if len(episode)]
-        self._largest = max(
+        self._largest_return = max(
             largest_return(episode.rewards, config.gamma) for episode in usable
         )
         slots = self.replay.store(usable)
         batch = self.replay.sample(sum(map(len, usable)), config.replay_p, slots)
-        for name in ("obs", "goal", "privileged"):
-            values = getattr(batch, name).clip(-config.clip_obs, config.clip_obs)
-            getattr(self, f"{name}_stats").update(values)
+        limit = config.clip_obs
+        self.obs_stats.update(batch.obs.clip(-limit, limit))
+        self.goal_stats.update(batch.goal.clip(-limit, limit))
         return stats
 
     def test(self) -> dict[str, float]:
-        if not (n := self.config.n_test_rollouts * self.config.n_rollouts):
+        n = self.config.n_test_rollouts * self.config.n_rollouts
+        if not n:
             return {}
-        stats = summary(
-            [*self.workers.play(self._player(rollout.TEST), range(n))], self.comm
-        )
-        return {
-            f"test_{name}": stats[name]
-            for name in ("success_rate", "mean_return", *rollout.FAULTS)
-        }
+        episodes = [*self.workers.play(self._player(rollout.TEST), range(n))]
+        stats = summary(episodes, self.comm)
+        names = ("success_rate", "mean_return", *rollout.FAULTS)
+        return {f"test_{name}": stats[name] for name in names}
 
     # -- learning ----------------------------------------------------------------------------
 
     def update(self) -> dict[str, float]:
-        """One cycle's updates, with one or more moves of the target networks.
-
-        The replay does not change in a cycle, nor do the target networks between two moves: all
-        batches are drawn at once, and those between two moves are normalised and given their targets
-        at once.
-        """
+        """Take one cycle's updates, with one or more moves of the target networks."""
         config, n = self.config, self.config.n_batches
+        # The replay does not change in a cycle: all minibatches are drawn at once.
         drawn = self.replay.sample(n * config.batch_size, config.replay_p)
         self._update_reward_scale(drawn.reward)
+        batch = self._as_inputs(drawn)
+        minibatches = zip(
+            *(torch.split(part, config.batch_size) for part in batch), strict=True
+        )
         sums = torch.zeros(3, device=self.device)
-        rows = config.batch_size * (config.target_update_interval or n)
-        for start in range(0, n * config.batch_size, rows):
-            between = Batch(
-                *(torch.from_numpy(part[start : start + rows]) for part in drawn)
-            )
-            for batch in self._prepared_side_by_side(between):
-                sums += self._minibatch(*batch)
-            self._target_vector.lerp_(self.adam.vector.detach(), 1.0 - config.polyak)
+        with flushed_denormals():
+            for i, minibatch in enumerate(minibatches, start=1):
+                sums += self._update_networks(Batch(*minibatch))
+                if i % (config.target_update_interval or n) == 0 or i == n:
+                    self._move_targets()
         self.updates += n
-        means = self.comm.sum((sums / n).cpu().double().numpy()) / self.comm.size
-        self._require_finite(torch.from_numpy(means), self.adam)
+        over_ranks = self.comm.sum((sums / n).cpu().double().numpy())
+        critic_loss, actor_loss, mean_q = means = (over_ranks / self.comm.size).tolist()
+        self.require_finite(means, self.actor, self.critic)
         if self.updates % CHECK_EVERY < n:
-            self._require_same(self.adam.vector)
-        critic_loss, actor_loss, value = means.tolist()
-        learned = {"critic_loss": critic_loss, "actor_loss": actor_loss}
-        return {**learned, "mean_q": value * (self.reward_scale or 1.0), "updates": n}
+            self.require_same(*self.actor_parameters, *self.critic_parameters)
+        return {
+            "critic_loss": critic_loss,
+            "actor_loss": actor_loss,
+            "mean_q": mean_q * (self.reward_scale or 1.0),
+            "updates": n,
+        }
+
+    def _as_inputs(self, drawn: Batch[Array]) -> Batch[Tensor]:
+        """Return tensors in which observations are the networks' inputs (n, obs + goal)."""
+        batch = Batch(*(torch.from_numpy(column).to(self.device) for column in drawn))
+        scalings = self.obs_stats.scaling(), self.goal_stats.scaling()
+        inputs = GoalInputs(*scalings, self.config.clip_obs)
+        return batch._replace(
+            obs=inputs(batch.obs, batch.goal),
+            next_obs=inputs(batch.next_obs, batch.goal),
+        )
+
+    def _update_networks(self, batch: Batch[Tensor]) -> Tensor:
+        """Take one Adam step of critic and actor, both from the same parameters.
+
+        Returns the critic's loss, the actor's loss and the mean Q of the actor's actions, (3,).
+        """
+        critic_loss, actor_losses = self.in_two_threads(
+            partial(self._critic_gradient, batch),
+            partial(self._actor_gradient, batch.obs),
+        )
+        parameters = self.actor_parameters + self.critic_parameters
+        self.sum_gradients(parameters)
+        if self.config.reduction == "mean":
+            for gradient in (p.grad for p in parameters if p.grad is not None):
+                gradient.div_(self.comm.size)
+        self.critic_adam.step()
+        self.actor_adam.step()
+        return torch.cat([critic_loss[None], actor_losses])
+
+    def _critic_gradient(self, batch: Batch[Tensor]) -> Tensor:
+        """Compute the gradient of the critic's squared error; return the loss, ()."""
+        targets = self._targets(batch)
+        values = self.critic(torch.cat([batch.obs, batch.action], dim=1)).squeeze(-1)
+        loss = (values - targets).square().mean()
+        self.critic_adam.zero_grad()
+        loss.backward(inputs=self.critic_parameters)
+        return loss.detach()
+
+    def _actor_gradient(self, inputs: Tensor) -> Tensor:
+        """Compute the gradient of what the critic says of the actor's actions.
+
+        Returns the actor's loss and the mean Q, (2,).
+        """
+        actions = self.actor(inputs)
+        mean_q = self.critic(torch.cat([inputs, actions], dim=1)).mean()
+        loss = self._action_l2 * actions.square().mean() - mean_q
+        self.actor_adam.zero_grad()
+        loss.backward(inputs=self.actor_parameters)  # and not the critic's
+        return torch.stack([loss, mean_q]).detach()
 
     @torch.no_grad()
-    def _update_reward_scale(self, drawn: Array) -> None:
+    def _targets(self, batch: Batch[Tensor]) -> Tensor:
+        """Return the critic's targets (n,), from the target networks."""
+        config, inputs = self.config, batch.next_obs
+        next_actions = self.target_actor(inputs)
+        next_values = self.target_critic(torch.cat([inputs, next_actions], dim=1))
+        terminal = batch.terminal * (config.termination == "terminal")
+        scale = self.reward_scale or 1.0
+        span = (-self.worst / scale, self.best / scale) if config.clip_target else None
+        rewards = batch.reward / scale
+        return td_targets(
+            rewards, next_values.squeeze(-1), terminal, config.gamma, span
+        )
+
+    @torch.no_grad()
+    def _move_targets(self) -> None:
+        """Move the target networks by 1 - polyak towards actor and critic."""
+        networks = ((self.target_actor, self.actor), (self.target_critic, self.critic))
+        for target, network in networks:
+            for old, new in zip(target.parameters(), network.parameters(), strict=True):
+                old.lerp_(new, 1.0 - self.config.polyak)
+
+    @torch.no_grad()
+    def _update_reward_scale(self, rewards: Array) -> None:
         """Move the bounds of rewards to hold those that were drawn (n,), and the scale with them.
 
         A relabelled reward may exceed all returns that were lived. When the scale grows, the critics'
         last layers shrink, so that values in the environment's unit stay (van Hasselt et al. 2016).
         """
-        found = self.comm.all_gather((-drawn.min(), drawn.max(), self._largest))
-        worst, best, largest = zip((self.worst, self.best, 0.0), *found, strict=True)
+        mine = (-rewards.min(), rewards.max(), self._largest_return)
+        gathered = self.comm.all_gather(mine)
+        worst, best, largest = zip((self.worst, self.best, 0.0), *gathered, strict=True)
         self.worst, self.best = float(max(worst)), float(max(best))
         if not self.config.normalise_rewards:
             return
@@ -386,80 +459,6 @@ class DDPGHER(Learner):
                     values.mul_(self.reward_scale / scale if self.reward_scale else 1.0)
             self.reward_scale = scale
 
-    def _prepared_side_by_side(
-        self, drawn: Batch[Tensor]
-    ) -> Iterator[tuple[Tensor, ...]]:
-        """Minibatches of what was drawn, as `_prepared` makes them, one half beside the other."""
-        parts = [torch.tensor_split(part.to(self.device), 2) for part in drawn]
-        halves = [
-            partial(self._prepared, Batch(*half)) for half in zip(*parts, strict=True)
-        ]
-        prepared = map(torch.cat, zip(*self.side_by_side(*halves), strict=True))
-        return zip(
-            *(torch.split(part, self.config.batch_size) for part in prepared),
-            strict=True,
-        )
-
-    @torch.no_grad()
-    def _prepared(self, batch: Batch[Tensor]) -> tuple[Tensor, Tensor, Tensor]:
-        """The critic's inputs but for actions (n, obs + goal + privileged), actions (n, d) and the
-        critic's targets (n,)."""
-        config, limit = self.config, self.config.clip_obs
-        scaled = GoalInputs(self.obs_stats.scaling(), self.goal_stats.scaling(), limit)
-        scale_privileged = self.privileged_stats.scaling()
-        inputs, next_inputs = (
-            torch.cat(
-                [
-                    scaled(obs, batch.goal),
-                    scale_privileged(values.clamp(-limit, limit)),
-                ],
-                dim=1,
-            )
-            for obs, values in (
-                (batch.obs, batch.privileged),
-                (batch.next_obs, batch.next_privileged),
-            )
-        )
-        next_actions = self.target_actor(next_inputs[:, : self._n_obs])
-        next_values = self.target_critic(
-            torch.cat([next_inputs, next_actions], dim=1)
-        ).squeeze(-1)
-        terminal = batch.terminal * (config.termination == "terminal")
-        scale = self.reward_scale or 1.0
-        span = (-self.worst / scale, self.best / scale) if config.clip_target else None
-        target = td_targets(
-            batch.reward / scale, next_values, terminal, config.gamma, span
-        )
-        return inputs, batch.action, target
-
-    def _minibatch(self, inputs: Tensor, actions: Tensor, target: Tensor) -> Tensor:
-        """One step of both networks from the same parameters; critic's and actor's loss, mean Q."""
-        self.adam.gradient.zero_()
-        losses = self.side_by_side(
-            partial(self._critic_gradient, inputs, actions, target),
-            partial(self._actor_gradient, inputs),
-        )
-        self.adam.reduce(self.comm, self.config.reduction)
-        self.adam.step()
-        return torch.cat(losses)
-
-    def _critic_gradient(
-        self, inputs: Tensor, actions: Tensor, target: Tensor
-    ) -> Tensor:
-        """Write it; the critic's loss (1,)."""
-        values = self.critic(torch.cat([inputs, actions], dim=1)).squeeze(-1)
-        loss = (values - target).square().mean()
-        loss.backward(inputs=list(self.critic.parameters()))
-        return loss.detach()[None]
-
-    def _actor_gradient(self, inputs: Tensor) -> Tensor:
-        """Write it; the actor's loss and the mean Q of what it would do (2,)."""
-        actions = self.actor(inputs[:, : self._n_obs])
-        value = self.critic(torch.cat([inputs, actions], dim=1)).mean()
-        loss = self._penalty * actions.square().mean() - value
-        loss.backward(inputs=list(self.actor.parameters()))  # and not the critic's
-        return torch.stack([loss, value]).detach()
-
     # -- saving ------------------------------------------------------------------------------
 
     @staticmethod
@@ -468,7 +467,33 @@ class DDPGHER(Learner):
     ) -> Policy:
         actor = new_actor(config.hidden, spaces, torch.Generator())
         obs_stats, goal_stats = _stats(config, spaces, Communicator())
-        restore(
-            {"actor": actor, "obs_stats": obs_stats, "goal_stats": goal_stats}, saved
-        )
+        parts = {"actor": actor, "obs_stats": obs_stats, "goal_stats": goal_stats}
+        restore(parts, saved)
         return _policy(config, spaces, actor, obs_stats, goal_stats)
+
+
+def _stats(
+    config: DDPGHERConfig, spaces: Spaces, comm: Communicator
+) -> tuple[Normalizer, Normalizer]:
+    """Return moments of observations and of goals, before anything was seen."""
+    space: Any = spaces.observation
+    clip, scale = config.norm_clip, config.taxel_scale
+    obs_stats = input_stats(space["observation"], comm, clip, True, scale)
+    return obs_stats, Normalizer(goal_size(space), comm, clip)
+
+
+def _policy(
+    config: DDPGHERConfig,
+    spaces: Spaces,
+    actor: MLP,
+    obs_stats: Normalizer,
+    goal_stats: Normalizer,
+) -> Policy:
+    explore = partial(
+        Exploration,
+        noise_eps=config.noise_eps,
+        random_eps=config.random_eps,
+        random_hold=config.random_hold,
+    )
+    inputs = GoalInputs(obs_stats.scaling(), goal_stats.scaling(), config.clip_obs)
+    return Policy(on_cpu(actor), inputs, explore, spaces)

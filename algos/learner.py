@@ -2,47 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from typing import Any, ClassVar, TypeVar
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
+from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from . import DivergenceError, Workers
 from .mpi import Communicator, same_on_all_ranks
-from .networks import FlatAdam
-from .side_by_side import SideBySide
-from .spaces import Spaces, flat_size
+from .policy import Policy, Spaces, flat_size
 
-if TYPE_CHECKING:
-    from .policy import Policy
-
-NAMES_OF_0_3 = {
-    "spread": "gaussian",
-    "log": "log_std",
-    "truth_stats": "privileged_stats",
-}
+A = TypeVar("A")
+B = TypeVar("B")
 
 
 def progress_remaining(env_steps: int, total_timesteps: int) -> float:
-    """Of a run, from 1 to 0."""
+    """Return what is left of a run, from 1 to 0."""
     return max(0.0, 1.0 - env_steps / total_timesteps)
 
 
-class Learner:
-    """A subclass says how it is built, collects, updates and acts. Random numbers follow from the seed
-    and the counters, so these and the states of its parts are all that a checkpoint needs."""
+class Learner(ABC):
+    """Learn from episodes: `collect` and `update` in turn. A subclass is one algorithm.
+
+    Random numbers follow from the seed and the counters, so these and the states of its parts are all
+    that a checkpoint needs.
+    """
 
     policy_parts: ClassVar[Sequence[str]]
     """Attributes that its policy is made of."""
     saved: ClassVar[Sequence[str]]
     """Attributes that have states of their own, the policy's among them."""
-    counters: ClassVar[Sequence[str]]
-    """Attributes that are numbers."""
+    plain: ClassVar[Sequence[str]]
+    """Attributes that are saved as they are: numbers, or dicts of numbers and tensors."""
     cycles_per_epoch = 1
     """How often an epoch collects and updates."""
     replay: Any = None
-    """The `Replay` of a learner that remembers."""
+    """The `Replay` of an off-policy learner."""
 
     def __init__(
         self,
@@ -54,114 +52,158 @@ class Learner:
         device: str = "cpu",
         cores: int = 1,
     ) -> None:
-        """For environments of `workers`, until `total_timesteps` over all ranks. ValueError where
-        hyperparameters or spaces do not fit. On one of several ranks there is one core, as messages
-        are exchanged one after another."""
+        """Prepare to learn in `workers` until `total_timesteps` over all ranks.
+
+        Raises ValueError where hyperparameters or spaces do not fit. On one of several ranks there is
+        one core, as messages are exchanged one after another.
+        """
         config.validate()
         self.config, self.workers, self.comm = config, workers, comm
-        self.seed, self.total_timesteps, self.device = (
-            seed,
-            total_timesteps,
-            torch.device(device),
-        )
+        self.seed, self.total_timesteps = seed, total_timesteps
+        self.device = torch.device(device)
         self.spaces = Spaces(workers.observation_space, workers.action_space)
         self._n_obs = flat_size(self.spaces.observation)
-        self.side_by_side = SideBySide(
-            cores > 1 and comm.size == 1 and self.device.type == "cpu"
-        )
         self.env_steps = 0  # so far, on all ranks
+        self._second_thread: ThreadPoolExecutor | None = None
+        if cores > 1 and comm.size == 1 and self.device.type == "cpu":
+            self._second_thread = second_thread()
         self.build(torch.Generator().manual_seed(seed))
 
+    @abstractmethod
     def build(self, generator: torch.Generator) -> None:
-        """Networks, with weights drawn from `generator`, optimisers and whatever else it has."""
-        raise NotImplementedError
+        """Make networks, with weights drawn from `generator`, optimizers and all else it has."""
 
-    def check(self) -> None:
-        """ValueError where rewards or this machine's memory do not fit; may play an episode."""
+    def check(self) -> None:  # noqa: B027
+        """Raise ValueError where rewards or memory do not fit; may play an episode."""
 
+    @abstractmethod
     def describe(self) -> str:
-        """What the configuration amounts to, in words."""
-        raise NotImplementedError
+        """Return in words what the configuration amounts to."""
 
+    @abstractmethod
     def policy(self) -> Policy:
-        """What acts now; good until the next update."""
-        raise NotImplementedError
+        """Return what acts now; good until the next update."""
 
+    @abstractmethod
     def collect(self) -> dict[str, float]:
-        """Gather experience for one cycle; counts and means of its episodes."""
-        raise NotImplementedError
+        """Gather experience for one cycle; return counts and means of its episodes."""
 
+    @abstractmethod
     def update(self) -> dict[str, float]:
-        """Learn from it; losses and the like."""
-        raise NotImplementedError
+        """Learn from it; return losses and the like."""
 
     def test(self) -> dict[str, float]:
-        """How good it is without exploration, at the end of an epoch; empty where not asked."""
+        """Return how good it is without exploration at the end of an epoch; empty if not asked."""
         return {}
 
     @staticmethod
+    @abstractmethod
     def saved_policy(config: Any, spaces: Spaces, saved: dict[str, Any]) -> Policy:
-        """The policy in what `state_dict` returned, on the CPU and without a learner around it.
+        """Return the policy in what `state_dict` returned, on the CPU, without a learner around it.
 
         `config` are the learner's hyperparameters. ValueError when these do not go together.
         """
-        raise NotImplementedError
 
     @property
     def progress_remaining(self) -> float:
-        """Of the run, from 1 to 0."""
+        """What is left of the run, from 1 to 0."""
         return progress_remaining(self.env_steps, self.total_timesteps)
 
-    def _require_finite(self, losses: Tensor, *adams: FlatAdam) -> None:
-        """DivergenceError, rather than going on from losses or parameters that are not finite."""
-        if not all(
-            torch.isfinite(values).all()
-            for values in (losses, *(a.vector for a in adams))
-        ):
+    # -- shared steps of learning ------------------------------------------------------------
+
+    def adam(self, parameters: Iterable[nn.Parameter], lr: float) -> torch.optim.Adam:
+        """Return Adam (Kingma & Ba 2014) on parameters that are rank 0's from now on."""
+        parameters = list(parameters)
+        for parameter in parameters:
+            self.comm.broadcast_(parameter)
+        return torch.optim.Adam(
+            parameters, lr, fused=self.device.type in ("cpu", "cuda")
+        )
+
+    def sum_gradients(self, parameters: Iterable[nn.Parameter]) -> None:
+        """Replace gradients by their sums over ranks: one message."""
+        if self.comm.size == 1:
+            return
+        gradients = [p.grad for p in parameters if p.grad is not None]
+        vector = parameters_to_vector(gradients)
+        self.comm.sum_(vector)
+        vector_to_parameters(vector, gradients)
+
+    def in_two_threads(
+        self, first: Callable[[], A], second: Callable[[], B]
+    ) -> tuple[A, B]:
+        """Return what both functions return, computed at the same time where there are two cores.
+
+        They must share nothing that they write to; then the results do not depend on the cores.
+        PyTorch lets go of Python's lock while it computes. An error of either is raised once both
+        have ended.
+        """
+        if self._second_thread is None:
+            return first(), second()
+        future = self._second_thread.submit(second)
+        try:
+            result = first()
+        finally:
+            wait([future])
+        return result, future.result()
+
+    def require_finite(self, losses: Sequence[float], *networks: nn.Module) -> None:
+        """Raise DivergenceError rather than go on from losses or parameters that are not finite."""
+        tensors = [torch.tensor(losses), *(p for n in networks for p in n.parameters())]
+        if not all(bool(torch.isfinite(tensor).all()) for tensor in tensors):
             raise DivergenceError(
                 f"a loss or a parameter is not finite after {self.env_steps} steps "
-                f"(losses {[f'{x:.3g}' for x in losses.tolist()]})"
+                f"(losses {[f'{x:.3g}' for x in losses]})"
             )
 
-    def _require_same(self, *tensors: Tensor) -> None:
-        """DivergenceError where the ranks have parted."""
+    def require_same(self, *tensors: Tensor) -> None:
+        """Raise DivergenceError where the ranks have parted."""
         if not all(same_on_all_ranks(self.comm, tensor) for tensor in tensors):
             raise DivergenceError("the ranks' parameters differ")
 
     # -- saving ------------------------------------------------------------------------------
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that the rest of the run depends on, except what it remembers."""
+        """Return everything that the rest of the run depends on, except the replay."""
         states = {name: getattr(self, name).state_dict() for name in self.saved}
-        return states | {name: getattr(self, name) for name in self.counters}
+        return states | {name: getattr(self, name) for name in self.plain}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on exactly where `state_dict` was taken. ValueError where it has other parts: files have
-        checksums, so a state may only be another learner's or version's."""
-        if self.state_dict().keys() != (state := with_current_names(state)).keys():
-            different = ", ".join(sorted(self.state_dict().keys() ^ state.keys()))
+        """Go on exactly where `state_dict` was taken.
+
+        Raises ValueError where it has other parts: files have checksums, so a state may only be
+        another learner's or version's.
+        """
+        if different := self.state_dict().keys() ^ state.keys():
             raise ValueError(
-                f"state: {different}: missing, or unknown; finish a run with its version"
+                f"state: {', '.join(sorted(different))}: missing, or unknown; finish a run with "
+                "its version"
             )
         restore({name: getattr(self, name) for name in self.saved}, state)
-        for name in self.counters:
+        for name in self.plain:
             setattr(self, name, state[name])
+
+
+def second_thread() -> ThreadPoolExecutor:
+    """Start a thread that computes like this one, and treats denormal numbers as zero."""
+    n_threads = torch.get_num_threads()
+
+    def set_up() -> None:
+        torch.set_num_threads(n_threads)
+        torch.set_flush_denormal(True)
+
+    return ThreadPoolExecutor(1, initializer=set_up)
+
+
+def set_lr(adam: torch.optim.Adam, lr: float) -> None:
+    """Set the learning rate of all parameters."""
+    for group in adam.param_groups:
+        group["lr"] = lr
 
 
 def restore(parts: Mapping[str, Any], state: dict[str, Any]) -> None:
     """Put back parts, by name, of a learner's state; ValueError where one is missing."""
-    state = with_current_names(state)
     if missing := parts.keys() - state.keys():
         raise ValueError(f"state: {', '.join(sorted(missing))}: missing")
     for name, part in parts.items():
         part.load_state_dict(state[name])
-
-
-def with_current_names(state: Any) -> Any:
-    """A state that 0.3.0 may have written, all the way down."""
-    if not isinstance(state, dict):
-        return state
-    return {
-        NAMES_OF_0_3.get(name, name): with_current_names(part)
-        for name, part in state.items()
-    }

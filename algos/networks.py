@@ -1,45 +1,41 @@
-"""Multilayer perceptrons whose parameters lie in one vector, and Adam on that vector.
-
-One vector makes the optimiser step, the gradient's norm and the reduction over ranks one
-operation each, instead of one for every layer's weight and bias.
-"""
+"""Multilayer perceptrons: how they are built and how their weights start."""
 
 from __future__ import annotations
 
 import hashlib
 import itertools
 import math
-from collections.abc import Callable, Sequence
-from typing import Any, Literal
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from .mpi import Communicator
-
-TINY = np.finfo(np.float32).tiny  # below it, numbers have not all of float32's digits
-MOST_UNITS, MOST_WEIGHTS = (
+FLOAT32_TINY = np.finfo(
+    np.float32
+).tiny  # below it, numbers have not all of float32's digits
+MAX_UNITS, MAX_WEIGHTS = (
     100_000,
     10**8,
-)  # of hidden layers: more is a slip, and takes all memory
+)  # of hidden layers: more is a slip and takes all memory
 
 
 def require_hidden(hidden: Sequence[int]) -> None:
-    """ValueError for hidden layers that are none, or too large."""
-    if not hidden or not 1 <= min(hidden) <= max(hidden) <= MOST_UNITS:
+    """Raise ValueError for hidden layers that are none, or too large."""
+    if not hidden or not 1 <= min(hidden) <= max(hidden) <= MAX_UNITS:
         raise ValueError(
-            f"hidden: found {hidden}, allowed one or more sizes from 1 to {MOST_UNITS}"
+            f"hidden: found {hidden}, allowed one or more sizes from 1 to {MAX_UNITS}"
         )
-    if sum(a * b for a, b in itertools.pairwise(hidden)) > MOST_WEIGHTS:
+    if sum(a * b for a, b in itertools.pairwise(hidden)) > MAX_WEIGHTS:
         raise ValueError(
-            f"hidden: found {hidden}, allowed up to {MOST_WEIGHTS} weights between them"
+            f"hidden: found {hidden}, allowed up to {MAX_WEIGHTS} weights between them"
         )
 
 
 class MLP(nn.Sequential):
-    """Linear layers with ReLU between them, and optionally Tanh at the end.
+    """Stack linear layers with ReLU between them, and optionally Tanh at the end.
 
     Weights and biases start uniform in ±1/sqrt(fan-in) (PyTorch's own default), drawn from
     `generator`, so that no global random state is involved. Networks with other inputs, drawn from
@@ -53,38 +49,24 @@ class MLP(nn.Sequential):
         tanh: bool = False,
         inputs: Sequence[str] | None = None,
     ):
-        """`inputs` are the names of what it sees; without them inputs go by their numbers."""
+        """Draw the weights. `inputs` names what it sees; without names, inputs go by number."""
         layers: list[nn.Module] = []
         for fan_in, fan_out in itertools.pairwise(sizes):
             linear = nn.utils.skip_init(nn.Linear, fan_in, fan_out)  # type: ignore[no-untyped-call]
             bound = 1.0 / math.sqrt(fan_in)
-            own, names = (generator, None) if layers else (_spawn(generator), inputs)
+            source, names = (generator, None) if layers else (_spawn(generator), inputs)
             with torch.no_grad():
-                linear.weight.copy_(
-                    _columns(linear.weight, own, names, Tensor.uniform_) * 2 - 1
-                )
-                linear.weight.mul_(bound)
+                drawn = _columns(linear.weight, source, names, Tensor.uniform_)
+                linear.weight.copy_((drawn * 2 - 1) * bound)
             nn.init.uniform_(linear.bias, -bound, bound, generator=generator)
             layers += [linear, nn.ReLU()]
         layers[-1:] = [nn.Tanh()] if tanh else []
         super().__init__(*layers)
-        self._shape = tuple(sizes), tanh
         self.linears = [layer for layer in layers if isinstance(layer, nn.Linear)]
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickles as sizes and numbers: the parameters may be views of much more."""
-        values = [parameter.detach().cpu().numpy() for parameter in self.parameters()]
-        return _restored, (*self._shape, values)
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> MLP:
-        """A copy on the same device, likewise by sizes and numbers."""
-        return _restored(
-            *self._shape, [parameter.detach() for parameter in self.parameters()]
-        )
 
 
 def _spawn(generator: torch.Generator) -> torch.Generator:
-    """A generator of its own: how much is drawn from it moves nothing else."""
+    """Return a separate generator: how much is drawn from it does not move the first one."""
     seed = int(torch.randint(2**62, (), generator=generator))
     return torch.Generator().manual_seed(seed)
 
@@ -95,15 +77,15 @@ def _columns(
     names: Sequence[str] | None,
     draw: Callable[..., Tensor],
 ) -> Tensor:
-    """Numbers (outputs, inputs), of which those of an input follow from its name or number alone."""
+    """Draw numbers (outputs, inputs); those of an input follow from its name or number alone."""
     n_out, n_in = like.shape
     if names is None:
         return draw(torch.empty(n_in, n_out), generator=generator).T
     base, columns = generator.initial_seed(), []
     for name in names:
         digest = hashlib.blake2b(f"{base} {name}".encode(), digest_size=7).digest()
-        own = torch.Generator().manual_seed(int.from_bytes(digest, "big"))
-        columns.append(draw(torch.empty(n_out), generator=own))
+        source = torch.Generator().manual_seed(int.from_bytes(digest, "big"))
+        columns.append(draw(torch.empty(n_out), generator=source))
     return torch.stack(columns, dim=1)
 
 
@@ -121,119 +103,28 @@ def start_orthogonal(
     where there are more inputs than units.
     """
     for linear in network.linears:
-        is_first, is_last = (linear is network.linears[i] for i in (0, -1))
-        gain = last_gain if is_last else math.sqrt(2.0)
-        if is_first:
-            drawn = _columns(linear.weight, _spawn(generator), inputs, Tensor.normal_)
+        gain = last_gain if linear is network.linears[-1] else math.sqrt(2.0)
+        if linear is network.linears[0]:
+            columns = _columns(linear.weight, _spawn(generator), inputs, Tensor.normal_)
             gain *= min(1.0, math.sqrt(linear.out_features / linear.in_features))
-            linear.weight.copy_(functional.normalize(drawn, dim=0) * gain)
+            linear.weight.copy_(functional.normalize(columns, dim=0) * gain)
         else:
             nn.init.orthogonal_(linear.weight, gain, generator)
         nn.init.zeros_(linear.bias)
 
 
-def _restored(sizes: Sequence[int], tanh: bool, values: Sequence[Any]) -> MLP:
-    """A network with copies of these parameters, arrays or tensors."""
-    tensors = [torch.asarray(value, copy=True) for value in values]
-    network = MLP(sizes, torch.Generator(), tanh).to(tensors[0].device)
-    for parameter, tensor in zip(network.parameters(), tensors, strict=True):
-        parameter.data = tensor
-    return network
+@contextmanager
+def flushed_denormals() -> Iterator[None]:
+    """Treat denormal numbers as zero inside, in this thread.
 
-
-def flatten(*modules: nn.Module) -> nn.Parameter:
-    """Move all parameters of `modules` into one vector, of which they become views.
-
-    The vector's gradient is likewise made of the parameters' gradients. Returns the vector.
+    Adam's moments of units that are never active fade until they are denormal, and slow. Whoever
+    steps physics outside must not notice.
     """
-    parameters = [parameter for module in modules for parameter in module.parameters()]
-    vector = nn.Parameter(torch.cat([p.detach().reshape(-1) for p in parameters]))
-    vector.grad = torch.zeros_like(vector)
-    sizes = [parameter.numel() for parameter in parameters]
-    parts = zip(
-        parameters,
-        torch.split(vector.data, sizes),
-        torch.split(vector.grad, sizes),
-        strict=True,
-    )
-    for parameter, values, gradient in parts:
-        parameter.data, parameter.grad = (
-            values.view_as(parameter),
-            gradient.view_as(parameter),
-        )
-    return vector
-
-
-class FlatAdam:
-    """Adam (Kingma & Ba 2014) on all parameters of modules as one vector.
-
-    Each module comes with its learning rate.
-    """
-
-    def __init__(self, *modules: tuple[nn.Module, float]) -> None:
-        self.vector = flatten(*(module for module, _ in modules))
-        assert self.vector.grad is not None
-        self.gradient = self.vector.grad
-        self._moments = {
-            name: torch.zeros_like(self.vector.data)
-            for name in ("exp_avg", "exp_avg_sq")
-        }
-        self._steps = torch.zeros(len(modules), device=self.vector.device)
-        self._lrs = [lr for _, lr in modules]
-        sizes = [sum(p.numel() for p in module.parameters()) for module, _ in modules]
-        whole = (self.vector.data, self.gradient, *self._moments.values())
-        parameters, states = [], []
-        for values, gradient, mean, square, step in zip(
-            *(torch.split(tensor, sizes) for tensor in whole),
-            self._steps.unbind(),
-            strict=True,
-        ):
-            parameters.append(nn.Parameter(values))
-            parameters[-1].grad = gradient
-            states.append({"step": step, "exp_avg": mean, "exp_avg_sq": square})
-        groups = [
-            {"params": [p], "lr": lr}
-            for p, lr in zip(parameters, self._lrs, strict=True)
-        ]
-        self._adam = torch.optim.Adam(
-            groups, fused=self.vector.device.type in ("cpu", "cuda")
-        )
-        self._adam.state.update(zip(parameters, states, strict=True))
-
-    def scale_lr(self, lr_factor: float) -> None:
-        """From here on each learning rate is this fraction of what it was at the start."""
-        for group, lr in zip(self._adam.param_groups, self._lrs, strict=True):
-            group["lr"] = lr_factor * lr
-
-    def reduce(self, comm: Communicator, how: Literal["mean", "sum"] = "sum") -> None:
-        """Replace the gradient by its sum or mean over ranks: one message."""
-        comm.sum_(self.gradient)
-        if how == "mean" and comm.size > 1:
-            self.gradient.div_(comm.size)
-
-    def clip(self, max_norm: float) -> None:
-        """Scale the gradient down to `max_norm` where it is longer."""
-        norm = torch.linalg.vector_norm(self.gradient)
-        scale = max_norm / (norm + 1e-6)
-        self.gradient.mul_(scale.clamp(max=1.0))
-
-    def step(self) -> None:
-        """One step along the gradient."""
-        # Moments of units that are never active fade until they are denormal, and slow: zero then.
-        before = bool(
-            TINY * np.float32(0.5) == 0
-        )  # PyTorch sets it and does not tell it
-        torch.set_flush_denormal(True)
-        try:
-            self._adam.step()
-        finally:
-            torch.set_flush_denormal(before)  # whoever steps physics must not notice
-
-    def state_dict(self) -> dict[str, Any]:
-        """Moments (n,) and steps (modules,). The parameters belong to the modules, learning
-        rates to the configuration."""
-        return {"steps": self._steps, **self._moments}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        for name, values in self.state_dict().items():
-            values.copy_(state[name])
+    before = bool(
+        FLOAT32_TINY * np.float32(0.5) == 0
+    )  # PyTorch can set it, but not tell it
+    torch.set_flush_denormal(True)
+    try:
+        yield
+    finally:
+        torch.set_flush_denormal(before)

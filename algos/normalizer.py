@@ -1,7 +1,8 @@
-"""Running mean and standard deviation of observations, the same on all ranks."""
+"""Running moments of observations, the same on all ranks, and the units in which networks see them."""
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,87 +12,111 @@ from torch import Tensor
 from . import Array
 from .mpi import Communicator
 
-MIN_STD = 0.01  # OpenAI baselines' floor: constant columns stay near zero instead of exploding
+MIN_STD = 0.01
+"""Floor of the standard deviation (OpenAI baselines): constant columns stay near zero."""
+BLOCK_NORM = 12.0
+"""Mean squared norm that a block of columns is given: that of as many standardized columns."""
+PRIOR_ROWS = 1000
+"""Rows, each of squared norm 1, that a block's moments begin with, so that its gain never jumps."""
 
 
 class Scaling(NamedTuple):
-    """(values - mean) / std, within ±`clip`.
+    """Map values to (values - mean) / std, cut to ±limit.
 
     The mean is subtracted in two parts, so that float32 keeps the digits of values that lie far
     from zero.
     """
 
-    high: Tensor
-    low: Tensor
-    scale: Tensor
-    clip: float
+    mean_high: Tensor
+    mean_low: Tensor
+    inverse_std: Tensor
+    limit: Tensor
 
     def __call__(self, values: Tensor) -> Tensor:
-        """Normalised float32 (..., size) of `values`, float32."""
-        high, low, scale = (part.to(values.device) for part in self[:3])
-        return (values - high).sub_(low).mul_(scale).clamp_(-self.clip, self.clip)
+        """Return normalized float32 (..., size) of float32 `values`."""
+        high, low, inverse_std, limit = (part.to(values.device) for part in self)
+        return (values - high).sub_(low).mul_(inverse_std).clamp_(-limit, limit)
 
 
 class Normalizer:
-    """Scales columns to mean 0 and standard deviation 1, within ±`clip`.
+    """Track running moments of columns and scale each to mean 0 and standard deviation 1.
 
     Moments are merged batch by batch in float64 (Chan, Golub & LeVeque 1979), because
-    E[x²] - E[x]² loses every digit when the mean is large against the spread.
+    E[x²] - E[x²] loses every digit when the mean is large against the spread.
 
-    Columns of `as_is`, bool (size,), count as having mean 0 and standard deviation 1.
+    Two masks, bool (size,), name columns that are treated otherwise. Those of `as_is` are not
+    changed at all. Those of `block` share one gain and keep their zero: the block's squared norm
+    is `BLOCK_NORM` on average, however many columns it has and however rarely each is not zero.
     """
 
     def __init__(
         self,
         size: int,
         comm: Communicator,
-        clip: float = np.inf,
+        clip: float = math.inf,
         as_is: Array | None = None,
+        block: Array | None = None,
     ) -> None:
-        self.comm, self.clip, self.as_is = comm, clip, as_is
+        nothing = np.zeros(size, bool)
+        self.comm, self.clip = comm, clip
+        self.as_is = nothing if as_is is None else as_is
+        self.block = nothing if block is None else block
         self.count = 0.0
         self.mean = np.zeros(size)
         self._squares = np.zeros(size)  # sum of squared deviations from the mean
+        self._block_squares = 0.0  # sum of the block's squared norms
 
     @property
     def std(self) -> Array:
-        """float64 (size,), at least `MIN_STD`; ones before the first update."""
-        if not self.count:
-            return np.ones_like(self.mean)
-        return np.maximum(np.sqrt(self._squares / self.count), MIN_STD)
+        """Divisor of each column, float64 (size,): at least `MIN_STD`, 1 before the first update."""
+        count = max(self.count, 1.0)
+        variance = self._squares / count if self.count else np.ones_like(self.mean)
+        norm = (PRIOR_ROWS + self._block_squares) / (PRIOR_ROWS + self.count)
+        variance = np.where(self.block, norm / BLOCK_NORM, variance)
+        return np.where(self.as_is, 1.0, np.maximum(np.sqrt(variance), MIN_STD))
 
     def update(self, batch: Array) -> None:
         """Take in the rows (n, size) that each rank has; every rank must call it, n may be 0."""
         batch = np.asarray(batch, np.float64)
-        total = self.comm.sum(np.append(batch.sum(axis=0), len(batch)))
+        block_squares = np.square(batch[:, self.block]).sum()
+        total = self.comm.sum(np.append(batch.sum(axis=0), [block_squares, len(batch)]))
         count = float(total[-1])
         if not count:
             return
-        mean = total[:-1] / count
+        mean = total[:-2] / count
         squares = self.comm.sum(np.square(batch - mean).sum(axis=0))
         gap, all_count = mean - self.mean, self.count + count
         self._squares += squares + np.square(gap) * (self.count * count / all_count)
         self.mean += gap * (count / all_count)
         self.count = all_count
-        if self.as_is is not None:
-            self.mean[self.as_is], self._squares[self.as_is] = 0.0, all_count
+        self._block_squares += float(total[-2])
+        self.mean[self.as_is | self.block] = 0.0
 
     def scaling(self) -> Scaling:
-        """What it does to values now; later updates do not change what was returned."""
+        """Return what it does to values now; later updates do not change what was returned."""
         high = self.mean.astype(np.float32)
-        parts = (
-            high,
-            (self.mean - high).astype(np.float32),
-            (1.0 / self.std).astype(np.float32),
-        )
-        high_, low, scale = map(torch.from_numpy, parts)
-        return Scaling(high_, low, scale, self.clip)
+        low = (self.mean - high).astype(np.float32)
+        inverse_std = (1.0 / self.std).astype(np.float32)
+        limit = np.where(self.as_is, np.inf, self.clip).astype(np.float32)
+        return Scaling(*map(torch.from_numpy, (high, low, inverse_std, limit)))
 
     def state_dict(self) -> dict[str, Any]:
-        mean, squares = torch.tensor(self.mean), torch.tensor(self._squares)
-        return {"count": self.count, "mean": mean, "squares": squares}
+        """Return moments and masks, as tensors and numbers."""
+        return {
+            "as_is": torch.tensor(self.as_is),
+            "block": torch.tensor(self.block),
+            "count": self.count,
+            "mean": torch.tensor(self.mean),
+            "squares": torch.tensor(self._squares),
+            "block_squares": self._block_squares,
+        }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Put back what `state_dict` returned; 0.4.0 saved no masks and had no block."""
+        if "block" in state:
+            self.as_is = state["as_is"].numpy().copy()
+            self.block = state["block"].numpy().copy()
         self.count = float(state["count"])
         self.mean = state["mean"].numpy().copy()
         self._squares = state["squares"].numpy().copy()
+        self._block_squares = float(state.get("block_squares", 0.0))

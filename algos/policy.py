@@ -1,11 +1,13 @@
-"""What acts: a network, what it is shown and how it explores. Nothing else of a learner."""
+"""What acts: a network, what it is shown and how it explores, and the spaces it acts in."""
 
 from __future__ import annotations
 
 import copy
+import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import gymnasium as gym
 import numpy as np
@@ -16,18 +18,178 @@ from . import Array, UnfitError
 from .mpi import Communicator
 from .networks import MLP
 from .normalizer import Normalizer, Scaling
-from .spaces import Spaces, action_bounds, action_size, flat_size, may_be_boolean
 
 FLOAT32_MAX = float(np.finfo(np.float32).max)
-Noise = Callable[[Array, np.random.Generator], Array]
-"""(actions (n, d) in [-1, 1], rng) -> noisy ones, perhaps beyond."""
+GOAL_KEYS = ("observation", "achieved_goal", "desired_goal")
+GOAL_DICT = "Dict with observation, achieved_goal and desired_goal"
+MAX_ENTRIES = 10**7  # of an observation or an action: more is a damaged file
+Noise = Callable[[Array], Array]
+"""Make actions (n, d) in [-1, 1] noisy, perhaps beyond these bounds."""
+TaxelScale = Literal["none", "block", "each"]
+
+
+class Spaces(NamedTuple):
+    """Hold an environment's observation and action space, as Gymnasium has them."""
+
+    observation: gym.Space[Any]
+    action: gym.Space[Any]
+
+    @property
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Shapes of a goal environment's observations by their names; of others, one, named ""."""
+        space = self.observation
+        if isinstance(space, gym.spaces.Dict):
+            return {
+                key: tuple(space[key].shape or ())
+                for key in GOAL_KEYS
+                if key in space.spaces
+            }
+        return {"": tuple(space.shape or ())}
+
+    def inputs(self, with_action: bool = False) -> list[str] | None:
+        """Return names of the entries of a flat observation, and of an action where asked.
+
+        A Box has them in its attribute `names`; entries of others go by their numbers. None where
+        none has any.
+        """
+        parts: dict[str, Any] = flat_parts(self.observation)
+        if with_action:
+            parts["action"] = self.action
+        if not any(hasattr(box, "names") for box in parts.values()):
+            return None
+        return [
+            f"{key} {name}"
+            for key, box in parts.items()
+            for name in getattr(box, "names", range(math.prod(box.shape)))
+        ]
+
+    def to_json(self) -> str:
+        """Return what a policy has to know: shapes of observations, bounds of actions."""
+        low, high = (np.ravel(bound) for bound in (self.action.low, self.action.high))  # type: ignore[attr-defined]
+        action = {"shape": self.action.shape, "dtype": str(self.action.dtype)}
+        action |= {"low": low.tolist(), "high": high.tolist()}
+        return json.dumps({"observation": self.shapes, "action": action})
+
+    @classmethod
+    def from_json(cls, text: str) -> Spaces:
+        """Return spaces of which `to_json` would say the same; observations have no bounds.
+
+        ValueError when this is not such a text.
+        """
+        try:
+            known = json.loads(text)
+            shapes, action = known["observation"], known["action"]
+            boxes: dict[str, gym.Space[Any]] = {
+                key: _box(-np.inf, np.inf, shape, np.float32)
+                for key, shape in shapes.items()
+            }
+            if np.dtype(action["dtype"]).kind not in "fiub":
+                raise ValueError(
+                    f"spaces: found actions of type {action['dtype']!r}"[:100]
+                )
+            bounds = (
+                np.array(action[name], action["dtype"]) for name in ("low", "high")
+            )
+            low, high = (bound.reshape(action["shape"]) for bound in bounds)
+            space = boxes[""] if "" in boxes else gym.spaces.Dict(boxes)
+            return cls(
+                space, _box(low, high, action["shape"], np.dtype(action["dtype"]))
+            )
+        except (
+            LookupError,
+            AttributeError,
+            TypeError,
+            AssertionError,
+            RecursionError,
+        ) as error:
+            raise ValueError(f"spaces: found none ({error})") from error
+
+
+def _box(low: Any, high: Any, shape: Any, dtype: Any) -> gym.spaces.Box:
+    if (
+        not all(isinstance(n, int) and n >= 0 for n in shape)
+        or math.prod(shape) > MAX_ENTRIES
+    ):
+        raise ValueError(f"spaces: found the shape {str(shape)[:50]}")
+    return gym.spaces.Box(low, high, tuple(shape), dtype)
+
+
+def action_bounds(space: gym.Space[Any]) -> tuple[Array, Array]:
+    """Return (low, high) of an action space; ValueError when it is not a bounded Box."""
+    if (
+        isinstance(space, gym.spaces.Box)
+        and space.is_bounded()
+        and space.dtype.kind == "f"
+    ):
+        with np.errstate(over="ignore"):
+            if np.isfinite(space.high - space.low).all():
+                return space.low, space.high
+    raise ValueError(
+        f"action space: found {space}, allowed Box of floats with finite bounds"
+    )
+
+
+def action_size(space: gym.Space[Any]) -> int:
+    """Return the number of entries of an action; ValueError if the space is no bounded Box."""
+    return int(action_bounds(space)[0].size)
+
+
+def flat_parts(space: gym.Space[Any]) -> dict[str, gym.spaces.Box]:
+    """Return the parts of a flat observation by name; ValueError for spaces no learner can read."""
+    parts: dict[str, Any] = {"observation": space}
+    if isinstance(space, gym.spaces.Dict) and {"observation", "desired_goal"} <= set(
+        space.spaces
+    ):
+        parts = {key: space[key] for key in ("observation", "desired_goal")}
+    for part in parts.values():
+        if not isinstance(part, gym.spaces.Box):
+            hint = "; gymnasium.wrappers.FlattenObservation makes a Box"
+            raise ValueError(
+                f"observation space: found {part}, allowed Box, or {GOAL_DICT}{hint}"
+            )
+        if part.dtype == np.uint8 and len(part.shape) == 3:
+            found = f"found images {part.shape}"
+            raise ValueError(
+                f"observation space: {found}, allowed vectors; no learner here sees"
+            )
+    return parts
+
+
+def flat_size(space: gym.Space[Any]) -> int:
+    """Return the length of a flat observation; ValueError as `flat_parts` raises it."""
+    return sum(math.prod(part.shape) for part in flat_parts(space).values())
+
+
+def goal_size(space: gym.Space[Any]) -> int:
+    """Return the length of a goal environment's goals; ValueError when it is not one."""
+    if isinstance(space, gym.spaces.Dict) and set(GOAL_KEYS) <= set(space.spaces):
+        _, achieved, desired = (flat_size(space[key]) for key in GOAL_KEYS)
+        if achieved == desired:
+            return desired
+    raise ValueError(
+        f"observation space: found {space}, allowed a goal environment's: {GOAL_DICT}"
+    )
+
+
+def may_be_boolean(space: gym.Space[Any]) -> Array:
+    """Return a mask (n,) of the flat entries between 0 and 1, which may be Boolean taxels."""
+    parts = flat_parts(space).values()
+    return np.concatenate(
+        [np.ravel((part.low == 0.0) & (part.high == 1.0)) for part in parts]
+    )
+
+
+def n_boolean(space: Any) -> int:
+    """Return how many entries at the end of a goal environment's observation may be Boolean."""
+    within = may_be_boolean(space["observation"])
+    return len(within) - 1 - int(np.max(np.flatnonzero(~within), initial=-1))
 
 
 @dataclass(frozen=True)
 class FlatInputs:
-    """The observation, flat; a goal environment's with its desired goal. As it is, or scaled."""
+    """Flatten the observation, a goal environment's with its desired goal, and scale it."""
 
-    scaling: Scaling | None = None
+    scaling: Scaling
 
     def read(self, obs: Any) -> Array:
         if isinstance(obs, dict):
@@ -37,36 +199,53 @@ class FlatInputs:
         return np.array(obs, np.float32).ravel()
 
     def stack(self, views: Sequence[Array]) -> Tensor:
-        flat = torch.from_numpy(np.stack(views))
-        return flat if self.scaling is None else self.scaling(flat)
+        return self.scaling(torch.from_numpy(np.stack(views)))
 
 
-def flat_stats(
-    space: gym.Space[Any], clip: float, comm: Communicator | None = None
+def input_stats(
+    space: gym.Space[Any],
+    comm: Communicator,
+    clip: float,
+    normalise: bool,
+    taxel_scale: TaxelScale,
 ) -> Normalizer:
-    """Moments of flat observations, without those of entries that may be Boolean; nothing seen yet."""
-    as_is = may_be_boolean(space)
-    return Normalizer(len(as_is), comm or Communicator(), clip, as_is)
+    """Return moments of flat observations, before anything was seen.
+
+    Entries between 0 and 1, such as Boolean taxels, are scaled as `taxel_scale` says (see
+    `PPOConfig.taxel_scale`), all others where `normalise` is true.
+    """
+    taxels = may_be_boolean(space)
+    as_is = (taxels & (taxel_scale == "none")) | (~taxels & (not normalise))
+    return Normalizer(
+        len(taxels), comm, clip, as_is, block=taxels & (taxel_scale == "block")
+    )
 
 
 class Inputs(Protocol):
-    """What a network is given of the observations."""
+    """Turn observations into what a network is given."""
 
     def read(self, obs: Any) -> Any:
-        """What is kept of one observation to learn from; a copy: environments reuse buffers."""
+        """Return what is kept of one observation; a copy, as environments reuse buffers."""
 
     def stack(self, views: Sequence[Any]) -> Tensor:
-        """The network's input (n, size) for n of these."""
+        """Return the network's input (n, size) for n of these."""
 
 
 class Policy:
-    """Acts on observations; small, picklable, and the same wherever it is.
+    """Act on observations; small, picklable, and the same wherever it is.
 
     It has no random state of its own: who asks for exploration brings a generator.
+    `explore(rng)` begins the exploration of one episode.
     """
 
-    def __init__(self, network: MLP, inputs: Inputs, noise: Noise, spaces: Spaces):
-        self.network, self.inputs, self.noise = network, inputs, noise
+    def __init__(
+        self,
+        network: MLP,
+        inputs: Inputs,
+        explore: Callable[[np.random.Generator], Noise],
+        spaces: Spaces,
+    ):
+        self.network, self.inputs, self.explore = network, inputs, explore
         self.shapes = _read(spaces.shapes)
         self._low, self._high = action_bounds(spaces.action)
 
@@ -76,18 +255,19 @@ class Policy:
         deterministic: bool = True,
         rng: np.random.Generator | None = None,
     ) -> Array:
-        """The action for one observation, in the environment's own range and units.
+        """Return the action for one observation, in the environment's own range and units.
 
-        Of a batch, which has one more axis in front (each part of a Dict has it), a batch of
+        For a batch, which has one more axis in front (each part of a Dict has it), a batch of
         actions: up to rounding those for each observation alone. With `deterministic=False` the
-        policy explores, with random numbers from `rng`. ValueError when the observation has
-        another shape than those it was trained on or is not finite, or `rng` is missing.
+        policy explores as in the first step of an episode, with random numbers from `rng`.
+        ValueError when the observation has another shape than those it was trained on or is not
+        finite, or `rng` is missing.
         """
         if not (deterministic or isinstance(rng, np.random.Generator)):
             raise ValueError(
                 f"rng: found {str(rng).lower()}, needed to explore: numpy.random.default_rng(seed)"
             )
-        noise = None if deterministic else rng
+        noise = self.explore(rng) if rng is not None and not deterministic else None
         n = self._batch_size(obs)
         for key in self.shapes:
             values = np.asarray(obs[key] if key else obs)
@@ -104,8 +284,10 @@ class Policy:
         return self.to_env(actions[0] if n is None else actions)
 
     def read(self, obs: Any) -> Any:
-        """What is kept of an observation from an environment; UnfitError where it is not of the shape
-        that the environment's space says."""
+        """Return what is kept of an observation from an environment.
+
+        UnfitError where it is not of the shape that the environment's space says.
+        """
         try:
             is_one = self._batch_size(obs) is None
         except ValueError as error:
@@ -118,12 +300,12 @@ class Policy:
             )
         return self.inputs.read(obs)
 
-    def choose(self, view: Any, rng: np.random.Generator | None = None) -> Array:
-        """Action (d,) for what was kept of one observation, in units where the bounds are ±1."""
-        return self._actions([view], rng)[0]
+    def choose(self, view: Any, noise: Noise | None = None) -> Array:
+        """Return the action (d,) for what was kept of one observation, where bounds are ±1."""
+        return self._actions([view], noise)[0]
 
     def to_env(self, actions: Array) -> Array:
-        """From units where the bounds are ±1, (..., d), to the environment's own, clipped."""
+        """Map actions (..., d) from bounds of ±1 to the environment's own bounds, clipped."""
         low, high = self._low, self._high
         shaped = np.clip(actions.reshape(actions.shape[:-1] + low.shape), -1.0, 1.0)
         return np.clip(
@@ -131,7 +313,7 @@ class Policy:
         )  # rounding may exceed them
 
     def require_spaces(self, spaces: Spaces) -> None:
-        """ValueError unless observations and actions have the shapes that the policy knows."""
+        """Raise ValueError unless observations and actions have the shapes that the policy knows."""
         for name, found, known in (
             ("observations", _shown(_read(spaces.shapes)), _shown(self.shapes)),
             ("actions", str(spaces.action.shape), str(self._low.shape)),
@@ -152,16 +334,16 @@ class Policy:
             raise ValueError(f"env: found actions {found}, the policy's are {known}")
 
     @torch.inference_mode()
-    def _actions(self, views: Sequence[Any], rng: np.random.Generator | None) -> Array:
+    def _actions(self, views: Sequence[Any], noise: Noise | None) -> Array:
         actions: Array = self.network(self.inputs.stack(views)).numpy()
         if not np.isfinite(actions).all():
             raise ValueError(
                 "policy: its action is not finite: the network's weights are damaged"
             )
-        return actions if rng is None else self.noise(actions, rng)
+        return actions if noise is None else noise(actions)
 
     def _batch_size(self, obs: Any) -> int | None:
-        """Observations in a batch; None for one observation by itself."""
+        """Return the number of observations in a batch; None for one by itself."""
         if isinstance(obs, tuple):
             raise ValueError(
                 "obs: found a tuple; env.reset() returns (observation, info)"
@@ -187,7 +369,7 @@ class Policy:
 
 
 def _read(shapes: dict[str, tuple[int, ...]]) -> dict[str, tuple[int, ...]]:
-    """Those that a network sees: the achieved goal is the truth, for learning alone."""
+    """Return the shapes that a network sees: the achieved goal is for learning alone."""
     return {key: shape for key, shape in shapes.items() if key != "achieved_goal"}
 
 
@@ -196,7 +378,7 @@ def _shown(shapes: dict[str, tuple[int, ...]]) -> str:
 
 
 def _rows(obs: Any, n: int) -> list[Any]:
-    """Each observation of a batch."""
+    """Return each observation of a batch."""
     is_dict = isinstance(obs, Mapping)
     return [
         {key: part[i] for key, part in obs.items()} if is_dict else obs[i]
@@ -205,14 +387,14 @@ def _rows(obs: Any, n: int) -> list[Any]:
 
 
 def new_actor(hidden: Sequence[int], spaces: Spaces, generator: torch.Generator) -> MLP:
-    """A policy's network, with `hidden` units in its layers and weights drawn from `generator`."""
+    """Return a policy's network with `hidden` units in its layers."""
     return MLP(
         network_sizes(hidden, spaces), generator, tanh=True, inputs=spaces.inputs()
     )
 
 
 def network_sizes(hidden: Sequence[int], spaces: Spaces) -> tuple[int, ...]:
-    """Values that each layer of a policy's network gives, the inputs first."""
+    """Return the sizes of all layers of a policy's network, the inputs first."""
     sizes = flat_size(spaces.observation), *hidden, action_size(spaces.action)
     if 0 in sizes:
         raise ValueError(
@@ -222,7 +404,9 @@ def network_sizes(hidden: Sequence[int], spaces: Spaces) -> tuple[int, ...]:
 
 
 def on_cpu(network: MLP) -> MLP:
-    """The network itself where it is on the CPU already, else a copy: acting is one observation
-    at a time, and should give the same digits in every worker."""
+    """Return the network itself where it is on the CPU already, else a copy.
+
+    Acting is one observation at a time, and should give the same digits in every worker.
+    """
     is_there = next(network.parameters()).device.type == "cpu"
     return network if is_there else copy.deepcopy(network).cpu()

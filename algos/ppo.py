@@ -2,13 +2,14 @@
 
 Read from top to bottom: the choices, what it computes, the learner. The source of what the paper
 leaves open is PPO-for-Beginners (yu2023ppo in the paper): whole episodes, GAE with returns =
-advantage + value, advantages normalised over the batch, separate Adams.
+advantage + value, advantages normalized over the batch, separate Adams.
 """
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal, NamedTuple
@@ -18,11 +19,21 @@ import torch
 from torch import Tensor, nn
 
 from . import Array, Count, Fraction, Positive32, rollout
-from .learner import Learner, restore
+from .learner import Learner, restore, set_lr
 from .mpi import Communicator
-from .networks import MLP, FlatAdam, require_hidden, start_orthogonal
+from .networks import MLP, flushed_denormals, require_hidden, start_orthogonal
 from .normalizer import Normalizer
-from .policy import FlatInputs, Policy, flat_stats, new_actor, on_cpu
+from .policy import (
+    FlatInputs,
+    Noise,
+    Policy,
+    Spaces,
+    TaxelScale,
+    action_size,
+    input_stats,
+    new_actor,
+    on_cpu,
+)
 from .rollout import (
     Episode,
     PlayEpisode,
@@ -32,10 +43,9 @@ from .rollout import (
     require_transitions,
     summary,
 )
-from .spaces import PRIVILEGED, Spaces, action_size, flat_size
 
 ACTOR_GAIN = 0.01  # of the last layer when weights start orthogonal
-OBS_CLIP = 5.0  # normalised observations are cut there, as DDPG+HER's are
+OBS_CLIP = 5.0  # scaled observations are cut there, as DDPG+HER's are
 MAX_LOG_RATIO = 20.0  # exp(20) = 5e8: far outside any clip range, far inside float32
 
 
@@ -78,7 +88,11 @@ class PPOConfig:
     uniform in ±1/sqrt(inputs)."""
     normalise_obs: bool = False
     """Normalise observations with the mean and standard deviation of all earlier epochs, clipped to ±5.
-    Entries between 0 and 1, such as Boolean taxels, stay as they are."""
+    Entries between 0 and 1, such as Boolean taxels, follow --taxel-scale instead."""
+    taxel_scale: TaxelScale = "none"
+    """Scale of entries between 0 and 1, such as Boolean taxels. none: as they are; block: one gain for
+    all, so that together they count as much as twelve normalised inputs, however many they are; each:
+    every one normalised by itself."""
     truncation: Literal["bootstrap", "terminal"] = "bootstrap"
     """How a time limit is treated. bootstrap: the return continues with the critic's value of the last
     observation; terminal: the return ends. In the paper's task a time-out is a failure, with -100."""
@@ -87,9 +101,12 @@ class PPOConfig:
     target_kl: Positive32 | None = None
     """Stop an epoch's passes when the KL divergence from the old policy exceeds this (in the source,
     not in the paper)."""
+    undo_silent: bool = False
+    """Undo the actor's last update where no two episodes of an epoch differ in their return any more,
+    as a policy that never meets a reward learns from nothing but noise."""
 
     def acting(self, remaining: float) -> PPOConfig:
-        """As `DDPGHERConfig.acting`: noise does not depend on what is left of the run."""
+        """Return the same choices: noise does not depend on what is left of the run."""
         return self
 
     def validate(self) -> None:
@@ -103,11 +120,11 @@ class PPOConfig:
 
     @property
     def anneals(self) -> bool:
-        """Does the course of a run depend on how long it will be?"""
+        """Whether the course of a run depends on how long it will be."""
         return self.anneal_lr
 
     def minibatches(self, n: int) -> int:
-        """Minibatches per pass over a batch of `n` transitions."""
+        """Return the number of minibatches per pass over a batch of `n` transitions."""
         if self.minibatch_size is not None:
             return max(1, n // self.minibatch_size)
         return min(self.n_minibatches or 6, n)
@@ -116,7 +133,7 @@ class PPOConfig:
 def gae(
     rewards: Array, values: Array, last_value: float, gamma: float, lam: float
 ) -> Array:
-    """Generalised advantages (n,) of one episode, float64 (Schulman et al. 2016, eq. 16).
+    """Return generalised advantages (n,) of one episode, float64 (Schulman et al. 2016, eq. 16).
 
     `values` (n,) are the critic's at each step, `last_value` the one after the last step:
     0 where nothing follows.
@@ -127,7 +144,7 @@ def gae(
 
 
 def normalise(advantages: Array) -> Array:
-    """Advantages (n,) with mean 0 and standard deviation 1; zeros where all are alike."""
+    """Return advantages (n,) with mean 0 and standard deviation 1; zeros where all are alike."""
     centred = advantages - advantages.mean()
     std = np.sqrt(np.square(centred).mean())
     return (
@@ -138,43 +155,47 @@ def normalise(advantages: Array) -> Array:
 
 
 class Gaussian(nn.Module):
-    """Independent normal actions, in units where the bounds are ±1. Their standard deviations are
-    sqrt(variance) · exp(log_std)."""
+    """Give actions independent normal noise, in units where the bounds are ±1.
+
+    Its standard deviations are sqrt(variance) · exp(log_std).
+    """
 
     def __init__(self, n_actions: int, variance: float) -> None:
         super().__init__()
         self.variance, self.log_std = variance, nn.Parameter(torch.zeros(n_actions))
 
     def std(self) -> Array:
-        """float32 (d,)."""
+        """Return the standard deviation of each action, float32 (d,)."""
         relative: Array = self.log_std.detach().cpu().exp().numpy()
         return np.float32(self.variance**0.5) * relative
 
     def log_prob(self, actions: Tensor, mean: Tensor) -> Tensor:
-        """Log density (n,) of actions (n, d)."""
+        """Return the log density (n,) of actions (n, d)."""
         residual = (actions - mean) / self.log_std.exp()
         constant = mean.shape[-1] * math.log(2 * math.pi * self.variance)
         squared = residual.square().sum(dim=-1) / self.variance
         return -0.5 * (squared + constant) - self.log_std.sum()
 
 
-def gaussian_noise(actions: Array, rng: np.random.Generator, std: Array) -> Array:
-    """Actions (n, d) with independent normal noise of standard deviations `std` (d,), float32."""
-    return actions + std * rng.standard_normal(actions.shape, dtype=np.float32)
+def gaussian_noise(rng: np.random.Generator, std: Array) -> Noise:
+    """Return a function that adds normal noise of standard deviations `std` (d,) to actions (n, d)."""
+    return lambda actions: (
+        actions + std * rng.standard_normal(actions.shape, dtype=np.float32)
+    )
 
 
 class Surrogate(NamedTuple):
-    """The clipped surrogate objective, negated, of each transition (n,), and what is told of it."""
+    """Hold the negated clipped objective of each transition (n,), and figures to watch it by."""
 
     loss: Tensor
     kl: Tensor
     """Unbiased estimate of the KL divergence from the old policy."""
     is_clipped: Tensor
-    """Is the ratio outside the clip range?"""
+    """Whether the ratio is outside the clip range."""
 
 
 def surrogate(log_ratio: Tensor, advantages: Tensor, clip_range: float) -> Surrogate:
-    """Schulman et al. 2017, eq. 7, from log ratios and advantages (n,).
+    """Return the clipped objective from log ratios and advantages (n,) (Schulman et al. 2017, eq. 7).
 
     Log ratios are cut at ±20 first, so that nothing overflows. That is far outside any clip range; what
     lies beyond has no gradient.
@@ -186,86 +207,45 @@ def surrogate(log_ratio: Tensor, advantages: Tensor, clip_range: float) -> Surro
 
 
 class Transitions(NamedTuple):
-    """What is learned from, as tensors with a leading axis (n, ...)."""
+    """Hold what is learned from, as tensors with a leading axis (n, ...)."""
 
     obs: Tensor
-    """The critic's, which begins with the actor's."""
     actions: Tensor
     log_prob: Tensor
-    """Of the actions, when they were taken."""
+    """Log density of the actions when they were taken."""
     advantages: Tensor
     returns: Tensor
 
-    def minibatches(self, order: Tensor, n: int) -> list[Transitions]:
-        """All of it in another order (n,), cut into `n` parts as equal as can be."""
-        parts = (torch.tensor_split(values[order], n) for values in self)
-        return [Transitions(*part) for part in zip(*parts, strict=True)]
-
-    def own_rows(self, comm: Communicator) -> Transitions:
-        """Those that this rank computes."""
-        return Transitions(
-            *(torch.tensor_split(values, comm.size)[comm.rank] for values in self)
-        )
-
-
-def _parts(
-    config: PPOConfig, spaces: Spaces, generator: torch.Generator
-) -> tuple[MLP, Gaussian, Normalizer]:
-    """What a policy is made of, before anything was learned; the same on all ranks."""
-    gaussian = Gaussian(action_size(spaces.action), config.action_variance)
-    actor = new_actor(config.hidden, spaces, generator)
-    return actor, gaussian, flat_stats(spaces.observation, OBS_CLIP)
-
-
-def _inputs(config: PPOConfig, stats: Normalizer) -> FlatInputs:
-    return FlatInputs(stats.scaling() if config.normalise_obs else None)
-
-
-def _policy(
-    config: PPOConfig, spaces: Spaces, actor: MLP, gaussian: Gaussian, stats: Normalizer
-) -> Policy:
-    noise = partial(gaussian_noise, std=gaussian.std())
-    return Policy(on_cpu(actor), _inputs(config, stats), noise, spaces)
-
-
-def _in_turn(
-    update: Callable[[Transitions], Tensor], minibatches: list[Transitions]
-) -> Tensor:
-    """What an update of each minibatch returns, stacked."""
-    return torch.stack([update(minibatch) for minibatch in minibatches])
-
 
 class PPO(Learner):
-    """Actor, critic and the batch of the current epoch; the interface is `Learner`'s."""
+    """Learn by proximal policy optimisation: actor, critic and the batch of the current epoch."""
 
     policy_parts = ("actor", "gaussian", "obs_stats")
-    saved = (*policy_parts, "privileged_stats", "critic", "actor_adam", "critic_adam")
-    counters = ("env_steps", "epochs")
+    saved = (*policy_parts, "critic", "actor_adam", "critic_adam")
+    plain = ("env_steps", "epochs", "before_update")
 
     def build(self, generator: torch.Generator) -> None:
         config: PPOConfig = self.config
-        self.actor, self.gaussian, self.obs_stats = _parts(
+        names = self.spaces.inputs()
+        self.actor, self.gaussian, self.obs_stats = _policy_parts(
             config, self.spaces, generator
         )
-        self.privileged_stats = flat_stats(self.spaces.privileged, OBS_CLIP)
-        n_inputs = self._n_obs + flat_size(self.spaces.privileged)
-        names = self.spaces.inputs(PRIVILEGED)
-        self.critic = MLP((n_inputs, *config.hidden, 1), generator, inputs=names)
+        self.critic = MLP((self._n_obs, *config.hidden, 1), generator, inputs=names)
         if config.orthogonal_init:
-            start_orthogonal(self.actor, ACTOR_GAIN, generator, self.spaces.inputs())
+            start_orthogonal(self.actor, ACTOR_GAIN, generator, names)
             start_orthogonal(self.critic, 1.0, generator, names)
         for network in (self.actor, self.gaussian, self.critic):
             network.to(self.device)
+        self.actor_parameters = [*self.actor.parameters()]
+        if config.exploration == "learned":
+            self.actor_parameters += self.gaussian.parameters()
+        self.critic_parameters = [*self.critic.parameters()]
         self.gaussian.requires_grad_(config.exploration == "learned")
-        learned = [
-            self.actor,
-            *([self.gaussian] if config.exploration == "learned" else []),
-        ]
-        self.actor_adam = FlatAdam(*((part, config.actor_lr) for part in learned))
-        self.critic_adam = FlatAdam((self.critic, config.critic_lr))
-        self.comm.broadcast_(self.actor_adam.vector)
-        self.comm.broadcast_(self.critic_adam.vector)
+        self.actor_adam = self.adam(self.actor_parameters, config.actor_lr)
+        self.critic_adam = self.adam(self.critic_parameters, config.critic_lr)
         self.epochs, self._episodes = 0, list[Episode[Array]]()
+        # The actor before its last update that saw episodes differ; empty before any did.
+        self.before_update: dict[str, Any] = {}
 
     def describe(self) -> str:
         config = self.config
@@ -283,11 +263,11 @@ class PPO(Learner):
         )
 
     def collect(self) -> dict[str, float]:
-        """Whole episodes, until `steps_per_epoch` are there: the same ones on all ranks."""
+        """Play whole episodes until `steps_per_epoch` are there: the same ones on all ranks."""
         config = self.config
         if config.anneal_lr:
-            self.actor_adam.scale_lr(self.progress_remaining)
-            self.critic_adam.scale_lr(self.progress_remaining)
+            set_lr(self.actor_adam, self.progress_remaining * config.actor_lr)
+            set_lr(self.critic_adam, self.progress_remaining * config.critic_lr)
         job = PlayEpisode[Array](
             self.policy(), (self.seed, 0, rollout.TRAIN, self.epochs)
         )
@@ -301,112 +281,139 @@ class PPO(Learner):
     # -- learning ----------------------------------------------------------------------------
 
     def update(self) -> dict[str, float]:
-        """`n_passes` over the batch in shuffled minibatches; each rank computes its rows of each."""
+        """Take `n_passes` over the batch in shuffled minibatches, of which each rank computes a part.
+
+        Actor and critic share nothing that is learned: each has its own loop, and its own thread
+        where there are two cores.
+        """
         config, batch = self.config, self._batch()
         n, n_minibatches = len(batch.obs), config.minibatches(len(batch.obs))
-        rng = np.random.default_rng(
-            [self.seed, 0, rollout.LEARN, self.epochs]
-        )  # the same on all ranks
+        undone = config.undo_silent and self._undo_if_silent()
+        # The same order on all ranks.
+        rng = np.random.default_rng([self.seed, 0, rollout.LEARN, self.epochs])
         sums, n_updates = torch.zeros(4, device=self.device), 0
-        for _ in range(config.n_passes):
-            order = torch.from_numpy(rng.random(n).argsort()).to(self.device)
-            minibatches = batch.minibatches(order, n_minibatches)
-            of_actor_and_critic = self.side_by_side(
-                partial(_in_turn, self._update_actor, minibatches),
-                partial(_in_turn, self._update_critic, minibatches),
-            )
-            stats = torch.cat(
-                of_actor_and_critic, dim=1
-            )  # policy loss, KL, clipped, value loss
-            sums += stats.sum(dim=0)
-            n_updates += n_minibatches
-            if (
-                config.target_kl is not None
-                and self._total(stats[-1])[1] > config.target_kl
-            ):
-                break
-        means = self._total(sums / n_updates)
-        self._require_finite(torch.from_numpy(means), self.actor_adam, self.critic_adam)
-        obs_mean = torch.from_numpy(self.obs_stats.mean)
-        self._require_same(self.actor_adam.vector, self.critic_adam.vector, obs_mean)
-        if config.normalise_obs:
-            self.obs_stats.update(
-                np.concatenate([np.stack(e.obs) for e in self._episodes])
-            )
-            privileged = np.concatenate(
-                [np.stack(e.privileged) for e in self._episodes]
-            )
-            self.privileged_stats.update(privileged)
-        policy_loss, kl, clipped, value_loss = means.tolist()
-        learned = {"policy_loss": policy_loss, "value_loss": value_loss, "kl": kl}
-        std = float(self.gaussian.std().mean())
+        with flushed_denormals():
+            for _ in range(config.n_passes):
+                order = torch.from_numpy(rng.random(n).argsort()).to(self.device)
+                minibatches = order.tensor_split(n_minibatches)
+                actor_stats, value_losses = self.in_two_threads(
+                    partial(self._update_actor, batch, () if undone else minibatches),
+                    partial(self._update_critic, batch, minibatches),
+                )
+                sums += torch.cat([actor_stats.sum(dim=0), value_losses.sum()[None]])
+                n_updates += n_minibatches
+                if config.target_kl is None or undone:
+                    continue
+                if self._over_ranks(actor_stats[-1])[1] > config.target_kl:
+                    break
+        means = self._over_ranks(sums / n_updates)
+        self.require_finite(means, self.actor, self.gaussian, self.critic)
+        self.require_same(*self.actor_parameters, *self.critic_parameters)
+        self.require_same(torch.from_numpy(self.obs_stats.mean))
+        self.obs_stats.update(np.concatenate([np.stack(e.obs) for e in self._episodes]))
+        policy_loss, kl, clipped, value_loss = means
         return {
-            **learned,
+            "policy_loss": policy_loss,
+            "value_loss": value_loss,
+            "kl": kl,
             "clip_fraction": clipped,
-            "action_std": std,
+            "action_std": float(self.gaussian.std().mean()),
+            "undone": float(undone),
             "updates": n_updates,
         }
 
-    def _total(self, stats: Tensor) -> Array:
-        """The sums over all ranks."""
-        return self.comm.sum(stats.cpu().double().numpy())
+    def _over_ranks(self, stats: Tensor) -> list[float]:
+        """Return the sums over all ranks."""
+        sums: list[float] = self.comm.sum(stats.cpu().double().numpy()).tolist()
+        return sums
 
-    def _update_actor(self, minibatch: Transitions) -> Tensor:
-        """One step along the gradient of the whole minibatch; this rank's part of policy loss, KL
-        estimate and clipped fraction."""
-        n, own = len(minibatch.obs), minibatch.own_rows(self.comm)
-        log_prob = self.gaussian.log_prob(
-            own.actions, self.actor(own.obs[:, : self._n_obs])
-        )
-        found = surrogate(
-            log_prob - own.log_prob, own.advantages, self.config.clip_range
-        )
-        self._step(self.actor_adam, found.loss.sum() / n)
-        return (
-            torch.stack([found.loss.detach(), found.kl, found.is_clipped]).sum(dim=1)
-            / n
-        )
+    def _update_actor(
+        self, batch: Transitions, minibatches: Sequence[Tensor]
+    ) -> Tensor:
+        """Take an Adam step on the clipped objective of each minibatch, given as rows of the batch.
 
-    def _update_critic(self, minibatch: Transitions) -> Tensor:
-        """Likewise; this rank's part of the value loss."""
-        n, own = len(minibatch.obs), minibatch.own_rows(self.comm)
-        loss = (self.critic(own.obs).squeeze(-1) - own.returns).square().sum() / n
-        self._step(self.critic_adam, loss)
-        return loss.detach()[None]
+        Returns this rank's share of policy loss, KL estimate and clipped fraction, (minibatches, 3).
+        """
+        stats = [torch.zeros(0, 3, device=self.device)]
+        for rows in minibatches:
+            mine = rows.tensor_split(self.comm.size)[self.comm.rank]
+            mean = self.actor(batch.obs[mine])
+            log_ratio = (
+                self.gaussian.log_prob(batch.actions[mine], mean) - batch.log_prob[mine]
+            )
+            result = surrogate(
+                log_ratio, batch.advantages[mine], self.config.clip_range
+            )
+            self.actor_adam.zero_grad()
+            loss = result.loss.sum() / len(rows)
+            loss.backward()  # type: ignore[no-untyped-call]
+            self.sum_gradients(self.actor_parameters)
+            nn.utils.clip_grad_norm_(self.actor_parameters, self.config.max_grad_norm)
+            self.actor_adam.step()
+            parts = torch.stack([result.loss.detach(), result.kl, result.is_clipped])
+            stats.append(parts.sum(dim=1)[None] / len(rows))
+        return torch.cat(stats)
 
-    def _step(self, adam: FlatAdam, loss: Tensor) -> None:
-        adam.gradient.zero_()
-        loss.backward()  # type: ignore[no-untyped-call]
-        adam.reduce(self.comm)
-        adam.clip(self.config.max_grad_norm)
-        adam.step()
+    def _update_critic(
+        self, batch: Transitions, minibatches: Sequence[Tensor]
+    ) -> Tensor:
+        """Take an Adam step on the critic's squared error over each minibatch.
+
+        Returns this rank's share of the value loss, (minibatches,).
+        """
+        losses = []
+        for rows in minibatches:
+            mine = rows.tensor_split(self.comm.size)[self.comm.rank]
+            values = self.critic(batch.obs[mine]).squeeze(-1)
+            loss = (values - batch.returns[mine]).square().sum() / len(rows)
+            self.critic_adam.zero_grad()
+            loss.backward()
+            self.sum_gradients(self.critic_parameters)
+            nn.utils.clip_grad_norm_(self.critic_parameters, self.config.max_grad_norm)
+            self.critic_adam.step()
+            losses.append(loss.detach())
+        return torch.stack(losses)
+
+    def _undo_if_silent(self) -> bool:
+        """Put the actor back to where it was before its last update, if this epoch says nothing.
+
+        An epoch says something where two of its episodes differ in their return. Before any epoch
+        did, there is nothing to go back to. Returns whether the actor was put back; then this epoch
+        updates the critic alone.
+        """
+        parts: dict[str, Any] = {
+            "actor": self.actor,
+            "gaussian": self.gaussian,
+            "actor_adam": self.actor_adam,
+        }
+        returns = [sum(episode.rewards) for episode in self._episodes]
+        if len(returns) < 2 or min(returns) < max(returns):
+            states = {name: part.state_dict() for name, part in parts.items()}
+            self.before_update = copy.deepcopy(states)
+            return False
+        if self.before_update:
+            restore(parts, copy.deepcopy(self.before_update))
+        return bool(self.before_update)
 
     @torch.no_grad()
     def _batch(self) -> Transitions:
-        """The epoch as tensors."""
+        """Return the epoch as tensors, with advantages and returns."""
         config, episodes = self.config, self._episodes
-        parts = (
-            (self.obs_stats, [obs for e in episodes for obs in e.obs]),
-            (
-                self.privileged_stats,
-                [values for e in episodes for values in e.privileged],
-            ),
-        )
-        all_obs = torch.cat(
-            [_inputs(config, stats).stack(views) for stats, views in parts], dim=1
-        )
-        all_obs = all_obs.to(self.device)
+        views = [obs for episode in episodes for obs in episode.obs]
+        all_obs = FlatInputs(self.obs_stats.scaling()).stack(views).to(self.device)
         all_values = self.critic(all_obs).squeeze(-1).cpu().double().numpy()
         is_last = np.concatenate([[False] * len(e) + [True] for e in episodes])
         by_episode = np.split(all_values, np.flatnonzero(is_last)[:-1] + 1)
+        # No value of a last observation is ever learned. Where it is like no other, as with time in
+        # the observation, the critic extrapolates, and returns would grow from epoch to epoch.
+        lowest, highest = all_values[~is_last].min(), all_values[~is_last].max()
         advantages = []
         for episode, values in zip(episodes, by_episode, strict=True):
-            last, rewards = (
-                values[-1] if self._goes_on(episode) else 0.0,
-                np.array(episode.rewards),
-            )
+            goes_on = self._goes_on(episode)
+            last_value = np.clip(values[-1], lowest, highest) if goes_on else 0.0
+            rewards = np.array(episode.rewards)
             advantages.append(
-                gae(rewards, values[:-1], last, config.gamma, config.gae_lambda)
+                gae(rewards, values[:-1], last_value, config.gamma, config.gae_lambda)
             )
         advantage = np.concatenate(advantages)
         returns = finite(advantage + all_values[~is_last], "a return")
@@ -416,11 +423,14 @@ class PPO(Learner):
             torch.from_numpy(values.astype(np.float32)).to(self.device)
             for values in (taken, normalise(advantage), returns)
         )
-        log_prob = self.gaussian.log_prob(actions, self.actor(obs[:, : self._n_obs]))
+        log_prob = self.gaussian.log_prob(actions, self.actor(obs))
         return Transitions(obs, actions, log_prob, normalised, target)
 
     def _goes_on(self, episode: Episode[Array]) -> bool:
-        """Would more have followed its last transition? What diverged did not end by itself."""
+        """Return whether more would have followed its last transition.
+
+        What diverged did not end by itself.
+        """
         is_bootstrapped = (
             self.config.truncation == "bootstrap" and not episode.terminated
         )
@@ -432,6 +442,34 @@ class PPO(Learner):
     def saved_policy(
         config: PPOConfig, spaces: Spaces, saved: dict[str, Any]
     ) -> Policy:
-        parts = _parts(config, spaces, torch.Generator())
+        parts = _policy_parts(config, spaces, torch.Generator())
         restore(dict(zip(PPO.policy_parts, parts, strict=True)), saved)
         return _policy(config, spaces, *parts)
+
+
+def _policy_parts(
+    config: PPOConfig, spaces: Spaces, generator: torch.Generator
+) -> tuple[MLP, Gaussian, Normalizer]:
+    """Return what a policy is made of, before anything was learned; the same on all ranks."""
+    actor = new_actor(config.hidden, spaces, generator)
+    gaussian = Gaussian(action_size(spaces.action), config.action_variance)
+    # Episodes are the same on all ranks, so their moments need no message.
+    stats = input_stats(
+        spaces.observation,
+        Communicator(),
+        OBS_CLIP,
+        config.normalise_obs,
+        config.taxel_scale,
+    )
+    return actor, gaussian, stats
+
+
+def _policy(
+    config: PPOConfig,
+    spaces: Spaces,
+    actor: MLP,
+    gaussian: Gaussian,
+    stats: Normalizer,
+) -> Policy:
+    explore = partial(gaussian_noise, std=gaussian.std())
+    return Policy(on_cpu(actor), FlatInputs(stats.scaling()), explore, spaces)

@@ -17,7 +17,7 @@ Values = TypeVar("Values")
 
 
 class GoalObs(NamedTuple):
-    """What a goal environment returns, flat float32 copies."""
+    """Hold what a goal environment returns, as flat float32 copies."""
 
     observation: Array
     achieved_goal: Array
@@ -25,24 +25,21 @@ class GoalObs(NamedTuple):
 
 
 class Batch(NamedTuple, Generic[Values]):
-    """Relabelled transitions, one a row: float32 arrays or tensors."""
+    """Hold relabelled transitions, one a row: float32 arrays or tensors."""
 
     obs: Values
     goal: Values
-    """Of this and of the next step alike."""
+    """The goal, of this and of the next step alike, (n, goal)."""
     action: Values
     reward: Values
-    """(n,)"""
+    """Rewards (n,)."""
     next_obs: Values
-    privileged: Values
-    """What critics see besides, (n, size), of this step."""
-    next_privileged: Values
     terminal: Values
-    """(n,) 1 where the episode was terminated by this transition, else 0."""
+    """1 where the episode was terminated by this transition, else 0, (n,)."""
 
 
 class Replay:
-    """Episodes in slots of equal size, filled in order; a full buffer overwrites random slots.
+    """Keep episodes in slots of equal size, filled in order; a full buffer overwrites random slots.
 
     A slot has room for `max_steps` transitions and the last observation. The last `n_boolean`
     entries of an observation are kept as bytes as long as all of them are 0 or 1, everything else
@@ -53,12 +50,12 @@ class Replay:
         self,
         capacity: int,
         max_steps: int,
-        sizes: tuple[int, int, int, int],
+        sizes: tuple[int, int, int],
         n_boolean: int,
         reward: Reward,
         rng: np.random.Generator,
     ) -> None:
-        """`capacity` in transitions; `sizes` of observation, goal, action and privileged.
+        """Make room for `capacity` transitions; `sizes` of observation, goal and action.
 
         Raises ValueError when not a single episode has room.
         """
@@ -73,24 +70,23 @@ class Replay:
         self._rows = max_steps + 1
         self._columns: dict[str, Array] = {}
         self._lengths = np.zeros(0, np.int64)
-        self._unsaved: dict[
-            int, None
-        ] = {}  # slots, in the order in which they were filled
+        # Slots, in the order in which they were filled.
+        self._unsaved: dict[int, None] = {}
 
     def __len__(self) -> int:
-        """Transitions stored."""
+        """Return the number of transitions stored."""
         return int(self._lengths.sum())
 
     @property
     def nbytes(self) -> int:
-        """Memory when full."""
+        """Memory when full, in bytes."""
         return sum(
             int(np.prod(shape)) * dtype().itemsize
             for shape, dtype in self._shapes().values()
         )
 
     def require_memory(self, n_buffers: int = 1) -> None:
-        """ValueError when there is not as much memory as `n_buffers` like this one take."""
+        """Raise ValueError when there is not as much memory as `n_buffers` like this one take."""
         available = psutil.virtual_memory().available
         if self.nbytes * n_buffers > available:
             raise ValueError(
@@ -100,8 +96,10 @@ class Replay:
             )
 
     def require_rewards(self, episode: Episode[GoalObs]) -> None:
-        """ValueError when an episode's rewards do not follow from its goals, as those of transitions
-        that are relabelled do."""
+        """Raise ValueError when an episode's rewards do not follow from its goals.
+
+        Those of relabelled transitions do.
+        """
         lived = np.array(episode.rewards)
         _, achieved, desired = (
             np.stack(part[1:]) for part in zip(*episode.obs, strict=True)
@@ -114,8 +112,8 @@ class Replay:
             )
 
     def _shapes(self) -> dict[str, tuple[tuple[int, int], type]]:
-        """Shape and type of every column; a row is one step of one slot."""
-        n_boolean, (n_obs, n_goal, n_action, n_privileged) = self.n_boolean, self.sizes
+        """Return shape and type of every column; a row is one step of one slot."""
+        n_boolean, (n_obs, n_goal, n_action) = self.n_boolean, self.sizes
         rows = self.n_slots * self._rows
         return {
             "obs": ((rows, n_obs - n_boolean), np.float32),
@@ -123,7 +121,6 @@ class Replay:
             "achieved": ((rows, n_goal), np.float32),
             "desired": ((rows, n_goal), np.float32),
             "action": ((rows, n_action), np.float32),
-            "privileged": ((rows, n_privileged), np.float32),
             "terminal": ((rows, 1), np.uint8),
         }
 
@@ -144,7 +141,7 @@ class Replay:
         return np.array([*slots], np.int64)
 
     def _as_columns(self, episode: Episode[GoalObs]) -> dict[str, Array]:
-        """Rows of one episode: one more than it has transitions."""
+        """Return the rows of one episode: one more than it has transitions."""
         obs, achieved, desired = (
             np.stack(part) for part in zip(*episode.obs, strict=True)
         )
@@ -158,7 +155,6 @@ class Replay:
             "achieved": achieved,
             "desired": desired,
             "action": np.pad(np.stack(episode.actions), ((0, 1), (0, 0))),
-            "privileged": np.stack(episode.privileged),
             "terminal": np.pad([[episode.terminated]], ((n_steps - 1, 1), (0, 0))),
         }
 
@@ -178,8 +174,11 @@ class Replay:
         self.n_episodes = max(self.n_episodes, slot + 1)
 
     def _split(self, obs: Array) -> dict[str, Array]:
-        """Observations (n, size) as they are stored: floats, and bytes at their end. All are floats
-        from where those turn out to be something else than 0 and 1, as under a wrapper's noise."""
+        """Return observations (n, size) as they are stored: floats, and bytes at their end.
+
+        All are floats from where those turn out to be something else than 0 and 1, as under a
+        wrapper's noise.
+        """
         last = obs[:, self.sizes[0] - self.n_boolean :]
         if not ((last == 0) | (last == 1)).all():
             floats, boolean = self._columns["obs"], self._columns["boolean"]
@@ -195,7 +194,7 @@ class Replay:
     def sample(
         self, n: int, replay_p: float, slots: Array | None = None
     ) -> Batch[Array]:
-        """`n` relabelled transitions, uniform over all that are stored or are in `slots`.
+        """Return `n` relabelled transitions, uniform over all that are stored or are in `slots`.
 
         HER's strategy "future": with probability `replay_p`, a transition at step t gets the goal that
         was achieved at a step uniform in t + 1 ... length (OpenAI baselines, her_sampler.py: t + 1 +
@@ -217,13 +216,11 @@ class Replay:
             action=self._columns["action"][row],
             reward=np.asarray(reward, np.float32),
             next_obs=self._observations(row + 1),
-            privileged=self._columns["privileged"][row],
-            next_privileged=self._columns["privileged"][row + 1],
             terminal=self._columns["terminal"][row, 0].astype(np.float32),
         )
 
     def _pick(self, slots: Array, n: int) -> tuple[Array, Array]:
-        """Slot and step of `n` transitions, uniform over the transitions in `slots`."""
+        """Return slot and step of `n` transitions, uniform over the transitions in `slots`."""
         if not len(slots):
             raise ValueError("the replay is empty: nothing to sample from")
         ends = np.cumsum(self._lengths[slots])
@@ -242,7 +239,7 @@ class Replay:
     # -- saving ------------------------------------------------------------------------------
 
     def new_experience(self, everything: bool = False) -> dict[str, Any]:
-        """The slots written since the last call, or all; tensors, for `add_experience`.
+        """Return the slots written since the last call, or all; tensors, for `add_experience`.
 
         All of it is a view, good until the next episode is stored: a copy would take the memory
         of the replay once more.

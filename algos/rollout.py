@@ -1,4 +1,4 @@
-"""Whole episodes: what every learner here learns from.
+"""Play whole episodes, which every learner here learns from.
 
 An episode is a pure function of a policy, a key and its number, so episodes can be played
 anywhere, in any order, side by side.
@@ -18,12 +18,11 @@ import numpy as np
 from . import Array, DivergenceError, UnfitError, Workers
 from .mpi import Communicator
 from .policy import FLOAT32_MAX, Policy
-from .spaces import PRIVILEGED
 
 Obs = TypeVar("Obs")
 FAULTS = ("diverged", "warnings")  # what `info` may say of a step, and is counted
-LONGEST = 20_000  # steps of an episode that is thought to have an end
-MOST_FAILURES = (
+MAX_LENGTH = 20_000  # steps of an episode that is thought to have an end
+MAX_FAILURES = (
     100  # episodes in a row without a step, from which nothing can be learned
 )
 TRAIN, TEST, EVALUATE, PROBE = (
@@ -37,7 +36,7 @@ LEARN = 5  # and so has what learns from them
 
 @dataclass
 class Episode(Generic[Obs]):
-    """One episode as it was lived; the observations include the last.
+    """Hold one episode as it was lived; the observations include the last.
 
     A step that diverged is void: its observation, action and reward are not here.
     """
@@ -47,31 +46,25 @@ class Episode(Generic[Obs]):
     rewards: list[float] = field(default_factory=list)
     terminated: bool = False
     success: float = math.nan
-    """1 or 0 at the end; nan where the environment does not say. 0 where ours diverged."""
+    """Success at the end, 1 or 0; nan where the environment does not say, 0 where ours diverged."""
     held: int = 0
     """Steps for which success had stood by the end."""
     faults: dict[str, int] = field(default_factory=lambda: dict.fromkeys(FAULTS, 0))
     info: dict[str, Any] = field(default_factory=dict)
-    """What the environment said with the last step."""
-    privileged: list[Array] = field(default_factory=list)
-    """What critics see besides, of every observation; each of no size where there is nothing."""
+    """The environment's info of the last step."""
 
     def add(self, policy: Policy, obs: Any) -> None:
-        """What is kept of the next observation; DivergenceError where it is not finite."""
+        """Keep the next observation; DivergenceError where it is not finite."""
         self.obs.append(finite(policy.read(obs), "an observation"))
-        privileged = obs.get(PRIVILEGED, ()) if isinstance(obs, dict) else ()
-        values = np.array(privileged, np.float32).ravel()
-        self.privileged.append(finite(values, f"the observation {PRIVILEGED!r}"))
 
     def __len__(self) -> int:
-        """Transitions."""
+        """Return the number of transitions."""
         return len(self.rewards)
 
 
 @dataclass(frozen=True)
 class PlayEpisode(Generic[Obs]):
-    """Plays the episode of a number: its start and its noise follow from `key` and the number, which is
-    below 0 for one that only precedes another."""
+    """Play the episode of a number: its start and its noise follow from `key` and the number."""
 
     policy: Policy
     key: tuple[int, int, int, int]
@@ -81,14 +74,16 @@ class PlayEpisode(Generic[Obs]):
     def __call__(
         self, env: gym.Env[Any, Any], number: int, is_wanted: Callable[[], bool]
     ) -> Episode[Obs]:
-        """The episode; cut short when it is not wanted any more. One that cannot begin, because the
-        reset raises a FloatingPointError, has no step and counts as diverged.
+        """Return the episode, cut short when it is not wanted any more.
+
+        One that cannot begin, because the reset raises a FloatingPointError, has no step and counts
+        as diverged.
 
         Raises DivergenceError when an observation or a reward is not finite, and UnfitError when
         the episode does not end or the environment returns what its spaces do not say.
         """
-        policy, rng = self.policy, np.random.default_rng([*self.key, number % 2**64])
-        noise = rng if self.explores else None
+        policy, rng = self.policy, np.random.default_rng([*self.key, number])
+        noise = policy.explore(rng) if self.explores else None
         episode = Episode[Obs]()
         try:
             first, _ = env.reset(seed=int(rng.integers(2**31)))
@@ -101,10 +96,10 @@ class PlayEpisode(Generic[Obs]):
         while not is_done and is_wanted():
             action = policy.choose(episode.obs[-1], noise)
             is_done = _step(env, policy, action, episode)
-            if not is_done and len(episode) == LONGEST:
+            if not is_done and len(episode) == MAX_LENGTH:
                 raise UnfitError(
-                    f"env: found an episode that goes on after {LONGEST:,} steps, allowed are episodes "
-                    "that end: give it a time limit (max_episode_steps)"
+                    f"env: found an episode that goes on after {MAX_LENGTH:,} steps, allowed are "
+                    "episodes that end: give it a time limit (max_episode_steps)"
                 )
         return episode
 
@@ -112,7 +107,7 @@ class PlayEpisode(Generic[Obs]):
 def _step(
     env: gym.Env[Any, Any], policy: Policy, action: Array, episode: Episode[Any]
 ) -> bool:
-    """Take one step and add it to the episode; has that ended?"""
+    """Take one step and add it to the episode; return whether that has ended."""
     obs, reward, terminated, truncated, info = env.step(policy.to_env(action))
     if not isinstance(info, dict):
         raise UnfitError(
@@ -140,7 +135,7 @@ def _step(
 
 
 def _number(value: Any, what: str) -> float:
-    """What an environment returns; UnfitError where it is no number."""
+    """Return what an environment returned as a float; UnfitError where it is no number."""
     if np.ndim(value) or np.asarray(value).dtype.kind not in "bifu":
         raise UnfitError(f"env: found the {what} {str(value)[:50]}, allowed a number")
     return float(value)
@@ -149,12 +144,14 @@ def _number(value: Any, what: str) -> float:
 def play_episodes(
     workers: Workers, job: PlayEpisode[Obs], n: int
 ) -> list[Episode[Obs]]:
-    """Episodes 0, 1, 2, ... in order of number until `n` of them have transitions. DivergenceError when
-    `MOST_FAILURES` more have none."""
+    """Return episodes 0, 1, 2, ... in order of number until `n` of them have transitions.
+
+    DivergenceError when `MAX_FAILURES` more have none.
+    """
     episodes: list[Episode[Obs]] = []
     while missing := n - sum(len(episode) > 0 for episode in episodes):
-        if len(episodes) >= n + MOST_FAILURES:
-            require_transitions(episodes[-MOST_FAILURES:])
+        if len(episodes) >= n + MAX_FAILURES:
+            require_transitions(episodes[-MAX_FAILURES:])
         episodes += workers.play(job, range(len(episodes), len(episodes) + missing))
     return episodes
 
@@ -162,8 +159,9 @@ def play_episodes(
 def play_steps(
     workers: Workers, job: PlayEpisode[Obs], steps: int, comm: Communicator
 ) -> list[Episode[Obs]]:
-    """Episodes 0, 1, 2, ... in order of number until they have `steps` transitions: the same
-    list on every rank, and on any number of ranks.
+    """Return episodes 0, 1, 2, ... in order of number until they have `steps` transitions.
+
+    It is the same list on every rank, and on any number of ranks.
 
     An episode that diverged at once counts as a step, so this ends.
     """
@@ -181,7 +179,7 @@ def play_steps(
 
 
 def _first(episodes: Iterable[Episode[Obs]], steps: int) -> list[Episode[Obs]]:
-    """The first of them that have `steps` together."""
+    """Return the first of them that have `steps` together."""
     taken: list[Episode[Obs]] = []
     for episode in episodes:
         taken.append(episode)
@@ -198,8 +196,10 @@ def _weight(episode: Episode[Any]) -> int:
 def summary(
     episodes: list[Episode[Any]], comm: Communicator | None = None
 ) -> dict[str, float]:
-    """Counts and means over episodes, also those that diverged; with `comm`, over those of all
-    ranks. Each has some."""
+    """Return counts and means over episodes, those that diverged included.
+
+    With `comm`, over those of all ranks, each of which has some.
+    """
     own = [
         (len(e), 1, e.success, sum(e.rewards), *(e.faults[fault] for fault in FAULTS))
         for e in episodes
@@ -217,17 +217,16 @@ def summary(
 
 
 def discounted(values: Sequence[float], factor: float) -> list[float]:
-    """Of each of the values (n,), the sum of it and all that follow, discounted."""
-    sums = itertools.accumulate(
-        reversed(values), lambda later, v: v + factor * later, initial=0.0
-    )
-    return [*sums][
-        :0:-1
-    ]  # in the order of the values, without the 0 that follows the last
+    """Return, for each of the values (n,), the discounted sum of it and all that follow."""
+    sums, total = [0.0] * len(values), 0.0
+    for i in reversed(range(len(values))):
+        total = values[i] + factor * total
+        sums[i] = total
+    return sums
 
 
 def require_transitions(episodes: list[Episode[Any]]) -> list[Episode[Any]]:
-    """The episodes from which something can be learned; DivergenceError when there is none."""
+    """Return the episodes that have transitions; DivergenceError when there is none."""
     usable = [episode for episode in episodes if len(episode)]
     if not usable:
         reason = episodes[-1].info.get("error")
@@ -239,7 +238,10 @@ def require_transitions(episodes: list[Episode[Any]]) -> list[Episode[Any]]:
 
 
 def finite(values: Any, what: str) -> Any:
-    """`values`, an array or a tuple of arrays; DivergenceError unless all are finite in float32."""
+    """Return `values`, an array or a tuple of arrays, if all are finite in float32.
+
+    DivergenceError where they are not.
+    """
     parts = values if isinstance(values, tuple) else (values,)
     if not all((np.abs(part) <= FLOAT32_MAX).all() for part in parts):
         flat = np.concatenate([np.ravel(part) for part in parts])

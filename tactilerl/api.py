@@ -26,8 +26,7 @@ import torch
 from . import envs
 from .algos import mpi, recipes
 from .algos.mpi import Communicator
-from .algos.policy import Policy
-from .algos.spaces import Spaces
+from .algos.policy import Policy, Spaces
 from .envs import validation, vector
 from .envs.layouts import Layout
 from .envs.validation import require_known

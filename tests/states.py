@@ -11,3 +11,8 @@ def flat(state):
     if isinstance(state, torch.Tensor | np.ndarray):
         return np.asarray(state).tobytes().hex()
     return str([flat(x) for x in state]) if isinstance(state, list | tuple) else repr(state)
+
+
+def vector(*networks):
+    """All parameters of networks in one vector."""
+    return torch.cat([p.detach().reshape(-1) for network in networks for p in network.parameters()])

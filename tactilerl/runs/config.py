@@ -191,7 +191,7 @@ class RunConfig:
         for part, mine in self.identity().items():
             a, b = mine or {}, other.get(part) or {}
             if part == "learner":
-                a, b = (recipes.comparable(self.run.algo, values) for values in (a, b))
+                a, b = (recipes.completed(self.run.algo, values) for values in (a, b))
             for key in {**a, **b}:
                 if a.get(key) != b.get(key):
                     return f"{key}: found {b.get(key)!r}, the run was made with {a.get(key)!r}"
@@ -273,7 +273,7 @@ def from_dict(data: dict[str, Any]) -> RunConfig:
             if data["scene"] is None
             else validation.make(GraspConfig, data["scene"], "scene")
         )
-        learner = recipes.current(run.algo, data["learner"])
+        learner = recipes.completed(run.algo, data["learner"])
         config = RunConfig(run, scene, validation.make(config_type, learner, "learner"))
         config.validate()
         return config

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from .. import algos
 from ..algos import recipes
 from ..algos.learner import progress_remaining
-from ..algos.policy import Policy, network_sizes
-from ..algos.spaces import Spaces
+from ..algos.policy import Policy, Spaces, network_sizes
 from ..envs import validation
 from ..files import damage_named
 from . import sealed
@@ -59,7 +58,7 @@ def load_policy(path: str | Path) -> Policy:
     data = _fields(path)
     with damage_named(path):
         config_type, _ = algos.get(data["algo"])
-        told = recipes.current(data["algo"], json.loads(data["learner"]))
+        told = recipes.completed(data["algo"], json.loads(data["learner"]))
         config: Any = validation.make(config_type, told, "learner")
         config.validate()
         return _policy(

@@ -65,7 +65,7 @@ def require_same(records: Iterable[Record], configs: Mapping[str, RunConfig]) ->
             made = (record.config or {}).get(part) or {}
             if part == "learner" and made:
                 wanted, made = (
-                    recipes.comparable(config.run.algo, each) for each in (wanted, made)
+                    recipes.completed(config.run.algo, each) for each in (wanted, made)
                 )
             for key, value in (wanted or {}).items():
                 if key in made and made[key] != value:

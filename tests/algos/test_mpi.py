@@ -47,9 +47,12 @@ import numpy as np, torch
 from tactilerl import envs
 from tactilerl.algos import mpi
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
+from tactilerl.algos.replay import Batch
 from tactilerl.commands.cli import main
 from tactilerl.envs import vector
 comm, alone = mpi.world(), mpi.Communicator()
+def vec(learner):
+    return torch.cat([p.detach().ravel() for p in learner.actor_parameters + learner.critic_parameters])
 assert comm.size == comm.local_size == 3
 x = torch.arange(4.0) + comm.rank
 comm.sum_(x)
@@ -70,15 +73,15 @@ config = DDPGHERConfig(hidden=(32, 32), reduction="mean")
 parts, whole = (DDPGHER(config, pool, world, 0, 1) for world in (comm, alone))
 rng = np.random.default_rng(0)
 for _ in range(50):
-    batch = [torch.from_numpy(rng.standard_normal(shape).astype(np.float32))
-             for shape in ((96, 4), (96, 2), (96,))]
+    shapes = (96, 4), (96, 2), (96, 2), (96,), (96, 4), (96,)
+    batch = Batch(*(torch.from_numpy(rng.standard_normal(n).astype(np.float32)) for n in shapes))
     mine = slice(32 * comm.rank, 32 * comm.rank + 32)
-    parts._minibatch(*(part[mine].contiguous() for part in batch))
-    whole._minibatch(*batch)
-assert mpi.same_on_all_ranks(comm, parts.adam.vector)
-start = DDPGHER(config, pool, alone, 0, 1).adam.vector
-moved = (whole.adam.vector - start).norm()
-assert (whole.adam.vector - parts.adam.vector).norm() < 1e-3 * moved
+    parts._update_networks(Batch(*(part[mine] for part in batch)))
+    whole._update_networks(batch)
+assert mpi.same_on_all_ranks(comm, vec(parts))
+start = vec(DDPGHER(config, pool, alone, 0, 1))
+moved = (vec(whole) - start).norm()
+assert (vec(whole) - vec(parts)).norm() < 1e-3 * moved
 # and the normaliser has seen one stream
 for rows in 1e6 + rng.standard_normal((5, 3, 10, 2)):
     parts.goal_stats.update(rows[comm.rank])

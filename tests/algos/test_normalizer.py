@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from tactilerl.algos.mpi import Communicator
-from tactilerl.algos.normalizer import MIN_STD, Normalizer
+from tactilerl.algos.normalizer import BLOCK_NORM, MIN_STD, Normalizer
 
 
 def fed(batches, size, comm=None):
@@ -61,8 +61,51 @@ def test_a_rank_without_rows_and_no_rows_at_all():
     assert stats.mean.tolist() == [1.0, 1.0]
 
 
+def block_of(columns, size=4, clip=np.inf):
+    return Normalizer(size, Communicator(), clip, block=np.isin(np.arange(size), columns))
+
+
+def test_a_block_has_one_gain_by_its_mean_squared_norm():
+    """However many columns it has, its norm is that of twelve normalized ones, but for the prior."""
+    rng = np.random.default_rng(0)
+    for n, rate in ((1, 0.2), (3, 0.05), (111, 0.02)):
+        stats, rows = block_of(range(n), n + 1), rng.normal(3.0, 2.0, (20_000, n + 1))
+        rows[:, :n] = rng.random((20_000, n)) < rate
+        for batch in np.array_split(rows, 7):
+            stats.update(batch)
+        norm = np.square(rows[:, :n]).sum(axis=1)
+        expected = (1000 + norm.sum()) / (1000 + 20_000)
+        shown = stats.scaling()(torch.from_numpy(rows.astype(np.float32))).numpy()
+        gain = np.sqrt(BLOCK_NORM / expected)
+        np.testing.assert_allclose(shown[:, :n], gain * rows[:, :n], rtol=1e-5)
+        assert 9.0 < np.square(shown[:, :n]).sum(axis=1).mean() < 13.0
+        assert abs(shown[:, n].mean()) < 1e-5  # others as always
+
+
+def test_a_gain_never_jumps():
+    """Not where nothing has fired for long, nor when something does for the first time."""
+    stats, gains = block_of([0, 1], clip=5.0), []
+    for epoch in range(60):
+        fires = np.zeros((1000, 4))
+        fires[: 200 * (epoch >= 30), 0] = 1.0
+        stats.update(fires)
+        gains.append(stats.scaling()(torch.tensor([[1.0, 0, 0, 0]]))[0, 0].item())
+    ratios = np.divide(gains[1:], gains[:-1])
+    assert ratios.max() < 1.25
+    assert ratios.min() > 0.8
+    assert max(gains) <= 5.0
+
+
+def test_columns_as_they_are_are_not_even_cut():
+    as_is = np.array([True, False])
+    stats = Normalizer(2, Communicator(), 5.0, as_is)
+    stats.update(np.full((9, 2), [1e3, 1.0]) + np.arange(9)[:, None])
+    assert stats.scaling()(torch.tensor([[77.0, 77.0]])).tolist() == [[77.0, 5.0]]
+
+
 def test_saved_and_restored():
-    stats = fed([np.random.default_rng(0).standard_normal((9, 2))], 2)
+    stats = block_of([1], 2)
+    stats.update(np.random.default_rng(0).random((9, 2)))
     again = Normalizer(2, Communicator())
     again.scaling()(torch.zeros(1, 2))  # whatever it computed before must not stick
     again.load_state_dict(stats.state_dict())

@@ -11,12 +11,12 @@ import pytest
 import torch
 from tactilerl.algos import DivergenceError, UnfitError, recipes
 from tactilerl.algos.mpi import Communicator
-from tactilerl.algos.policy import Policy
+from tactilerl.algos.policy import Policy, Spaces
 from tactilerl.algos.ppo import PPO, Gaussian, PPOConfig, gae, normalise, surrogate
-from tactilerl.algos.spaces import Spaces
 from tactilerl.envs import validation, vector
 
 from states import flat
+from states import vector as parameters
 
 SMALL = dict(hidden=(32, 32), steps_per_epoch=60, n_passes=5)
 STEADY = {**asdict(recipes.recipe("ppo", "steady")), **SMALL, "minibatch_size": 16}
@@ -66,6 +66,10 @@ def trained(ppo, epochs, state=None):
         ppo.collect()
         ppo.update()
     return ppo
+
+
+def values_of(ppo, obs):
+    return ppo.critic(torch.from_numpy(np.stack(obs))).detach().numpy().ravel()
 
 
 class TestGAE:
@@ -153,10 +157,11 @@ class TestBatch:
             workers = scripted(length=3, terminated=terminated, reward=lambda rng: 1.0)
             ppo = make_ppo(workers, truncation=truncation)
             ppo.collect()
-            expected = []
+            expected, learned = [], values_of(ppo, [o for e in ppo._episodes for o in e.obs[:-1]])
             for episode in ppo._episodes:
-                values = ppo.critic(torch.from_numpy(np.stack(episode.obs))).detach().numpy().ravel()
-                advantages = gae(np.ones(3), values[:-1], goes_on * values[-1], 0.99, 0.97)
+                values = values_of(ppo, episode.obs)
+                last = goes_on * values[-1].clip(learned.min(), learned.max())
+                advantages = gae(np.ones(3), values[:-1], last, 0.99, 0.97)
                 expected += [*(advantages + values[:-1])]
             np.testing.assert_allclose(ppo._batch().returns.numpy(), expected, rtol=1e-4)
 
@@ -236,18 +241,24 @@ class TestLearning:
         assert shown.mean().abs() < 0.5
         assert shown.std().item() == pytest.approx(1.0, abs=0.3)
 
-    def test_boolean_entries_are_not_normalised(self):
-        """A rare 1 would be shown as a 5, and every epoch would end at its first surprise."""
+    @pytest.mark.parametrize("normalise", [False, True])
+    @pytest.mark.parametrize("scale", ["none", "block", "each"])
+    def test_taxels_have_a_scale_of_their_own(self, normalise, scale):
+        """Others are normalised or not, whatever taxels are; a saved policy sees the same."""
 
         def obs(rng):
             return np.append(rng.normal(7.0, 2.0, 2), rng.random() < 0.02).astype(np.float32)
 
         space = gym.spaces.Box(np.float32([-np.inf, -np.inf, 0]), np.float32([np.inf, np.inf, 1]))
-        ppo = trained(make_ppo(scripted(obs=obs, space=space), normalise_obs=True), 1)
+        choices = dict(normalise_obs=normalise, taxel_scale=scale)
+        ppo = trained(make_ppo(scripted(obs=obs, space=space), **choices), 1)
         ppo.collect()
         shown = ppo._batch()[0]
-        assert shown[:, :2].mean().abs() < 0.5
-        assert set(shown[:, 2].tolist()) <= {0.0, 1.0}
+        assert (shown[:, :2].mean().abs() < 0.5) == normalise
+        silent, fired = sorted({*shown[:, 2].tolist()})
+        low, high = {"none": (1.0, 1.0), "block": (3.0, 4.0), "each": (4.9, 5.0)}[scale]
+        assert low <= fired <= high
+        assert silent == 0.0 or scale == "each"
         again = PPO.saved_policy(ppo.config, Spaces.from_json(ppo.spaces.to_json()), ppo.state_dict())
         rare = np.array([7.0, 7.0, 1.0], np.float32)
         assert np.array_equal(again.act(rare), ppo.policy().act(rare))
@@ -278,39 +289,118 @@ class TestLearning:
         for env_steps in (0, 600, 999, 1000):
             ppo.env_steps = env_steps
             ppo.collect()
-            before = ppo.actor_adam.vector.clone()
+            before = parameters(ppo.actor)
             ppo.update()
-            (group,) = ppo.actor_adam._adam.param_groups
-            found.append((group["lr"], bool((ppo.actor_adam.vector != before).any())))
+            (group,) = ppo.actor_adam.param_groups
+            found.append((group["lr"], bool((parameters(ppo.actor) != before).any())))
         rates, moved = zip(*found, strict=True)
         assert rates == pytest.approx([3e-4, 1.2e-4, 3e-7, 0.0])
         assert moved == (True, True, True, False)
 
-    def test_a_critic_may_see_what_the_policy_does_not(self):
-        """With the truth it starts with the same actor, judges otherwise, resumes bit for bit, and its
-        policy acts where nobody tells the truth."""
-        space = gym.spaces.Box(-np.inf, np.inf, (3,), np.float32)
-        goal = {"achieved_goal": space, "desired_goal": space}
-        told = gym.spaces.Dict({"observation": space, "truth": space, **goal})
-        plain = gym.spaces.Dict({"observation": space, **goal})
 
-        def obs(rng):
-            shown = {key: rng.standard_normal(3).astype(np.float32) for key in plain}
-            return {**shown, "truth": (100 * rng.standard_normal(3)).astype(np.float32)}
+class Switch(gym.Env):
+    """Reward 1 where the first action lies above a threshold, in one step; else nothing."""
 
-        def learner(space, state=None, epochs=2):
-            return trained(make_ppo(scripted(obs=obs, space=space), normalise_obs=True), epochs, state)
+    threshold = 0.0
 
-        ppo = learner(told)
-        assert ppo.critic.linears[0].weight.shape[1] == ppo.actor.linears[0].weight.shape[1] + 3
-        assert ppo._batch()[0][:, -3:].std().item() == pytest.approx(1.0, abs=0.3)
-        whole = learner(told, epochs=4)
-        assert flat(whole.state_dict()) == flat(learner(told, ppo.state_dict()).state_dict())
-        blind = PPO.saved_policy(ppo.config, Spaces(plain, ppo.spaces.action), ppo.state_dict())
-        seen = obs(np.random.default_rng(0))
-        assert np.array_equal(blind.act(seen), ppo.policy().act(seen))
-        seen["truth"] = seen["truth"] * 0
-        assert np.array_equal(blind.act(seen), ppo.policy().act(seen))
+    def __init__(self):
+        self.observation_space = gym.spaces.Box(-1.0, 1.0, (1,), np.float32)
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (1,), np.float32)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        return np.zeros(1, np.float32), {}
+
+    def step(self, action):
+        success = bool(action[0] > self.threshold)
+        return np.zeros(1, np.float32), float(success), True, False, {"is_success": success}
+
+
+class TestUndo:
+    def parts(self, ppo):
+        return flat([x.state_dict() for x in (ppo.actor, ppo.gaussian, ppo.actor_adam)])
+
+    def test_a_silent_epoch_puts_the_actor_back_and_teaches_the_critic_alone(self):
+        env = Switch()
+        ppo = make_ppo(vector.start(lambda: env), undo_silent=True, exploration="learned")
+        env.threshold = 2.0  # nothing was ever rewarded: updates are as always
+        before = self.parts(ppo)
+        trained(ppo, 1)
+        assert self.parts(ppo) != before
+        env.threshold = 0.0
+        trained(ppo, 1)
+        ppo.collect()
+        before = self.parts(ppo)
+        assert ppo.update()["undone"] == 0.0
+        assert self.parts(ppo) != before
+        env.threshold = 2.0
+        for _ in range(2):  # and once more to the same place
+            critic = parameters(ppo.critic)
+            ppo.collect()
+            learned = ppo.update()
+            assert (learned["undone"], learned["policy_loss"], learned["kl"]) == (1.0, 0.0, 0.0)
+            assert self.parts(ppo) == before
+            assert (parameters(ppo.critic) != critic).any()
+        env.threshold = 0.0
+        ppo.collect()
+        assert ppo.update()["undone"] == 0.0
+        assert self.parts(ppo) != before
+
+    def test_one_episode_says_nothing_about_silence(self):
+        ppo = make_ppo(scripted(length=60), undo_silent=True)
+        for _ in range(3):
+            ppo.collect()
+            assert ppo.update()["undone"] == 0.0
+
+    def test_resumes_bit_for_bit_in_silence(self):
+        def run(epochs, state=None):
+            env = Switch()
+            ppo = make_ppo(vector.start(lambda: env), undo_silent=True)
+            if state is None:
+                trained(ppo, 2)
+            env.threshold = 2.0
+            return trained(ppo, epochs, state)
+
+        whole, half = run(4), run(2)
+        resumed = run(2, half.state_dict())
+        assert half.before_update
+        assert flat(whole.state_dict()) == flat(resumed.state_dict())
+
+    @pytest.mark.parametrize("undo", [False, True])
+    def test_a_toy_recovers_from_one_bad_update_only_with_it(self, undo):
+        """After it, no action is rewarded any more, and updates follow noise."""
+        env = Switch()
+        env.threshold = 0.2
+        ppo = make_ppo(vector.start(lambda: env), undo_silent=undo, action_variance=0.04, actor_lr=1e-3)
+        trained(ppo, 1)
+        ppo.collect()
+        ppo.update()
+        with torch.no_grad():  # the bad update
+            ppo.actor[-2].bias.fill_(-3.0)
+        rates = []
+        for _ in range(12):
+            rates.append(ppo.collect()["success_rate"])
+            ppo.update()
+        assert rates[0] == 0.0
+        assert (rates[-1] > 0.9) == undo
+
+
+def test_the_value_of_a_last_observation_stays_within_those_that_are_learned():
+    """Time in the observation, episodes cut by a limit, reward 1: the value is 10 in every state.
+
+    Without the bound, orthogonal weights reach thousands: the last observation is like no other.
+    """
+
+    class Clock(ScriptedEnv):
+        def __init__(self):
+            super().__init__(length=5, terminated=False, reward=lambda rng: 1.0)
+            self.obs = lambda rng: np.full(3, self.steps / 5, np.float32)
+
+    steady = asdict(recipes.recipe("ppo", "steady")) | {"steps_per_epoch": 100, "gamma": 0.9}
+    ppo = trained(make_ppo(vector.start(Clock), **steady), 60)
+    ppo.collect()
+    values = ppo.critic(ppo._batch().obs).detach()
+    torch.testing.assert_close(values, torch.full_like(values, 10.0), atol=1.5, rtol=0)
 
 
 HARD = {
@@ -333,8 +423,7 @@ class TestHardCases:
             ppo.collect()
             learned = ppo.update()
         assert all(math.isfinite(value) for value in learned.values())
-        assert torch.isfinite(ppo.actor_adam.vector).all()
-        assert torch.isfinite(ppo.critic_adam.vector).all()
+        assert torch.isfinite(parameters(ppo.actor, ppo.critic)).all()
 
     @pytest.mark.parametrize("dtype", [np.float32, np.float64])
     def test_actions_stay_within_any_bounds(self, dtype):
@@ -360,7 +449,7 @@ class TestHardCases:
         ppo = make_ppo(scripted())
         ppo.collect()
         with torch.no_grad():
-            ppo.critic_adam.vector[0] = math.nan
+            ppo.critic[0].bias[0] = math.nan
         with pytest.raises(DivergenceError):
             ppo.update()
 

@@ -21,13 +21,12 @@ def episode(number, length=MAX_STEPS, terminated=False):
         for t in range(length + 1)
     ]
     actions = [np.array([number, t], np.float32) for t in range(length)]
-    privileged = [np.array([number * 100.0 + t]) for t in range(length + 1)]
-    return Episode(obs, actions, [0.0] * length, terminated, privileged=privileged)
+    return Episode(obs, actions, [0.0] * length, terminated)
 
 
 def make_replay(slots=10, seed=0):
     rng = np.random.default_rng(seed)
-    return Replay(slots * MAX_STEPS, MAX_STEPS, (3, 3, 2, 1), n_boolean=1, reward=reward, rng=rng)
+    return Replay(slots * MAX_STEPS, MAX_STEPS, (3, 3, 2), n_boolean=1, reward=reward, rng=rng)
 
 
 def filled(numbers, slots=10, lengths=None):
@@ -89,12 +88,6 @@ class TestRelabelling:
         is_last = (batch.obs[:, 0] == 1) & (batch.obs[:, 1] == 3)
         np.testing.assert_array_equal(batch.terminal, is_last)
 
-    def test_what_critics_see_is_that_of_both_steps_whatever_the_goal(self):
-        batch = filled([1, 2]).sample(1000, 0.8)
-        step = batch.obs[:, 0] * 100 + batch.obs[:, 1]
-        np.testing.assert_array_equal(batch.privileged[:, 0], step)
-        np.testing.assert_array_equal(batch.next_privileged[:, 0], step + 1)
-
 
 class TestStoring:
     def test_full_buffer_overwrites_random_slots(self):
@@ -120,7 +113,7 @@ class TestStoring:
     def test_bytes_for_booleans(self):
         replay = filled([1])
         n_rows = 10 * (MAX_STEPS + 1)
-        assert replay.nbytes == n_rows * (2 * 4 + 1 + 3 * 4 + 3 * 4 + 2 * 4 + 4 + 1)
+        assert replay.nbytes == n_rows * (2 * 4 + 1 + 3 * 4 + 3 * 4 + 2 * 4 + 1)
 
     def test_what_turns_out_not_to_be_boolean_is_kept_as_it_is(self):
         """Also what came before it, and what was saved before it."""
@@ -140,7 +133,7 @@ class TestStoring:
 
     def test_too_small(self):
         with pytest.raises(ValueError, match="buffer_size: found 7, allowed 8"):
-            Replay(7, 8, (3, 3, 2, 0), 0, reward, np.random.default_rng(0))
+            Replay(7, 8, (3, 3, 2), 0, reward, np.random.default_rng(0))
 
 
 class TestSaving:

@@ -10,8 +10,8 @@ import torch
 from tactilerl import envs
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.networks import MLP, start_orthogonal
+from tactilerl.algos.policy import Spaces
 from tactilerl.algos.ppo import PPO, PPOConfig
-from tactilerl.algos.spaces import Spaces
 from tactilerl.envs import vector
 from tactilerl.envs.toy import PointReachEnv
 
@@ -110,13 +110,12 @@ def test_starts_and_exploration_do_not_depend_on_what_is_observed():
 
 
 def test_names_come_with_the_environments_spaces():
-    env = envs.make("shadow", layout="5", touch="on", critic_sees="truth")
+    env = envs.make("shadow", layout="5", touch="on")
     spaces = Spaces(env.observation_space, env.action_space)
-    names = spaces.inputs("truth", "action")
+    names = spaces.inputs(with_action=True)
     observed = [f"observation {name}" for name in env.observation_names()]
     assert names[: len(observed)] == observed
     env.close()
     assert len(set(names)) == len(names)
-    assert len(names) == len(spaces.inputs()) + spaces.privileged.shape[0] + env.action_space.shape[0]
-    assert any(name.startswith("truth position of") for name in names)
+    assert len(names) == len(spaces.inputs()) + env.action_space.shape[0]
     assert Spaces(gym.spaces.Box(-1, 1, (3,)), env.action_space).inputs() is None
