@@ -73,7 +73,7 @@ class Learner(ABC):
     def build(self, generator: torch.Generator) -> None:
         """Make networks, with weights drawn from `generator`, optimizers and all else it has."""
 
-    def check(self) -> None:  # noqa: B027
+    def check(self) -> None:
         """Raise ValueError where rewards or memory do not fit; may play an episode."""
 
     @abstractmethod
