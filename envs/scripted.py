@@ -1,4 +1,4 @@
-"""Open-loop grasps: approach, close, lift, hold. What the doctor, the pictures and the
+"""Open-loop grasps: approach, close, lift, hold. What the check of taxels, the pictures and the
 benchmarks look at when no policy should be involved."""
 
 from __future__ import annotations
@@ -122,6 +122,7 @@ def grasp_for(env: GraspEnv) -> ScriptedGrasp:
     file has none."""
     if not env.hand.grasps:
         raise ValueError(
-            f"hand {env.hand.name}: has no [[grasp]] in its file; tactilerl doctor --env FILE finds one"
+            f"hand {env.hand.name}: has no [[grasp]] in its file; "
+            "tactilerl env --env FILE --check finds one"
         )
     return min(env.hand.grasps, key=lambda g: abs(g.object_size - env.shape.width))

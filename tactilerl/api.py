@@ -210,10 +210,11 @@ def design(
 
     Flags of the command are keywords, as in ``design(scene="handover", taxels=1, only=("palm",))``. Of
     a range of numbers it is the layout with the most taxels. Raises ValueError, in one line, for an
-    invalid flag, where no taxel feels anything in time, and where touch cannot help.
+    invalid flag, where no taxel feels anything in time, where touch cannot help, and for scenes in
+    which nothing is handed over.
     """
-    from .probe import design as designing
-    from .probe.candidates import DesignFlags
+    from .placement import choice
+    from .placement.candidates import DesignFlags
 
     wanted = validation.names(DesignFlags)
     require_known(flags, wanted)
@@ -223,7 +224,7 @@ def design(
     chosen = {**flags, **listed, "taxels": str(taxels), "workers": workers}
     read = validation.replace(DesignFlags(), chosen)
     read.validate()
-    found = designing.design(read, workers or free_cores())
+    found = choice.design(read, workers or free_cores())
     return found.layout(max(found.chosen))
 
 

@@ -470,8 +470,6 @@ class TestExamples:
             pytest.importorskip("imageio")
         if "stable_baselines3" in path.stem:
             pytest.importorskip("stable_baselines3")
-        if path.stem == "probe":
-            pytest.importorskip("sklearn")
         result = python(str(path), "--steps", "60", MUJOCO_GL="egl", TMPDIR=str(tmp_path))
         assert result.returncode == 0, result.stderr
         assert "tactilerl: error" not in result.stderr, result.stderr

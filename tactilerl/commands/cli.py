@@ -19,14 +19,11 @@ COMMANDS = {  # each a module here with `main(args)`, imported when it runs
     "train": "train a policy (start here)",
     "evaluate": "success rate of a trained run, with confidence intervals",
     "render": "draw a grasp with its taxels, or film a trained run",
-    "env": "describe an environment: its observations, actions and taxels",
+    "env": "describe an environment, and check which of its taxels can fire",
     "design": "where a hand's few taxels should go, before training",
-    "doctor": "check which taxels fire during scripted grasps",
-    "probe": "how well a layout's readings predict whether a grasp holds",
     "gate": "whether touch can make a difference in a scene, before training",
     "hand": "write the file of a hand from its model, with a grasp",
     "study": "train many runs from one file and compare them in a report",
-    "view": "watch a hand or a trained run in MuJoCo's viewer",
 }
 LONGEST = 600  # characters of an error's line: a path may have 5,000
 

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import json
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 
 from .. import envs
-from ..envs import scenes
-from ..envs.grasp import GraspEnv
+from ..envs import scenes, tasks
+from ..envs.grasp import GraspConfig, GraspEnv
 from ..envs.hands import tactile
 from ..envs.layouts import Taxels
 from ..envs.taxel_formats import WRITERS
 from ..errors import InputError, input_errors
-from ..files import content, replacing
+from ..files import content as read_all
+from ..files import replacing
+from ..scripted import taxels
+from ..scripted.taxels import TaxelCheck
 from ..terminal.help import About
+from .grasps import require_grasp
 from .scene import layout_notes, read_any
 
 ABOUT = About(
@@ -28,6 +32,7 @@ ABOUT = About(
     examples=(
         "tactilerl env --scene handover",
         "tactilerl env --env shadow --layout 4 --describe",
+        "tactilerl env --env mpl --layout my_layout.toml --check",
     ),
 )
 MJCF = ".xml"
@@ -44,91 +49,115 @@ class EnvFlags:
     export: Path | None = None
     """Write the layout as points on the hand's links (.toml, .json: Genesis, .csv), or the hand with it
     as MuJoCo's tactile sensors (.xml)."""
+    check: bool = False
+    """Play scripted grasps and say which taxels fire while the object is held and which never do. The
+    exit code is 1 where one never does."""
     json: bool = False
     """Print JSON instead of text."""
 
 
-def _export(path: Path, base: Any) -> None:
-    """Write taxels as points on links, or as sensors of the hand's model, as the name says."""
-    taxels: Taxels | None = getattr(base, "taxels", None)
-    if taxels is None:
-        raise InputError(
-            "--export: found an environment without taxels, allowed those of hands"
-        )
-    if path.suffix not in (*WRITERS, MJCF):
-        allowed = ", ".join((*WRITERS, MJCF))
-        raise InputError(
-            f"--export: found {path.name!r}, allowed names that end in {allowed}"
-        )
-    with input_errors("--export"):
-        is_model = path.suffix == MJCF
-        made = (
-            tactile.xml(base.hand, taxels)
-            if is_model
-            else WRITERS[path.suffix](taxels.points)
-        )
-    with replacing(path, lambda there: content(there) == made) as file:
-        file.write(made)
-
-
 def main(args: list[str]) -> int:
-    """`tactilerl env --describe`"""
+    """`tactilerl env --describe`: exit 1 where --check finds a taxel that never fires."""
     read, scene = read_any(EnvFlags, args, "tactilerl env", ABOUT)
-    with (
-        input_errors(),
-        closing(GraspEnv(read.env, scene) if scene else envs.make(read.env)) as made,
-    ):
-        base: Any = made.unwrapped
-        spaces = {
-            "action_space": made.action_space,
-            "observation_space": made.observation_space,
-        }
-        described: dict[str, Any] = {
-            "env": read.env,
-            **{name: str(space) for name, space in spaces.items()},
-        }
-        if scene:
-            described |= {
-                "observation": base.observation_names(),
-                "action": base.hand.action_names,
-            }
-            described |= {
-                "taxels": len(base.taxels),
-                "notes": layout_notes(read.env, scene.layout),
-            }
-    if read.export is not None:
-        _export(read.export, base)
+    with input_errors():
+        made = GraspEnv(read.env, scene) if scene else envs.make(read.env)
+        with closing(made):
+            described = _described(read.env, made, scene)
+        if read.export is not None:
+            _export(read.export, made.unwrapped)
+        check = None
+        if read.check:
+            check = _checked(read.env, scene)
+            described["check"] = asdict(check)
     if read.json:
         print(json.dumps(described))
-        return 0
-    lines = [f"env: {read.env}"]
-    if scene:
-        length = f"up to {base.max_episode_steps} actions of {scene.control_dt:g} s"
-        lines.append(f"task: {scene.task} in {scene.simulator}, {length}")
-    lines += [f"{name}: {_short(space)}" for name, space in spaces.items()]
-    if scene:
+    else:
+        for name in ("action_space", "observation_space"):
+            described[name] = _short(getattr(made, name))
+        lines = _lines(described, read.describe, check)
+        if not args:
+            lines.append("named scenes (--scene NAME):")
+            lines += [
+                f"  {name:18} {scenes.load(name).about}" for name in scenes.names()
+            ]
+        print("\n".join(lines))
+    return int(check is not None and bool(check.never_fired))
+
+
+def _described(name: str, env: Any, scene: GraspConfig | None) -> dict[str, Any]:
+    """Return what there is to say about an environment, as JSON has it."""
+    described: dict[str, Any] = {
+        "env": name,
+        "action_space": str(env.action_space),
+        "observation_space": str(env.observation_space),
+    }
+    if scene is not None:
+        length = f"up to {env.max_episode_steps} actions of {scene.control_dt:g} s"
+        described |= {
+            "task": f"{scene.task} in {scene.simulator}, {length}",
+            "observation": env.observation_names(),
+            "action": env.hand.action_names,
+            "taxels": len(env.taxels),
+            "notes": layout_notes(name, scene.layout),
+        }
+    return described
+
+
+def _checked(name: str, scene: GraspConfig | None) -> TaxelCheck:
+    """Play scripted grasps; where the hand has none, one is searched for."""
+    if scene is None:
+        raise InputError(f"--check: found {name}, allowed the environments of hands")
+    if tasks.TASKS[scene.task].giver is None:
+        require_grasp(name, scene)
+    return taxels.check(name, scene)
+
+
+def _lines(
+    described: dict[str, Any], everything: bool, check: TaxelCheck | None
+) -> list[str]:
+    """Return what is printed of it."""
+    single = ("env", "task", "action_space", "observation_space", "taxels")
+    lines = [f"{key}: {described[key]}" for key in single if key in described]
+    lines += [f"note: {note}" for note in described.get("notes", ())]
+    for key in ("action", "observation") if everything else ():
+        entries = enumerate(described.get(key, ()))
+        lines += [f"{key}[{i}] {entry}" for i, entry in entries]
+    if check is not None:
+        n_taxels = described["taxels"]
         lines += [
-            f"taxels: {described['taxels']}",
-            *(f"note: {it}" for it in described["notes"]),
+            f"check: {check.held} of {check.grasps} scripted grasps hold; {len(check.fired)} of "
+            f"{n_taxels} taxels fire in them, {check.mean_fired:.1f} at a time, and some taxel in "
+            f"{100 * check.share_any:.0f} % of the time",
+            f"fired: {', '.join(check.fired) or 'none'}",
+            f"never fired: {', '.join(check.never_fired) or 'none'}",
         ]
-    if not args:
-        lines.append("named scenes (--scene NAME):")
-        lines += [f"  {name:18} {scenes.load(name).about}" for name in scenes.names()]
-    for key in ("action", "observation") if read.describe else ():
-        lines += [
-            f"{key}[{i}] {entry}" for i, entry in enumerate(described.get(key, ()))
-        ]
-    print("\n".join(lines))
-    return 0
+    return lines
 
 
 def _short(space: gym.Space[Any]) -> str:
-    """Of one line: bounds that are infinite, or differ between entries, are left out."""
+    """Return one line; bounds that are infinite, or differ between entries, are left out."""
     if isinstance(space, gym.spaces.Dict):
-        return f"Dict({', '.join(f'{key}: {_short(part)}' for key, part in space.spaces.items())})"
+        parts = (f"{key}: {_short(part)}" for key, part in space.spaces.items())
+        return f"Dict({', '.join(parts)})"
     whole = str(space)
-    return (
-        whole
-        if "[" not in whole and "inf" not in whole
-        else f"{type(space).__name__}{space.shape}"
-    )
+    if "[" in whole or "inf" in whole:
+        return f"{type(space).__name__}{space.shape}"
+    return whole
+
+
+def _export(path: Path, env: Any) -> None:
+    """Write taxels as points on links, or as sensors of the hand's model, as the name says."""
+    placed: Taxels | None = getattr(env, "taxels", None)
+    if placed is None:
+        found = "an environment without taxels"
+        raise InputError(f"--export: found {found}, allowed those of hands")
+    with input_errors("--export"):
+        if path.suffix == MJCF:
+            content = tactile.xml(env.hand, placed)
+        elif path.suffix in WRITERS:
+            content = WRITERS[path.suffix](placed.points)
+        else:
+            allowed = f"names that end in {', '.join((*WRITERS, MJCF))}"
+            raise InputError(f"--export: found {path.name!r}, allowed {allowed}")
+    with replacing(path, lambda there: read_all(there) == content) as file:
+        file.write(content)

@@ -12,7 +12,7 @@ from rich.table import Table
 from ..envs import hands, layouts, validation
 from ..errors import InputError, input_errors
 from ..machine import WorkerCount, free_cores
-from ..probe import gate
+from ..scripted import gate
 from ..terminal import flags
 from ..terminal.console import console, progress
 from ..terminal.help import About
@@ -73,7 +73,7 @@ def main(args: list[str]) -> int:
         )  # fmt: skip
         rows = examine(scene)
         touch = {each.layout: examine(each, senses=["touch"])[0] for each in beside}
-    sentence = gate.verdict(rows, "Touch")
+    sentence = gate.verdict(rows)
     if read.json:
         more = {
             "layouts": {name: dataclasses.asdict(row) for name, row in touch.items()}

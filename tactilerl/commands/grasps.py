@@ -14,7 +14,7 @@ from ..errors import InputError
 from ..files import begins_with, replacing
 from ..machine import free_cores
 from ..pictures import render
-from ..probe import grasp_search
+from ..scripted import grasp_search
 from ..terminal.console import beside, progress
 
 LEAST = 0.5  # of the time that an object must be up for a found grasp to be of use

@@ -17,7 +17,7 @@ from ..envs.grasp import setup
 from ..envs.hands import describing, sandbox
 from ..errors import InputError, input_errors
 from ..files import begins_with, pasted, replacing
-from ..probe import doctor, grasp_search
+from ..scripted import grasp_search, taxels
 from ..terminal import flags
 from ..terminal.console import console
 from ..terminal.help import About
@@ -84,7 +84,7 @@ def main(args: list[str]) -> int:
         _try(read.out, simulator)
     name = pasted(read.out)
     train = f"tactilerl train --env {name} --recipe steady --total-timesteps 15000"
-    console.print(f"next: tactilerl doctor --env {name}    {train}")
+    console.print(f"next: tactilerl env --env {name} --check    {train}")
     return 0
 
 
@@ -150,11 +150,12 @@ def _try(path: Path, simulator: str) -> None:
     """What layout 1 feels in the grasp, in one line."""
     scene = dataclasses.replace(setup(str(path), layout="1"), simulator=simulator)
     try:
-        felt = doctor.examine(str(path), scene, 10, 1.0)
+        felt = taxels.check(str(path), scene, n=10, seconds=1.0)
     except (ValueError, OSError) as error:
         console.print(f"{simulator}: {error}")
         return
+    n_taxels = len(felt.fired) + len(felt.never_fired)
     console.print(
-        f"{simulator}: {felt.held} of {felt.grasps} grasps hold, {felt.mean_bits:.1f} of {felt.taxels} "
-        f"taxels of layout 1 fire{' (blind)' if felt.is_blind else ''}"
+        f"{simulator}: {felt.held} of {felt.grasps} grasps hold, {felt.mean_fired:.1f} of {n_taxels} "
+        "taxels of layout 1 fire"
     )

@@ -307,7 +307,6 @@ class TestBadInput:
             (["train", "more"], ["found 'more', which no flag takes; see tactilerl train --help"]),
             (["train", "--gamma"], ["Missing value", "--gamma"]),
             (["train", "--n_passes=0"], ["error: --n_passes: found 0, allowed 1 or more"]),
-            (["probe", "--closing", "0.1"], ["--closing", "'0.1'"]),
             (["evaluate"], ["Run folder", "tactilerl evaluate --help"]),
             (["train", "--device", "cuda:99"], ["device", "cuda:99"]),
             (["train", "--gamma", "nan"], ["gamma: found nan"]),
@@ -315,14 +314,13 @@ class TestBadInput:
             (["train", "--resume="], ["--resume: found nothing"]),
             (["train", "--resume", "nowhere"], ["'nowhere' is not a run folder"]),
             (["evaluate", "nowhere", "--episodes", "0"], ["--episodes: found 0"]),
-            (["doctor", "--seconds", "0.01"], ["--seconds: found 0.01", "0.05 to 60"]),
             (["render", "none", "--video", "x.gif"], ["--video: found 'x.gif'", ".mp4"]),
             (["render", "--out", "no/x.png"], ["--out: found no folder no"]),
             (["render", "--out", "x.foo"], ["--out: found 'x.foo'", ".png"]),
             (["render", "none", "--layout", "1"], ["found scene flags"]),
             (["render", "none", "--pose", "start"], ["--pose: found with a run folder"]),
             (["render", "--video", "x.mp4"], ["--video: found without a run folder"]),
-            (["doctor", "--env", "lqr"], ["--env: found 'lqr'", "shadow"]),
+            (["env", "--env", "lqr", "--check"], ["--check: found lqr, allowed the environments"]),
             (["train", "--env", "../x:Id"], ["env: found '../x:Id'"]),
             ([*TOY, "--device", "meta"], ["device: found 'meta'"]),
             ([*TOY, "--seed", "9" * 5000], ["seed"]),
@@ -330,11 +328,9 @@ class TestBadInput:
             ([*TOY, "--trust"], ["--trust: found without --resume"]),
             (["train", "--out", "a\0b"], ["allowed no character 0"]),
             (["train", "--resume", "nowhere", "--scene", "handover"], ["scene: found with resume"]),
-            (["doctor", "--taxel-dead", "0.9"], ["--taxel-dead: found 0.9, which has no effect here"]),
             (["train", "--friction", "rough"], ["friction: found 'rough'"]),
             (["train", "--touch-rule", "smell"], ["found 'smell', allowed: skin, contact, force"]),
             (["train", "--task", "fly"], ["task: found 'fly', allowed: lift-and-hold, reach-goal"]),
-            (["doctor", "--object-size", "0.04..0.05"], ["object: found several, or a range"]),
         ],
     )
     def test_one_clear_line(self, capsys, args, words):
@@ -359,7 +355,6 @@ class TestBadInput:
             ("train --algo PPO", "--algo: unknown algorithm 'PPO'; did you mean ppo?"),
             ("train --touch", "'--touch'"),
             ("train --env shadov --layout 4", "is none of shadow, mpl, allegro"),
-            ("doctor --env=s --layout=4", "is none of shadow, mpl, allegro"),
             ("gate --scene handover --touch off", "--touch: leave it out"),
             ("trian", "did you mean train?"),
         ],
@@ -465,8 +460,7 @@ class TestOtherCommands:
         )
         scene = ["--env", "shadow", "--layout", "far.toml"]
         short = [*FAST, "--hold-seconds", "0.2", "--total-timesteps", "1", "--out", "run"]
-        doctor = ["doctor", *scene, "--grasps", "1", "--seconds", "0.1"]
-        for command in (["env", *scene], ["train", *scene, *short], doctor):
+        for command in (["env", *scene], ["train", *scene, *short]):
             main(command)
             out = " ".join(capsys.readouterr().out.split())
             assert "no taxels at thumb.palm, which shadow does not have" in out
@@ -479,16 +473,6 @@ class TestOtherCommands:
         assert "action[0] slide_x" in out
         assert "observation[61] taxel thumb.proximal[+0,+0]" in out
         assert out.count("observation[") == 80
-
-    def test_doctor_passes_the_skin_rule_and_fails_the_contact_rule(self, capsys):
-        few = ["--grasps", "4", "--json"]
-        found = printed(capsys, ["doctor", "--env", "shadow", *few])
-        felt = {f["layout"]: f for f in json.loads(found)}
-        assert felt["1"]["mean_bits"] >= 3
-        assert felt["1"]["share_any"] >= 0.9
-        assert all(f["share_any"] >= 0.5 and f["held"] > 0 for f in felt.values())
-        found = printed(capsys, ["doctor", "--layout", "3", "--touch-rule", "contact", *few], code=1)
-        assert json.loads(found)[0]["is_blind"]
 
     def test_render_draws_the_hand_and_its_taxels(self):
         imageio = pytest.importorskip("imageio.v2")

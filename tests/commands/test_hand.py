@@ -9,7 +9,7 @@ import pytest
 from tactilerl.commands.cli import main
 from tactilerl.envs import hands
 from tactilerl.envs.hands import describing
-from tactilerl.probe import grasp_search
+from tactilerl.scripted import grasp_search
 
 from one_line import fails_with, printed
 
@@ -139,7 +139,7 @@ def test_from_model_to_training(monkeypatch, capsys):
     said = printed(capsys, ["hand", "hand.xml", "--out", "mine.toml"])
     assert "digits.thumb: " in said
     assert "mujoco: " in said
-    assert "next: tactilerl doctor --env mine.toml" in said
+    assert "next: tactilerl env --env mine.toml --check" in said
     assert len(hands.get("mine.toml").grasps) == 1
     flags = ["--total-timesteps", "20", "--steps-per-epoch", "10", "--max-episode-steps", "5"]
     flags += ["--hold-seconds", "0.1", "--layout", "5", "--out", "run"]

@@ -5,7 +5,7 @@ import pytest
 from tactilerl import envs
 from tactilerl.envs import objects, tasks
 from tactilerl.envs.simulators import Giver
-from tactilerl.probe.reflexes import Reflex
+from tactilerl.scripted.reflexes import Reflex
 
 STILL = {"jitter": False, "start_offset": objects.OFFSET}
 LATE = tasks.Handover.waits[1] + tasks.Handover.stays + 1

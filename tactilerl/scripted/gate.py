@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from .. import statistics
 from ..envs import vector
 from ..envs.grasp import GraspConfig, GraspEnv
 from ..envs.observations import TaxelFaults
-from ..runs.evaluation import success_rate
 from . import reflexes
 
 SEARCH = 1_000_000  # starts of the search are not those of the comparison
@@ -82,10 +82,9 @@ def examine(
                 rates.append(_play(played_in, reflex, first + SEARCH, search).mean())
                 tick()
             best = candidates[int(np.argmax(rates))]
-            said = success_rate(_play(played_in, best, first, starts))
-            found.append(
-                Found(name, best, said["success_rate"], said["success_rate_ci"], starts)
-            )
+            n_won = int(_play(played_in, best, first, starts).sum())
+            interval = statistics.wilson_interval(n_won, starts)
+            found.append(Found(name, best, n_won / starts, interval, starts))
     return found
 
 
@@ -96,8 +95,8 @@ def _play(
     return np.array(list(workers.play(reflex.play, range(first, first + n))))
 
 
-def verdict(found: list[Found], touch: str = "Touch") -> str:
-    """One sentence about the scene, in which touch is called `touch`."""
+def verdict(found: list[Found]) -> str:
+    """Return one sentence about the scene."""
     rates = {each.name: each.rate for each in found}
     best = max(
         (name for name in rates if name not in ("touch", "sighted")),
@@ -111,6 +110,6 @@ def verdict(found: list[Found], touch: str = "Touch") -> str:
         )
     won = min(max(0.0, rates["touch"] - without), room)
     return (
-        f"{touch} closes {won:.2f} of the {room:.2f} gap between the best scripted hand without touch "
+        f"Touch closes {won:.2f} of the {room:.2f} gap between the best scripted hand without touch "
         f"({best}, {without:.2f}) and the sighted one ({rates['sighted']:.2f})."
     )

@@ -9,9 +9,9 @@ import pytest
 import tactilerl
 from tactilerl.commands.cli import main
 from tactilerl.envs import hands
-from tactilerl.probe import cover, selection, timing
-from tactilerl.probe.candidates import DesignFlags, Pool, candidates
-from tactilerl.probe.cover import NEVER, Aim, Starts
+from tactilerl.placement import choice, cover
+from tactilerl.placement.candidates import DesignFlags, Pool, candidates
+from tactilerl.placement.cover import NEVER, Starts
 
 from one_line import fails_with
 
@@ -33,16 +33,21 @@ def starts_of(fires, succeeds):
 
 
 class TestCover:
-    @pytest.mark.parametrize("redundancy", [1, 2])
-    def test_no_other_set_is_better(self, redundancy):
-        rng, aim = np.random.default_rng(0), Aim(redundancy)
+    def test_no_other_set_is_better(self):
+        rng = np.random.default_rng(0)
         for _ in range(15):
             starts = some(rng)
-            best = max(cover.value(starts, x, aim) for x in itertools.combinations(range(8), 3))
-            found = cover.choose(starts, 3, aim)
+            best = max(cover.value(starts, x) for x in itertools.combinations(range(8), 3))
+            found = cover.choose(starts, 3)
             assert found.value == pytest.approx(best)
             assert found.bound == pytest.approx(best)
-            assert found.value == pytest.approx(cover.value(starts, found.taxels, aim))
+            assert found.value == pytest.approx(cover.value(starts, found.taxels))
+
+    def test_one_more_taxel(self):
+        starts = some(np.random.default_rng(1))
+        each = cover.values_with_each(starts, [0, 3])
+        assert each == pytest.approx([cover.value(starts, [0, 3, j]) for j in range(8)])
+        assert cover.value(starts, []) == 0.0
 
     def test_what_fires_too_early_spoils_a_start(self):
         succeeds = np.zeros((1, NEVER + 1), bool)
@@ -52,24 +57,6 @@ class TestCover:
         assert cover.value(starts, [0, 1]) == 0.0
         assert cover.choose(starts, 2).value == 0.0
 
-    def test_redundancy_stands_any_dead_taxel(self):
-        starts = some(np.random.default_rng(1))
-        for chosen in itertools.combinations(range(8), 3):
-            dead = [cover.scores(starts, np.array([left]), Aim())[:, 0]
-                    for left in itertools.combinations(chosen, 2)]  # fmt: skip
-            alive = cover.scores(starts, np.array([chosen]), Aim())[:, 0]
-            expected = starts.weights @ np.min([alive, *dead], axis=0)
-            assert cover.value(starts, chosen, Aim(2)) == pytest.approx(expected)
-
-    def test_faults_enter_by_their_probabilities(self):
-        rng, aim, chosen, n = np.random.default_rng(2), Aim(1, 0.2, 0.05), [0, 1, 2], 20_000
-        starts = some(rng, 5)
-        expected = cover.scores(starts, np.array([chosen]), aim)[:, 0]
-        fires = np.minimum(rng.geometric(0.05, (n, 1, 3)) - 1, starts.fires[:, chosen].astype(int))
-        first = np.where(rng.random((n, 1, 3)) < 0.2, NEVER, fires).min(axis=2)
-        played = starts.succeeds[np.arange(5), np.minimum(first, NEVER)].mean(axis=0)
-        np.testing.assert_allclose(played, expected, atol=0.015)
-
     def test_what_the_hand_has_stays(self):
         starts = some(np.random.default_rng(3))
         found = cover.choose(starts, 3, kept=[5])
@@ -78,17 +65,15 @@ class TestCover:
         assert 5 in found.taxels
         assert found.value == pytest.approx(best)
 
-    @pytest.mark.parametrize("aim", [Aim(), Aim(1, 0.2, 0.05)])
-    def test_no_two_overlap(self, aim):
+    def test_no_two_overlap(self):
         starts, overlap = some(np.random.default_rng(4)), np.zeros((8, 8), bool)
-        free = cover.choose(starts, 3, aim)
+        free = cover.choose(starts, 3)
         overlap[np.ix_(free.taxels, free.taxels)] = ~np.eye(3, dtype=bool)
-        found = cover.choose(starts, 3, aim, overlap=overlap)
+        found = cover.choose(starts, 3, overlap=overlap)
         fitting = [x for x in itertools.combinations(range(8), 3) if not overlap[np.ix_(x, x)].any()]
         assert tuple(found.taxels) in fitting
         assert found.value <= free.value
-        if aim.is_certain:
-            assert found.value == pytest.approx(max(cover.value(starts, x) for x in fitting))
+        assert found.value == pytest.approx(max(cover.value(starts, x) for x in fitting))
 
     def test_room_that_greedy_does_not_leave(self):
         succeeds = np.zeros((3, NEVER + 1), bool)
@@ -111,19 +96,10 @@ class TestSizes:
         pool = Pool.of(DesignFlags(scene=("handover",), radius=10.0))
         assert pool.overlap.any()
         for seed in range(5):
-            drawn = timing._drawn(8, pool, np.random.default_rng(seed))
+            drawn = choice.drawn(8, pool, np.random.default_rng(seed))
             at = [pool.columns.index(column) for column in drawn]
             assert len(set(drawn)) == 8
             assert not pool.overlap[np.ix_(at, at)].any()
-
-    def test_what_tells_most_of_a_lift_does_not_overlap(self):
-        rng = np.random.default_rng(0)
-        held = rng.random(400) < 0.5
-        told = (rng.random((400, 4)) < np.where(held, 0.8, 0.2)[:, None]).astype(float)
-        known, overlap = rng.normal(size=(400, 1)), ~np.eye(5, dtype=bool)
-        overlap[0, 1] = overlap[1, 0] = overlap[2, 4] = overlap[4, 2] = False
-        assert len(selection.forward(known, told, held, 3)) == 3
-        assert selection.forward(known, told, held, 3, overlap) == [0]  # the others touch what is there
 
 
 class TestCandidates:
@@ -152,8 +128,8 @@ def test_starts_are_resampled_within_their_scenes():
     succeeds[:4, 5] = True
     starts = starts_of([[5, 5]] * 8, succeeds)
     starts.weights[:] = np.repeat([0.75, 0.25], 4) / 4
-    judge = timing._Judge({None: starts}, {None: starts}, Aim(), 2)
-    assert judge.row("x", [0])["success_interval"] == pytest.approx([0.75, 0.75])
+    judge = choice.Judge({None: starts}, {None: starts}, 2)
+    assert judge.row("x", [0]).success_interval == pytest.approx([0.75, 0.75])
     assert judge.hopeless == 0.25
 
 
@@ -164,7 +140,7 @@ class TestCommand:
         for out in ("a", "b"):
             assert main([*args, "--out", out]) == 0
         said = capsys.readouterr().out
-        assert "when to close is the question" in said
+        assert "taxels for a hand that closes at the first touch" in said
         assert "tactilerl train --scene handover --layout a/design_1.toml" in said
         names = {path.name for path in Path("a").iterdir() if path.name != ".lock"}
         assert names == {"design.json", "design_1.toml", "design_2.toml", "hand.png", "hand.svg",
@@ -189,19 +165,19 @@ class TestCommand:
     def test_every_set_waits_as_suits_it_best(self, capsys):
         args = ["design", "--scene", "handover_anywhere", *FEW, "--starts", "8"]
         rows = {}
-        for waits in ("0.2", "0.35", "0.2,0.35"):
-            assert main([*args, "--taxels", "2", "--start-closing", waits, "--json"]) == 0
+        for waits in ("0.2", "0.35", "0.2 0.35"):
+            assert main([*args, "--taxels", "2", "--start-closing", *waits.split(), "--json"]) == 0
             found = json.loads(capsys.readouterr().out)["rows"]
             rows[waits] = {row["layout"]: row for row in found}
         alone = [rows[wait]["chosen"]["chosen_from"] for wait in ("0.2", "0.35")]
         assert alone[0] != alone[1]
-        best = str(rows["0.2,0.35"]["chosen"]["start_closing"])
+        best = str(rows["0.2 0.35"]["chosen"]["start_closing"])
         assert (
-            rows["0.2,0.35"]["chosen"]["chosen_from"]
+            rows["0.2 0.35"]["chosen"]["chosen_from"]
             == rows[best]["chosen"]["chosen_from"]
             == max(alone)
         )
-        assert rows["0.2,0.35"]["chosen"]["success"] == rows[best]["chosen"]["success"]
+        assert rows["0.2 0.35"]["chosen"]["success"] == rows[best]["chosen"]["success"]
         args += ["--start-closing", "0.35", "--env", "mpl", "--simulator", "mujoco", "--out", "c.toml"]
         assert main(args) == 0
         said = capsys.readouterr().out
@@ -214,28 +190,25 @@ class TestCommand:
     @pytest.mark.parametrize(
         ("args", "named"),
         [
-            (["--start-closing", "1"], "start-closing: found 1.0, allowed from 0 to below 1"),
-            (["--start-closing", "0.2,0.2"], "start-closing: found [0.2, 0.2], allowed each once"),
-            (["--start-closing"], "start-closing: found nothing"),
-            (["--only", "--seed", "1"], "only: found nothing"),
-            (["--start-closing", "0.2", "x"], "start-closing: found '0.2', 'x', allowed numbers"),
-            (["--scene", "dark_mpl", "--start-closing", "0.3"], "start-closing: found [0.3]"),
+            (["--start-closing", "1"], "start_closing: found 1.0, allowed from 0 to below 1"),
+            (["--start-closing", "0.2", "0.2"], "start_closing: found [0.2, 0.2], allowed each once"),
+            (["--scene"], "scene: found none"),
+            (["--scene", "all.toml", "--start-closing", "0.3"], "start_closing: found [0.3]"),
             (["--taxels", "0"], "taxels: found '0'"),
             (["--taxels", "3..2"], "taxels: found '3..2'"),
             (["--taxels", "1e9"], "taxels: found '1e9'"),
             (["--taxels", "99", "--skin", "5"], "taxels: found 99, allowed up to the 19 that may be"),
             (["--only", "toe"], "toe: unknown"),
-            (["--only", "index", "--not", "index"], "only: found 'index --not index', which leaves no"),
-            (["--not", "palm", "distal", "middle", "proximal"], "--not: found 'palm distal middle"),
+            (["--only", "index", "--not", "index"], "--only index --not index: no taxel is left"),
+            (["--not", "palm", "distal", "middle", "proximal"], "--not palm distal middle"),
             (["--skin", "xmm"], "skin: found 'xmm'"),
             (["--beside", "9"], "unknown layout '9'"),
             (["--keep", "gone.toml"], "gone.toml"),
             (["--scene", "foot"], "scene: found 'foot'"),
             (["--scene", "handover", "handover"], "scene: found ['handover', 'handover']"),
-            (["--scene", "handover", "--scene", "dark_mpl"], "scene: found handovers beside other"),
+            (["--scene", "handover", "dark_mpl"], "says tactilerl gate --scene dark_mpl"),
             (["--weights", "1", "2"], "weights: found 2"),
             (["--env", "foot"], "env: found 'foot'"),
-            (["--redundancy", "2", "--taxel-dead", "0.1"], "redundancy: found"),
             (["--taxels", "1..2", "--out", "x.toml"], "--out: found 'x.toml'"),
             (["--out", "x.png"], "--out: found 'x.png'"),
             (["--out", "mine.toml"], "another file is there"),
@@ -247,19 +220,10 @@ class TestCommand:
     def test_what_cannot_be_is_one_line(self, args, named, capsys):
         mine = 'description = "My own."\n[[patch]]\noffsets_mm = [[0, 0]]\nradius_mm = 2\n'
         Path("mine.toml").write_text(mine)
+        Path("all.toml").write_text('base = "handover"\n[scene]\nactions = "all"\n')
         fails_with(capsys, ["design", "--test-starts", "2", "--workers", "1", *args], named)
         assert Path("mine.toml").read_text() == mine
-        assert [*Path().iterdir()] == [Path("mine.toml")]
-
-    def test_more_taxels_than_tell_anything_of_a_lift(self, capsys):
-        scene = ["--scene", "dark_mpl", "--skin", "8mm", "--only", "palm", "--beside", "6"]
-        assert main(["design", *scene, "--taxels", "2", "--starts", "20", "--workers", "1"]) == 2
-        assert "taxels: found 2, allowed up to the 0 candidates" in capsys.readouterr().err
-
-    def test_too_few_starts_to_judge_lifts(self, capsys):
-        lifts = ["--scene", "paper_shadow", "--starts", "8", "--taxels", "1", "--workers", "1"]
-        assert main(["design", *lifts]) == 2
-        assert "--starts: found 8, allowed more" in capsys.readouterr().err
+        assert {*Path().iterdir()} == {Path("mine.toml"), Path("all.toml")}
 
     def test_a_scene_that_touch_cannot_help(self, capsys):
         Path("seen.toml").write_text(

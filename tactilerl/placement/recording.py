@@ -20,9 +20,9 @@ from ..envs.simulators import SimulationError
 from ..envs.state import Array
 from ..envs.touch import RULES
 from ..pictures import places
+from ..scripted.gate import NO_FAULTS
+from ..scripted.reflexes import Reflex
 from .cover import NEVER, Starts
-from .gate import NO_FAULTS
-from .reflexes import Reflex
 
 
 @dataclass(frozen=True)
@@ -34,18 +34,18 @@ class Skin:
 
     @classmethod
     def of(cls, sets: Iterable[Taxels]) -> Skin:
-        """In the order of places."""
+        """Join sets of taxels, in the order of places."""
         rows: dict[places.Place, Any] = {}
-        for some in sets:
-            for place, *row in zip(
-                places.of(some), some.points, some.surfaces, some.offsets, strict=True
-            ):
+        for taxels in sets:
+            parts = taxels.points, taxels.surfaces, taxels.offsets
+            for place, *row in zip(places.of(taxels), *parts, strict=True):
                 rows.setdefault(place, row)
         index = {place: number for number, place in enumerate(sorted(rows))}
         points, surfaces, offsets = zip(*(rows[place] for place in index), strict=True)
         return cls(Taxels(points, np.array(surfaces), np.array(offsets)), index)
 
     def columns(self, taxels: Taxels) -> list[int]:
+        """Return the index in the skin of each taxel."""
         return [self.index[place] for place in places.of(taxels)]
 
 
@@ -55,9 +55,8 @@ class SkinnedEnv(GraspEnv):
 
     def __init__(self, hand: str, config: GraspConfig, taxels: Taxels) -> None:
         if config.touch_rule == "contact":
-            raise ValueError(
-                "touch: found contact, allowed rules that any taxel can be read by later"
-            )
+            allowed = "rules that any taxel can be read by later"
+            raise ValueError(f"touch: found contact, allowed {allowed}")
         super().__init__(hand, config)
         self.taxels, self._touch = taxels, RULES[config.touch_rule](taxels, self.hand)
 
@@ -68,30 +67,27 @@ def record(
     skin: Skin,
     numbers: Sequence[int],
     workers: int,
-    every_moment: bool = False,
     tick: Callable[[], None] = lambda: None,
     weight: float = 1.0,
 ) -> Starts:
-    """The starts that the seeds `numbers` draw in a scene, which together weigh `weight`. Closing is
-    asked for where a taxel fires first, or with `every_moment` after every number of actions. `tick` is
-    called after every start."""
+    """Play the starts that the seeds `numbers` draw in a scene, which together weigh `weight`. `tick`
+    is called after every start."""
     blind: dict[str, Any] = {**NO_FAULTS, "touch": "absent", "history": 1}
     make = partial(SkinnedEnv, hand, replace(scene, **blind), skin.taxels)
-    found = []
+    rows = []
     with closing(vector.start(make, workers)) as played_in:
-        for row in played_in.play(partial(_play, every_moment), numbers):
-            found.append(row)
+        for row in played_in.play(_play, numbers):
+            rows.append(row)
             tick()
-    fires, succeeds, sets_off, lets_go = map(np.array, zip(*found, strict=True))
-    return Starts(
-        fires, succeeds, sets_off, lets_go, np.full(len(found), weight / len(found))
-    )
+    fires, succeeds, sets_off, lets_go = map(np.array, zip(*rows, strict=True))
+    weights = np.full(len(rows), weight / len(rows))
+    return Starts(fires, succeeds, sets_off, lets_go, weights)
 
 
 def _play(
-    every_moment: bool, env: gym.Env[Any, Any], number: int, is_wanted: vector.IsWanted
+    env: gym.Env[Any, Any], number: int, is_wanted: vector.IsWanted
 ) -> tuple[Array, Array, int, int]:
-    """A row of each array of `Starts`. A start in which the physics breaks is felt by nobody."""
+    """Return a row of each array of `Starts`. A start in which the physics breaks is felt by nobody."""
     base: Any = env.unwrapped
     fires = np.full(len(base.taxels), NEVER, np.uint8)
     succeeds = np.zeros(NEVER + 1, bool)
@@ -105,9 +101,7 @@ def _play(
         *_, terminated, truncated, _ = base.step_to(waiting)
         step, is_over = step + 1, terminated or truncated
     sets_off = base.task.sets_off
-    for moment in (
-        range(step) if every_moment else np.unique(fires[fires < NEVER]).tolist()
-    ):
+    for moment in np.unique(fires[fires < NEVER]).tolist():
         if not is_wanted():
             break
         succeeds[moment] = Reflex("time", moment, 1.0).play(env, number)

@@ -1,0 +1,60 @@
+"""What a design leaves: layout files, and in a folder its figures and JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..envs import validation
+from ..errors import InputError, extra
+from ..files import is_picture, locked, read_json, replacing, require_ours
+from .choice import MADE, Design
+
+
+def is_layout(path: Path) -> bool:
+    """Tell whether the layout file is one that was designed."""
+    return MADE in str(validation.read(path, "layout file").get("description"))
+
+
+def is_result(path: Path) -> bool:
+    """Tell whether the JSON file is one of a design."""
+    return MADE in read_json(path).get("about", "")
+
+
+def require(out: Path, numbers: Sequence[int]) -> None:
+    """Raise InputError where nothing can be written to `out`, before minutes of playing."""
+    if out.suffix == ".toml":
+        if len(numbers) > 1:
+            allowed = "a folder for several numbers of taxels"
+            raise InputError(f"--out: found {str(out)!r}, allowed {allowed}")
+        if not out.parent.is_dir():
+            missing = f"there is no folder {str(out.parent)!r}"
+            raise InputError(f"cannot write {str(out)!r}: {missing}")
+        require_ours(out, is_layout)
+    elif out.suffix or (out.exists() and not out.is_dir()):
+        raise InputError(f"--out: found {str(out)!r}, allowed FILE.toml or a folder")
+    else:
+        with extra("plots"):
+            from . import figures  # noqa: F401
+        require_ours(out / "design.json", is_result)
+
+
+def write(design: Design, out: Path) -> list[Path]:
+    """Write the layout, or all there is, layouts first; return which files those are."""
+    if out.suffix == ".toml":
+        return [_layout(design, max(design.chosen), out)]
+    from . import figures
+
+    with locked(out):
+        files = [_layout(design, n, out / f"design_{n}.toml") for n in design.chosen]
+        files.append(out / "design.json")
+        with replacing(files[-1], is_result) as file:
+            file.write((json.dumps(design.as_dict(), indent=1) + "\n").encode())
+        return [*files, *figures.save(figures.of_design(design), out, is_picture)]
+
+
+def _layout(design: Design, n: int, path: Path) -> Path:
+    with replacing(path, is_layout) as file:
+        file.write(design.layout(n).toml().encode())
+    return path

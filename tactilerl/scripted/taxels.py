@@ -1,0 +1,75 @@
+"""Which taxels can fire? What they feel while an object is held in scripted, perturbed grasps."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..envs import scripted
+from ..envs.grasp import GraspConfig, GraspEnv
+from ..envs.hands import ScriptedGrasp
+from ..envs.simulators import SimulationError
+from ..envs.state import Array
+
+SEED = 20_000  # apart from any seed of a training run or of the search for the grasps
+GRASPS, SECONDS = 20, 3.0
+"""How many grasps are played, each slightly different, and how long each is held."""
+
+
+@dataclass(frozen=True)
+class TaxelCheck:
+    """What the taxels of a scene felt in the grasps that held."""
+
+    grasps: int
+    held: int
+    mean_fired: float
+    """Taxels that fire, mean over the steps of the holds."""
+    share_any: float
+    """Share of these steps in which at least one taxel fires."""
+    fired: tuple[str, ...]
+    """Names of the taxels that fired at any time."""
+    never_fired: tuple[str, ...]
+
+
+def check(
+    hand: str, config: GraspConfig, n: int = GRASPS, seconds: float = SECONDS
+) -> TaxelCheck:
+    """Play `n` scripted grasps, always the same ones, held for `seconds`; ValueError where the hand has
+    no grasp, or its object is handed over."""
+    with closing(GraspEnv(hand, config)) as env:
+        if env.task.giver is not None:
+            raise ValueError(
+                f"task: found {config.task}, allowed tasks whose object lies on the ground; what touch "
+                "can win in a handover says tactilerl gate"
+            )
+        grasp, names = scripted.grasp_for(env), np.array(env.taxels.names)
+        starts = scripted.perturbed_starts(env, SEED, n)
+        felt = [_felt(env, grasp, start, seconds) for start in starts]
+    held = [readings for readings in felt if readings is not None]
+    readings = np.concatenate([np.zeros((0, len(names)), bool), *held])
+    n_steps, ever = max(1, len(readings)), readings.any(axis=0)
+    return TaxelCheck(
+        grasps=n,
+        held=len(held),
+        mean_fired=float(readings.sum() / n_steps),
+        share_any=float(readings.any(axis=1).sum() / n_steps),
+        fired=tuple(names[ever].tolist()),
+        never_fired=tuple(names[~ever].tolist()),
+    )
+
+
+def _felt(
+    env: GraspEnv, grasp: ScriptedGrasp, start: scripted.Offsets, seconds: float
+) -> Array | None:
+    """Return readings (hold steps, taxels), bool, of one hold; None where the object was not held."""
+    readings = []
+    try:
+        for is_up in scripted.hold_steps(env, grasp, start, seconds):
+            if not is_up:
+                return None
+            readings.append(env.taxel_readings() > 0)
+    except SimulationError:
+        return None
+    return np.array(readings, bool)

@@ -1,0 +1,39 @@
+"""Taxels as places, and the skin of a whole hand."""
+
+import numpy as np
+from tactilerl.envs import hands, layouts
+from tactilerl.pictures import places
+
+
+class TestPlaces:
+    def test_a_layout_written_from_its_places_is_the_same_layout(self, hand, tmp_path):
+        hand = hands.get(hand)
+        for layout in (layouts.load("1"), layouts.load("6"), places.dense_skin(hand, 0.004)):
+            placed = layout.place(hand)
+            spots = places.of(placed)
+            file = tmp_path / "layout.toml"
+            file.write_text(layouts.of_taxels(placed, hand, 'a "name"').toml())
+            again = layouts.load(str(file)).place(hand)
+            assert sorted(places.of(again)) == sorted(spots)
+            assert len(set(spots)) == len(placed)
+            order = [places.of(again).index(spot) for spot in spots]
+            assert np.allclose(again.positions[order], placed.positions, atol=2e-7)
+
+    def test_the_skin_covers_the_phalanges_from_end_to_end(self):
+        hand = hands.get("shadow")
+        middle = next(s for s in hand.surfaces if s.digit == "thumb" and s.segment == "middle")
+        rows = {
+            (place.row, place.column)
+            for place in places.of(places.dense_skin(hand, 0.002).place(hand))
+            if hand.surfaces[place.surface] is middle
+        }
+        # Bone of 32 mm around its centre, radius 11 mm: rows -16 to 16, columns -10 to 10, every 2.
+        assert len(rows) == 17 * 11
+
+    def test_the_skin_reaches_as_far_as_the_papers_layouts(self, hand):
+        """Over the round fingertips too: no taxel of layout 1 is far out beyond the skin."""
+        built = hands.get(hand)
+        skin = places.of(places.dense_skin(built, 0.001).place(built))
+        for place in places.of(layouts.load("1").place(built)):
+            beside = [other for other in skin if other.surface == place.surface]
+            assert min(np.hypot(o.row - place.row, o.column - place.column) for o in beside) < 2.5

@@ -1,0 +1,43 @@
+"""The check of taxels: which can fire in scripted grasps, and which never do."""
+
+import json
+
+import pytest
+from tactilerl.commands.cli import main
+from tactilerl.envs.grasp import setup
+from tactilerl.scripted import taxels
+
+from one_line import fails_with, printed
+
+
+@pytest.mark.parametrize(("layout", "least_share", "least_fired"), [("1", 0.9, 3.0), ("5", 0.5, 0.0)])
+def test_taxels_fire_by_the_skin_rule(layout, least_share, least_fired):
+    check = taxels.check("shadow", setup("shadow", layout=layout), n=4)
+    assert check.held == check.grasps == 4
+    assert check.share_any >= least_share
+    assert check.mean_fired >= least_fired
+    assert not {*check.fired} & {*check.never_fired}
+
+
+def test_hardly_any_fires_by_the_contact_rule():
+    check = taxels.check("shadow", setup("shadow", layout="3", touch_rule="contact"), n=4)
+    assert check.share_any < 0.5
+
+
+def test_the_command_fails_where_a_taxel_never_fires(capsys, monkeypatch, tmp_path, in_tmp):
+    monkeypatch.setattr(taxels.check, "__defaults__", (1, 0.2))
+    text = printed(capsys, ["env", "--env", "shadow", "--layout", "5", "--check"], code=1)
+    assert "of 19 taxels fire" in text
+    assert "never fired: thumb.proximal[+0,+0]" in text
+    assert main(["env", "--env", "shadow", "--layout", "5", "--check", "--json"]) == 1
+    fires = json.loads(capsys.readouterr().out)["check"]["fired"]
+    name = fires[0].partition("[")[0].split(".")
+    (tmp_path / "one.toml").write_text(
+        f"[[patch]]\ndigits = ['{name[0]}']\nsegments = ['{name[1]}']\n"
+        "offsets_mm = [[0, 0]]\nradius_mm = 4\n"
+    )
+    printed(capsys, ["env", "--env", "shadow", "--layout", "one.toml", "--check"])
+
+
+def test_a_handover_has_no_scripted_grasp(capsys):
+    fails_with(capsys, ["env", "--scene", "handover", "--check"], "says tactilerl gate")
