@@ -133,7 +133,7 @@ def flags(command: str) -> str:
     """A section with the help of one command."""
     output = io.StringIO()
     with contextlib.redirect_stdout(output), contextlib.suppress(SystemExit):
-        cli.main([*command.split(), "--help-all"])
+        cli.main([*command.split(), "--help"])
     lines = output.getvalue().splitlines()
     text = "\n".join(
         textwrap.fill(line, WIDTH, drop_whitespace=False) for line in lines
