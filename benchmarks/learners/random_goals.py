@@ -41,9 +41,9 @@ class RandomGoals(gym.Env[Any, Any]):
         return (np.linalg.norm(achieved - desired, axis=-1) < 1.0) - 1.0
 
 
-def fed(kind: Any, config: Any, n_obs: int, n_actions: int, seed: int = 0) -> Any:
+def fed(kind: Any, config: Any, n_obs: int, n_actions: int, cores: int = 1) -> Any:
     """A learner of this kind that has collected there once."""
     workers = vector.start(partial(RandomGoals, n_obs, n_actions))
-    learner = kind(config, workers, Communicator(), seed, 10**6)
+    learner = kind(config, workers, Communicator(), 0, 10**6, cores=cores)
     learner.collect()
     return learner

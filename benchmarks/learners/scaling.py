@@ -26,7 +26,6 @@ from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.ppo import PPO, PPOConfig
 from tactilerl.algos.rollout import TRAIN, PlayEpisode
-from tactilerl.algos.side_by_side import SideBySide
 from tactilerl.envs import vector
 
 from benchmarks.command import (
@@ -100,11 +99,10 @@ def updates() -> dict[str, Any]:
     batch of the paper's PyBullet set-up, layout 2; DDPG+HER with a replay of the Shadow Hand's sizes,
     layout 1."""
     contests: dict[str, list[Contender]] = {"PPO": [], "DDPG+HER": []}
-    for at_once in (False, True):
-        ppo = fed(PPO, PPOConfig(n_passes=8, steps_per_epoch=1000), 94, 7)
-        ddpg_her = fed(DDPGHER, DDPGHERConfig(n_rollouts=50), 197, 23)
+    for cores in (1, 2):
+        ppo = fed(PPO, PPOConfig(n_passes=8, steps_per_epoch=1000), 94, 7, cores)
+        ddpg_her = fed(DDPGHER, DDPGHERConfig(n_rollouts=50), 197, 23, cores)
         for contenders, learner in zip(contests.values(), (ppo, ddpg_her), strict=True):
-            learner.side_by_side = SideBySide(at_once)
             contenders.append(partial(n_updates, learner))
     return on_two_cores(contests)
 
