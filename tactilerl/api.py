@@ -34,7 +34,7 @@ from .errors import PEERS
 from .machine import WorkerCount, free_cores
 from .runs import evaluation, policies, training
 from .runs.config import RunOptions
-from .runs.run_dir import resolve
+from .runs.store import resolve
 from .terminal.progress_bar import ProgressBar
 
 Env = gym.Env[Any, Any] | str | Callable[[], gym.Env[Any, Any]]

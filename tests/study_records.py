@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from tactilerl import machine
-from tactilerl.runs.run_dir import FORMAT
+from tactilerl.runs.store import FORMAT
 from tactilerl.study import check, grid
 from tactilerl.study.records import StudyFiles
 
@@ -49,7 +49,7 @@ def make_study(path, text=PAPER_LIKE, n_seeds=4, epochs=25, total=None):
 
 def interrupt(folder, run, rows=20):
     """A run that has not come to its end."""
-    path = folder.run_dir(run).progress.path
+    path = folder.run_dir(run).table
     path.write_text("".join(path.read_text().splitlines(keepends=True)[: rows + 1]))
 
 
@@ -85,7 +85,7 @@ def write_progress(run_dir, run, rng, epochs, total):
     """A curve that rises to its level, with noise."""
     level = LEVEL.get(run.cell, 0.6) if run.arm in ("on", "0.95") else LEVEL.get(run.setup, 0.55)
     level += rng.normal(0, 0.05)
-    with run_dir.progress.path.open("w", newline="") as file:
+    with run_dir.table.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(
             ["epoch", "env_steps", "success_rate", "test_success_rate", "diverged", "steps_per_s"]

@@ -16,7 +16,7 @@ import torch
 from tactilerl.algos import DivergenceError
 from tactilerl.envs.toy import PointReachEnv
 from tactilerl.runs import sealed
-from tactilerl.runs.progress_csv import TIMES
+from tactilerl.runs.store import TIMES
 
 from one_line import printed, python
 

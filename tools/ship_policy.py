@@ -13,36 +13,31 @@ from pathlib import Path
 
 from tactilerl import algos, files
 from tactilerl.errors import InputError
-from tactilerl.runs import checkpoint, sealed
+from tactilerl.runs import store
 from tactilerl.runs.config import LAYOUT_COPY
-from tactilerl.runs.run_dir import FORMAT, RunDir
+from tactilerl.runs.store import RunDir
 
 
 def ship(run: Path, folder: Path) -> None:
     """Write `folder`, anew where it holds such a policy; InputError where it holds anything else."""
     source, target = RunDir(run), RunDir(folder)
     config = source.read_config()
-    data = checkpoint.read(source, config)
+    data = source.read_checkpoint(config)
     parts = (*algos.get(config.run.algo)[1].policy_parts, "env_steps")
     state = {name: data["ranks"][0][name] for name in parts}
     folder.mkdir(parents=True, exist_ok=True)
-    if any(folder.iterdir()) and not target.checkpoint_file.exists():
-        raise InputError(
-            f"{folder}: found other files in it, allowed a new folder or a policy's"
-        )
+    if any(folder.iterdir()):
+        shipped = target.read_checkpoint(target.read_config())
+        if "critic" in shipped["ranks"][0]:
+            raise InputError(
+                f"{folder}: found a whole run, allowed a new folder or a policy's"
+            )
     content = data | {"ranks": [state], "experience": []}
-    sealed.write(
-        target.checkpoint_file, content, _is_shipped
-    )  # first: it says whose folder this is
-    for name in (source.config_file.name, source.progress.path.name, LAYOUT_COPY):
+    store.write_tensors(target.checkpoint_file, content)
+    for name in (source.config_file.name, source.table.name, LAYOUT_COPY):
         if (run / name).exists():
             with files.replacing(folder / name) as file:
                 file.write(files.content(run / name))
-
-
-def _is_shipped(path: Path) -> bool:
-    data = sealed.read_fields(path, "checkpoint", FORMAT, checkpoint.TYPES)
-    return "critic" not in data["ranks"][0]
 
 
 def main() -> int:

@@ -21,7 +21,7 @@ from ..errors import InputError, input_errors
 from ..machine import WorkerCount
 from ..runs import evaluation, policies
 from ..runs.config import RunConfig
-from ..runs.run_dir import RunDir
+from ..runs.store import RunDir
 from ..runs.training import start_workers
 from ..terminal import flags
 from ..terminal.console import console, progress

@@ -9,7 +9,7 @@ from ..algos import mpi
 from ..errors import InputError, input_errors
 from ..files import pasted
 from ..runs.config import RunConfig
-from ..runs.run_dir import resolve
+from ..runs.store import resolve
 from ..runs.training import train
 from ..terminal import flags
 from ..terminal.console import console, paragraph

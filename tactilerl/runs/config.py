@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 
@@ -61,12 +61,14 @@ class RunOptions:
                              "module:id")  # fmt: skip
 
 
+T = TypeVar("T")
 PARTS = ("run", "scene", "learner")
-ENV_ID = re.compile(
-    r"(([^\W\d]\w*)(\.[^\W\d]\w*)*:)?[\w/.-]+"
-)  # that of Gymnasium, [module:]id
+# Gymnasium's [module:]id.
+ENV_ID = re.compile(r"(([^\W\d]\w*)(\.[^\W\d]\w*)*:)?[\w/.-]+")
 # Fields that may differ between a run and its continuation: they do not change its course.
 FREE_ON_RESUME = {"total_timesteps", "workers", "out", "tensorboard"}
+# Fields of 0.4.0 that are no more, with the values that mean what this version does.
+GONE = {"critic_sees": "observation"}
 LAYOUT_COPY = "layout.toml"  # in the run folder, when the layout is a file
 
 
@@ -84,22 +86,23 @@ class RunConfig:
 
     @property
     def parts(self) -> dict[str, Any]:
-        """Those that there are, by name."""
-        return {
-            name: part for name in PARTS if (part := getattr(self, name)) is not None
-        }
+        """The parts that there are, by name."""
+        parts = {name: getattr(self, name) for name in PARTS}
+        return {name: part for name, part in parts.items() if part is not None}
 
     def choose(self, choices: Mapping[str, Any]) -> RunConfig:
-        """A copy with other values of some fields, by name; ValueError naming an unknown field."""
-        own = {name: validation.names(part) for name, part in self.parts.items()}
-        require_known(choices, set().union(*own.values()), PEERS)
+        """Return a copy with other values of some fields; ValueError naming an unknown field."""
+        known: set[str] = set()
         chosen = {}
         for name, part in self.parts.items():
-            values = {k: v for k, v in choices.items() if k in own[name]}
+            fields = validation.names(part)
+            values = {k: v for k, v in choices.items() if k in fields}
             for k, value in values.items():  # one value stands for a tuple of one
                 if isinstance(getattr(part, k), tuple) and np.isscalar(value):
                     values[k] = (value,)
             chosen[name] = validation.replace(part, values)
+            known |= fields
+        require_known(choices, known, PEERS)
         return dataclasses.replace(self, **chosen)
 
     def validate(self) -> None:
@@ -125,11 +128,11 @@ class RunConfig:
             )
         if self.hand:
             with input_errors(f"{self.folder}: the hand of this run cannot be read"):
-                found = hands.digest(self.run.env)
-            if found != self.hand:
+                digest = hands.digest(self.run.env)
+            if digest != self.hand:
                 raise InputError(
-                    f"{self.folder}: the files of this run's hand ({self.run.env}) have changed since "
-                    "it was made; put the old ones back"
+                    f"{self.folder}: the files of this run's hand ({self.run.env}) have "
+                    "changed since it was made; put the old ones back"
                 )
         if self.scene is None:
             return partial(envs.make, self.run.env)
@@ -154,48 +157,58 @@ class RunConfig:
         return "".join(f" --import {module}" for module in plugins.imported)
 
     def name(self) -> str:
-        """Default name of the run's folder."""
-        env = (
-            hands.file(self.run.env).stem
-            if hands.is_hand(self.run.env)
-            else self.run.env
-        )
-        parts = [self.run.algo, re.sub("[/:]", "-", env)]
-        if self.scene is not None:
-            scene = self.scene
-            parts += [
-                scene.task,
-                f"layout{layouts.short(scene.layout)}",
-                f"touch-{scene.touch}",
-            ]
-        return "_".join([*parts, f"s{self.run.seed}"])
+        """Return the default name of the run's folder."""
+        scene, env = self.scene, self.run.env
+        if scene is None:
+            parts = [re.sub("[/:]", "-", env)]
+        else:
+            layout = f"layout{layouts.short(scene.layout)}"
+            parts = [hands.file(env).stem, scene.task, layout, f"touch-{scene.touch}"]
+        return "_".join([self.run.algo, *parts, f"s{self.run.seed}"])
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values, for config.json."""
-        return dict.fromkeys(PARTS) | {
-            k: dataclasses.asdict(part) for k, part in self.parts.items()
-        }
+        """Return plain values, for config.json."""
+        parts = {name: dataclasses.asdict(part) for name, part in self.parts.items()}
+        return {**dict.fromkeys(PARTS), **parts}
 
     def identity(self) -> dict[str, Any]:
-        """What makes it this run: plain values without those that may change on resume."""
-        parts = json.loads(json.dumps(self.as_dict()))
-        counts = (
-            {"total_timesteps"} if getattr(self.learner, "anneals", False) else set()
-        )
-        for name in FREE_ON_RESUME - counts:
+        """Return what makes it this run: plain values without those that may change on resume."""
+        parts: dict[str, Any] = json.loads(json.dumps(self.as_dict()))
+        free = FREE_ON_RESUME
+        if getattr(self.learner, "anneals", False):  # with the length of the run
+            free = free - {"total_timesteps"}
+        for name in free:
             del parts["run"][name]
         return parts
 
     def difference(self, other: dict[str, Any]) -> str | None:
-        """The first field in which `other`, another's identity, is another run; None if none."""
+        """Return the first field in which `other`, an identity, is another run; None if none."""
         for part, mine in self.identity().items():
-            a, b = mine or {}, other.get(part) or {}
-            if part == "learner":
-                a, b = (recipes.completed(self.run.algo, values) for values in (a, b))
-            for key in {**a, **b}:
-                if a.get(key) != b.get(key):
-                    return f"{key}: found {b.get(key)!r}, the run was made with {a.get(key)!r}"
+            theirs = other.get(part)
+            if not mine or not theirs:
+                if mine or theirs:
+                    return f"{part}: found in one of two runs"
+                continue
+            theirs = _completed(type(getattr(self, part)), theirs)
+            for key, value in mine.items():
+                if (found := theirs[key]) != value:
+                    return f"{key}: found {found!r}, the run was made with {value!r}"
         return None
+
+
+def _completed(kind: type, saved: dict[str, Any]) -> dict[str, Any]:
+    """Return the fields of a dataclass as a file of 0.4.0 or later has them: what it lacks has its
+    default, which means what that version did; what it alone has is left out."""
+    usual = json.loads(json.dumps(dataclasses.asdict(kind())))
+    known = {k: v for k, v in saved.items() if k not in GONE or v != GONE[k]}
+    return {**usual, **known}
+
+
+def from_saved(kind: type[T], saved: Any, where: str) -> T:
+    """Return a dataclass that a file of 0.4.0 or later has; ValueError when it is not one."""
+    if isinstance(saved, dict):
+        saved = _completed(kind, saved)
+    return validation.make(kind, saved, where)
 
 
 def defaults(
@@ -204,45 +217,39 @@ def defaults(
     recipe: str | None = None,
     scene: str | None = None,
 ) -> RunConfig:
-    """The configuration before any flag: the paper's, but for what a named scene says. InputError for
-    an unknown algorithm, recipe, environment or scene.
+    """Return the configuration before any flag: the paper's, but for what a named scene says.
 
-    With another learner than the scene's own, the scene's hyperparameters are left out.
+    With another learner than the scene's own, the scene's hyperparameters are left out. Raises
+    InputError for an unknown algorithm, recipe, environment or scene.
     """
     with input_errors():
         named = scenes.load(scene) if scene else NamedScene(env=RunOptions.env)
+        env = env or named.env
+        train = {"algo": RunOptions.algo, "recipe": recipes.PAPER, **named.train}
         for name in ("algo", "recipe"):
-            validation.require_type(
-                named.train.get(name, ""), str, f"scene {scene}: train: {name}"
+            where = f"scene {scene}: train: {name}"
+            validation.require_type(train[name], str, where)
+        if algo and algo != train["algo"]:
+            train = {"algo": algo, "recipe": recipes.PAPER}
+        algo, usual = train.pop("algo"), train.pop("recipe")
+        if algo not in algos.ALGORITHMS:
+            allowed = f"allowed: {', '.join(algos.ALGORITHMS)}"
+            hint = nearest(algo, algos.ALGORITHMS)
+            raise ValueError(f"algo: found {algo!r}, {hint}{allowed}")
+        if scene and not hands.is_hand(env):
+            raise ValueError(
+                f"env: found {env!r} with a scene, allowed: {hands.allowed()}"
             )
-    own, env = named.train.get("algo", RunOptions.algo), env or named.env
-    if scene and algo not in (None, own):
-        defaults(scene=scene)  # what is left out is checked as well
-    algo = algo or own
-    train = {k: v for k, v in named.train.items() if k != "algo"} if algo == own else {}
-    usual = train.pop("recipe", recipes.PAPER)
-    if algo not in (known := algos.ALGORITHMS):
-        hint = nearest(algo, known)
-        raise InputError(
-            f"--algo: unknown algorithm {algo!r}; {hint}allowed: {', '.join(known)}"
-        )
-    with input_errors(f"scene {scene}: train"):
-        require_known(
-            train, {"total_timesteps", *validation.names(algos.get(algo)[0])}, PEERS
-        )
-    if scene and not hands.is_hand(env):
-        raise InputError(
-            f"--env: found {env!r} with --scene, allowed: {hands.allowed()}"
-        )
-    paper = known[algo]
     with input_errors(f"scene {scene}" if scene else ""):
-        config = RunConfig(
-            RunOptions(algo=algo, env=env, total_timesteps=paper.total_timesteps),
-            setup(env, **{"task": paper.task, **named.on(env)})
-            if hands.is_hand(env)
-            else None,
-            recipes.recipe(algo, recipe or usual),
-        ).choose(train)
+        paper = algos.ALGORITHMS[algo]
+        learner = recipes.recipe(algo, recipe or usual)
+        known = {"total_timesteps", *validation.names(learner)}
+        require_known(train, known, PEERS)
+        grasp = None
+        if hands.is_hand(env):
+            grasp = setup(env, **{"task": paper.task, **named.on(env)})
+        run = RunOptions(algo=algo, env=env, total_timesteps=paper.total_timesteps)
+        config = RunConfig(run, grasp, learner).choose(train)
         config.validate()
         return config
 
@@ -264,17 +271,15 @@ def configure(choices: Mapping[str, Any]) -> RunConfig:
 
 
 def from_dict(data: dict[str, Any]) -> RunConfig:
-    """The configuration that `as_dict` wrote; InputError when it is not one."""
+    """Return the configuration that `as_dict` made a dict of; InputError when it is not one."""
     try:
-        run = validation.make(RunOptions, data["run"], "run")
+        run = from_saved(RunOptions, data["run"], "run")
         config_type, _ = algos.get(run.algo)
-        scene = (
-            None
-            if data["scene"] is None
-            else validation.make(GraspConfig, data["scene"], "scene")
-        )
-        learner = recipes.completed(run.algo, data["learner"])
-        config = RunConfig(run, scene, validation.make(config_type, learner, "learner"))
+        scene = None
+        if data["scene"] is not None:
+            scene = from_saved(GraspConfig, data["scene"], "scene")
+        learner = from_saved(config_type, data["learner"], "learner")
+        config = RunConfig(run, scene, learner)
         config.validate()
         return config
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:

@@ -12,20 +12,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from .. import algos
-from ..algos import recipes
 from ..algos.learner import progress_remaining
 from ..algos.policy import Policy, Spaces, network_sizes
-from ..envs import validation
 from ..files import damage_named
-from . import sealed
+from .config import RunConfig, from_saved
+from .store import RunDir, read_tensors, write_tensors
 
 if TYPE_CHECKING:
     from ..algos.learner import Learner
-    from .config import RunConfig
 
 FORMAT = 1  # of a policy's file
 FLOAT = 4  # bytes
-TYPES = {
+POLICY = {
     "policy_format": int,
     "algo": str,
     "learner": str,
@@ -38,14 +36,14 @@ class Trained(NamedTuple):
     """What a run has come to."""
 
     config: RunConfig
-    """As it was trained, but on the CPU and with the full hold test."""
+    """Its configuration, but on the CPU and with the full hold test."""
     policy: Policy
     epoch: int
     env_steps: int
 
 
 def load_policy(path: str | Path) -> Policy:
-    """The policy of a run folder at its last checkpoint, or of a file that `PPO.save` or
+    """Return the policy of a run folder at its last checkpoint, or of a file that `PPO.save` or
     `DDPGHER.save` wrote.
 
     `policy.act(obs)` is the action for an observation, or for a batch of observations. Files of
@@ -55,22 +53,19 @@ def load_policy(path: str | Path) -> Policy:
     path = Path(path)
     if path.is_dir():
         return read_run(path).policy
-    data = _fields(path)
+    data = read_tensors(path, "policy", FORMAT, POLICY, "; for a run, give its folder")
     with damage_named(path):
         config_type, _ = algos.get(data["algo"])
-        told = recipes.completed(data["algo"], json.loads(data["learner"]))
-        config: Any = validation.make(config_type, told, "learner")
+        config = from_saved(config_type, json.loads(data["learner"]), "learner")
         config.validate()
-        return _policy(
-            path, data["algo"], config, Spaces.from_json(data["spaces"]), data["state"]
-        )
+        spaces = Spaces.from_json(data["spaces"])
+        return _policy(path, data["algo"], config, spaces, data["state"])
 
 
 def save_policy(path: str | Path, algo: str, learner: Learner) -> None:
-    """Write the policy of a learner, whole or not at all; replaces another policy that is there.
+    """Write the policy of a learner, whole or not at all; replaces a file that is there.
 
-    Raises ValueError when `path` is no place for a file, or holds another one; OSError when the disk is
-    full.
+    Raises ValueError when `path` is no place for a file, OSError when the disk is full.
     """
     path = Path(path)
     if path.is_dir() or not path.parent.is_dir():
@@ -78,28 +73,22 @@ def save_policy(path: str | Path, algo: str, learner: Learner) -> None:
             f"path: found {str(path)!r}, allowed a file in a folder that exists"
         )
     state = learner.state_dict()
+    acting = learner.config.acting(learner.progress_remaining)
     content = {
         "policy_format": FORMAT,
         "algo": algo,
-        "learner": json.dumps(
-            dataclasses.asdict(learner.config.acting(learner.progress_remaining))
-        ),
+        "learner": json.dumps(dataclasses.asdict(acting)),
         "spaces": learner.spaces.to_json(),
         "state": {name: state[name] for name in learner.policy_parts},
     }
-    sealed.write(path, content, _fields)
-
-
-def _fields(path: Path) -> dict[str, Any]:
-    return sealed.read_fields(
-        path, "policy", FORMAT, TYPES, "; for a run, give its folder"
-    )
+    write_tensors(path, content)
 
 
 def _policy(
     path: Path, algo: str, config: Any, spaces: Spaces, state: dict[str, Any]
 ) -> Policy:
-    """The policy in a learner's state; ValueError before a network is made that no such file holds."""
+    """Return the policy in a learner's state; ValueError, before a network is made, where it
+    would be larger than its file."""
     sizes = network_sizes(config.hidden, spaces)
     if FLOAT * sum(a * b for a, b in pairwise(sizes)) > path.stat().st_size:
         raise ValueError(f"hidden: found {config.hidden}, more than the file holds")
@@ -108,22 +97,18 @@ def _policy(
 
 
 def read_run(path: Path) -> Trained:
-    """The policy of a run folder at its last checkpoint, and its configuration.
+    """Return the policy of a run folder at its last checkpoint, and its configuration.
 
     InputError as of `load_policy`.
     """
-    from . import checkpoint  # a policy's file needs no environments' configuration
-    from .run_dir import RunDir
-
     run_dir = RunDir(path)
     saved = run_dir.read_config()
-    data, file = checkpoint.read(run_dir, saved), run_dir.checkpoint_file
+    data, file = run_dir.read_checkpoint(saved), run_dir.checkpoint_file
     with damage_named(file):
         spaces, state = Spaces.from_json(data["spaces"]), data["ranks"][0]
         remaining = progress_remaining(state["env_steps"], saved.run.total_timesteps)
-        policy = _policy(
-            file, saved.run.algo, saved.learner.acting(remaining), spaces, state
-        )
+        acting = saved.learner.acting(remaining)
+        policy = _policy(file, saved.run.algo, acting, spaces, state)
     run = dataclasses.replace(saved.run, workers=1, device="cpu")
     scene = saved.scene and dataclasses.replace(saved.scene, hold_verdict="full")
     config = dataclasses.replace(saved, run=run, scene=scene)

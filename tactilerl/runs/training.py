@@ -25,9 +25,8 @@ from ..machine import free_cores
 from ..terminal import interrupts
 from ..terminal.console import paragraph
 from ..terminal.progress_bar import ProgressBar, require_tensorboard
-from .checkpoint import Checkpoint
 from .config import RunConfig, RunOptions
-from .run_dir import RunDir
+from .store import Checkpoint, RunDir
 
 COUNTS = ("episodes", *FAULTS, "updates")  # columns of progress.csv that are sums
 
@@ -115,7 +114,7 @@ def train(config: RunConfig, comm: Communicator, summary: str = "") -> Path:
                 done = f"after epoch {epoch}, {learner.env_steps:,} steps"
                 notes.append(paragraph("resumed", done))
             if comm.rank == 0:
-                run_dir.progress.cut(epoch)
+                run_dir.cut(epoch)
                 if changed := run_dir.write_config(
                     config, comm.size, epoch, learner.env_steps
                 ):
@@ -135,7 +134,7 @@ def train(config: RunConfig, comm: Communicator, summary: str = "") -> Path:
                 report.note("\n".join(filter(None, notes)))
                 for row in epochs(learner, epoch):
                     if comm.rank == 0:
-                        run_dir.progress.append(row)
+                        run_dir.append(row)
                     checkpoint.save(row["epoch"])
                     report.epoch(row)
     except algos.UnfitError as error:
@@ -168,7 +167,7 @@ def _begun(checkpoint: Checkpoint) -> int:
     the goal was made smaller, and the run is beyond it already."""
     run_dir, learner = checkpoint.run_dir, checkpoint.learner
     if not run_dir.checkpoint_file.exists():
-        if run_dir.progress.n_rows() or any(run_dir.experience_folder.glob("*.pt")):
+        if run_dir.n_rows() or any(run_dir.experience_folder.glob("*.pt")):
             raise InputError(
                 f"{run_dir.checkpoint_file}: missing, but the run has made progress; put it back, or "
                 "begin another run with another --out"

@@ -37,8 +37,7 @@ from ..files import (
     writable,
 )
 from ..runs.config import PARTS
-from ..runs.progress_csv import Row, parse
-from ..runs.run_dir import RunDir, as_record
+from ..runs.store import Row, RunDir, as_record, parse
 from ..statistics import Array
 from .grid import Run, Study, from_dict, read
 

@@ -23,8 +23,7 @@ from tactilerl.commands.study import PARTS
 from tactilerl.envs import scripted
 from tactilerl.pictures.render import _Filmed
 from tactilerl.runs import arguments, evaluation, sealed
-from tactilerl.runs.progress_csv import TIMES
-from tactilerl.runs.run_dir import with_new_names
+from tactilerl.runs.store import TIMES, with_new_names
 from tactilerl.study import grid
 
 from one_line import fails_with, printed, python

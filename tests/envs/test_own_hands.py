@@ -13,7 +13,7 @@ from tactilerl.commands.cli import main
 from tactilerl.envs import hands, layouts, validation
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.pictures import hand_map, places
-from tactilerl.runs.run_dir import RunDir
+from tactilerl.runs.store import RunDir
 from tactilerl.scripted import grasp_search
 
 from one_line import fails_with

@@ -23,8 +23,7 @@ from tactilerl import files, machine
 from tactilerl.commands.cli import main
 from tactilerl.errors import BUSY, InputError
 from tactilerl.runs import sealed
-from tactilerl.runs.progress_csv import ProgressTable
-from tactilerl.runs.run_dir import RunDir
+from tactilerl.runs.store import ProgressTable, RunDir
 
 from one_line import fails_with, printed, python
 

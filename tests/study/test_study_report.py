@@ -197,7 +197,7 @@ class TestWarnings:
         interrupt(folder, runs[1])
         config = folder.run_dir(runs[2]).config_file
         config.write_text(config.read_text().replace('"torch": "', '"torch": "0.'))
-        progress = folder.run_dir(runs[3]).progress.path
+        progress = folder.run_dir(runs[3]).table
         progress.write_text(progress.read_text().replace(",0.0,100.0", ",1.0,100.0"))
         folder.run_dir(runs[4]).config_file.write_text("{")
         out = reported(capsys, folder.path)
@@ -213,7 +213,7 @@ class TestWarnings:
     @pytest.mark.parametrize("tail", ["26,30000,0.5", "26,30000,0.5,0.5,0,100,7\n", '"', "\0\n"])
     def test_a_damaged_end_of_a_progress_table_is_left_out(self, tmp_path, tail):
         folder = make_study(tmp_path / "s", n_seeds=1)
-        file = folder.run_dir(folder.study().runs()[0]).progress.path
+        file = folder.run_dir(folder.study().runs()[0]).table
         file.write_text(file.read_text() + tail)
         _, all_records = records.load(folder.path)
         assert [len(record.rows) for record in all_records] == [25] * 12
@@ -251,7 +251,7 @@ class TestWarnings:
         folder = make_study(tmp_path / "s", n_seeds=1)
         run = folder.study().runs()[0]
         text = f"epoch,env_steps,success_rate\n{row}\n"
-        folder.run_dir(run).progress.path.write_text(text)
+        folder.run_dir(run).table.write_text(text)
         assert folder.record(run).state == "interrupted"
         assert folder.record(run).reason
         assert main(["study", "status", str(folder.path)]) == 0

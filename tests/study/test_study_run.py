@@ -186,7 +186,7 @@ class TestFailures:
         assert "config.json: not a run's configuration" in out
         assert "exists but is not a run folder; choose another" in out
         assert first.checkpoint_file.exists()
-        assert second.progress.path.exists()
+        assert second.table.exists()
         assert [one.state for one in records.load(copied.path)[1]] == ["failed", "failed"]
 
     @pytest.mark.parametrize("harm", ["cut off", "gone"])
@@ -194,7 +194,7 @@ class TestFailures:
         self, undisturbed, copied, trained_here, tmp_path, capsys, harm
     ):
         run = copied.study().runs()[0]
-        table = copied.run_dir(run).progress.path
+        table = copied.run_dir(run).table
         if harm == "gone":
             shutil.rmtree(copied.run_dir(run).path)
         else:
@@ -250,7 +250,7 @@ class TestSharing:
     @pytest.fixture
     def folder(self, copied):
         """A study of which one run is missing."""
-        copied.run_dir(copied.study().runs()[0]).progress.path.unlink()
+        copied.run_dir(copied.study().runs()[0]).table.unlink()
         return copied
 
     @pytest.mark.parametrize("holder", ["train", "study run"])

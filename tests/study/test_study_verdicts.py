@@ -302,7 +302,7 @@ class TestCommonRange:
         folder = make_study(tmp_path / "s", n_seeds=4)
         for run in folder.study().runs():
             if (run.setup, run.arm, run.seed) == ("pybullet", "on", 2):
-                path = folder.run_dir(run).progress.path
+                path = folder.run_dir(run).table
                 path.write_text(path.read_text() + "26,36000,0.0,0.0,0.0,100.0\n")
         study, found = records.load(folder.path)
         found = verdicts.judge(study, study.setups[0], found)["layout 2"].pairs.difference

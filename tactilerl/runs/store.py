@@ -1,0 +1,420 @@
+"""The files of a run: config.json, progress.csv, checkpoint.pt, and what a learner remembers.
+
+A folder can be cut off at any moment (`kill -9`, a full disk) and stays readable: files are
+replaced whole, and the progress table is cut back to the checkpoint when a run goes on. One
+process writes to it: whoever makes it or goes on with it holds its lock.
+
+`checkpoint.pt` is what the run depends on, without the experience of learners that remember.
+That grows slowly and would be rewritten again and again, so what an epoch and rank added is a
+file of its own in experience/, and the checkpoint names the epochs that belong to it.
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+import json
+import math
+import os
+import zipfile
+from pathlib import Path
+from typing import Annotated, Any
+
+import torch
+
+from .. import machine
+from ..algos import recipes
+from ..algos.learner import Learner
+from ..algos.mpi import Communicator
+from ..envs import hands, layouts, plugins
+from ..envs.validation import require_type
+from ..errors import InputError, input_errors
+from ..files import content as file_content
+from ..files import (
+    damage_named,
+    no_link,
+    open_regular,
+    own_folder,
+    read_json,
+    replacing,
+    writable,
+)
+from .config import LAYOUT_COPY, PARTS, RunConfig, defaults, from_dict
+
+FORMAT = 3  # of all files in a run folder; 1 and 2 are those of 0.1
+OLDEST = (0, 4)  # version whose runs are read
+# The content of config.json, of checkpoint.pt, and of a file in experience/.
+Values = dict[str, Any]
+RECORD: Values = {"run": Values, "scene": Values | None, "learner": Values}
+RECORD |= {"ranks": Annotated[int, "[1, inf)"], "provenance": list[machine.Origin]}
+CHECKPOINT = {"format": int, "epoch": int, "config": str, "ranks": list}
+CHECKPOINT |= {"experience": list, "spaces": str}
+PART = {"format": int, "epoch": int, "config": str, "rank": int, "experience": dict}
+REWRITE = 2.0  # the parts are written anew as one when they take this many times a full memory
+FIRST = ["epoch", "env_steps"]  # the columns that every table begins with
+TIMES = ("collect_s", "update_s", "steps_per_s")  # columns that no seed decides
+SHARE = "success_rate"  # ends the names of columns that are shares
+Row = dict[str, str]
+
+
+# -- tensors in a file -----------------------------------------------------------------------
+
+
+def write_tensors(path: Path, content: Values) -> None:
+    """Write tensors and plain values, whole or not at all."""
+    with replacing(path) as file:
+        torch.save(content, file)
+
+
+def read_tensors(
+    path: Path, kind: str, version: int, types: dict[str, type], hint: str = ""
+) -> Values:
+    """Return what `write_tensors` was given: fields of these `types`, the first of which is the
+    `version` of the format. Tensors are mapped from the file, not copied.
+
+    InputError where the file is damaged, of another kind, or would run code.
+    """
+    missing = f"{path}: missing; there is no {kind} yet, or it was removed"
+    with damage_named(path, f"damaged or not a {kind}", missing):
+        with open_regular(path) as file, zipfile.ZipFile(file) as archive:
+            size = sum(entry.file_size for entry in archive.infolist())
+            if size > os.fstat(file.fileno()).st_size:  # `torch.save` does not compress
+                raise ValueError("it unpacks to more than it holds")
+            if changed := archive.testzip():
+                raise ValueError(f"{changed} was changed after it was written")
+            (values,) = (n for n in archive.namelist() if n.endswith("data.pkl"))
+            if b"bytearray" in archive.read(values):  # PyTorch makes any length of it
+                raise ValueError("it holds a bytearray")
+        data = torch.load(path, weights_only=True, map_location="cpu", mmap=True)
+    found = data.get(next(iter(types))) if isinstance(data, dict) else None
+    if type(found) is not int or found != version:
+        raise InputError(f"{path}: not a {kind} of format {version}{hint}")
+    if {name: type(value) for name, value in data.items()} != types:
+        raise InputError(f"{path}: damaged (found {', '.join(map(str, data))})")
+    return dict(data)
+
+
+# -- the folder ------------------------------------------------------------------------------
+
+
+class RunDir:
+    """The folder of one run."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.config_file = path / "config.json"
+        self.table = path / "progress.csv"
+        self.checkpoint_file = path / "checkpoint.pt"
+        self.experience_folder = path / "experience"
+
+    def settled(self, config: RunConfig) -> RunConfig:
+        """Return the configuration of a run here; InputError where another run is here already."""
+        config = dataclasses.replace(config, folder=self.path)
+        if not os.path.exists(self.config_file):  # False for any name
+            return config
+        saved = self.read_config()
+        if difference := saved.difference(config.identity()):
+            raise InputError(
+                f"{self.path}: {difference}; a continued run keeps its settings (another --out "
+                "makes another run)"
+            )
+        return dataclasses.replace(config, hand=saved.hand)
+
+    def create(self) -> None:
+        """Make the folder where there is none; InputError where it holds something else."""
+        with writable(self.path):
+            self.path.mkdir(parents=True, exist_ok=True)
+            names = {path.name for path in self.path.iterdir() if path.suffix != ".tmp"}
+        if not (self.config_file.exists() or names <= {".lock"}):
+            raise InputError(
+                f"folder {str(self.path)!r} exists but is not a run folder; choose another "
+                "with --out"
+            )
+
+    def write_config(
+        self, config: RunConfig, ranks: int, epoch: int = 0, env_steps: int = 0
+    ) -> str:
+        """Write config.json: every value, the number of ranks, and with what it was made.
+
+        A run that goes on after `epoch` with other versions keeps the record of those before.
+        Returns in words what changed.
+        """
+        origins = self.record()["provenance"] if self.config_file.exists() else []
+        now = machine.origin(epoch, env_steps)
+        changed = machine.difference(origins[-1], now) if origins else ""
+        if changed or not origins:
+            origins.append(now)
+        content = {"format": FORMAT, **config.as_dict(), "ranks": ranks}
+        content["provenance"] = origins
+        if hand := config.hand or hands.digest(config.run.env):
+            content["hand"] = hand
+        with replacing(self.config_file) as file:
+            file.write((json.dumps(content, indent=1) + "\n").encode())
+        if config.layout_file and not (self.path / LAYOUT_COPY).exists():
+            with replacing(self.path / LAYOUT_COPY) as file:
+                file.write(layouts.load(str(config.layout_file)).toml().encode())
+        return changed
+
+    def read_config(self) -> RunConfig:
+        """Return the run's configuration; InputError when there is none, or an older version's."""
+        data = self.record()
+        with damage_named(self.config_file):
+            try:
+                config = from_dict({name: data[name] for name in PARTS})
+            except InputError as error:
+                version = data["provenance"][-1]["versions"].get("tactilerl", "")
+                numbers = [int(part) for part in version.split(".") if part.isdigit()]
+                if numbers and tuple(numbers[:2]) < OLDEST:
+                    made = f"made by version {version}; this one reads runs of 0.4.0 on"
+                    raise InputError(made) from error
+                raise
+        hand = str(data.get("hand", ""))
+        return dataclasses.replace(config, folder=self.path, hand=hand)
+
+    def record(self) -> Values:
+        """Return what config.json holds; InputError when damaged."""
+        if os.path.isfile(self.path):  # False where the name is too long
+            raise InputError(
+                f"{str(self.path)!r} is a file, allowed the folder of a run; a saved policy is "
+                "for Python (tactilerl.load_policy)"
+            )
+        missing = f"{str(self.path)!r} is not a run folder: no config.json in it"
+        with damage_named(self.config_file, "not a run's configuration", missing):
+            return as_record(read_json(self.config_file))
+
+    # -- progress.csv ------------------------------------------------------------------------
+
+    def append(self, row: dict[str, Any]) -> None:
+        """Add a row to the table, on disk; the first row decides the columns."""
+        with open(
+            self.table, "a+", newline="", encoding="utf-8", opener=no_link
+        ) as file:
+            file.seek(0)
+            columns = next(csv.reader(file), None)
+            writer = csv.DictWriter(
+                file, columns or list(row), extrasaction="ignore", lineterminator="\n"
+            )
+            if columns is None:
+                writer.writeheader()
+            writer.writerow(row)
+            file.flush()
+            os.fsync(file.fileno())
+
+    def n_rows(self) -> int:
+        """Return how many whole rows the table has."""
+        return len(self._read_table()[1]) if self.table.exists() else 0
+
+    def cut(self, epoch: int) -> None:
+        """Drop the row that was written after the checkpoint of `epoch`, if there is one.
+
+        A table that is missing begins anew. InputError when this is not the checkpoint's table:
+        damaged, of other epochs, or of more than the one that a checkpoint may lack.
+        """
+        if not os.path.lexists(self.table):
+            return
+        if self.table.is_symlink():  # which would have us write somewhere else
+            raise InputError(f"{self.table}: found a link, allowed a file")
+        lines, epochs = self._read_table()
+        last = epochs[-1] if epochs else 0
+        if epochs != [*range(last - len(epochs) + 1, last + 1)]:
+            raise InputError(f"{self.table}: damaged (its epochs do not follow)")
+        if last not in (epoch, epoch + 1):
+            raise InputError(
+                f"{self.table}: found epochs up to {last}, the checkpoint's is {epoch}; put back "
+                "the table that belongs to it, or move this one away to continue with a new one"
+            )
+        kept = lines[: len(lines) - (last - epoch)]
+        if len(kept) < 2:  # so that a header that was cut off does not stay
+            self.table.unlink()
+        elif (content := "".join(kept).encode()) != self.table.read_bytes():
+            with replacing(self.table) as file:
+                file.write(content)
+
+    def _read_table(self) -> tuple[list[str], list[int]]:
+        """Return the lines of the header and of whole rows, and the rows' epochs."""
+        with damage_named(self.table):
+            text = file_content(self.table).decode("utf-8")
+            rows, problem = parse(text)
+            if problem:
+                raise ValueError(problem)
+        lines = [f"{line}\n" for line in text.split("\n")[: len(rows) + 1]]
+        return lines, [int(row["epoch"]) for row in rows]
+
+    # -- checkpoint.pt -----------------------------------------------------------------------
+
+    def read_checkpoint(self, config: RunConfig) -> Values:
+        """Return the content of checkpoint.pt; InputError when damaged or of another
+        configuration. The states of the ranks are for their learners to judge."""
+        path = self.checkpoint_file
+        data = read_tensors(path, "checkpoint", FORMAT, CHECKPOINT)
+        with damage_named(path):
+            epoch, parts = data["epoch"], data["experience"]
+            if not 0 <= epoch < 2**63 or not data["ranks"]:
+                raise ValueError(f"epoch {epoch}, {len(data['ranks'])} ranks")
+            if any(type(part) is not int or not 1 <= part <= epoch for part in parts):
+                raise ValueError("experience of epochs that the run has not had")
+            if difference := config.difference(json.loads(data["config"])):
+                raise InputError(
+                    f"{path}: from another configuration than config.json ({difference})"
+                )
+        return data
+
+
+def as_record(data: Any) -> Values:
+    """Return the values of a config.json; ValueError where they are something else."""
+    require_type(data, Values, "record")
+    if data.get("format") != FORMAT:
+        raise ValueError(f"not of format {FORMAT}; this version reads runs of 0.4.0 on")
+    for name, kind in RECORD.items():
+        if name not in data:
+            raise ValueError(f"no {name!r} in it")
+        require_type(data[name], kind, name)
+    for name in ("algo", "env"):
+        require_type(data["run"].get(name), str, name)
+    return dict(data)
+
+
+def parse(text: str) -> tuple[list[Row], str]:
+    """Return the rows of a progress.csv before the first that no run writes, and what is wrong
+    with that one. A last line that was cut off does not count."""
+    reader = csv.DictReader(io.StringIO(text[: text.rfind("\n") + 1]), strict=True)
+    rows, before = list[Row](), (-1, 0)
+    try:
+        columns = list(reader.fieldnames or FIRST)
+        if columns[: len(FIRST)] != FIRST or len(set(columns)) < len(columns):
+            raise ValueError(f"its header does not begin with {','.join(FIRST)}")
+        for row in reader:
+            if reader.line_num != len(rows) + 2:
+                raise ValueError("found an empty line, or a line break inside a field")
+            before = _checked(row, before)
+            rows.append(row)
+    except (ValueError, csv.Error) as error:
+        return rows, f"line {reader.line_num}: {error}"
+    return rows, ""
+
+
+def _checked(row: Row, before: tuple[int, int]) -> tuple[int, int]:
+    """Return epoch and steps of a row; ValueError where they do not follow those `before`."""
+    if None in row or None in row.values():  # as csv.DictReader has it
+        raise ValueError("found more or fewer fields than the header has")
+    now = int(row["epoch"]), int(row["env_steps"])
+    if now[0] <= before[0] or now[1] < before[1]:
+        raise ValueError(f"epoch and steps do not follow: found {now} after {before}")
+    for column, field in row.items():
+        value = float(field or 0)
+        if column.endswith(SHARE) and not (0 <= value <= 1 or math.isnan(value)):
+            raise ValueError(f"{column}: found {value:g}, allowed from 0 to 1")
+    return now
+
+
+class Checkpoint:
+    """The state of one run on disk; rank 0 alone writes."""
+
+    def __init__(
+        self, run_dir: RunDir, config: RunConfig, learner: Learner, comm: Communicator
+    ) -> None:
+        self.run_dir, self.config = run_dir, config
+        self.learner, self.comm = learner, comm
+        self._memory = learner.replay
+        self._about = {"format": FORMAT, "config": json.dumps(config.identity())}
+        self._epochs: list[int] = []  # whose experience is on disk
+
+    def save(self, epoch: int) -> None:
+        """Write the states of all ranks after `epoch`; every rank must call it."""
+        is_anew = self.comm.all_gather(self.comm.rank == 0 and self._has_outgrown())[0]
+        added: Values = {}
+        if self._memory is not None:
+            added = self._memory.new_experience(everything=bool(is_anew))
+        for rank, experience in enumerate(self.comm.receive(added)):
+            if experience:
+                own_folder(self.run_dir.experience_folder)
+                about = {**self._about, "epoch": epoch, "rank": rank}
+                content = {**about, "experience": experience}
+                write_tensors(self._part(epoch, rank), content)
+        states = list(self.comm.receive(_compact(self.learner.state_dict())))
+        if added:
+            self._epochs = [*([] if is_anew else self._epochs), epoch]
+        if self.comm.rank == 0:
+            content = {**self._about, "epoch": epoch, "ranks": states}
+            content["experience"] = self._epochs
+            content["spaces"] = self.learner.spaces.to_json()
+            write_tensors(self.run_dir.checkpoint_file, content)
+            for path in self._files():  # rewritten, or of epochs that were lost
+                if int(path.stem.partition("-")[0]) not in self._epochs:
+                    path.unlink()
+
+    def restore(self) -> int:
+        """Load this rank's state and experience; return the epoch it was written after.
+
+        InputError when a file is damaged, of another configuration, or of other ranks.
+        """
+        data, rank = self.run_dir.read_checkpoint(self.config), self.comm.rank
+        if (before := len(data["ranks"])) != self.comm.size:
+            raise InputError(
+                f"ranks: found {self.comm.size}, the run was made with {before}; start it with "
+                f"mpirun -n {before}"
+            )
+        with damage_named(self.run_dir.checkpoint_file):
+            self.learner.load_state_dict(data["ranks"][rank])
+        if self._memory is not None:
+            self._epochs = data["experience"]
+            for epoch in self._epochs:
+                path = self._part(epoch, rank)
+                part = read_tensors(path, "checkpoint", FORMAT, PART)
+                with damage_named(path):
+                    if (part["epoch"], part["rank"]) != (epoch, rank):
+                        raise ValueError(
+                            "it is the experience of another epoch or rank"
+                        )
+                    self._memory.add_experience(part["experience"])
+        return int(data["epoch"])
+
+    def _part(self, epoch: int, rank: int) -> Path:
+        return self.run_dir.experience_folder / f"{epoch:08d}-{rank:04d}.pt"
+
+    def _files(self) -> list[Path]:
+        return sorted(self.run_dir.experience_folder.glob("[0-9]" * 8 + "-*.pt"))
+
+    def _has_outgrown(self) -> bool:
+        if self._memory is None:
+            return False
+        size = sum(path.stat().st_size for path in self._files())
+        return size > REWRITE * self._memory.nbytes * self.comm.size
+
+
+def _compact(value: Any) -> Any:
+    """Return copies of all tensors: of a view, pickle would send all that it is a view of."""
+    if isinstance(value, torch.Tensor):
+        return value.clone()
+    if isinstance(value, dict):
+        return {key: _compact(part) for key, part in value.items()}
+    return [_compact(part) for part in value] if isinstance(value, list) else value
+
+
+def resolve(
+    algo: str | None = None,
+    env: str = "",
+    recipe: str | None = None,
+    scene: str | None = None,
+    resume: str | Path | None = None,
+) -> RunConfig:
+    """Return the configuration before other choices: `config.defaults`, or that of the run in
+    the folder `resume`. Imports the module that `env` names. InputError where there is no such
+    run, or a scene is named as well."""
+    module, colon, _ = env.partition(":")
+    if colon:
+        with input_errors("env"):
+            plugins.import_modules([module])
+    if not resume:
+        return defaults(algo, env, recipe, scene)
+    if scene:
+        raise InputError("scene: found with resume; a resumed run keeps its settings")
+    saved = RunDir(Path(resume)).read_config()
+    if env not in ("", saved.run.env):
+        raise InputError(f"env: found {env!r}, the run was made with {saved.run.env!r}")
+    if recipe:
+        with input_errors():
+            learner = recipes.recipe(saved.run.algo, recipe)
+        saved = dataclasses.replace(saved, learner=learner)
+    return saved
