@@ -118,7 +118,7 @@ class GraspEnv(gym.Env[Any, Array]):
     ``state`` is what was true after the last action, before any hold test.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}
+    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"]}
 
     def __init__(
         self,
@@ -128,10 +128,9 @@ class GraspEnv(gym.Env[Any, Array]):
     ) -> None:
         self.config = config = config or setup(hand)
         validation.validate(config)
-        if render_mode not in (None, "rgb_array"):
-            raise ValueError(
-                f"render_mode: found {render_mode!r}, allowed None or 'rgb_array'"
-            )
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            allowed = "None, 'human' or 'rgb_array'"
+            raise ValueError(f"render_mode: found {render_mode!r}, allowed {allowed}")
         self.render_mode = render_mode
         self.metadata = {
             **self.metadata,
@@ -228,6 +227,8 @@ class GraspEnv(gym.Env[Any, Array]):
         self._desired_goal, self._steps = desired.astype(np.float32), 0
         self.task.before_step(self.simulator, self._steps)
         self._obs = self._goal_obs(sensed, achieved)
+        if self.render_mode == "human":
+            self.render()
         return self._obs, self._info()
 
     def _jittered(self, shape: Shape) -> tasks.Start:
@@ -295,6 +296,8 @@ class GraspEnv(gym.Env[Any, Array]):
             float(self.task.reward(*goals)),
             bool(self.task.is_success(*goals)),
         )
+        if self.render_mode == "human":
+            self.render()
         info = self._info(is_success=is_success, warnings=self._new_warnings())
         return obs, reward, terminated, is_last and not terminated, info
 
@@ -328,8 +331,13 @@ class GraspEnv(gym.Env[Any, Array]):
         return self._touch.read(self.simulator.state())
 
     def render(self) -> Array | None:
-        """A picture of the scene, taxels that fire lit, when made with "rgb_array"."""
-        return None if self.render_mode is None else self.picture(simulators.Camera())
+        """Return a picture of the scene, taxels that fire lit, when made with "rgb_array"; with "human"
+        show it in MuJoCo's viewer, as every reset and step does."""
+        if self.render_mode == "human":
+            self.simulator.show([*self.spheres()])
+        if self.render_mode != "rgb_array":
+            return None
+        return self.picture(simulators.Camera())
 
     def picture(self, camera: simulators.Camera) -> Array:
         """The scene as `camera` sees it, RGB (height, width, 3) uint8."""

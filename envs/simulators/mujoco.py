@@ -6,6 +6,8 @@ import importlib
 import math
 import os
 import sys
+import threading
+import time
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -160,6 +162,7 @@ def add_spheres(scene: mujoco.MjvScene, spheres: Sequence[Sphere]) -> None:
         scene.ngeom += 1
 
 
+LONGEST_WAIT = 2.0  # s, for a picture to be due
 _failures: list[OSError] = []  # of drawing, in this process
 DISPLAYS = ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY")
 """Variables that say what MuJoCo draws with, or on."""
@@ -174,6 +177,56 @@ def _renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Renderer
         ].gl_context  # when MuJoCo was imported
         chosen.GLContext = importlib.import_module(f"mujoco.{found}").GLContext
     return mujoco.Renderer(model, height, width)
+
+
+class _Window:
+    """MuJoCo's viewer on a copy of the scene, which nothing done in it can disturb."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        self._model, self._copy = model, mujoco.MjData(model)
+        self._shown_at, self._time = time.monotonic(), data.time
+        before = set(threading.enumerate())
+        try:
+            with warnings.catch_warnings(action="ignore"):  # GLFW's, before the error
+                import glfw
+                from mujoco import viewer
+
+                if not glfw.init():
+                    raise OSError(
+                        "render_mode human: found no display to open a window on"
+                    )
+            self._viewer = viewer.launch_passive(
+                model, self._copy, show_left_ui=False, show_right_ui=False
+            )
+        except (ImportError, RuntimeError) as error:
+            raise OSError(
+                f"render_mode human: no window opens here ({error})"
+            ) from error
+        self._threads = set(threading.enumerate()) - before
+        camera, view = Camera(), self._viewer.cam
+        view.azimuth, view.elevation = camera.azimuth, camera.elevation
+        view.distance = 1.5 * camera.distance
+
+    def show(self, data: mujoco.MjData, spheres: Sequence[Sphere]) -> None:
+        """Show what is true now when it is due; nothing where the window has been closed."""
+        if not self._viewer.is_running():
+            return
+        ahead = data.time - self._time - (time.monotonic() - self._shown_at)
+        if 0.0 < ahead < LONGEST_WAIT:
+            time.sleep(ahead)
+        self._shown_at, self._time = time.monotonic(), data.time
+        with self._viewer.lock():
+            mujoco.mj_copyData(self._copy, self._model, data)
+            self._viewer.cam.lookat[:] = data.xpos[self._model.body(OBJECT).id]
+            self._viewer.user_scn.ngeom = 0
+            add_spheres(self._viewer.user_scn, spheres)
+        self._viewer.sync()
+
+    def close(self) -> None:
+        """Close the window; it draws until its end, and must not outlive the scene."""
+        self._viewer.close()
+        for thread in self._threads:
+            thread.join()
 
 
 def _set_mean_inertia(model: mujoco.MjModel) -> None:
@@ -197,6 +250,7 @@ class MujocoSimulator(Simulator):
         self.data = mujoco.MjData(self.model)
         self._past_warnings = 0
         self._renderer: mujoco.Renderer | None = None
+        self._window: _Window | None = None
         hand, model = scene.hand, self.model
         self.joint_limits = joint_limits(model, hand)
         joints = [model.joint(name) for name in hand.joints]
@@ -401,7 +455,15 @@ class MujocoSimulator(Simulator):
         add_spheres(scene, spheres)
         return self._renderer.render()
 
+    def show(self, spheres: Sequence[Sphere] = ()) -> None:
+        if self._window is None:
+            self._window = _Window(self.model, self.data)
+        self._window.show(self.data, spheres)
+
     def close(self) -> None:
+        if self._window is not None:
+            self._window.close()
+            self._window = None
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
