@@ -15,19 +15,19 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby, product
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from . import taxel_files, validation
-from .hands import DIGITS, HANDS, SEGMENTS, Hand, Pitch, Surface
+from .hands import DIGITS, HANDS, SEGMENTS, Hand, Pitch, Point, Surface
 from .state import Array
-from .taxel_files import Point
-from .taxel_formats import READERS
-from .validation import number, only, require_one_of, strings, table, vector
+from .taxel_files import READERS, SensorTable
+from .validation import require_one_of
 
 MODEL = "model"
 """The layout of the sensors that a hand's own model has."""
+Millimetres = Annotated[float, "[-50, 50]"]
 LEAST = 1e-7  # m: nearer places are the same
 NAMED = Path(__file__).with_name("layout_files")
 
@@ -123,6 +123,31 @@ class Patch:
         for row, column in self.offsets:
             label = f"{scale * row:+g},{scale * column:+g}{unit}"
             yield (row * rows, column * columns), radius, label
+
+
+@dataclass(frozen=True)
+class PatchTable:
+    """One [[patch]] of a layout file."""
+
+    offsets_mm: tuple[tuple[Millimetres, Millimetres], ...]
+    radius_mm: Annotated[float, "[0.1, 20]"]
+    digits: tuple[str, ...] | None = None
+    segments: tuple[str, ...] | None = None
+
+    def patch(self) -> Patch:
+        """Return the patch that it says."""
+        offsets = tuple((1e-3 * row, 1e-3 * column) for row, column in self.offsets_mm)
+        return Patch(self.digits, self.segments, offsets, 1e-3 * self.radius_mm)
+
+
+@dataclass(frozen=True)
+class LayoutFile:
+    """All that a layout file may say."""
+
+    description: str = ""
+    patch: tuple[PatchTable, ...] = ()
+    taxel: tuple[dict[str, Any], ...] = ()
+    sensor: tuple[SensorTable, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -307,7 +332,7 @@ def is_file(name: str) -> bool:
 
 def load(name: str) -> Layout:
     """A layout by number, by name, or from a file: TOML, or points in another format
-    (`taxel_formats.READERS`); or from the text of a TOML file.
+    (`taxel_files.READERS`); or from the text of a TOML file.
 
     Raises ValueError naming what is wrong with the file, and FileNotFoundError.
     """
@@ -338,17 +363,16 @@ def load(name: str) -> Layout:
 
 
 def parse(data: dict[str, Any], path: Path) -> Layout:
-    """A layout from the content of a file (docs/guides/layouts.md)."""
-    only(data, {"description", "patch", "taxel", "sensor"}, "the file")
-    tables = [data.get(key, []) for key in ("patch", "taxel", "sensor")]
-    if not all(isinstance(each, list) for each in tables) or not any(tables):
+    """Return a layout from the content of a file (docs/guides/layouts.md)."""
+    file = validation.fill(LayoutFile, data)
+    if not (file.patch or file.taxel or file.sensor):
         raise ValueError("needs at least one [[patch]], [[taxel]] or [[sensor]] table")
-    patches = tuple(_patch(patch, f"patch {i}") for i, patch in enumerate(tables[0], 1))
-    points = [taxel_files.point(taxel, i) for i, taxel in enumerate(tables[1])]
-    for i in range(len(tables[2])):
-        points += taxel_files.mounted(tables[2], i, path.parent)
+    points = [taxel_files.point(table, i) for i, table in enumerate(file.taxel)]
+    for i in range(len(file.sensor)):
+        points += taxel_files.mounted(file.sensor, i, path.parent)
     taxel_files.require_distinct(points)
-    return Layout(path.stem, str(data.get("description", "")), patches, tuple(points))
+    patches = tuple(table.patch() for table in file.patch)
+    return Layout(path.stem, file.description, patches, tuple(points))
 
 
 def of_taxels(taxels: Taxels, hand: Hand, description: str) -> Layout:
@@ -381,20 +405,3 @@ def _in_mm(metres: float) -> str:
 def mm(metres: float) -> float:
     """To 0.1 µm: more than enough to tell two taxels apart."""
     return round(1e3 * float(metres), 4) + 0.0  # no -0.0
-
-
-def _patch(data: Any, where: str) -> Patch:
-    table({where: data}, where, {"digits", "segments", "offsets_mm", "radius_mm"})
-    digits, segments = (
-        strings(data[key], f"{where}: {key}") if key in data else None
-        for key in ("digits", "segments")
-    )
-    radius = number(data.get("radius_mm"), f"{where}: radius_mm", 0.1, 20.0)
-    where, offsets = f"{where}: offsets_mm", data.get("offsets_mm")
-    if not isinstance(offsets, list) or not offsets:
-        raise ValueError(f"{where}: found {offsets!r}, expected [[row, column], ...]")
-    places = (
-        vector(offset, 2, f"{where}: [row, column]", -50, 50) for offset in offsets
-    )
-    metres = tuple((1e-3 * row, 1e-3 * column) for row, column in places)
-    return Patch(digits, segments, metres, 1e-3 * radius)

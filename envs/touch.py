@@ -27,7 +27,7 @@ from .simulators import Sensor
 from .state import Array, State
 
 if TYPE_CHECKING:
-    from .hands.skins import Geom
+    from .hands.geometry import Geom
 
 SKIN = 5e-4  # m, how thick the skin is: what is further from a link's surface does not touch it
 SLACK = (
@@ -161,7 +161,7 @@ class _Shaped:
     """The taxels whose links are neither one capsule nor flat."""
 
     def __init__(self, taxels: Taxels, surfaces: tuple[Surface, ...]) -> None:
-        from .hands.skins import Distances  # imports MuJoCo
+        from .hands.geometry import Distances  # imports MuJoCo
 
         geoms: list[Geom] = []
         first: dict[str, range] = {}

@@ -30,7 +30,6 @@ import numpy as np
 
 T = TypeVar("T")
 Fraction = Annotated[float, "[0, 1]"]
-Vector = tuple[float, float, float]
 WORDS = {
     int: "a whole number",
     float: "a number",
@@ -165,6 +164,8 @@ def _filled(value: Any, hint: Any, where: str) -> Any:
 def _floats(value: Any) -> Any:
     if isinstance(value, tuple):
         return tuple(map(_floats, value))
+    if isinstance(value, dict):
+        return {key: _floats(each) for key, each in value.items()}
     return float(value) if isinstance(value, int) else value
 
 
@@ -193,6 +194,13 @@ def require(kind: type, values: Mapping[str, Any]) -> None:
     """Raise ValueError naming the first of `values` that is not what the field of that name says."""
     for name, hint in hints(kind).items():
         require_type(values[name], hint, name)
+
+
+def require_rising(span: tuple[float, ...], where: str) -> None:
+    """Raise ValueError for an interval whose lower end does not come first."""
+    if span[0] >= span[1]:
+        found = f"found {list(span)}, expected the lower end first"
+        raise ValueError(f"{where}: {found}")
 
 
 def allow_only_with(what: str, config: Any, *names: str) -> None:
@@ -307,9 +315,9 @@ def words(hint: Any) -> str:
     if kind is Annotated:
         return words(inner[0])
     if kind is tuple:
-        if len(set(inner)) == 1 and inner[0] is float:
-            return f"{len(inner)} numbers"
         items = ["..." if part is ... else words(part) for part in inner]
+        if set(items) == {WORDS[float]}:
+            return f"{len(items)} numbers"
         return f"a list ({', '.join(items)})"
     if kind in (Union, UnionType):
         return " or ".join(map(words, inner))
@@ -320,8 +328,13 @@ def _short(value: Any) -> str:
     """Return a value, or its type when it has many parts."""
     if isinstance(value, int) and abs(value) >= LARGEST:
         return f"a number of {value.bit_length()} bits, allowed up to 63"
-    is_plain = value is None or isinstance(value, str | int | float)
-    return repr(value)[:50] if is_plain else type(value).__name__
+    plain_types = str | int | float | None
+    is_flat = isinstance(value, list | tuple) and all(
+        isinstance(item, plain_types) for item in value
+    )
+    if is_flat:
+        return f"[{', '.join(map(_short, value))}]"[:50]
+    return repr(value)[:50] if isinstance(value, plain_types) else type(value).__name__
 
 
 # -- TOML files ------------------------------------------------------------------------------
@@ -376,57 +389,3 @@ def _table(value: Any, where: str) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise ValueError(f"{where}: found {value!r:.50}, expected a table")
     return value
-
-
-def is_number(value: Any, least: float = -1e9, most: float = 1e9) -> bool:
-    """Is it one, and in this range?"""
-    is_one = isinstance(value, int | float) and not isinstance(value, bool)
-    return is_one and least <= value <= most
-
-
-def number(value: Any, where: str, least: float = -1e9, most: float = 1e9) -> float:
-    """A number from `least` to `most`; ValueError for anything else."""
-    if not is_number(value, least, most):
-        raise ValueError(
-            f"{where}: found {value!r}, expected a number{_bounds(least, most)}"
-        )
-    return float(value)
-
-
-def vector(
-    value: Any, n: int, where: str, least: float = -1e9, most: float = 1e9
-) -> tuple[float, ...]:
-    """`n` numbers from `least` to `most`; ValueError for anything else."""
-    is_list = isinstance(value, list | tuple) and len(value) == n
-    if not is_list or not all(is_number(x, least, most) for x in value):
-        raise ValueError(
-            f"{where}: found {value!r}, expected {n} numbers{_bounds(least, most)}"
-        )
-    return tuple(float(x) for x in value)
-
-
-def interval(
-    value: Any, where: str, least: float = -1e9, most: float = 1e9
-) -> tuple[float, ...]:
-    """(low, high), the first below the second; ValueError for anything else."""
-    low, high = vector(value, 2, where, least, most)
-    if low >= high:
-        raise ValueError(f"{where}: found {value!r}, expected the lower end first")
-    return low, high
-
-
-def _bounds(least: float, most: float) -> str:
-    return f" from {least:g}" * (least > -1e9) + f" to {most:g}" * (most < 1e9)
-
-
-def strings(value: Any, where: str) -> tuple[str, ...]:
-    """One or more strings; ValueError for anything else."""
-    if (
-        not isinstance(value, list)
-        or not value
-        or not all(isinstance(item, str) for item in value)
-    ):
-        raise ValueError(f"{where}: found {value!r}, expected a list of names")
-    if len(set(value)) < len(value):
-        raise ValueError(f"{where}: found {value!r}, expected each name once")
-    return tuple(value)

@@ -1,30 +1,54 @@
-"""Robot hands by name or file: each is a model, and a TOML file that says what it means."""
+"""Robot hands by name or file: each is a model, and a TOML file that says what it means.
+
+To follow a hand from its file to a scene, read `hand` (what the rest of the library knows of one),
+`model_file` (MJCF and URDF as published), `mount` (the model on slides, with servos), `parts` (the
+TOML file and what of the model it means), `geometry` and `surfaces` (where taxels may lie),
+`hand_file` (all of it together) and `checks`. `guess` writes the file of a bare model, `sandbox` reads
+in a process of its own, `tactile` exports taxels as MuJoCo's sensors.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from .. import validation
-from .files import FOLDER, KEPT, SUFFIX, short_digest
 from .hand import (
     DIGITS,
+    FOLDER,
+    KEPT,
+    RADIUS,
     SEGMENTS,
     SLIDES,
+    SUFFIX,
     Hand,
     LinearAction,
     Pitch,
+    Point,
     ScriptedGrasp,
     Surface,
+    short_digest,
 )
 
 __all__ = [
-    "DIGITS", "KEPT", "SEGMENTS", "SLIDES", "SUFFIX", "Hand", "LinearAction", "Pitch", "ScriptedGrasp",
-    "Surface", "short_digest",
+    "DIGITS",
+    "KEPT",
+    "RADIUS",
+    "SEGMENTS",
+    "SLIDES",
+    "SUFFIX",
+    "Hand",
+    "LinearAction",
+    "Pitch",
+    "Point",
+    "ScriptedGrasp",
+    "Surface",
+    "short_digest",
 ]  # fmt: skip
 
+Share = Annotated[float, "[0, 2]"]
 HANDS = ("shadow", "mpl", "allegro")
 """The library's own: each is a file here."""
 OTHERS: dict[str, Any] = {}
@@ -37,7 +61,7 @@ class Usage:
 
     id: str = ""
     """Of its environment in Gymnasium's registry; by name it is `make(name)`."""
-    closing: tuple[float, float] = (0.5, 0.9)
+    closing: tuple[Share, Share] = (0.5, 0.9)
     """How far the fingers of perturbed scripted grasps close, from and to, 1 being all the way: 30
     to 70 % of `tactilerl probe`'s grasps of the library's own hands then hold in either simulator."""
     scene: dict[str, Any] = field(default_factory=dict)
@@ -71,16 +95,14 @@ def file(name: str) -> Path:
 
 
 def usage(name: str) -> Usage:
-    """Of a hand by name or file; ValueError and FileNotFoundError where the file is wrong."""
+    """Return what a hand's file says of its scenes; ValueError and FileNotFoundError where the file is
+    wrong."""
     path = file(name)
     with validation.blamed(f"hand file {path}"):
         data = validation.read(path, "hand file")
         about = validation.table(data, "environment", {"id", "closing"})
-        closing = about.get("closing", Usage.closing)
-        low, high = validation.interval(closing, "environment.closing", 0.0, 2.0)
-        return Usage(
-            str(about.get("id", "")), (low, high), validation.table(data, "scene")
-        )
+        scene = validation.table(data, "scene")
+        return validation.fill(Usage, {**about, "scene": scene}, "environment")
 
 
 def digest(name: str) -> str:
@@ -104,10 +126,10 @@ def get(name: str) -> Hand:
         raise FileNotFoundError(f"hand file {name!r} does not exist")
     path = path.absolute()
     if path not in _read or _read[path][0] != _state(path, _read[path][1]):
-        from . import loading, sandbox
+        from . import hand_file, sandbox
 
         with validation.blamed(f"hand file {name}"):
-            hand = sandbox.call(loading.load, path)
+            hand = sandbox.call(hand_file.load, path)
         _read[path] = _state(path, hand), hand
     return _read[path][1]
 
@@ -124,6 +146,6 @@ def _state(path: Path, hand: Hand) -> list[Any]:
 
 @cache
 def _packaged(path: Path) -> Hand:
-    from . import loading
+    from . import hand_file
 
-    return loading.load(path)
+    return hand_file.load(path)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated
 
 import mujoco
 import numpy as np
 
 from ..state import Array
-from . import models, servos
+from . import model_file, mount
+from .geometry import placed, posed, touching
 from .hand import SLIDES, Hand
-from .parts import Parts, placed, posed
+from .parts import Parts
 
+Timestep = Annotated[float, "[1e-05, 1.0]"]
 NUDGE, STILL, MOST_MOVED = (
     0.02,
     0.4,
@@ -38,7 +40,7 @@ def examine(hand: Hand, parts: Parts, timestep: float) -> tuple[str, ...]:
     spec.worldbody.add_geom(
         name=GROUND, type=plane, size=[1, 1, 0.1], contype=0, conaffinity=0
     )
-    model = models.compiled(spec)
+    model = model_file.compiled(spec)
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     _require_still(hand, model, timestep)
     if not hand.closed:
@@ -62,7 +64,7 @@ def _begun(hand: Hand, model: mujoco.MjModel, nudge: float = 0.0) -> mujoco.MjDa
     data.qpos[_places(model, hand.joints)] = np.clip(
         hand.start_positions() + moved, low, high
     )
-    servos.hold(model, data, _actuators(hand, model), hand.start_targets())
+    mount.hold(model, data, _actuators(hand, model), hand.start_targets())
     return data
 
 
@@ -73,27 +75,6 @@ def _places(model: mujoco.MjModel, joints: tuple[str, ...]) -> list[int]:
 
 def _actuators(hand: Hand, model: mujoco.MjModel) -> list[int]:
     return [int(model.actuator(name).id) for name in hand.actuators]
-
-
-def touching(model: mujoco.MjModel, data: mujoco.MjData) -> list[Any]:
-    """All contacts, as if whatever collides collided with all else, and the ground with all."""
-    kinds = [
-        model.geom_contype,
-        model.geom_conaffinity,
-        model.body_contype,
-        model.body_conaffinity,
-    ]
-    before = [kind.copy() for kind in kinds]
-    model.geom_conaffinity[:] = model.geom_contype
-    model.body_conaffinity[:] = model.body_contype
-    for geom in np.flatnonzero(model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)):
-        model.geom_conaffinity[geom] = model.body_conaffinity[0] = 1
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    mujoco.mj_collision(model, data)
-    for kind, values in zip(kinds, before, strict=True):
-        kind[:] = values
-    return list(data.contact)
 
 
 def _require_still(hand: Hand, model: mujoco.MjModel, timestep: float) -> None:
@@ -121,7 +102,7 @@ def _require_palmar(parts: Parts) -> None:
         point = placed(data, parts.palm_frame.link, parts.palm_point)
         depths.append(float((parts.tips(parts.model, data) - point).mean(axis=0) @ up))
     if max(depths) < 0:
-        found = parts.data["palmar"]
+        found = list(parts.file.palmar)
         meant = [0 - value for value in found]
         raise ValueError(
             f"palmar: found {found}, but the closed fingertips are {-1e3 * max(depths):.0f} mm behind "
@@ -166,7 +147,7 @@ def _closed(
             np.linalg.norm(np.cross(data.xaxis[moved.id], tip - data.xanchor[moved.id]))
             for tip in carried
         ]
-        slides = model.jnt_type[moved.id] == int(servos.LINEAR)
+        slides = model.jnt_type[moved.id] == int(mount.LINEAR)
         lever = len(carried) if slides else sum(map(float, arms))
         data.qfrc_applied[moved.dofadr[0]] = -np.sign(way) * PRESS * lever
         targets[k] += way

@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
 from ..state import Array
 
 if TYPE_CHECKING:
-    from ..taxel_files import Point
-    from .mounting import Mount
-    from .skins import Geom
+    from .geometry import Geom
 
+FOLDER, SUFFIX = Path(__file__).parent, ".toml"
+RADIUS = 2e-3  # m, of taxels of which nothing says it
+KEPT = ".grasp.toml"
+"""In place of SUFFIX: where a command keeps a grasp that it has found for a file without one."""
 SLIDES = ("slide_x", "slide_y", "slide_z")
-"""Joints and actuators that carry the whole hand along the world's axes."""
+"""The first joints and actuators: they carry the whole hand along the world's axes."""
+ARM, FINGERS = slice(len(SLIDES)), slice(len(SLIDES), None)
+"""The slides, and all others, among a hand's joints or actuators."""
 DIGITS = ("thumb", "index", "middle", "ring", "little")
 """What digits of hands with up to five are usually called."""
 SEGMENTS = ("proximal", "middle", "distal")
@@ -66,7 +73,7 @@ class Surface:
             np.array(self.centre) + row * np.array(self.along) + column * self.across
         )
         if self.geoms:
-            from .skins import meet
+            from .geometry import meet
 
             if found := meet(self.geoms, above, -palmar):
                 return found
@@ -111,7 +118,7 @@ class Surface:
         """How far a point (3,) in the link frame is outside of the link's skin, m, negative within; and
         the outward normal (3,) there."""
         if self.geoms:
-            from .skins import outside
+            from .geometry import outside
 
             return outside(self.geoms, point)
         if self.bone is None or self.radius is None:
@@ -228,6 +235,26 @@ class ClosingAction:
         )
 
 
+class Point(NamedTuple):
+    """A taxel on a link."""
+
+    link: str
+    position: tuple[float, ...]
+    """(3,), m."""
+    normal: tuple[float, ...]
+    """(3,), unit, outward; () until it is placed, where that of the nearest skin is meant."""
+    radius: float
+    """Of its sensing sphere, m."""
+    name: str
+
+    def toml(self) -> list[str]:
+        """Return lines of a layout file."""
+        values = {"name": self.name, **self._asdict()}.items()
+        given = [(key, value) for key, value in values if value != ()]
+        texts = [f"{k} = {json.dumps(v, ensure_ascii=False)}" for k, v in given]
+        return ["[[taxel]]", *texts]
+
+
 class Frame(NamedTuple):
     """A body of the model, which may be part of a link: its place in that link's frame."""
 
@@ -271,16 +298,27 @@ class ScriptedGrasp:
     """Joint targets by actuator name, rad or m."""
 
 
+class HandModel(Protocol):
+    """Builds the hand of a scene."""
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files of the model."""
+
+    def __call__(self, visual: bool = False, finger_gain: float = 1.0) -> Any:
+        """Return the hand alone as a new mujoco.MjSpec."""
+
+
 @dataclass(frozen=True)
 class Hand:
     """One hand, palm down above the origin of the world.
 
-    The first three joints and actuators are the slides of the whole hand along the world's
-    x, y and z axes, in m, zero where the hand starts over an object no wider than ``start_clearance``.
+    The first joints and actuators are `SLIDES`, in m, zero where the hand starts over an object no
+    wider than ``start_clearance``.
     """
 
     name: str
-    build: Mount
+    build: HandModel
     """(with visual meshes?, gain of the finger actuators relative to the model's) -> model
     of the hand alone: no ground, no object, no taxels."""
     joints: tuple[str, ...]
@@ -401,3 +439,9 @@ class Hand:
         return tuple(
             dict.fromkeys(s.digit for s in self.surfaces if s.segment != "palm")
         )
+
+
+def short_digest(*files: Path) -> str:
+    """Return a digest of what is in some files."""
+    content = b"".join(path.read_bytes() for path in files)
+    return hashlib.sha256(content).hexdigest()[:16]

@@ -1,29 +1,140 @@
-"""What a hand's file says of its model's parts: palm, digits, joint angles; checked, with defaults."""
+"""What a hand's file says, and what of its model it means: palm, digits, joint angles."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fnmatch import filter as matching
 from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import mujoco
 import numpy as np
 
 from ..state import Array
-from ..validation import interval, number, only, require_one_of, strings, table, vector
-from . import models, mounting, servos
-from .files import FOLDER
-from .hand import Coupling, Frame
-from .mounting import Mount
+from ..validation import require_one_of, require_rising
+from . import model_file, mount
+from .geometry import beside, posed, unit
+from .hand import CLOSING_STEP, FOLDER, Coupling, Frame, Hand
+from .mount import Mount, Number, Positive, Servos, Slides, Span, Vector
 
 SLACK = 1e-3  # rad or m that an angle may be beyond a joint's range
 Angles = dict[str, float]
 """By joint, rad or m."""
+Names = tuple[str, ...]
+Metres = Annotated[float, "[-1, 1]"]
+Near = tuple[Metres, Metres, Metres]
+
+
+# -- the file --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class DigitTable:
+    """One of [digits]."""
+
+    links: Names
+    """From knuckle to tip."""
+    tip: Vector
+    """In the frame of the last link, m."""
+    palmar: Vector | tuple[Vector, ...] | None = None
+    """Palmar direction of all links, or of each."""
+    base: Vector | None = None
+    """Where on the palm it begins, m."""
+    base_link: str | None = None
+    """The body in whose frame that is; default: the palm."""
+
+
+@dataclass(frozen=True)
+class Follows:
+    """One of [couplings]: a joint is offset + ratio times its driver."""
+
+    follows: str
+    ratio: Number
+    offset: Number = 0.0
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a point of the palm hangs at the start, m."""
+
+    of: Near | None = None
+    at: Near | None = None
+
+
+@dataclass(frozen=True)
+class PitchTable:
+    """[pitch]: distances between taxels and their radii, m."""
+
+    rows: dict[str, Positive] = field(default_factory=dict)
+    column: Positive | None = None
+    radius: Positive = 2e-3
+    large_radius: Positive = 3.8e-3
+    distal_shift: Number = 0.0
+
+
+@dataclass(frozen=True)
+class Actions:
+    """[actions]: of joints, or increments of slides and groups of digits that close."""
+
+    kind: Literal["joints", "closing"] = "joints"
+    step: Positive = CLOSING_STEP
+    groups: tuple[Names, ...] = ()
+
+
+@dataclass(frozen=True)
+class GraspTable:
+    """One [[grasp]]: where the palm's point or the slides are, and the joints."""
+
+    object_size: Positive
+    at: Vector | None = None
+    slides: Vector | None = None
+    joints: dict[str, Number] = field(default_factory=dict)
+    closing: Number | None = None
+
+
+@dataclass(frozen=True)
+class HandFile:
+    """All that a hand's file may say (docs/guides/own_hand.md)."""
+
+    model: str
+    palm: str
+    palmar: Vector
+    fingers: Vector
+    palm_point: Vector
+    digits: dict[str, DigitTable]
+    root: str = ""
+    drop: Names = ()
+    masses: dict[str, Positive] = field(default_factory=dict)
+    contacts: Literal["others", "model"] = "others"
+    palm_is_flat: bool = False
+    added_inertia: Positive = Hand.added_inertia
+    observation: Names = (
+        "joint_positions",
+        "joint_velocities",
+        "object_position",
+        "object_orientation",
+    )
+    first_joints: Names = ()
+    handed_beside: Names = ()
+    environment: dict[str, Any] = field(default_factory=dict)
+    scene: dict[str, Any] = field(default_factory=dict)
+    place: Place = Place()
+    slides: Slides = field(default_factory=Slides)
+    servos: Servos = field(default_factory=Servos)
+    ranges: dict[str, Span] = field(default_factory=dict)
+    passive: Names = ()
+    pitch: PitchTable = PitchTable()
+    couplings: dict[str, Follows] = field(default_factory=dict)
+    start: dict[str, Number] | None = None
+    start_closing: dict[str, Number] = field(default_factory=dict)
+    opened: dict[str, Number] = field(default_factory=dict)
+    closed: dict[str, Number] = field(default_factory=dict)
+    actions: Actions = Actions()
+    grasp: tuple[GraspTable, ...] = ()
 
 
 class Digit(NamedTuple):
@@ -36,59 +147,50 @@ class Digit(NamedTuple):
     """Palmar directions of the links, each in its frame, where the file has them."""
 
 
+# -- what it means ---------------------------------------------------------------------------
+
+
 @dataclass
 class Parts:
     """A hand's file, and what of its model it means; ValueError where one does not fit the other."""
 
-    data: dict[str, Any]
+    file: HandFile
     folder: Path
 
-    # -- the model ---------------------------------------------------------------------------
+    # -- the model
 
     @property
     def is_own(self) -> bool:
-        """Is it anybody's own hand? The library's are as they have always been."""
+        """Whether it is anybody's own hand. The library's are as they have always been."""
         return self.folder != FOLDER
 
     @cached_property
-    def asked(self) -> Mount:
-        """What the file says of the model."""
-        data = self.data
-        contacts = data.get("contacts", "others")
-        require_one_of(("others", "model"), contacts, "contacts")
-        slides = table(
-            data, "slides", {*servos.SLIDE, "centre", "half_range", "step", "limits"}
-        )
-        figures = table(data, "servos", set(servos.SERVOS))
-        for kind in figures:
-            only(table(figures, kind), set(servos.SERVOS[kind]), f"servos.{kind}")
+    def unread(self) -> Mount:
+        """The mount as far as the file alone says it."""
         return Mount(
-            model=_model_file(data.get("model"), self.folder),
-            palm=str(data.get("palm")),
-            root=str(data.get("root", "")),
+            model=_model_file(self.file.model, self.folder),
+            palm=self.file.palm,
+            root=self.file.root,
             fuses=self.is_own,
-            drop=strings(data["drop"], "drop") if "drop" in data else (),
-            masses=numbers(table(data, "masses"), "masses"),
-            keeps_contacts=contacts == "model",
-            slides=numbers(
-                {k: slides.get(k, v) for k, v in servos.SLIDE.items()}, "slides"
-            ),
-            servos={k: numbers(figures[k], f"servos.{k}") for k in figures},
+            drop=self.file.drop,
+            masses=self.file.masses,
+            keeps_contacts=self.file.contacts == "model",
+            slides=self.file.slides,
+            servos=self.file.servos,
         )
 
     @cached_property
     def raw(self) -> mujoco.MjSpec:
         """The model before bodies become part of others, without what no hand can have."""
-        spec = self.asked.unfused()
-        for body in self.asked.masses:
+        spec = self.unread.unfused()
+        for body in self.file.masses:
             require_one_of([each.name for each in spec.bodies], body, "masses")
             if not spec.body(body).explicitinertial:
-                raise ValueError(
-                    f"masses: found {body!r}, allowed bodies whose model has an inertial"
-                )
+                allowed = "allowed bodies whose model has an inertial"
+                raise ValueError(f"masses: found {body!r}, {allowed}")
         for joint in spec.joints:
             of_body = f"a joint of body {joint.parent.name!r}"
-            if joint.type not in (servos.HINGE, servos.LINEAR):
+            if joint.type not in (mount.HINGE, mount.LINEAR):
                 kind = joint.type.name.removeprefix("mjJNT_").lower()
                 what = f"joint {joint.name!r}" if joint.name else of_body
                 raise ValueError(
@@ -96,7 +198,7 @@ class Parts:
                 )
             if not joint.name:
                 raise ValueError(f"{of_body}: has no name; give it one")
-        if empty := [body.name for body in mounting.weightless(spec)]:
+        if empty := [body.name for body in mount.weightless(spec)]:
             drop = ", ".join(f'"{name}"' for name in empty)
             raise ValueError(
                 f"model: found links without mass or shape; leave them out: drop = [{drop}]"
@@ -105,13 +207,13 @@ class Parts:
 
     @cached_property
     def mount(self) -> Mount:
-        """Of the model where its file has it."""
+        """The mount of the model where the model's file has it."""
         ranges: dict[str, tuple[float, ...]] = {}
-        for pattern, value in table(self.data, "ranges").items():
-            joints = self.matching(pattern, "ranges")
-            ranges |= dict.fromkeys(joints, interval(value, f"ranges.{pattern}"))
+        for pattern, value in self.file.ranges.items():
+            require_rising(value, f"ranges.{pattern}")
+            ranges |= dict.fromkeys(self.matching(pattern, "ranges"), value)
         return replace(
-            self.asked,
+            self.unread,
             palm=self.palm_frame.link,
             ranges=ranges,
             couplings=self.own_couplings,
@@ -125,65 +227,61 @@ class Parts:
         of them are position servos, each of other joints."""
         spec, driven, bad = self.raw, dict[str, str](), []
         for actuator in spec.actuators:
-            arms = servos.arms(spec, actuator)
-            if not servos.is_servo(spec, actuator) or set(arms) & set(driven):
+            arms = mount.arms(spec, actuator)
+            if not mount.is_servo(spec, actuator) or set(arms) & set(driven):
                 bad.append(actuator.name)
             driven |= dict.fromkeys(arms, actuator.name)
-        if any(actuator.trntype == servos.TENDON for actuator in spec.actuators):
-            moved = {*driven, *(coupling.joint for coupling in mounting.followed(spec))}
-            bad += [joint for joint in self.angles(table(self.data, "closed"), "closed", False)
-                    if joint not in moved]  # fmt: skip
+        if any(actuator.trntype == mount.TENDON for actuator in spec.actuators):
+            moved = {*driven, *(coupling.joint for coupling in mount.followed(spec))}
+            closed = self.angles(self.file.closed, "closed", False)
+            bad += [joint for joint in closed if joint not in moved]
         return tuple(actuator.name for actuator in spec.actuators) if bad else ()
 
     @cached_property
     def passive(self) -> tuple[str, ...]:
         """Joints without servos: those that the file names, and those in closed loops that it does not
         move."""
-        named = (
-            strings(self.data["passive"], "passive") if "passive" in self.data else ()
-        )
-        found = [
-            joint for pattern in named for joint in self.matching(pattern, "passive")
+        named = [
+            j for each in self.file.passive for j in self.matching(each, "passive")
         ]
-        keys = "opened", "closed", "start"
-        moved = set().union(
-            *(self.angles(table(self.data, key), key, False) for key in keys)
-        )
-        looped = set().union(*mounting.loops(self.raw))
-        found += [
-            j.name
-            for j in self.raw.joints
-            if j.parent.name in looped and j.name not in moved
-        ]
-        return tuple(dict.fromkeys(found))
+        poses = {
+            "opened": self.file.opened,
+            "closed": self.file.closed,
+            "start": self.file.start or {},
+        }
+        moved = {
+            j for key, pose in poses.items() for j in self.angles(pose, key, False)
+        }
+        looped = set().union(*mount.loops(self.raw))
+        joints = [j.name for j in self.raw.joints if j.parent.name in looped]
+        return tuple(dict.fromkeys([*named, *(j for j in joints if j not in moved)]))
 
     @cached_property
     def spec(self) -> mujoco.MjSpec:
         """The bare model."""
         spec = self.mount.bare()
         for actuator in spec.actuators:
-            if not servos.is_servo(spec, actuator):
+            if not mount.is_servo(spec, actuator):
                 raise ValueError(
                     f"actuator {actuator.name!r}: is no position servo of a joint"
                 )
         return spec
 
     @cached_property
-    def files(self) -> list[Path]:
-        """Of the model."""
-        path = self.asked.model
-        return [*models.included(path), *models.assets(path, self.raw)]
+    def files(self) -> tuple[Path, ...]:
+        """The files of the model."""
+        path = self.unread.model
+        return (*model_file.included(path), *model_file.assets(path, self.raw))
 
     @cached_property
     def model(self) -> mujoco.MjModel:
         """`spec`, compiled."""
-        model = models.compiled(self.spec)
+        model = model_file.compiled(self.spec)
         free = [
             joint
             for joint, actuator in self.driven.items()
-            if not (
-                model.joint(joint).limited[0] or model.actuator(actuator).ctrllimited[0]
-            )
+            if not model.joint(joint).limited[0]
+            and not model.actuator(actuator).ctrllimited[0]
         ]
         if free:
             more = "; so have " + ", ".join(free[1:]) if free[1:] else ""
@@ -200,97 +298,78 @@ class Parts:
     @cached_property
     def driven(self) -> dict[str, str]:
         """Actuators by the joint that they drive: of a tendon the first that follows no other."""
-        followers = {coupling.joint for coupling in mounting.followed(self.spec)}
+        followers = {coupling.joint for coupling in mount.followed(self.spec)}
         found = {}
         for actuator in self.spec.actuators:
-            arms = servos.arms(self.spec, actuator)
-            found[next((j for j in arms if j not in followers), next(iter(arms)))] = (
-                actuator.name
-            )
+            arms = list(mount.arms(self.spec, actuator))
+            drivers = [joint for joint in arms if joint not in followers]
+            found[(drivers or arms)[0]] = actuator.name
         return found
 
     @cached_property
     def own_couplings(self) -> tuple[Coupling, ...]:
         """Those of the file."""
-        found = []
-        for joint, about in table(self.data, "couplings").items():
-            where = f"couplings.{joint}"
-            table({where: about}, where, {"follows", "ratio", "offset"})
-            driver = str(about.get("follows"))
-            self.angles({joint: 0, driver: 0}, "couplings", False)
-            ratio, offset = (number(about.get(key, usual), f"{where}.{key}")
-                             for key, usual in (("ratio", None), ("offset", 0.0)))  # fmt: skip
-            found.append(Coupling(joint, driver, ratio, offset))
-        return tuple(found)
+        for joint, about in self.file.couplings.items():
+            self.angles({joint: 0, about.follows: 0}, "couplings", False)
+        return tuple(
+            Coupling(joint, about.follows, about.ratio, about.offset)
+            for joint, about in self.file.couplings.items()
+        )
 
     @cached_property
     def follows(self) -> tuple[Coupling, ...]:
         """Of joints that follow others, those of the file first: each by what moves them all."""
-        found = {
-            each.joint: each
-            for each in (*self.own_couplings, *mounting.followed(self.spec))
-        }
+        couplings = (*self.own_couplings, *mount.followed(self.spec))
+        found = {each.joint: each for each in couplings}
         for driver, name in self.driven.items():
-            for joint in servos.arms(self.spec, self.spec.actuator(name)):
+            for joint in mount.arms(self.spec, self.spec.actuator(name)):
                 if joint != driver:
                     found.setdefault(joint, Coupling(joint, driver, 1.0))
-        return tuple(_whole(coupling, found) for coupling in found.values())
+        return tuple(_by_last(coupling, found) for coupling in found.values())
 
     def frame(self, name: Any, where: str) -> Frame:
-        """The link that a body is, or is part of; ValueError where there is none of that name."""
+        """Return the link that a body is, or is part of; ValueError where none has that name."""
         bodies = [body.name for body in self.raw.bodies[1:]]
         if name not in bodies:
-            allowed = ", ".join(bodies)
-            raise ValueError(
-                f"{where}: found no body {name!r} in the model, allowed: {allowed}"
-            )
+            found = f"found no body {name!r} in the model"
+            raise ValueError(f"{where}: {found}, allowed: {', '.join(bodies)}")
         return self.welded.get(str(name), Frame(str(name)))
 
     @cached_property
     def welded(self) -> dict[str, Frame]:
-        """The bodies that are part of links."""
-        # Nobody can mean what has no name.
-        fixed = [
-            b.name
-            for b in self.raw.bodies
-            if self.is_own and b.name and mounting.is_fixed(b)
-        ]
-        if not fixed:
+        """The bodies that are part of links. Nobody can mean one that has no name."""
+        fixed = [b.name for b in self.raw.bodies if b.name and mount.is_fixed(b)]
+        if not fixed or not self.is_own:
             return {}
-        data, found = posed(models.compiled(self.raw.copy()), {}), {}
+        data, found = posed(model_file.compiled(self.raw.copy()), {}), {}
         for name in fixed:
             body = self.raw.body(name)
-            while mounting.is_fixed(body):
+            while mount.is_fixed(body):
                 body = body.parent
             here, there = data.body(name), data.body(body.name)
             turn = there.xmat.reshape(3, 3).T
-            own = turn @ here.xmat.reshape(3, 3)
-            found[name] = Frame(
-                body.name, np.round(own, 12), turn @ (here.xpos - there.xpos)
-            )
+            own = np.round(turn @ here.xmat.reshape(3, 3), 12)
+            found[name] = Frame(body.name, own, turn @ (here.xpos - there.xpos))
         return found
 
-    # -- joint angles ------------------------------------------------------------------------
+    # -- joint angles
 
     def matching(self, pattern: str, where: str) -> list[str]:
-        """The joints of that name, or pattern; ValueError where there is none."""
-        joints = (
-            [pattern] if pattern in self.joints else matching(self.joints, str(pattern))
-        )
+        """Return the joints of that name, or pattern; ValueError where there is none."""
+        joints = [pattern] if pattern in self.joints else matching(self.joints, pattern)
         if not joints:
-            allowed = ", ".join(self.joints)
-            raise ValueError(
-                f"{where}: found no joint {pattern!r} in the model, allowed: {allowed}"
-            )
+            found = f"found no joint {pattern!r} in the model"
+            raise ValueError(f"{where}: {found}, allowed: {', '.join(self.joints)}")
         return joints
 
-    def angles(self, values: dict[str, Any], where: str, ranged: bool = True) -> Angles:
-        """Those of a table, in order: keys are joints or patterns of them. ValueError for what is not
-        in a joint's range, where it is to be `ranged`."""
+    def angles(
+        self, values: Mapping[str, float], where: str, ranged: bool = True
+    ) -> Angles:
+        """Return those of a table, in order: keys are joints or patterns of them. ValueError for what
+        is not in a joint's range, where it is to be `ranged`."""
         found: Angles = {}
         for pattern, value in values.items():
-            joints = self.matching(pattern, where)
-            found |= dict.fromkeys(joints, number(value, f"{where}.{pattern}"))
+            found |= dict.fromkeys(self.matching(pattern, where), value)
         for joint, angle in found.items() if ranged else ():
             low, high = self.range_of(joint)
             if not low - SLACK <= angle <= high + SLACK:
@@ -299,25 +378,23 @@ class Parts:
         return found
 
     def range_of(self, joint: str) -> tuple[float, float]:
-        """Of a joint, in rad or m, infinite where it has none."""
+        """Return the range of a joint, in rad or m, infinite where it has none."""
         found = self.model.joint(joint)
         low, high = found.range.tolist() if found.limited[0] else (-math.inf, math.inf)
         return low, high
 
     def inside(self, joint: str) -> float:
-        """The angle nearest to 0 that the joint can have."""
+        """Return the angle nearest to 0 that the joint can have."""
         low, high = self.range_of(joint)
         return min(max(0.0, low), high)
 
     @cached_property
     def closed(self) -> Angles:
-        closed = self.angles(table(self.data, "closed"), "closed")
+        closed = self.angles(self.file.closed, "closed")
         idle = [joint for joint in closed if joint not in self.driven]
         if idle:
             hint = "leave it out"
-            if self.driven and not any(
-                joint == each.joint for joint in idle for each in self.follows
-            ):
+            if self.driven and not {*idle} & {each.joint for each in self.follows}:
                 names = ", ".join(f'"{name}"' for name in self.driven.values())
                 hint = f"add the missing ones, or give all joints the library's: drop = [{names}]"
             raise ValueError(
@@ -328,103 +405,87 @@ class Parts:
     @cached_property
     def opened(self) -> Angles:
         """The same joints, open."""
-        opened = self.angles(table(self.data, "opened"), "opened")
+        opened = self.angles(self.file.opened, "opened")
         for joint in opened:
             if joint not in self.closed:
-                raise ValueError(
-                    f"opened.{joint}: found it without a value in [closed]"
-                )
+                found = "found it without a value in [closed]"
+                raise ValueError(f"opened.{joint}: {found}")
         return {joint: self.inside(joint) for joint in self.closed} | opened
 
     @cached_property
     def open_pose(self) -> Angles:
-        """Of all joints that close, and of those that follow them."""
+        """Angles of all joints that close, open, and of those that follow them."""
         return self.opened | self.followed(self.opened)
 
     def way(self, joint: str) -> float:
-        """How far it goes from open to closed, by itself or following another, rad or m."""
+        """Return how far it goes from open to closed, by itself or following another, rad or m."""
         own = self.closed.get(joint, 0.0) - self.opened.get(joint, 0.0)
-        return own or sum(
-            c.ratio * self.way(c.driver) for c in self.follows if c.joint == joint
-        )
+        drivers = [each for each in self.follows if each.joint == joint]
+        return own or sum(each.ratio * self.way(each.driver) for each in drivers)
 
     def at(self, share: float) -> Angles:
-        """A share of the way from open to closed."""
+        """Return the angles at a share of the way from open to closed."""
         return {
-            j: self.opened[j] + share * (self.closed[j] - self.opened[j])
-            for j in self.closed
+            joint: self.opened[joint] + share * (end - self.opened[joint])
+            for joint, end in self.closed.items()
         }
 
     def pose(self, share: float) -> Angles:
-        """Of all joints: at a share of the way from open to closed, the others as at the start."""
+        """Return the angles of all joints at a share of the way from open to closed, the others as at
+        the start."""
         angles = self.start | self.at(share)
         return angles | self.followed(angles)
 
     @cached_property
     def start(self) -> Angles:
         """As the file says, part of the way to closed, or open; followers follow."""
-        if "start" in self.data:
-            angles = self.angles(table(self.data, "start"), "start")
+        if self.file.start is not None:
+            angles = self.angles(self.file.start, "start")
         else:
-            shares = table(self.data, "start_closing", set(self.digits))
             angles = dict(self.opened)
-            for digit in self.digits:
-                some = self.at(number(shares.get(digit, 0.0), f"start_closing.{digit}"))
+            for digit, share in self.file.start_closing.items():
+                require_one_of(self.digits, digit, "start_closing")
+                some = self.at(share)
                 angles |= {joint: some[joint] for joint in self.closing_of(digit)}
         angles = {joint: self.inside(joint) for joint in self.joints} | angles
         return angles | self.followed(angles)
 
     def followed(self, angles: Angles) -> Angles:
-        """Where the joints are that follow others, which are at these angles."""
+        """Return where the joints are that follow others, which are at these angles."""
         return {c.joint: c.at(angles.get(c.driver, 0.0)) for c in self.follows}
 
-    # -- digits and palm ---------------------------------------------------------------------
+    # -- digits and palm
 
     @cached_property
     def digits(self) -> dict[str, Digit]:
         found: dict[str, Digit] = {}
-        for name, about in table(self.data, "digits").items():
+        for name, about in self.file.digits.items():
             where = f"digits.{name}"
-            table(
-                {where: about}, where, {"links", "tip", "palmar", "base", "base_link"}
-            )
-            bodies = strings(about.get("links"), f"{where}.links")
-            frames = [self.frame(body, where) for body in bodies]
+            require_distinct(about.links, f"{where}.links")
+            frames = [self.frame(body, where) for body in about.links]
+            directions = _directions(about.palmar, len(frames), f"{where}.palmar")
             sides: dict[str, Array | None] = {}
-            for frame, side in zip(
-                frames, _sides(about.get("palmar"), len(bodies), where), strict=True
-            ):
-                sides.setdefault(
-                    frame.link,
-                    None if side is None else np.array(frame.direction(side)),
-                )
-                others = (
-                    other for other, digit in found.items() if frame.link in digit.links
-                )
-                if other := next(others, None):
-                    raise ValueError(
-                        f"{where}.links: found {frame.link!r}, which is a link of {other}"
-                    )
-            tip = frames[-1].point(vector(about.get("tip"), 3, f"{where}.tip"))
+            for frame, side in zip(frames, directions, strict=True):
+                turned = None if side is None else np.array(frame.direction(side))
+                sides.setdefault(frame.link, turned)
+                for other, digit in found.items():
+                    if frame.link in digit.links:
+                        what = f"found {frame.link!r}, which is a link of {other}"
+                        raise ValueError(f"{where}.links: {what}")
+            tip = frames[-1].point(about.tip)
             found[name] = Digit(tuple(sides), tip, tuple(sides.values()))
         if not found:
             raise ValueError("digits: found none, expected a table with one or more")
         return found
 
     def closing_of(self, digit: str) -> list[str]:
-        """The joints of [closed] that move a digit, through closed loops too."""
-        chain = set(mounting.chain(self.spec.body(self.digits[digit].links[-1])))
-        chain |= {
-            body for loop in mounting.loops(self.spec) if chain & loop for body in loop
-        }
-        return [
-            joint
-            for joint in self.closed
-            if self.spec.joint(joint).parent.name in chain
-        ]
+        """Return the joints of [closed] that move a digit, through closed loops too."""
+        chain = set(mount.chain(self.spec.body(self.digits[digit].links[-1])))
+        chain = chain.union(*(loop for loop in mount.loops(self.spec) if chain & loop))
+        return [j for j in self.closed if self.spec.joint(j).parent.name in chain]
 
     def tips(self, model: mujoco.MjModel, data: mujoco.MjData) -> Array:
-        """(n_digits, 3) in a posed model, m."""
+        """Return where fingertips are in a posed model, (n_digits, 3), m."""
         bodies = [model.body(digit.links[-1]).id for digit in self.digits.values()]
         points = np.array([digit.tip for digit in self.digits.values()])
         turned = np.einsum("nij,nj->ni", data.xmat[bodies].reshape(-1, 3, 3), points)
@@ -432,7 +493,7 @@ class Parts:
 
     @cached_property
     def palm_frame(self) -> Frame:
-        return self.frame(self.data.get("palm"), "palm")
+        return self.frame(self.file.palm, "palm")
 
     @cached_property
     def palm(self) -> int:
@@ -441,23 +502,17 @@ class Parts:
     @cached_property
     def palm_point(self) -> tuple[float, ...]:
         """In its frame, m."""
-        return self.palm_frame.point(
-            vector(self.data.get("palm_point"), 3, "palm_point")
-        )
+        return self.palm_frame.point(self.file.palm_point)
 
     @cached_property
     def palmar(self) -> Array:
         """Unit vector (3,) out of the palm, in its frame."""
-        palmar = self.palm_frame.direction(vector(self.data.get("palmar"), 3, "palmar"))
-        return unit(palmar, "palmar")
+        return unit(self.palm_frame.direction(self.file.palmar), "palmar")
 
     @cached_property
     def fingers(self) -> Array:
         """Unit vector (3,) from the palm towards the fingers, in its frame."""
-        fingers = self.palm_frame.direction(
-            vector(self.data.get("fingers"), 3, "fingers")
-        )
-        fingers = unit(fingers, "fingers")
+        fingers = unit(self.palm_frame.direction(self.file.fingers), "fingers")
         if abs(self.palmar @ fingers) > 0.9:
             raise ValueError(
                 "fingers: found the direction of palmar, expected one along the palm"
@@ -465,8 +520,14 @@ class Parts:
         return beside(fingers, self.palmar)
 
 
-def _whole(coupling: Coupling, of: Mapping[str, Coupling]) -> Coupling:
-    """By the last of those that follow each other."""
+def require_distinct(names: Names, where: str) -> None:
+    """Raise ValueError unless there are one or more names, each once."""
+    if not names or len(set(names)) < len(names):
+        raise ValueError(f"{where}: found {list(names)}, expected each name once")
+
+
+def _by_last(coupling: Coupling, of: Mapping[str, Coupling]) -> Coupling:
+    """Return a coupling by the last of those that follow each other."""
     chain = [coupling.joint, coupling.driver]
     while beyond := of.get(coupling.driver):
         chain.append(beyond.driver)
@@ -478,73 +539,24 @@ def _whole(coupling: Coupling, of: Mapping[str, Coupling]) -> Coupling:
     return coupling
 
 
-def _sides(value: Any, n: int, where: str) -> list[Array | None]:
-    """Palmar directions of `n` links: none, one for all, or one for each."""
-    where = f"{where}.palmar"
+def _directions(value: Any, n: int, where: str) -> list[Array | None]:
+    """Return palmar directions of `n` links: none, one for all, or one for each."""
     if value is None:
         return [None] * n
-    each = (
-        value
-        if isinstance(value, list) and value and isinstance(value[0], list)
-        else [value] * n
-    )
+    each = value if isinstance(value[0], tuple) else [value] * n
     if len(each) != n:
-        raise ValueError(
-            f"{where}: found {len(each)} directions, expected one, or one for each link"
-        )
-    return [unit(vector(one, 3, where), where) for one in each]
+        expected = "expected one, or one for each link"
+        raise ValueError(f"{where}: found {len(each)} directions, {expected}")
+    return [unit(one, where) for one in each]
 
 
-def posed(model: mujoco.MjModel, angles: Mapping[str, float]) -> mujoco.MjData:
-    """A model with these joint angles, the others where its joints rest."""
-    data = mujoco.MjData(model)
-    for joint, angle in angles.items():
-        data.qpos[model.joint(joint).qposadr[0]] = angle
-    mujoco.mj_kinematics(model, data)
-    return data
-
-
-def placed(data: mujoco.MjData, link: str, point: Any) -> Array:
-    """Where a point (3,) in a link's frame is, m."""
-    body = data.body(link)
-    return np.asarray(body.xpos + body.xmat.reshape(3, 3) @ point)
-
-
-def numbers(values: dict[str, Any], where: str) -> dict[str, float]:
-    """All of a table, from 0 up."""
-    return {key: number(value, f"{where}.{key}", 0.0) for key, value in values.items()}
-
-
-def unit(direction: Any, where: str) -> Array:
-    """A direction of length 1; ValueError where it has none."""
-    length = float(np.linalg.norm(direction))
-    if length < 1e-6:
-        raise ValueError(f"{where}: found no direction")
-    return np.asarray(direction, float) / length
-
-
-def beside(direction: Array, other: Array) -> Array:
-    """What of a unit vector is at right angles to another, of length 1."""
-    along = float(direction @ other)
-    return (
-        direction
-        if abs(along) < 1e-9
-        else unit(direction - along * other, "directions")
-    )
-
-
-def _model_file(name: Any, folder: Path) -> Path:
-    """A path beside the hand's file, or "package:path" in a package that is installed."""
-    if not isinstance(name, str) or not name:
-        raise ValueError(
-            f"model: found {name!r}, expected the path of an MJCF or URDF file"
-        )
+def _model_file(name: str, folder: Path) -> Path:
+    """Return a path beside the hand's file, or "package:path" in a package that is installed, which is
+    not imported: that may be slow."""
     package, colon, inside = name.partition(":")
     if not colon:
         return folder / name
-    spec = (
-        find_spec(package) if package.isidentifier() else None
-    )  # not imported: that may be slow
+    spec = find_spec(package) if package.isidentifier() else None
     if spec is None or not spec.submodule_search_locations:
         package = package.replace("_", "-")
         what = f"the hand's model files come with {package}, which is not installed"

@@ -1,7 +1,9 @@
-"""Where taxels may lie: the palmar sides of the links that a hand's file names."""
+"""Where taxels may lie: the palmar sides of the links that a hand's file names; and the touch sensors
+that a model has of its own, as taxels on links."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -9,22 +11,22 @@ import mujoco
 import numpy as np
 
 from ..state import Array
-from ..validation import number, table, vector
-from . import servos
-from .hand import SEGMENTS, Pitch, Surface
-from .parts import Parts, beside, numbers, posed, unit
-from .skins import Geom, geoms_of, meet, outside
+from ..validation import require_known
+from . import model_file, mount
+from .geometry import Geom, beside, geoms_of, meet, outside, posed, unit
+from .hand import RADIUS, SEGMENTS, Pitch, Point, Surface
+from .parts import DigitTable, Parts
 
 PARALLEL = 0.99  # cosine
-BEYOND = 0.01  # m that a fingertip may lie off the shapes of its link
+BEYOND = 0.01  # m that a fingertip, or a sensor, may lie off the shapes of its link
+SENSORS = re.compile(r"(?i)sensor|taxel|tactile|touch")
+LEAST, MOST = 1e-3, 0.02  # m, of radii
 
 
 def of(parts: Parts) -> tuple[Surface, ...]:
     """The palmar sides of all segments, then of the palm at the bases of the fingers."""
     open_hand, found = posed(parts.model, parts.open_pose), []
-    shift = number(
-        table(parts.data, "pitch").get("distal_shift", 0.0), "pitch.distal_shift"
-    )
+    shift = parts.file.pitch.distal_shift
     tips = dict(zip(parts.digits, parts.tips(parts.model, open_hand), strict=True))
     for digit, (links, tip, sides) in parts.digits.items():
         for count, (link, segment) in enumerate(
@@ -42,31 +44,26 @@ def of(parts: Parts) -> tuple[Surface, ...]:
         centre = np.array(found[-1].centre) + shift * np.array(found[-1].along)
         found[-1] = replace(found[-1], centre=tuple(centre))
         _require_on_link(parts, digit, links[-1], tip)
-    bases = {
-        digit: about for digit, about in parts.data["digits"].items() if "base" in about
-    }
-    for digit, about in bases.items() or [("palm", {})]:
+    bases = {d: about for d, about in parts.file.digits.items() if about.base}
+    for digit, about in bases.items():
         found.append(_palm_side(parts, digit, about))
-    return tuple(found)
+    return (*found, *([] if bases else [_palm_side(parts, "palm", None)]))
 
 
 def pitch(parts: Parts, surfaces: tuple[Surface, ...]) -> Pitch:
-    """The file's, or what fits on the smallest segment."""
-    allowed = {"rows", "column", "radius", "large_radius", "distal_shift"}
-    about = table(parts.data, "pitch", allowed)
+    """Return the file's pitch, or what fits on the smallest segment."""
+    table = parts.file.pitch
     segments = [surface for surface in surfaces if surface.segment != "palm"]
-    rows = dict.fromkeys((surface.segment for surface in segments), 5e-3)
+    rows: dict[str, float] = {}
     for surface in segments:
         low, high, _ = surface.span
-        rows[surface.segment] = min(rows[surface.segment], 0.3 * (high - low))
-    usual = {
-        "column": min(5e-3, 0.6 * min(s.span[2] for s in segments)),
-        "radius": 2e-3,
-    }
-    own = {**usual, "large_radius": 3.8e-3, **about}
-    rows |= numbers(table(about, "rows", set(rows)), "pitch.rows")
-    figures = ("column", "radius", "large_radius")
-    return Pitch(rows, *(number(own[name], f"pitch.{name}", 0.0) for name in figures))
+        usual = rows.get(surface.segment, 5e-3)
+        rows[surface.segment] = min(usual, 0.3 * (high - low))
+    require_known(table.rows, rows)
+    column = table.column
+    if column is None:
+        column = min(5e-3, 0.6 * min(surface.span[2] for surface in segments))
+    return Pitch(rows | table.rows, column, table.radius, table.large_radius)
 
 
 def _segments(n: int) -> tuple[str, ...]:
@@ -81,13 +78,13 @@ def _flexion(parts: Parts, links: tuple[str, ...], data: mujoco.MjData) -> list[
     """About what the first of these links and those beyond it turn when the hand closes, then about
     what turns them: unit vectors (3,) in the frame of the first. One against which the first is turned
     by more, as a link that stays parallel, counts the other way."""
-    carried = _carried(parts, links[0], data, servos.HINGE)
+    carried = _carried(parts, links[0], data, mount.HINGE)
     beyond = [
         move
         for link in links[1:]
-        for move in _moves(parts, links[0], link, data, servos.HINGE)
+        for move in _moves(parts, links[0], link, data, mount.HINGE)
     ]
-    own = len(_moves(parts, links[0], links[0], data, servos.HINGE))
+    own = len(_moves(parts, links[0], links[0], data, mount.HINGE))
     net = sum((way * axis for way, axis in carried), np.zeros(3))
     axes = [axis for _, axis in carried[:own] + beyond + carried[own:]]
     return [-axis if axis @ net < 0 else axis for axis in axes]
@@ -148,7 +145,7 @@ def _segment(
             side = unit(np.cross(turning, along), link)
     if side is None:  # what slides goes there
         data = posed(parts.model, parts.open_pose)
-        slides = _carried(parts, link, data, servos.LINEAR)
+        slides = _carried(parts, link, data, mount.LINEAR)
         if not slides:
             hint = "say which side of it is palmar: palmar = [x, y, z]"
             raise ValueError(
@@ -204,33 +201,29 @@ def _bone(parts: Parts, link: str, capsule: Geom) -> Array:
     return own[0] if own and np.allclose(own[0], ends, atol=1e-6) else ends
 
 
-def _palm_side(parts: Parts, digit: str, about: dict[str, Any]) -> Surface:
-    """The palm at a place: a plane where it is said to be flat, else whatever is there."""
-    frame = parts.palm_frame
-    if "base_link" in about:
-        frame = parts.frame(about["base_link"], f"digits.{digit}.base_link")
-    link, body = frame.link, parts.model.body(frame.link).id
-    base = parts.palm_point
-    if "base" in about:
-        base = frame.point(vector(about["base"], 3, f"digits.{digit}.base"))
+def _palm_side(parts: Parts, digit: str, about: DigitTable | None) -> Surface:
+    """Return the palm at a place: a plane where it is said to be flat, else whatever is there."""
+    frame, base = parts.palm_frame, parts.palm_point
+    if about is not None:
+        if about.base_link is not None:
+            frame = parts.frame(about.base_link, f"digits.{digit}.base_link")
+        base = frame.point(about.base)
+    body = parts.model.body(frame.link).id
     data = posed(parts.model, {})
     here, there = (data.xmat[b].reshape(3, 3) for b in (body, parts.palm))
     turn = np.round(here.T @ there, 12)
     along, palmar = (
         tuple((turn @ v + 0.0).tolist()) for v in (parts.fingers, parts.palmar)
     )
-    plane = Surface(digit, "palm", link, base, along, palmar)  # type: ignore[arg-type]
-    if parts.data.get("palm_is_flat"):
+    plane = Surface(digit, "palm", frame.link, base, along, palmar)  # type: ignore[arg-type]
+    if parts.file.palm_is_flat:
         return plane
     geoms = geoms_of(parts.model, body)
     if meet(geoms, np.array(base), -np.array(palmar)) is None:
-        raise ValueError(
-            f"palm: found no surface of body {link!r} at {list(base)} on its palmar side"
-        )
-    whole = _around(replace(plane, geoms=geoms))
-    return replace(
-        whole if digit == "palm" else replace(plane, geoms=geoms), centre=plane.centre
-    )
+        where = f"at {list(base)} on its palmar side"
+        raise ValueError(f"palm: found no surface of body {frame.link!r} {where}")
+    whole = replace(plane, geoms=geoms)
+    return replace(_around(whole), centre=plane.centre) if about is None else whole
 
 
 def _require_on_link(parts: Parts, digit: str, link: str, tip: Any) -> None:
@@ -241,3 +234,41 @@ def _require_on_link(parts: Parts, digit: str, link: str, tip: Any) -> None:
         raise ValueError(
             f"digits.{digit}.tip: {found}, allowed up to {1e3 * BEYOND:g} mm"
         )
+
+
+def sensors(parts: Parts) -> tuple[Point, ...]:
+    """The sites of `<touch>` sensors, and what is fixed to a link and called a sensor, as in URDF.
+    Those that are not at the skin of a link are left out."""
+    links = {link for digit in parts.digits.values() for link in digit.links} | {
+        parts.palm_frame.link
+    }
+    geoms = {link: geoms_of(parts.model, parts.model.body(link).id) for link in links}
+    found = []
+    named = [
+        (n, at.link, at.place, RADIUS)
+        for n, at in parts.welded.items()
+        if SENSORS.search(n)
+    ]
+    for name, link, place, radius in (*_sites(parts), *named):
+        if own := geoms.get(link):
+            away, normal = outside(own, place)
+            if abs(away) < BEYOND and normal.any():
+                radius = float(np.clip(radius, LEAST, MOST))
+                where = tuple(place.tolist()), tuple(normal.tolist())
+                found.append(Point(link, *where, radius, name))
+    return tuple(found)
+
+
+def _sites(parts: Parts) -> list[tuple[str, str, Array, float]]:
+    """Name, link, place on it (3,), m, and radius of each touch sensor."""
+    touch = mujoco.mjtSensor.mjSENS_TOUCH
+    sensors = model_file.read(parts.unread.model).sensors
+    chosen = {sensor.objname for sensor in sensors if sensor.type == touch}
+    sites = [
+        parts.model.site(site.name) for site in parts.spec.sites if site.name in chosen
+    ]
+    links = (parts.model.body(site.bodyid[0]).name for site in sites)
+    return [
+        (site.name, link, site.pos, site.size[0])
+        for site, link in zip(sites, links, strict=True)
+    ]

@@ -7,23 +7,20 @@ in an object of which rule "skin" says that it is within the radius of the taxel
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from ..state import Array
-from . import models
-
-if TYPE_CHECKING:
-    from ..layouts import Taxels
-    from .hand import Hand
+from . import model_file
+from .hand import Hand
 
 NAME = "taxels of "  # and the link: what mesh, geom and sensor are called
 GROUP = 5  # of geoms that are not drawn
 
 
-def spec(hand: Hand, taxels: Taxels) -> mujoco.MjSpec:
+def spec(hand: Hand, taxels: Any) -> mujoco.MjSpec:
     """The hand as it hangs in a scene, without ground and object. A sensor has its link's taxels in the
     layout's order, depth (m) first; those beyond are corners of a mesh that is too small without."""
     whole, (path, *_) = hand.build(), hand.build.files
@@ -52,11 +49,11 @@ def spec(hand: Hand, taxels: Taxels) -> mujoco.MjSpec:
     return whole
 
 
-def xml(hand: Hand, taxels: Taxels) -> bytes:
+def xml(hand: Hand, taxels: Any) -> bytes:
     """The same as an MJCF file, which names the meshes where they are."""
     whole = spec(hand, taxels)
-    models.compiled(whole)
-    with models.quiet():
+    model_file.compiled(whole)
+    with model_file.quiet():
         return str(whole.to_xml()).encode()
 
 

@@ -16,8 +16,8 @@ from ctypes.util import find_library
 import mujoco
 import numpy as np
 
-from ..hands import models
-from ..hands.servos import hold
+from ..hands import model_file
+from ..hands.mount import hold
 from ..state import Array, Contacts, Shape, State
 from . import (
     Camera,
@@ -243,7 +243,7 @@ class MujocoSimulator(Simulator):
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self.model = models.compiled(build_spec(scene))
+        self.model = model_file.compiled(build_spec(scene))
         _set_mean_inertia(self.model)
         # A diverged state is reported, not silently replaced by the start of the episode.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)

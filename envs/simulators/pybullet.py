@@ -25,7 +25,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..hands import models
+from ..hands import model_file
 from ..hands.hand import Coupling
 from ..state import Array, Contacts, Shape, State, places
 from . import Camera, Scene, SimulationError, Simulator, Sphere, joint_limits, urdf
@@ -78,7 +78,7 @@ class PyBulletSimulator(Simulator):
 
     def __init__(self, scene: Scene) -> None:
         self.scene, hand = scene, scene.hand
-        self.model = models.compiled(scene.build_hand(visual=False))
+        self.model = model_file.compiled(scene.build_hand(visual=False))
         self.joint_limits = joint_limits(self.model, hand)
         self.client = pybullet.connect(pybullet.DIRECT)
         if self.client < 0:

@@ -15,7 +15,7 @@ from ..envs import scenes, tasks
 from ..envs.grasp import GraspConfig, GraspEnv
 from ..envs.hands import tactile
 from ..envs.layouts import Taxels
-from ..envs.taxel_formats import WRITERS
+from ..envs.taxel_files import WRITERS
 from ..errors import InputError, input_errors
 from ..files import content as read_all
 from ..files import replacing

@@ -14,7 +14,7 @@ import tyro
 
 from ..envs import hands
 from ..envs.grasp import setup
-from ..envs.hands import describing, sandbox
+from ..envs.hands import guess, sandbox
 from ..errors import InputError, input_errors
 from ..files import begins_with, pasted, replacing
 from ..scripted import grasp_search, taxels
@@ -107,7 +107,7 @@ def _write(read: HandFlags) -> None:
 def _written(path: Path, model: str, said: dict[str, Any]) -> list[str]:
     """Notes on what was guessed."""
     folder = path.parent.absolute()
-    text, notes = sandbox.call(describing.describe, model, folder, said)
+    text, notes = sandbox.call(guess.describe, model, folder, said)
     with replacing(path, is_ours) as file:
         file.write((MARK + text).encode())
     return notes

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from tactilerl.commands.cli import main
 from tactilerl.envs import hands
-from tactilerl.envs.hands import describing
+from tactilerl.envs.hands import guess
 from tactilerl.scripted import grasp_search
 
 from one_line import fails_with, printed
@@ -35,7 +35,7 @@ def _described_here(read_here, in_tmp):
 
 def guessed(model, name="hand.xml", **said):
     Path(name).write_text(model)
-    text, notes = describing.describe(name, Path(), said)
+    text, notes = guess.describe(name, Path(), said)
     Path("hand.toml").write_text(text)
     hands.get("hand.toml")
     return tomllib.loads(text), notes

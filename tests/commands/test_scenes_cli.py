@@ -46,7 +46,7 @@ def test_forces_are_learned_from(learner, env, simulator):
 @pytest.mark.parametrize(
     ("train", "named"),
     [
-        ('algo = ["ppo"]', "train: algo: found list"),
+        ('algo = ["ppo"]', "train: algo: found"),
         ("recipe = 3", "train: recipe: found 3"),
         ('hidden = "x"', "hidden: found 'x'"),
         ("total_timesteps = -1", "total_timesteps: found -1"),

@@ -88,15 +88,18 @@ GOOD = 'digits = ["thumb"]\nsegments = ["distal"]\noffsets_mm = [[0, 0]]\nradius
         ("[[patch]]\n" + GOOD.replace("thumb", "toe"), "found 'toe', allowed: thumb"),
         ("[[patch]]\n" + GOOD.replace("distal", "tip"), "found 'tip', allowed: proximal"),
         ("[[patch]]\n" + GOOD.replace("2.0", "nan"), "radius_mm: found nan"),
-        ("[[patch]]\n" + GOOD.replace("[[0, 0]]", "[[0]]"), "[row, column]: found [0], expected 2"),
+        ("[[patch]]\n" + GOOD.replace("[[0, 0]]", "[[0]]"), "offsets_mm: found [0], allowed 2 numbers"),
         ("[[patch]]\n" + GOOD.replace("[[0, 0]]", "[[0, 80]]"), "from -50 to 50"),
         ("[[patch]]\n" + GOOD.replace("[[0, 0]]", '"centre"'), "offsets_mm"),
         (2 * ("[[patch]]\n" + GOOD), "taxels 1 and 2, thumb.distal[+0,+0 mm]: found the same"),
-        ("[[patch]]\n" + GOOD.replace("2.0", "9" * 400), "radius_mm: found 9"),
-        ("[[taxel]]\nlink = 3\n", "taxel 1: link: found 3"),
+        ("[[patch]]\n" + GOOD.replace("2.0", "9" * 400), "radius_mm: found a number of"),
+        ("[[taxel]]\nlink = 3\n", "taxel 1.link: found 3"),
         ("[[taxel]]\nlink = 'x'\nfoo = 1\n", "taxel 1: unknown key 'foo'"),
-        ("[[sensor]]\nfile = 'x.stl'\n", "sensor 1: file: found 'x.stl'"),
-        ("[[sensor]]\nfile = 'x.csv'\nposition = [1e8, 0, 0]\n", "sensor 1: position: found [100000"),
+        ("[[sensor]]\nfile = 'x.stl'\nlinks = ['a']\n", "sensor 1: file: found 'x.stl'"),
+        (
+            "[[sensor]]\nfile = 'x.csv'\nlinks = ['a']\nposition = [1e8, 0, 0]\n",
+            "sensor 1.position: found 100000",
+        ),
     ],
 )
 def test_malformed_file_says_what_is_wrong(tmp_path, content, complaint):

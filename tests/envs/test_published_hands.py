@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tactilerl.envs import hands, layouts, scripted, taxel_files
 from tactilerl.envs.grasp import GraspEnv, setup
-from tactilerl.envs.hands import models
+from tactilerl.envs.hands import model_file
 
 TIP = '<geom type="capsule" size="0.008" fromto="0 0 0 0.03 0 0"/>'
 FINGER = """<body name="{n}_1" pos="{x} 0 -0.02" euler="0 1.5708 0">
@@ -238,7 +238,7 @@ class TestServos:
         for old, new in degrees:
             model = model.replace(old, new)
         hand = hands.get(made(model, FOLLOWERS + '[ranges]\n"?_a" = [-0.5, 1.0]\n'))
-        assert models.compiled(hand.build()).joint("l_a").range == pytest.approx([-0.5, 1.0])
+        assert model_file.compiled(hand.build()).joint("l_a").range == pytest.approx([-0.5, 1.0])
         assert hand.couplings[0].offset == pytest.approx(0.1 + 0.5 * math.radians(20))
 
     def test_couplings_of_the_file_where_a_joint_rests_elsewhere_than_at_0(self, made):
@@ -280,9 +280,10 @@ class TestServos:
         path, beside = made(with_more('<include file="in/a.xml"/>')), tmp_path / "in/b.xml"
         assert beside in hands.get(path).build.files
         (tmp_path / "b.xml").write_text('<mujoco><option timestep="0.002"/></mujoco>')
+        hands._read.clear()
         assert beside not in hands.get(path).build.files  # MuJoCo prefers what is beside the model
         native = mujoco.MjSpec.from_file(str(tmp_path / "hand.xml")).option.timestep
-        assert models.read(tmp_path / "hand.xml").option.timestep == native == 0.002
+        assert model_file.read(tmp_path / "hand.xml").option.timestep == native == 0.002
 
 
 UNLIMITED = MODEL.replace('axis="0 -1 0" range="0 1.5"', 'axis="0 -1 0"', 1)
@@ -294,7 +295,7 @@ MIDDLE = 'middle = { links = ["m_1", "m_2"], tip = [0.038, 0, 0] }\n[closed]'
 LOW = TOML.replace("[[grasp]]", "[place]\nat = [0, 0, 0.03]\n[[grasp]]")
 UNMOVED = TOML.replace("[closed]", '[opened]\n"l_a" = 0.6\nl_b = 0.3\n[closed]')
 NO_HANDS = [
-    (MODEL, TOML.replace("[0, 0, -1]", "[0, 0, 1]"), r"palmar: .* did you mean \[0, 0, -1\]"),
+    (MODEL, TOML.replace("[0, 0, -1]", "[0, 0, 1]"), r"palmar: .* did you mean \[0\.0, 0\.0, -1"),
     (MODEL, TOML.replace('"?_b" = 0.3', '"?_b" = 9.0'), "closed.l_b: found 9, allowed 0 to 1.5"),
     (MODEL, LOW, "the hand starts 6. mm in the ground"),
     (MODEL, UNMOVED, "digits.thumb: .*closed"),
@@ -438,7 +439,7 @@ class TestUrdf:
     def test_nothing_is_printed(self, made, capfd, tmp_path, monkeypatch):
         monkeypatch.chdir(tmp_path)
         path = made(urdf(), URDF, "hand.urdf")
-        models.compiled(hands.get(path).build())
+        model_file.compiled(hands.get(path).build())
         assert capfd.readouterr() == ("", "")
         assert not Path("MUJOCO_LOG.TXT").exists()
 

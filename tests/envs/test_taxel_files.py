@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tactilerl.envs import hands, layouts, taxel_files, taxel_formats
+from tactilerl.envs import hands, layouts, taxel_files
 
 GRIPPER = str(Path(__file__).parents[1] / "hands" / "gripper.toml")
 ORCA = """name: touch-sensor-finger
@@ -35,7 +35,7 @@ taxel2Repr          (-1 0 0 -1)
 """
 POINTS = layouts.load("5").place(hands.get(GRIPPER)).points
 WHOLE = {
-    suffix: write(POINTS[:1]) for suffix, write in taxel_formats.WRITERS.items() if suffix != ".toml"
+    suffix: write(POINTS[:1]) for suffix, write in taxel_files.WRITERS.items() if suffix != ".toml"
 }
 WHOLE |= {".yaml": ORCA.encode(), ".txt": ICUB.encode()}
 
@@ -89,8 +89,8 @@ HOSTILE = {
     ".txt": ["", "name\n[calibration]\n", "name a\nname b\n[calibration]\n", "name a\n[calibration]\n",
              *(ICUB.replace("-0.9 0.0", normal) for normal in ("nan 0.0", "-0.9", "x 0.0")),
              ICUB.replace("0.001", "5")],
-    ".csv": ["", "a,b", ",".join(taxel_formats.COLUMNS),
-             *(f"{','.join(taxel_formats.COLUMNS)}\n{rows}" for rows in (
+    ".csv": ["", "a,b", ",".join(taxel_files.COLUMNS),
+             *(f"{','.join(taxel_files.COLUMNS)}\n{rows}" for rows in (
                  "a,1,2", "a,0,0,0,0,0,0,.002", "a,0,0,0,0,0,1,9", 2 * "a,0,0,0,0,0,1,.002\n")),
              WHOLE[".csv"].decode().replace("0.", "nan")],
     ".npz": ["", "PK"],

@@ -350,7 +350,7 @@ class TestConfig:
             ("learner", "hidden", [10**30], "hidden: found a number"),
             ("learner", "truncation", "never", "truncation: found 'never'"),
             (None, "ranks", float("inf"), "ranks: found inf"),
-            (None, "scene", [], "scene: found list"),
+            (None, "scene", [], "scene: found"),
             (None, "learner", {}, "learner: found no field"),
             (None, "provenance", [{"epoch": 0}], "provenance"),
             (None, "format", 2, "continue runs of version 0.1 with that version"),

@@ -1,14 +1,16 @@
-"""What links are made of: where one meets their surface, and how far they are from an object.
+"""Geometry of links: their shapes, where one meets their skin, how far they are from an object, and
+where a model's parts are when it is posed.
 
 A mesh counts as its convex hull, which is what the simulators collide.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import suppress
 from functools import lru_cache
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -52,24 +54,17 @@ class Geom(NamedTuple):
 
 
 def geoms_of(model: mujoco.MjModel, body: int) -> tuple[Geom, ...]:
-    """What collides of a body; ValueError for a shape that no link has."""
+    """Return what collides of a body; ValueError for a shape that no link has."""
     names = {int(value): name for name, value in KINDS.items()}
     found = []
-    for index in range(
-        model.body_geomadr[body], model.body_geomadr[body] + model.body_geomnum[body]
-    ):
-        geom = model.geom(index)
-        if not (geom.contype[0] or geom.conaffinity[0]):
-            continue
+    for geom in colliding(model, body):
         if int(geom.type[0]) not in names:
             what = f"body {model.body(body).name!r}: found a geom of another kind"
             raise ValueError(f"{what}, allowed: {', '.join(KINDS)}")
         kind = names[int(geom.type[0])]
         corners: Array = np.zeros((0, 3))
         if kind == MESH:
-            mesh = model.mesh(geom.dataid[0])
-            first, n = int(mesh.vertadr[0]), int(mesh.vertnum[0])
-            corners = model.mesh_vert[first : first + n].astype(float)
+            corners = _corners(model, geom)
             with suppress(QhullError):  # it is flat
                 corners = corners[ConvexHull(corners).vertices]
         rotation = np.zeros(9)
@@ -81,26 +76,38 @@ def geoms_of(model: mujoco.MjModel, body: int) -> tuple[Geom, ...]:
     return tuple(found)
 
 
+def colliding(model: mujoco.MjModel, body: int) -> list[Any]:
+    """Return the geoms of a body that collide."""
+    first = model.body_geomadr[body]
+    geoms = map(model.geom, range(first, first + model.body_geomnum[body]))
+    return [geom for geom in geoms if geom.contype[0] or geom.conaffinity[0]]
+
+
+def _corners(model: mujoco.MjModel, geom: Any) -> Array:
+    """Return all corners (n, 3) of a geom's mesh, m."""
+    mesh = model.mesh(geom.dataid[0])
+    return model.mesh_vert[mesh.vertadr[0] :][: mesh.vertnum[0]].astype(float)
+
+
 def stand_off(model: mujoco.MjModel, body: int) -> float:
-    """How far the convex hull of a mesh of a body is off that mesh, at most, m; 0 without meshes. All
-    corners count, as in the hull: MuJoCo reads the faces of a file's first part only."""
-    first, worst, rng = model.body_geomadr[body], 0.0, np.random.default_rng(0)
-    for index in range(first, first + model.body_geomnum[body]):
-        geom = model.geom(index)
-        if geom.type[0] != KINDS[MESH] or not (geom.contype[0] or geom.conaffinity[0]):
-            continue
-        mesh = model.mesh(geom.dataid[0])
-        corners = model.mesh_vert[mesh.vertadr[0] :][: mesh.vertnum[0]].astype(float)
-        faces = model.mesh_face[mesh.faceadr[0] :][: mesh.facenum[0]]
-        with suppress(QhullError):  # it is flat
-            hull = _scattered(corners[ConvexHull(corners).simplices], SAMPLES[0], rng)
-            skin = np.vstack([corners, _scattered(corners[faces], SAMPLES[1], rng)])
-            worst = max(worst, float(cKDTree(skin).query(hull)[0].max()))
+    """Return how far the convex hull of a mesh of a body is off that mesh, at most, m; 0 without
+    meshes. All corners count, as in the hull: MuJoCo reads the faces of a file's first part only."""
+    worst, rng = 0.0, np.random.default_rng(0)
+    for geom in colliding(model, body):
+        if geom.type[0] == KINDS[MESH]:
+            corners, mesh = _corners(model, geom), model.mesh(geom.dataid[0])
+            faces = model.mesh_face[mesh.faceadr[0] :][: mesh.facenum[0]]
+            with suppress(QhullError):  # it is flat
+                hull = _scattered(
+                    corners[ConvexHull(corners).simplices], SAMPLES[0], rng
+                )
+                skin = np.vstack([corners, _scattered(corners[faces], SAMPLES[1], rng)])
+                worst = max(worst, float(cKDTree(skin).query(hull)[0].max()))
     return worst
 
 
 def _scattered(triangles: Array, n: int, rng: np.random.Generator) -> Array:
-    """Points (n, 3) evenly on triangles (k, 3, 3)."""
+    """Return points (n, 3) evenly on triangles (k, 3, 3)."""
     a, b, c = triangles.swapaxes(0, 1)
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     chosen = rng.choice(len(triangles), n, p=areas / areas.sum())
@@ -112,8 +119,8 @@ def _scattered(triangles: Array, n: int, rng: np.random.Generator) -> Array:
 def meet(
     geoms: tuple[Geom, ...], above: Array, direction: Array
 ) -> tuple[Array, Array] | None:
-    """Where one comes upon the geoms from outside, on the line through `above` (3,) along `direction`,
-    and the outward normal there; None when one passes."""
+    """Return where one comes upon the geoms from outside, on the line through `above` (3,) along
+    `direction`, and the outward normal there; None when one passes."""
     start = above - FAR * direction
     away, normal = _distances(geoms).along(start, direction) if geoms else (-1.0, start)
     return None if away < 0 else (start + away * direction, normal)
@@ -210,3 +217,60 @@ def outside(geoms: tuple[Geom, ...], point: Array) -> tuple[float, Array]:
 @lru_cache(maxsize=64)
 def _distances(geoms: tuple[Geom, ...]) -> Distances:
     return Distances(list(geoms))
+
+
+# -- models that are posed ----------------------------------------------------------------
+
+
+def posed(model: mujoco.MjModel, angles: Mapping[str, float]) -> mujoco.MjData:
+    """A model with these joint angles, the others where its joints rest."""
+    data = mujoco.MjData(model)
+    for joint, angle in angles.items():
+        data.qpos[model.joint(joint).qposadr[0]] = angle
+    mujoco.mj_kinematics(model, data)
+    return data
+
+
+def placed(data: mujoco.MjData, link: str, point: Any) -> Array:
+    """Where a point (3,) in a link's frame is, m."""
+    body = data.body(link)
+    return np.asarray(body.xpos + body.xmat.reshape(3, 3) @ point)
+
+
+def unit(direction: Any, where: str) -> Array:
+    """A direction of length 1; ValueError where it has none."""
+    length = float(np.linalg.norm(direction))
+    if length < 1e-6:
+        raise ValueError(f"{where}: found no direction")
+    return np.asarray(direction, float) / length
+
+
+def beside(direction: Array, other: Array) -> Array:
+    """What of a unit vector is at right angles to another, of length 1."""
+    along = float(direction @ other)
+    return (
+        direction
+        if abs(along) < 1e-9
+        else unit(direction - along * other, "directions")
+    )
+
+
+def touching(model: mujoco.MjModel, data: mujoco.MjData) -> list[Any]:
+    """All contacts, as if whatever collides collided with all else, and the ground with all."""
+    kinds = [
+        model.geom_contype,
+        model.geom_conaffinity,
+        model.body_contype,
+        model.body_conaffinity,
+    ]
+    before = [kind.copy() for kind in kinds]
+    model.geom_conaffinity[:] = model.geom_contype
+    model.body_conaffinity[:] = model.body_contype
+    for geom in np.flatnonzero(model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)):
+        model.geom_conaffinity[geom] = model.body_conaffinity[0] = 1
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_collision(model, data)
+    for kind, values in zip(kinds, before, strict=True):
+        kind[:] = values
+    return list(data.contact)

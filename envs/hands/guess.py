@@ -1,4 +1,4 @@
-"""A hand's file from its model alone: what its parts are, guessed from how they hang and move."""
+"""Guess a hand's file from its model alone: from how its parts hang, are called and move."""
 
 from __future__ import annotations
 
@@ -7,18 +7,27 @@ import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import mujoco
 import numpy as np
 
+from .. import validation
 from ..state import Array
-from . import branches, models, mounting, servos
-from .branches import Chain
-from .checks import touching
+from . import model_file, mount
+from .geometry import Distances, geoms_of, meet, placed, posed, touching, unit
 from .hand import DIGITS
-from .parts import Angles, Parts, placed, posed, unit
-from .skins import Distances, geoms_of, meet
+from .parts import Angles, HandFile, Parts
 
+WORDS = {
+    "thumb": ("thumb", "th", "pollex"),
+    "index": ("index", "fore", "ff", "if", "pointer"),
+    "middle": ("middle", "mf", "mid"),
+    "ring": ("ring", "rf"),
+    "little": ("little", "pinky", "lf", "small"),
+}
+MOST = 4  # links of a digit
+AT_JOINT = 5e-3  # m: a link with its middle there points to where it is longest
 WRIST = 2  # joints above the palm that are no arm
 ASYMMETRIC = 1.3  # of a range's ends: such a joint flexes
 NUDGE = 0.3  # rad, and at most a quarter of a range: how far a joint is tried
@@ -63,29 +72,33 @@ class Guess:
         self.data: dict[str, Any] = {"model": self.model, **self.said}
         if self.data.pop("servos", None):  # the library's
             self._leave_out([actuator.name for actuator in self._unfused().actuators])
-        roots = list(models.read(self._asked().model).worldbody.bodies)
-        if len(roots) > 1 and any(map(mounting.is_loose, roots)):
+        roots = list(model_file.read(self._parts().unread.model).worldbody.bodies)
+        if len(roots) > 1 and any(map(mount.is_loose, roots)):
             root = max(roots, key=lambda body: len(list(body.find_all("joint"))))
             self.data["root"] = root.name
             self.notes.append(f"root: left out what is beside {root.name}")
-        if empty := [body.name for body in mounting.weightless(self._unfused())]:
+        if empty := [body.name for body in mount.weightless(self._unfused())]:
             self._leave_out(empty)
             self.notes.append(
                 f"drop: left out links without mass or shape: {', '.join(empty)}"
             )
         if "palm" not in self.data:
-            self.data["palm"] = branches.palm_of(self._unfused())
-        if (above := branches.joints_above(self._unfused(), self.data["palm"])) > WRIST:
+            self.data["palm"] = palm_of(self._unfused())
+        if (above := joints_above(self._unfused(), self.data["palm"])) > WRIST:
             self.data["root"] = self.data["palm"]
             self.notes.append(f"root: cut off {above} joints above the palm")
-        self.parts = Parts(self.data, self.folder)
+        self.parts = self._parts()
         self.compiled, self.palm = self.parts.model, self.parts.palm_frame.link
 
-    def _asked(self) -> mounting.Mount:
-        return Parts({"palm": None, **self.data}, self.folder).asked
+    def _parts(self) -> Parts:
+        """What is known so far; the rest stands for nothing."""
+        unknown = {"palm": "", "palm_point": [0, 0, 0], "digits": {}}
+        axes = {"palmar": [1, 0, 0], "fingers": [0, 1, 0]}
+        file = validation.fill(HandFile, {**unknown, **axes, **self.data})
+        return Parts(file, self.folder)
 
     def _unfused(self) -> Any:
-        return self._asked().unfused()
+        return self._parts().unread.unfused()
 
     def _leave_out(self, names: list[str]) -> None:
         self.data["drop"] = [*self.data.get("drop", []), *names]
@@ -94,7 +107,7 @@ class Guess:
 
     @cached_property
     def chains(self) -> list[Chain]:
-        return branches.chains_of(self.parts, self.palm)
+        return chains_of(self.parts, self.palm)
 
     @cached_property
     def digits(self) -> dict[str, Chain]:
@@ -182,7 +195,7 @@ class Guess:
         that is further away; where both are as far, the way of the others, or also nearer."""
         spans = {joint: self._limits(joint) for joint in chain.joints}
         begin = {joint: self.parts.inside(joint) for joint in chain.joints}
-        slides = {j for j in spans if self.parts.spec.joint(j).type == servos.LINEAR}
+        slides = {j for j in spans if self.parts.spec.joint(j).type == mount.LINEAR}
         axes = {joint: self._axis(joint, {}) for joint in spans}
         last = next(
             (axes[joint] for joint in reversed(spans) if joint not in slides),
@@ -414,7 +427,7 @@ class Guess:
         """Palmar directions of the links, where no joint of theirs or above tells: where they go."""
         spec, moved = self.parts.spec, {j for j in closed if closed[j] != opened[j]}
         moved |= {c.joint for c in self.parts.follows if c.driver in moved}
-        carried = mounting.chain(spec.body(chain.links[-1]))
+        carried = mount.chain(spec.body(chain.links[-1]))
         if any(spec.joint(joint).parent.name in carried for joint in moved):
             return None
         data, me = posed(self.compiled, self._whole(opened)), self.chains.index(chain)
@@ -456,3 +469,133 @@ def _snapped(direction: Array) -> Array:
         if abs(direction[axis]) > 0.95
         else direction
     )
+
+
+# -- how the parts hang ----------------------------------------------------------------------
+
+
+class Chain(NamedTuple):
+    """A digit."""
+
+    links: tuple[str, ...]
+    """Those with a shape, from the palm on."""
+    joints: tuple[str, ...]
+    """Driven ones, that move it."""
+    tip: tuple[float, ...]
+    """In the frame of the last link, m."""
+
+    @property
+    def name(self) -> str | None:
+        """What its links or joints call it."""
+        for text in (*self.links, *self.joints):
+            words = (
+                text.lower().translate(dict.fromkeys(map(ord, "-:."), "_")).split("_")
+            )
+            for digit, known in WORDS.items():
+                if any(w in known or w.rstrip("0123456789j") in known or w.startswith(known[0])
+                       for w in words):  # fmt: skip
+                    return digit
+        return None
+
+
+def palm_of(spec: mujoco.MjSpec) -> str:
+    """The body from which most digits branch; ValueError where none has two."""
+    branches: dict[str, list[str]] = {}
+    for body in spec.bodies[1:]:
+        if list(body.joints) and body.parent.name != "world" and body.find_all("geom"):
+            carrier = body.parent
+            while mount.is_fixed(carrier):
+                carrier = carrier.parent
+            branches.setdefault(carrier.name, []).append(body.parent.name)
+    most = max(branches.values(), key=len, default=[])
+    if len(most) < 2:
+        raise ValueError(
+            "palm: found no body from which two digits branch; name it with --palm"
+        )
+    return max(most, key=most.count)
+
+
+def joints_above(spec: mujoco.MjSpec, palm: str) -> int:
+    """How many move the palm; ValueError where there is no such body."""
+    if spec.body(palm) is None:
+        raise ValueError(f"palm: found no body {palm!r} in the model")
+    return sum(
+        len(list(spec.body(name).joints)) for name in mount.chain(spec.body(palm))
+    )
+
+
+def chains_of(parts: Parts, palm: str) -> list[Chain]:
+    """The digits that hang on a palm: of what a closed loop joins, the chain that reaches furthest;
+    ValueError for fewer than two."""
+    spec, data = parts.spec, posed(parts.model, {})
+    loops, groups = mount.loops(spec), list[set[str]]()
+    above = set(mount.chain(spec.body(palm)))
+    for leaf in [
+        body for body in spec.body(palm).find_all("body") if not list(body.bodies)
+    ]:
+        chain = set(mount.chain(leaf)) - above
+        joined = [
+            group
+            for group in groups
+            if any(loop & chain and loop & group for loop in loops)
+        ]
+        groups = [group for group in groups if group not in joined] + [
+            chain.union(*joined)
+        ]
+
+    def reach(chain: Chain) -> float:
+        tip = placed(data, chain.links[-1], chain.tip)
+        return float(np.linalg.norm(tip - data.body(palm).xpos))
+
+    found = []
+    for group in groups:
+        ends = [
+            spec.body(name)
+            for name in group
+            if all(
+                below.name not in group for below in spec.body(name).find_all("body")
+            )
+        ]
+        if chains := [
+            made for end in ends if (made := _chain(parts, end, group, above))
+        ]:
+            found.append(max(chains, key=reach))
+    if len(found) < 2:
+        raise ValueError(
+            f"digits: found {len(found)} from body {palm!r}, allowed 2 or more"
+        )
+    return found
+
+
+def _chain(parts: Parts, leaf: Any, group: set[str], above: set[str]) -> Chain | None:
+    """From the palm to a leaf, of what has a shape; None where nothing has, or drives it."""
+    path = [name for name in mount.chain(leaf) if name not in above]
+    links = [name for name in path if geoms_of(parts.model, parts.model.body(name).id)][
+        -MOST:
+    ]
+    follows = {coupling.joint: coupling.driver for coupling in parts.follows}
+    moving = [
+        joint.name
+        for joint in parts.spec.joints
+        if joint.parent.name in {*path, *group}
+    ]
+    drivers = dict.fromkeys(follows.get(joint, joint) for joint in moving)
+    joints = tuple(joint for joint in drivers if joint in parts.driven)
+    return (
+        Chain(tuple(links), joints, _tip(parts, links[-1]))
+        if links and joints
+        else None
+    )
+
+
+def _tip(parts: Parts, link: str) -> tuple[float, ...]:
+    """The end of a link, seen from its joint."""
+    geoms = geoms_of(parts.model, parts.model.body(link).id)
+    points: Array = np.concatenate([geom.points for geom in geoms])
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    away = middle
+    if np.linalg.norm(middle) <= AT_JOINT:
+        away = points[np.argmax(np.linalg.norm(points, axis=1))]
+    away = unit(away, link)
+    end = meet(geoms, middle, -away)
+    return tuple(np.round(middle if end is None else end[0] - 1e-3 * away, 4).tolist())

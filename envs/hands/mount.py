@@ -1,4 +1,7 @@
-"""From a model's file to the hand of a scene: palm down on three slides, driven by position servos."""
+"""From a model's file to the hand of a scene: palm down on three slides, driven by position servos.
+
+Servos are the model's own, in the units of the joints they drive, or the library's.
+"""
 
 from __future__ import annotations
 
@@ -7,22 +10,85 @@ from dataclasses import dataclass, field
 from fnmatch import filter as filter_names
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..state import Array
-from . import models, servos
+from ..validation import Fraction
+from . import model_file
 from .hand import SLIDES, Coupling
-from .servos import LINEAR, SERVOS, SLIDE
 
+Number = Annotated[float, "[-1e9, 1e9]"]
+Positive = Annotated[float, "[0, 1e9]"]
+Vector = tuple[Number, Number, Number]
+Span = tuple[Number, Number]
 BASE = "base of all roots"
 FREE = mujoco.mjtJoint.mjJNT_FREE
 LOOPS = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
+HINGE, LINEAR = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
+JOINT, TENDON = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_TENDON
+DYNAMICS = (
+    mujoco.mjtDyn.mjDYN_NONE,
+    mujoco.mjtDyn.mjDYN_FILTER,
+    mujoco.mjtDyn.mjDYN_FILTEREXACT,
+)
 PALM_DOWN = np.array([[0.0, 0.0, -1.0], [0.0, -1.0, 0.0], [-1.0, 0.0, 0.0]])
 """Columns: where the palmar side, the fingers and their cross product point in the world."""
+
+
+@dataclass(frozen=True)
+class Slides:
+    """The slides of the whole hand, and how actions move them."""
+
+    gain: Positive = 1000.0
+    """N/m"""
+    damping: Positive = 79.0
+    """N s/m"""
+    force: Positive = 30.0
+    """N. Without a limit on it the hand would be pressed into the ground."""
+    centre: Vector | None = None
+    """Where action 0 has them, m; default: at the height of the last grasp."""
+    half_range: tuple[Fraction, Fraction, Fraction] = (0.03, 0.03, 0.20)
+    """How far actions of 1 move them from there, m."""
+    step: Vector = (0.01, 0.01, 0.2)
+    """How far actions that are increments move them, m."""
+    limits: tuple[Span, Span, Span] = ((-0.02, 0.02), (-0.02, 0.02), (-0.03, 0.06))
+    """Around the grasping height, of actions that are increments, m."""
+
+
+@dataclass(frozen=True)
+class HingeServo:
+    """What a hinge gets whose model has no servos."""
+
+    gain: Positive = 10.0
+    """N m/rad"""
+    damping: Positive = 0.5
+    """N m s/rad"""
+    armature: Positive = 0.01
+    """kg m²"""
+    limit: Positive = 1.0
+    """N m"""
+
+
+@dataclass(frozen=True)
+class SlideServo(HingeServo):
+    """What a slide of a finger gets, in N/m and so on."""
+
+    gain: Positive = 1000.0
+    damping: Positive = 50.0
+    armature: Positive = 0.1
+    limit: Positive = 20.0
+
+
+@dataclass(frozen=True)
+class Servos:
+    """The library's servos, by the kind of joint."""
+
+    hinge: HingeServo = HingeServo()
+    slide: SlideServo = SlideServo()
 
 
 @dataclass(frozen=True)
@@ -49,10 +115,8 @@ class Mount:
     """Of bodies that weigh something else than in the model, kg."""
     keeps_contacts: bool = False
     """Do links touch what the model says, each other too? Else only the object and the ground."""
-    slides: dict[str, float] = field(default_factory=lambda: SLIDE)
-    """As SLIDE."""
-    servos: dict[str, dict[str, float]] = field(default_factory=dict)
-    """What is different from SERVOS."""
+    slides: Slides = Slides()
+    servos: Servos = Servos()
     position: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Of the model's root body, m."""
     rotation: tuple[tuple[float, ...], ...] = ()
@@ -74,21 +138,18 @@ class Mount:
         if self.is_turned:
             root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
             root.quat = _quaternion(rotation)
-        damping = [self.slides["damping"], 0, 0]
+        damping = [self.slides.damping, 0, 0]
         for name, axis in zip(SLIDES, rotation, strict=True):
             root.add_joint(name=name, type=LINEAR, axis=axis, damping=damping)
-            servos.add(spec, name, self.slides["gain"], self.slides["force"])
+            add_servo(spec, name, self.slides.gain, self.slides.force)
         for actuator in spec.actuators if finger_gain != 1.0 else ():
-            moved = spec.joint(next(iter(servos.arms(spec, actuator)))).parent.name
+            moved = spec.joint(next(iter(arms(spec, actuator)))).parent.name
             if moved not in chain(
                 spec.body(self.palm)
             ):  # it moves a finger, and not the palm
                 for figure in ("gainprm", "biasprm", "forcerange"):
-                    setattr(
-                        actuator,
-                        figure,
-                        np.array(getattr(actuator, figure)) * finger_gain,
-                    )
+                    value = np.array(getattr(actuator, figure)) * finger_gain
+                    setattr(actuator, figure, value)
         return spec
 
     def bare(self, visual: bool = False) -> mujoco.MjSpec:
@@ -97,7 +158,7 @@ class Mount:
         if self.fuses and any(map(is_fixed, spec.bodies)):
             for body in spec.bodies:
                 body.fuse = is_fixed(body)
-            with models.quiet():
+            with model_file.quiet():
                 spec.fuse_static()
         if (
             not self.keeps_contacts
@@ -116,7 +177,7 @@ class Mount:
     def unfused(self, visual: bool = False) -> mujoco.MjSpec:
         """The model without what is left out, its bodies carried, what is fixed to them not yet part of
         them."""
-        spec = models.read(self.model)
+        spec = model_file.read(self.model)
         self._leave_out(spec)
         spec = _with_one_root(spec, self.root)
         if not visual:
@@ -128,8 +189,8 @@ class Mount:
             for body in weightless(spec):
                 if list(body.bodies):
                     body.mass, body.inertia = (
-                        models.DUMMY["mass"],
-                        models.DUMMY["inertia"],
+                        model_file.DUMMY["mass"],
+                        model_file.DUMMY["inertia"],
                     )
                     body.explicitinertial = True
         for joint in spec.joints:
@@ -197,7 +258,7 @@ class Mount:
                 equality.data = law
         for coupling in followed(spec):
             joint = spec.joint(coupling.joint)
-            servos.damp(joint, self._figures(joint))
+            damp(joint, self._servo(joint))
 
     def _drive(self, spec: mujoco.MjSpec) -> None:
         """The model's servos in the units of their joints, or the library's on all joints but those
@@ -206,20 +267,19 @@ class Mount:
             for actuator in spec.actuators:
                 spec.delete(actuator)
         for actuator in spec.actuators:
-            if self.fuses and servos.is_servo(spec, actuator):
-                servos.measure_in_joints(spec, actuator)
+            if self.fuses and is_servo(spec, actuator):
+                measure_in_joints(spec, actuator)
         if spec.actuators:
             return
         followers = {coupling.joint for coupling in followed(spec)}
         for joint in spec.joints:
             if joint.name not in followers and joint.name not in self.passive:
-                figures = self._figures(joint)
-                servos.damp(joint, figures)
-                servos.add(spec, joint.name, figures["gain"], figures["limit"])
+                servo = self._servo(joint)
+                damp(joint, servo)
+                add_servo(spec, joint.name, servo.gain, servo.limit)
 
-    def _figures(self, joint: mujoco.MjsJoint) -> dict[str, float]:
-        kind = "slide" if joint.type == LINEAR else "hinge"
-        return {**SERVOS[kind], **self.servos.get(kind, {})}
+    def _servo(self, joint: mujoco.MjsJoint) -> HingeServo:
+        return self.servos.slide if joint.type == LINEAR else self.servos.hinge
 
 
 def _above(body: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:
@@ -247,14 +307,17 @@ def _with_one_root(spec: mujoco.MjSpec, root: str) -> mujoco.MjSpec:
         hint = 'or several that are fixed; leave others out with drop = ["NAME"]'
         raise ValueError(f"model: {found}, allowed one, {hint}")
     whole = mujoco.MjSpec()
-    with models.quiet():  # names stay as they are
+    with model_file.quiet():  # names stay as they are
         if chosen is None:
             base = whole.worldbody.add_body(name=BASE)
             whole.attach(spec, prefix="", frame=base.add_frame())
             if all(
                 list(body.joints) for body in roots
             ):  # nothing of it is part of the base
-                base.mass, base.inertia = models.DUMMY["mass"], models.DUMMY["inertia"]
+                base.mass, base.inertia = (
+                    model_file.DUMMY["mass"],
+                    model_file.DUMMY["inertia"],
+                )
                 base.explicitinertial = True
         else:
             for joint in chosen.joints:
@@ -321,9 +384,7 @@ def _quaternion(rotation: Array) -> Array:
 def followed(spec: mujoco.MjSpec) -> Iterator[Coupling]:
     """Where an equality of the model couples two joints: the second drives, unless only the first has
     a servo; ValueError where not by a straight line."""
-    driven = {
-        joint for actuator in spec.actuators for joint in servos.arms(spec, actuator)
-    }
+    driven = {joint for actuator in spec.actuators for joint in arms(spec, actuator)}
     for equality in spec.equalities:
         if (
             equality.type != mujoco.mjtEq.mjEQ_JOINT
@@ -363,3 +424,74 @@ def turned(palm_in_root: Array, palmar: Array, fingers: Array) -> Array:
     """The rotation (3, 3) of the root with which the palm (3, 3) looks down, fingers along -y."""
     axes = np.column_stack([palmar, fingers, np.cross(palmar, fingers)])
     return np.round(PALM_DOWN @ axes.T @ palm_in_root.T, 12) + 0.0
+
+
+# -- servos ----------------------------------------------------------------------------------
+
+
+def add_servo(spec: mujoco.MjSpec, joint: str, gain: float, limit: float) -> None:
+    """An actuator of the joint's name: force = gain x (target - position), at most `limit`."""
+    servo = spec.add_actuator(name=joint, target=joint, trntype=JOINT)
+    servo.forcelimited, servo.forcerange = True, [-limit, limit]
+    servo.set_to_position(kp=gain)
+
+
+def damp(joint: mujoco.MjsJoint, servo: HingeServo) -> None:
+    """At least the damping and the armature of the library's servos."""
+    joint.damping = np.maximum(joint.damping, [servo.damping, 0, 0])
+    joint.armature = max(joint.armature, servo.armature)
+
+
+def is_servo(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> bool:
+    """Does it pull a joint, or a tendon over joints, towards the position that is its control?"""
+    is_affine = actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE
+    is_fixed = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED
+    pulls = is_affine and is_fixed and actuator.gainprm[0] > 0 > actuator.biasprm[1]
+    moves = sum(arms(spec, actuator).values()) > 0
+    return bool(pulls and moves and actuator.dyntype in DYNAMICS)
+
+
+def arms(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> dict[str, float]:
+    """What each joint adds to the length of an actuator, per rad or m; {} where that depends on where
+    they are."""
+    gear = float(actuator.gear[0])
+    if actuator.trntype == JOINT:
+        return {actuator.target: gear}
+    if actuator.trntype != TENDON:
+        return {}
+    path = list(spec.tendon(actuator.target).path)
+    if any(part.type != mujoco.mjtWrap.mjWRAP_JOINT for part in path):
+        return {}
+    return {part.target.name: gear * float(part.coef) for part in path}
+
+
+def measure_in_joints(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> None:
+    """Have the control of a servo be the position of its joint, or of all joints of its tendon, as
+    they are where the servo holds still."""
+    gain, offset, stiffness = (
+        actuator.gainprm[0],
+        actuator.biasprm[0],
+        -actuator.biasprm[1],
+    )
+    length = sum(arms(spec, actuator).values())
+    if gain == stiffness and offset == 0 and length == 1:
+        return
+    ends = (gain * np.array(actuator.ctrlrange) + offset) / stiffness / length
+    actuator.ctrlrange = np.sort(ends)
+    gains, biases = np.array(actuator.gainprm), np.array(actuator.biasprm)
+    gains[0], biases[0] = stiffness * length, 0.0
+    actuator.gainprm, actuator.biasprm = gains, biases
+
+
+def hold(
+    model: mujoco.MjModel, data: mujoco.MjData, actuators: list[int], targets: Array
+) -> None:
+    """Have servos hold these targets from now on, and before: in what they filter and delay, too."""
+    data.ctrl[actuators] = targets
+    for actuator, target in zip(actuators, targets, strict=True):
+        if model.actuator_actnum[actuator]:
+            data.act[model.actuator_actadr[actuator]] = target
+        if n := int(model.actuator_history[actuator, 0]):
+            mujoco.mj_initCtrlHistory(
+                model, data, actuator, None, np.full((n, 1), target)
+            )

@@ -1,0 +1,299 @@
+"""A hand from a file: a model, and in TOML what it means (docs/guides/own_hand.md).
+
+The model says what moves and what collides; the file says where the palm is and which links are
+whose. Everything else has a default that follows from both.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from .. import validation
+from ..state import Array
+from ..validation import require_one_of, require_rising, require_type
+from . import checks, model_file, mount, surfaces
+from .geometry import placed, posed, stand_off
+from .hand import KEPT, SLIDES, Hand, LinearAction, ScriptedGrasp, Surface, short_digest
+from .mount import Mount, Slides
+from .parts import GraspTable, HandFile, Names, Parts, require_distinct
+
+CLEAR, STEP, HIGHEST = 0.008, 0.002, 0.5
+"""m: around the hand at the start; of the search for it."""
+NANO = 9  # decimals of m that count of a place
+FINGERS = 0.045  # m: how much more than an object is between tips that it fits between
+STANDS_OFF = 5e-3  # m, of a convex hull from its mesh: worth a note
+TIMESTEP = 0.004  # s, of scenes that say nothing else
+
+
+def load(path: Path) -> Hand:
+    """Return the hand of a file; ValueError naming what is wrong with it or its model,
+    FileNotFoundError, and ImportError where the model's package is not installed."""
+    file = validation.fill(HandFile, validation.read(path, "hand file"))
+    parts = Parts(file, path.parent)
+    hand = _hand(parts, path)
+    if parts.is_own:
+        timestep = file.scene.get("timestep", TIMESTEP)
+        require_type(timestep, checks.Timestep, "scene.timestep")
+        with model_file.quiet():
+            notes = checks.examine(hand, parts, timestep)
+        hand = replace(hand, notes=hand.notes + notes)
+    return hand
+
+
+def _hand(parts: Parts, path: Path) -> Hand:
+    file, sides = parts.file, surfaces.of(parts)
+    built, at = _hung(parts)
+    grasps = _grasps(parts, at, file.grasp)
+    actuators = (*SLIDES, *parts.driven.values())
+    driven = parts.driven
+    for names, known, where in (
+        (file.first_joints, parts.joints, "first_joints"),
+        (file.handed_beside, parts.digits, "handed_beside"),
+    ):
+        for name in names:
+            require_one_of(known, name, where)
+    hand = Hand(
+        name=path.stem,
+        build=built,
+        joints=(*SLIDES, *parts.joints),
+        actuators=actuators,
+        actuated=(*SLIDES, *driven),
+        palm=built.palm,
+        palm_point=parts.palm_point,
+        palmar=tuple(parts.palmar.tolist()),
+        fingers=tuple(parts.fingers.tolist()),
+        fingertips=tuple((each.links[-1], each.tip) for each in parts.digits.values()),
+        surfaces=sides,
+        pitch=surfaces.pitch(parts, sides),
+        action_map=_joint_action(parts, grasps, at),
+        action_names=actuators,
+        couplings=tuple(each for each in parts.follows if each.driver in driven),
+        first_joints=file.first_joints,
+        start={joint: angle for joint, angle in parts.start.items() if angle},
+        observation=file.observation,
+        added_inertia=file.added_inertia,
+        grasps=grasps or _grasps(parts, at, _kept(path)),
+        opened={driven[joint]: angle for joint, angle in parts.opened.items()},
+        closed={driven[joint]: angle for joint, angle in parts.closed.items()},
+        groups=_groups(parts),
+        notes=_notes(parts),
+        finger_length=_finger_length(parts, sides),
+        reach=_reach(parts),
+        welded=parts.welded,
+        sensors=surfaces.sensors(parts) if parts.is_own else (),
+        handed_beside=file.handed_beside,
+    )
+    return _with_actions(file, hand)
+
+
+def _notes(parts: Parts) -> tuple[str, ...]:
+    """Say what became of the model's servos, and what its meshes count as."""
+    found = []
+    if names := parts.replaced:
+        found.append(
+            f"its actuators ({_some(names)}) are not all position servos of different joints: "
+            "the joints have the library's"
+        )
+    if parts.passive:
+        found.append(f"joints without servos: {_some(parts.passive)}")
+    links = itertools.chain.from_iterable(each.links for each in parts.digits.values())
+    off = [
+        (stand_off(parts.model, parts.model.body(link).id), link)
+        for link in (parts.palm_frame.link, *links)
+    ]
+    wide = sorted((each for each in off if each[0] > STANDS_OFF), key=lambda e: -e[0])
+    if wide:
+        hulls = ", ".join(f"{link} {1e3 * away:.0f} mm" for away, link in wide)
+        found.append(
+            f"what touches is the convex hull of a mesh, which stands off it: {hulls}"
+        )
+    return tuple(found)
+
+
+def _some(names: Names) -> str:
+    more = f" and {len(names) - 4} more" if len(names) > 4 else ""
+    return ", ".join(names[:4]) + more
+
+
+def _finger_length(parts: Parts, sides: tuple[Surface, ...]) -> float:
+    """Return the length of the longest digit: of its bones, where all its links are such, else from
+    joint to joint, m."""
+    data, found = posed(parts.model, parts.open_pose), []
+    tips = parts.tips(parts.model, data)
+    for tip, (name, digit) in zip(tips, parts.digits.items(), strict=True):
+        bones = [s for s in sides if s.digit == name and s.segment != "palm" and s.bone]
+        if len(bones) == len(digit.links):
+            found.append(sum(bone.span[1] - bone.span[0] for bone in bones))
+        else:
+            joints = np.array([*(data.body(link).xpos for link in digit.links), tip])
+            found.append(float(np.linalg.norm(np.diff(joints, axis=0), axis=1).sum()))
+    return max(found)
+
+
+def _reach(parts: Parts) -> float:
+    """Return how far the fingertips get from the palm's point, open or closed, m; at least the usual,
+    which is that of the library's hands."""
+    found = [Hand.reach]
+    for share in (0.0, 0.5, 1.0) if parts.is_own else ():
+        data = posed(parts.model, parts.pose(share))
+        point = placed(data, parts.palm_frame.link, parts.palm_point)
+        found += np.linalg.norm(parts.tips(parts.model, data) - point, axis=1).tolist()
+    return max(found)
+
+
+# -- where it hangs --------------------------------------------------------------------------
+
+
+def _hung(parts: Parts) -> tuple[Mount, Array]:
+    """Return the model's mount, and where a point of the palm hangs at the start, m."""
+    place = parts.file.place
+    of = np.array(parts.palm_point)
+    if place.of is not None:
+        of = np.array(parts.palm_frame.point(place.of))
+    data = posed(parts.model, parts.start)
+    root, palm = (data.xmat[body].reshape(3, 3) for body in (1, parts.palm))
+    turn = mount.turned(root.T @ palm, parts.palmar, parts.fingers)
+    steps = root.T @ (data.xpos[parts.palm] - data.xpos[1]), root.T @ palm @ of
+    unmoved = posed(parts.model, {}).xmat[1].reshape(3, 3)
+    hanging = replace(
+        parts.mount,
+        rotation=tuple(map(tuple, turn.tolist())),
+        is_turned=not np.allclose(turn, unmoved, atol=1e-9),
+        files=parts.files,
+    )
+
+    def at_place(at: Array) -> Mount:
+        for step in steps:
+            at = at - turn @ np.round(step, NANO)
+        return replace(hanging, position=tuple(at.tolist()))
+
+    at = np.array(place.at or ())
+    if place.at is None:
+        at = _above_the_object(parts, at_place(np.zeros(3)))
+    return at_place(at), at
+
+
+def _above_the_object(parts: Parts, built: Mount) -> Array:
+    """Return where that point can be (3,), m: what closes around the object is above it, and as low as
+    the hand is free of ground and object."""
+    spec, room = built(), Hand.start_clearance / 2
+    plane, box = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_BOX
+    spec.worldbody.add_geom(type=plane, size=[1, 1, 0.1])
+    spec.worldbody.add_geom(type=box, size=[room] * 3, pos=[0, 0, room], margin=CLEAR)
+    model = model_file.compiled(spec)
+    at = -_middle(parts, model) * [1.0, 1.0, 0.0]
+    data = posed(model, parts.start)
+    for height in np.arange(0.0, HIGHEST, STEP):
+        data.qpos[: len(SLIDES)] = [*at[:2], height]
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        if data.ncon == 0:
+            return np.round([*at[:2], height], 4)
+    found = f"found no height up to {HIGHEST:g} m at which the hand is free"
+    raise ValueError(f"place: {found}; give it: at = [x, y, z]")
+
+
+def _middle(parts: Parts, model: mujoco.MjModel) -> Array:
+    """Return the middle between the fingertips (3,), m: of a hand with a thumb, between that and the
+    others, closed as far as an object just fits in."""
+    if "thumb" not in parts.digits or len(parts.digits) == 2:
+        half = posed(model, parts.pose(0.5))
+        return np.asarray(parts.tips(model, half).mean(axis=0))
+    thumb = list(parts.digits).index("thumb")
+    for share in np.linspace(1.0, 0.0, 21):
+        tips = parts.tips(model, posed(model, parts.pose(float(share))))
+        sides = tips[thumb], np.delete(tips, thumb, axis=0).mean(axis=0)
+        if np.linalg.norm((sides[0] - sides[1])[:2]) > Hand.start_clearance + FINGERS:
+            break
+    return np.asarray((sides[0] + sides[1]) / 2)
+
+
+# -- what it does ----------------------------------------------------------------------------
+
+
+def _kept(path: Path) -> tuple[GraspTable, ...]:
+    """Return what a command has found for a file that has no grasp, and kept beside it."""
+    kept = path.with_suffix(KEPT)
+    data = validation.read(kept, "grasp file") if kept.is_file() else {}
+    if data.get("hand") != short_digest(path):
+        return ()
+    return tuple(
+        validation.fill(GraspTable, each, "grasp") for each in data.get("grasp", ())
+    )
+
+
+def _grasps(
+    parts: Parts, at: Array, tables: tuple[GraspTable, ...]
+) -> tuple[ScriptedGrasp, ...]:
+    found = []
+    for number, grasp in enumerate(tables, 1):
+        where, slides = f"grasp {number}", grasp.slides
+        if grasp.at is not None:
+            slides = tuple((np.array(grasp.at) - at).tolist())
+        if slides is None or grasp.object_size < 1e-3:
+            raise ValueError(f"{where}: needs at or slides, and object_size in m")
+        angles = parts.angles(grasp.joints, f"{where}: joints")
+        if grasp.closing is not None:
+            angles = parts.at(grasp.closing) | angles
+        targets = {parts.driven[j]: a for j, a in angles.items() if j in parts.driven}
+        places = dict(zip(SLIDES, slides, strict=True))
+        found.append(ScriptedGrasp(grasp.object_size, {**places, **targets}))
+    return tuple(found)
+
+
+def _groups(parts: Parts) -> dict[str, Names]:
+    """Return the actuators that close together, by what that is called: those of each digit, or of
+    several."""
+    groups = parts.file.actions.groups or tuple((digit,) for digit in parts.digits)
+    require_distinct(tuple(itertools.chain(*groups)), "actions.groups")
+    found: dict[str, Names] = {}
+    for group in groups:
+        require_distinct(group, "actions.groups")
+        for digit in group:
+            require_one_of(parts.digits, digit, "actions.groups")
+        joints = [joint for digit in group for joint in parts.closing_of(digit)]
+        if joints and not any(map(parts.way, joints)):
+            found_no = "found none of its joints that [opened] and [closed] move"
+            raise ValueError(f"digits.{group[0]}: {found_no}")
+        if joints:
+            members = tuple(parts.driven[joint] for joint in joints)
+            found["closing of " + " and ".join(group)] = members
+    return found
+
+
+def _joint_action(
+    parts: Parts, grasps: tuple[ScriptedGrasp, ...], at: Array
+) -> LinearAction:
+    """Return every actuator over its range; action 0 of the slides is the grasping height."""
+    slides, model = parts.file.slides, parts.model
+    limits = np.array([model.joint(joint).range for joint in parts.driven])
+    limited = model.actuator_ctrllimited.astype(bool)
+    limits[limited] = model.actuator_ctrlrange[limited]
+    height = grasps[-1].targets[SLIDES[2]] if grasps else min(0.0, 0.06 - float(at[2]))
+    centre = slides.centre or (0.0, 0.0, round(height, NANO))
+    return LinearAction(
+        centre=np.concatenate([centre, limits.mean(axis=1)]),
+        half_range=np.concatenate([slides.half_range, np.ptp(limits, axis=1) / 2]),
+    )
+
+
+def _with_actions(file: HandFile, hand: Hand) -> Hand:
+    """Return the hand with the actions that the file wants: of joints, or increments of slides and
+    groups."""
+    slides: Slides = file.slides
+    if file.actions.kind == "joints":
+        return hand
+    if not hand.groups:
+        needs = "needs the angles of the closed hand: [closed]"
+        raise ValueError(f"actions: kind closing {needs}")
+    for limits in slides.limits:
+        require_rising(limits, "slides.limits")
+    action = hand.closing(
+        np.array(slides.step), np.array(slides.limits), file.actions.step
+    )
+    return replace(hand, action_map=action, action_names=(*SLIDES, *hand.groups))
