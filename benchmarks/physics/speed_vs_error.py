@@ -30,7 +30,7 @@ from benchmarks.command import count, earlier, markdown, parser, processes, writ
 from benchmarks.physics.contacts import deepest, self_contact
 
 SECONDS = 5.0
-SEED = 35_000  # starts of this benchmark; the doctor and the search used others
+SEED = 35_000  # starts of this benchmark; the check of taxels and the search used others
 SIZES = {"shadow": (0.04, 0.05), "mpl": (0.045, 0.05)}  # of cubes, m
 SHIPPED = "as shipped"
 CLEARLY = 1.25
