@@ -242,7 +242,8 @@ class GraspEnv(gym.Env[Any, Array]):
             )
             offset = rng.uniform(-furthest, furthest, 2)
             yaw = rng.uniform(-turn, turn)
-            joints[3:] += rng.uniform(-JITTER_JOINT, JITTER_JOINT, len(joints) - 3)
+            fingers = joints[hands.FINGERS]
+            fingers += rng.uniform(-JITTER_JOINT, JITTER_JOINT, len(fingers))
             joints = np.clip(joints, *self.simulator.joint_limits.T)
         position = np.array([*offset, shape.half_size[2]])
         return tasks.Start(joints, position, yaw, self.hand.start_targets())

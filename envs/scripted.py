@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .grasp import JITTER_JOINT, GraspEnv
-from .hands import ScriptedGrasp
+from .hands import ARM, FINGERS, SLIDES, ScriptedGrasp
 from .objects import OFFSET, YAW
 from .state import Array
 
@@ -37,7 +37,10 @@ class Offsets(NamedTuple):
 def perturbed_start(rng: np.random.Generator, n_joints: int) -> Offsets:
     """As the environment's jitter would make them, but for the joints' ranges."""
     joints = np.concatenate(
-        [np.zeros(3), rng.uniform(-JITTER_JOINT, JITTER_JOINT, n_joints - 3)]
+        [
+            np.zeros(len(SLIDES)),
+            rng.uniform(-JITTER_JOINT, JITTER_JOINT, n_joints - len(SLIDES)),
+        ]
     )
     return Offsets(
         rng.uniform(-OFFSET, OFFSET, 2), float(rng.uniform(-YAW, YAW)), joints
@@ -102,8 +105,8 @@ def legs(
     closed = np.array(
         [grasp.targets.get(name, value) for name, value in starts.items()]
     )
-    closed[3:] += (closing - 1.0) * (closed[3:] - start[3:])
-    above = np.concatenate([closed[:3], start[3:]])
+    closed[FINGERS] += (closing - 1.0) * (closed - start)[FINGERS]
+    above = np.concatenate([closed[ARM], start[FINGERS]])
     lifted = closed + LIFT_HEIGHT * np.eye(len(closed))[2]
 
     def ramp(begin: Array, end: Array, seconds: float) -> list[Array]:

@@ -72,25 +72,14 @@ def application():
 
 
 def package_modules(package):
-    """Of envs or algos: modules by name, and those that each imports, at any depth but for types."""
+    """Return the modules of envs or algos by name, and those that each imports, for types too."""
     files = [path.relative_to(ROOT) for path in sources(package)]
     named = {".".join(p.with_suffix("").parts).removesuffix(".__init__"): p for p in files}
-    return {
-        name: {*_imported(path, named, run_time)} & named.keys() - {name}
-        for name, path in named.items()
-    }
+    return {name: {*_imported(p, named)} & named.keys() - {name} for name, p in named.items()}
 
 
-def run_time(tree):
-    """All nodes of a module but those of `if TYPE_CHECKING`."""
-    for node in ast.iter_child_nodes(tree):
-        if not (isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING"):
-            yield node
-            yield from run_time(node)
-
-
-def _imported(path, named, nodes=ast.walk):
-    for node in nodes(ast.parse((ROOT / path).read_text())):
+def _imported(path, named):
+    for node in ast.walk(ast.parse((ROOT / path).read_text())):
         if isinstance(node, ast.ImportFrom) and node.level:
             base = ".".join([*path.parts[: -node.level], *filter(None, [node.module])])
             for alias in node.names:

@@ -16,7 +16,9 @@ from typing import Annotated, Any
 
 from .. import validation
 from .hand import (
+    ARM,
     DIGITS,
+    FINGERS,
     FOLDER,
     KEPT,
     RADIUS,
@@ -33,7 +35,9 @@ from .hand import (
 )
 
 __all__ = [
+    "ARM",
     "DIGITS",
+    "FINGERS",
     "KEPT",
     "RADIUS",
     "SEGMENTS",

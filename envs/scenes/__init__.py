@@ -7,7 +7,6 @@ scene's own hand: on another they grow with its fingers.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -45,19 +44,6 @@ class NamedScene:
         return self.scene | {
             name: scaled(self.scene[name], factor) for name in self.scaled
         }
-
-
-def renamed(choices: Mapping[str, Any]) -> dict[str, Any]:
-    """Choices of a scene with the names that they have now.
-
-    Up to 0.3.0 `touch` was the rule, and `run_type` (main, control, absent) was what `touch` is now.
-    """
-    found = dict(choices)
-    if found.get("touch") in ("skin", "contact", "force"):
-        found["touch_rule"] = found.pop("touch")
-    if (run_type := found.pop("run_type", None)) is not None:
-        found["touch"] = {"main": "on", "control": "off"}.get(run_type, run_type)
-    return found
 
 
 def names() -> tuple[str, ...]:

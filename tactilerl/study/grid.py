@@ -37,7 +37,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args
 
 from ..envs import validation
-from ..envs.scenes import renamed
 from ..envs.validation import require_one_of
 from ..errors import InputError, input_errors
 from ..files import require_name
@@ -192,9 +191,7 @@ class Run:
     def arguments(self) -> list[str]:
         """The command line of `tactilerl train`, without where it is written and what is imported
         first; one core to itself."""
-        flags = {
-            flag: value for flag, value in renamed(self.flags).items() if flag != IMPORT
-        }
+        flags = {flag: value for flag, value in self.flags.items() if flag != IMPORT}
         return ["--workers", "1", *to_arguments(flags), "--seed", str(self.seed)]
 
     @property
