@@ -75,7 +75,7 @@ class DDPGHERConfig:
     """Bound on observations and goals after they are normalised."""
     taxel_scale: TaxelScale = "each"
     """Scale of observed entries between 0 and 1, such as Boolean taxels. none: as they are; block: one
-    gain for all, so that together they count as much as twelve normalised inputs, however many they
+    gain for all, so that together they count as much as 24 normalised inputs, however many they
     are; each: every one normalised by itself."""
     batch_size: Count = 256
     """Transitions per update, in each process."""

@@ -14,7 +14,7 @@ from .mpi import Communicator
 
 MIN_STD = 0.01
 """Floor of the standard deviation (OpenAI baselines): constant columns stay near zero."""
-BLOCK_NORM = 12.0
+BLOCK_NORM = 24.0
 """Mean squared norm that a block of columns is given: that of as many standardized columns."""
 PRIOR_ROWS = 1000
 """Rows, each of squared norm 1, that a block's moments begin with, so that its gain never jumps."""

@@ -91,7 +91,7 @@ class PPOConfig:
     Entries between 0 and 1, such as Boolean taxels, follow --taxel-scale instead."""
     taxel_scale: TaxelScale = "none"
     """Scale of entries between 0 and 1, such as Boolean taxels. none: as they are; block: one gain for
-    all, so that together they count as much as twelve normalised inputs, however many they are; each:
+    all, so that together they count as much as 24 normalised inputs, however many they are; each:
     every one normalised by itself."""
     truncation: Literal["bootstrap", "terminal"] = "bootstrap"
     """How a time limit is treated. bootstrap: the return continues with the critic's value of the last

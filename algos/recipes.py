@@ -36,13 +36,19 @@ BEYOND: dict[str, dict[str, Any]] = {
     "ppo": {
         "steady": STEADY_PPO,
         "robust": replace(
-            STEADY_PPO, taxel_scale="block", undo_silent=True, anneal_lr=True
+            STEADY_PPO,
+            steps_per_epoch=500,
+            taxel_scale="block",
+            undo_silent=True,
+            anneal_lr=True,
         ),
     },
     "ddpg_her": {
         "steady": STEADY_DDPG,
         "scaled": SCALED,
-        "robust": replace(SCALED, random_hold=8.0),
+        "robust": replace(
+            SCALED, n_batches=40, target_update_interval=20, random_hold=8.0
+        ),
     },
 }
 

@@ -256,7 +256,7 @@ class TestLearning:
         shown = ppo._batch()[0]
         assert (shown[:, :2].mean().abs() < 0.5) == normalise
         silent, fired = sorted({*shown[:, 2].tolist()})
-        low, high = {"none": (1.0, 1.0), "block": (3.0, 4.0), "each": (4.9, 5.0)}[scale]
+        low, high = {"none": (1.0, 1.0), "block": (4.5, 5.0), "each": (4.9, 5.0)}[scale]
         assert low <= fired <= high
         assert silent == 0.0 or scale == "each"
         again = PPO.saved_policy(ppo.config, Spaces.from_json(ppo.spaces.to_json()), ppo.state_dict())
