@@ -22,7 +22,7 @@ from tactilerl.study.analysis import analyse
 from tactilerl.style import DPI, HEAD, NAMES, OTHERS, STYLE
 
 from benchmarks.command import DOCS, data, no_flags
-from benchmarks.studies import setups_study, study_tables
+from benchmarks.studies import study_tables
 
 IMAGES, FOUR = DOCS / "images", str(DOCS / "data/chosen/anywhere_4.toml")
 SETTING, SHIPPED = OTHERS[:2]
@@ -116,6 +116,5 @@ def main() -> None:
         unrolled("layouts", "shadow", [*layouts.PAPER], 2, "Shadow Hand: the paper's six layouts")
         unrolled("design_places", "mpl", [FOUR, "1"], 1, "MPL hand: four chosen taxels, and layout 1")
         study_tables.draw(IMAGES)
-        setups_study.draw(IMAGES)
     for study, pictures in STUDIES.items():
         study_curves(study, pictures)

@@ -8,15 +8,12 @@ Set-ups differ in hand, simulator and learner.
 from __future__ import annotations
 
 import itertools
-import textwrap
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.stats
-from matplotlib.figure import Figure
 from tactilerl import statistics, style
 from tactilerl.statistics import Array, Estimate
 from tactilerl.study import verdicts
@@ -223,35 +220,6 @@ def show_predictors() -> None:
         correlation, p = prediction(told, values, [setup.hand for setup in found])
         rows.append((name, number(correlation, ".2f"), p_value(p)))
     markdown("| predictor | mean rank correlation with the gain | p, by hand |", rows)
-
-
-def draw(folder: Path) -> None:
-    """What each predictor says of a layout, and what the layout gained in learning (setups.png)."""
-    each = {setup: one.mean(axis=1) for setup, one in gains().items()}
-    picture = Figure(figsize=(8, 3.4), layout="constrained")
-    panels = picture.subplots(1, len(PREDICTORS), sharey=True)
-    for axes, name in zip(panels, PREDICTORS, strict=True):
-        for setup, told in predicted(name, each).items():
-            at = np.argsort(told, kind="stable")
-            axes.plot(told[at], each[setup][at], label=str(setup), **look(setup))
-        axes.set_xlabel(textwrap.fill(name, 26))
-    panels[0].set(xscale="log", ylabel="gain in success over the run")
-    panels[0].set_xticks((10, 30, 100), ("10", "30", "100"))
-    panels[0].minorticks_off()
-    picture.suptitle("Arrivals anywhere: what four layouts gain in each set-up", **style.HEAD)
-    picture.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
-    picture.savefig(folder / "setups.png", dpi=style.DPI, metadata={"Software": None})
-
-
-def look(setup: SetUp) -> dict[str, Any]:
-    """A colour for the hand, a line for the learner, a marker for the simulator."""
-    return {
-        "color": style.OTHERS[ORDER.index(setup.hand) - ORDER.index("mpl")],
-        "linestyle": {"ppo": "-", "ddpg_her": "--"}[setup.learner],
-        "marker": {"mujoco": "o", "pybullet": "s"}[setup.simulator],
-        "linewidth": 1,
-        "markersize": 4,
-    }
 
 
 TABLES = {

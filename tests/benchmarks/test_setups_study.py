@@ -98,14 +98,3 @@ def test_what_predicts_the_order(told, monkeypatch):
     rows = told(setups_study.show_predictors)
     values = [float(correlation.replace("−", "-")) for correlation, _ in rows.values()]
     assert np.allclose(values, [-1, 1, -1])
-
-
-def test_figure_has_every_set_up_in_a_panel_for_each_predictor(study, monkeypatch, tmp_path):
-    monkeypatch.setattr(setups_study, "load", lambda name: study)
-    drawn = []
-    monkeypatch.setattr(setups_study.Figure, "savefig", lambda self, *_, **__: drawn.append(self))
-    setups_study.draw(tmp_path)
-    panels = drawn[0].axes
-    assert [len(axes.lines) for axes in panels] == [9] * len(setups_study.PREDICTORS)
-    taxels = panels[0].lines[0].get_xdata()
-    assert list(taxels) == [8, 19, 79, 139]
