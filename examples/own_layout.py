@@ -37,5 +37,5 @@ print("taxels:", *(name for name in names if "taxel" in name), sep="\n  ")
 ppo = tactilerl.PPO(env, seed=0, steps_per_epoch=min(1000, steps))
 ppo.learn(steps, progress=True)
 
-# %% Would other taxels have done better? Ask before training: see probe.py
+# %% Would other taxels have done better? Ask before training: see design.py
 print(f"learned from {ppo.env_steps} steps with {layout}")

@@ -1,1 +1,1 @@
-"""Studies and probes: their intervals, their overhead, whether they agree."""
+"""Studies: what they found, and what scripted hands say before them."""

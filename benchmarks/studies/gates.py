@@ -14,7 +14,7 @@ from typing import Any
 from tactilerl.envs import scenes, tasks
 from tactilerl.envs.grasp import setup
 from tactilerl.machine import free_cores
-from tactilerl.probe import gate
+from tactilerl.scripted import gate
 
 from benchmarks.command import count, earlier, interval, markdown, parser, write
 
