@@ -13,10 +13,8 @@ import tyro
 
 from ..envs.grasp import GraspConfig, setup
 from ..envs.simulators import Camera
-from ..envs.vector import LocalPlayer
 from ..errors import InputError, input_errors
 from ..pictures import render
-from ..runs import evaluation, policies
 from ..terminal import flags
 from ..terminal.console import console, progress
 from .grasps import require_grasp
@@ -109,19 +107,12 @@ def _has_display() -> bool:
 
 def _watch(folder: Path, episodes: int, hold_seconds: float) -> None:
     """Play a run's policy in a window."""
-    config, policy, *_ = policies.read_run(folder)
-    if config.scene is None:
-        raise InputError(f"{folder}: found no grasping scene, allowed runs of hands")
-    scene = replace(config.scene, hold_seconds=hold_seconds)
-    with (
-        input_errors(),
-        closing(replace(config, scene=scene).make_env(render_mode="human")) as env,
-    ):
-        for number in range(episodes):
-            task = evaluation.task(policy)
-            episode = LocalPlayer(env).play(task, number, lambda: True)
-            verdict = "success" if episode.success == 1.0 else "no success"
-            console.print(f"{folder}: {verdict}")
+    with input_errors():
+        env, play = render.staged(folder, hold_seconds, "human")
+        with closing(env):
+            for number in range(episodes):
+                verdict = "success" if play(number) else "no success"
+                console.print(f"{folder}: {verdict}")
 
 
 def _film(read: RenderFlags, hold_seconds: float) -> None:

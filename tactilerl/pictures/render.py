@@ -10,20 +10,19 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import torch
 
-from ..algos.rollout import Episode
 from ..envs import scripted
 from ..envs.grasp import GraspConfig, GraspEnv
 from ..envs.hands import ScriptedGrasp
 from ..envs.simulators import Camera, Simulator
-from ..envs.vector import Job
-from ..errors import InputError
+from ..envs.state import Array
+from ..errors import InputError, extra
 from ..files import MAKER, is_picture, replacing, require_ours
 from ..style import ROLES
 from .hand_map import PAPER, TaxelMap, lettered, save_picture
 
 Pose = Literal["start", "grasp"]
+Colour = tuple[int, int, int]
 FPS = 25  # at least: a picture stands for a whole number of timesteps
 FILMS, PICTURES = (".mp4", ".mkv", ".mov"), (".png", ".jpg")
 HOLD_SECONDS = 2.0  # of a hold test in a film: all there is to see in the whole
@@ -46,107 +45,94 @@ def picture(
     grasp: ScriptedGrasp | None = None,
 ) -> int:
     """Write a picture of the start or of a scripted grasp (`grasp`: instead of the hand's own), beside
-    it the hand unrolled; how many taxels fire in it."""
+    it the hand unrolled; return how many taxels fire in it."""
     _writer("--out", out, PICTURES, "PIL")
     with closing(GraspEnv(env_name, config, render_mode="rgb_array")) as env:
         env.reset(seed=0)
         if pose == "grasp":
-            start = scripted.Offsets()
-            for _ in scripted.hold_steps(
-                env, grasp or scripted.grasp_for(env), start, seconds=0.5
-            ):
+            grasp = grasp or scripted.grasp_for(env)
+            for _ in scripted.hold_steps(env, grasp, scripted.Offsets(), seconds=0.5):
                 pass
+        image, fires = env.picture(camera), env.taxel_readings() > 0
+        if config.touch == "on":  # what is hard to see in the hand's shade
+            unrolled = TaxelMap(env.hand, env.taxels, camera.height).picture(fires)
+            image = np.hstack([image, unrolled])
         with replacing(out, is_picture) as file:
-            save_picture(_beside(env, camera), file, out.suffix)
-        return int((env.taxel_readings() > 0).sum())
-
-
-def _beside(env: GraspEnv, camera: Camera) -> np.ndarray:
-    """The scene, and beside it what each taxel feels, which is hard to see in the hand's shade."""
-    found = env.picture(camera)
-    if env.config.touch != "on":
-        return found
-    felt = env.taxel_readings() > 0
-    drawn = TaxelMap(env.hand, env.taxels, camera.height).picture(felt)
-    return np.hstack([found, drawn])
+            save_picture(image, file, out.suffix)
+        return int(fires.sum())
 
 
 def staged(
-    run: Path, hold_seconds: float = HOLD_SECONDS
-) -> tuple[GraspEnv, Job[Episode[Any]], int]:
-    """A run's own scene, with hold tests of so many seconds, who plays its policy there, and with how
-    many threads; InputError when that is no grasping scene."""
+    run: Path, hold_seconds: float, render_mode: str
+) -> tuple[GraspEnv, Callable[[int], bool]]:
+    """Return a run's own scene, with hold tests of so many seconds, and what plays its policy there
+    from the start of a number: does it succeed? InputError where that is no grasping scene."""
+    import torch
+
     from ..runs import evaluation, policies
 
     config, policy, *_ = policies.read_run(run)
     if config.scene is None:
-        raise InputError(
-            f"{run}: found a run on {config.run.env!r}, allowed runs of grasping scenes"
-        )
+        found = f"a run on {config.run.env!r}"
+        raise InputError(f"{run}: found {found}, allowed runs of grasping scenes")
     scene = replace(config.scene, hold_seconds=hold_seconds)
-    env: GraspEnv = replace(config, scene=scene).make_env(render_mode="rgb_array")
-    return env, evaluation.task(policy), config.run.threads
+    env: GraspEnv = replace(config, scene=scene).make_env(render_mode=render_mode)
+    task = evaluation.task(policy)
+
+    def play(number: int) -> bool:
+        torch.set_num_threads(config.run.threads)  # as trained, to the last digit
+        return bool(task(env, number, lambda: True).success == 1.0)
+
+    return env, play
 
 
 class _Player:
-    """Shows a run's policy in its own scene, with a line above: who plays, which start, what came of
+    """Films a run's policy in its own scene, with a line above: who plays, which start, what came of
     it."""
 
-    def __init__(self, run: Path, hold_seconds: float, camera: Camera) -> None:
-        self.env, self._task, self._threads = staged(run, hold_seconds)
+    def __init__(
+        self, run: Path, hold_seconds: float, camera: Camera, tick: Callable[[], None]
+    ) -> None:
+        self.env, self._play = staged(run, hold_seconds, "rgb_array")
         scene = self.env.config
         self.name, self.label = run.name, ROLES.get(scene.touch, scene.touch)
         every = max(1, int(1 / FPS / scene.timestep + 1e-6))
         self.fps = 1 / (every * scene.timestep)
-        self._map = (
-            TaxelMap(self.env.hand, self.env.taxels, UNROLLED)
-            if scene.touch == "on"
-            else None
-        )
-        self._camera, self._successes = camera, 0
-        self._show: Callable[[], None] = lambda: None
-        filmed: Any = _Filmed(self.env.simulator, every, lambda: self._show())
+        self._map: TaxelMap | None = None
+        if scene.touch == "on":
+            self._map = TaxelMap(self.env.hand, self.env.taxels, UNROLLED)
+        self._camera, self._tick, self._successes, self._number = camera, tick, 0, 0
+        self._pictures: list[Array] = []
+        filmed: Any = Filmed(self.env.simulator, every, self._show)
         self.env.simulator = filmed
 
-    def play(
-        self, number: int, tick: Callable[[], None]
-    ) -> tuple[list[np.ndarray], bool]:
-        """An episode's pictures; did it succeed?"""
-        pictures: list[np.ndarray] = []
-        beside: list[np.ndarray] = []  # where the camera looks, from the palm; m
-
-        def show(outcome: str = "", colour: tuple[int, int, int] = PAPER) -> None:
-            state = self.env.simulator.state()
-            beside[:] = beside or [(state.object_position - state.palm) / 3]
-            camera = replace(
-                self._camera, lookat=tuple((state.palm + beside[0]).tolist())
-            )
-            lines = (
-                f"{self.label}{outcome}",
-                f"start {number + 1}, successes so far: {self._successes}",
-            )
-            pictures.append(self._picture(camera, lines, colour))
-            tick()
-
-        torch.set_num_threads(self._threads)  # as it was trained, to the last digit
-        self._show = show
-        success = bool(self._task(self.env, number, lambda: True).success == 1.0)
+    def film(self, number: int) -> tuple[list[Array], bool]:
+        """Return an episode's pictures; does it succeed?"""
+        self._number, self._pictures = number, []
+        success = self._play(number)
         self._successes += success
-        show(*((": success", GREEN) if success else (": failure", RED)))
-        return pictures + pictures[-1:] * END_PICTURES, success
+        self._show(*((": success", GREEN) if success else (": failure", RED)))
+        return self._pictures + self._pictures[-1:] * END_PICTURES, success
 
-    def _picture(
-        self, camera: Camera, lines: Sequence[str], colour: Sequence[int]
-    ) -> np.ndarray:
-        """The scene, two lines above it, in a corner the hand unrolled, with what its taxels feel."""
-        found = self.env.picture(camera)
+    def _show(self, outcome: str = "", colour: Colour = PAPER) -> None:
+        """Add a picture: the scene, two lines above it, in a corner what the taxels feel."""
+        state = self.env.simulator.state()
+        if not self._pictures:  # where the camera looks, from the palm, m
+            self._beside = (state.object_position - state.palm) / 3
+        lookat = tuple((state.palm + self._beside).tolist())
+        image = self.env.picture(replace(self._camera, lookat=lookat))
         if self._map is not None:
-            drawn = self._map.picture(self.env.taxel_readings() > 0)
-            found[-drawn.shape[0] :, -drawn.shape[1] :] = drawn
-        head = np.full((LINES, camera.width, 3), colour, np.uint8)
+            unrolled = self._map.picture(self.env.taxel_readings() > 0)
+            image[-unrolled.shape[0] :, -unrolled.shape[1] :] = unrolled
+        lines = (
+            f"{self.label}{outcome}",
+            f"start {self._number + 1}, successes so far: {self._successes}",
+        )
+        head = np.full((LINES, SIDE, 3), colour, np.uint8)
         for text, size, y in zip(lines, LETTERS, (LINES / 2, LINES - 10), strict=True):
             head = lettered(head, [(text, 14, y)], size, "ls")
-        return np.vstack([head, found])
+        self._pictures.append(np.vstack([head, image]))
+        self._tick()
 
 
 def film(
@@ -157,7 +143,7 @@ def film(
     out: Path,
     tick: Callable[[], None],
 ) -> Iterator[list[bool]]:
-    """Write a film of trained runs' policies, in real time, side by side from the same starts; yields
+    """Write a film of trained runs' policies, in real time, side by side from the same starts; yield
     each one's success, episode by episode.
 
     A hold test is as long as `hold_seconds`, also for its verdict. The camera follows the hand. `tick`
@@ -166,7 +152,7 @@ def film(
     ffmpeg = _writer("--video", out, FILMS, "imageio_ffmpeg")
     camera = replace(camera, width=SIDE, height=SIDE, shadows=False)
     with ExitStack() as opened:
-        players = [_Player(run, hold_seconds, camera) for run in runs]
+        players = [_Player(run, hold_seconds, camera, tick) for run in runs]
         for player in players:
             opened.callback(player.env.close)
         if len({player.label for player in players}) < len(players):
@@ -176,27 +162,25 @@ def film(
             raise InputError(
                 "render: found runs with different timesteps, allowed runs with the same"
             )
-        size = SIDE * len(runs), SIDE + LINES
-        options = {
-            "fps": players[0].fps,
-            "macro_block_size": 2,
-            "output_params": PLAYABLE,
-        }
-        writer = ffmpeg.write_frames(out, size, **options)
+        writer = ffmpeg.write_frames(
+            out,
+            (SIDE * len(runs), SIDE + LINES),
+            fps=players[0].fps,
+            macro_block_size=2,
+            output_params=PLAYABLE,
+        )
         opened.enter_context(closing(writer)).send(None)
         for number in range(episodes):
             films, successes = zip(
-                *(player.play(number, tick) for player in players), strict=True
+                *(player.film(number) for player in players), strict=True
             )
-            for index in range(
-                max(map(len, films))
-            ):  # whose film is shorter waits at its end
-                beside = np.hstack([film[min(index, len(film) - 1)] for film in films])
-                writer.send(np.ascontiguousarray(beside))
+            for i in range(max(map(len, films))):  # a shorter film waits at its end
+                images = [film[min(i, len(film) - 1)] for film in films]
+                writer.send(np.ascontiguousarray(np.hstack(images)))
             yield [*successes]
 
 
-class _Filmed:
+class Filmed:
     """A simulator that calls `show` after every `every` timesteps."""
 
     def __init__(
@@ -208,8 +192,8 @@ class _Filmed:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._inner, name)
 
-    def step(self, joint_targets: np.ndarray, n_substeps: int) -> None:
-        """The same steps in smaller portions."""
+    def step(self, joint_targets: Array, n_substeps: int) -> None:
+        """Do the same steps in smaller portions."""
         while n_substeps > 0:
             portion = min(n_substeps, self._every - self._since)
             self._inner.step(joint_targets, portion)
@@ -220,19 +204,14 @@ class _Filmed:
 
 
 def _writer(flag: str, out: Path, endings: tuple[str, ...], module: str) -> Any:
-    """The extra's module that writes it; InputError where `out` cannot be written."""
+    """Return the module that writes it; InputError where `out` cannot be written."""
     if out.suffix.lower() not in endings:
-        raise InputError(
-            f"{flag}: found {out.name!r}, allowed names that end in {', '.join(endings)}"
-        )
+        allowed = f"names that end in {', '.join(endings)}"
+        raise InputError(f"{flag}: found {out.name!r}, allowed {allowed}")
     if not out.parent.is_dir():
         raise InputError(
             f"{flag}: found no folder {out.parent}, allowed one that exists"
         )
     require_ours(out, is_picture)
-    try:
+    with extra("render"):
         return importlib.import_module(module)
-    except ImportError as error:
-        raise ImportError(
-            "pictures need an extra that is not installed: pip install 'tactilerl[render]'"
-        ) from error

@@ -21,7 +21,7 @@ from tactilerl.algos import recipes
 from tactilerl.commands.cli import COMMANDS, main
 from tactilerl.commands.study import PARTS
 from tactilerl.envs import scripted
-from tactilerl.pictures.render import _Filmed
+from tactilerl.pictures.render import Filmed
 from tactilerl.runs import arguments, evaluation, sealed
 from tactilerl.runs.store import TIMES, with_new_names
 from tactilerl.study import grid
@@ -492,7 +492,7 @@ class TestOtherCommands:
             pass
         heights, began = [], env.simulator.data.time
         state = env.simulator.state
-        env.simulator = _Filmed(env.simulator, 10, lambda: heights.append(state().palm[2]))
+        env.simulator = Filmed(env.simulator, 10, lambda: heights.append(state().palm[2]))
         assert env.task.hold.run(env.simulator, state())
         assert len(heights) == round((env.simulator.data.time - began) / 0.04)
         assert len(heights) > 50
