@@ -48,7 +48,7 @@ class HoldTest:
     """An object further than this from the palm is in free fall, m."""
     creep: float = 20.0
     """"settled": by how much creep is sped up and time compressed. What this and the next two cost
-    is measured by ``python -m benchmarks hold_verdict --early creep=40`` and so on."""
+    is measured by ``python -m benchmarks hold_verdict``."""
     shake_seconds: float = 0.2
     """"settled": the jolt of setting off is over after this time, and creep is sped up from then
     on, s."""
