@@ -23,7 +23,7 @@ from . import Array, Count, Fraction, NotNegative, Positive32, rollout
 from .learner import Learner, restore, set_lr
 from .mpi import Communicator
 from .networks import MLP, flushed_denormals, require_hidden
-from .normalizer import Normalizer, Scaling
+from .normalizer import MIN_STD, Normalizer, Scaling
 from .policy import (
     Policy,
     Spaces,
@@ -40,6 +40,8 @@ from .rollout import PlayEpisode, discounted, play_episodes, summary
 
 CHECK_EVERY = 100  # updates; then the ranks' parameters are compared
 REPLAY_P = 0.8  # paper
+MAX_CUT = 0.01  # share of values cut at clip_obs, above which a run warns
+MAX_AT_FLOOR = 0.5  # share of columns at the floor of the standard deviation, at which it does
 
 
 @dataclass(frozen=True)
@@ -344,6 +346,7 @@ class DDPGHER(Learner):
         # The replay does not change in a cycle: all minibatches are drawn at once.
         drawn = self.replay.sample(n * config.batch_size, config.replay_p)
         self._update_reward_scale(drawn.reward)
+        self._warn_of_units(drawn)
         batch = self._as_inputs(drawn)
         minibatches = zip(
             *(torch.split(part, config.batch_size) for part in batch), strict=True
@@ -366,6 +369,27 @@ class DDPGHER(Learner):
             "mean_q": mean_q * (self.reward_scale or 1.0),
             "updates": n,
         }
+
+    def _warn_of_units(self, drawn: Batch[Array]) -> None:
+        """Warn where the unit of observations or goals keeps the networks from telling them apart."""
+        limit = self.config.clip_obs
+        values = np.concatenate([drawn.obs, drawn.goal], axis=1)
+        cut = float((np.abs(values) > limit).mean())
+        varies = values.std(axis=0) > 0
+        std = np.concatenate([self.obs_stats.std, self.goal_stats.std])
+        at_floor = float((std[varies] <= MIN_STD).mean()) if varies.any() else 0.0
+        if cut > MAX_CUT:
+            self.warn_once(
+                "cut",
+                f"{cut:.0%} of the values observed are beyond ±{limit:g} and are cut there: use a "
+                "larger unit (m, not mm) or raise clip_obs",
+            )
+        if at_floor >= MAX_AT_FLOOR:
+            self.warn_once(
+                "floor",
+                f"{at_floor:.0%} of the columns observed vary by less than {MIN_STD:g}, and look "
+                "almost constant to the networks: use a smaller unit",
+            )
 
     def _as_inputs(self, drawn: Batch[Array]) -> Batch[Tensor]:
         """Return tensors in which observations are the networks' inputs (n, obs + goal)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -64,6 +65,7 @@ class Learner(ABC):
         self.spaces = Spaces(workers.observation_space, workers.action_space)
         self._n_obs = flat_size(self.spaces.observation)
         self.env_steps = 0  # so far, on all ranks
+        self._warned = set[str]()
         self._second_thread: ThreadPoolExecutor | None = None
         if cores > 1 and comm.size == 1 and self.device.type == "cpu":
             self._second_thread = second_thread()
@@ -155,6 +157,12 @@ class Learner(ABC):
                 f"a loss or a parameter is not finite after {self.env_steps} steps "
                 f"(losses {[f'{x:.3g}' for x in losses]})"
             )
+
+    def warn_once(self, topic: str, message: str) -> None:
+        """Warn on one rank, once in the life of this learner."""
+        if self.comm.rank == 0 and topic not in self._warned:
+            self._warned.add(topic)
+            warnings.warn(message, stacklevel=3)
 
     def require_same(self, *tensors: Tensor) -> None:
         """Raise DivergenceError where the ranks have parted."""

@@ -222,7 +222,10 @@ class PPO(Learner):
 
     policy_parts = ("actor", "gaussian", "obs_stats")
     saved = (*policy_parts, "critic", "actor_adam", "critic_adam")
-    plain = ("env_steps", "epochs", "before_update")
+    plain = (
+        *("env_steps", "epochs", "before_update"),
+        *("lowest_reward", "highest_reward"),
+    )
 
     def build(self, generator: torch.Generator) -> None:
         config: PPOConfig = self.config
@@ -246,6 +249,7 @@ class PPO(Learner):
         self.epochs, self._episodes = 0, list[Episode[Array]]()
         # The actor before its last update that saw episodes differ; empty before any did.
         self.before_update: dict[str, Any] = {}
+        self.lowest_reward = self.highest_reward = 0.0  # of all so far, 0 included
 
     def describe(self) -> str:
         config = self.config
@@ -415,6 +419,7 @@ class PPO(Learner):
             advantages.append(
                 gae(rewards, values[:-1], last_value, config.gamma, config.gae_lambda)
             )
+        self._warn_of_divergence(all_values)
         advantage = np.concatenate(advantages)
         returns = finite(advantage + all_values[~is_last], "a return")
         obs = all_obs[torch.from_numpy(~is_last).to(self.device)]
@@ -425,6 +430,23 @@ class PPO(Learner):
         )
         log_prob = self.gaussian.log_prob(actions, self.actor(obs))
         return Transitions(obs, actions, log_prob, normalised, target)
+
+    def _warn_of_divergence(self, values: Array) -> None:
+        """Warn where the critic's values (n,) are beyond any return of the rewards seen so far."""
+        rewards = [reward for episode in self._episodes for reward in episode.rewards]
+        self.lowest_reward = min(self.lowest_reward, *rewards)
+        self.highest_reward = max(self.highest_reward, *rewards)
+        discount = 1.0 - self.config.gamma
+        if discount == 0.0:
+            return
+        low, high = self.lowest_reward / discount, self.highest_reward / discount
+        margin = high - low  # what a critic may be off by without having diverged
+        if values.min() < low - margin or values.max() > high + margin:
+            self.warn_once(
+                "values",
+                f"the critic's values reach from {values.min():.3g} to {values.max():.3g}, but "
+                f"returns of the rewards seen lie between {low:.3g} and {high:.3g}: it has diverged",
+            )
 
     def _goes_on(self, episode: Episode[Array]) -> bool:
         """Return whether more would have followed its last transition.

@@ -4,6 +4,8 @@ import copy
 import dataclasses
 import math
 import pickle
+import re
+import warnings
 
 import gymnasium as gym
 import numpy as np
@@ -504,6 +506,20 @@ def test_the_outermost_wrappers_reward_counts():
     learner = make(Doubled(GoalEnv()))
     learner.check()
     assert set(np.unique(trained(2, learner).replay.sample(50, 0.5).reward)) == {-2.0, 0.0}
+
+
+@pytest.mark.parametrize(
+    ("scale", "words"),
+    [(1.0, None), (1e3, r"\d+% of the values observed .* ±200"), (1e-4, r"\d+% of the columns")],
+)
+def test_a_unit_that_hides_what_is_observed_is_told_once(scale, words):
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        learner = make(GoalEnv(scale=scale))
+        trained(3, learner)
+    messages = [str(one.message) for one in told]
+    assert len(messages) == (words is not None)
+    assert all(re.search(words, message) for message in messages)
 
 
 class TestHardCases:

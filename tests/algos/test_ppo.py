@@ -2,6 +2,7 @@
 
 import copy
 import math
+import warnings
 from dataclasses import asdict
 from functools import partial
 
@@ -383,6 +384,19 @@ class TestUndo:
             ppo.update()
         assert rates[0] == 0.0
         assert (rates[-1] > 0.9) == undo
+
+
+def test_a_critic_that_diverged_is_told_once():
+    """Rewards lie between 0 and 1, so with gamma .9 no return is beyond 10."""
+    ppo = make_ppo(scripted(reward=lambda rng: 1.0), gamma=0.9, critic_lr=1e-6)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        trained(ppo, 1)
+    with torch.no_grad():
+        ppo.critic[-1].bias.fill_(500.0)
+    with pytest.warns(UserWarning, match="values reach .* between 0 and 10: it has diverged") as told:
+        trained(ppo, 2)
+    assert len(told) == 1
 
 
 def test_the_value_of_a_last_observation_stays_within_those_that_are_learned():
