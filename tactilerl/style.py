@@ -1,4 +1,4 @@
-"""One look and one set of names for every figure: of a report, of a probe and of the docs."""
+"""One look and one set of names for every figure: of a report, of a design and of the docs."""
 
 from __future__ import annotations
 

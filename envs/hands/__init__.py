@@ -66,8 +66,8 @@ class Usage:
     id: str = ""
     """Of its environment in Gymnasium's registry; by name it is `make(name)`."""
     closing: tuple[Share, Share] = (0.5, 0.9)
-    """How far the fingers of perturbed scripted grasps close, from and to, 1 being all the way: 30
-    to 70 % of `tactilerl probe`'s grasps of the library's own hands then hold in either simulator."""
+    """How far the fingers of perturbed scripted grasps close, from and to, 1 being all the way; read
+    from files of 0.4.0, and not used any more."""
     scene: dict[str, Any] = field(default_factory=dict)
     """Where its scene differs from the defaults of `GraspConfig`."""
 

@@ -34,14 +34,14 @@ def require_grasp(name: str, scene: GraspConfig) -> None:
     path = hands.file(name)
     kept = path.with_suffix(hands.KEPT)
     with replacing(kept, begins_with(MARK)) as file:
-        grasp = grasp_search.toml(hands.get(name), found.grasp)
-        file.write(f'{MARK}hand = "{hands.short_digest(path)}"\n\n{grasp}\n'.encode())
+        digest = hands.short_digest(path)
+        file.write(f'{MARK}hand = "{digest}"\n\n{found.toml()}\n'.encode())
     beside.print(f"kept in {kept}")
 
 
 def found_grasp(name: str, scene: GraspConfig) -> grasp_search.Found | None:
-    """The best grasp that a search finds, and how it went; None, with a picture of the best, where that
-    does not hold."""
+    """Return the best grasp that a search finds, and how it went; None, with a picture of the best,
+    where that does not hold."""
     beside.print(f"{name} has no [[grasp]]: looking for one")
     with progress("trying grasps", sum(grasp_search.ROUNDS)) as tick:
         found = grasp_search.find(name, scene, free_cores(), tick)
@@ -67,7 +67,7 @@ def draw(
     screen: Console, what: str, name: str, scene: GraspConfig, pose: render.Pose, path: Path,
     grasp: ScriptedGrasp | None = None,
 ) -> None:  # fmt: skip
-    """A picture of a hand, and on the screen `what` it is, or why there is none."""
+    """Write a picture of a hand, and on the screen `what` it is, or why there is none."""
     try:
         render.picture(name, scene, pose, Camera(azimuth=300.0), path, grasp)
         screen.print(f"{path}: {what}")

@@ -17,7 +17,7 @@ from ..envs.grasp import setup
 from ..envs.hands import guess, sandbox
 from ..errors import InputError, input_errors
 from ..files import begins_with, pasted, replacing
-from ..scripted import grasp_search, taxels
+from ..scripted import taxels
 from ..terminal import flags
 from ..terminal.console import console
 from ..terminal.help import About
@@ -66,12 +66,10 @@ def main(args: list[str]) -> int:
         scene = setup(str(read.out), layout="1")
         found = found_grasp(str(read.out), scene)
     if found is not None:
-        more = (
-            ""
-            if found.shift is None
-            else f"\n[pitch]\ndistal_shift = {found.shift:.4g}\n"
-        )
-        _append(read.out, f"{more}\n{grasp_search.toml(hand, found.grasp)}\n")
+        text = f"\n{found.toml()}\n"
+        if found.shift is not None:
+            text = f"\n[pitch]\ndistal_shift = {found.shift:.4g}\n{text}"
+        _append(read.out, text)
     pose: Literal["start", "grasp"] = "start" if found is None else "grasp"
     what, picture = f"the {pose}, and the hand unrolled", read.out.with_suffix(".png")
     draw(console, what, str(read.out), scene, pose, picture)
@@ -89,7 +87,7 @@ def main(args: list[str]) -> int:
 
 
 def _write(read: HandFlags) -> None:
-    """The file; once more with other servos, where the model's own do not do."""
+    """Write the file; once more with other servos, where the model's own do not do."""
     said: dict[str, Any] = {"palm": read.palm} if read.palm else {}
     said |= {"drop": list(read.drop)} if read.drop else {}
     model = read.model
@@ -105,7 +103,7 @@ def _write(read: HandFlags) -> None:
 
 
 def _written(path: Path, model: str, said: dict[str, Any]) -> list[str]:
-    """Notes on what was guessed."""
+    """Write the file once; return notes on what was guessed."""
     folder = path.parent.absolute()
     text, notes = sandbox.call(guess.describe, model, folder, said)
     with replacing(path, is_ours) as file:
@@ -114,7 +112,7 @@ def _written(path: Path, model: str, said: dict[str, Any]) -> list[str]:
 
 
 def _servos_fail(path: Path) -> str:
-    """How the model's own servos fail, "" where they do not."""
+    """Return how the model's own servos fail, "" where they do not."""
     try:
         notes = hands.get(str(path)).notes
         return next(
@@ -147,7 +145,7 @@ def _say_what_was_guessed(path: Path, hand: hands.Hand) -> None:
 
 
 def _try(path: Path, simulator: str) -> None:
-    """What layout 1 feels in the grasp, in one line."""
+    """Print what layout 1 feels in the grasp, in one line."""
     scene = dataclasses.replace(setup(str(path), layout="1"), simulator=simulator)
     try:
         felt = taxels.check(str(path), scene, n=10, seconds=1.0)

@@ -40,7 +40,7 @@ class Panel(NamedTuple):
 
     x: float
     y: float
-    """Of the centre of its taxels' grid; up is towards the fingertip."""
+    """Place of the centre of its taxels' grid; up is towards the fingertip."""
     half_width: float
     low: float
     high: float
@@ -48,7 +48,7 @@ class Panel(NamedTuple):
 
 
 def panels(hand: Hand) -> list[Panel]:
-    """One for each of the hand's surfaces."""
+    """Return a panel for each of the hand's surfaces."""
     spans = [tuple(1e3 * end for end in surface.span) for surface in hand.surfaces]
     across = max(COLUMN, 2 * max(width for *_, width in spans) + 8.0)
     apart = max(ROW, max(high - low for low, high, _ in spans) + 8.0)
@@ -72,8 +72,8 @@ def panels(hand: Hand) -> list[Panel]:
 
 
 def labels(hand: Hand, drawn: list[Panel]) -> list[tuple[str, float, float]]:
-    """What each digit is called, above its tip, and below the palm what that is: the word, and the
-    middle (x, y) of its baseline, mm."""
+    """Return what each digit is called, above its tip, and below the palm what that is: the word,
+    and the middle (x, y) of its baseline, mm."""
     both = list(zip(hand.surfaces, drawn, strict=True))
     tips = [
         (surface.digit, panel.x, panel.y + panel.high + EDGE + LETTERS / 3)
@@ -88,13 +88,14 @@ def labels(hand: Hand, drawn: list[Panel]) -> list[tuple[str, float, float]]:
 
 
 def point(place: Place, drawn: list[Panel]) -> tuple[float, float]:
-    """Where a taxel lies on the map, mm."""
+    """Return where a taxel lies on the map, mm."""
     panel = drawn[place.surface]
     return panel.x + place.column, panel.y + place.row
 
 
 def beyond(hand: Hand, taxels: Taxels) -> list[str]:
-    """Names of the taxels that lie beyond an end of their segment, where nothing carries them."""
+    """Return names of the taxels that lie beyond an end of their segment, where nothing carries
+    them."""
     drawn, found = panels(hand), []
     for name, place in zip(taxels.names, places.of(taxels), strict=True):
         panel, is_tip = (
@@ -112,7 +113,7 @@ def beyond(hand: Hand, taxels: Taxels) -> list[str]:
 
 
 def off_skin(hand: Hand, taxels: Taxels) -> list[str]:
-    """Names of taxels, given as points, whose sphere does not reach the skin of their link."""
+    """Return names of taxels, given as points, whose sphere does not reach the skin of their link."""
     found = []
     offsets = zip(taxels.points, taxels.surfaces.tolist(), taxels.offsets, strict=True)
     for taxel, index, (_, _, height) in offsets:
@@ -154,7 +155,7 @@ class TaxelMap:
             self._discs.append(np.nonzero(np.hypot(x - across, y - up) <= place.radius))
 
     def picture(self, lit: Array) -> Array:
-        """RGB (height, width, 3) uint8; `lit` bool (n,)."""
+        """Return an RGB picture (height, width, 3) uint8; `lit` bool (n,)."""
         image = self._blank.copy()
         for disc, on in zip(self._discs, lit, strict=True):
             image[disc] = LIT if on else TAXEL
@@ -162,7 +163,7 @@ class TaxelMap:
 
 
 def _inside(x: Array, y: Array, panel: Panel) -> Array:
-    """Which points lie in a panel, whose corners are round."""
+    """Tell which points lie in a panel, whose corners are round."""
     corner, half_width = ROUND * panel.half_width + EDGE, panel.half_width + EDGE
     middle, half_height = (
         panel.y + (panel.low + panel.high) / 2,
@@ -175,7 +176,7 @@ def _inside(x: Array, y: Array, panel: Panel) -> Array:
 
 
 def save_picture(picture: Array, file: BinaryIO, ending: str) -> None:
-    """Write it as .png or .jpg, with who made it."""
+    """Write a picture as .png or .jpg, with who made it."""
     about = importlib.import_module("PIL.PngImagePlugin").PngInfo()
     about.add_text("Software", MAKER)
     kind = {".png": "PNG", ".jpg": "JPEG"}[ending.lower()]
@@ -186,7 +187,7 @@ def save_picture(picture: Array, file: BinaryIO, ending: str) -> None:
 def lettered(
     picture: Array, words: Sequence[tuple[str, float, float]], size: float, anchor: str
 ) -> Array:
-    """With words at (x, y) in pixels, `size` of them high; `anchor` as in Pillow."""
+    """Return a picture with words at (x, y) in pixels, `size` of them high; `anchor` as in Pillow."""
     drawn = importlib.import_module("PIL.Image").fromarray(picture)
     draw = importlib.import_module("PIL.ImageDraw").Draw(drawn)
     for text, x, y in words:

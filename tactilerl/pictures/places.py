@@ -20,11 +20,11 @@ class Place:
     column: float
     radius: float
     height: float = 0.0
-    """Of a taxel that is given as a point: over the middle of the surface's grid."""
+    """Height of a taxel that is given as a point, over the middle of the surface's grid."""
 
 
 def of(taxels: Taxels) -> list[Place]:
-    """Where the taxels are, in their order."""
+    """Return where the taxels are, in their order."""
     figures = zip(taxels.surfaces.tolist(), taxels.offsets, taxels.radii, strict=True)
     return [
         Place(index, mm(row), mm(column), mm(radius), mm(height))
@@ -33,8 +33,8 @@ def of(taxels: Taxels) -> list[Place]:
 
 
 def skin(name: str, hand: Hand) -> Taxels:
-    """A layout's taxels, or those of a dense skin such as "2mm"; ValueError and FileNotFoundError where
-    there is none."""
+    """Return a layout's taxels, or those of a dense skin such as "2mm"; ValueError and
+    FileNotFoundError where there is none."""
     if "\n" in name or not name.endswith("mm"):
         return load(name).place(hand)
     try:
@@ -47,8 +47,9 @@ def skin(name: str, hand: Hand) -> Taxels:
 
 
 def dense_skin(hand: Hand, spacing: float) -> Layout:
-    """A grid of `spacing` m over the whole palmar side of every segment and of a flat palm around the
-    bases of the fingers; all of the radius of the hand's own. ValueError for a spacing that is none."""
+    """Return a grid of `spacing` m over the whole palmar side of every segment and of a flat palm
+    around the bases of the fingers; all of the radius of the hand's own. ValueError for a spacing
+    that is none."""
     if not 0.0005 <= spacing <= 0.05:
         raise ValueError(f"skin: found {1e3 * spacing:g} mm, allowed from 0.5 to 50 mm")
     patches, radius = [], hand.pitch.radius
@@ -63,7 +64,7 @@ def dense_skin(hand: Hand, spacing: float) -> Layout:
 def _grid(
     surface: Surface, spacing: float, radius: float
 ) -> tuple[tuple[float, float], ...]:
-    """As many rows and columns as the surface carries, through its middle.
+    """Return as many rows and columns as the surface carries, through its middle.
 
     The tip of a capsule is round and its taxels stand as on a cylinder: rows go on over the tip as
     long as a taxel of `radius` m still reaches the skin under it.

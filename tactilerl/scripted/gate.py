@@ -52,8 +52,9 @@ def examine(
     tick: Callable[[], None] = lambda: None,
     senses: Sequence[str] = tuple(SENSES),
 ) -> list[Found]:
-    """The best reflex of each sense in a scene, `starts` starts each. Each has as many candidates, and
-    each candidate the same `search` starts. `tick` is called after every candidate."""
+    """Find the best reflex of each sense in a scene, `starts` starts each. Each has as many
+    candidates, and each candidate the same `search` starts. `tick` is called after every
+    candidate."""
     found, first = [], 2 * SEARCH * seed
     for name in senses:
         sense, _ = SENSES[name]
@@ -91,7 +92,7 @@ def examine(
 def _play(
     workers: vector.Workers, reflex: reflexes.Reflex, first: int, n: int
 ) -> np.ndarray:
-    """(n,) whether each start succeeds."""
+    """Tell which starts succeed, bool (n,)."""
     return np.array(list(workers.play(reflex.play, range(first, first + n))))
 
 

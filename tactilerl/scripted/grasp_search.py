@@ -16,7 +16,7 @@ from ..envs.hands import SLIDES, Hand, ScriptedGrasp
 from ..envs.simulators import SimulationError
 from ..envs.state import Array, State
 
-SEED = 30_000  # apart from the doctor's starts and from those of training
+SEED = 30_000  # apart from the starts of the check of taxels and from those of training
 SECONDS = 1.0  # of a hold
 STARTS, OTHERS = (
     4,
@@ -44,13 +44,23 @@ class Found(NamedTuple):
     """A grasp, and how it went."""
 
     grasp: ScriptedGrasp
+    closing: float
+    """How far the fingers close: 1 is to the closed hand."""
     share: float
-    """Of its holds' steps in which the object was up."""
+    """Share of the steps of its holds in which the object was up."""
     digits: float
-    """That touched it, on average."""
+    """Digits that touched the object, on average."""
     shift: float | None
     """How far beyond the middle of the last links, towards the tips, they touched it, m; None where
     they did not."""
+
+    def toml(self) -> str:
+        """Return the grasp as text for the hand's file."""
+        slides = ", ".join(f"{self.grasp.targets[name]:.4g}" for name in SLIDES)
+        return (
+            f"[[grasp]]\nobject_size = {self.grasp.object_size:g}\n"
+            f"slides = [{slides}]\nclosing = {self.closing:.4g}"
+        )
 
 
 def find(
@@ -59,8 +69,8 @@ def find(
     workers: int,
     tick: Callable[[], None] = lambda: None,
 ) -> Found:
-    """The best grasp of the scene's object: of those that hold it as long, the one that most digits
-    touch and that has it best in the middle.
+    """Find the best grasp of the scene's object: of those that hold it as long, the one that most
+    digits touch and that has it best in the middle.
 
     Cross-entropy search over the palm's place and how far the hand closes, again, and
     lower, where what it finds is not good. `tick` is called after every candidate. ValueError when
@@ -94,9 +104,13 @@ def find(
             if found[-1][0][1] >= GOOD:
                 break
     (_, share, digits, shift), figures = max(found, key=lambda each: each[0][0])
-    grasp = _grasp(own, size, np.round(figures, 4))
+    figures = np.round(figures, 4)
     return Found(
-        grasp, float(share), float(digits), None if np.isnan(shift) else float(shift)
+        grasp=_grasp(own, size, figures),
+        closing=float(figures[-1]),
+        share=float(share),
+        digits=float(digits),
+        shift=None if np.isnan(shift) else float(shift),
     )
 
 
@@ -106,7 +120,7 @@ def _search(
     highest: Array,
     rng: np.random.Generator,
 ) -> tuple[Array, Array]:
-    """How the best candidate went, and what it is."""
+    """Return how the best candidate went, and what it is."""
     tried: list[tuple[Array, Array]] = []
     for n in ROUNDS:
         if not tried:
@@ -124,7 +138,8 @@ def _search(
 
 
 def _grasp(hand: Hand, size: float, figures: Array) -> ScriptedGrasp:
-    """The palm (x, y, z) m beside its place at the start, fingers closed by the last of the figures."""
+    """Return the grasp of some figures: how far the palm is beside its place at the start, (x, y, z) m,
+    and how far the fingers close."""
     *place, share = figures.tolist()
     targets = dict(zip(SLIDES, place, strict=True))
     closed = {n: o + share * (hand.closed[n] - o) for n, o in hand.opened.items()}
@@ -137,8 +152,9 @@ def _hold(
     number: int,
     is_wanted: vector.IsWanted,
 ) -> Array:
-    """(4,): how good a hold is, the share of its steps in which the object was up, how many digits
-    touched it, and how far beyond the middle of their last links, m."""
+    """Hold the object from the start of a number; return (4,) how good that is, the share of the steps
+    in which the object was up, how many digits touched it, and how far beyond the middle of their last
+    links, m."""
     base: Any = env.unwrapped
     rng = np.random.default_rng([SEED, number])
     start = scripted.perturbed_start(rng, len(base.hand.joints))
@@ -162,7 +178,7 @@ def _hold(
 
 
 def _touched(hand: Hand, state: State) -> tuple[set[str], list[float]]:
-    """The digits that touch the object, and how far beyond the middle of last links, m."""
+    """Return the digits that touch the object, and how far beyond the middle of last links, m."""
     surfaces = {
         surface.link: surface for surface in hand.surfaces if surface.segment != "palm"
     }
@@ -177,21 +193,9 @@ def _touched(hand: Hand, state: State) -> tuple[set[str], list[float]]:
 
 
 def _middle(hand: Hand, tips: Array) -> Array:
-    """Between the thumb, where there is one, and the fingers (3,), m."""
+    """Return the place between the thumb, where there is one, and the fingers (3,), m."""
     names = list(hand.digits)
     if "thumb" not in names:
         return np.asarray(tips.mean(axis=0))
     thumb = names.index("thumb")
     return np.asarray((tips[thumb] + np.delete(tips, thumb, axis=0).mean(axis=0)) / 2)
-
-
-def toml(hand: Hand, grasp: ScriptedGrasp) -> str:
-    """The grasp as text to paste into the hand's file."""
-    moving = next(
-        name for name, angle in hand.closed.items() if angle != hand.opened[name]
-    )
-    opened, closed = hand.opened[moving], hand.closed[moving]
-    share = (grasp.targets[moving] - opened) / (closed - opened)
-    slides = ", ".join(f"{grasp.targets[name]:.4g}" for name in SLIDES)
-    figures = f"slides = [{slides}]\nclosing = {share:.4g}"
-    return f"[[grasp]]\nobject_size = {grasp.object_size:g}\n{figures}"

@@ -52,7 +52,7 @@ class Reflex:
         number: int,
         is_wanted: vector.IsWanted = lambda: True,
     ) -> bool:
-        """Does it succeed from the start that the seed `number` draws?"""
+        """Play the start that the seed `number` draws: does it succeed?"""
         base: Any = env.unwrapped
         obs, _ = env.reset(seed=number % 2**64)  # below 0: it only precedes another
         reading = _Reading(base, obs)
@@ -96,7 +96,7 @@ class _Reading:
         self.add(obs)
 
     def add(self, obs: dict[str, Array]) -> None:
-        """After another action."""
+        """Take in an observation after another action."""
         self._seen.append(obs["observation"])
         self.step = len(self._seen) - 1
         self._may_go = (
@@ -104,16 +104,16 @@ class _Reading:
         )  # the fingers have set off
 
     def shift(self, sense: str) -> Array:
-        """Where the object is seen beside its place (2,), m, by those that look."""
+        """Return where the object is seen beside its place (2,), m, by those that look."""
         looks = sense == "sight" and self._lifts
         return self._seen[0][self._object[:2]].astype(float) if looks else np.zeros(2)
 
     def touch(self) -> float:
-        """How many taxels fire; -1 before any may."""
+        """Return how many taxels fire; -1 before any may."""
         return float((self._seen[-1][self._taxels] > 0).sum()) if self._may_go else -1.0
 
     def sight(self) -> float:
-        """How near the object is to the palm, m; of one on the ground, the time."""
+        """Return how near the object is to the palm, m; of one on the ground, the time."""
         return (
             self.time()
             if self._lifts
@@ -121,12 +121,12 @@ class _Reading:
         )
 
     def time(self) -> float:
-        """Actions so far; of a lift, since a grasp could be closed."""
+        """Return the actions so far; of a lift, since a grasp could be closed."""
         return float(self.step - self._n_first)
 
     def joints(self) -> float:
-        """How far any joint, or the hand, is from where it was at first, in what its readings varied
-        by then; of a lift, how still the joints are, rad."""
+        """Return how far any joint, or the hand, is from where it was at first, in what its
+        readings varied by then; of a lift, how still the joints are, rad."""
         seen = np.array(self._seen)[:, self._joints].astype(float)
         if self._lifts:
             return (
@@ -140,8 +140,8 @@ class _Reading:
         )
 
     def active(self) -> float:
-        """After a test squeeze: how far joints and hand are from where the first one took them, on the
-        mean, rad and m."""
+        """Return after a test squeeze how far joints and hand are from where the first one took
+        them, on the mean, rad and m."""
         if self.step % (2 * TRIAL) != TRIAL:
             return 0.0
         now, first = (self._seen[step][self._joints] for step in (self.step, TRIAL))
@@ -149,8 +149,8 @@ class _Reading:
 
 
 def candidates(env: GraspEnv, sense: str) -> list[Reflex]:
-    """Fifteen reflexes of a sense to choose from, for every sense as many; none if the scene has no use
-    for it."""
+    """Return fifteen reflexes of a sense to choose from, for every sense as many; none if the scene
+    has no use for it."""
     handed, lifted = SENSES[sense]
     if env.task.giver is not None:
         return [Reflex(sense, threshold, 1.0) for threshold in handed]
@@ -160,8 +160,8 @@ def candidates(env: GraspEnv, sense: str) -> list[Reflex]:
 def _parts(
     env: GraspEnv, closing: float, shift: Array
 ) -> tuple[list[Array], list[Array]]:
-    """Joint targets of the first part and of the second, of an object `shift` (2,) m beside its place;
-    at the end of a part they stay."""
+    """Return joint targets of the first part and of the second, of an object `shift` (2,) m beside
+    its place; at the end of a part they stay."""
     opened = env.hand.start_targets()
     if env.task.giver is not None:
         named = zip(env.hand.actuators, opened, strict=True)
