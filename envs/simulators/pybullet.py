@@ -11,12 +11,14 @@ from __future__ import annotations
 import importlib
 import math
 import os
-import shutil
 import tempfile
 import weakref
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
+from inspect import isbuiltin
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -43,7 +45,6 @@ def _import_quietly() -> Any:
 
 
 pybullet = _import_quietly()
-bullet_client = importlib.import_module("pybullet_utils.bullet_client")
 GRAVITY = 9.81
 ENGINE = {"numSolverIterations": 50, "deterministicOverlappingPairs": 1}
 LOADING = pybullet.URDF_USE_INERTIA_FROM_FILE
@@ -57,6 +58,16 @@ SPINNING_FRICTION = 0.005  # m, of the object's contacts
 FRICTION_ANCHOR = 1  # contacts remember where they stick; without, held objects creep
 
 
+def _bound(client: int) -> Any:
+    """Return PyBullet for one of its clients; its own BulletClient prints to stdout."""
+    return SimpleNamespace(
+        **{
+            name: partial(value, physicsClientId=client) if isbuiltin(value) else value
+            for name, value in vars(pybullet).items()
+        }
+    )
+
+
 class PyBulletSimulator(Simulator):
     """One scene with a client of its own."""
 
@@ -67,10 +78,13 @@ class PyBulletSimulator(Simulator):
         self.scene, hand = scene, scene.hand
         self.model = model_file.compiled(scene.build_hand(visual=False))
         self.joint_limits = joint_limits(self.model, hand)
-        self._bullet = bullet_client.BulletClient(pybullet.DIRECT)
-        self.client = self._bullet._client
-        folder = Path(tempfile.mkdtemp())
-        self._clean = weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        self.client = pybullet.connect(pybullet.DIRECT)
+        self._bullet = _bound(self.client)
+        held = ExitStack()
+        self._release = weakref.finalize(self, held.close)
+        folder = Path(held.enter_context(tempfile.TemporaryDirectory()))
+        held.enter_context(suppress(pybullet.error))  # it may be disconnected already
+        held.callback(self._bullet.disconnect)
         self._urdf = folder / "hand.urdf"
         self._urdf.write_text(urdf.from_model(self.model, folder), encoding="utf-8")
         self._build()
@@ -346,9 +360,7 @@ class PyBulletSimulator(Simulator):
     def close(self) -> None:
         if self._painter is not None:
             self._painter.close()
-        self._clean()
-        with suppress(pybullet.error):  # it may be disconnected already
-            self._bullet.disconnect()
+        self._release()
 
 
 def _measures(shape: Shape) -> dict[str, Any]:

@@ -239,7 +239,7 @@ def test_quaternions_have_one_sign(simulator, seen):
     env = envs.make("shadow", simulator=simulator, object_seen=seen)
     entries, told = env.observation_entries("object_orientation"), []
     obs, _ = env.reset(seed=0)
-    for turn in np.linspace(0.1, 4 * np.pi, 40):
+    for turn in np.linspace(0.1, 4 * np.pi, 13):
         env.simulator.reset(env.hand.start_positions(), np.array([0.0, 0.0, 1.0]), turn)
         env.state = env.simulator.state()
         obs, *_ = env.step(np.zeros(env.action_space.shape))

@@ -14,7 +14,6 @@ from tactilerl.envs import hands, layouts, validation
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.pictures import hand_map, places
 from tactilerl.runs.store import RunDir
-from tactilerl.scripted import grasp_search
 
 from one_line import fails_with
 
@@ -254,48 +253,3 @@ class TestCommands:
         Path(path).unlink()
         fails_with(capsys, evaluate, "hand of this run cannot be read: hand file")
         assert RunDir(Path(run)).read_config().run.env == path  # it can still be read
-
-    def test_doctor_finds_a_grasp(self, own, capsys, monkeypatch):
-        monkeypatch.setattr(grasp_search, "ROUNDS", (24, 6))
-        monkeypatch.setattr(grasp_search, "STARTS", 2)
-        text = Path(own()).read_text()
-        path = own(text[text.index("[[grasp]]") :], "")
-        assert main(["doctor", "--env", path, "--grasps", "3", "--layout", "1", "--json"]) in (0, 1)
-        said = capsys.readouterr()
-        (figures,) = json.loads(said.out)
-        assert figures["held"] >= 2
-        kept = Path(path).with_suffix(".grasp.toml")
-        assert f"kept in {kept}" in said.err
-        assert len(hands.get(path).grasps) == 1
-        assert main(["doctor", "--env", path, "--grasps", "1", "--layout", "5", "--json"]) in (0, 1)
-        assert "looking for one" not in capsys.readouterr().err
-        Path(path).write_text(Path(path).read_text() + "# changed\n")
-        assert not hands.get(path).grasps  # it was found for another file
-
-    def test_a_hand_that_cannot_grasp_is_told(self, own, capsys, monkeypatch, in_tmp):
-        monkeypatch.setattr(grasp_search, "ROUNDS", (2,))
-        monkeypatch.setattr(grasp_search, "STARTS", 1)
-        text = Path(own()).read_text()
-        path = own(text[text.index("[[grasp]]") :], "")
-        path = own('"*_knuckle" = 0.4\n"*_tip" = 0.4', '"*_knuckle" = -0.38\n"*_tip" = 0.02')
-        assert main(["doctor", "--env", path, "--grasps", "1", "--layout", "1"]) == 2
-        assert "found no grasp that holds a 50 mm object" in capsys.readouterr().err
-
-    def test_a_probes_folder_is_made_here_not_beside_the_hands_file(self, own, tmp_path, monkeypatch):
-        hand, here = own(), tmp_path / "here"
-        here.mkdir()
-        monkeypatch.chdir(here)
-        few = ["--simulator", "mujoco", "--grasps", "1", "--workers", "1", "--layout", "5"]
-        assert main(["probe", "--env", str(Path(hand).resolve()), *few]) == 2  # of one, nothing follows
-        assert [path.parent.name for path in here.rglob("grasps.npz")] == ["gripper_mujoco"]
-
-    def test_the_probe_reads_any_points(self, tmp_path, capsys):
-        hand, points = ["--env", GRIPPER], str(tmp_path / "points.json")
-        assert main(["env", *hand, "--layout", "1", "--export", points]) == 0
-        capsys.readouterr()
-        asked = ["--joint-noise", "0.05", "--resamples", "100", "--shuffles", "2", "--folds", "2"]
-        asked += ["--grasps", "60", "--layout", "5", points, "--start-offset", "0.005"]
-        assert main(["probe", *hand, *asked, "--out", str(tmp_path), "--json"]) == 0
-        found = json.loads(capsys.readouterr().out)
-        assert 0.1 < found["held"] < 0.95
-        assert (tmp_path / "gain.png").stat().st_size > 1000
