@@ -6,7 +6,6 @@ compared with one of twice its step.
 Prints tables and writes JSON:
 
     python -m benchmarks speed_vs_error --out docs/data/speed_vs_error.json
-    python -m benchmarks speed_vs_error --hand mpl --simulator pybullet --grasps 3
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from tactilerl.envs import hands, scripted
 from tactilerl.envs.grasp import GraspEnv, setup
 from tactilerl.style import NAMES
 
-from benchmarks.command import count, earlier, markdown, parser, processes, write
+from benchmarks.command import count, markdown, parser, processes, write
 from benchmarks.physics.contacts import deepest, self_contact
 
 SECONDS = 5.0
@@ -302,22 +301,16 @@ def show_shipped(results: dict[str, Any]) -> None:
 
 
 def main() -> None:
-    """Measure every hand in every simulator, or those asked for."""
+    """Measure every hand in every simulator; write after each."""
     flags = parser(__doc__)
-    flags.add_argument("--hand", choices=sorted(SIZES), action="append")
-    flags.add_argument("--simulator", choices=sorted(SETTINGS), action="append")
     flags.add_argument("--grasps", type=count, default=5, help="of each cube")
     flags.add_argument("--jobs", type=count, default=1, help="hands and simulators side by side")
     options = flags.parse_args()
-    result = earlier(options.out)
-    pairs = [
-        (hand, simulator)
-        for simulator in options.simulator or sorted(SETTINGS, reverse=True)  # the slower first
-        for hand in options.hand or sorted(SIZES)
-    ]
+    result: dict[str, Any] = {}
+    pairs = [(hand, simulator) for simulator in ("pybullet", "mujoco") for hand in SIZES]
     with processes(options.jobs) as pool:
-        found = pool.map(partial(measure, grasps=options.grasps), *zip(*pairs, strict=True))
-        for (hand, simulator), rows in zip(pairs, found, strict=True):
+        tables = pool.map(partial(measure, grasps=options.grasps), *zip(*pairs, strict=True))
+        for (hand, simulator), rows in zip(pairs, tables, strict=True):
             title = f"{hand} in {simulator}"
             result[title] = {"grasps of each cube": options.grasps, "settings": rows}
             print(title)
