@@ -41,7 +41,9 @@ from .rollout import PlayEpisode, discounted, play_episodes, summary
 CHECK_EVERY = 100  # updates; then the ranks' parameters are compared
 REPLAY_P = 0.8  # paper
 MAX_CUT = 0.01  # share of values cut at clip_obs, above which a run warns
-MAX_AT_FLOOR = 0.5  # share of columns at the floor of the standard deviation, at which it does
+MAX_AT_FLOOR = (
+    0.5  # share of columns at the floor of the standard deviation, at which it does
+)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Sequence
 from typing import BinaryIO, NamedTuple
 
@@ -98,14 +97,10 @@ def beyond(hand: Hand, taxels: Taxels) -> list[str]:
     them."""
     drawn, found = panels(hand), []
     for name, place in zip(taxels.names, places.of(taxels), strict=True):
-        panel, is_tip = (
-            drawn[place.surface],
-            hand.surfaces[place.surface].segment == "distal",
-        )
-        low, high = (
-            panel.low - panel.half_width,
-            panel.high + (0.0 if is_tip else panel.half_width),
-        )
+        panel = drawn[place.surface]
+        low, high = panel.low - panel.half_width, panel.high
+        if hand.surfaces[place.surface].segment != "distal":  # whose tip is round
+            high += panel.half_width
         is_within = low - place.radius <= place.row <= high + place.radius
         if not (is_within or place.height):  # which was put there as it is
             found.append(name)
@@ -117,12 +112,10 @@ def off_skin(hand: Hand, taxels: Taxels) -> list[str]:
     found = []
     offsets = zip(taxels.points, taxels.surfaces.tolist(), taxels.offsets, strict=True)
     for taxel, index, (_, _, height) in offsets:
-        if (
-            height
-            and abs(hand.surfaces[index].skin(np.array(taxel.position))[0])
-            > taxel.radius
-        ):
-            found.append(taxel.name)
+        if height:
+            distance, _ = hand.surfaces[index].skin(np.array(taxel.position))
+            if abs(distance) > taxel.radius:
+                found.append(taxel.name)
     return found
 
 
@@ -177,19 +170,24 @@ def _inside(x: Array, y: Array, panel: Panel) -> Array:
 
 def save_picture(picture: Array, file: BinaryIO, ending: str) -> None:
     """Write a picture as .png or .jpg, with who made it."""
-    about = importlib.import_module("PIL.PngImagePlugin").PngInfo()
+    from PIL import Image, PngImagePlugin
+
+    about = PngImagePlugin.PngInfo()
     about.add_text("Software", MAKER)
     kind = {".png": "PNG", ".jpg": "JPEG"}[ending.lower()]
-    drawn = importlib.import_module("PIL.Image").fromarray(picture)
-    drawn.save(file, kind, pnginfo=about, comment=MAKER)  # each format takes its own
+    Image.fromarray(picture).save(
+        file, kind, pnginfo=about, comment=MAKER
+    )  # each format takes its own
 
 
 def lettered(
     picture: Array, words: Sequence[tuple[str, float, float]], size: float, anchor: str
 ) -> Array:
     """Return a picture with words at (x, y) in pixels, `size` of them high; `anchor` as in Pillow."""
-    drawn = importlib.import_module("PIL.Image").fromarray(picture)
-    draw = importlib.import_module("PIL.ImageDraw").Draw(drawn)
+    from PIL import Image, ImageDraw
+
+    drawn = Image.fromarray(picture)
+    draw = ImageDraw.Draw(drawn)
     for text, x, y in words:
         draw.text((x, y), text, fill=LETTER, font_size=size, anchor=anchor)
     return np.array(drawn)
