@@ -19,20 +19,16 @@ from ..placement.candidates import DesignFlags
 from ..placement.choice import Design, Row, design
 from ..terminal import flags
 from ..terminal.console import console, progress
-from ..terminal.help import About
 
-ABOUT = About(
-    "Where should a hand's few taxels go? Plays each start of a handover once with a dense skin, "
-    "chooses the taxels by which a hand succeeds that closes at the first touch, and judges them on "
-    "other starts, without training.",
-    first=("scene", "env", "simulator", "taxels", "skin", "radius", "only", "leave_out", "keep",
-           "start_closing", "starts", "test_starts", "seed", "out", "json"),
-    examples=(
-        "tactilerl design --scene handover_anywhere --taxels 4 --out four.toml",
-        "tactilerl design --scene handover --taxels 1..12 --only palm --out my_design",
-        "tactilerl design --scene handover_anywhere --start-closing 0.2 0.3 0.4",
-    ),
-)  # fmt: skip
+ABOUT = """\
+Where should a hand's few taxels go? Plays each start of a handover once with a dense skin,
+chooses the taxels by which a hand succeeds that closes at the first touch, and judges them on
+other starts, without training.
+
+examples:
+  tactilerl design --scene handover_anywhere --taxels 4 --out four.toml
+  tactilerl design --scene handover --taxels 1..12 --only palm --out my_design
+  tactilerl design --scene handover_anywhere --start-closing 0.2 0.3 0.4"""
 EXACT = 1e-3  # of a bound: less than a start
 NAMED = {
     "chosen": "chosen",

@@ -21,20 +21,17 @@ from ..files import content as read_all
 from ..files import replacing
 from ..scripted import taxels
 from ..scripted.taxels import TaxelCheck
-from ..terminal.help import About
 from .grasps import require_grasp
 from .scene import layout_notes, read_any
 
-ABOUT = About(
-    "Describe an environment: what it is, its actions, observations and taxels. Without flags it also "
-    "lists the named scenes.",
-    first=("layout", "touch", "simulator", "task"),
-    examples=(
-        "tactilerl env --scene handover",
-        "tactilerl env --env shadow --layout 4 --describe",
-        "tactilerl env --env mpl --layout my_layout.toml --check",
-    ),
-)
+ABOUT = """\
+Describe an environment: what it is, its actions, observations and taxels. Without flags it also
+lists the named scenes.
+
+examples:
+  tactilerl env --scene handover
+  tactilerl env --env shadow --layout 4 --describe
+  tactilerl env --env mpl --layout my_layout.toml --check"""
 MJCF = ".xml"
 
 

@@ -15,21 +15,17 @@ from ..machine import WorkerCount, free_cores
 from ..scripted import gate
 from ..terminal import flags
 from ..terminal.console import console, progress
-from ..terminal.help import About
 from .grasps import require_grasp
 from .scene import read_scene
 
-ABOUT = About(
-    "Can touch make a difference in a scene? Compares scripted hands that feel, see, or do "
-    "neither, before any training. With several values of --layout, it plays the hand that feels "
-    "with each.",
-    first=("layout", "simulator", "task"),
-    examples=(
-        "tactilerl gate --scene handover",
-        "tactilerl gate --scene handover --starts 50 --search 5",
-        "tactilerl gate --scene handover_anywhere --layout 1 3 my_layout.toml",
-    ),
-)
+ABOUT = """\
+Can touch make a difference in a scene? Compares scripted hands that feel, see, or do neither,
+before any training. With several values of --layout, it plays the hand that feels with each.
+
+examples:
+  tactilerl gate --scene handover
+  tactilerl gate --scene handover --starts 50 --search 5
+  tactilerl gate --scene handover_anywhere --layout 1 3 my_layout.toml"""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -20,18 +20,15 @@ from ..files import begins_with, pasted, replacing
 from ..scripted import taxels
 from ..terminal import flags
 from ..terminal.console import console
-from ..terminal.help import About
 from .grasps import draw, found_grasp
 
-ABOUT = About(
-    "Write the file of a hand from its model, MJCF or URDF: what its parts are, its open and closed "
-    "pose, and a grasp. Everything can be changed in the file afterwards.",
-    first=("model", "out", "palm"),
-    examples=(
-        "tactilerl hand robot.urdf --out my_hand.toml",
-        "tactilerl hand leap_hand/right_hand.xml --out leap.toml",
-    ),
-)
+ABOUT = """\
+Write the file of a hand from its model, MJCF or URDF: what its parts are, its open and closed
+pose, and a grasp. Everything can be changed in the file afterwards.
+
+examples:
+  tactilerl hand robot.urdf --out my_hand.toml
+  tactilerl hand leap_hand/right_hand.xml --out leap.toml"""
 MARK = "# Written by `tactilerl hand`: change what is wrong; docs/guides/own_hand.md has all keys.\n"
 is_ours = begins_with(MARK)
 

@@ -54,12 +54,10 @@ class Reflex:
     ) -> bool:
         """Play the start that the seed `number` draws: does it succeed?"""
         base: Any = env.unwrapped
-        obs, _ = env.reset(seed=number % 2**64)  # below 0: it only precedes another
+        obs, _ = env.reset(seed=number)
         reading = _Reading(base, obs)
-        says, latest = (
-            getattr(reading, self.sense),
-            base.max_episode_steps - LATEST - reading.n_second,
-        )
+        says = getattr(reading, self.sense)
+        latest = base.max_episode_steps - LATEST - reading.n_second
         parts = _parts(base, self.closing, reading.shift(self.sense))
         first: Iterator[Array]
         first, second = (chain(part, repeat(part[-1])) for part in parts)
