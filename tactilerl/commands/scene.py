@@ -43,7 +43,7 @@ def require_env(env: str, scene: str) -> None:
 
 
 def read_any(
-    kind: type[T], args: Sequence[str], prog: str, about: object
+    kind: type[T], args: Sequence[str], prog: str, about: str
 ) -> tuple[T, GraspConfig | None]:
     """Return the command's own flags, and the scene's where its environment is a hand."""
     command: Any = kind()
@@ -65,7 +65,7 @@ def read_any(
 
 
 def read_scene(
-    kind: type[T], args: Sequence[str], prog: str, about: object
+    kind: type[T], args: Sequence[str], prog: str, about: str
 ) -> tuple[T, GraspConfig]:
     """Return the same; raise InputError where the environment is no hand."""
     read, scene = read_any(kind, args, prog, about)

@@ -27,7 +27,6 @@ from ..study.records import Record, StudyFiles
 from ..study.runner import RunJob
 from ..terminal import flags
 from ..terminal.console import console
-from ..terminal.help import About
 from ..terminal.progress_bar import duration
 
 LONG = 6 * 3600  # s; a study that takes longer is asked for twice
@@ -405,8 +404,6 @@ def main(args: list[str]) -> int:
     name, *rest = args
     if name not in PARTS:
         raise InputError(f"study: found {name!r}, allowed: {', '.join(PARTS)}")
-    part = flags.parse(
-        PARTS[name], rest, f"tactilerl study {name}", about=About(about[name])
-    )
+    part = flags.parse(PARTS[name], rest, f"tactilerl study {name}", about=about[name])
     code: int = part() or 0
     return code

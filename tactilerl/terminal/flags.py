@@ -17,7 +17,7 @@ T = TypeVar("T")
 
 
 def parse(
-    kind: type[T], args: Sequence[str], prog: str, about: object, default: Any = None
+    kind: type[T], args: Sequence[str], prog: str, about: str, default: Any = None
 ) -> T:
     """Read `args` into a dataclass, whose fields are the flags, or those of its dataclasses.
 
@@ -29,7 +29,7 @@ def parse(
         kind,
         args=args,
         prog=prog,
-        description=str(about),
+        description=about,
         config=(tyro.conf.OmitArgPrefixes,),
         console_outputs=mpi.launched_rank() in (None, "0"),
         **({} if default is None else {"default": default}),
@@ -42,7 +42,7 @@ def parse(
 
 
 def parse_parts(
-    parts: Mapping[str, Any], args: Sequence[str], prog: str, about: object
+    parts: Mapping[str, Any], args: Sequence[str], prog: str, about: str
 ) -> Any:
     """Read `args` over the values of several dataclasses; return an object with these by name."""
     kinds = [(name, type(part)) for name, part in parts.items()]
