@@ -17,8 +17,8 @@ from adjustText import adjust_text
 from matplotlib.ticker import LogLocator, NullFormatter
 from tactilerl.envs import hands, layouts
 from tactilerl.pictures.hand_map import TaxelMap
-from tactilerl.study import figures as study_figures
 from tactilerl.study.analysis import analyse
+from tactilerl.study.figures import Curves
 from tactilerl.style import DPI, HEAD, NAMES, OTHERS, STYLE
 
 from benchmarks.command import DOCS, data, no_flags
@@ -81,7 +81,7 @@ def study_curves(study: str, pictures: dict[str, str]) -> None:
     """The learning curves of some set-ups, as the report of their study draws them."""
     for one in analyse(*study_tables.load(study)).setups:
         if one.setup.name in pictures:
-            picture = study_figures.curves(one).formats()["png"]
+            picture = Curves(one).image("png")
             (IMAGES / f"{pictures[one.setup.name]}.png").write_bytes(picture)
 
 

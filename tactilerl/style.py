@@ -1,30 +1,14 @@
-"""One look and one set of names for every figure: of a report, of a design and of the docs."""
+"""One look and one set of names for every figure, of reports and of the docs."""
 
 from __future__ import annotations
 
 from typing import Any
 
 INK, FAINT = "#1b1f24", "#b0b0b1"
-ARMS = (
-    "#e0a800",
-    "#2b6cb0",
-    "#8a5a9e",
-    "#4d8f5b",
-)  # treatment and control as in the paper
-OTHERS = (
-    "#1f8a8a",
-    "#b03020",
-    "#6b7280",
-    "#c2588b",
-    "#7a6a1f",
-    "#3f4f9e",
-)  # what is no arm of a study
-ROLES = {
-    **dict.fromkeys(("on", "main"), "touch"),
-    **dict.fromkeys(("off", "control"), "no touch"),
-    "absent": "no touch, and no inputs for it",
-}
-"""What the arms of `touch` are, and of `run_type`, as studies called it up to 0.3.0."""
+GROUPS = "#e0a800", "#2b6cb0", "#8a5a9e", "#4d8f5b"  # as in the paper, treatment first
+OTHERS = "#1f8a8a", "#b03020", "#6b7280", "#c2588b", "#7a6a1f", "#3f4f9e"
+ROLES = {"on": "touch", "off": "no touch", "absent": "no touch, and no inputs for it"}
+"""Names of groups of a study by their value of `touch`."""
 NAMES = {
     "shadow": "Shadow Hand",
     "mpl": "MPL hand",
@@ -56,4 +40,4 @@ STYLE: dict[Any, Any] = {  # with it the same input gives the same bytes
 }
 DPI = 180
 HEAD: dict[str, Any] = {"x": 0.01, "ha": "left", "fontweight": "bold", "wrap": True}
-"""Of a figure's title: hand, simulator, learner and length."""
+"""Place and weight of a figure's title."""

@@ -15,7 +15,7 @@ from filelock import FileLock
 from tactilerl.commands.cli import main
 from tactilerl.envs.hands import HANDS, sandbox
 from tactilerl.envs.simulators import mujoco
-from tactilerl.study import runner
+from tactilerl.study import jobs
 
 os.environ.setdefault("OMPI_ALLOW_RUN_AS_ROOT", "1")
 os.environ.setdefault("OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "1")
@@ -77,9 +77,9 @@ def trained_here(monkeypatch):
 
     def process(log_file, job):
         with open(log_file, "a") as log, redirect_stdout(log), redirect_stderr(log):
-            return main(job.command())
+            return main(job.arguments)
 
-    monkeypatch.setattr(runner, "_process", process)
+    monkeypatch.setattr(jobs, "_process", process)
 
 
 @pytest.fixture(autouse=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from tactilerl import machine
 from tactilerl.runs.store import FORMAT
-from tactilerl.study import check, grid
+from tactilerl.study import grid
 from tactilerl.study.records import StudyFiles
 
 PAPER_LIKE = """
@@ -68,7 +68,7 @@ def _made(text, epochs, total):
     study, folder = grid.read(file), StudyFiles(Path(made.name))
     file.unlink()
     runs = study.runs()
-    configs = check.configure(runs)
+    configs = {run.name: run.config() for run in runs}
     folder.create(study)
     made_with = [machine.origin()]
     for index, run in enumerate(runs):
@@ -83,7 +83,7 @@ def _made(text, epochs, total):
 
 def write_progress(run_dir, run, rng, epochs, total):
     """A curve that rises to its level, with noise."""
-    level = LEVEL.get(run.cell, 0.6) if run.arm in ("on", "0.95") else LEVEL.get(run.setup, 0.55)
+    level = LEVEL.get(run.setting, 0.6) if run.group in ("on", "0.95") else LEVEL.get(run.setup, 0.55)
     level += rng.normal(0, 0.05)
     with run_dir.table.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")

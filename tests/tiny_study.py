@@ -34,9 +34,8 @@ def learned(folder):
     study was cut off, on any machine of the kind."""
     result = analysis.analyse(*records.load(folder), 200)
     return {
-        (table.name, ending): text
+        table.name: table.csv()
         for section in report.sections(result)
         for table in section.parts
         if isinstance(table, tables.Table) and table.name not in ("cost", "versions")
-        for ending, text in table.formats().items()
     }

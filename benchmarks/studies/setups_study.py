@@ -16,10 +16,10 @@ import numpy as np
 import scipy.stats
 from tactilerl import statistics, style
 from tactilerl.statistics import Array, Estimate
-from tactilerl.study import verdicts
+from tactilerl.study import pairs as study_pairs
+from tactilerl.study.pairs import BySeed
 from tactilerl.study.records import Record
 from tactilerl.study.tables import p_value
-from tactilerl.study.verdicts import BySeed
 
 from benchmarks.command import data, markdown
 from benchmarks.studies.study_tables import estimate, in_common, load, number, title
@@ -64,7 +64,7 @@ def learned(score: str) -> Learned:
             setup, layout = place(record)
             groups[setup][layout].append(record)
     return {
-        setup: dict(zip(runs, verdicts.scored(score, *runs.values()), strict=True))
+        setup: dict(zip(runs, study_pairs.scored(score, *runs.values()), strict=True))
         for setup, runs in sorted(groups.items(), key=lambda item: [*map(ORDER.index, item[0])])
     }
 

@@ -17,16 +17,17 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter
 from tactilerl import statistics, style
 from tactilerl.statistics import Array, Estimate
-from tactilerl.study import records, verdicts
+from tactilerl.study import pairs as study_pairs
+from tactilerl.study import records
 from tactilerl.study.grid import Setup, Study
+from tactilerl.study.pairs import BySeed, Pairs
 from tactilerl.study.records import Record
-from tactilerl.study.verdicts import BySeed, Pairs
 
 from benchmarks.command import DATA, data, interval, markdown
 
 EARLIER = re.compile(r"layout \S*mpl_mujoco_(\d+)\.toml")
 DESIGNED = re.compile(r"docs/data/chosen/(?:[a-z]+_)?anywhere_(.+)\.toml")
-COLOURS = dict(zip(("on", "off"), style.ARMS, strict=False))
+COLOURS = dict(zip(("on", "off"), style.GROUPS, strict=False))
 BETWEEN = {
     ("2", "4"): "places of the 79 taxels",
     ("2", "3"): "the 15 taxels in the middle of phalanges",
@@ -84,11 +85,11 @@ def groups(name: str = "handover") -> None:
     """Print what each group of runs reached."""
     study, runs = load(name)
     main, sighted = study.setups
-    arms = {style.ROLES[arm]: (main, main.cells[0], arm) for arm in main.arms}
-    arms["no touch, but sight"] = sighted, sighted.cells[0], ""
-    selected = [verdicts.runs_of(runs, *place) for place in arms.values()]
-    areas = verdicts.scored("area", *selected)
-    finals = verdicts.scored("final", *selected)
+    arms = {style.ROLES[arm]: (main, main.settings[0], arm) for arm in main.groups}
+    arms["no touch, but sight"] = sighted, sighted.settings[0], ""
+    selected = [study_pairs.runs_of(runs, *place) for place in arms.values()]
+    areas = study_pairs.scored("area", *selected)
+    finals = study_pairs.scored("final", *selected)
     rows = [
         (group, len(area), mean(area.values()), mean(final.values()))
         for group, area, final in zip(arms, areas, finals, strict=True)
@@ -100,9 +101,9 @@ def worth(name: str = "handover") -> None:
     """Print differences within pairs of touch and each kind of no touch."""
     study, runs = load(name)
     setup = study.setups[0]
-    touch, *others = (verdicts.runs_of(runs, setup, setup.cells[0], a) for a in setup.arms)
+    touch, *others = (study_pairs.runs_of(runs, setup, setup.settings[0], a) for a in setup.groups)
     rows = []
-    for arm, control in zip(setup.arms[1:], others, strict=True):
+    for arm, control in zip(setup.groups[1:], others, strict=True):
         area, final = (paired(touch, control, score) for score in ("area", "final"))
         difference = estimate(area.difference, "+.2f")
         last = estimate(final.difference, "+.2f")
@@ -115,10 +116,10 @@ def layouts(name: str, setup_name: str = "") -> None:
     """Print each layout with touch against the same layout without."""
     setup, runs = load_setup(name, setup_name)
     pairs, finals = {}, {}
-    for cell in setup.cells:
-        arms = [verdicts.runs_of(runs, setup, cell, arm) for arm in setup.arms[:2]]
+    for cell in setup.settings:
+        arms = [study_pairs.runs_of(runs, setup, cell, arm) for arm in setup.groups[:2]]
         pairs[cell] = paired(*arms)
-        finals[cell] = verdicts.scored("final", *arms)[0]
+        finals[cell] = study_pairs.scored("final", *arms)[0]
     scripted = reflexes(name)
     corrected = holm(pairs.values())
     rows = []
@@ -147,7 +148,7 @@ def reflexes(scene: str) -> dict[str, float]:
 def between(name: str) -> None:
     """Print layouts with touch against each other, in pairs."""
     setup, runs = load_setup(name)
-    by_layout = {label(cell): verdicts.runs_of(runs, setup, cell, "on") for cell in setup.cells}
+    by_layout = {label(cell): study_pairs.runs_of(runs, setup, cell, "on") for cell in setup.settings}
     pairs = [paired(by_layout[a], by_layout[b]) for a, b in BETWEEN]
     rows = [
         (f"{a} − {b}", what, len(pair), estimate(pair.difference, "+.2f"), f"{p:.3f}")
@@ -160,11 +161,11 @@ def trained_with(name: str = "faults", without: str = "handover") -> None:
     """Print hands that learned with faulty touch against hands with sound and with no touch."""
     study, runs = load(name)
     sound, sound_runs = load(without)
-    place = sound.setups[0], sound.setups[0].cells[0]
+    place = sound.setups[0], sound.setups[0].settings[0]
     rows = []
     for setup in study.setups:
-        faulty = verdicts.runs_of(runs, setup, setup.cells[0], "")
-        pairs = [paired(faulty, verdicts.runs_of(sound_runs, *place, arm)) for arm in ("on", "off")]
+        faulty = study_pairs.runs_of(runs, setup, setup.settings[0], "")
+        pairs = [paired(faulty, study_pairs.runs_of(sound_runs, *place, arm)) for arm in ("on", "off")]
         differences = (estimate(pair.difference, "+.2f") for pair in pairs)
         success = mean(pairs[0].treatment)
         rows.append((FAULTS[setup.name], len(pairs[0]), success, *differences))
@@ -175,12 +176,12 @@ def trained_with(name: str = "faults", without: str = "handover") -> None:
 def senses(name: str = "senses") -> None:
     """Print what touch adds, by sight and by error of the joints."""
     study, runs = load(name)
-    cells = study.setups[0].cells
+    cells = study.setups[0].settings
     rows = []
     for setup in study.setups:
         row = [re.sub(r"noisy_(\d)cm", r"error of \1 cm", setup.name)]
         for cell in cells:
-            pairs = verdicts.in_pairs(verdicts.both_arms(runs, setup, cell, "area"))
+            pairs = study_pairs.in_pairs(study_pairs.both_groups(runs, setup, cell, "area"))
             row.append(estimate(pairs.difference, "+.2f"))
         rows.append(row)
     noises = (f"joint error {cell.removeprefix('joint noise held ')} rad" for cell in cells)
@@ -195,10 +196,10 @@ def over_layouts(name: str) -> None:
     study, runs = load(name)
     rows, pairs = [], []
     for setup in study.setups:
-        cells = [verdicts.both_arms(runs, setup, cell, "area") for cell in setup.cells]
+        cells = [study_pairs.both_groups(runs, setup, cell, "area") for cell in setup.settings]
         seeds, scores = in_common([arm for arms in zip(*cells, strict=True) for arm in arms])
         means = scores.reshape(2, len(cells), len(seeds)).mean(axis=1)
-        pair = verdicts.in_pairs([dict(zip(seeds, arm, strict=True)) for arm in means])
+        pair = study_pairs.in_pairs([dict(zip(seeds, arm, strict=True)) for arm in means])
         levels = (f"{arm.mean():.2f}" for arm in means)
         rows.append((SETUPS[setup.name], len(pair), *levels, estimate(pair.difference, "+.2f")))
         pairs.append(pair)
@@ -224,10 +225,10 @@ def learned(places: dict[str, Place]) -> None:
     selected = []
     for name, setup_name, cell, arm in places.values():
         setup, runs = load_setup(name, setup_name)
-        selected.append(verdicts.runs_of(runs, setup, cell, arm))
+        selected.append(study_pairs.runs_of(runs, setup, cell, arm))
     seeds = set.intersection(*({run.run.seed for run in runs} for runs in selected))
     selected = [[run for run in runs if run.run.seed in seeds] for runs in selected]
-    areas, finals = (verdicts.scored(score, *selected) for score in ("area", "final"))
+    areas, finals = (study_pairs.scored(score, *selected) for score in ("area", "final"))
     rows = [
         (group, len(area), mean(area.values()), mean(final.values()))
         for group, area, final in zip(places, areas, finals, strict=True)
@@ -244,7 +245,7 @@ def designed(learner: str) -> None:
     setups = {one.name: one for one in study.setups}
     touch = setups[learner]
     by_layout = {
-        title(layout): verdicts.runs_of(runs, touch, "all", layout)
+        title(layout): study_pairs.runs_of(runs, touch, "all", layout)
         for layout in map(str, touch.grid["layout"])
     }
     by_layout["no touch"] = [
@@ -252,11 +253,11 @@ def designed(learner: str) -> None:
     ]
     by_layout = {name: group for name, group in by_layout.items() if group}
     finals, areas = (
-        dict(zip(by_layout, verdicts.scored(score, *by_layout.values()), strict=True))
+        dict(zip(by_layout, study_pairs.scored(score, *by_layout.values()), strict=True))
         for score in ("final", "area")
     )
     others = [name for name in finals if name != "layout 1"]
-    pairs = {name: verdicts.in_pairs([finals[name], finals["layout 1"]]) for name in others}
+    pairs = {name: study_pairs.in_pairs([finals[name], finals["layout 1"]]) for name in others}
     p_values = dict(zip(others, holm(pairs.values()), strict=True))
     scripted = data("design")["layouts"]
     rows = []
@@ -314,12 +315,14 @@ def holm(pairs: Iterable[Pairs]) -> Sequence[float]:
 def mean(values: Iterable[float], form: str = ".2f") -> str:
     """With its interval over runs, or over differences within pairs."""
     found = np.array(list(values))
-    return estimate(statistics.mean(found, verdicts.resamples(len(found))), form) if len(found) else ""
+    return (
+        estimate(statistics.mean(found, study_pairs.resamples(len(found))), form) if len(found) else ""
+    )
 
 
-def paired(a: list[Record], b: list[Record], score: str = "area") -> verdicts.Pairs:
+def paired(a: list[Record], b: list[Record], score: str = "area") -> study_pairs.Pairs:
     """The runs of both that have the same seed, by a score."""
-    return verdicts.in_pairs(verdicts.scored(score, a, b))
+    return study_pairs.in_pairs(study_pairs.scored(score, a, b))
 
 
 def estimate(found: Estimate, form: str) -> str:
@@ -350,8 +353,8 @@ def draw(folder: Path) -> None:
 def _curves(axes: Axes, study: Study, found: list[Record]) -> None:
     """Every run thin, their mean thick."""
     setup = study.setups[0]
-    for touch in setup.arms[:2]:
-        runs = [one.curve for one in verdicts.runs_of(found, setup, setup.cells[0], touch)]
+    for touch in setup.groups[:2]:
+        runs = [one.curve for one in study_pairs.runs_of(found, setup, setup.settings[0], touch)]
         steps = np.linspace(max(x[0] for x, _ in runs), min(x[-1] for x, _ in runs), 60)
         curves = np.array([np.interp(steps, *run) for run in runs])
         axes.plot(steps, curves.T, color=COLOURS[touch], lw=0.8, alpha=0.6)
@@ -366,11 +369,11 @@ def _curves(axes: Axes, study: Study, found: list[Record]) -> None:
 def _layouts(axes: Axes, study: Study, found: list[Record]) -> None:
     """Success over the last tenth, each run and their mean."""
     (setup,) = study.setups
-    labels = [label(cell) for cell in setup.cells]
-    for arm, (touch, aside) in enumerate(zip(setup.arms, (-0.13, 0.13), strict=True)):
+    labels = [label(cell) for cell in setup.settings]
+    for arm, (touch, aside) in enumerate(zip(setup.groups, (-0.13, 0.13), strict=True)):
         colour, named = COLOURS[touch], style.ROLES[touch]
-        for place, cell in enumerate(setup.cells):
-            rates = list(verdicts.both_arms(found, setup, cell, "final")[arm].values())
+        for place, cell in enumerate(setup.settings):
+            rates = list(study_pairs.both_groups(found, setup, cell, "final")[arm].values())
             x, is_first = place + aside, place == 0
             axes.plot(
                 [x] * len(rates), rates, "o", color=colour, ms=4, alpha=0.45, mew=0, clip_on=False,

@@ -38,7 +38,7 @@ def mean_interval(values: np.ndarray) -> tuple[float, float]:
     rng, each = np.random.default_rng(0), max(1, MOST_DRAWN // len(values))
     drawn = [
         statistics.bootstrap(
-            values, "mean", statistics.resample(rng, len(values), min(each, rest))
+            values, statistics.resample(rng, len(values), min(each, rest))
         )
         for rest in range(N_RESAMPLES, 0, -each)
     ]

@@ -9,28 +9,34 @@ from typing import Any
 import numpy as np
 
 from .. import statistics
-from ..statistics import Array
-from . import verdicts
-from .grid import SCORES, Setup, Study
+from ..statistics import N_RESAMPLES, Array
+from .grid import Setup, Study
+from .pairs import (
+    SEED,
+    Verdict,
+    judge,
+    runs_of,
+    scores,
+    span,
+)
 from .records import Record
-from .verdicts import SEED, Headroom, Pairs, Verdict
 
 MOST_POINTS = 500  # of a curve
 
 
 @dataclass(frozen=True)
 class Group:
-    """The finished runs of one cell and arm."""
+    """The finished runs of one setting that share a value of the compared flag."""
 
     seeds: list[int]
     curves: Array
-    """(runs, points) at the set-up's common steps."""
+    """Success rates (runs, points) at the set-up's common steps."""
     iqm_curve: Array
-    """(points,)"""
+    """Their interquartile mean (points,)."""
     iqm_bounds: Array
-    """(points, 2): its pointwise intervals."""
+    """Its pointwise intervals (points, 2)."""
     scores: dict[str, Array]
-    """By name as in `verdicts.scores`, (runs,)."""
+    """Each score of `pairs.scores` (runs,), by its name."""
     counts: Array
     """Bootstrap resamples of these runs."""
 
@@ -39,26 +45,16 @@ class Group:
 
 
 @dataclass(frozen=True)
-class Comparison:
-    """Treatment against control in one cell."""
-
-    verdict: Verdict
-    """By the primary score."""
-    secondary: dict[str, Pairs]
-    """By every other score."""
-    headroom: Headroom | None
-
-
-@dataclass(frozen=True)
 class SetupResult:
-    """One set-up."""
+    """The numbers of one set-up."""
 
     setup: Setup
     steps: Array
-    """(points,) at which the curves are compared."""
+    """Steps (points,) at which the curves are compared."""
     groups: dict[tuple[str, str], Group]
-    """By cell and arm, in order of the grid."""
-    comparisons: dict[str, Comparison]
+    """Groups by setting and value of the compared flag, in order of the grid."""
+    verdicts: dict[str, Verdict]
+    """Comparisons by setting, where both groups have finished runs."""
     records: list[Record]
 
     @property
@@ -66,15 +62,10 @@ class SetupResult:
         """The first config.json among the runs; empty where there is none."""
         return next((record.config for record in self.records if record.config), {})
 
-    @property
-    def cells(self) -> list[str]:
-        """Those with finished runs, in order of the grid."""
-        return list(dict.fromkeys(cell for cell, _ in self.groups))
-
 
 @dataclass(frozen=True)
 class Analysis:
-    """A whole study."""
+    """The numbers of a whole study."""
 
     study: Study
     records: list[Record]
@@ -82,68 +73,54 @@ class Analysis:
 
 
 def analyse(
-    study: Study, records: list[Record], n_resamples: int = statistics.N_RESAMPLES
+    study: Study, records: list[Record], n_resamples: int = N_RESAMPLES
 ) -> Analysis:
-    """All numbers of a report."""
-    setups = []
-    for index, setup in enumerate(study.setups):
-        own = [record for record in records if record.run.setup == setup.name]
-        finished = [record for record in own if record.is_finished]
-        first, last = verdicts.span(finished)
-        points = min(
-            MOST_POINTS, max((len(one.curve[0]) for one in finished), default=0)
-        )
-        steps = (
-            np.linspace(first, last, points)
-            if first < last
-            else np.full(min(1, points), last)
-        )
-        groups = {}
-        rng = np.random.default_rng([SEED, index])
-        for cell in setup.cells:
-            arms = {arm: verdicts.runs_of(own, setup, cell, arm) for arm in setup.arms}
-            common = verdicts.span(itertools.chain(*arms.values()))
-            for arm, runs in arms.items():
-                if runs:
-                    counts = statistics.resample(rng, len(runs), n_resamples)
-                    groups[cell, arm] = _group(runs, steps, common, counts)
-        compared = {
-            cell: _comparison(study, setup, verdict, records, n_resamples)
-            for cell, verdict in verdicts.judge(
-                study, setup, records, n_resamples
-            ).items()
-            if all((cell, arm) in groups for arm in setup.arms[:2])
-        }
-        setups.append(SetupResult(setup, steps, groups, compared, own))
+    """Compute all numbers of a report."""
+    setups = [
+        _setup(study, setup, np.random.default_rng([SEED, index]), records, n_resamples)
+        for index, setup in enumerate(study.setups)
+    ]
     return Analysis(study, records, setups)
+
+
+def _setup(
+    study: Study,
+    setup: Setup,
+    rng: np.random.Generator,
+    records: list[Record],
+    n_resamples: int,
+) -> SetupResult:
+    records = [record for record in records if record.run.setup == setup.name]
+    finished = [record for record in records if record.is_finished]
+    first, last = span(finished)
+    points = min(MOST_POINTS, max((len(one.curve[0]) for one in finished), default=0))
+    steps = np.linspace(first, last, points)
+    if first >= last:
+        steps = np.full(min(1, points), last)
+    groups = {}
+    for setting in setup.settings:
+        runs = {
+            group: runs_of(records, setup, setting, group) for group in setup.groups
+        }
+        common = span(itertools.chain(*runs.values()))
+        for group, its_runs in runs.items():
+            if its_runs:
+                counts = statistics.resample(rng, len(its_runs), n_resamples)
+                groups[setting, group] = _group(its_runs, steps, common, counts)
+    verdicts = {
+        setting: verdict
+        for setting, verdict in judge(study, setup, records, n_resamples).items()
+        if all((setting, group) in groups for group in setup.groups[:2])
+    }
+    return SetupResult(setup, steps, groups, verdicts, records)
 
 
 def _group(
     runs: list[Record], steps: Array, common: tuple[float, float], counts: Array
 ) -> Group:
     curves = np.array([np.interp(steps, *record.curve) for record in runs])
-    reached = [verdicts.scores(record, *common) for record in runs]
-    scores = {name: np.array([one[name] for one in reached]) for name in reached[0]}
-    aggregated = statistics.sample_efficiency(curves, "iqm", counts)
-    return Group(
-        [record.run.seed for record in runs], curves, *aggregated, scores, counts
-    )
-
-
-def _comparison(
-    study: Study,
-    setup: Setup,
-    verdict: Verdict,
-    records: list[Record],
-    n_resamples: int,
-) -> Comparison:
-    others = [score for score in SCORES if score != study.primary.score]
-    both = {
-        score: verdicts.both_arms(records, setup, verdict.cell, score)
-        for score in others
-    }
-    secondary = {
-        score: verdicts.in_pairs(arms, n_resamples) for score, arms in both.items()
-    }
-    room = verdicts.headroom(study, setup, verdict.cell, records, n_resamples)
-    return Comparison(verdict, secondary, room)
+    reached = [scores(record, *common) for record in runs]
+    by_score = {name: np.array([one[name] for one in reached]) for name in reached[0]}
+    seeds = [record.run.seed for record in runs]
+    iqm_curve, bounds = statistics.sample_efficiency(curves, counts)
+    return Group(seeds, curves, iqm_curve, bounds, by_score, counts)

@@ -1,4 +1,4 @@
-"""What a study has recorded: in its folder, or in the one file that `collect` packs.
+"""The records of a study: in its folder, or in the one file that `collect` packs.
 
 study.json                what the runs are, as `Study.as_dict` has it
 runs/NAME/                the run folder of `tactilerl train`: config.json, progress.csv, checkpoint.pt
@@ -16,7 +16,7 @@ import json
 import math
 import os
 import tarfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from gzip import GzipFile
@@ -43,91 +43,77 @@ from .grid import Run, Study, from_dict, read
 
 State = Literal["done", "running", "failed", "interrupted", "left"]
 STATES: tuple[State, ...] = get_args(State)
-UNTOLD = ("seed", "workers", "threads", "tensorboard")
-"""Settings that tell nobody what was compared."""
 STUDY, RUNS, PACKED = "study.json", "runs", "collected.tar.gz"
 T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class Record:
-    """What one run left behind."""
+    """The files that one run left behind, as far as they can be read."""
 
     run: Run
     state: State
     reason: str
-    """Why it failed, or what cannot be read of it."""
-    config: dict[str, Any] | None
-    """config.json, without the folder of the machine that it was made on; None where there is none
-    that can be read."""
+    """The reason why it failed, or what cannot be read of it."""
+    config: dict[str, Any]
+    """config.json, without the run's folder; empty where there is none that can be read."""
     rows: list[Row]
     """The progress table, up to where it is cut off or damaged."""
 
     def column(self, name: str) -> Array:
-        """A column of the progress table as numbers; NaN where there is none."""
+        """Return a column of the progress table as numbers, NaN where there is none."""
         return np.array([float(row.get(name) or math.nan) for row in self.rows])
 
     @cached_property
     def curve(self) -> tuple[Array, Array]:
-        """(steps, rates) of the epochs that have a rate."""
+        """The steps and rates of the epochs that have a rate."""
         steps, rates = self.column("env_steps"), self.column(self.run.measure)
         known = np.isfinite(steps) & np.isfinite(rates)
         return steps[known], rates[known]
 
     @property
     def diverged(self) -> int:
-        """Episodes that diverged."""
-        return int(
-            sum(np.nansum(self.column(name)) for name in ("diverged", "test_diverged"))
-        )
+        """The number of episodes that diverged."""
+        columns = self.column("diverged"), self.column("test_diverged")
+        return int(sum(map(np.nansum, columns)))
 
     @property
     def is_finished(self) -> bool:
-        """Is it done, and has it a curve?"""
+        """Whether it is done and has a curve."""
         return self.state == "done" and len(self.curve[0]) > 0
 
     @property
     def has_ended(self) -> bool:
-        """Will there be no more of it, unless somebody asks for it?"""
+        """Whether there will be no more of it, unless somebody asks for it."""
         return self.state in ("done", "failed")
 
     @property
     def fraction(self) -> float:
-        """Of its steps."""
+        """The share of its steps that it has made."""
         done = int(self.rows[-1]["env_steps"]) if self.rows else 0
-        return min(1.0, done / _asked(self.run, self.config)) if self.config else 0.0
+        planned: Any = flags_of(self.config).get("total_timesteps")
+        planned = self.run.flags.get("total_timesteps", planned)
+        if not (self.config and isinstance(planned, int | float) and planned > 0):
+            return 0.0
+        return min(1.0, done / planned)
 
     @property
     def seconds(self) -> float:
-        """Spent in epochs, without starting and saving."""
-        seconds, steps = 0.0, 0
-        for row in self.rows:
-            now, speed = int(row["env_steps"]), float(row.get("steps_per_s") or 0)
-            seconds, steps = (
-                seconds + ((now - steps) / speed if speed > 0 else 0.0),
-                now,
-            )
-        return seconds
-
-
-def _asked(run: Run, config: dict[str, Any]) -> float:
-    """Steps that a run should have: the study's, or if it says nothing, those that it was made for."""
-    try:
-        return max(
-            1,
-            int(run.flags.get("total_timesteps", config["run"].get("total_timesteps"))),
+        """The seconds spent in epochs, without starting and saving."""
+        made, speed = (
+            np.diff(self.column("env_steps"), prepend=0),
+            self.column("steps_per_s"),
         )
-    except (TypeError, ValueError, OverflowError):
-        return math.inf
+        known = speed > 0
+        return float((made[known] / speed[known]).sum())
 
 
-def settings(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Every value of a config.json by its flag."""
-    return {
-        flag: value
-        for name in PARTS
-        for flag, value in (config.get(name) or {}).items()
-    }
+def flags_of(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Return every value of a config.json by its flag."""
+    values: dict[str, Any] = {}
+    for part in PARTS:
+        values |= config.get(part) or {}
+    return values
 
 
 class StudyFiles:
@@ -135,12 +121,11 @@ class StudyFiles:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._packed = (
-            _unpacked(path) if os.path.isfile(path) else None
-        )  # False for any name
+        is_file = os.path.isfile(path)  # False for any name
+        self._packed = _unpacked(path) if is_file else None
 
     def read(self, name: str) -> bytes:
-        """A file's content; FileNotFoundError where there is none."""
+        """Return a file's content; raise FileNotFoundError where there is none."""
         if self._packed is None:
             return content(self.path / name)
         if name not in self._packed:
@@ -148,7 +133,7 @@ class StudyFiles:
         return self._packed[name]
 
     def study(self) -> Study:
-        """The study that was run here last; InputError where there is none."""
+        """Return the study that was run here last; raise InputError where there is none."""
         missing = f"{str(self.path)!r} is not a study's folder: no study.json in it"
         with damage_named(self.path / STUDY, "not a study of this version", missing):
             data = self.read(STUDY)
@@ -157,38 +142,33 @@ class StudyFiles:
             return from_dict(json.loads(data))
 
     def run_dir(self, run: Run) -> RunDir:
-        """The folder of one of its runs."""
+        """Return the folder of one of its runs."""
         return RunDir(self.path / RUNS / run.name)
 
     def beside(self, run: Run, ending: str) -> Path:
-        """A file of a run that lies beside its folder."""
+        """Return the path of a run's file that lies beside its folder."""
         return self.path / RUNS / f"{run.name}.{ending}"
 
     def record(self, run: Run) -> Record:
-        """What there is of a run now."""
-        name, nothing = f"{RUNS}/{run.name}", (list[Row](), "")
-        config, unread = self._parsed(f"{name}/config.json", _config, None)
-        table = f"{name}/progress.csv"
-        (rows, cut), damaged = self._parsed(
-            table, lambda data: parse(data.decode()), nothing
-        )
+        """Read what there is of a run now."""
+        name = f"{RUNS}/{run.name}"
+        config, unread = self._parsed(f"{name}/config.json", _config, dict[str, Any]())
+        nothing = list[Row](), ""
+        (rows, cut), damaged = self._parsed(f"{name}/progress.csv", _rows, nothing)
         failure, _ = self._parsed(f"{name}.json", _failure, "")
-        done = Record(run, "done", "", config, rows)
-        if done.fraction == 1:
-            return done
         state: State = "interrupted" if config or unread else "left"
+        if Record(run, "done", "", config, rows).fraction == 1:
+            return Record(run, "done", "", config, rows)
         if self._packed is None and self.is_running(run):
             state = "running"
         elif failure:
             state = "failed"
-            for place in (self.path, self.path.resolve()):
-                failure = failure.replace(f"{place / RUNS}{os.sep}", "")
         return Record(run, state, failure or unread or damaged or cut, config, rows)
 
     def _parsed(
         self, name: str, parse: Callable[[bytes], T], nothing: T
     ) -> tuple[T, str]:
-        """What a file says, or `nothing`; and why not, where it is there."""
+        """Return what a file says, or `nothing`; and why not, where it is there."""
         try:
             with damage_named(Path(name)):
                 return parse(self.read(name)), ""
@@ -198,7 +178,7 @@ class StudyFiles:
             return nothing, str(error)
 
     def is_running(self, run: Run) -> bool:
-        """Does a process, here or elsewhere, train it right now?"""
+        """Return whether a process, here or elsewhere, trains it right now."""
         lock = self.run_dir(run).path / ".lock"
         if not lock.exists():
             return False
@@ -211,7 +191,9 @@ class StudyFiles:
             return False
 
     def write_failure(self, run: Run, reason: str) -> None:
-        """Record that a run failed, and why."""
+        """Record that a run failed, and why, without the folder of this machine."""
+        for place in (self.path, self.path.resolve()):
+            reason = reason.replace(f"{place / RUNS}{os.sep}", "")
         with replacing(self.beside(run, "json")) as file:
             file.write(_failed(reason))
 
@@ -244,10 +226,12 @@ def _config(data: bytes) -> dict[str, Any]:
     return config
 
 
+def _rows(data: bytes) -> tuple[list[Row], str]:
+    return parse(data.decode())
+
+
 def _failure(data: bytes) -> str:
-    """Why a run failed. Version 0.3.0 wrote such a file of every run, with its state."""
-    found = json.loads(data[: MAX_JSON + 1])
-    return str(found["reason"]) or "failed" if found["state"] == "failed" else ""
+    return str(json.loads(data[: MAX_JSON + 1])["reason"]) or "failed"
 
 
 def _failed(reason: str) -> bytes:
@@ -259,7 +243,7 @@ def _study(study: Study) -> bytes:
 
 
 def load(path: Path) -> tuple[Study, list[Record]]:
-    """The study in a folder or a packed file, and all its runs in order of the grid."""
+    """Return the study in a folder or a packed file, and all its runs in order of the grid."""
     if path.suffix == ".toml":
         folder = f"studies/{read(path).name}"
         raise InputError(
@@ -271,13 +255,13 @@ def load(path: Path) -> tuple[Study, list[Record]]:
 
 
 def collect(path: Path, out: Path | None = None) -> Path:
-    """Pack what there is of a study into one file; returns it."""
+    """Pack the records of a study into one file, and return its path."""
     out = out or path / PACKED
     study, records = load(path)
     here, files = StudyFiles(path), {STUDY: _study(study)}
     for record in records:
         name = f"{RUNS}/{record.run.name}"
-        if record.config is not None:
+        if record.config:
             files[f"{name}/config.json"] = json.dumps(record.config).encode()
         if record.rows:
             files[f"{name}/progress.csv"] = here.read(f"{name}/progress.csv")
@@ -296,13 +280,9 @@ def collect(path: Path, out: Path | None = None) -> Path:
 
 
 def _unpacked(path: Path) -> dict[str, bytes]:
-    """The files in a packed file, by name. They are never written anywhere by that name."""
-    with damage_named(path, "not a collected study"):
+    """Return the files in a packed file, by name; they are never written by that name."""
+    with damage_named(path, "not a collected study of 0.4.0 or later"):
         data, found = unzip(path), {}
-        if data.startswith(b"run,state,"):
-            raise ValueError(
-                "of version 0.3: tools/convert_collected.py makes one of this version"
-            )
         with tarfile.open(fileobj=io.BytesIO(data)) as archive:
             for entry in archive:
                 if entry.type == tarfile.REGTYPE and not entry.issparse():
@@ -311,3 +291,27 @@ def _unpacked(path: Path) -> dict[str, bytes]:
         if STUDY not in found:
             raise ValueError("no study.json in it")
         return found
+
+
+def counts(records: Iterable[Record]) -> dict[str, int]:
+    """Return how many runs are in each state."""
+    states = [record.state for record in records]
+    return {state: states.count(state) for state in STATES}
+
+
+def seconds_left(records: Collection[Record], parallel: int) -> float | None:
+    """Return the seconds until all is done; None while nobody can know.
+
+    Runs of a set-up are taken to be equally long, and as long as the others where none has begun.
+    """
+
+    def per_run(some: Collection[Record]) -> float:
+        done = sum(one.fraction for one in some)
+        return sum(one.seconds for one in some) / done if done else 0.0
+
+    overall, left = per_run(records), 0.0
+    for setup in {record.run.setup for record in records}:
+        of_setup = [one for one in records if one.run.setup == setup]
+        n_open = sum(1 - one.fraction for one in of_setup if not one.has_ended)
+        left += (per_run(of_setup) or overall) * n_open
+    return left / parallel if overall else None

@@ -1,0 +1,95 @@
+"""Executors that a study's jobs are submitted to: threads here, or Dask on a cluster's machines."""
+
+from __future__ import annotations
+
+import concurrent.futures
+import shutil
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from ..errors import InputError, extra
+from ..machine import free_cores
+from .jobs import threads
+
+BATCH = {
+    "slurm": "SLURM",
+    "pbs": "PBS",
+    "lsf": "LSF",
+    "sge": "SGE",
+    "htcondor": "HTCondor",
+}
+DASK = "dask:"
+MEMORY = "3GB"  # of a process, as the guide says
+Pool = tuple[concurrent.futures.Executor, int]
+"""Where jobs are submitted to, and how many it trains at a time."""
+
+
+@contextmanager
+def start(
+    on: str, jobs: int | None, ranks: int, walltime: str | None, memory: str | None
+) -> Iterator[Pool]:
+    """Start the executor that `--on` names, for runs of so many processes (`ranks`) each.
+
+    Raises InputError where it is not known or cannot be reached, or for flags that are another's.
+    """
+    is_batch, is_dask = on in BATCH, on.startswith(DASK)
+    if not (is_batch or is_dask or on == "local"):
+        allowed = f"local, dask:ADDRESS, {', '.join(BATCH)}"
+        raise InputError(f"--on: found {on!r}, allowed: {allowed}")
+    if is_batch and not jobs:
+        raise InputError(f"--on {on}: how many jobs to submit? Give --jobs N")
+    if is_dask and jobs:
+        raise InputError("--jobs: found with Dask, which has as many as there are")
+    for flag, value in {"walltime": walltime, "memory": memory}.items():
+        if value and not is_batch:
+            raise InputError(f"--{flag}: allowed only with --on {', '.join(BATCH)}")
+    if on == "local":
+        n = jobs or max(1, free_cores() // ranks)
+        with threads(n) as pool:
+            yield pool, n
+        return
+    with extra("cluster"):
+        from dask.distributed import Client
+    try:
+        where: Any = on.removeprefix(DASK)
+        if is_batch:
+            where = cluster(on, ranks, walltime, memory)
+            submit = where.job_cls.submit_command.split()[0]
+            if shutil.which(submit) is None:  # Dask would only log it, and wait
+                where.close()
+                raise ValueError(f"found no command {submit!r} on this machine")
+            where.scale(jobs=jobs)
+        connect: Any = Client  # which has no types
+        client = connect(where)
+    except (OSError, ValueError, RuntimeError) as error:
+        raise InputError(f"--on {on}: {error}") from error
+    with client:
+        n = jobs or max(1, sum(client.nthreads().values()))
+        yield client.get_executor(pure=False), n
+
+
+def cluster(on: str, ranks: int, walltime: str | None, memory: str | None) -> Any:
+    """Return the batch system, of which each job is a worker that trains one run at a time.
+
+    dask-jobqueue's own configuration says the rest.
+    """
+    on_interrupt = signal.getsignal(signal.SIGINT)
+    with extra("cluster"):
+        import dask
+        import dask_jobqueue
+    signal.signal(signal.SIGINT, on_interrupt)  # dask_jobqueue's own would exit
+    options: dict[str, Any] = {
+        "cores": ranks,
+        "processes": 1,
+        "worker_extra_args": ["--nthreads", "1"],
+        "memory": memory or dask.config.get(f"jobqueue.{on}.memory") or MEMORY,
+    }
+    if on == "htcondor":  # which has no limit of time
+        options["disk"] = dask.config.get("jobqueue.htcondor.disk") or "1GB"
+    elif walltime:
+        has_seconds = walltime.count(":") == 2
+        is_cut = on == "lsf" and has_seconds  # LSF has no seconds
+        options["walltime"] = walltime.rpartition(":")[0] if is_cut else walltime
+    return getattr(dask_jobqueue, f"{BATCH[on]}Cluster")(**options)

@@ -1,0 +1,256 @@
+"""Train the runs of a study, each in a process of its own: a run that crashes stops no other.
+
+A job is "make this run done": it can be asked for twice, and by anybody who sees the study's folder.
+Where jobs run is the matter of an executor of `concurrent.futures`' kind.
+"""
+
+from __future__ import annotations
+
+import concurrent.futures
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import filelock
+
+from ..algos.mpi import Communicator
+from ..envs import plugins
+from ..errors import BAD_INPUT, BUSY, InputError, input_errors
+from ..files import no_link
+from ..runs.config import RunConfig
+from ..runs.training import make_algorithm
+from ..terminal import interrupts
+from .grid import Run
+from .records import Record, StudyFiles
+
+ATTEMPTS = 2
+PATIENCE = (
+    5.0  # s until busy runs are asked for again: a killed worker's run ends meanwhile
+)
+INTERRUPTED = (130, -signal.SIGINT)
+LAUNCHER_PREFIXES = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "MPI_LOCAL")
+THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+# The first thing that a run's process does: from then on it ends with its parent.
+BEGIN = "import os, sys; from tactilerl.terminal import interrupts; "
+BEGIN += "interrupts.end_with(int(sys.argv[1])); os.execv(sys.argv[2], sys.argv[2:])"
+Ending = Literal["done", "failed", "busy", "interrupted"]
+
+_children: set[subprocess.Popen[bytes]] = set()
+_stopping = threading.Event()
+
+
+@dataclass(frozen=True)
+class Job:
+    """A run that is to be done; can be pickled."""
+
+    folder: Path
+    """The study's folder; absolute, where other machines are to find it."""
+    run: Run
+    ranks: int = 1
+    cwd: Path | None = None
+    """The folder where files that its flags name are looked for; None: the current one."""
+    imports: tuple[str, ...] = field(default_factory=lambda: (*plugins.imported,))
+    """Modules that are to be imported first."""
+
+    @property
+    def arguments(self) -> list[str]:
+        """The arguments of `tactilerl` that train it, or go on where it was cut off."""
+        modules = [f"--import={module}" for module in self.imports]
+        return ["study", "train", str(self.folder), self.run.name, *modules]
+
+
+def check(records: Iterable[Record]) -> None:
+    """Raise InputError naming the first run that could not start, or is another one in its folder.
+
+    Makes the environment and the learner of every group that has not begun yet.
+    """
+    made = set()
+    for record in records:
+        run = record.run
+        try:
+            config = run.config()
+            _require_same(record.config, config)
+            if record.state == "left" and run.place not in made:
+                made.add(run.place)
+                learner, workers = make_algorithm(config, Communicator())
+                with closing(workers), input_errors():
+                    learner.check()
+        except InputError as error:
+            raise InputError(f"run {run.name}: {error}") from error
+
+
+def _require_same(made: dict[str, Any], config: RunConfig) -> None:
+    """Raise InputError where the run was made with other values, or would be cut."""
+    steps = (made.get("run") or {}).get("total_timesteps", 0)
+    if config.run.total_timesteps < steps:
+        found = f"total_timesteps: found {config.run.total_timesteps}"
+        raise InputError(
+            f"{found}, allowed {steps} or more: a run can be extended, not cut"
+        )
+    for part, values in config.identity().items():
+        for key, value in (values or {}).items():
+            before = (made.get(part) or {}).get(key, value)
+            if before != value:
+                raise InputError(
+                    f"{key}: found {value!r}, the run was made with {before!r}; give this study "
+                    "another --out, or move that folder away"
+                )
+
+
+def run_all(
+    jobs: Sequence[Job],
+    pool: concurrent.futures.Executor,
+    on_end: Callable[[Job, Ending], None],
+) -> None:
+    """Make runs done, in order; `on_end` is told each job and how it ended.
+
+    Runs that another process trains are asked for once more at the end, and those whose scheduler
+    was lost at once.
+    """
+    for is_last in (False, True):
+        waiting = {pool.submit(make_done, job): job for job in jobs}
+        busy = []
+        while waiting:
+            done, _ = concurrent.futures.wait(
+                waiting, return_when=concurrent.futures.FIRST_COMPLETED
+            )
+            for future in done:
+                job = waiting.pop(future)
+                ending = _ending(future, job)
+                if ending is None:
+                    waiting[pool.submit(make_done, job)] = job
+                elif ending == "busy" and not is_last:
+                    busy.append(job)
+                else:
+                    on_end(job, ending)
+        if busy:
+            time.sleep(PATIENCE)
+        jobs = busy
+
+
+def _ending(future: concurrent.futures.Future[Ending], job: Job) -> Ending | None:
+    """Return how a job ended; None where nobody knows, because Dask's scheduler has been lost."""
+    try:
+        return future.result()
+    except concurrent.futures.CancelledError:
+        return None
+    except Exception as error:
+        if type(error).__name__ != "KilledWorker":  # Dask's
+            raise
+        reason = f"it ended several workers ({error})"[:300]
+        StudyFiles(job.folder).write_failure(job.run, reason)
+        return "failed"
+
+
+def make_done(job: Job) -> Ending:
+    """Train one run to its end; a failure is tried once more.
+
+    What has ended, or what another process trains, is left as it is.
+    """
+    files = StudyFiles(job.folder)
+    try:
+        with filelock.FileLock(files.beside(job.run, "lock"), timeout=0):
+            state = files.record(job.run).state
+            if state == "running":
+                return "busy"
+            return state if state in ("done", "failed") else _train(files, job)
+    except filelock.Timeout:
+        return "busy"
+
+
+def _train(files: StudyFiles, job: Job) -> Ending:
+    log, code, begin = files.beside(job.run, "log"), 1, 0
+    for _ in range(ATTEMPTS):
+        begin = log.stat().st_size if log.exists() else 0
+        code = INTERRUPTED[0] if _stopping.is_set() else _process(log, job)
+        if _stopping.is_set() or code in INTERRUPTED:
+            return "interrupted"
+        if code == BUSY:
+            return "busy"
+        if code in (0, BAD_INPUT):  # which a second attempt cannot mend
+            break
+    if code == 0 and files.record(job.run).state == "done":
+        return "done"
+    files.write_failure(job.run, _reason(code, log, begin))
+    return "failed"
+
+
+def _process(log_file: Path, job: Job) -> int:
+    command = [sys.executable, "-m", "tactilerl", *job.arguments]
+    if job.ranks > 1:
+        beside = str(Path(sys.executable).with_name("mpirun"))
+        command = [shutil.which("mpirun") or beside, "-n", str(job.ranks), *command]
+    with open(log_file, "ab", opener=no_link) as log:
+        child = subprocess.Popen(
+            [sys.executable, "-c", BEGIN, str(os.getpid()), *command],
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            env=_environment(),
+            cwd=job.cwd,
+        )
+    _children.add(child)
+    if _stopping.is_set():  # since the last look
+        child.terminate()
+    try:
+        return child.wait()
+    finally:
+        _children.discard(child)
+
+
+def _environment() -> dict[str, str]:
+    """Return the environment of a run: one thread, and no rank of the launch that started the study."""
+    inherited = {
+        name: value
+        for name, value in os.environ.items()
+        if name.startswith("OMPI_ALLOW_RUN_AS_ROOT")
+        or not name.startswith(LAUNCHER_PREFIXES)
+    }
+    return inherited | dict.fromkeys(THREADS, "1")
+
+
+def _reason(code: int, log_file: Path, begin: int) -> str:
+    """Return in a line why a run failed: the signal, or the last thing in its log after `begin`."""
+    if code < 0:
+        names = {each.value: each.name for each in signal.Signals}
+        return f"killed by {names.get(-code, f'signal {-code}')}"
+    text = log_file.read_bytes()[begin:].decode("utf-8", errors="replace")
+    lines = [line for line in text.splitlines() if line.strip()]
+    ours = [line for line in lines if line.startswith("tactilerl: ")]
+    last = [*lines, *ours][-1:] or [""]
+    return f"{last[0].removeprefix('tactilerl: ').strip()[:300]} (exit code {code})"
+
+
+@contextmanager
+def threads(n: int) -> Iterator[concurrent.futures.Executor]:
+    """Start `n` jobs at a time on this machine: a job waits for its process, so threads do.
+
+    Ctrl-C ends the runs in order, and so does SIGTERM, which batch systems send before they kill.
+    """
+
+    def interrupt(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        with concurrent.futures.ThreadPoolExecutor(n) as pool, interrupts.in_order():
+            try:
+                yield pool
+            except BaseException:  # end the runs' processes; each keeps its last epoch
+                _stopping.set()
+                pool.shutdown(wait=False, cancel_futures=True)
+                for child in list(_children):
+                    child.terminate()
+                raise
+    finally:
+        _stopping.clear()
+        signal.signal(signal.SIGTERM, before)

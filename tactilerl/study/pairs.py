@@ -1,0 +1,214 @@
+"""Pairs of runs of the same seed: what each run reached, and what treatments add to controls."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+
+from .. import statistics
+from ..errors import InputError
+from ..machine import short
+from ..statistics import N_RESAMPLES, Array, Estimate
+from .grid import Setup, Study
+from .records import Record, flags_of
+
+SEED = 20_210_830  # of all resampling: the same records give the same report
+THRESHOLDS = (0.5, 0.9)
+SILENT = (
+    "seed",
+    "workers",
+    "threads",
+    "tensorboard",
+)  # flags that change no comparison
+ALPHA = 0.05
+BySeed = dict[int, float]
+"""A score by seed."""
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """One score of two groups in runs of the same seed."""
+
+    seeds: list[int]
+    treatment: Array
+    control: Array
+    """Scores (pairs,), as those of `treatment`."""
+    difference: Estimate
+    """Mean of treatment minus control, with its interval over pairs."""
+    p_value: float
+    """The p-value of a sign-flip test."""
+
+    def __len__(self) -> int:
+        return len(self.seeds)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The primary comparison of one setting."""
+
+    setting: str
+    pairs: Pairs
+    n_seeds: int
+    """The number of pairs when all runs are done."""
+    p_holm: float = math.nan
+    """The p-value corrected for the other settings of the set-up."""
+
+    @property
+    def is_difference(self) -> bool:
+        """Whether one was detected."""
+        return self.p_holm <= ALPHA
+
+
+def runs_of(
+    records: Iterable[Record], setup: Setup, setting: str, group: str
+) -> list[Record]:
+    """Return the finished runs of one group, in order of the seeds."""
+    place = setup.name, setting, group
+    return [one for one in records if one.run.place == place and one.is_finished]
+
+
+def span(records: Iterable[Record]) -> tuple[float, float]:
+    """Return the first and the last step at which all of the runs have a rate.
+
+    The first is behind the last where there is none.
+    """
+    steps = [record.curve[0] for record in records]
+    first = max((one[0] for one in steps), default=0)
+    last = min((one[-1] for one in steps), default=0)
+    return float(first), float(last)
+
+
+def scores(record: Record, first: float, last: float) -> dict[str, float]:
+    """Return what a finished run reached from the `first` to the `last` step.
+
+    The names are those of `grid.Score`, and "steps to T" for each threshold T.
+    """
+    steps, rates = record.curve
+    at = np.unique([min(first, last), *steps[(steps > first) & (steps < last)], last])
+    rates = np.interp(at, steps, rates)[None]
+    reached = {
+        "area": statistics.area_under_curve(at, rates),
+        "final": statistics.final_rate(rates),
+        "converged": statistics.converged_rate(rates),
+    }
+    for threshold in THRESHOLDS:
+        to_threshold = statistics.steps_to_threshold(at, rates, threshold)
+        reached[f"steps to {threshold:g}"] = to_threshold
+    return {name: float(value[0]) for name, value in reached.items()}
+
+
+def scored(score: str, *groups: Sequence[Record]) -> list[BySeed]:
+    """Return a score of each run of several groups, over the steps that all of them have."""
+    common = span(itertools.chain(*groups))
+    return [
+        {one.run.seed: scores(one, *common)[score] for one in group} for group in groups
+    ]
+
+
+@cache
+def resamples(n: int, n_resamples: int = N_RESAMPLES) -> Array:
+    """Return bootstrap counts of `n` pairs (n, n_resamples), the same for the same number."""
+    return statistics.resample(np.random.default_rng([SEED, n]), n, n_resamples)
+
+
+def in_pairs(groups: Sequence[BySeed], n_resamples: int = N_RESAMPLES) -> Pairs:
+    """Return the pairs of treatment and control, in the order of the treatment's seeds."""
+    treatment, control = groups
+    seeds = [seed for seed in treatment if seed in control]
+    a, b = (np.array([group[seed] for seed in seeds]) for group in groups)
+    rng = np.random.default_rng([SEED, len(seeds)])
+    p_value = statistics.sign_flip_p(a - b, rng, n_resamples)
+    difference = statistics.mean(a - b, resamples(len(seeds), n_resamples))
+    return Pairs(seeds, a, b, difference, p_value)
+
+
+def both_groups(
+    records: Sequence[Record], setup: Setup, setting: str, score: str
+) -> list[BySeed]:
+    """Return the scores of treatment and control in a setting."""
+    groups = (runs_of(records, setup, setting, group) for group in setup.groups[:2])
+    return scored(score, *groups)
+
+
+def judge(
+    study: Study,
+    setup: Setup,
+    records: Sequence[Record],
+    n_resamples: int = N_RESAMPLES,
+) -> dict[str, Verdict]:
+    """Return the primary comparison of every setting."""
+    verdicts = []
+    for setting in setup.settings if setup.compare else ():
+        groups = both_groups(records, setup, setting, study.primary.score)
+        pairs = in_pairs(groups, n_resamples)
+        verdicts.append(Verdict(setting, pairs, len(setup.seeds)))
+    corrected = statistics.holm([one.pairs.p_value for one in verdicts])
+    return {
+        one.setting: replace(one, p_holm=float(p))
+        for one, p in zip(verdicts, corrected, strict=True)
+    }
+
+
+# -- two studies against each other -------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One group of runs in two studies."""
+
+    place: str
+    """Names of set-up, setting and group."""
+    until: float
+    """The step until which they are compared: the end of the shortest run."""
+    pairs: Pairs
+    p_holm: float = math.nan
+    """The p-value corrected for the other groups."""
+
+
+def compare(a: Sequence[Record], b: Sequence[Record], score: str) -> list[Comparison]:
+    """Compare the runs of `a` with those of `b`, in every group that both studies have.
+
+    Raises InputError where no group has a finished run of the same seed in both.
+    """
+    rows = []
+    for place in dict.fromkeys(record.run.place for record in a):
+        groups = [
+            [one for one in study if one.run.place == place and one.is_finished]
+            for study in (a, b)
+        ]
+        pairs = in_pairs(scored(score, *groups))
+        if len(pairs):
+            begin, end = span(itertools.chain(*groups))
+            if begin > end:
+                raise InputError(f"{place}: found no steps that all runs have")
+            name = ", ".join(one for one in place if one not in ("", "all"))
+            rows.append(Comparison(name, end, pairs))
+    if not rows:
+        raise InputError("found no group with finished runs of the same seed in both")
+    corrected = statistics.holm([row.pairs.p_value for row in rows])
+    return [
+        replace(row, p_holm=float(p)) for row, p in zip(rows, corrected, strict=True)
+    ]
+
+
+def differing(a: Sequence[Record], b: Sequence[Record]) -> list[str]:
+    """Return the flags, the commit and the measure in which the first runs of two studies differ."""
+    values = []
+    for first in (a[0], b[0]):
+        origins = first.config.get("provenance") or [{}]
+        more = {
+            "commit": short(origins[-1].get("commit")),
+            "measure": first.run.measure,
+        }
+        values.append(flags_of(first.config) | more)
+    before, after = values
+    return [
+        f"{name} {before.get(name)} − {after.get(name)}"
+        for name in before | after
+        if name not in SILENT and before.get(name) != after.get(name)
+    ]
