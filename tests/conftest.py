@@ -4,7 +4,6 @@ PyTorch, MPI allowed for root, studies without processes, a MuJoCo that warns.""
 import os
 import signal
 import tempfile
-from contextlib import redirect_stderr, redirect_stdout
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -12,10 +11,11 @@ import numpy as np
 import pytest
 import torch
 from filelock import FileLock
-from tactilerl.commands.cli import main
 from tactilerl.envs.hands import HANDS, sandbox
 from tactilerl.envs.simulators import mujoco
 from tactilerl.study import jobs
+
+from tiny_study import in_this_process
 
 os.environ.setdefault("OMPI_ALLOW_RUN_AS_ROOT", "1")
 os.environ.setdefault("OMPI_ALLOW_RUN_AS_ROOT_CONFIRM", "1")
@@ -75,11 +75,7 @@ def trained_here(monkeypatch):
     """Runs of a study are trained by the command that they are always trained by, but without a
     process each, which takes seconds to start; with `--jobs 1`, because they share one output."""
 
-    def process(log_file, job):
-        with open(log_file, "a") as log, redirect_stdout(log), redirect_stderr(log):
-            return main(job.arguments)
-
-    monkeypatch.setattr(jobs, "_process", process)
+    monkeypatch.setattr(jobs, "_process", in_this_process)
 
 
 @pytest.fixture(autouse=True)

@@ -1,6 +1,10 @@
 """A study of two short runs, for tests of who runs it."""
 
-from tactilerl.study import analysis, records, report, tables
+from contextlib import redirect_stderr, redirect_stdout
+
+import pytest
+from tactilerl.commands.cli import main
+from tactilerl.study import analysis, jobs, records, report, tables
 
 TINY = """
 name = "tiny"
@@ -27,6 +31,21 @@ def write(tmp_path, text=TINY):
     path = tmp_path / "study.toml"
     path.write_text(text)
     return path
+
+
+def trained(path, text=TINY):
+    """The study's folder, all runs done in this process, which is faster."""
+    out = path / "out"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(jobs, "_process", in_this_process)
+        assert main(["study", "run", str(write(path, text)), "--out", str(out), "--jobs", "1"]) == 0
+    return out
+
+
+def in_this_process(log_file, job):
+    """Train a run by the command that it is always trained by, but without a process."""
+    with open(log_file, "a") as log, redirect_stdout(log), redirect_stderr(log):
+        return main(job.arguments)
 
 
 def learned(folder):

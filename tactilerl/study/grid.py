@@ -177,12 +177,13 @@ class Study:
     def validate(self) -> None:
         """Raise ValueError naming the first thing that the parts allow, but not together."""
         require_name(self.name, "name")
-        n_runs = sum(
+        counts = [
             len(setup.seeds) * math.prod(map(len, setup.grid.values()))
             for setup in self.setups
-        )
-        if not 0 < n_runs <= MOST_RUNS:
-            raise ValueError(f"grid: found {n_runs:,} runs, allowed 1 to {MOST_RUNS:,}")
+        ]
+        found = sum(counts) if all(counts) else 0
+        if not 0 < found <= MOST_RUNS:
+            raise ValueError(f"grid: found {found:,} runs, allowed 1 to {MOST_RUNS:,}")
         for name, times in Counter(run.name for run in self.runs()).items():
             require_name(name, "the name of a run")
             if times > 1:

@@ -1,9 +1,7 @@
 """Running studies: each run once and to its end, whatever is killed, on any executor."""
 
-import errno
 import json
 import os
-import re
 import shlex
 import shutil
 import signal
@@ -16,11 +14,11 @@ from pathlib import Path
 import filelock
 import pytest
 from tactilerl.commands.cli import main
-from tactilerl.study import engine, records, runner
+from tactilerl.study import jobs, records
 from tactilerl.study.records import StudyFiles
 
 from one_line import fails_with, printed
-from tiny_study import TINY, learned, write
+from tiny_study import TINY, learned, trained, write
 
 ROOT = Path(__file__).parents[2]
 LAUNCH = [sys.executable, "-m", "tactilerl", "study", "run"]
@@ -43,9 +41,7 @@ gym.register("Broken-v0", entry_point=Broken)
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory):
     """TINY, run in one go."""
-    path = tmp_path_factory.mktemp("undisturbed")
-    assert main(["study", "run", str(write(path)), "--out", str(path / "out"), "--jobs", "2"]) == 0
-    return path / "out"
+    return trained(tmp_path_factory.mktemp("undisturbed"))
 
 
 @pytest.fixture
@@ -116,43 +112,17 @@ class TestRun:
 
 
 class TestBeforeItStarts:
-    def test_a_module_in_a_study_file_is_imported_for_who_trusts_it(
+    def test_a_module_in_a_study_file_is_imported_by_the_user_alone(
         self, tmp_path, capsys, monkeypatch
     ):
-        """As with the folder of a run."""
         monkeypatch.syspath_prepend(tmp_path)
         (tmp_path / "evil.py").write_text(f"open({str(tmp_path / 'pwned')!r}, 'w')")
         text = 'name = "x"\n[setups.x]\nenv = "evil:x-v0"\n'
         args = ["study", "run", write(tmp_path, text), "--out", tmp_path / "out"]
-        fails_with(capsys, args, "imports the module 'evil'", "--trust")
+        fails_with(capsys, args, "needs the module 'evil'", "--import evil")
         assert not (tmp_path / "pwned").exists()
-        fails_with(capsys, [*args, "--trust"], "x-v0")
+        fails_with(capsys, [*args, "--import", "evil"], "x-v0")
         assert (tmp_path / "pwned").exists()
-
-    @pytest.mark.parametrize(
-        ("is_terminal", "more", "says", "starts"),
-        [
-            (True, [], "y", True),
-            (True, [], "", False),
-            (True, ["--yes"], None, True),
-            (False, [], None, True),
-        ],
-    )
-    def test_long_studies_are_asked_for_at_a_terminal(
-        self, tmp_path, capsys, monkeypatch, is_terminal, more, says, starts
-    ):
-        text = TINY.replace("= 200", "= 100_000_000_000")
-        asked, started = [], []
-        monkeypatch.setattr("sys.stdin.isatty", lambda: is_terminal, raising=False)
-        monkeypatch.setattr("builtins.input", lambda text: asked.append(text) or says)
-        monkeypatch.setattr(engine, "run_all", lambda jobs, **options: started.extend(jobs) or {})
-        args = ["study", "run", write(tmp_path, text), "--out", tmp_path / "out", "--jobs", "2", *more]
-        out = printed(capsys, args, code=0 if starts else 1)
-        found = re.search(r"200,000,000,000 steps to do: about (\d+):", out)
-        assert int(found[1]) > 100
-        assert (len(asked), len(started)) == (says is not None, 2 * starts)
-        assert (tmp_path / "out").exists() == starts
-
 
 class TestFailures:
     @pytest.mark.slow
@@ -166,12 +136,12 @@ class TestFailures:
         text += 'hidden = [8]\ntotal_timesteps = 200\n[setups.y]\nenv = "lqr"\nsteps_per_epoch = 60\n'
         text += "n_passes = 1\nhidden = [8]\ntotal_timesteps = 60\n"
         out = tmp_path / "out"
-        run = ["study", "run", write(tmp_path, text), "--out", out, "--jobs", "1", "--trust"]
+        run = ["study", "run", write(tmp_path, text), "--out", out, "--jobs", "1", "--import", "broken"]
         said = printed(capsys, run, code=1)
         assert "failed: x_s0: stopped:" in said
         assert "[2/2] y_s0 done" in said
         log = (out / "runs" / "x_s0.log").read_text()
-        assert log.count("tactilerl train:") == 2
+        assert log.count("study train: x_s0") == 2
         assert "2 runs, 0 to do" in printed(capsys, run, code=1)
 
     def test_damaged_run_folders_cost_a_line_each_and_nothing_is_lost(
@@ -214,26 +184,15 @@ class TestFailures:
     def test_why_it_failed_is_of_this_attempt(self, tmp_path):
         log = tmp_path / "run.log"
         log.write_text("tactilerl: interrupted\nTraceback\nMemoryError\n")
-        assert runner._reason(1, log, 23) == "MemoryError (exit code 1)"
-        assert runner._reason(-9, log, 0) == "killed by SIGKILL"
-        assert runner._reason(-35, log, 0) == "killed by signal 35"
-
-    def test_a_full_disk_names_the_run(self, undisturbed, tmp_path, monkeypatch):
-        def full(*args, **options):
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-        monkeypatch.setattr(subprocess, "Popen", full)
-        run = StudyFiles(undisturbed).study().runs()[0]
-        (tmp_path / "runs").mkdir()
-        with pytest.raises(OSError, match="No space left") as caught:
-            runner.run_job(runner.RunJob(tmp_path, run))
-        assert caught.value.__notes__ == [f"run {run.name}"]
+        assert jobs._reason(1, log, 23) == "MemoryError (exit code 1)"
+        assert jobs._reason(-9, log, 0) == "killed by SIGKILL"
+        assert jobs._reason(-35, log, 0) == "killed by signal 35"
 
     def test_a_killed_run_is_taken_up_once_more(self, undisturbed, tmp_path):
         (tmp_path / "runs").mkdir()
         run = StudyFiles(undisturbed).study().runs()[0]
         threading.Thread(target=kill_first_child, daemon=True).start()
-        assert runner.run_job(runner.RunJob(tmp_path, run)) == "done"
+        assert jobs.make_done(jobs.Job(tmp_path, run)) == "done"
         assert StudyFiles(tmp_path).record(run).state == "done"
         log = StudyFiles(tmp_path).beside(run, "log").read_text()
         assert "epoch    1" in log
@@ -241,7 +200,7 @@ class TestFailures:
 
 def kill_first_child():
     """Kill the process of a run as soon as there is one."""
-    while not (children := list(runner._children)):
+    while not (children := list(jobs._children)):
         time.sleep(0.01)
     children[0].kill()
 
@@ -261,8 +220,8 @@ class TestSharing:
         run = folder.study().runs()[0]
         log = folder.beside(run, "log").read_bytes()
         in_training, in_study = folder.run_dir(run).path / ".lock", folder.beside(run, "lock")
-        monkeypatch.setattr(runner, "_process", None)
-        monkeypatch.setattr(engine, "PATIENCE", 0)
+        monkeypatch.setattr(jobs, "_process", None)
+        monkeypatch.setattr(jobs, "PATIENCE", 0)
         args = ["study", "run", write(tmp_path), "--out", folder.path]
         with filelock.FileLock(in_training if holder == "train" else in_study):
             assert (folder.record(run).state == "running") == (holder == "train")
@@ -308,7 +267,7 @@ def test_stopping_by_sigterm_ends_the_runs_and_they_go_on(tmp_path, capsys):
     over = threading.Event()
 
     def stop():
-        while len(runner._children) < 2:
+        while len(jobs._children) < 2:
             if over.wait(0.01):
                 return
         os.kill(os.getpid(), signal.SIGTERM)

@@ -13,10 +13,10 @@ from importlib.util import find_spec
 
 import pytest
 from tactilerl.commands.cli import main
-from tactilerl.study.engine import BATCH, Engine
+from tactilerl.study.executors import BATCH, cluster
 
 from one_line import fails_with
-from tiny_study import TINY, learned, write
+from tiny_study import TINY, learned, trained, write
 
 distributed = pytest.importorskip("distributed")
 needs_jobqueue = pytest.mark.skipif(find_spec("dask_jobqueue") is None, reason="no dask-jobqueue")
@@ -27,10 +27,7 @@ PATIENCE = 300  # s
 @pytest.fixture(scope="module")
 def on_local(tmp_path_factory):
     """What the study comes to on this machine."""
-    path = tmp_path_factory.mktemp("local")
-    args = ["study", "run", str(write(path, LONG)), "--out", str(path / "out"), "--jobs", "2"]
-    assert main(args) == 0
-    return learned(path / "out")
+    return learned(trained(tmp_path_factory.mktemp("local"), LONG))
 
 
 def begun(folder, n=1):
@@ -117,8 +114,8 @@ DIRECTIVES = {  # as the manual of each has them
 @needs_jobqueue
 @pytest.mark.parametrize("on", BATCH)
 def test_the_job_script_of_each_batch_system(on):
-    with Engine(on, 3, 2, "02:00:00", "3GB").cluster() as cluster:
-        script = cluster.job_script()
+    with cluster(on, 2, "02:00:00", "3GB") as system:
+        script = system.job_script()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     for line in DIRECTIVES[on]:
         assert line in script
@@ -131,7 +128,6 @@ def test_the_job_script_of_each_batch_system(on):
     [
         (["--on", "moon"], ["'moon'", "slurm", "dask:ADDRESS"]),
         (["--on", "slurm"], ["--jobs N"]),
-        (["--on", "mpi"], ["mpirun"]),
         (["--on", "dask:tcp://x:1", "--jobs", "2"], ["--jobs"]),
         (["--walltime", "1:00:00"], ["--walltime", "slurm"]),
     ],

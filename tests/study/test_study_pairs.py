@@ -1,0 +1,111 @@
+"""What a study says of its comparisons, in sentences and numbers, and of two studies."""
+
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+from tactilerl.study import pairs, records, summary
+from tactilerl.study.grid import Contrast, Run, Setup
+
+from one_line import fails_with, printed
+from study_records import PAPER_LIKE, make_study
+
+DIFFERENCE = re.compile(r"([+-]0\.\d{3}) \(([+-]\d\.\d{3}) to ([+-]\d\.\d{3})\)")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return make_study(tmp_path_factory.mktemp("pairs") / "s", n_seeds=4)
+
+
+class TestAnswers:
+    setup = Setup(
+        "one",
+        {},
+        {"layout": [1, 2], "touch": ["on", "off"]},
+        [0],
+        Contrast("touch", "on", "off"),
+        "success_rate",
+    )
+
+    def verdict(self, gap, p_holm, n=9):
+        ones = pairs.Pairs([*range(n)], np.ones(n), np.zeros(n), pairs.Estimate(*gap), p_holm)
+        return pairs.Verdict("layout 2", ones, 12, p_holm)
+
+    @pytest.mark.parametrize(
+        ("gap", "p", "n", "words"),
+        [
+            ((0.1, 0.02, 0.2), 0.02, 9, "touch raised mean success (touch − no touch: +0.10, 95 %"),
+            ((-0.1, -0.2, 0.01), 0.04, 9, "touch lowered mean success (touch − no touch: −0.10, 95 %"),
+            ((0.1, -0.02, 0.2), 0.2, 9, "no significant difference in mean success"),
+            ((0.1, -0.02, 0.2), 0.2, 6, "too few runs to find a difference, which takes 7 pairs"),
+        ],
+    )
+    def test_each_kind_of_answer(self, gap, p, n, words):
+        said = summary.answer(self.setup, self.verdict(gap, p, n), "area")
+        assert said.startswith(f"one, layout 2: {words}")
+        assert said.endswith(f"p = {p:.3f}, {n} of 12 pairs).")
+
+    def test_a_bound_below_zero_keeps_its_sign(self):
+        said = summary.answer(self.setup, self.verdict((0.1, -0.02, 0.2), 1e-4), "final")
+        assert "−0.02 to +0.20, p < 0.001" in said
+
+
+class TestCompare:
+    def test_two_studies_with_some_common_seeds(self, folder, tmp_path, capsys):
+        text = PAPER_LIKE.replace('"0-{last}"', '"2-7"')
+        other = make_study(tmp_path / "other", text)
+        _, a = records.load(folder.path)
+        _, b = records.load(other.path)
+        rows = pairs.compare(a, b, "area")
+        assert [len(row.pairs) for row in rows] == [2] * 12
+        assert rows[0].place == "pybullet, layout 1, on"
+        assert rows[0].pairs.seeds == [2, 3]
+        assert rows[0].p_holm == 1
+        assert pairs.differing(a, b) == []
+        shown = printed(capsys, ["study", "compare", folder.path, other.path])
+        assert len(DIFFERENCE.findall(shown)) == 12
+
+    def test_flags_in_which_they_differ(self, folder):
+        _, a = records.load(folder.path)
+        first = a[0].config | {"learner": a[0].config["learner"] | {"gamma": 0.5}}
+        b = [dataclasses.replace(a[0], config=first)]
+        assert [one.partition(" ")[0] for one in pairs.differing(a, b)] == ["gamma"]
+
+    def test_nothing_to_compare(self, folder, tmp_path, capsys):
+        other = make_study(tmp_path / "other", PAPER_LIKE.replace('"0-{last}"', '"10-11"'))
+        fails_with(capsys, ["study", "compare", folder.path, other.path], "same seed in both")
+        late = make_study(tmp_path / "late", n_seeds=2, epochs=1, total=60_000)
+        fails_with(capsys, ["study", "compare", folder.path, late.path], "found no steps that all")
+
+
+class TestCommonRange:
+    """Runs that are compared are scored over the steps that all of them have."""
+
+    def record(self, steps, rates, seed=0):
+        run = Run(f"r{seed}", "one", "all", "on", seed, "success_rate", {})
+        points = zip(map(str, steps), map(str, rates), strict=True)
+        rows = [dict(zip(("env_steps", "success_rate"), point, strict=True)) for point in points]
+        return records.Record(run, "done", "", {}, rows)
+
+    def test_it_begins_and_ends_where_all_have_a_rate(self):
+        long = self.record([0, 10, 20, 30, 40], [0, 0, 0.5, 1, 1])
+        short = self.record([5, 15, 25], [0.2, 0.4, 0.6])
+        assert pairs.span([long, short]) == (5, 25)
+        ((area,), (other,)) = (list(x.values()) for x in pairs.scored("area", [long], [short]))
+        # From 5 to 25: 0 up to 10, then up to 0.5 at 20, and 0.75 at 25.
+        assert area == pytest.approx((0 + 0.25 * 10 + 0.625 * 5) / 20)
+        assert other == pytest.approx(0.4)
+
+    def test_what_comes_after_does_not_count(self):
+        steps = np.arange(0, 50, 10)
+        same = [self.record(steps, [0.1, 0.2, 0.4, 0.6, last], 1) for last in (0.0, 1.0)]
+        short = self.record(steps[:4], [0.1, 0.2, 0.4, 0.6], 2)
+        for score in ("area", "final", "converged", "steps to 0.5"):
+            a, b = (pairs.scored(score, [one], [short]) for one in same)
+            assert a[0][1] == b[0][1] == a[1][2]
+
+    def test_runs_without_a_common_step_are_taken_at_their_ends(self):
+        one, other = self.record([10], [0.3]), self.record([20], [0.6], 1)
+        assert pairs.scored("area", [one], [other]) == [{0: 0.3}, {1: 0.6}]
