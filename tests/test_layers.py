@@ -28,9 +28,9 @@ BESIDE = {"version", "errors", "files", "machine", "statistics", "style", "api",
 ALLOWED = {
     "mujoco": ("envs/simulators/", "envs/hands/"),
     "pybullet": ("envs/simulators/pybullet.py",),
-    "mpi4py": ("algos/mpi.py", "tactilerl/study/engine.py"),
-    "dask": ("tactilerl/study/engine.py",),
-    "dask_jobqueue": ("tactilerl/study/engine.py",),
+    "mpi4py": ("algos/mpi.py",),
+    "dask": ("tactilerl/study/executors.py",),
+    "dask_jobqueue": ("tactilerl/study/executors.py",),
     "matplotlib": ("benchmarks/", "tactilerl/placement/figures.py", "tactilerl/study/figures.py"),
     "torch": ("algos/", "tactilerl/", "benchmarks/"),
     "tyro": (

@@ -106,15 +106,16 @@ def test_a_run_is_trained_evaluated_and_listed_with_import(capsys):
     fails_with(capsys, ["evaluate", "cup"], "task: found 'hold-cup'", "--import MODULE")
 
 
-def test_a_set_up_of_a_study_says_what_is_imported(capsys):
-    scene = EXAMPLES / "own_task.toml"
-    Path("s.toml").write_text(f'name = "s"\n[setups.cup]\nscene = "{scene}"\nimport = "own_task"\n')
-    todo = ["study", "todo", "s.toml"]
-    fails_with(capsys, todo, "imports the module 'own_task'", "--trust")
+def test_a_study_says_what_the_user_has_to_import(capsys):
+    lines = ['name = "s"', "[setups.cup]", f'scene = "{EXAMPLES / "own_task.toml"}"', "layout = 5"]
+    lines += ['import = "own_task"', "total_timesteps = 60", "steps_per_epoch = 60", "n_passes = 1"]
+    Path("s.toml").write_text("\n".join(lines))
+    fails_with(capsys, ["study", "todo", "s.toml"], "module 'own_task'", "--import own_task")
     assert "own_task" not in sys.modules
-    assert "--import=own_task" in (command := printed(capsys, [*todo, "--trust"]))
-    assert main([*shlex.split(command)[1:], *TINY]) == 0
-    assert main(["study", "status", "studies/s"]) == 0  # which imports nothing
+    command = printed(capsys, ["study", "todo", "s.toml", "--import", "own_task"])
+    assert "--import=own_task" in command
+    assert main(shlex.split(command)[1:]) == 0
+    assert "nothing left to do" in printed(capsys, ["study", "status", "studies/s"])
 
 
 @pytest.mark.pybullet

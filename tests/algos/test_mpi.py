@@ -16,7 +16,6 @@ from tactilerl.algos import mpi
 from tactilerl.commands.cli import main
 
 from states import flat
-from tiny_study import learned, write
 
 pytest.importorskip("mpi4py")
 MPIRUN = Path(sys.executable).with_name("mpirun")
@@ -238,16 +237,6 @@ def test_an_end_from_outside_ends_all_and_loses_nothing(how):
     assert tactilerl(*args, "--out", "whole").returncode == 0
     whole, run = (torch.load(Path(p, "checkpoint.pt"), weights_only=True) for p in ("whole", "run"))
     assert [flat(a) for a in whole["ranks"]] == [flat(b) for b in run["ranks"]]
-
-
-@pytest.mark.slow
-def test_a_study_over_the_ranks_of_a_launch(tmp_path):
-    study = ["study", "run", str(write(tmp_path)), "--out"]
-    assert main([*study, "alone", "--jobs", "2"]) == 0
-    shown = tactilerl(*study, "together")
-    assert shown.returncode == 0, shown.stdout + shown.stderr
-    assert "[2/2]" in shown.stdout
-    assert learned(Path("together")) == learned(Path("alone"))
 
 
 @pytest.mark.parametrize(

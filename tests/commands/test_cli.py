@@ -22,9 +22,8 @@ from tactilerl.commands.cli import COMMANDS, main
 from tactilerl.commands.study import PARTS
 from tactilerl.envs import scripted
 from tactilerl.pictures.render import Filmed
-from tactilerl.runs import arguments, evaluation, sealed
-from tactilerl.runs.store import TIMES, with_new_names
-from tactilerl.study import grid
+from tactilerl.runs import evaluation, sealed
+from tactilerl.runs.store import TIMES
 
 from one_line import fails_with, printed, python
 from states import flat
@@ -519,26 +518,6 @@ class TestOtherCommands:
         red, green, _ = touch[end - 5, :head].mean(axis=(0, 1))  # the first of three has failed
         assert red > green + 20
         assert touch[end + 3, :head].mean() > 200  # and the second begins
-
-    @pytest.mark.parametrize(
-        ("given", "touch", "rule"),
-        [
-            ({"touch": "force", "run_type": "main"}, "on", "force"),
-            ({"run_type": "control"}, "off", "skin"),
-            ({"touch": "contact"}, "on", "contact"),
-            ({"touch": "absent", "touch_rule": "force"}, "absent", "force"),
-        ],
-    )
-    def test_files_of_0_3_call_touch_otherwise(self, given, touch, rule):
-        """Scenes, studies and runs."""
-        lines = "\n".join(f'{name} = "{value}"' for name, value in given.items())
-        Path("mine.toml").write_text(f"[scene]\n{lines}\n")
-        Path("study.toml").write_text(f'name = "x"\n[setups.a]\n{lines}\n')
-        for args in (["--scene", "mine.toml"], grid.read(Path("study.toml")).runs()[0].arguments):
-            scene = arguments.read(args, arguments.defaults(args))[0].scene
-            assert (scene.touch, scene.touch_rule) == (touch, rule)
-        usual = {"touch": "on", "touch_rule": "skin"}
-        assert usual | with_new_names({"scene": given})["scene"] == {"touch": touch, "touch_rule": rule}
 
     @pytest.mark.parametrize("flag", ["--help", "--help-all"])
     @pytest.mark.parametrize("command", [*COMMANDS, *(f"study {part}" for part in PARTS)])

@@ -18,7 +18,7 @@ from tactilerl.algos.ppo import PPOConfig
 from tactilerl.commands.cli import main
 from tactilerl.envs import validation
 from tactilerl.runs.config import RunOptions
-from tactilerl.study import engine, records
+from tactilerl.study import jobs, records
 
 from study_records import make_study
 
@@ -64,8 +64,8 @@ total_timesteps = 3000
 compare = {n_passes = [4, 2]}
 grid = {n_passes = [2, 4], seed = 0}
 """
-LOOKS = "looks = {pairs = [3, 6], alpha = 0.05, effect = 0.2}\n"
-LOOKS += STUDY.replace("{last}", "5").partition("[setups.ppo]")[0]
+SCORED = 'primary = {score = "final"}\n'
+SCORED += STUDY.replace("{last}", "5").partition("[setups.ppo]")[0]
 SCENE = """about = "mine"
 base = "handover"
 env = "mpl"
@@ -171,9 +171,9 @@ def test_flags(run, tried, cases):
         ("mine.toml", ["env", "--scene", "mine.toml"], SCENE),
         ("taxels.csv", ["env", "--layout", "sensor.toml"], TAXELS),
         ("taxels.json", ["env", "--layout", "sensor.toml"], PROBES),
-        ("looks.toml", ["study", "todo", "looks.toml"], LOOKS),
+        ("s.toml", ["study", "todo", "s.toml"], SCORED),
     ],
-    ids=["layout", "scene", "taxels", "probes", "looks"],
+    ids=["layout", "scene", "taxels", "probes", "study"],
 )
 def test_files(run, tried, cases, file, args, good):
     rng = random.Random(1)
@@ -211,7 +211,7 @@ def test_progress(run, tried, cases):
 
 def test_studies(here, tried, cases, monkeypatch):
     """Everything but the training itself, which takes minutes where a study is still one."""
-    monkeypatch.setattr(engine, "run_all", lambda jobs, pool, watch: {})
+    monkeypatch.setattr(jobs, "run_all", lambda todo, pool, on_end: None)
     rng, good = random.Random(6), STUDY.replace("{last}", "1")
     for i in cases(400):
         Path("study.toml").write_text(mutated(good, rng) if i else good, encoding="utf-8")
