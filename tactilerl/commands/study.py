@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -121,7 +122,7 @@ class Todo:
         for record in found:
             if record.state != "done":
                 arguments = Job(files.path, record.run).arguments
-                print(" ".join(["tactilerl", *map(pasted, arguments)]))
+                print(shlex.join(["tactilerl", *arguments]))
 
 
 @dataclass(frozen=True)
