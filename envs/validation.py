@@ -110,10 +110,9 @@ def make(kind: type[T], values: Any, where: str) -> T:
     """
     if not isinstance(values, dict):
         raise ValueError(f"{where}: found {_short(values)}, expected an object")
-    if values.keys() != names(kind):
-        different = sorted(values.keys() ^ names(kind))[0]
-        found = "an unknown" if different in values else "no"
-        raise ValueError(f"{where}: found {found} field {different[:50]!r}")
+    if different := sorted(values.keys() ^ names(kind)):
+        found = "an unknown" if different[0] in values else "no"
+        raise ValueError(f"{where}: found {found} field {different[0][:50]!r}")
     values = plain(values)
     require(kind, values)
     return kind(**values)

@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 from .. import validation
 from .hand import (
@@ -52,7 +52,6 @@ __all__ = [
     "short_digest",
 ]  # fmt: skip
 
-Share = Annotated[float, "[0, 2]"]
 HANDS = ("shadow", "mpl", "allegro")
 """The library's own: each is a file here."""
 OTHERS: dict[str, Any] = {}
@@ -65,9 +64,6 @@ class Usage:
 
     id: str = ""
     """Of its environment in Gymnasium's registry; by name it is `make(name)`."""
-    closing: tuple[Share, Share] = (0.5, 0.9)
-    """How far the fingers of perturbed scripted grasps close, from and to, 1 being all the way; read
-    from files of 0.4.0, and not used any more."""
     scene: dict[str, Any] = field(default_factory=dict)
     """Where its scene differs from the defaults of `GraspConfig`."""
 
@@ -105,6 +101,7 @@ def usage(name: str) -> Usage:
     with validation.blamed(f"hand file {path}"):
         data = validation.read(path, "hand file")
         about = validation.table(data, "environment", {"id", "closing"})
+        about.pop("closing", None)  # of 0.4.0, which nothing reads any more
         scene = validation.table(data, "scene")
         return validation.fill(Usage, {**about, "scene": scene}, "environment")
 
