@@ -225,11 +225,3 @@ def holm(p_values: Sequence[float]) -> Array:
     if known.any():
         corrected[known] = multipletests(corrected[known], method="holm")[1]
     return corrected
-
-
-def bootstrap_p(distribution: Array) -> float:
-    """Return the two-sided p-value of a difference from 0, from its bootstrap (n_resamples,)."""
-    distribution = distribution[np.isfinite(distribution)]
-    n = len(distribution)
-    one_sided = min(int((distribution <= 0).sum()), int((distribution >= 0).sum()))
-    return min(1.0, 2 * (one_sided + 1) / (n + 1))

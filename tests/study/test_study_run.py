@@ -189,8 +189,9 @@ class TestFailures:
         assert jobs._reason(-35, log, 0) == "killed by signal 35"
 
     def test_a_killed_run_is_taken_up_once_more(self, undisturbed, tmp_path):
-        (tmp_path / "runs").mkdir()
-        run = StudyFiles(undisturbed).study().runs()[0]
+        study = StudyFiles(undisturbed).study()
+        StudyFiles(tmp_path).create(study)
+        run = study.runs()[0]
         threading.Thread(target=kill_first_child, daemon=True).start()
         assert jobs.make_done(jobs.Job(tmp_path, run)) == "done"
         assert StudyFiles(tmp_path).record(run).state == "done"
