@@ -172,6 +172,7 @@ class TestFiles:
         assert records.load(path) == records.load(copy)
         assert f"{runs[0].name}/checkpoint.pt: damaged" == records.load(path)[1][0].reason
 
+
 class TestWarnings:
     def test_failed_unfinished_diverged_and_mixed_versions_are_said(self, tmp_path, capsys):
         folder = make_study(tmp_path / "s", n_seeds=2)

@@ -124,6 +124,7 @@ class TestBeforeItStarts:
         fails_with(capsys, [*args, "--import", "evil"], "x-v0")
         assert (tmp_path / "pwned").exists()
 
+
 class TestFailures:
     @pytest.mark.slow
     def test_a_run_that_diverges_is_tried_twice_and_the_study_goes_on(
