@@ -40,10 +40,8 @@ from .rollout import PlayEpisode, discounted, play_episodes, summary
 
 CHECK_EVERY = 100  # updates; then the ranks' parameters are compared
 REPLAY_P = 0.8  # paper
-MAX_CUT = 0.01  # share of values cut at clip_obs, above which a run warns
-MAX_AT_FLOOR = (
-    0.5  # share of columns at the floor of the standard deviation, at which it does
-)
+# A run warns where more values are cut at clip_obs, or as many columns have too small a spread.
+MAX_CUT, MAX_AT_FLOOR = 0.01, 0.5
 
 
 @dataclass(frozen=True)
@@ -174,9 +172,8 @@ class Exploration:
         # Probability that a random action begins after another one: where holds last h steps on
         # average, a share of h q / (h q + 1 - q) of all steps is random.
         self._begin = random_eps / (random_eps + random_hold * (1.0 - random_eps))
-        self._is_random: Array | None = (
-            None  # (n, 1) in the last step; None before the first
-        )
+        # Which rows were random in the last step, (n, 1); None before the first.
+        self._is_random: Array | None = None
         self._random = np.zeros(0, np.float32)  # (n, d)
 
     def __call__(self, actions: Array) -> Array:
@@ -258,6 +255,7 @@ class DDPGHER(Learner):
         self.critic = MLP(sizes, generator, inputs=names).to(self.device)
         self.actor_parameters = [*self.actor.parameters()]
         self.critic_parameters = [*self.critic.parameters()]
+        self.broadcast(self.actor, self.critic)
         self.actor_adam = self.adam(self.actor_parameters, config.actor_lr)
         self.critic_adam = self.adam(self.critic_parameters, config.critic_lr)
         self.target_actor, self.target_critic = copy.deepcopy((self.actor, self.critic))
@@ -377,7 +375,7 @@ class DDPGHER(Learner):
         limit = self.config.clip_obs
         values = np.concatenate([drawn.obs, drawn.goal], axis=1)
         cut = float((np.abs(values) > limit).mean())
-        varies = values.std(axis=0) > 0
+        varies = values.max(axis=0) > values.min(axis=0)
         std = np.concatenate([self.obs_stats.std, self.goal_stats.std])
         at_floor = float((std[varies] <= MIN_STD).mean()) if varies.any() else 0.0
         if cut > MAX_CUT:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -67,7 +68,8 @@ class Learner(ABC):
         self.env_steps = 0  # so far, on all ranks
         self._warned = set[str]()
         self._second_thread: ThreadPoolExecutor | None = None
-        if cores > 1 and comm.size == 1 and self.device.type == "cpu":
+        is_free = cores > 1 and torch.get_num_threads() == 1
+        if is_free and comm.size == 1 and self.device.type == "cpu":
             self._second_thread = second_thread()
         self.build(torch.Generator().manual_seed(seed))
 
@@ -113,14 +115,16 @@ class Learner(ABC):
 
     # -- shared steps of learning ------------------------------------------------------------
 
-    def adam(self, parameters: Iterable[nn.Parameter], lr: float) -> torch.optim.Adam:
-        """Return Adam (Kingma & Ba 2014) on parameters that are rank 0's from now on."""
-        parameters = list(parameters)
-        for parameter in parameters:
-            self.comm.broadcast_(parameter)
-        return torch.optim.Adam(
-            parameters, lr, fused=self.device.type in ("cpu", "cuda")
-        )
+    def broadcast(self, *networks: nn.Module) -> None:
+        """Give all ranks the parameters of rank 0."""
+        for network in networks:
+            for parameter in network.parameters():
+                self.comm.broadcast_(parameter)
+
+    def adam(self, parameters: list[nn.Parameter], lr: float) -> torch.optim.Adam:
+        """Return Adam (Kingma & Ba 2014) on `parameters`."""
+        is_fused = self.device.type in ("cpu", "cuda")
+        return torch.optim.Adam(parameters, lr, fused=is_fused)
 
     def sum_gradients(self, parameters: Iterable[nn.Parameter]) -> None:
         """Replace gradients by their sums over ranks: one message."""
@@ -189,15 +193,14 @@ class Learner(ABC):
             )
         restore({name: getattr(self, name) for name in self.saved}, state)
         for name in self.plain:
-            setattr(self, name, state[name])
+            setattr(self, name, copy.deepcopy(state[name]))
 
 
 def second_thread() -> ThreadPoolExecutor:
-    """Start a thread that computes like this one, and treats denormal numbers as zero."""
-    n_threads = torch.get_num_threads()
+    """Start a thread that computes on one core, and treats denormal numbers as zero."""
 
     def set_up() -> None:
-        torch.set_num_threads(n_threads)
+        torch.set_num_threads(1)
         torch.set_flush_denormal(True)
 
     return ThreadPoolExecutor(1, initializer=set_up)
@@ -214,4 +217,4 @@ def restore(parts: Mapping[str, Any], state: dict[str, Any]) -> None:
     if missing := parts.keys() - state.keys():
         raise ValueError(f"state: {', '.join(sorted(missing))}: missing")
     for name, part in parts.items():
-        part.load_state_dict(state[name])
+        part.load_state_dict(copy.deepcopy(state[name]))  # Adam would keep the tensors

@@ -13,13 +13,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-FLOAT32_TINY = np.finfo(
-    np.float32
-).tiny  # below it, numbers have not all of float32's digits
-MAX_UNITS, MAX_WEIGHTS = (
-    100_000,
-    10**8,
-)  # of hidden layers: more is a slip and takes all memory
+# Below it, numbers have not all of float32's digits.
+FLOAT32_TINY = np.finfo(np.float32).tiny
+# Of hidden layers: more is a slip and takes all memory.
+MAX_UNITS, MAX_WEIGHTS = 100_000, 10**8
 
 
 def require_hidden(hidden: Sequence[int]) -> None:

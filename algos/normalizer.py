@@ -46,7 +46,8 @@ class Normalizer:
 
     Two masks, bool (size,), name columns that are treated otherwise. Those of `as_is` are not
     changed at all. Those of `block` share one gain and keep their zero: the block's squared norm
-    is `BLOCK_NORM` on average, however many columns it has and however rarely each is not zero.
+    is `BLOCK_NORM` on average, however many columns it has and however rarely each is not zero. Its
+    values are cut at ±`clip` like all others, which a rare single column may reach.
     """
 
     def __init__(
@@ -90,7 +91,9 @@ class Normalizer:
         self.mean += gap * (count / all_count)
         self.count = all_count
         self._block_squares += float(total[-2])
-        self.mean[self.as_is | self.block] = 0.0
+        has_moments = ~(self.as_is | self.block)
+        self.mean *= has_moments
+        self._squares *= has_moments
 
     def scaling(self) -> Scaling:
         """Return what it does to values now; later updates do not change what was returned."""

@@ -46,6 +46,9 @@ from .rollout import (
 
 ACTOR_GAIN = 0.01  # of the last layer when weights start orthogonal
 OBS_CLIP = 5.0  # scaled observations are cut there, as DDPG+HER's are
+SILENCE_P = (
+    0.2  # below this chance of as many failures, the last update is to blame for them
+)
 MAX_LOG_RATIO = 20.0  # exp(20) = 5e8: far outside any clip range, far inside float32
 
 
@@ -102,8 +105,8 @@ class PPOConfig:
     """Stop an epoch's passes when the KL divergence from the old policy exceeds this (in the source,
     not in the paper)."""
     undo_silent: bool = False
-    """Undo the actor's last update where no two episodes of an epoch differ in their return any more,
-    as a policy that never meets a reward learns from nothing but noise."""
+    """Do not update the actor from epochs in which every episode fails alike, and undo the update after
+    which they do, as a policy that meets no reward would go on learning from noise."""
 
     def acting(self, remaining: float) -> PPOConfig:
         """Return the same choices: noise does not depend on what is left of the run."""
@@ -223,7 +226,14 @@ class PPO(Learner):
     policy_parts = ("actor", "gaussian", "obs_stats")
     saved = (*policy_parts, "critic", "actor_adam", "critic_adam")
     plain = (
-        *("env_steps", "epochs", "before_update"),
+        *(
+            "env_steps",
+            "epochs",
+            "before_update",
+            "failure",
+            "failure_share",
+            "failures",
+        ),
         *("lowest_reward", "highest_reward"),
     )
 
@@ -244,11 +254,15 @@ class PPO(Learner):
             self.actor_parameters += self.gaussian.parameters()
         self.critic_parameters = [*self.critic.parameters()]
         self.gaussian.requires_grad_(config.exploration == "learned")
+        self.broadcast(self.actor, self.critic)
         self.actor_adam = self.adam(self.actor_parameters, config.actor_lr)
         self.critic_adam = self.adam(self.critic_parameters, config.critic_lr)
         self.epochs, self._episodes = 0, list[Episode[Array]]()
-        # The actor before its last update that saw episodes differ; empty before any did.
+        # Of the last epoch whose episodes differed: the actor before its update (empty before any
+        # did), the lowest return, and the share of episodes that had it.
         self.before_update: dict[str, Any] = {}
+        self.failure, self.failure_share = 0.0, 1.0
+        self.failures = 0  # episodes since then, all with that return
         self.lowest_reward = self.highest_reward = 0.0  # of all so far, 0 included
 
     def describe(self) -> str:
@@ -292,7 +306,9 @@ class PPO(Learner):
         """
         config, batch = self.config, self._batch()
         n, n_minibatches = len(batch.obs), config.minibatches(len(batch.obs))
-        undone = config.undo_silent and self._undo_if_silent()
+        is_silent, undone = (
+            self._look_at_returns() if config.undo_silent else (False, 0)
+        )
         # The same order on all ranks.
         rng = np.random.default_rng([self.seed, 0, rollout.LEARN, self.epochs])
         sums, n_updates = torch.zeros(4, device=self.device), 0
@@ -301,12 +317,14 @@ class PPO(Learner):
                 order = torch.from_numpy(rng.random(n).argsort()).to(self.device)
                 minibatches = order.tensor_split(n_minibatches)
                 actor_stats, value_losses = self.in_two_threads(
-                    partial(self._update_actor, batch, () if undone else minibatches),
+                    partial(
+                        self._update_actor, batch, () if is_silent else minibatches
+                    ),
                     partial(self._update_critic, batch, minibatches),
                 )
                 sums += torch.cat([actor_stats.sum(dim=0), value_losses.sum()[None]])
                 n_updates += n_minibatches
-                if config.target_kl is None or undone:
+                if config.target_kl is None or is_silent:
                     continue
                 if self._over_ranks(actor_stats[-1])[1] > config.target_kl:
                     break
@@ -322,7 +340,7 @@ class PPO(Learner):
             "kl": kl,
             "clip_fraction": clipped,
             "action_std": float(self.gaussian.std().mean()),
-            "undone": float(undone),
+            "undone": undone,
             "updates": n_updates,
         }
 
@@ -378,26 +396,35 @@ class PPO(Learner):
             losses.append(loss.detach())
         return torch.stack(losses)
 
-    def _undo_if_silent(self) -> bool:
-        """Put the actor back to where it was before its last update, if this epoch says nothing.
+    def _look_at_returns(self) -> tuple[bool, int]:
+        """Return whether this epoch says nothing to the actor, and how many updates were undone.
 
-        An epoch says something where two of its episodes differ in their return. Before any epoch
-        did, there is nothing to go back to. Returns whether the actor was put back; then this epoch
-        updates the critic alone.
+        An epoch is silent where all episodes fail alike: their returns are the same, and no better
+        than the worst of the last epoch in which they differed. Once so many failures in a row would
+        be unlikely for the policy of that epoch, the actor goes back to it. Before any epoch
+        differed, and where all episodes succeed, there is nothing to undo.
         """
+        returns = [sum(episode.rewards) for episode in self._episodes]
         parts: dict[str, Any] = {
             "actor": self.actor,
             "gaussian": self.gaussian,
             "actor_adam": self.actor_adam,
         }
-        returns = [sum(episode.rewards) for episode in self._episodes]
-        if len(returns) < 2 or min(returns) < max(returns):
+        lowest = min(returns)
+        if lowest < max(returns):
             states = {name: part.state_dict() for name, part in parts.items()}
             self.before_update = copy.deepcopy(states)
-            return False
-        if self.before_update:
-            restore(parts, copy.deepcopy(self.before_update))
-        return bool(self.before_update)
+            self.failure, self.failures = lowest, 0
+            self.failure_share = returns.count(lowest) / len(returns)
+            return False, 0
+        if not self.before_update or lowest > self.failure:
+            return False, 0
+        self.failures += len(returns)
+        if self.failure_share**self.failures >= SILENCE_P:
+            return True, 0
+        restore(parts, self.before_update)
+        self.failures = 0
+        return True, 1
 
     @torch.no_grad()
     def _batch(self) -> Transitions:

@@ -21,17 +21,12 @@ from .policy import FLOAT32_MAX, Policy
 
 Obs = TypeVar("Obs")
 FAULTS = ("diverged", "warnings")  # what `info` may say of a step, and is counted
-MAX_LENGTH = 20_000  # steps of an episode that is thought to have an end
-MAX_FAILURES = (
-    100  # episodes in a row without a step, from which nothing can be learned
-)
-TRAIN, TEST, EVALUATE, PROBE = (
-    1,
-    2,
-    3,
-    4,
-)  # what episodes are for: each has random numbers of its own
-LEARN = 5  # and so has what learns from them
+# Steps of an episode that is thought to have an end.
+MAX_LENGTH = 20_000
+# Episodes in a row without a step, from which nothing can be learned.
+MAX_FAILURES = 100
+# What episodes are for: each purpose has random numbers of its own, and so has learning.
+TRAIN, TEST, EVALUATE, PROBE, LEARN = 1, 2, 3, 4, 5
 
 
 @dataclass

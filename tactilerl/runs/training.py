@@ -28,7 +28,7 @@ from ..terminal.progress_bar import ProgressBar, require_tensorboard
 from .config import RunConfig, RunOptions
 from .store import Checkpoint, RunDir
 
-COUNTS = ("episodes", *FAULTS, "updates")  # columns of progress.csv that are sums
+COUNTS = ("episodes", *FAULTS, "undone", "updates")  # columns of progress.csv that are sums
 
 
 def make_algorithm(

@@ -414,6 +414,33 @@ class TestUpdate:
         torch.testing.assert_close([p.grad for p in learner.critic_parameters], [*of_critic])
         torch.testing.assert_close(got, torch.stack([critic_loss, actor_loss, value]).detach())
 
+    def test_what_is_observed_is_cut_before_it_is_normalised(self):
+        learner = trained(1, make(GoalEnv(scale=1e3), clip_obs=50.0))
+        batch = learner.replay.sample(64, 0.8)
+        assert np.abs(batch.obs).max() > 500
+        assert np.abs(learner.obs_stats.mean).max() < 50
+        assert learner.obs_stats.std.max() <= 50
+        huge = batch._replace(obs=batch.obs * 1e6, goal=batch.goal * 1e9)
+        small = batch._replace(obs=np.sign(batch.obs) * 50, goal=np.sign(batch.goal) * 50)
+        seen = [learner._as_inputs(one).obs[:, [0, 1, 2, 4, 5]] for one in (huge, small)]
+        torch.testing.assert_close(*seen)
+
+    def test_taxels_have_a_scale_of_their_own(self):
+        for scale, low, high in (("none", 1.0, 1.0), ("block", 4.0, 5.0), ("each", 0.9, 2.0)):
+            learner = trained(2, make(taxel_scale=scale))
+            seen = learner._as_inputs(learner.replay.sample(64, 0.8)).obs[:, 3]
+            assert low <= seen.max() <= high
+            assert (seen.min() == 0.0) == (scale != "each")
+
+    def test_denormal_numbers_are_zero_while_it_learns(self):
+        learner, seen = make(), []
+        learner.collect()
+        step, tiny = learner.critic_adam.step, torch.full((8,), 1e-38)
+        learner.critic_adam.step = lambda: seen.append(bool((tiny * 0.1 == 0).all())) or step()
+        learner.update()
+        assert all(seen)
+        assert not (tiny * 0.1 == 0).any()
+
     def test_normaliser_is_fed_relabelled_goals_of_new_episodes(self):
         learner, asked = make(), []
         sample = learner.replay.sample

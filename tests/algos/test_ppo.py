@@ -278,6 +278,17 @@ class TestLearning:
         log_prob = torch.distributions.Normal(0.0, 1.0).log_prob(noise) - std.log()
         torch.testing.assert_close(log_prob.sum(-1), old[: len(noise)], atol=1e-4, rtol=1e-4)
 
+    def test_denormal_numbers_are_zero_while_it_learns(self):
+        """Adam's moments of units that are never active fade until they are, and are slow then."""
+        ppo, seen = make_ppo(scripted()), []
+        ppo.collect()
+        step = ppo.actor_adam.step
+        tiny = torch.full((8,), 1e-38)
+        ppo.actor_adam.step = lambda: seen.append(bool((tiny * 0.1 == 0).all())) or step()
+        ppo.update()
+        assert all(seen)
+        assert not (tiny * 0.1 == 0).any()
+
     def test_target_kl_ends_the_passes(self):
         ppo = make_ppo(scripted(), n_passes=50, target_kl=1e-6)
         ppo.collect()
@@ -292,8 +303,9 @@ class TestLearning:
             ppo.collect()
             before = parameters(ppo.actor)
             ppo.update()
-            (group,) = ppo.actor_adam.param_groups
-            found.append((group["lr"], bool((parameters(ppo.actor) != before).any())))
+            rate, critics = (adam.param_groups[0]["lr"] for adam in (ppo.actor_adam, ppo.critic_adam))
+            assert critics == pytest.approx(rate / 0.3)
+            found.append((rate, bool((parameters(ppo.actor) != before).any())))
         rates, moved = zip(*found, strict=True)
         assert rates == pytest.approx([3e-4, 1.2e-4, 3e-7, 0.0])
         assert moved == (True, True, True, False)
@@ -321,9 +333,10 @@ class TestUndo:
     def parts(self, ppo):
         return flat([x.state_dict() for x in (ppo.actor, ppo.gaussian, ppo.actor_adam)])
 
-    def test_a_silent_epoch_puts_the_actor_back_and_teaches_the_critic_alone(self):
+    def test_epochs_of_nothing_but_failures_teach_the_critic_alone_and_are_undone(self):
         env = Switch()
-        ppo = make_ppo(vector.start(lambda: env), undo_silent=True, exploration="learned")
+        steady = dict(undo_silent=True, exploration="learned", target_kl=0.05)
+        ppo = make_ppo(vector.start(lambda: env), **steady)
         env.threshold = 2.0  # nothing was ever rewarded: updates are as always
         before = self.parts(ppo)
         trained(ppo, 1)
@@ -332,26 +345,53 @@ class TestUndo:
         trained(ppo, 1)
         ppo.collect()
         before = self.parts(ppo)
-        assert ppo.update()["undone"] == 0.0
+        assert ppo.update()["undone"] == 0
         assert self.parts(ppo) != before
         env.threshold = 2.0
         for _ in range(2):  # and once more to the same place
             critic = parameters(ppo.critic)
             ppo.collect()
             learned = ppo.update()
-            assert (learned["undone"], learned["policy_loss"], learned["kl"]) == (1.0, 0.0, 0.0)
+            assert (learned["undone"], learned["policy_loss"], learned["kl"]) == (1, 0.0, 0.0)
             assert self.parts(ppo) == before
             assert (parameters(ppo.critic) != critic).any()
         env.threshold = 0.0
         ppo.collect()
-        assert ppo.update()["undone"] == 0.0
+        assert ppo.update()["undone"] == 0
         assert self.parts(ppo) != before
+
+    def test_it_takes_as_many_failures_as_the_last_update_must_be_to_blame_for(self):
+        """One success in sixty: 97 failures in a row have a chance below 0.2."""
+        env = Switch()
+        ppo = make_ppo(vector.start(lambda: env), undo_silent=True)
+        ppo.collect()
+        for i, episode in enumerate(ppo._episodes):
+            episode.rewards = [float(i == 7)]
+        ppo.update()
+        env.threshold, undone = 2.0, []
+        before = self.parts(ppo)
+        for _ in range(4):
+            ppo.collect()
+            undone.append(ppo.update()["undone"])
+            assert (self.parts(ppo) == before) == (len(undone) == 1)
+        assert undone == [0, 1, 0, 1]
+
+    def test_nothing_but_successes_are_learned_from_as_always(self):
+        env = Switch()
+        ppo = trained(make_ppo(vector.start(lambda: env), undo_silent=True), 2)
+        env.threshold = -2.0
+        for _ in range(2):
+            before = self.parts(ppo)
+            ppo.collect()
+            assert ppo.update()["undone"] == 0
+            assert self.parts(ppo) != before
 
     def test_one_episode_says_nothing_about_silence(self):
         ppo = make_ppo(scripted(length=60), undo_silent=True)
         for _ in range(3):
             ppo.collect()
-            assert ppo.update()["undone"] == 0.0
+            assert ppo.update()["undone"] == 0
+        assert not ppo.before_update
 
     def test_resumes_bit_for_bit_in_silence(self):
         def run(epochs, state=None):

@@ -4,6 +4,7 @@ import threading
 from contextlib import closing
 
 import pytest
+import torch
 from tactilerl import envs
 from tactilerl.algos.ddpg_her import DDPGHER, DDPGHERConfig
 from tactilerl.algos.mpi import Communicator
@@ -27,6 +28,13 @@ def test_both_run_at_the_same_time_only_where_there_are_two_cores():
     assert sorted(learner(True).in_two_threads(wait, wait)) == [0, 1]
     threads = learner(False).in_two_threads(threading.get_ident, threading.get_ident)
     assert threads == (threading.get_ident(),) * 2
+
+
+def test_the_second_thread_treats_denormal_numbers_as_zero():
+    def is_flushed():
+        return bool((torch.full((8,), 1e-38) * 0.1 == 0).all())
+
+    assert learner(True).in_two_threads(is_flushed, is_flushed) == (False, True)
 
 
 @pytest.mark.parametrize("together", [False, True])
