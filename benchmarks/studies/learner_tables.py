@@ -1,0 +1,145 @@
+"""Print what recipe "robust" reaches, and what the scale of the taxels does.
+
+python -m benchmarks learner_tables
+"""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+from tactilerl.statistics import Array
+from tactilerl.study.records import Record
+
+from benchmarks.command import markdown
+from benchmarks.studies.study_tables import load, mean, number, paired, title
+
+DEAD = 0.05  # a run whose second half is below learned nothing
+THRESHOLD = 0.7
+WINDOW = 3000  # steps over which success is averaged before it counts as reached
+HANDS = {"mpl": "MPL hand", "shadow": "Shadow Hand", "allegro": "Allegro"}
+SETUPS = {
+    **{f"ppo_{hand}": f"{name}, PPO, layout 1" for hand, name in HANDS.items()},
+    **{f"ppo_{hand}_eight": f"{name}, PPO, 8 chosen" for hand, name in HANDS.items()},
+    **{f"ddpg_her {hand}": f"{name}, DDPG+HER, layout 1" for hand, name in HANDS.items()},
+    "ddpg_her_handover": "MPL hand, DDPG+HER, `handover`",
+    "make_train on": "`make train`, touch",
+    "make_train off": "`make train`, no touch",
+}
+"""Groups of runs of the pilot, as its table calls them."""
+
+
+def group_of(record: Record) -> str:
+    """Return the name of a run's group in `SETUPS`."""
+    flags = record.run.flags
+    more = {"ddpg_her": flags.get("env"), "make_train": flags.get("touch")}
+    return f"{record.run.setup} {more.get(record.run.setup) or ''}".strip()
+
+
+def grouped(name: str, key=group_of) -> dict[str, list[Record]]:
+    """Return the finished runs of a study by group, in order of the seeds."""
+    _, runs = load(name)
+    groups: dict[str, list[Record]] = {}
+    for record in runs:
+        if record.is_finished:
+            groups.setdefault(key(record), []).append(record)
+    return groups
+
+
+def part(record: Record, begin: float) -> float:
+    """Return mean success from a fraction of a run's steps on."""
+    steps, rates = record.curve
+    return float(rates[steps > begin * steps[-1]].mean())
+
+
+def smooth(record: Record) -> tuple[Array, Array]:
+    """Return steps, and mean success over the `WINDOW` steps before each of them."""
+    steps, rates = record.curve
+    means = [rates[(steps > step - WINDOW) & (steps <= step)].mean() for step in steps]
+    whole = steps >= WINDOW
+    return steps[whole], np.array(means)[whole]
+
+
+def steps_to(record: Record) -> float:
+    """Return the steps after which `THRESHOLD` is first reached; infinity where it never is."""
+    steps, rates = smooth(record)
+    reached = steps[rates >= THRESHOLD]
+    return float(reached[0]) if len(reached) else math.inf
+
+
+def reached(name: str = "robust") -> None:
+    """Print what each group of the pilot's runs reached."""
+    rows = []
+    groups = grouped(name)
+    for key, label in SETUPS.items():
+        runs = groups.get(key, [])
+        if not runs:
+            continue
+        length = f"{runs[0].run.flags.get('total_timesteps', 30_000):,}"
+        dead = sum(part(record, 0.5) < DEAD for record in runs)
+        steps = [steps_to(record) for record in runs]
+        never = sum(map(math.isinf, steps))
+        arrived = [step for step in steps if math.isfinite(step)]
+        to_threshold = f"{np.mean(arrived):,.0f}" if arrived else "–"
+        to_threshold += f" ({never} never)" if never and arrived else ""
+        tests = [record.column("test_success_rate") for record in runs]
+        last_tests = [test[-1] for test in tests if np.isfinite(test[-1])]
+        row = (
+            *(label, length, len(runs), dead),
+            mean(part(record, 0.0) for record in runs),
+            mean(part(record, 0.8) for record in runs),
+            *(to_threshold, mean(last_tests) if last_tests else ""),
+        )
+        rows.append(row)
+    head = "| runs | steps | seeds | ended at 0 | mean success | last fifth | to 0.7 | last test |"
+    markdown(head, rows)
+
+
+def eight(name: str = "robust") -> None:
+    """Print eight placed taxels against layout 1, in pairs of one seed."""
+    groups, rows = grouped(name), []
+    for hand, label in HANDS.items():
+        pairs = paired(groups.get(f"ppo_{hand}_eight", []), groups.get(f"ppo_{hand}", []))
+        if len(pairs):
+            rows.append((label, len(pairs), mean(pairs.treatment - pairs.control, "+.2f")))
+    markdown("| PPO, 8 chosen − layout 1 | pairs | mean success over the run |", rows)
+
+
+def scales(setup: str, name: str = "taxel_scale") -> None:
+    """Print mean success by layout and by scale of the taxels."""
+
+    def key(record: Record) -> str:
+        flags = record.run.flags
+        return f"{record.run.setup}|{flags['layout']}|{flags['taxel_scale']}"
+
+    groups = {k: v for k, v in grouped(name, key).items() if k.startswith(f"{setup}|")}
+    layouts = list(dict.fromkeys(k.split("|")[1] for k in groups))
+    kinds = list(dict.fromkeys(k.split("|")[2] for k in groups))
+    rows = []
+    for layout in layouts:
+        cells = [groups.get(f"{setup}|{layout}|{kind}", []) for kind in kinds]
+        rows.append((title(layout), *(mean(part(one, 0.0) for one in cell) for cell in cells)))
+    columns = " | ".join(re.sub("none", "as they are", kind) for kind in kinds)
+    markdown(f"| taxels | {columns} |", rows)
+
+
+def undone(name: str = "robust") -> None:
+    """Print how many updates of the actor were undone, by group."""
+    rows = []
+    for key, runs in grouped(name).items():
+        counts = [np.nansum(record.column("undone")) for record in runs]
+        if key.startswith(("ppo", "make")):
+            rows.append((SETUPS[key], len(runs), number(float(np.mean(counts)), ".1f")))
+    markdown("| runs | seeds | updates undone per run |", rows)
+
+
+TABLES = {
+    "robust reached": reached,
+    "robust eight": eight,
+    "robust undone": undone,
+    "taxel scale ppo": lambda: scales("ppo"),
+    "taxel scale ddpg_her": lambda: scales("ddpg_her"),
+    "taxel scale paper": lambda: scales("paper"),
+}
+"""What prints each table of the docs."""
