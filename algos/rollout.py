@@ -193,18 +193,21 @@ def summary(
 ) -> dict[str, float]:
     """Return counts and means over episodes, those that diverged included.
 
-    With `comm`, over those of all ranks, each of which has some.
+    The success rate is that of the episodes whose environment says whether they succeeded; NaN where
+    none does. With `comm`, all is over the episodes of all ranks, each of which has some.
     """
-    own = [
-        (len(e), 1, e.success, sum(e.rewards), *(e.faults[fault] for fault in FAULTS))
-        for e in episodes
-    ]
-    sums = np.array([sum(column) for column in zip(*own, strict=True)], np.float64)
-    steps, n, successes, returns, *faults = (comm or Communicator()).sum(sums).tolist()
+    rows = []
+    for episode in episodes:
+        is_known = not math.isnan(episode.success)
+        success = episode.success if is_known else 0.0
+        faults = [episode.faults[fault] for fault in FAULTS]
+        rows.append([len(episode), 1, is_known, success, sum(episode.rewards), *faults])
+    sums = (comm or Communicator()).sum(np.array(rows, np.float64).sum(axis=0))
+    steps, n, n_known, successes, returns, *faults = sums.tolist()
     return {
         "steps": steps,
         "episodes": n,
-        "success_rate": successes / n,
+        "success_rate": successes / n_known if n_known else math.nan,
         "mean_return": returns / n,
         "mean_length": steps / n,
         **dict(zip(FAULTS, faults, strict=True)),

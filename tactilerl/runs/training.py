@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -28,7 +29,12 @@ from ..terminal.progress_bar import ProgressBar, require_tensorboard
 from .config import RunConfig, RunOptions
 from .store import Checkpoint, RunDir
 
-COUNTS = ("episodes", *FAULTS, "undone", "updates")  # columns of progress.csv that are sums
+COUNTS = (
+    "episodes",
+    *FAULTS,
+    "undone",
+    "updates",
+)  # columns of progress.csv that are sums
 
 
 def make_algorithm(
@@ -223,14 +229,23 @@ def _epoch(learner: Learner) -> dict[str, Any]:
 def _merged(
     rows: list[dict[str, float]], weights: list[float] | None = None
 ) -> dict[str, float]:
-    """One row for an epoch's cycles: counts are added, everything else is averaged."""
-    columns = {key: [row[key] for row in rows] for key in rows[0]}
-    return {
-        key: sum(values)
-        if key in COUNTS
-        else float(np.average(values, weights=weights))
-        for key, values in columns.items()
-    }
+    """Return one row for an epoch's cycles: counts are added, everything else is averaged.
+
+    Averages are over the cycles that have a value.
+    """
+    merged = {}
+    for key in rows[0]:
+        values = np.array([row[key] for row in rows])
+        is_known = ~np.isnan(values)
+        if key in COUNTS:
+            merged[key] = values.sum().item()
+        elif is_known.any():
+            shares = np.ones(len(rows)) if weights is None else np.array(weights)
+            average = np.average(values[is_known], weights=shares[is_known])
+            merged[key] = float(average)
+        else:
+            merged[key] = math.nan
+    return merged
 
 
 def _require_device(device: str) -> None:

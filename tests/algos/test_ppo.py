@@ -539,6 +539,16 @@ class TestHardCases:
         with pytest.raises(UnfitError, match=r"env: found the is_success (7|inf), allowed 0 or 1"):
             make_ppo(scripted(info=lambda step: info)).collect()
 
+    def test_the_success_rate_is_that_of_episodes_that_say_it(self):
+        """One of three says it, and succeeded."""
+        count = iter(range(1000))
+        ppo = make_ppo(
+            scripted(info=lambda step: {"is_success": True} if next(count) % 15 == 4 else {}),
+            steps_per_epoch=30,
+        )
+        assert ppo.collect()["success_rate"] == 1.0
+        assert math.isnan(make_ppo(scripted()).collect()["success_rate"])
+
     def test_warnings_are_counted_also_of_steps_that_diverged(self):
         faults = {2: {"warnings": 3}, 4: {"warnings": 10, "diverged": True}}
         ppo = make_ppo(scripted(length=9, info=lambda step: faults.get(step, {})))
