@@ -8,7 +8,7 @@ hand gets its own distances; patches of files are in millimetres. `place` puts a
 from __future__ import annotations
 
 import json
-import os
+import math
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ import numpy as np
 from . import taxel_files, validation
 from .hands import DIGITS, HANDS, SEGMENTS, Hand, Pitch, Point, Surface
 from .state import Array
-from .taxel_files import READERS, SensorTable
+from .taxel_files import READERS, SensorTable, require_distinct
 from .validation import require_one_of
 
 MODEL = "model"
@@ -75,10 +75,10 @@ class Taxels:
         return np.array([point.radius for point in self.points])
 
     def take(self, chosen: Sequence[int]) -> Taxels:
+        """Return those with these indices."""
         some = [*chosen]
-        return Taxels(
-            tuple(self.points[i] for i in some), self.surfaces[some], self.offsets[some]
-        )
+        points = tuple(self.points[i] for i in some)
+        return Taxels(points, self.surfaces[some], self.offsets[some])
 
 
 @dataclass(frozen=True)
@@ -94,35 +94,31 @@ class Patch:
     large: bool = False
     """Use the hand's large radius (layout 6)."""
 
-    def is_on(self, surface: Surface) -> bool:
-        """Does it put taxels there?"""
-        place = surface.digit, surface.segment
-        on_segment = (
-            place[1] != "palm" if self.segments is None else place[1] in self.segments
+    def is_on(self, digit: str, segment: str) -> bool:
+        """Return whether it puts taxels there."""
+        if self.segments is None and segment == "palm":
+            return False
+        if self.digits is None and (digit, segment) == ("thumb", "palm"):
+            return False
+        return digit in (self.digits or [digit]) and segment in (
+            self.segments or [segment]
         )
-        on_digit = (
-            place != ("thumb", "palm")
-            if self.digits is None
-            else place[0] in self.digits
-        )
-        return on_segment and on_digit
 
     def spots(
         self, surface: Surface, pitch: Pitch
     ) -> Iterator[tuple[tuple[float, float], float, str]]:
-        """(row, column) on a surface in m, radius and label of its taxels there; labels are in pitches,
-        or in mm."""
-        rows, columns, radius, scale, unit = 1.0, 1.0, self.radius, 1e3, " mm"
-        if radius is None:
-            rows, columns = pitch.rows.get(surface.segment, 0.0), pitch.column
-            radius, scale, unit = (
-                pitch.large_radius if self.large else pitch.radius,
-                1.0,
-                "",
-            )
+        """Yield (row, column) on a surface in m, radius and name of each of its taxels there; names are
+        in pitches, or in mm."""
+        where = f"{surface.digit}.{surface.segment}"
         for row, column in self.offsets:
-            label = f"{scale * row:+g},{scale * column:+g}{unit}"
-            yield (row * rows, column * columns), radius, label
+            if self.radius is not None:
+                name = f"{where}[{1e3 * row:+g},{1e3 * column:+g} mm]"
+                yield (row, column), self.radius, name
+            else:
+                rows = pitch.rows.get(surface.segment, 0.0)
+                radius = pitch.large_radius if self.large else pitch.radius
+                offset = row * rows, column * pitch.column
+                yield offset, radius, f"{where}[{row:+g},{column:+g}]"
 
 
 @dataclass(frozen=True)
@@ -173,18 +169,15 @@ class Layout:
                 position, normal = (tuple(v.tolist()) for v in surface.place(*offset))
                 point = Point(surface.link, position, normal, radius, name)
                 placed.append((point, index, (*offset, 0.0)))
-        own = hand.sensors if self.is_model else self.taxels
-        points = [_of_link(point, hand) for point in own]
+        taxels = hand.sensors if self.is_model else self.taxels
+        points = [_of_link(point, hand) for point in taxels]
         if not self.is_model:
             with validation.blamed(f"layout {self.name!r}"):
-                taxel_files.require_distinct(
-                    [*(point for point, *_ in placed), *points]
-                )
+                require_distinct([*(point for point, *_ in placed), *points])
         placed += [_on_surface(point, hand) for point in points]
         if not placed:
-            raise ValueError(
-                f"layout {self.name!r} puts no taxel on the {hand.name} hand"
-            )
+            found = f"layout {self.name!r} puts no taxel"
+            raise ValueError(f"{found} on the {hand.name} hand")
         every, surfaces, offsets = zip(*placed, strict=True)
         return Taxels(every, np.array(surfaces), np.array(offsets))
 
@@ -200,12 +193,10 @@ class Layout:
                 f"[{_in_mm(row)}, {_in_mm(column)}]" for row, column in patch.offsets
             )
             lines += ["", "[[patch]]"]
-            places = {"digits": patch.digits, "segments": patch.segments}.items()
-            lines += [
-                f"{key} = {json.dumps(names)}"
-                for key, names in places
-                if names is not None
-            ]
+            if patch.digits is not None:
+                lines.append(f"digits = {json.dumps(patch.digits)}")
+            if patch.segments is not None:
+                lines.append(f"segments = {json.dumps(patch.segments)}")
             lines.append(f"offsets_mm = [{offsets}]")
             lines.append(f"radius_mm = {_in_mm(patch.radius or 0.0)}")
         for point in self.taxels:
@@ -215,79 +206,75 @@ class Layout:
     def on_grids(
         self, hand: Hand
     ) -> Iterator[tuple[int, Surface, tuple[float, float], float, str]]:
-        """Surface, (row, column) on it in m, radius and name of every taxel of a patch, whether or not
-        there is something of the link."""
+        """Yield index of the surface, the surface, (row, column) on it in m, radius and name of every
+        taxel of a patch, whether or not there is something of the link."""
         for index, surface in enumerate(hand.surfaces):
             for patch in self.patches:
-                if patch.is_on(surface):
-                    for offset, radius, label in patch.spots(surface, hand.pitch):
-                        name = f"{surface.digit}.{surface.segment}[{label}]"
-                        yield index, surface, offset, radius, name
+                if patch.is_on(surface.digit, surface.segment):
+                    for spot in patch.spots(surface, hand.pitch):
+                        yield index, surface, *spot
 
     def _require_digits(self, hand: Hand) -> None:
-        """ValueError for a digit or a segment that no hand has, or only others."""
-        known = (
-            (*DIGITS, *hand.digits),
-            (*SEGMENTS, *(surface.segment for surface in hand.surfaces)),
-        )
+        """Raise ValueError for a digit or a segment that no hand has, or only others."""
+        digits = dict.fromkeys((*DIGITS, *hand.digits, "palm"))
+        own = (surface.segment for surface in hand.surfaces)
+        segments = dict.fromkeys((*SEGMENTS, *own, "palm"))
+        where = f"layout {self.name!r}"
         for patch in self.patches:
-            for names, there in zip((patch.digits, patch.segments), known, strict=True):
-                for name in names or ():
-                    require_one_of(
-                        dict.fromkeys((*there, "palm")), name, f"layout {self.name!r}"
-                    )
+            for digit in patch.digits or ():
+                require_one_of(digits, digit, where)
+            for segment in patch.segments or ():
+                require_one_of(segments, segment, where)
 
 
 def _of_link(point: Point, hand: Hand) -> Point:
-    """On the link that the point's body is part of."""
-    if frame := hand.welded.get(point.link):
-        place, normal = (
-            frame.point(point.position),
-            point.normal and frame.direction(point.normal),
-        )
-        return point._replace(link=frame.link, position=place, normal=normal)
-    return point
+    """Return the point on the link that its body is part of."""
+    frame = hand.welded.get(point.link)
+    if frame is None:
+        return point
+    normal = point.normal and frame.direction(point.normal)
+    place = frame.point(point.position)
+    return point._replace(link=frame.link, position=place, normal=normal)
 
 
 def _on_surface(
     point: Point, hand: Hand
 ) -> tuple[Point, int, tuple[float, float, float]]:
-    """The point with a normal, which of the hand's surfaces it is on, and where."""
-    own = [i for i, surface in enumerate(hand.surfaces) if surface.link == point.link]
-    if not own:
-        links = ", ".join(dict.fromkeys(surface.link for surface in hand.surfaces))
-        raise ValueError(
-            f"taxel {point.name!r}: found link {point.link!r}, allowed: {links}"
-        )
-    position = np.array(point.position)
-    index = min(
-        own, key=lambda i: float(np.linalg.norm(position - hand.surfaces[i].centre))
-    )
+    """Return the point with a normal, which of the hand's surfaces it is on, and where."""
+    position, surfaces = np.array(point.position), hand.surfaces
+    distances = [
+        float(np.linalg.norm(position - each.centre))
+        if each.link == point.link
+        else math.inf
+        for each in surfaces
+    ]
+    if min(distances) == math.inf:
+        links = ", ".join(dict.fromkeys(surface.link for surface in surfaces))
+        found = f"taxel {point.name!r}: found link {point.link!r}"
+        raise ValueError(f"{found}, allowed: {links}")
+    index = distances.index(min(distances))
     if not point.normal:
-        normal = hand.surfaces[index].skin(position)[1]
+        normal = surfaces[index].skin(position)[1]
         point = point._replace(normal=tuple(normal.tolist()))
-    row, column, height = hand.surfaces[index].offset(position)
-    return (
-        point,
-        index,
-        (row, column, height if abs(height) > LEAST else LEAST),
-    )  # 0 is of grids
+    row, column, height = surfaces[index].offset(position)
+    if abs(height) <= LEAST:
+        height = LEAST  # 0 is of grids
+    return point, index, (row, column, height)
 
 
 def left_out(layout: Layout, hand: Hand) -> list[str]:
-    """Where a layout wants taxels and the hand has no surface: thumb.palm; or a link of any shape has a
-    gap: thumb.distal[+1,-1]."""
+    """Return where a layout wants taxels and the hand has no surface: thumb.palm; or a link of any
+    shape has a gap: thumb.distal[+1,-1]."""
     there = {(surface.digit, surface.segment) for surface in hand.surfaces}
-    usual = (
-        DIGITS if hand.name in HANDS else ()
-    )  # the paper's, where this is a hand like those
-    wanted = (
+    # All digits are the paper's, where this is a hand like those.
+    every = DIGITS if hand.name in HANDS else ()
+    wanted = [
         place
         for patch in layout.patches
-        for place in product(patch.digits or usual, patch.segments or SEGMENTS)
-        if patch.digits or place != ("thumb", "palm")
-    )
-    missing = [f"{d}.{s}" for d, s in dict.fromkeys(wanted) if (d, s) not in there]
+        for place in product(patch.digits or every, patch.segments or SEGMENTS)
+        if patch.is_on(*place)
+    ]
+    missing = [".".join(each) for each in dict.fromkeys(wanted) if each not in there]
     spots = layout.on_grids(hand)
     return missing + [name for _, surface, at, _, name in spots if surface.is_gap(*at)]
 
@@ -345,18 +332,13 @@ def load(name: str) -> Layout:
             return parse(tomllib.loads(name), Path("own"))
     path = Path(name)
     if path.suffix in READERS:
-        points = taxel_files.read(path)
-        return Layout(path.stem, f"points of {name}", (), points)
+        return Layout(path.stem, f"points of {name}", (), taxel_files.read(path))
     if not name.endswith(".toml"):
         path = NAMED / f"{name}.toml"
-        if Path(name).name != name or not os.path.isfile(path):
-            meant = (
-                f"did you mean {name}.toml? " if os.path.isfile(f"{name}.toml") else ""
-            )
-            raise ValueError(
-                f"unknown layout {name!r}; {meant}allowed: {', '.join((*names(), MODEL))} or the path "
-                f"of a file: .toml, {', '.join(READERS)}"
-            )
+        if name not in names():
+            allowed = f"{', '.join((*names(), MODEL))} or the path of a file"
+            formats = f".toml, {', '.join(READERS)}"
+            raise ValueError(f"unknown layout {name!r}; allowed: {allowed}: {formats}")
     data = validation.read(path, "layout file")
     with validation.blamed(f"layout file {path}"):
         return parse(data, path)
@@ -367,10 +349,9 @@ def parse(data: dict[str, Any], path: Path) -> Layout:
     file = validation.fill(LayoutFile, data)
     if not (file.patch or file.taxel or file.sensor):
         raise ValueError("needs at least one [[patch]], [[taxel]] or [[sensor]] table")
-    points = [taxel_files.point(table, i) for i, table in enumerate(file.taxel)]
-    for i in range(len(file.sensor)):
-        points += taxel_files.mounted(file.sensor, i, path.parent)
-    taxel_files.require_distinct(points)
+    points = [taxel_files.point(table, i) for i, table in enumerate(file.taxel, 1)]
+    points += taxel_files.mounted(file.sensor, path.parent)
+    require_distinct(points)
     patches = tuple(table.patch() for table in file.patch)
     return Layout(path.stem, file.description, patches, tuple(points))
 
@@ -395,11 +376,12 @@ def of_taxels(taxels: Taxels, hand: Hand, description: str) -> Layout:
 
 
 def _in_mm(metres: float) -> str:
-    """The fewest digits that are read as the same number."""
-    texts = (f"{1e3 * metres:.{digits}g}" for digits in range(6, 18))
-    return next(
-        (text for text in texts if 1e-3 * float(text) == metres), repr(1e3 * metres)
-    )
+    """Return the fewest digits that are read as the same number."""
+    for digits in range(6, 17):
+        text = f"{1e3 * metres:.{digits}g}"
+        if 1e-3 * float(text) == metres:
+            return text
+    return repr(1e3 * metres)
 
 
 def mm(metres: float) -> float:

@@ -56,12 +56,8 @@ def require_known(
     known = sorted(known)
     for name in names:
         if name not in known:
-            likely, why = meant(name, known, aliases)
-            hint = f"did you mean {' or '.join(likely)}? " if likely else ""
-            reason = f"({why}) " if why else ""
-            raise ValueError(
-                f"{name}: unknown; {hint}{reason}allowed: {', '.join(known)}"
-            )
+            hint = nearest(name, known, aliases)
+            raise ValueError(f"{name}: unknown; {hint}allowed: {', '.join(known)}")
 
 
 def require_one_of(known: Iterable[str], value: Any, where: str) -> None:
@@ -70,24 +66,17 @@ def require_one_of(known: Iterable[str], value: Any, where: str) -> None:
         raise ValueError(f"{where}: found {value!r}, allowed: {', '.join(known)}")
 
 
-def meant(
-    name: str, known: Collection[str], aliases: Aliases = NONE
-) -> tuple[list[str], str]:
-    """Return those of `known` that somebody may have meant by `name`, and how they differ from it."""
-    peers, why = aliases.get(name, ("", ""))
-    likely = [own for own in peers.split() if own in known]
-    if likely or (name in aliases and not peers):
-        return likely, why
-    longer = [own for own in known if own.startswith(name)] if len(name) > 2 else []
-    return longer[:1] or difflib.get_close_matches(
-        name.lower(), known, 1, cutoff=0.7
-    ), ""
-
-
-def nearest(name: str, known: Iterable[str]) -> str:
-    """Return a question for whoever mistyped one of `known`, or nothing."""
-    likely, _ = meant(name, list(known))
-    return f"did you mean {likely[0]}? " if likely else ""
+def nearest(name: str, known: Iterable[str], aliases: Aliases = NONE) -> str:
+    """Return a question for whoever mistyped one of `known` or calls it as others do, or nothing."""
+    known = list(known)
+    peers, difference = aliases.get(name, ("", ""))
+    likely = [each for each in peers.split() if each in known]
+    if peers and not likely:
+        difference = ""
+    if not (likely or difference):
+        likely = difflib.get_close_matches(name.lower(), known, 1)
+    hint = f"did you mean {' or '.join(likely)}? " if likely else ""
+    return f"{hint}({difference}) " if difference else hint
 
 
 # -- dataclasses -----------------------------------------------------------------------------
@@ -103,69 +92,21 @@ def hints(kind: type) -> dict[str, Any]:
     return get_type_hints(kind, include_extras=True)
 
 
-def make(kind: type[T], values: Any, where: str) -> T:
-    """Return a dataclass from JSON's values: all of its fields, none besides; lists are its tuples.
-
-    Raises ValueError naming the first field that is missing, unknown or of another type.
-    """
-    if not isinstance(values, dict):
-        raise ValueError(f"{where}: found {_short(values)}, expected an object")
-    if different := sorted(values.keys() ^ names(kind)):
-        found = "an unknown" if different[0] in values else "no"
-        raise ValueError(f"{where}: found {found} field {different[0][:50]!r}")
-    values = plain(values)
-    require(kind, values)
-    return kind(**values)
-
-
 def fill(kind: type[T], table: Any, where: str = "") -> T:
-    """Return a dataclass from a table of a TOML file; what is not in it has its default.
+    """Return a dataclass from a table of a TOML or JSON file; what is not in it has its default.
 
-    Lists become tuples, tables dataclasses where a field's type is one, and whole numbers floats.
     Raises ValueError naming the first key that is missing, unknown or of another type.
     """
     types = hints(kind)
     only(_table(table, where), types, where or "the file")
     values = {}
     for field in dataclasses.fields(kind):  # type: ignore[arg-type]
-        path = f"{where}.{field.name}" if where else field.name
-        if field.name in table:
-            values[field.name] = _filled(table[field.name], types[field.name], path)
-        elif (
-            field.default is dataclasses.MISSING is field.default_factory
-        ):  # it has to be there
-            allowed = words(types[field.name])
-            raise ValueError(f"{path}: found None, expected {allowed}")
+        is_needed = field.default is dataclasses.MISSING is field.default_factory
+        if field.name in table or is_needed:
+            path = f"{where}.{field.name}" if where else field.name
+            value = table.get(field.name)
+            values[field.name] = require_type(value, types[field.name], path)
     return kind(**values)
-
-
-def _filled(value: Any, hint: Any, where: str) -> Any:
-    if dataclasses.is_dataclass(hint):
-        return fill(hint, value, where)  # type: ignore[arg-type]
-    inner = get_args(hint)
-    if get_origin(hint) is dict:
-        return {
-            key: _filled(each, inner[1], f"{where}.{key}")
-            for key, each in _table(value, where).items()
-        }
-    if get_origin(hint) is tuple and dataclasses.is_dataclass(inner[0]):
-        if not isinstance(value, list):
-            raise ValueError(f"{where}: found {_short(value)}, expected [[{where}]]")
-        return tuple(
-            _filled(each, inner[0], f"{where} {number}")
-            for number, each in enumerate(value, 1)
-        )
-    value = _plain(value)
-    require_type(value, hint, where)
-    return _floats(value) if float in parts(hint) and int not in parts(hint) else value
-
-
-def _floats(value: Any) -> Any:
-    if isinstance(value, tuple):
-        return tuple(map(_floats, value))
-    if isinstance(value, dict):
-        return {key: _floats(each) for key, each in value.items()}
-    return float(value) if isinstance(value, int) else value
 
 
 def replace(instance: T, choices: Mapping[str, Any]) -> T:
@@ -214,74 +155,75 @@ def allow_only_with(what: str, config: Any, *names: str) -> None:
 # -- values ----------------------------------------------------------------------------------
 
 
-def require_type(value: Any, hint: Any, name: str) -> None:
-    """Raise ValueError when `value` is not of the type `hint`, or not in its interval.
+def require_type(value: Any, hint: Any, where: str) -> Any:
+    """Return a value as the type `hint` has it: lists as tuples, whole numbers as floats, tables as
+    dataclasses. Raise ValueError when it is not of that type, or not in its interval.
 
     True is no number, nor is 10**400.
     """
-    if _fits(value, hint):
-        return
-    for option in _options(hint):
-        inner = get_args(option)
-        if get_origin(option) is Annotated and _fits(value, inner[0]):
-            allowed = " and ".join(map(_span, _intervals(inner)))
-            raise ValueError(f"{name}: found {value}, allowed {allowed}")
-        if get_origin(option) is tuple and isinstance(value, tuple):
-            for item, own in zip(value, _items(option, value), strict=False):
-                require_type(item, own, name)
-    literals = [get_args(o) for o in _options(hint) if get_origin(o) is Literal]
-    allowed = f": {', '.join(*literals)}" if literals else f" {words(hint)}"
-    raise ValueError(f"{name}: found {_short(value)}, allowed{allowed}")
+    options = get_args(hint) if get_origin(hint) in (Union, UnionType) else [hint]
+    for option in options:
+        if _is_kind(value, option):
+            return _required(value, option, where)
+    raise ValueError(f"{where}: found {_short(value)}, allowed {words(hint)}")
 
 
-def _fits(value: Any, hint: Any) -> bool:
+def _required(value: Any, hint: Any, where: str) -> Any:
+    """Check the interval and the parts of a value, which is of the type but for these."""
     kind, inner = get_origin(hint) or hint, get_args(hint)
-    if kind in (Union, UnionType):
-        return any(_fits(value, option) for option in inner)
     if kind is Annotated:
-        return _fits(value, inner[0]) and all(
-            _is_within(value, interval) for interval in _intervals(inner)
+        value = require_type(value, inner[0], where)
+        for interval in inner[1:]:  # those of other libraries are no strings
+            if isinstance(interval, str) and not _is_within(value, interval):
+                raise ValueError(f"{where}: found {value}, allowed {_span(interval)}")
+    elif kind is Literal:
+        require_one_of(inner, value, where)
+    elif kind is tuple and inner:
+        types = inner[:1] * len(value) if ... in inner else inner
+        if len(types) != len(value):
+            found = f"{where}: found {_short(value)}"
+            raise ValueError(f"{found}, allowed {words(hint)}")
+        items = enumerate(zip(value, types, strict=True), 1)
+        value = tuple(
+            require_type(item, each, f"{where} {number}" if _is_table(each) else where)
+            for number, (item, each) in items
         )
+    elif kind is list and inner:
+        value = [require_type(each, inner[0], where) for each in value]
+    elif kind is dict and inner:
+        types = inner[1]
+        value = {k: require_type(v, types, f"{where}.{k}") for k, v in value.items()}
+    elif is_typeddict(kind):
+        for key, each in hints(kind).items():
+            require_type(value.get(key), each, f"{where}.{key}")
+    elif _is_table(kind) and isinstance(value, dict):
+        value = fill(kind, value, where)
+    return float(value) if kind is float else value
+
+
+def _is_kind(value: Any, hint: Any) -> bool:
+    """Return whether a value is one of a type but for its parts and its interval."""
+    kind = get_origin(hint) or hint
+    if kind is Annotated:
+        return _is_kind(value, get_args(hint)[0])
     if kind is Literal:
-        return isinstance(value, str) and value in inner
-    if kind is tuple and inner:
-        items = _items(hint, value) if isinstance(value, tuple) else ()
-        is_long = isinstance(value, tuple) and len(items) == len(value)
-        return is_long and all(map(_fits, value, items))
-    if is_typeddict(kind):
-        types = hints(kind)
-        return isinstance(value, dict) and all(
-            key in value and _fits(value[key], types[key]) for key in types
-        )
-    if kind is list and inner:
-        return isinstance(value, list) and all(_fits(each, inner[0]) for each in value)
-    if kind is dict and inner:
-        return isinstance(value, dict) and all(
-            _fits(key, inner[0]) and _fits(each, inner[1])
-            for key, each in value.items()
-        )
+        return value is not None
     if kind in (int, float):
         is_number = isinstance(value, kind | int) and not isinstance(value, bool)
         return is_number and (isinstance(value, float) or abs(value) < LARGEST)
+    if kind is tuple:
+        return isinstance(value, list | tuple)
     if kind is str:
         return isinstance(value, str) and "\0" not in value
+    if is_typeddict(kind):
+        return isinstance(value, dict)
+    if _is_table(kind):
+        return isinstance(value, kind | dict)
     return kind is Any or isinstance(value, kind)
 
 
-def _options(hint: Any) -> tuple[Any, ...]:
-    """Return the types any of which a type allows."""
-    return get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
-
-
-def _items(hint: Any, value: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Return the types of a tuple's items."""
-    inner = get_args(hint)
-    return inner[:1] * len(value) if ... in inner else inner
-
-
-def _intervals(inner: tuple[Any, ...]) -> list[str]:
-    """Return those among what a type is annotated with; the others are of other libraries."""
-    return [each for each in inner[1:] if isinstance(each, str)]
+def _is_table(kind: Any) -> bool:
+    return dataclasses.is_dataclass(kind)
 
 
 def _is_within(value: float, interval: str) -> bool:
@@ -301,18 +243,13 @@ def _span(interval: str) -> str:
     return f"above {low}, {'up to' if is_to else 'below'} {high}"
 
 
-def parts(hint: Any) -> Iterator[Any]:
-    """Yield a type, and the types that it is made of."""
-    yield hint
-    for part in get_args(hint):
-        yield from parts(part)
-
-
 def words(hint: Any) -> str:
     """Return what a type allows, in words."""
     kind, inner = get_origin(hint), get_args(hint)
     if kind is Annotated:
         return words(inner[0])
+    if kind is Literal:
+        return f"one of {', '.join(inner)}"
     if kind is tuple:
         items = ["..." if part is ... else words(part) for part in inner]
         if set(items) == {WORDS[float]}:
@@ -320,6 +257,8 @@ def words(hint: Any) -> str:
         return f"a list ({', '.join(items)})"
     if kind in (Union, UnionType):
         return " or ".join(map(words, inner))
+    if _is_table(hint):
+        return WORDS[dict]
     return WORDS.get(kind or hint, str(getattr(hint, "__name__", hint)))
 
 
@@ -327,32 +266,30 @@ def _short(value: Any) -> str:
     """Return a value, or its type when it has many parts."""
     if isinstance(value, int) and abs(value) >= LARGEST:
         return f"a number of {value.bit_length()} bits, allowed up to 63"
-    plain_types = str | int | float | None
-    is_flat = isinstance(value, list | tuple) and all(
-        isinstance(item, plain_types) for item in value
-    )
-    if is_flat:
-        return f"[{', '.join(map(_short, value))}]"[:50]
-    return repr(value)[:50] if isinstance(value, plain_types) else type(value).__name__
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_short(item) for item in value[:9])}]"[:50]
+    return "a table" if isinstance(value, dict) else repr(value)[:50]
 
 
 # -- TOML files ------------------------------------------------------------------------------
 
 
+def read_text(path: Path, what: str) -> str:
+    """Return the content of a file, called `what` in errors; ValueError where it is too large or no
+    UTF-8, and FileNotFoundError."""
+    if not os.path.isfile(path):  # Path.is_file raises when a name is too long
+        raise FileNotFoundError(f"{what} {str(path)!r} does not exist")
+    if path.stat().st_size > LARGEST_FILE:
+        raise ValueError(f"found more than {LARGEST_FILE:,} bytes")
+    return path.read_text(encoding="utf-8-sig")
+
+
 def read(path: Path, what: str) -> dict[str, Any]:
     """Return the content of a TOML file, called `what` in errors; ValueError naming what is wrong with
     it, and FileNotFoundError."""
-    if not os.path.isfile(path):  # Path.is_file raises when a name is too long
-        raise FileNotFoundError(f"{what} {str(path)!r} does not exist")
     try:
-        with path.open("rb") as file:
-            content = file.read(LARGEST_FILE + 1)
-        if len(content) > LARGEST_FILE:
-            raise ValueError(f"found more than {LARGEST_FILE:,} bytes")
-        return tomllib.loads(content.decode("utf-8"))
-    except RecursionError:
-        raise ValueError(f"{what} {path}: nested too deeply") from None
-    except ValueError as error:
+        return tomllib.loads(read_text(path, what))
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"{what} {path}: not valid TOML: {error}") from None
 
 

@@ -44,7 +44,7 @@ class EnvFlags:
     describe: bool = False
     """List every entry of the observation and the action."""
     export: Path | None = None
-    """Write the layout as points on the hand's links (.toml, .json: Genesis, .csv), or the hand with it
+    """Write the layout as points on the hand's links (.toml or .csv), or the hand with it
     as MuJoCo's tactile sensors (.xml)."""
     check: bool = False
     """Play scripted grasps and say which taxels fire while the object is held and which never do. The

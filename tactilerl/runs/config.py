@@ -208,7 +208,7 @@ def from_saved(kind: type[T], saved: Any, where: str) -> T:
     """Return a dataclass that a file of 0.4.0 or later has; ValueError when it is not one."""
     if isinstance(saved, dict):
         saved = _completed(kind, saved)
-    return validation.make(kind, saved, where)
+    return validation.fill(kind, saved, where)
 
 
 def defaults(

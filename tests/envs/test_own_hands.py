@@ -51,7 +51,7 @@ WRONG = [
     ("toml", '"*_tip" = 0.4', '"*_toe" = 0.4', "closed: found no joint '*_toe' in the model"),
     ("toml", "fingers = [0, -1, 0]", "fingers = [0, 0, 1]", "fingers: found the direction of palmar"),
     ("toml", "palmar = [0, 0, -1]", "palmar = [0, 0]", "palmar: found [0, 0], allowed 3 numbers"),
-    ("toml", "[digits]", "[pitch]\nrows = 3\n[digits]", "rows: found 3, expected a table"),
+    ("toml", "[digits]", "[pitch]\nrows = 3\n[digits]", "rows: found 3, allowed a table"),
     ("toml", "object_size = 0.05", 'object_size = "5 cm"', "grasp 1.object_size: found '5 cm'"),
     ("toml", "[opened]", "[actions]\nkind = 'fly'\n[opened]", "actions.kind: found 'fly', allowed"),
     ("toml", "[opened]", "[actions]\ngroups = 5\n[opened]", "actions.groups: found 5, allowed a list"),
@@ -153,7 +153,7 @@ class TestHand:
 class TestTaxelFiles:
     taxels = layouts.load("1").place(hands.get(GRIPPER))
 
-    @pytest.mark.parametrize("suffix", [".json", ".csv", ".toml"])
+    @pytest.mark.parametrize("suffix", [".csv", ".toml"])
     def test_what_is_exported_is_read_again(self, tmp_path, suffix):
         path = str(tmp_path / f"points{suffix}")
         assert main(["env", "--env", GRIPPER, "--layout", "1", "--export", path]) == 0
@@ -189,20 +189,17 @@ class TestTaxelFiles:
         np.testing.assert_allclose(np.linalg.norm(taxels.normals, axis=1), 1.0)
 
     def test_a_pattern_is_put_on_links(self, tmp_path):
-        """DEX-01: poses whose z axes are the normals, here turned so that they look along x."""
-        poses = np.zeros((3, 3, 4))
-        poses[:, :, :3], poses[:, 0, 3] = np.eye(3), [0.0, 1e-3, 2e-3]
-        np.savez(tmp_path / "pad.npz", poses=poses, taxel2pixel=np.array([[0, 0], [0, 1], [1, 0]]))
+        """Normals along z are here turned so that they look along x."""
+        rows = "".join(f"pad,{x},0,0,0,0,1,.002\n" for x in (0, 0.001, 0.002))
+        (tmp_path / "pad.csv").write_text("link,x,y,z,nx,ny,nz,radius\n" + rows)
         turn = Rotation.from_euler("y", 90, degrees=True).as_quat(scalar_first=True).tolist()
-        mount = 'file = "pad.npz"\nlinks = ["left_2", "right_2"]\nposition = [0, 0, -0.01]\n'
+        mount = 'file = "pad.csv"\nlinks = ["left_2", "right_2"]\nposition = [0, 0, -0.01]\n'
         layout = tmp_path / "layout.toml"
         layout.write_text(f"[[sensor]]\n{mount}quaternion = {turn}\nradius = 0.001\n")
         taxels = layouts.load(str(layout)).place(hands.get(GRIPPER))
         assert len(taxels) == 6
         np.testing.assert_allclose(taxels.normals, np.tile([1.0, 0, 0], (6, 1)), atol=1e-12)
         np.testing.assert_allclose(taxels.positions[2], [0, 0, -0.012], atol=1e-12)
-        with pytest.raises(ValueError, match="names no link"):
-            layouts.load(str(tmp_path / "pad.npz"))
 
     def test_a_link_that_the_hand_has_not(self, tmp_path):
         path = tmp_path / "a.csv"

@@ -345,7 +345,7 @@ class TestConfig:
             ("run", "env", None, "env: found None"),
             ("run", "env", "shadow", "env: found 'shadow' with no scene"),
             ("run", "algo", "os", "unknown algorithm 'os'"),
-            ("run", "more", 1, "run: found an unknown field 'more'"),
+            ("run", "more", 1, "run: unknown key 'more'"),
             ("learner", "hidden", [8, "8"], "hidden: found '8'"),
             ("learner", "hidden", [10**30], "hidden: found a number"),
             ("learner", "truncation", "never", "truncation: found 'never'"),

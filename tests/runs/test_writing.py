@@ -51,7 +51,6 @@ def save(path):
 WRITERS = {
     "x.toml": lambda name: main(["env", "--export", name]),
     "x.csv": lambda name: main(["env", "--export", name]),
-    "x.json": lambda name: main(["env", "--export", name]),
     "x.pt": save,
     "design.json": lambda name: main(["design", "--taxels", "1..2", "--out", "."]),
     "x.tar.gz": lambda name: main(["study", "collect", "study", "--out", name]),
