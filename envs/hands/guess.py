@@ -6,6 +6,7 @@ import json
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +16,7 @@ import numpy as np
 from .. import validation
 from ..state import Array
 from . import model_file, mount
-from .geometry import Distances, geoms_of, meet, placed, posed, touching, unit
+from .geometry import Distances, gap, geoms_of, meet, placed, posed, unit
 from .hand import DIGITS
 from .parts import Angles, HandFile, Parts
 
@@ -335,26 +336,17 @@ class Guess:
     def _until_contact(self, opened: Angles, closed: Angles) -> float:
         """Which share of their way the fingers can go before a fingertip is in the palm, or a finger
         deep in another."""
-        model, palm = self.compiled, self.compiled.body(self.palm).id
-        fingers = [
-            chain for number, chain in enumerate(self.chains) if number != self.thumb
-        ]
-        owner = {
-            model.body(link).id: chain for chain in fingers for link in chain.links
-        }
-        last = {model.body(chain.links[-1]).id for chain in fingers}
+        model, fingers = self.compiled, list(self.chains)
+        if self.thumb is not None:
+            del fingers[self.thumb]
+        pairs = [(self.palm, chain.links[-1], TOUCHES) for chain in fingers]
+        for first, second in combinations(fingers, 2):
+            pairs += [(*pair, DEEP) for pair in product(first.links, second.links)]
 
-        def stopped(share: float) -> set[tuple[int, ...]]:
-            angles, found = _between(opened, closed, share), set()
-            for contact in touching(model, posed(model, self._whole(angles))):
-                bodies = model.geom_bodyid[contact.geom]
-                chains = {owner[int(body)] for body in bodies if int(body) in owner}
-                depth = DEEP if len(chains) == 2 else math.inf
-                if palm in bodies and last & {*map(int, bodies)}:
-                    depth = TOUCHES
-                if -contact.dist > depth:
-                    found.add(tuple(sorted(contact.geom.tolist())))
-            return found
+        def stopped(share: float) -> set[tuple[str, str]]:
+            data = posed(model, self._whole(_between(opened, closed, share)))
+            return {(a, b) for a, b, depth in pairs
+                    if gap(model, data, model.body(a).id, model.body(b).id) < -depth}  # fmt: skip
 
         usual = stopped(0.0)
         steps = (step / STEPS for step in range(1, STEPS + 1))

@@ -17,7 +17,7 @@ from .. import validation
 from ..state import Array
 from ..validation import require_one_of, require_rising, require_type
 from . import checks, model_file, mount, surfaces
-from .geometry import placed, posed, stand_off
+from .geometry import placed, posed
 from .hand import KEPT, SLIDES, Hand, LinearAction, ScriptedGrasp, Surface, short_digest
 from .mount import Mount, Slides
 from .parts import GraspTable, HandFile, Names, Parts, require_distinct
@@ -26,7 +26,6 @@ CLEAR, STEP, HIGHEST = 0.008, 0.002, 0.5
 """m: around the hand at the start; of the search for it."""
 NANO = 9  # decimals of m that count of a place
 FINGERS = 0.045  # m: how much more than an object is between tips that it fits between
-STANDS_OFF = 5e-3  # m, of a convex hull from its mesh: worth a note
 TIMESTEP = 0.004  # s, of scenes that say nothing else
 
 
@@ -101,17 +100,6 @@ def _notes(parts: Parts) -> tuple[str, ...]:
         )
     if parts.passive:
         found.append(f"joints without servos: {_some(parts.passive)}")
-    links = itertools.chain.from_iterable(each.links for each in parts.digits.values())
-    off = [
-        (stand_off(parts.model, parts.model.body(link).id), link)
-        for link in (parts.palm_frame.link, *links)
-    ]
-    wide = sorted((each for each in off if each[0] > STANDS_OFF), key=lambda e: -e[0])
-    if wide:
-        hulls = ", ".join(f"{link} {1e3 * away:.0f} mm" for away, link in wide)
-        found.append(
-            f"what touches is the convex hull of a mesh, which stands off it: {hulls}"
-        )
     return tuple(found)
 
 

@@ -290,8 +290,6 @@ UNLIMITED = MODEL.replace('axis="0 -1 0" range="0 1.5"', 'axis="0 -1 0"', 1)
 BALL = '<body name="pad"><joint type="ball"/><geom size=".005"/></body>'
 FREE = '</body><body name="ball"><freejoint/><geom size="0.1"/>'
 EMPTY = "".join(f'<body name="e{i}"><joint name="e{i}"/></body>' for i in range(2))
-BESIDE = FINGER.format(n="m", x=0.05, s=1, tip=TIP).replace("0 -0.02", "0.004 -0.02")
-MIDDLE = 'middle = { links = ["m_1", "m_2"], tip = [0.038, 0, 0] }\n[closed]'
 LOW = TOML.replace("[[grasp]]", "[place]\nat = [0, 0, 0.03]\n[[grasp]]")
 UNMOVED = TOML.replace("[closed]", '[opened]\n"l_a" = 0.6\nl_b = 0.3\n[closed]')
 NO_HANDS = [
@@ -301,7 +299,6 @@ NO_HANDS = [
     (MODEL, UNMOVED, "digits.thumb: .*closed"),
     (with_more(coupled("0 1 0.2")), FOLLOWERS, r"'l_b' coupled to 'l_a' by \[0.2, 0.0, 0.0\] beyond"),
     (with_more(servos(ALL[2])), TOML.replace('"?_a" = 0.6\n', ""), r'closed.l_b: .* drop = \["r_a"\]'),
-    (on_palm(BESIDE), TOML.replace("[closed]", MIDDLE), r"closed: ._. \(\w+\) is .* mm in ._. \(\w+\)"),
     (on_palm(BALL), TOML, "a joint of body 'pad': is a ball joint, allowed hinges"),
     (on_palm(EMPTY), TOML, r'leave them out: drop = \["e0", "e1"\]'),
     (MODEL.replace(FINGERS, FINGERS + FREE), TOML, r"found 2 bodies at its root \(palm, ball\)"),
@@ -400,20 +397,6 @@ class TestUrdf:
         hand = hands.get(path)
         assert hand.surfaces[0].geoms[0].kind == "mesh"
         assert folder / "bone.obj" in hand.build.files
-
-    def test_a_hull_that_stands_off_its_mesh_is_named(self, made, tmp_path):
-        """Of a U, whose hull fills it."""
-        outline = [(0, -8), (50, -8), (50, 8), (40, 8), (40, -2), (10, -2), (10, 8), (0, 8)]
-        lines = [f"v {x / 1e3} {y / 1e3} {z / 1e3}" for y in (-8, 8) for x, z in outline]
-        for a, b, c in ((0, 1, 4), (0, 4, 5), (1, 2, 3), (1, 3, 4), (0, 5, 6), (0, 6, 7)):
-            lines += [f"f {a + 1} {b + 1} {c + 1}", f"f {a + 9} {c + 9} {b + 9}"]
-        for a, b in zip(range(8), [*range(1, 8), 0], strict=True):
-            lines += [f"f {a + 1} {a + 9} {b + 1}", f"f {b + 1} {a + 9} {b + 9}"]
-        (tmp_path / "u.obj").write_text("\n".join(lines) + "\n")
-        model = urdf('<mesh filename="u.obj"/>').replace('rpy="0 1.5708 0"', 'rpy="0 0 0"')
-        (note,) = hands.get(made(model, URDF, "hand.urdf")).notes
-        assert "the convex hull of a mesh, which stands off it" in note
-        assert "l_1 10 mm" in note
 
     @pytest.mark.parametrize(
         ("model", "complaint"),
