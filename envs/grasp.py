@@ -32,9 +32,7 @@ LIMIT = 1e6  # observations beyond this are a broken simulation
 EJECTED = 10.0  # m/s, of the object during an action: twice what random actions ever throw it at
 JITTER_JOINT = 0.02  # rad, of every joint but the slides, within its range
 LIT, DARK = (1.0, 0.85, 0.0, 1.0), (0.05, 0.25, 0.9, 1.0)  # of taxels in pictures
-LIT_SCALE = (
-    2.0  # a taxel that fires is drawn larger: between hand and object it is hard to see
-)
+LIT_SCALE = 2.0  # of a taxel that fires, hard to see between hand and object
 
 
 @dataclass(frozen=True)
@@ -128,14 +126,11 @@ class GraspEnv(gym.Env[Any, Array]):
     ) -> None:
         self.config = config = config or setup(hand)
         validation.validate(config)
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            allowed = "None, 'human' or 'rgb_array'"
-            raise ValueError(f"render_mode: found {render_mode!r}, allowed {allowed}")
+        if render_mode is not None:
+            require_one_of(self.metadata["render_modes"], render_mode, "render_mode")
         self.render_mode = render_mode
-        self.metadata = {
-            **self.metadata,
-            "render_fps": max(1, round(1 / config.control_dt)),
-        }
+        fps = max(1, round(1 / config.control_dt))
+        self.metadata = {**self.metadata, "render_fps": fps}
         self._items = items = objects.Items(config)
         self._item = first = items.first
         width = items.width if config.is_near else math.inf
@@ -145,10 +140,8 @@ class GraspEnv(gym.Env[Any, Array]):
         self.taxels = layouts.load(config.layout).place(self.hand)
         self._touch = touch.RULES[config.touch_rule](self.taxels, self.hand)
         self._points = touch.taxel_points(self.taxels)
-        own_timestep = setup(hand).timestep
-        self.task: tasks.Task = tasks.TASKS[config.task](
-            config, self.hand, own_timestep, first.shape
-        )
+        kind: type[tasks.Task] = tasks.TASKS[config.task]
+        self.task = kind(config, self.hand, setup(hand).timestep, first.shape)
         self.max_episode_steps = config.max_episode_steps or self.task.max_episode_steps
         scene = simulators.Scene(
             hand=self.hand,
@@ -164,19 +157,15 @@ class GraspEnv(gym.Env[Any, Array]):
         )
         self.simulator = simulators.make(config.simulator, scene)
         names = () if config.touch == "absent" else self.taxels.names
-        is_boolean = self._touch.is_boolean
-        self._observer = Observer(
-            config, self.hand, names, is_boolean, config.control_dt, first.shape
-        )
-        self.simulator.reset(
-            self.hand.start_positions(), np.array([0.0, 0.0, items.height / 2]), 0.0
-        )
+        figures = self._touch.is_boolean, config.control_dt, first.shape
+        self._observer = Observer(config, self.hand, names, *figures)
+        place = np.array([0.0, 0.0, items.height / 2])
+        self.simulator.reset(self.hand.start_positions(), place, 0.0)
         self.state = self.simulator.state()
         self.palm_skin = self._palm_skin()
         self._warnings = self.simulator.warnings
         self._steps = 0
         self._obs: dict[str, Array] = {}
-        self._desired_goal = np.zeros(self.task.goal_size, np.float32)
         self.action_space = gym.spaces.Box(
             -1.0, 1.0, (len(self.hand.action_names),), np.float32
         )
@@ -195,15 +184,14 @@ class GraspEnv(gym.Env[Any, Array]):
         return np.asarray((positions + (rotations @ centres)[:, :, 0]).mean(axis=0))
 
     def _spaces(self) -> gym.spaces.Dict:
-        """Taxels lie between 0 and 1; a task with a single goal has it as its only one."""
-        unbounded, goal = np.full(self.task.goal_size, np.inf), self.task.only_goal
-        lowest, highest = (-unbounded, unbounded) if goal is None else (goal, goal)
-        spaces: dict[str, gym.Space[Any]] = {
-            "observation": self._observer.space,
-            "achieved_goal": _float_box(-unbounded, unbounded),
-            "desired_goal": _float_box(lowest, highest),
-        }
-        return gym.spaces.Dict(spaces)
+        """A task with a single goal has it as its only one."""
+        unbounded, goal = np.full(self.task.goal_size, np.inf, np.float32), None
+        if self.task.only_goal is not None:
+            goal = self.task.only_goal.astype(np.float32)
+        anything = gym.spaces.Box(-unbounded, unbounded)
+        spaces = {"observation": self._observer.space, "achieved_goal": anything}
+        wanted = anything if goal is None else gym.spaces.Box(goal, goal)
+        return gym.spaces.Dict({**spaces, "desired_goal": wanted})
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -234,14 +222,10 @@ class GraspEnv(gym.Env[Any, Array]):
     def _jittered(self, shape: Shape) -> tasks.Start:
         """The hand open above the object, both a little moved where that is asked for."""
         joints, offset, yaw = self.hand.start_positions(), np.zeros(2), 0.0
-        if self.config.jitter:
-            rng, furthest, turn = (
-                self.np_random,
-                self.config.start_offset,
-                self.config.start_yaw,
-            )
-            offset = rng.uniform(-furthest, furthest, 2)
-            yaw = rng.uniform(-turn, turn)
+        config, rng = self.config, self.np_random
+        if config.jitter:
+            offset = rng.uniform(-config.start_offset, config.start_offset, 2)
+            yaw = rng.uniform(-config.start_yaw, config.start_yaw)
             fingers = joints[hands.FINGERS]
             fingers += rng.uniform(-JITTER_JOINT, JITTER_JOINT, len(fingers))
             joints = np.clip(joints, *self.simulator.joint_limits.T)
@@ -253,18 +237,13 @@ class GraspEnv(gym.Env[Any, Array]):
     ) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
         if not self._obs:
             raise gym.error.ResetNeeded("step: found before the first reset")
-        action = np.asarray(action, dtype=np.float64)
-        if action.shape != self.action_space.shape:
-            raise ValueError(
-                f"action: found shape {action.shape}, allowed {self.action_space.shape}"
-            )
+        action, shape = np.asarray(action, dtype=np.float64), self.action_space.shape
+        if action.shape != shape:
+            raise ValueError(f"action: found shape {action.shape}, allowed {shape}")
         if not np.isfinite(action).all():
-            raise ValueError(
-                f"action: found {action[~np.isfinite(action)][0]}, allowed finite numbers"
-            )
-        return self.step_to(
-            self.hand.action_map(np.clip(action, -1.0, 1.0), self.state.targets)
-        )
+            raise ValueError(f"action: found {action}, allowed finite numbers")
+        action = np.clip(action, -1.0, 1.0)
+        return self.step_to(self.hand.action_map(action, self.state.targets))
 
     def step_to(
         self, targets: Array
@@ -285,21 +264,14 @@ class GraspEnv(gym.Env[Any, Array]):
                 terminated = True
         except SimulationError as error:
             obs = {key: value.copy() for key, value in self._obs.items()}
-            faults = {
-                "diverged": True,
-                "error": str(error),
-                "warnings": self._new_warnings(),
-            }
-            return obs, 0.0, False, True, self._info(**faults)
+            info = self._info(diverged=True, error=str(error))
+            return obs, 0.0, False, True, info
         self._obs = obs = self._goal_obs(sensed, achieved)
         goals = obs["achieved_goal"], obs["desired_goal"]
-        reward, is_success = (
-            float(self.task.reward(*goals)),
-            bool(self.task.is_success(*goals)),
-        )
+        reward = float(self.task.reward(*goals))
         if self.render_mode == "human":
             self.render()
-        info = self._info(is_success=is_success, warnings=self._new_warnings())
+        info = self._info(is_success=bool(self.task.is_success(*goals)))
         return obs, reward, terminated, is_last and not terminated, info
 
     def compute_reward(
@@ -336,9 +308,9 @@ class GraspEnv(gym.Env[Any, Array]):
         show it in MuJoCo's viewer, as every reset and step does."""
         if self.render_mode == "human":
             self.simulator.show([*self.spheres()])
-        if self.render_mode != "rgb_array":
-            return None
-        return self.picture(simulators.Camera())
+        if self.render_mode == "rgb_array":
+            return self.picture(simulators.Camera())
+        return None
 
     def picture(self, camera: simulators.Camera) -> Array:
         """The scene as `camera` sees it, RGB (height, width, 3) uint8."""
@@ -346,15 +318,16 @@ class GraspEnv(gym.Env[Any, Array]):
 
     def spheres(self) -> Iterator[Sphere]:
         """The taxels, to be drawn."""
-        state = self.simulator.state()
-        if self.config.touch != "absent":
-            centres, radii = self._points.world(state), self.taxels.radii
-            felt = self._touch.read(state) if self.config.touch == "on" else 0 * radii
-            lit = felt > 0
-            for centre, radius, on in zip(centres, radii, lit, strict=True):
-                yield Sphere(
-                    centre, radius * (LIT_SCALE if on else 1.0), LIT if on else DARK
-                )
+        state, radii = self.simulator.state(), self.taxels.radii
+        if self.config.touch == "absent":
+            return
+        felt = self._touch.read(state) if self.config.touch == "on" else 0 * radii
+        centres = self._points.world(state)
+        for centre, radius, on in zip(centres, radii, felt > 0, strict=True):
+            if on:
+                yield Sphere(centre, LIT_SCALE * radius, LIT)
+            else:
+                yield Sphere(centre, radius, DARK)
 
     def close(self) -> None:
         self.simulator.close()
@@ -365,8 +338,7 @@ class GraspEnv(gym.Env[Any, Array]):
         moved = self.state.object_position - before.object_position
         speed = math.sqrt(moved @ moved) / self.config.control_dt
         if not speed < EJECTED:
-            what = f"the object moved at {speed:.3g} m/s"
-            raise SimulationError(f"{what}: it was ejected or the physics broke")
+            raise SimulationError(f"the object was ejected at {speed:.3g} m/s")
 
     def _sense(self, state: State) -> Array:
         """Return what the policy observes; SimulationError when the physics broke."""
@@ -382,14 +354,13 @@ class GraspEnv(gym.Env[Any, Array]):
         return observation
 
     def _info(self, **said: Any) -> dict[str, Any]:
-        """With all of its keys."""
+        """Return `info` with all of its keys."""
         usual = {"is_success": False, "object": self._item.describe()}
-        return {**usual, "diverged": False, "error": "", "warnings": 0, **said}
-
-    def _new_warnings(self) -> int:
-        """How many no step has told of yet, including a reset's."""
-        before, self._warnings = self._warnings, self.simulator.warnings
-        return self._warnings - before
+        usual |= {"diverged": False, "error": "", "warnings": 0}
+        if self._steps:  # the first step tells of a reset's warnings
+            before, self._warnings = self._warnings, self.simulator.warnings
+            usual["warnings"] = self._warnings - before
+        return {**usual, **said}
 
     def _goal_obs(self, observation: Array, achieved: Array) -> dict[str, Array]:
         return {
@@ -397,7 +368,3 @@ class GraspEnv(gym.Env[Any, Array]):
             "achieved_goal": achieved.astype(np.float32),
             "desired_goal": self._desired_goal.copy(),
         }
-
-
-def _float_box(low: Array, high: Array) -> gym.spaces.Box:
-    return gym.spaces.Box(low.astype(np.float32), high.astype(np.float32))

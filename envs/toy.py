@@ -9,8 +9,33 @@ import numpy as np
 
 from .state import Array
 
+BOX = gym.spaces.Box(-np.inf, np.inf, (2,), np.float32)
 
-class LQREnv(gym.Env[Array, Array]):
+
+class Toy(gym.Env[Any, Array]):
+    """A toy in the plane, which a picture shows as a point."""
+
+    side_by_side = "in turn"
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}
+    n_actions: int
+    _place: Array
+
+    def __init__(self, render_mode: str | None = None) -> None:
+        self.render_mode = render_mode
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (self.n_actions,), np.float32)
+        self.observation_space: gym.Space[Any] = BOX
+
+    def render(self) -> Array | None:
+        """Return a picture (64, 64, 3) uint8 of a point in the square from -1 to 1."""
+        if self.render_mode is None:
+            return None
+        picture = np.full((64, 64, 3), 255, np.uint8)
+        column, row = np.clip((self._place + 1) * 32, 2, 61).astype(int)
+        picture[row - 2 : row + 3, column - 2 : column + 3] = 0
+        return picture
+
+
+class LQREnv(Toy):
     """Bring a double integrator to rest at the origin at the least quadratic cost.
 
     State (position, velocity), one force in [-1, 1], x' = A x + B a. The reward is
@@ -18,6 +43,7 @@ class LQREnv(gym.Env[Array, Array]):
     optimal force stays inside its bounds, which the start box is chosen for.
     """
 
+    n_actions = 1
     A = np.array([[1.0, 0.1], [0.0, 1.0]])
     B = np.array([[0.005], [0.1]])
     Q = np.diag([1.0, 0.1])
@@ -25,32 +51,21 @@ class LQREnv(gym.Env[Array, Array]):
     start = 0.3
     """Starts are uniform in the box ±start."""
     max_episode_steps = 60
-    side_by_side = "in turn"
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}
-
-    def __init__(self, render_mode: str | None = None) -> None:
-        self.render_mode = render_mode
-        self.observation_space = gym.spaces.Box(-np.inf, np.inf, (2,), np.float32)
-        self.action_space = gym.spaces.Box(-1.0, 1.0, (1,), np.float32)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Array, dict[str, Any]]:
         super().reset(seed=seed)
-        self._state, self._steps = self.np_random.uniform(-self.start, self.start, 2), 0
-        return self._state.astype(np.float32), {}
+        self._place, self._steps = self.np_random.uniform(-self.start, self.start, 2), 0
+        return self._place.astype(np.float32), {}
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         force = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
-        cost = self._state @ self.Q @ self._state + force @ self.R @ force
-        self._state = self.A @ self._state + self.B @ force
+        cost = self._place @ self.Q @ self._place + force @ self.R @ force
+        self._place = self.A @ self._place + self.B @ force
         self._steps += 1
         is_over = self._steps >= self.max_episode_steps
-        return self._state.astype(np.float32), -float(cost), False, is_over, {}
-
-    def render(self) -> Array | None:
-        """The state in the plane of position and velocity, RGB uint8."""
-        return None if self.render_mode is None else _drawn(self._state)
+        return self._place.astype(np.float32), -float(cost), False, is_over, {}
 
     @classmethod
     def riccati(cls) -> list[tuple[Array, Array]]:
@@ -70,56 +85,41 @@ class LQREnv(gym.Env[Array, Array]):
         return -float(state @ cls.riccati()[0][0] @ state)
 
 
-class PointReachEnv(gym.Env[Any, Array]):
+class PointReachEnv(Toy):
     """Move a point in the plane to a goal; a sparse goal environment (0 at the goal, else -1).
 
     Each step moves up to `speed` along each axis.
     """
 
+    n_actions = 2
     speed = 0.1
     tolerance = 0.08
     max_episode_steps = 25
-    side_by_side = "in turn"
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}
 
     def __init__(self, render_mode: str | None = None) -> None:
-        self.render_mode = render_mode
-        box = gym.spaces.Box(-np.inf, np.inf, (2,), np.float32)
-        self.observation_space = gym.spaces.Dict(
-            {"observation": box, "achieved_goal": box, "desired_goal": box}
-        )
-        self.action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
+        super().__init__(render_mode)
+        goals = {"achieved_goal": BOX, "desired_goal": BOX}
+        self.observation_space = gym.spaces.Dict({"observation": BOX, **goals})
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Array], dict[str, Any]]:
         super().reset(seed=seed)
-        self._point, self._goal = self.np_random.uniform(-1.0, 1.0, (2, 2))
+        self._place, self._goal = self.np_random.uniform(-1.0, 1.0, (2, 2))
         self._steps = 0
         return self._obs(), {"is_success": False}
 
     def step(
         self, action: Array
     ) -> tuple[dict[str, Array], float, bool, bool, dict[str, Any]]:
-        self._point = self._point + self.speed * np.clip(
-            np.asarray(action, np.float64), -1.0, 1.0
-        )
+        move = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
+        self._place = self._place + self.speed * move
         self._steps += 1
         obs = self._obs()
-        reward = float(
-            self.compute_reward(obs["achieved_goal"], obs["desired_goal"], {})
-        )
-        return (
-            obs,
-            reward,
-            False,
-            self._steps >= self.max_episode_steps,
-            {"is_success": reward == 0.0},
-        )
-
-    def render(self) -> Array | None:
-        """The point, and its goal in grey, RGB uint8."""
-        return None if self.render_mode is None else _drawn(self._goal, self._point)
+        goals = obs["achieved_goal"], obs["desired_goal"]
+        reward = float(self.compute_reward(*goals, {}))
+        is_over = self._steps >= self.max_episode_steps
+        return obs, reward, False, is_over, {"is_success": reward == 0.0}
 
     def compute_reward(
         self, achieved_goal: Array, desired_goal: Array, info: Any
@@ -131,18 +131,9 @@ class PointReachEnv(gym.Env[Any, Array]):
         return (distance <= self.tolerance) - 1.0
 
     def _obs(self) -> dict[str, Array]:
-        point, goal = self._point.astype(np.float32), self._goal.astype(np.float32)
+        point, goal = self._place.astype(np.float32), self._goal.astype(np.float32)
         return {
             "observation": point,
             "achieved_goal": point.copy(),
             "desired_goal": goal,
         }
-
-
-def _drawn(*points: Array) -> Array:
-    """A picture (64, 64, 3) of points (2,) in the square from -1 to 1; the last is black."""
-    picture = np.full((64, 64, 3), 255, np.uint8)
-    for point, shade in zip(points[::-1], (0, 160), strict=False):
-        column, row = np.clip((np.array([1, -1]) * point + 1) * 32, 2, 61).astype(int)
-        picture[row - 2 : row + 3, column - 2 : column + 3] = shade
-    return picture

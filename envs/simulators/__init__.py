@@ -5,9 +5,10 @@ from __future__ import annotations
 import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -86,11 +87,9 @@ class Scene:
     def with_object(self, shape: Shape, mass: float, friction: float) -> Scene:
         """The scene with another object; itself where it is the same."""
         is_same = (shape, mass, friction) == (self.shape, self.mass, self.friction)
-        return (
-            self
-            if is_same
-            else replace(self, shape=shape, mass=mass, friction=friction)
-        )
+        if is_same:
+            return self
+        return replace(self, shape=shape, mass=mass, friction=friction)
 
     def build_hand(self, visual: bool) -> mujoco.MjSpec:
         """The hand alone, where it starts."""
@@ -100,20 +99,11 @@ class Scene:
         return spec
 
     @cached_property
-    def _points(self) -> tuple[tuple[str, ...], Array]:
-        """Palm point and fingertips: links, and points (1 + n_digits, 3, 1) in their frames."""
+    def points(self) -> tuple[tuple[str, ...], Array]:
+        """Palm point and fingertips: links, and points (1 + n_digits, 3, 1) in their frames, m."""
         palm = self.hand.palm, self.hand.palm_point
         links, points = zip(palm, *self.hand.fingertips, strict=True)
         return links, np.array(points)[:, :, None]
-
-    def points(
-        self, links: tuple[str, ...], positions: Array, rotations: Array
-    ) -> dict[str, Array]:
-        """Palm point (3,) and fingertips (n_digits, 3) of a state with these links."""
-        some, points = self._points
-        at = places(links, some)
-        found = positions[at] + np.matmul(rotations[at], points)[:, :, 0]
-        return {"palm": found[0], "fingertips": found[1:]}
 
 
 @dataclass(frozen=True)
@@ -135,7 +125,6 @@ class Camera:
 class Simulator(ABC):
     """One running scene. Everything is in SI units, the world's frame, z up, ground at 0."""
 
-    scene: Scene
     holds_gil: bool
     """Does `step` keep other threads of Python waiting?"""
     creeps: bool
@@ -143,16 +132,17 @@ class Simulator(ABC):
     joint_limits: Array
     """(n_joints, 2) lowest and highest position of each of ``hand.joints``, ±inf without one."""
 
-    @property
-    def warnings(self) -> int:
-        """How often the engine has warned of something since it was made, resets included."""
-        return 0
+    warnings: int = 0
+    """How often the engine has warned of something since it was made, resets included."""
+
+    def __init__(self, scene: Scene) -> None:
+        """Begin with the hand's targets at its start."""
+        self.scene, self._targets = scene, scene.hand.start_targets()
 
     def change_object(self, shape: Shape, mass: float, friction: float) -> None:
         """Have another object in the scene, of which a reset must follow."""
         self.scene = self.scene.with_object(shape, mass, friction)
 
-    @abstractmethod
     def reset(
         self,
         joint_positions: Array,
@@ -163,10 +153,29 @@ class Simulator(ABC):
         """Put everything at rest; afterwards the past has no influence. SimulationError when the
         physics cannot begin there. `targets` (n_actuators,) are the state's until the next step;
         usually the hand's at its start."""
+        self._targets = self.scene.hand.start_targets() if targets is None else targets
+        with self._checked():
+            self._begin(joint_positions, object_position, yaw)
 
-    @abstractmethod
     def step(self, joint_targets: Array, n_substeps: int) -> None:
         """Advance by `n_substeps` timesteps; SimulationError when that broke the state."""
+        self._targets = np.array(joint_targets)
+        with self._checked():
+            self._advance(n_substeps)
+
+    @abstractmethod
+    def _begin(
+        self, joint_positions: Array, object_position: Array, yaw: float
+    ) -> None:
+        """Put everything at rest."""
+
+    @abstractmethod
+    def _advance(self, n_substeps: int) -> None:
+        """Advance towards the targets."""
+
+    @abstractmethod
+    def _checked(self) -> AbstractContextManager[None]:
+        """Raise SimulationError where the engine fails inside, or the state is broken after it."""
 
     @abstractmethod
     def carry(self, goal: Array) -> None:
@@ -183,7 +192,29 @@ class Simulator(ABC):
 
     @abstractmethod
     def state(self) -> State:
-        """What is true now; contacts are those of the last timestep."""
+        """Return what is true now; contacts are those of the last timestep."""
+
+    def _state(
+        self,
+        links: tuple[str, ...],
+        positions: Array,
+        rotations: Array,
+        **measured: Any,
+    ) -> State:
+        """Return a state with these poses of links, and the palm point and fingertips on them."""
+        on_links, points = self.scene.points
+        at = places(links, on_links)
+        found = positions[at] + np.matmul(rotations[at], points)[:, :, 0]
+        return State(
+            shape=self.scene.shape,
+            targets=self._targets,
+            links=links,
+            link_positions=positions,
+            link_rotations=rotations,
+            palm=found[0],
+            fingertips=found[1:],
+            **measured,
+        )
 
     @abstractmethod
     def render(self, camera: Camera, spheres: Sequence[Sphere] = ()) -> Array:

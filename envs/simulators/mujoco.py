@@ -169,14 +169,24 @@ DISPLAYS = ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY")
 
 
 def _renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Renderer:
-    """Draws; where there is no display, and nobody says with what, by EGL, or else OSMesa."""
+    """Return what draws; where there is no display, and nobody says with what, by EGL, or else OSMesa.
+    OSError where nothing can."""
     if sys.platform == "linux" and not any(map(os.environ.get, DISPLAYS)):
-        found = "egl" if find_library("EGL") else "osmesa"
-        chosen = sys.modules[
-            mujoco.Renderer.__module__
-        ].gl_context  # when MuJoCo was imported
-        chosen.GLContext = importlib.import_module(f"mujoco.{found}").GLContext
-    return mujoco.Renderer(model, height, width)
+        library = "egl" if find_library("EGL") else "osmesa"
+        # MuJoCo chose when it was imported.
+        chosen = sys.modules[mujoco.Renderer.__module__].gl_context
+        chosen.GLContext = importlib.import_module(f"mujoco.{library}").GLContext
+    model.vis.global_.offwidth, model.vis.global_.offheight = width, height
+    try:
+        with warnings.catch_warnings(action="ignore"):  # GLFW's, before the error
+            return mujoco.Renderer(model, height, width)
+    except (mujoco.FatalError, ImportError, AttributeError) as error:
+        reason = " ".join(str(error).split()).partition(", this most")[0]
+        needs = (
+            "without a display it needs EGL or OSMesa (Debian: libegl1 or libosmesa6)"
+        )
+        _failures.append(OSError(f"MuJoCo cannot draw here; {needs} ({reason})"))
+        raise _failures[0] from error
 
 
 class _Window:
@@ -192,16 +202,13 @@ class _Window:
                 from mujoco import viewer
 
                 if not glfw.init():
-                    raise OSError(
-                        "render_mode human: found no display to open a window on"
-                    )
+                    raise RuntimeError("no display")
             self._viewer = viewer.launch_passive(
                 model, self._copy, show_left_ui=False, show_right_ui=False
             )
         except (ImportError, RuntimeError) as error:
-            raise OSError(
-                f"render_mode human: no window opens here ({error})"
-            ) from error
+            reason = f"no window opens here ({error})"
+            raise OSError(f"render_mode human: {reason}") from error
         self._threads = set(threading.enumerate()) - before
         camera, view = Camera(), self._viewer.cam
         view.azimuth, view.elevation = camera.azimuth, camera.elevation
@@ -242,7 +249,7 @@ class MujocoSimulator(Simulator):
     creeps = True
 
     def __init__(self, scene: Scene) -> None:
-        self.scene = scene
+        super().__init__(scene)
         self.model = model_file.compiled(build_spec(scene))
         _set_mean_inertia(self.model)
         # A diverged state is reported, not silently replaced by the start of the episode.
@@ -268,7 +275,6 @@ class MujocoSimulator(Simulator):
             self._giver = np.array(
                 [model.actuator(f"{GIVER}{axis}").id for axis in range(3)]
             )
-        self._targets = hand.start_targets()
         self._bodies = np.array(
             [b for b in range(1, model.nbody) if b != self._object_body]
         )
@@ -279,7 +285,7 @@ class MujocoSimulator(Simulator):
         ]
 
     @property
-    def warnings(self) -> int:
+    def warnings(self) -> int:  # type: ignore[override]
         return self._past_warnings + sum(self.data.warning.number.tolist())
 
     def change_object(self, shape: Shape, mass: float, friction: float) -> None:
@@ -304,22 +310,16 @@ class MujocoSimulator(Simulator):
         mujoco.mj_setConst(model, self.data)
         _set_mean_inertia(model)
 
-    def reset(
-        self,
-        joint_positions: Array,
-        object_position: Array,
-        yaw: float,
-        targets: Array | None = None,
+    def _begin(
+        self, joint_positions: Array, object_position: Array, yaw: float
     ) -> None:
-        self._targets = self.scene.hand.start_targets() if targets is None else targets
         self._past_warnings = self.warnings  # MuJoCo forgets them
         mujoco.mj_resetData(self.model, self.data)
         self.let_go()
         turn = np.array([np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)])
         held = joint_positions[self._actuated]
         hold(self.model, self.data, self._ctrl.tolist(), held)
-        with self._checked():
-            self.place(joint_positions, object_position, turn)
+        self.place(joint_positions, object_position, turn)
 
     def place(
         self, joint_positions: Array, object_position: Array, orientation: Array
@@ -329,27 +329,23 @@ class MujocoSimulator(Simulator):
         self.data.qpos[self._object_qpos] = [*object_position, *orientation]
         mujoco.mj_forward(self.model, self.data)
 
-    def step(self, joint_targets: Array, n_substeps: int) -> None:
+    def _advance(self, n_substeps: int) -> None:
         model, data = self.model, self.data
-        self._targets = np.array(joint_targets)
         data.ctrl[self._ctrl] = self._targets
-        with self._checked():
-            if not self.scene.sensors:
-                mujoco.mj_step(model, data, n_substeps)
-            else:  # only the last substep's readings are looked at
-                off = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
-                model.opt.disableflags |= off
-                try:
-                    mujoco.mj_step(model, data, n_substeps - 1)
-                finally:
-                    model.opt.disableflags &= ~off
-                mujoco.mj_step(model, data, 1)
-            # mj_step leaves body poses one substep behind qpos.
-            mujoco.mj_kinematics(model, data)
+        if self.scene.sensors:  # only the last substep's readings are looked at
+            off = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+            model.opt.disableflags |= off
+            try:
+                mujoco.mj_step(model, data, n_substeps - 1)
+            finally:
+                model.opt.disableflags &= ~off
+            n_substeps = 1
+        mujoco.mj_step(model, data, n_substeps)
+        # mj_step leaves body poses one substep behind qpos.
+        mujoco.mj_kinematics(model, data)
 
     @contextmanager
     def _checked(self) -> Iterator[None]:
-        """SimulationError where MuJoCo has no memory left for constraints, or the state is broken."""
         try:
             yield
         except mujoco.FatalError as error:
@@ -382,24 +378,19 @@ class MujocoSimulator(Simulator):
     def state(self) -> State:
         data, body, start = self.data, self._object_body, self._object_qvel
         rotation = data.xmat[body].reshape(3, 3).copy()
-        positions = data.xpos.take(self._bodies, axis=0)
-        rotations = data.xmat.take(self._bodies, axis=0).reshape(-1, 3, 3)
-        return State(
-            shape=self.scene.shape,
+        return self._state(
+            self._links,
+            data.xpos.take(self._bodies, axis=0),
+            data.xmat.take(self._bodies, axis=0).reshape(-1, 3, 3),
             object_position=data.xpos[body].copy(),
             object_rotation=rotation,
             object_orientation=data.xquat[body].copy(),
             object_velocity=data.qvel[start : start + 3].copy(),
             object_angular_velocity=rotation @ data.qvel[start + 3 : start + 6],
-            links=self._links,
-            link_positions=positions,
-            link_rotations=rotations,
             joint_positions=data.qpos.take(self._qpos),
             joint_velocities=data.qvel.take(self._qvel),
-            targets=self._targets,
             contacts=self._contacts(),
             sensors=data.sensordata > 0.0,
-            **self.scene.points(self._links, positions, rotations),
         )
 
     def _contacts(self) -> Contacts:
@@ -412,43 +403,22 @@ class MujocoSimulator(Simulator):
                     where.append(index)
                     links.append(link)
                     forces.append(force[0])
-        points = (
-            self.data.contact.pos.reshape(-1, 3)[where] if where else np.zeros((0, 3))
-        )
+        points = self.data.contact.pos.reshape(-1, 3)[np.array(where, int)]
         return Contacts(points, np.array(links, int), np.array(forces))
 
     def render(self, camera: Camera, spheres: Sequence[Sphere] = ()) -> Array:
         if _failures:  # a second attempt would end the process
             raise _failures[0]
-        drawn = self._renderer
-        if drawn is not None and (drawn.width, drawn.height) != (
-            camera.width,
-            camera.height,
-        ):
+        size = camera.height, camera.width
+        if self._renderer and (self._renderer.height, self._renderer.width) != size:
             self.close()
         if self._renderer is None:
-            offscreen = self.model.vis.global_
-            offscreen.offwidth, offscreen.offheight = camera.width, camera.height
-            try:
-                with warnings.catch_warnings(
-                    action="ignore"
-                ):  # GLFW's, before the error says it
-                    self._renderer = _renderer(self.model, camera.height, camera.width)
-            except (mujoco.FatalError, ImportError, AttributeError) as error:
-                reason = " ".join(str(error).split()).partition(", this most")[0]
-                where = "without a display it needs EGL or OSMesa (Debian: libegl1 or libosmesa6)"
-                _failures.append(
-                    OSError(f"MuJoCo cannot draw here; {where} ({reason})")
-                )
-                raise _failures[0] from error
+            self._renderer = _renderer(self.model, *size)
         view = mujoco.MjvCamera()
         middle = (self.data.xpos[self._object_body] + self.state().palm) / 2
         view.lookat[:] = middle if camera.lookat is None else camera.lookat
-        view.distance, view.azimuth, view.elevation = (
-            camera.distance,
-            camera.azimuth,
-            camera.elevation,
-        )
+        view.azimuth, view.elevation = camera.azimuth, camera.elevation
+        view.distance = camera.distance
         self._renderer.update_scene(self.data, view)
         scene = self._renderer.scene
         scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = camera.shadows

@@ -75,7 +75,8 @@ class PyBulletSimulator(Simulator):
     creeps = False  # friction anchors
 
     def __init__(self, scene: Scene) -> None:
-        self.scene, hand = scene, scene.hand
+        super().__init__(scene)
+        hand = scene.hand
         self.model = model_file.compiled(scene.build_hand(visual=False))
         self.joint_limits = joint_limits(self.model, hand)
         self.client = pybullet.connect(pybullet.DIRECT)
@@ -90,7 +91,6 @@ class PyBulletSimulator(Simulator):
         self._build()
         self._joints = [self._joint_index[name] for name in hand.joints]
         self._motors, self._gains, self._forces = self._motor_figures()
-        self._targets = hand.start_targets()
         self._names = tuple(
             self.model.body(body).name for body in range(1, self.model.nbody)
         )
@@ -118,14 +118,11 @@ class PyBulletSimulator(Simulator):
         bullet.setPhysicsEngineParameter(fixedTimeStep=scene.timestep, **ENGINE)
         self.hand = bullet.loadURDF(str(self._urdf), useFixedBase=True, flags=LOADING)
         # By name; a joint has its child link's index.
-        infos = [
-            bullet.getJointInfo(self.hand, i)
-            for i in range(bullet.getNumJoints(self.hand))
-        ]
-        self._joint_index = {
-            info[1].decode(): index for index, info in enumerate(infos)
-        }
-        self._links = {info[12].decode(): index for index, info in enumerate(infos)}
+        self._joint_index, self._links = {}, {}
+        for index in range(bullet.getNumJoints(self.hand)):
+            info = bullet.getJointInfo(self.hand, index)
+            self._joint_index[info[1].decode()] = index
+            self._links[info[12].decode()] = index
         self._body(mass=0.0, friction=1.0, shapeType=pybullet.GEOM_PLANE)
         self.object = self._body(
             mass=scene.mass, friction=scene.friction, **_measures(scene.shape)
@@ -215,33 +212,21 @@ class PyBulletSimulator(Simulator):
 
     # -- running -----------------------------------------------------------------------------
 
-    def reset(
-        self,
-        joint_positions: Array,
-        object_position: Array,
-        yaw: float,
-        targets: Array | None = None,
+    def _begin(
+        self, joint_positions: Array, object_position: Array, yaw: float
     ) -> None:
-        self._targets = self.scene.hand.start_targets() if targets is None else targets
         bullet = self._bullet
         if not bullet.isConnected():
             raise OSError("PyBullet's client is gone: make the environment again")
-        with self._checked():
-            self.let_go()
-            self._build()  # a world that has been stepped keeps pairs and contacts of its past
-            for index, position in zip(self._joints, joint_positions, strict=True):
-                bullet.resetJointState(self.hand, index, position)
-            turn = (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
-            bullet.resetBasePositionAndOrientation(self.object, object_position, turn)
-
-    def step(self, joint_targets: Array, n_substeps: int) -> None:
-        self._targets = np.array(joint_targets)
-        with self._checked():
-            self._step(joint_targets, n_substeps)
+        self.let_go()
+        self._build()  # a world that has been stepped keeps pairs and contacts
+        for index, position in zip(self._joints, joint_positions, strict=True):
+            bullet.resetJointState(self.hand, index, position)
+        turn = (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
+        bullet.resetBasePositionAndOrientation(self.object, object_position, turn)
 
     @contextmanager
     def _checked(self) -> Iterator[None]:
-        """SimulationError where Bullet fails, or the state is broken."""
         try:
             yield
         except pybullet.error as error:
@@ -250,12 +235,12 @@ class PyBulletSimulator(Simulator):
         if not math.isfinite(sum(position) + sum(map(sum, self._joint_states()))):
             raise SimulationError("PyBullet's state is not finite")
 
-    def _step(self, joint_targets: Array, n_substeps: int) -> None:
-        bullet = self._bullet
-        coupled = self._ratios * joint_targets[self._drivers] + self._offsets
+    def _advance(self, n_substeps: int) -> None:
+        bullet, targets = self._bullet, self._targets
+        coupled = self._ratios * targets[self._drivers] + self._offsets
         bullet.setJointMotorControlArray(
             self.hand, self._motors, pybullet.POSITION_CONTROL,
-            targetPositions=[*joint_targets.tolist(), *coupled.tolist()],
+            targetPositions=[*targets.tolist(), *coupled.tolist()],
             positionGains=self._gains, forces=self._forces,
         )  # fmt: skip
         for _ in range(n_substeps):  # external forces last one step
@@ -305,8 +290,10 @@ class PyBulletSimulator(Simulator):
         rotations = Rotation.from_quat([pose[5] for pose in poses]).as_matrix()
         angles, speeds = np.array(self._joint_states()).T
         pressing = self._contacts()
-        return State(
-            shape=self.scene.shape,
+        return self._state(
+            self._names,
+            positions,
+            rotations,
             object_position=np.array(position),
             object_rotation=np.array(pybullet.getMatrixFromQuaternion(xyzw)).reshape(
                 3, 3
@@ -314,25 +301,19 @@ class PyBulletSimulator(Simulator):
             object_orientation=np.array([xyzw[3], *xyzw[:3]]),
             object_velocity=np.array(velocity),
             object_angular_velocity=np.array(spin),
-            links=self._names,
-            link_positions=positions,
-            link_rotations=rotations,
             joint_positions=angles,
             joint_velocities=speeds,
-            targets=self._targets,
             contacts=pressing,
             sensors=self._sensed(pressing.points, positions, rotations),
-            **self.scene.points(self._names, positions, rotations),
         )
 
     def _contacts(self) -> Contacts:
         found = self._bullet.getContactPoints(self.hand, self.object)
         pressing = [contact for contact in found if contact[9] > 0.0]
-        return Contacts(
-            np.array([contact[5] for contact in pressing]).reshape(-1, 3),
-            np.array([self._link_of_index[contact[3]] for contact in pressing], int),
-            np.array([contact[9] for contact in pressing]),
-        )
+        points = np.array([contact[5] for contact in pressing]).reshape(-1, 3)
+        links = [self._link_of_index[contact[3]] for contact in pressing]
+        forces = np.array([contact[9] for contact in pressing])
+        return Contacts(points, np.array(links, int), forces)
 
     def _sensed(self, points: Array, positions: Array, rotations: Array) -> Array:
         """bool (n,): does a contact with the object that carries force lie in a sensor?"""

@@ -107,10 +107,10 @@ class TestToysThemselves:
         env = LQREnv()
         for seed in range(5):
             start, _ = env.reset(seed=seed)
-            exact = LQREnv.optimal_return(env._state.copy())
+            exact = LQREnv.optimal_return(env._place.copy())
             total = 0.0
             for _, gain in LQREnv.riccati():
-                force = -gain @ env._state
+                force = -gain @ env._place
                 assert np.abs(force).max() < 1.0  # the bound never binds
                 total += env.step(force)[1]
             assert total == pytest.approx(exact, rel=1e-9)

@@ -44,7 +44,7 @@ def test_what_is_shown_is_what_is_simulated_in_real_time():
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there is a display")
 @pytest.mark.parametrize(
     ("simulator", "reason"),
-    [("mujoco", "OSError: render_mode human: found no display"),
+    [("mujoco", "OSError: render_mode human: no window opens here (no display)"),
      ("pybullet", "ValueError: render_mode: found 'human', allowed with simulator mujoco")],
 )  # fmt: skip
 def test_where_there_is_no_window(simulator, reason):
