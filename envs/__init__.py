@@ -9,7 +9,6 @@ imported when an environment that uses it is made.
 
 from __future__ import annotations
 
-import traceback
 from functools import partial
 from typing import Any
 
@@ -53,20 +52,14 @@ def make(
     `scene` is a named scene (`scenes.names`) or its file; `name` and `choices` then change what it
     says. Raises ValueError when there is none of that name.
     """
-    for key, word in {"name": name, "env": env, "scene": scene}.items():
-        validation.require_type(word, str | None, key)
-    if name is not None and env is not None:
-        raise ValueError(
-            f"env: found {env!r} with the name {name!r}, allowed one of them"
-        )
     name = name or env
+    validation.require_type(name, str | None, "env")
     if scene is not None:
         named = scenes.load(scene)
         name = name or named.env
         if not hands.is_hand(name):
-            raise ValueError(
-                f"env: found {name!r} with a scene, allowed: {hands.allowed()}"
-            )
+            found = f"env: found {name!r} with a scene"
+            raise ValueError(f"{found}, allowed: {hands.allowed()}")
         choices = {**named.on(name), **choices}
     if name is None:
         raise ValueError("found neither the name of an environment nor a scene")
@@ -84,18 +77,15 @@ def make(
     except gym.error.Error as error:
         known = (*hands.names(), *TOYS)
         reason = str(error).strip().splitlines()[0]
-        raise ValueError(
-            f"unknown environment {name!r}; {_meant(name, known)}allowed: {', '.join(known)}, a "
-            "hand's .toml file, a Gymnasium id, or "
-            f"MODULE:ID with the module that registers it ({reason})"
-        ) from None
+        allowed = (
+            f"{', '.join(known)}, a hand's .toml file, a Gymnasium id, or MODULE:ID"
+        )
+        what = f"unknown environment {name!r}; {_meant(name, known)}"
+        raise ValueError(f"{what}allowed: {allowed} ({reason})") from None
     except (ValueError, OSError, ImportError, RuntimeError):  # say what is wrong
         raise
     except Exception as error:  # of an environment that is not ours
-        where = traceback.extract_tb(error.__traceback__)[
-            -1
-        ].line  # an assertion says nothing else
-        reason = f"{type(error).__name__}: {str(error) or where}"
+        reason = f"{type(error).__name__}: {error}"
         raise ValueError(f"env: {name!r} cannot be made here ({reason})") from error
 
 

@@ -77,29 +77,21 @@ class HoldTest:
                     left -= n_substeps
                 simulator.step(targets, n_substeps)
                 state, before = simulator.state(), corners
-                corners, n_looks, is_at_top = (
-                    _corners(state),
-                    n_looks + 1,
-                    bool(targets[2] == top),
-                )
+                corners, n_looks = _corners(state), n_looks + 1
+                is_at_top = bool(targets[2] == top)
                 if not np.linalg.norm(_in_hand(state)) <= self.out_of_reach:
                     return False
                 if is_at_top and not left:
                     return True
                 if self.verdict == "full":
                     continue
-                compressed = (
-                    n_looks - round(self.shake_seconds / self.look_every)
-                ) * self.look_every
+                n_shaken = round(self.shake_seconds / self.look_every)
+                compressed = (n_looks - n_shaken) * self.look_every
                 if compressed >= 0:
                     simulator.set_creep(self.creep)
-                speed = (
-                    float(np.linalg.norm(corners - before, axis=1).max())
-                    / self.look_every
-                )
-                if compressed > 0 and self._settles(
-                    state, speed, compressed, is_at_top
-                ):
+                furthest = float(np.linalg.norm(corners - before, axis=1).max())
+                figures = furthest / self.look_every, compressed, is_at_top
+                if compressed > 0 and self._settles(state, *figures):
                     return True
         finally:
             simulator.set_creep(1.0)
@@ -109,9 +101,8 @@ class HoldTest:
     ) -> bool:
         """The early verdict after so much compressed time, s, on an object that moves in the hand at
         `speed`, m/s: it is at rest, or still in the hand at the top when time is up."""
-        left = max(
-            0.0, (self.seconds + self.height / RAISE_SPEED) / self.creep - compressed
-        )
+        whole = (self.seconds + self.height / RAISE_SPEED) / self.creep
+        left = max(0.0, whole - compressed)
         is_at_rest = speed * (left + self.look_every) < self.settle_distance
         return bool(is_at_rest and state.clearance > CLEAR) or (is_at_top and left == 0)
 

@@ -7,6 +7,7 @@ after another. Goals and rewards never pass here: they keep the state.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -115,19 +116,8 @@ class Term(NamedTuple):
     """(n,) from what is sensed."""
 
 
-def term_names(terms: Sequence[str], hand: Hand) -> list[str]:
-    """What each entry of some terms is."""
-    return [
-        f"{TERMS[term].what} {entry}"
-        for term in terms
-        for entry in TERMS[term].entries(hand)
-    ]
-
-
 def _of_first_joints(hand: Hand, state: State) -> Array:
-    return state.joint_positions.take(
-        [hand.joints.index(joint) for joint in hand.first_joints]
-    )
+    return state.joint_positions[[hand.joints.index(j) for j in hand.first_joints]]
 
 
 def _upper(quaternion: Array) -> Array:
@@ -166,16 +156,16 @@ TERMS = {
 # -- stages ----------------------------------------------------------------------------------
 
 
-class Stage:
+class Stage(ABC):
     """What happens to a reading (..., n) on its way to the policy."""
 
     def begin(self, rng: np.random.Generator) -> None:
-        """A new episode, whose draws come from `rng`."""
+        """Begin a new episode, whose draws come from `rng`."""
         self._rng = rng
 
+    @abstractmethod
     def __call__(self, reading: Array) -> Array:
-        """What comes out of one control step's reading; the first is the episode's start."""
-        raise NotImplementedError
+        """Return what comes out of a control step's reading; the first is the episode's start."""
 
 
 class JointErrors:
@@ -195,19 +185,15 @@ class JointErrors:
 
     def __call__(self, state: State) -> State:
         """What is sensed of joints and hand; once a control step."""
-        noise, before = (
-            self.white * self._rng.standard_normal(self.white.shape),
-            self._noise,
-        )
-        self._noise = noise
-        error = self._error + noise
+        noise = self.white * self._rng.standard_normal(self.white.shape)
+        error, before, self._noise = self._error + noise, self._noise, noise
         speed = 0.0 if before is None else (noise - before) / self.control_dt
         return replace(
             state,
             joint_positions=state.joint_positions + error,
             joint_velocities=state.joint_velocities + speed,
-            palm=state.palm
-            + error[: len(SLIDES)],  # carried by the slides, along the world's axes
+            # The slides, along the world's axes, carry the palm.
+            palm=state.palm + error[: len(SLIDES)],
         )
 
 
@@ -242,29 +228,29 @@ class Broken(Stage):
 
 
 class Past(Stage):
-    """The readings of the last `n` control steps; before an episode, all was as at its start."""
+    """Give the readings of the last `n` control steps, the newest first; before an episode, all was as
+    at its start."""
 
     def __init__(self, n: int) -> None:
-        self._readings: deque[Array] = deque(maxlen=n)
+        self._n, self._readings = n, deque[Array](maxlen=n)
 
     def begin(self, rng: np.random.Generator) -> None:
         self._readings.clear()
 
-    def add(self, reading: Array) -> deque[Array]:
-        """With this one, the newest first."""
-        n_missing = 1 if self._readings else (self._readings.maxlen or 1)
-        self._readings.extendleft([reading] * n_missing)
-        return self._readings
+    def __call__(self, reading: Array) -> Array:
+        self._readings.extendleft([reading] * (1 if self._readings else self._n))
+        return np.concatenate(self._readings)
 
 
 class Delay(Past):
-    """What was read `steps` control steps ago."""
+    """Give what was read `steps` control steps ago."""
 
     def __init__(self, steps: int) -> None:
         super().__init__(steps + 1)
 
     def __call__(self, reading: Array) -> Array:
-        return self.add(reading)[-1]
+        super().__call__(reading)
+        return self._readings[-1]
 
 
 # -- sight -----------------------------------------------------------------------------------
@@ -276,10 +262,8 @@ class Sight:
     the shape of the scene's first object."""
 
     def __init__(self, config: SensorConfig, first: Shape) -> None:
-        self._seen, self._is_held = (
-            config.object_seen,
-            config.sight_noise_kind == "held",
-        )
+        self._seen = config.object_seen
+        self._is_held = config.sight_noise_kind == "held"
         self._scale = np.repeat(config.sight_noise or SIGHT_NOISE, 3)
         self._shape = first
 
@@ -295,20 +279,19 @@ class Sight:
         """What is seen; of the object's pose only position and quaternion count."""
         if self._seen == "exact":
             return state
+        shape, self._start = state.shape, self._start or state
+        position = self._start.object_position
+        orientation = self._start.object_orientation
         if self._seen == "hidden":
-            state = replace(state, shape=self._shape)
-            return replace(
-                state, object_position=np.zeros(3), object_orientation=np.zeros(4)
-            )
-        self._start = start = self._start or state
-        position, orientation = start.object_position, start.object_orientation
+            shape, position, orientation = self._shape, np.zeros(3), np.zeros(4)
         if self._seen == "noisy":
             error = self._error if self._is_held else self._draw()
             actual = Rotation.from_quat(state.object_orientation, scalar_first=True)
             turned = Rotation.from_rotvec(error[3:]) * actual
             position = state.object_position + error[:3]
             orientation = turned.as_quat(scalar_first=True)
-        return replace(state, object_position=position, object_orientation=orientation)
+        state = replace(state, shape=shape, object_position=position)
+        return replace(state, object_orientation=orientation)
 
 
 # -- all of it -------------------------------------------------------------------------------
@@ -346,10 +329,8 @@ class Observer:
         shape of the scene's first object."""
         for term in hand.observation:
             require_one_of(TERMS, term, f"hand {hand.name}: observation")
-        self.hand, self._terms = (
-            hand,
-            [*hand.observation, *["targets"] * config.observe_targets],
-        )
+        self.hand = hand
+        self._terms = [*hand.observation, *["targets"] * config.observe_targets]
         self._sight = Sight(config, first)
         is_slide = np.isin(hand.joints, SLIDES)
         white = np.where(is_slide, config.slide_noise, config.joint_noise)
@@ -357,17 +338,21 @@ class Observer:
         self._joints: JointErrors | None = None
         if white.any() or held.any():
             self._joints = JointErrors(white, held, control_dt)
-        self._taxels = taxel_stages(config, len(taxel_names))
+        stages = [made(config, len(taxel_names)) for made in STAGES]
+        self._taxels = [stage for stage in stages if stage is not None]
         self._past = Past(config.history), Past(config.history)
-        now = term_names(self._terms, hand), [f"taxel {name}" for name in taxel_names]
-        ages = ["", *(f" (t-{age})" for age in range(1, config.history))]
-        names = [f"{name}{age}" for part in now for age in ages for name in part]
-        self.space = NamedBox(names, len(ages) * len(taxel_names), is_boolean)
-        terms = [term for term in self._terms for _ in TERMS[term].entries(hand)]
-        taxels = np.repeat(["taxels"] + [""] * (len(ages) - 1), len(taxel_names))
-        self._term_of_entry = np.array(
-            [*terms, *[""] * (len(ages) - 1) * len(terms), *taxels]
-        )
+        entries = [  # term and name of each
+            (term, f"{TERMS[term].what} {entry}")
+            for term in self._terms
+            for entry in TERMS[term].entries(hand)
+        ]
+        taxels = [("taxels", f"taxel {name}") for name in taxel_names]
+        names, self._term_of_entry = [], []
+        for part in (entries, taxels):
+            for age in range(config.history):
+                names += [f"{name} (t-{age})" if age else name for _, name in part]
+                self._term_of_entry += ["" if age else term for term, _ in part]
+        self.space = NamedBox(names, config.history * len(taxels), is_boolean)
 
     def entries(self, *terms: str) -> Array:
         """Indices of the newest entries of these terms, as far as the hand has them, or "taxels"."""
@@ -392,7 +377,7 @@ class Observer:
         )
         for stage in self._taxels:
             taxels = stage(taxels)
-        obs = [*self._past[0].add(terms), *self._past[1].add(taxels)]
+        obs = self._past[0](terms), self._past[1](taxels)
         return np.concatenate(obs, dtype=np.float32, casting="same_kind")
 
 
@@ -411,8 +396,3 @@ STAGES: list[Callable[[SensorConfig, int], Stage | None]] = [
 ]
 """What happens to the readings (n,) of taxels, where it is asked for: they flip at random, a sensor
 that is broken says the same whatever it feels, and all of it is late."""
-
-
-def taxel_stages(config: SensorConfig, n: int) -> list[Stage]:
-    """Those of STAGES that a configuration asks for."""
-    return [stage for made in STAGES if (stage := made(config, n)) is not None]

@@ -14,10 +14,8 @@ from .hands import ARM, FINGERS, SLIDES, ScriptedGrasp
 from .objects import OFFSET, YAW
 from .state import Array
 
-PERIODS = (
-    0.04,
-    0.05,
-)  # s between targets: the first that is a whole number of timesteps
+# s between targets: the first that is a whole number of timesteps
+PERIODS = (0.04, 0.05)
 APPROACH, CLOSE, LIFT = 0.4, 0.8, 1.0  # s
 LIFT_HEIGHT = 0.15  # m
 FALLEN = 0.1  # m below where it was at the beginning of the hold
@@ -36,23 +34,18 @@ class Offsets(NamedTuple):
 
 def perturbed_start(rng: np.random.Generator, n_joints: int) -> Offsets:
     """As the environment's jitter would make them, but for the joints' ranges."""
-    joints = np.concatenate(
-        [
-            np.zeros(len(SLIDES)),
-            rng.uniform(-JITTER_JOINT, JITTER_JOINT, n_joints - len(SLIDES)),
-        ]
-    )
-    return Offsets(
-        rng.uniform(-OFFSET, OFFSET, 2), float(rng.uniform(-YAW, YAW)), joints
-    )
+    joints = np.zeros(n_joints)
+    fingers = joints[len(SLIDES) :]
+    fingers += rng.uniform(-JITTER_JOINT, JITTER_JOINT, len(fingers))
+    place = rng.uniform(-OFFSET, OFFSET, 2)
+    return Offsets(place, float(rng.uniform(-YAW, YAW)), joints)
 
 
 def perturbed_starts(env: GraspEnv, seed: int, n: int) -> Iterator[Offsets]:
     """`n` starts; each follows from `seed` and its number alone."""
     for index in range(n):
-        yield perturbed_start(
-            np.random.default_rng([seed, index]), len(env.hand.joints)
-        )
+        rng = np.random.default_rng([seed, index])
+        yield perturbed_start(rng, len(env.hand.joints))
 
 
 def hold_steps(
@@ -67,7 +60,9 @@ def hold_steps(
     simulator = env.simulator
     dt = dt or period(env.config.timestep)
     n_substeps = round(dt / env.config.timestep)
-    place(env, start)
+    position = np.array([0.0, 0.0, env.shape.half_size[2]])
+    position[:2] += start.place
+    simulator.reset(env.hand.start_positions() + start.joints, position, start.yaw)
     for targets in ramps(env, grasp, dt):
         simulator.step(targets, n_substeps)
     floor = simulator.state().object_position[2] - FALLEN
@@ -75,13 +70,6 @@ def hold_steps(
         simulator.step(targets, n_substeps)
         height = simulator.state().object_position[2]
         yield bool(height > max(floor, env.shape.half_size[2] + 0.02))
-
-
-def place(env: GraspEnv, start: Offsets) -> None:
-    """Put hand and object of the environment's simulator there."""
-    position = np.array([0.0, 0.0, env.shape.half_size[2]])
-    position[:2] += start.place
-    env.simulator.reset(env.hand.start_positions() + start.joints, position, start.yaw)
 
 
 def period(timestep: float) -> float:
@@ -101,10 +89,8 @@ def legs(
     """Joint targets (n_actuators,) every `dt` s of approach, closing and lift. `closing` is how far
     the fingers go from their start to where the grasp has them: 1 is all the way."""
     start = env.hand.start_targets()
-    starts = dict(zip(env.hand.actuators, start, strict=True))
-    closed = np.array(
-        [grasp.targets.get(name, value) for name, value in starts.items()]
-    )
+    starts = zip(env.hand.actuators, start, strict=True)
+    closed = np.array([grasp.targets.get(name, value) for name, value in starts])
     closed[FINGERS] += (closing - 1.0) * (closed - start)[FINGERS]
     above = np.concatenate([closed[ARM], start[FINGERS]])
     lifted = closed + LIFT_HEIGHT * np.eye(len(closed))[2]
@@ -113,19 +99,14 @@ def legs(
         n = round(seconds / dt)
         return [begin + (end - begin) * k / n for k in range(1, n + 1)]
 
-    return (
-        ramp(start, above, APPROACH),
-        ramp(above, closed, CLOSE),
-        ramp(closed, lifted, LIFT),
-    )
+    approach, close = ramp(start, above, APPROACH), ramp(above, closed, CLOSE)
+    return approach, close, ramp(closed, lifted, LIFT)
 
 
 def grasp_for(env: GraspEnv) -> ScriptedGrasp:
     """The hand's scripted grasp nearest to the width of the environment's object; ValueError where its
     file has none."""
     if not env.hand.grasps:
-        raise ValueError(
-            f"hand {env.hand.name}: has no [[grasp]] in its file; "
-            "tactilerl env --env FILE --check finds one"
-        )
+        advice = "tactilerl env --env FILE --check finds one"
+        raise ValueError(f"hand {env.hand.name}: has no [[grasp]]; {advice}")
     return min(env.hand.grasps, key=lambda g: abs(g.object_size - env.shape.width))

@@ -19,12 +19,10 @@ from .hold import LOOK_STEPS, OUT_OF_REACH, HoldTest, Verdict
 from .objects import bounds, require_ends
 from .simulators import Giver, Simulator
 from .state import Array, Shape, State
-from .validation import allow_only_with
+from .validation import allow_only_with, require_one_of
 
-BEYOND_REACH, BEYOND_FALLEN = (
-    0.08,
-    0.03,
-)  # m beyond where fingertips get: lost, and missed
+# m beyond where fingertips get: lost, and missed
+BEYOND_REACH, BEYOND_FALLEN = 0.08, 0.03
 
 
 @dataclass(frozen=True)
@@ -64,17 +62,11 @@ def validate(config: TaskConfig) -> None:
     """ValueError naming the first invalid field."""
     require_ends(config, "handover_reach")
     task = TASKS[config.task]
-    others = {name for other in TASKS.values() for name in other.options} - {
-        *task.options
-    }
-    for name in sorted(others):
-        users = [other for other, kind in TASKS.items() if name in kind.options]
-        allow_only_with(f"task {' or '.join(users)}", config, name)
-    if config.reward is not None and config.reward not in task.rewards:
-        allowed = ", ".join(task.rewards)
-        raise ValueError(
-            f"reward: found {config.reward!r}, allowed for {config.task}: {allowed}"
-        )
+    for other, kind in TASKS.items():
+        options = sorted({*kind.options} - {*task.options})
+        allow_only_with(f"task {other}", config, *options)
+    if config.reward is not None:
+        require_one_of(task.rewards, config.reward, "reward")
     task.validate(config)
 
 
@@ -267,14 +259,8 @@ class LiftAndHold(Task):
         closeness = np.exp(-(np.asarray(achieved_goal)[..., :-1] ** 2))
         near = closeness[..., 0] + self.finger_weight * closeness[..., 1:].sum(axis=-1)
         failed = near + 5.0
-        return _by_outcome(
-            achieved_goal,
-            near,
-            fell_back=failed,
-            dropped=failed,
-            timed_out=-100.0,
-            held=1000.0,
-        )
+        rewards = {"fell_back": failed, "dropped": failed, "timed_out": -100.0}
+        return _by_outcome(achieved_goal, near, **rewards, held=1000.0)
 
 
 class Handover(Task):
@@ -310,15 +296,15 @@ class Handover(Task):
     @classmethod
     def validate(cls, config: TaskConfig) -> None:
         """ValueError where an episode ends before the hold test, or the giver lets go on the way."""
-        least, found = cls.waits[1] + cls.stays + cls.settles, config.max_episode_steps
-        if found is not None and found < least:
-            raise ValueError(
-                f"max_episode_steps: found {found}, allowed {least} or more in a handover"
-            )
+        least = cls.waits[1] + cls.stays + cls.settles
+        steps, dt = config.max_episode_steps, config.control_dt
+        if steps is not None and steps < least:
+            allowed = f"{least} or more in a handover"
+            raise ValueError(f"max_episode_steps: found {steps}, allowed {allowed}")
         fastest = 2 * (cls.below + cls.beyond) / cls.giver.speed / cls.stays
-        if config.control_dt < fastest:
-            found_dt = f"control_dt: found {config.control_dt} s, allowed {fastest:.3f} s or more in a"
-            raise ValueError(f"{found_dt} handover: the object would not arrive")
+        if dt < fastest:
+            allowed = f"{fastest:.3f} s or more in a handover"
+            raise ValueError(f"control_dt: found {dt} s, allowed {allowed}")
 
     def __init__(
         self, config: TaskConfig, hand: Hand, own_timestep: float, first: Shape
@@ -377,11 +363,10 @@ def _outcome(name: Outcome) -> Array:
 
 
 def _by_outcome(goals: Array, reward: Any, **rewards: Any) -> Array:
-    """The rewards (...) of goals (..., n) that end in an outcome: those named, or `reward`."""
-    outcome = np.asarray(goals)[..., -1]
-    for name, value in OUTCOMES.items():
-        if name in rewards:
-            reward = np.where(outcome == value, rewards[name], reward)
+    """Return the rewards (...) of goals (..., n) that end in an outcome: those named, or `reward`."""
+    for name, value in rewards.items():
+        is_so = np.asarray(goals)[..., -1] == OUTCOMES[name]  # type: ignore[index]
+        reward = np.where(is_so, value, reward)
     return reward
 
 

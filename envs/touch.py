@@ -30,9 +30,7 @@ if TYPE_CHECKING:
     from .hands.geometry import Geom
 
 SKIN = 5e-4  # m, how thick the skin is: what is further from a link's surface does not touch it
-SLACK = (
-    5e-5  # m, by how much the distance of a bone from the object may be taken too large
-)
+SLACK = 5e-5  # m, by how much the distance of a bone may be taken too large
 
 
 class LinkPoints:
@@ -134,21 +132,16 @@ class SkinTouch(Rule):
                 bone_of_link[link] = int(bone[taxel])
         sizes = [len(points) for _, points, _ in bones]
         self._bone, self._first = bone, np.cumsum([0, *sizes[:-1]])
-        self._points = LinkPoints(
-            taxels.links,
-            np.concatenate(
-                [taxels.link_index, np.repeat([link for link, _, _ in bones], sizes)]
-            ),
-            np.concatenate([taxels.positions, *(points for _, points, _ in bones)]),
-        )
-        reaches = np.repeat([reach for _, _, reach in bones], sizes)
-        self._squared_reaches = np.concatenate([taxels.radii, reaches]) ** 2
+        on_links, along, reaches = zip(*bones, strict=True)
+        links = np.concatenate([taxels.link_index, np.repeat(on_links, sizes)])
+        points = np.concatenate([taxels.positions, *along])
+        self._points = LinkPoints(taxels.links, links, points)
+        reaches = np.concatenate([taxels.radii, np.repeat(reaches, sizes)])
+        self._squared_reaches = reaches**2
 
     def read(self, state: State) -> Array:
-        in_reach = (
-            state.shape.squared_distance(self._points.local(state))
-            <= self._squared_reaches
-        )
+        distances = state.shape.squared_distance(self._points.local(state))
+        in_reach = distances <= self._squared_reaches
         n = len(self._bone)
         touches = np.logical_or.reduceat(in_reach[..., n:], self._first, axis=-1)
         is_on = in_reach[..., :n] & touches[..., self._bone]

@@ -7,6 +7,7 @@ scene's own hand: on another they grow with its fingers.
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,8 @@ class NamedScene:
     """Flags of ``tactilerl train``: learner, recipe, hyperparameters, length."""
     scaled: tuple[str, ...] = ()
     """Fields of `scene` that are lengths relative to the fingers of `env`."""
+    base: str = ""
+    """The scene of the library that it says the differences from."""
 
     def on(self, hand: str) -> dict[str, Any]:
         """`scene` for a hand: what is relative to the length of fingers in its own m."""
@@ -65,29 +68,14 @@ def load(name: str) -> NamedScene:
         )
     path = Path(name) if name.endswith(SUFFIX) else FOLDER / f"{name}{SUFFIX}"
     data = validation.read(path, "scene file")
-    kinds = {
-        "about": str,
-        "base": str,
-        "env": str,
-        "scene": dict,
-        "train": dict,
-        "scaled": list,
-    }
-    validation.only(data, set(kinds), f"scene file {path}")
-    base = NamedScene()
-    for key, value in data.items():
-        if not isinstance(value, kinds[key]):
-            allowed = f"a {kinds[key].__name__}"
-            raise ValueError(
-                f"scene file {path}: {key}: found {value!r}, allowed {allowed}"
-            )
-        if key == "base":
-            require_one_of(names(), value, f"scene file {path}: base")
-            base = load(value)
-    env, lengths = data.get("env", base.env), tuple(data.get("scaled", base.scaled))
     with validation.blamed(f"scene file {path}"):
-        scene = {**base.on(env), **data.get("scene", {})}
-        for name in lengths:
-            require_one_of(sorted(LENGTHS & scene.keys()), name, "scaled")
-    train = {**base.train, **data.get("train", {})}
-    return NamedScene(data.get("about", base.about), env, scene, train, lengths)
+        base = NamedScene()
+        if "base" in data:
+            require_one_of(names(), data["base"], "base")
+            base = load(data["base"])
+        named = validation.fill(NamedScene, {**vars(base), **data})
+        scene = {**base.on(named.env), **data.get("scene", {})}
+        for length in named.scaled:
+            require_one_of(sorted(LENGTHS & scene.keys()), length, "scaled")
+    train = {**base.train, **named.train}
+    return dataclasses.replace(named, scene=scene, train=train)
