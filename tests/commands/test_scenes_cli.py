@@ -52,10 +52,9 @@ def test_forces_are_learned_from(learner, env, simulator):
         ("total_timesteps = -1", "total_timesteps: found -1"),
     ],
 )
-@pytest.mark.parametrize("algo", ["ppo", "ddpg_her"])
-def test_a_scenes_training_is_checked_even_where_flags_override_it(train, named, algo, capsys):
+def test_a_scenes_training_is_checked_even_where_flags_override_it(train, named, capsys):
     Path("mine.toml").write_text(f'base = "handover"\n[train]\n{train}\n')
-    flags = ["--algo", algo, "--hidden", "8", "--total-timesteps", "1", "--recipe", "paper"]
+    flags = ["--hidden", "8", "--total-timesteps", "1", "--recipe", "paper"]
     fails_with(capsys, ["train", "--scene", "mine.toml", *flags], "mine.toml", named)
 
 
@@ -80,24 +79,10 @@ class TestEvaluateWithOtherSensors:
         assert blind["mean_return"] != plain["mean_return"]
         assert Path("run/config.json").read_text() == before
 
-    def test_sweep(self, trained, capsys):
-        given = ["--sweep", "taxel-stuck", "0", "0.5", "1"]
-        swept = self.evaluated(capsys, *given)
-        assert swept["sweep"] == "taxel_stuck"
-        assert [point["taxel_stuck"] for point in swept["points"]] == [0, 0.5, 1]
-        plain = self.evaluated(capsys)
-        assert swept["points"][0]["mean_return"] == plain["mean_return"]
-        table = printed(capsys, ["evaluate", "run", "--episodes", "1", "--workers", "1", *given[:3]])
-        assert "taxel-stuck" in table
-
     @pytest.mark.parametrize(
         ("given", "named"),
         [
-            (["--sweep", "layout", "1", "2"], "--sweep: found 'layout', allowed: taxel-false-on"),
-            (["--sweep", "taxel-dead"], "--sweep taxel-dead: found no values"),
-            (["--sweep", "taxel-dead", "some"], "--sweep taxel-dead: could not convert"),
-            (["--sweep", "taxel-dead", "0", "2"], "--sweep: taxel_dead: found 2.0, allowed from 0"),
-            (["--taxel-dead", "-1"], "--taxel-dead: found -1.0, allowed from 0 to 1"),
+            (["--taxel-dead", "-1"], "taxel_dead: found -1.0, allowed from 0 to 1"),
             (["--history", "2"], "--history"),
         ],
     )
@@ -107,6 +92,4 @@ class TestEvaluateWithOtherSensors:
     def test_a_run_without_a_hand_has_no_sensors(self, capsys):
         main(["train", *PPO, "--env", "lqr", "--total-timesteps", "16", "--out", "run"])
         fails_with(capsys, ["evaluate", "run", "--taxel-dead", "0.1"], "--taxel-dead")
-        sweep = ["evaluate", "run", "--sweep", "taxel-dead", "0.1"]
-        fails_with(capsys, sweep, "found a run on 'lqr'")
         assert main(["evaluate", "run", "--episodes", "1", "--json"]) == 0
