@@ -45,10 +45,8 @@ class Workers:
         """`env` answers what does not depend on an episode; a player may play in it. `opened` is
         what has to be closed in the end."""
         self.env, self._players, self._opened = env, players, opened or ExitStack()
-        self.observation_space, self.action_space = (
-            env.observation_space,
-            env.action_space,
-        )
+        self.observation_space = env.observation_space
+        self.action_space = env.action_space
         # One thread each, so that a player ends what it is at before it begins anything else.
         self._threads = [
             self._opened.enter_context(ThreadPoolExecutor(1)) for _ in players
@@ -61,13 +59,10 @@ class Workers:
     def max_episode_steps(self) -> int | None:
         """Steps after which an episode is cut off; None where the environment does not say."""
         limits = [getattr(self.env.unwrapped, "max_episode_steps", None)]
-        limits += [self.env.spec.max_episode_steps] if self.env.spec else []
-        limit = "_max_episode_steps"  # of a TimeLimit around an environment that is not registered
-        limits += (
-            [self.env.get_wrapper_attr(limit)]
-            if self.env.has_wrapper_attr(limit)
-            else []
-        )
+        limits.append(getattr(self.env.spec, "max_episode_steps", None))
+        limit = "_max_episode_steps"  # of a TimeLimit
+        if self.env.has_wrapper_attr(limit):
+            limits.append(self.env.get_wrapper_attr(limit))
         return min((limit for limit in limits if limit), default=None)
 
     def compute_reward(
@@ -76,9 +71,7 @@ class Workers:
         """Rewards (n,) of goals (n, goal_size), by the outermost wrapper that has an opinion;
         ValueError where there is none."""
         if not self.env.has_wrapper_attr("compute_reward"):
-            raise ValueError(
-                "compute_reward: found none, allowed environments that have it"
-            )
+            raise ValueError("compute_reward: found an environment without it")
         reward = self.env.get_wrapper_attr("compute_reward")
         return np.asarray(reward(achieved_goal, desired_goal, {}))
 
@@ -104,9 +97,8 @@ class Workers:
                         break
                     futures.put(future := Future[T]())
                 try:
-                    future.set_result(
-                        player.play(job, number, lambda: not is_over.is_set())
-                    )
+                    result = player.play(job, number, lambda: not is_over.is_set())
+                    future.set_result(result)
                 except BaseException as error:  # else future.result() never returns
                     future.set_exception(error)
             futures.put(None)
@@ -149,12 +141,9 @@ class RemotePlayer:
         # Never forks of this process, which would copy threads' locks and an MPI process's
         # connections. On Linux they are forks of a server that has imported what takes seconds, which
         # is Python's own default from 3.14 on.
-        context: Any = multiprocessing.get_context(
-            "forkserver" if sys.platform == "linux" else "spawn"
-        )
-        context.set_forkserver_preload(
-            ["gymnasium", "torch"]
-        )  # no matter when one is not installed
+        method = "forkserver" if sys.platform == "linux" else "spawn"
+        context: Any = multiprocessing.get_context(method)
+        context.set_forkserver_preload(["gymnasium", "torch"])  # where installed
         self._connection, there = context.Pipe()
         args = there, make, set_up, plugins.imported
         self._process = context.Process(target=_serve, args=args, daemon=True)
@@ -249,11 +238,9 @@ def start(make: Make, workers: int = 1, set_up: Callable[[], Any] = bool) -> Wor
     """
     with ExitStack() as opened:
         env = opened.enter_context(closing(make()))
-        kind = (
-            getattr(env.unwrapped, "side_by_side", "processes")
-            if workers > 1
-            else "in turn"
-        )
+        kind = getattr(env.unwrapped, "side_by_side", "processes")
+        if workers == 1:
+            kind = "in turn"
         players: list[Player] = [LocalPlayer(env)]
         if kind == "threads":
             more = (opened.enter_context(closing(make())) for _ in range(workers - 1))

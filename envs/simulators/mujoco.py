@@ -40,10 +40,9 @@ OBJECT_FIGURES = {
 }
 SOLVER_ITERATIONS = 20  # enough for the grasps' contacts: docs/accuracy_and_speed.md
 # Warnings after which the state is not the physics' any more.
-KINDS = mujoco.mjtWarning
 BROKEN = [
-    int(kind)
-    for kind in (KINDS.mjWARN_BADQPOS, KINDS.mjWARN_BADQVEL, KINDS.mjWARN_BADQACC)
+    int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{what}"))
+    for what in ("QPOS", "QVEL", "QACC")
 ]
 
 # Dry friction does not creep, MuJoCo's soft contacts do: with the model's pyramidal cones and
@@ -65,12 +64,9 @@ def build_spec(scene: Scene) -> mujoco.MjSpec:
     )
     if scene.visual:
         _lighten(spec)
-    spec.worldbody.add_light(
-        pos=[0.1, -0.2, -0.6], dir=[-0.1, 0.2, 0.6], diffuse=[0.3] * 3
-    )
-    spec.worldbody.add_light(
-        pos=[0.3, -0.5, 1.0], dir=[-0.3, 0.5, -1.0], diffuse=[0.5] * 3
-    )
+    for place, brightness in (([0.1, -0.2, -0.6], 0.3), ([0.3, -0.5, 1.0], 0.5)):
+        shine = [-along for along in place]
+        spec.worldbody.add_light(pos=place, dir=shine, diffuse=[brightness] * 3)
     _add_object(spec, scene)
     if scene.giver is not None:
         _add_giver(spec, scene.giver)
@@ -272,17 +268,14 @@ class MujocoSimulator(Simulator):
         self._object_geom = model.geom(OBJECT).id
         self._giver: Array | None = None
         if scene.giver is not None:
-            self._giver = np.array(
-                [model.actuator(f"{GIVER}{axis}").id for axis in range(3)]
-            )
-        self._bodies = np.array(
-            [b for b in range(1, model.nbody) if b != self._object_body]
-        )
-        self._links = tuple(model.body(body).name for body in self._bodies)
-        link_of_body = {body: link for link, body in enumerate(self._bodies.tolist())}
-        self._link_of_geom = [
-            link_of_body.get(body, -1) for body in model.geom_bodyid.tolist()
-        ]
+            actuators = [model.actuator(f"{GIVER}{axis}") for axis in range(3)]
+            self._giver = np.array([actuator.id for actuator in actuators])
+        bodies = [b for b in range(1, model.nbody) if b != self._object_body]
+        self._bodies = np.array(bodies)
+        self._links = tuple(model.body(body).name for body in bodies)
+        of_body = {body: link for link, body in enumerate(bodies)}
+        geoms = model.geom_bodyid.tolist()
+        self._link_of_geom = [of_body.get(body, -1) for body in geoms]
 
     @property
     def warnings(self) -> int:  # type: ignore[override]
@@ -361,9 +354,8 @@ class MujocoSimulator(Simulator):
         model.opt.disableactuator &= ~(1 << GIVERS_GROUP)
         model.actuator_actrange[self._giver] = np.sort([position, goal], axis=0).T
         data.act[model.actuator_actadr[self._giver]] = position
-        data.ctrl[self._giver] = (
-            self.scene.giver.speed * way / max(np.linalg.norm(way), 1e-9)
-        )
+        distance = max(np.linalg.norm(way), 1e-9)
+        data.ctrl[self._giver] = self.scene.giver.speed * way / distance
         data.xfrc_applied[self._object_body, :3] = -self.scene.mass * model.opt.gravity
 
     def let_go(self) -> None:

@@ -49,10 +49,8 @@ GRAVITY = 9.81
 ENGINE = {"numSolverIterations": 50, "deterministicOverlappingPairs": 1}
 LOADING = pybullet.URDF_USE_INERTIA_FROM_FILE
 TINY = 1e-9
-GEAR_ERP, GEAR_FORCE = (
-    0.5,
-    1e3,
-)  # of an error that a step takes back, and N m, of coupled joints
+# Of coupled joints: share of an error that a step takes back, and N m.
+GEAR_ERP, GEAR_FORCE = 0.5, 1e3
 JOINT_DAMPING = 0.01  # N m s/rad
 SPINNING_FRICTION = 0.005  # m, of the object's contacts
 FRICTION_ANCHOR = 1  # contacts remember where they stick; without, held objects creep
@@ -104,9 +102,7 @@ class PyBulletSimulator(Simulator):
 
     def __reduce__(self) -> Any:
         """Bullet's worlds cannot be copied whole: a copy would share this one's."""
-        raise TypeError(
-            "a PyBullet environment cannot be copied or pickled: make another"
-        )
+        raise TypeError("a PyBullet environment cannot be copied: make another")
 
     # -- building ----------------------------------------------------------------------------
 
@@ -139,15 +135,9 @@ class PyBulletSimulator(Simulator):
         bullet.setJointMotorControl2(
             hand, follower, pybullet.VELOCITY_CONTROL, force=0.0
         )
+        joints, axis = (hand, follower, hand, driver), [0.0, 0.0, 1.0]
         gear = bullet.createConstraint(
-            hand,
-            follower,
-            hand,
-            driver,
-            pybullet.JOINT_GEAR,
-            [0.0, 0.0, 1.0],
-            origin,
-            origin,
+            *joints, pybullet.JOINT_GEAR, axis, origin, origin
         )
         law = {"gearRatio": -coupling.ratio, "relativePositionTarget": coupling.offset}
         bullet.changeConstraint(gear, **law, erp=GEAR_ERP, maxForce=GEAR_FORCE)
@@ -189,18 +179,15 @@ class PyBulletSimulator(Simulator):
         limits, gains = [], []
         for actuator, joint in zip(hand.actuators, hand.actuated, strict=True):
             servo, moved = model.actuator(actuator), model.joint(joint)
-            arm = float(
-                servo.gainprm[0] / -servo.biasprm[1]
-            )  # force on the joint by the servo's
+            gain = servo.gainprm[0]
+            arm = float(gain / -servo.biasprm[1])  # force on the joint by the servo's
             damping = model.dof_damping[moved.dofadr[0]] - servo.biasprm[2]
-            unlimited = servo.gainprm[0] * np.ptp(moved.range)
-            limits.append(
-                float(servo.forcerange[1] if servo.forcelimited[0] else unlimited) * arm
-            )
-            stiffness = servo.gainprm[0] * arm
-            gains.append(
-                min(1.0, float(stiffness / max(damping, TINY)) * self.scene.timestep)
-            )
+            limit = gain * np.ptp(moved.range)
+            if servo.forcelimited[0]:
+                limit = servo.forcerange[1]
+            limits.append(float(limit) * arm)
+            rate = float(gain * arm / max(damping, TINY))
+            gains.append(min(1.0, rate * self.scene.timestep))
         soft = [each for each in hand.couplings if not each.is_rigid]
         self._drivers = [hand.actuated.index(each.driver) for each in soft]
         self._ratios = np.array([each.ratio for each in soft])
@@ -245,9 +232,8 @@ class PyBulletSimulator(Simulator):
         )  # fmt: skip
         for _ in range(n_substeps):  # external forces last one step
             position, _ = bullet.getBasePositionAndOrientation(self.object)
-            force = (
-                self._weight if self._rest is None else self._pull(np.array(position))
-            )
+            carried = self._rest is not None
+            force = self._pull(np.array(position)) if carried else self._weight
             bullet.applyExternalForce(
                 self.object, -1, force, position, pybullet.WORLD_FRAME
             )
@@ -261,9 +247,8 @@ class PyBulletSimulator(Simulator):
         assert rest is not None
         way, step = self._goal - rest, giver.speed * self.scene.timestep
         distance = float(np.linalg.norm(way))
-        self._rest = rest = (
-            self._goal if distance <= step else rest + way * (step / distance)
-        )
+        rest = self._goal if distance <= step else rest + way * (step / distance)
+        self._rest = rest
         velocity, _ = self._bullet.getBaseVelocity(self.object)
         return giver.pull(rest, position, np.array(velocity))
 
@@ -321,9 +306,8 @@ class PyBulletSimulator(Simulator):
             return np.zeros(0, bool)
         names, centres, radii = zip(*self.scene.sensors, strict=True)
         at = places(self._names, names)
-        centres = positions[at] + np.einsum(
-            "nij,nj->ni", rotations[at], np.array(centres)
-        )
+        offsets = np.einsum("nij,nj->ni", rotations[at], np.array(centres))
+        centres = positions[at] + offsets
         gaps = np.square(points[None] - centres[:, None]).sum(axis=2)
         return (gaps <= np.square(radii)[:, None]).any(axis=1)
 

@@ -113,9 +113,8 @@ def _hull(model: mujoco.MjModel, mesh: int) -> str:
 def _add_joints(robot: Element, model: mujoco.MjModel, body: int) -> None:
     """The joints between a body and its parent, with massless links between them."""
     name, parent = model.body(body).name, model.body(model.body_parentid[body]).name
-    joints = range(
-        model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]
-    )
+    first = model.body_jntadr[body]
+    joints = range(first, first + model.body_jntnum[body])
     if not joints:
         joint = _joint(robot, f"{name} fixed", "fixed", parent, name)
         _origin(joint, model.body_pos[body], model.body_quat[body])
@@ -128,21 +127,18 @@ def _add_joints(robot: Element, model: mujoco.MjModel, body: int) -> None:
             child = _link(robot, f"{name} {number}", 0.0, np.zeros(3)).attrib["name"]
         kind = _JOINTS[int(model.jnt_type[index])]
         joint = _joint(robot, model.joint(index).name, kind, parent, child)
-        at, turned = (
-            (model.body_pos[body], model.body_quat[body]) if number == 0 else _UNMOVED
-        )
-        if ref := model.qpos0[
-            model.jnt_qposadr[index]
-        ]:  # the angle at which MuJoCo's joint is unmoved
+        at, turned = _UNMOVED
+        if number == 0:
+            at, turned = model.body_pos[body], model.body_quat[body]
+        ref = model.qpos0[model.jnt_qposadr[index]]  # at which the joint is unmoved
+        if ref:
             at, turned = _moved(at, turned, -ref * model.jnt_axis[index], kind)
         if number == 0 or ref:
             _origin(joint, at, turned)
         SubElement(joint, "axis", xyz=_text(model.jnt_axis[index]))
-        limits = (
-            model.jnt_range[index]
-            if model.jnt_limited[index]
-            else (-_UNLIMITED, _UNLIMITED)
-        )
+        limits = -_UNLIMITED, _UNLIMITED
+        if model.jnt_limited[index]:
+            limits = model.jnt_range[index]
         lower, upper = (repr(float(limit)) for limit in limits)
         SubElement(joint, "limit", effort="0", velocity="0", lower=lower, upper=upper)
         parent = child
