@@ -18,7 +18,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from tactilerl.envs import hands, layouts
 from tactilerl.pictures.hand_map import TaxelMap
 from tactilerl.study.analysis import analyse
-from tactilerl.study.figures import Curves
+from tactilerl.study.figures import curves
 from tactilerl.style import DPI, HEAD, NAMES, OTHERS, STYLE
 
 from benchmarks.command import DOCS, data, no_flags
@@ -81,7 +81,7 @@ def study_curves(study: str, pictures: dict[str, str]) -> None:
     """The learning curves of some set-ups, as the report of their study draws them."""
     for one in analyse(*study_tables.load(study)).setups:
         if one.setup.name in pictures:
-            picture = Curves(one).image("png")
+            picture = curves(one, "png")
             (IMAGES / f"{pictures[one.setup.name]}.png").write_bytes(picture)
 
 

@@ -19,7 +19,7 @@ from tactilerl.statistics import Array, Estimate
 from tactilerl.study import pairs as study_pairs
 from tactilerl.study.pairs import BySeed
 from tactilerl.study.records import Record
-from tactilerl.study.tables import p_value
+from tactilerl.study.report import p_value
 
 from benchmarks.command import data, markdown
 from benchmarks.studies.study_tables import estimate, in_common, load, number, title

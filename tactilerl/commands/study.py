@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import json
 import os
-import shlex
+import time
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Union
 
 import tyro
-from rich import box
 from rich.table import Table
 
-from ..errors import InputError, extra
+from ..errors import InputError, extra, input_errors
 from ..files import pasted
-from ..machine import free_cores
 from ..study import executors, grid, jobs, records
 from ..study.jobs import Job
 from ..study.records import Record, StudyFiles
@@ -50,12 +48,10 @@ class Run:
     def __call__(self) -> int:
         """Run `tactilerl study run FILE`."""
         where = self.on, self.jobs, self.ranks_per_run, self.walltime, self.memory
-        with executors.start(*where) as (pool, parallel):
+        with executors.start(*where) as pool:
             study = grid.read(self.study)
             files = StudyFiles(self.out or Path("studies") / study.name)
-            runs = study.runs()
-            console.print(f"study {study.name}: checking {len(runs)} runs")
-            found = {run.name: files.record(run) for run in runs}
+            found = {run.name: files.record(run) for run in study.runs()}
             jobs.check(found.values())
             files.create(study)
             for name, record in found.items():
@@ -67,32 +63,32 @@ class Run:
                 for one in found.values()
                 if not one.has_ended
             ]
-            counted = f"{len(runs)} runs, {len(todo)} to do"
+            counted = f"{len(found)} runs, {len(todo)} to do"
             console.print(f"study {study.name}: {counted}, in {files.path}")
-            busy = []
+            endings, begin = [], time.monotonic()
 
             def show(job: Job, ending: jobs.Ending) -> None:
-                if ending == "busy":
-                    busy.append(job)
+                endings.append(ending)
                 record = found[job.run.name] = files.record(job.run)
-                n_ended = sum(one.has_ended for one in found.values())
-                left = duration(records.seconds_left(found.values(), parallel))
+                n_ended, n_left = len(endings), len(todo) - len(endings)
+                left = duration((time.monotonic() - begin) / n_ended * n_left)
                 console.print(
-                    f"[{n_ended}/{len(runs)}] {job.run.name} {record.state} "
+                    f"[{len(found) - n_left}/{len(found)}] {job.run.name} {record.state} "
                     f"{duration(record.seconds)}  ETA {left}"
                 )
 
             jobs.run_all(todo, pool, show)
-            n_failed = _print_failures(found.values())
-            if busy:
-                console.print(f"{len(busy)} runs are trained by another `study run`")
-            console.print(f"  tactilerl study report {pasted(files.path)}")
-            return 1 if n_failed else 0
+        n_failed = _print_failures(found.values())
+        if n_busy := endings.count("busy"):
+            console.print(f"{n_busy} runs are trained by another `study run`")
+        console.print(f"  tactilerl study report {pasted(files.path)}")
+        return 1 if n_failed else 0
 
 
-def _json(value: Any) -> str:
-    """Return JSON, in which numbers that are not finite are null."""
-    return json.dumps(json.loads(json.dumps(value), parse_constant=lambda _: None))
+def _counts(found: Iterable[Record]) -> dict[str, int]:
+    """Return how many runs are in each state."""
+    states = [record.state for record in found]
+    return {state: states.count(state) for state in records.STATES}
 
 
 def _print_failures(found: Iterable[Record]) -> int:
@@ -104,30 +100,8 @@ def _print_failures(found: Iterable[Record]) -> int:
 
 
 @dataclass(frozen=True)
-class Todo:
-    """Print a command for each run that is not done, for job arrays."""
-
-    study: tyro.conf.Positional[Path]
-    """Study file (TOML)."""
-    out: Path | None = None
-    """Folder of the study; default: studies/NAME."""
-
-    def __call__(self) -> None:
-        """Run `tactilerl study todo FILE`."""
-        study = grid.read(self.study)
-        files = StudyFiles(self.out or Path("studies") / study.name)
-        found = [files.record(run) for run in study.runs()]
-        jobs.check(found)
-        files.create(study)
-        for record in found:
-            if record.state != "done":
-                arguments = Job(files.path, record.run).arguments
-                print(shlex.join(["tactilerl", *arguments]))
-
-
-@dataclass(frozen=True)
 class Train:
-    """Train one run of a study, or continue it, as `todo` says."""
+    """Train one run of a study, or continue it, as `study run` does."""
 
     folder: tyro.conf.Positional[Path]
     """Folder of the study."""
@@ -160,63 +134,17 @@ class Status:
     def __call__(self) -> None:
         """Run `tactilerl study status FOLDER`."""
         study, found = records.load(self.folder)
-        counts = records.counts(found)
-        left = records.seconds_left(found, counts["running"] or free_cores())
         if self.json:
-            states = {
-                one.run.name: {
-                    "state": one.state,
-                    "fraction": one.fraction,
-                    "seconds": one.seconds,
-                }
-                for one in found
-            }
-            result = {"study": study.name, "runs": len(states), **counts}
-            print(_json({**result, "eta_s": left, "states": states}))
+            states = {one.run.name: one.state for one in found}
+            counts = _counts(found)
+            print(json.dumps({"study": study.name, **counts, "states": states}))
             return
-        table = Table("set-up", *counts, title=f"study {study.name}, {len(found)} runs")
+        table = Table("set-up", *records.STATES, title=f"study {study.name}")
         for setup in study.setups:
             of_setup = [one for one in found if one.run.setup == setup.name]
-            table.add_row(setup.name, *map(str, records.counts(of_setup).values()))
+            table.add_row(setup.name, *map(str, _counts(of_setup).values()))
         console.print(table)
-        is_over = all(one.has_ended for one in found)
-        console.print("nothing left to do" if is_over else f"ETA {duration(left)}")
         _print_failures(found)
-
-
-@dataclass(frozen=True)
-class Compare:
-    """Compare two studies of the same groups, such as of other code, pairing runs by seed."""
-
-    a: tyro.conf.Positional[Path]
-    """Folder of a study or a collected file."""
-    b: tyro.conf.Positional[Path]
-    """The study to compare A with."""
-    score: grid.Score = "area"
-    """area: mean success over the run; final: over its last tenth; converged: the converged rate."""
-
-    def __call__(self) -> None:
-        """Run `tactilerl study compare A B`."""
-        with extra("study"):
-            from ..study import pairs
-        (_, a), (_, b) = records.load(self.a), records.load(self.b)
-        title = f"{self.a} − {self.b}: {self.score}"
-        table = Table(title=title, box=box.SIMPLE_HEAD, padding=0)
-        for column in ("", "steps", "pairs", "difference", "p", "p, Holm"):
-            table.add_column(column, no_wrap=bool(column), overflow="fold")
-        for row in pairs.compare(a, b, self.score):
-            value, low, high = row.pairs.difference
-            table.add_row(
-                row.place,
-                f"{row.until:,.0f}",
-                str(len(row.pairs)),
-                f"{value:+.3f} ({low:+.3f} to {high:+.3f})",
-                f"{row.pairs.p_value:.3f}",
-                f"{row.p_holm:.3f}",
-            )
-        console.print(table)
-        differing = pairs.differing(a, b)
-        console.print(f"they differ in: {'; '.join(differing) or 'nothing'}")
 
 
 @dataclass(frozen=True)
@@ -248,23 +176,20 @@ class Report:
     def __call__(self) -> None:
         """Run `tactilerl study report FOLDER`."""
         with extra("study"):
-            from ..study import analysis, report, summary
+            from ..study import analysis, report
         result = analysis.analyse(*records.load(self.study), self.resamples)
         beside = self.study if os.path.isdir(self.study) else self.study.parent
         out = self.out or beside / "report"
-        try:
+        with input_errors(f"cannot write the report into {str(out)!r}"):
             path = report.write(result, out)
-        except OSError as error:
-            where = f"cannot write the report into {str(out)!r}"
-            raise InputError(f"{where}: {error.strerror}") from error
-        for sentence in summary.answers(result):
+        for sentence in report.answers(result):
             console.print(sentence)
-        for warning in summary.warnings(result):
+        for warning in report.warnings(result):
             console.print(f"note: {warning}")
         console.print(f"{path} (tables and figures beside it)")
 
 
-KINDS = (Run, Todo, Train, Status, Compare, Collect, Report)
+KINDS = (Run, Train, Status, Collect, Report)
 PARTS = {kind.__name__.lower(): kind for kind in KINDS}
 
 

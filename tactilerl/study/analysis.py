@@ -10,15 +10,9 @@ import numpy as np
 
 from .. import statistics
 from ..statistics import N_RESAMPLES, Array
+from ..style import NAMES
 from .grid import Setup, Study
-from .pairs import (
-    SEED,
-    Verdict,
-    judge,
-    runs_of,
-    scores,
-    span,
-)
+from .pairs import SEED, Verdict, judge, runs_of, scores, span
 from .records import Record
 
 MOST_POINTS = 500  # of a curve
@@ -40,9 +34,6 @@ class Group:
     counts: Array
     """Bootstrap resamples of these runs."""
 
-    def __len__(self) -> int:
-        return len(self.seeds)
-
 
 @dataclass(frozen=True)
 class SetupResult:
@@ -61,6 +52,14 @@ class SetupResult:
     def config(self) -> dict[str, Any]:
         """The first config.json among the runs; empty where there is none."""
         return next((record.config for record in self.records if record.config), {})
+
+    @property
+    def subject(self) -> str:
+        """The hand, simulator and learner: `MPL hand, MuJoCo, PPO`."""
+        run, scene = self.config.get("run", {}), self.config.get("scene") or {}
+        parts = run.get("env"), scene.get("simulator"), run.get("algo")
+        named = ", ".join(NAMES.get(part, str(part)) for part in parts if part)
+        return named or self.setup.name
 
 
 @dataclass(frozen=True)

@@ -22,14 +22,12 @@ BATCH = {
 }
 DASK = "dask:"
 MEMORY = "3GB"  # of a process, as the guide says
-Pool = tuple[concurrent.futures.Executor, int]
-"""Where jobs are submitted to, and how many it trains at a time."""
 
 
 @contextmanager
 def start(
     on: str, jobs: int | None, ranks: int, walltime: str | None, memory: str | None
-) -> Iterator[Pool]:
+) -> Iterator[concurrent.futures.Executor]:
     """Start the executor that `--on` names, for runs of so many processes (`ranks`) each.
 
     Raises InputError where it is not known or cannot be reached, or for flags that are another's.
@@ -46,9 +44,8 @@ def start(
         if value and not is_batch:
             raise InputError(f"--{flag}: allowed only with --on {', '.join(BATCH)}")
     if on == "local":
-        n = jobs or max(1, free_cores() // ranks)
-        with threads(n) as pool:
-            yield pool, n
+        with threads(jobs or max(1, free_cores() // ranks)) as pool:
+            yield pool
         return
     with extra("cluster"):
         from dask.distributed import Client
@@ -66,8 +63,7 @@ def start(
     except (OSError, ValueError, RuntimeError) as error:
         raise InputError(f"--on {on}: {error}") from error
     with client:
-        n = jobs or max(1, sum(client.nthreads().values()))
-        yield client.get_executor(pure=False), n
+        yield client.get_executor(pure=False)
 
 
 def cluster(on: str, ranks: int, walltime: str | None, memory: str | None) -> Any:

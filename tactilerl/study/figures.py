@@ -4,85 +4,60 @@ from __future__ import annotations
 
 import io
 import itertools
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import matplotlib
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..style import DPI, GROUPS, HEAD, INK, STYLE
 from .analysis import SetupResult
-from .summary import subject
 
-LEGEND = 2.4  # inches for an entry of the legend
 PANEL = 5.2, 3.2  # inches
 BAND: dict[str, Any] = {"alpha": 0.13, "lw": 0, "zorder": 1}  # below all curves
 LINE: dict[str, Any] = {"alpha": 0.7, "lw": 0.8, "zorder": 2}
 
 
-@dataclass(frozen=True)
-class Curves:
-    """The paper's Figures 3 and 5: a panel per setting, IQM with interval and every run."""
+def title(result: SetupResult) -> str:
+    """Return what the curves of a set-up show."""
+    length = result.config["run"]["total_timesteps"]
+    return (
+        f"Learning curves, IQM and every run: {result.subject}, {length:,} steps a run"
+    )
 
-    result: SetupResult
 
-    @property
-    def name(self) -> str:
-        """The name of its file and of its place in report.html."""
-        return f"{self.result.setup.name}_curves"
+@matplotlib.rc_context(STYLE)
+def curves(result: SetupResult, kind: Literal["svg", "png"] = "svg") -> bytes:
+    """Draw the paper's Figures 3 and 5: a panel per setting, IQM with interval and every run.
 
-    @property
-    def title(self) -> str:
-        """Set-up, learner, length and what is drawn."""
-        length = self.result.config["run"]["total_timesteps"]
-        return f"Learning curves, IQM and every run: {subject(self.result)}, {length:,} steps"
-
-    def image(self, kind: Literal["svg", "png"] = "svg") -> bytes:
-        """Draw the curves; the same records give the same bytes."""
-        settings = list(dict.fromkeys(setting for setting, _ in self.result.groups))
-        columns = min(3, len(settings))
-        rows = -(-len(settings) // columns)
-        entries: dict[str, Any] = {}
-        with matplotlib.rc_context(STYLE):
-            size = PANEL[0] * columns, PANEL[1] * rows
-            figure = Figure(figsize=size, layout="constrained")
-            axes = figure.subplots(rows, columns, squeeze=False).ravel()
-            for setting, panel in zip(settings, axes, strict=False):
-                self._draw(setting, panel)
-                handles, labels = panel.get_legend_handles_labels()
-                entries |= dict(zip(labels, handles, strict=True))
-            for spare in axes[len(settings) :]:
-                spare.set_axis_off()
-            n_columns = int(figure.get_figwidth() // LEGEND)
-            place: dict[str, Any] = {"loc": "outside lower center", "fontsize": 8}
-            figure.legend([*entries.values()], [*entries], ncols=n_columns, **place)
-            figure.suptitle(self.title, **HEAD)
-            file, volatile = io.BytesIO(), "Date" if kind == "svg" else "Software"
-            figure.savefig(file, format=kind, dpi=DPI, metadata={volatile: None})
-        return file.getvalue()
-
-    def _draw(self, setting: str, axes: Axes) -> None:
-        steps, setup = self.result.steps, self.result.setup
-        marker = "o" if len(steps) == 1 else None
-        for colour, name in zip(itertools.cycle(GROUPS), setup.groups, strict=False):
-            group = self.result.groups.get((setting, name))
-            if group is not None:
-                label = f"{setup.label(name)}, IQM".removeprefix("all, ")
-                axes.fill_between(steps, *group.iqm_bounds.T, color=colour, **BAND)
-                axes.plot(steps, group.curves.T, color=colour, **LINE)
-                axes.plot(
-                    steps,
-                    group.iqm_curve,
-                    color=colour,
-                    lw=2.2,
-                    marker=marker,
-                    label=label,
-                )
-        axes.plot([], [], color=INK, label="a run", **LINE)
-        axes.fill_between([], [], color=INK, label="95 % interval of the IQM", **BAND)
+    The same records give the same bytes.
+    """
+    setup, steps = result.setup, result.steps
+    settings = list(dict.fromkeys(setting for setting, _ in result.groups))
+    columns = min(3, len(settings))
+    rows = -(-len(settings) // columns)
+    figure = Figure((PANEL[0] * columns, PANEL[1] * rows), layout="constrained")
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    colours = dict(zip(setup.groups, itertools.cycle(GROUPS), strict=False))
+    for panel in panels[len(settings) :]:
+        panel.set_axis_off()
+    for setting, panel in zip(settings, panels, strict=False):
+        for name, colour in colours.items():
+            if group := result.groups.get((setting, name)):
+                panel.fill_between(steps, *group.iqm_bounds.T, color=colour, **BAND)
+                panel.plot(steps, group.curves.T, color=colour, **LINE)
+                marker = "o" if len(steps) == 1 else None
+                panel.plot(steps, group.iqm_curve, color=colour, lw=2.2, marker=marker)
         rate = setup.measure.replace("_", " ")
-        axes.set(xlabel="environment steps", ylabel=rate, ylim=(-0.02, 1.02))
-        axes.set_title("" if setting == "all" else setting)
-        axes.xaxis.set_major_locator(matplotlib.ticker.MaxNLocator(4))
-        axes.xaxis.set_major_formatter(matplotlib.ticker.EngFormatter(sep=""))
+        panel.set(xlabel="environment steps", ylabel=rate, ylim=(-0.02, 1.02))
+        panel.set_title("" if setting == "all" else setting)
+        panel.xaxis.set_major_locator(matplotlib.ticker.MaxNLocator(4))
+        panel.xaxis.set_major_formatter(matplotlib.ticker.EngFormatter(sep=""))
+    for name, colour in colours.items():
+        panels[0].plot([], [], color=colour, lw=2.2, label=f"{setup.label(name)}, IQM")
+    panels[0].plot([], [], color=INK, label="a run", **LINE)
+    panels[0].fill_between([], [], color=INK, label="95 % interval of the IQM", **BAND)
+    figure.legend(loc="outside lower center", fontsize=8, ncols=2 * columns)
+    figure.suptitle(title(result), **HEAD)
+    file, volatile = io.BytesIO(), "Date" if kind == "svg" else "Software"
+    figure.savefig(file, format=kind, dpi=DPI, metadata={volatile: None})
+    return file.getvalue()

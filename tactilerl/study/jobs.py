@@ -26,7 +26,7 @@ from ..algos.mpi import Communicator
 from ..envs import plugins
 from ..errors import BAD_INPUT, BUSY, InputError, input_errors
 from ..files import no_link
-from ..runs.config import RunConfig
+from ..runs.config import RunConfig, from_dict
 from ..runs.training import make_algorithm
 from ..terminal import interrupts
 from .grid import Run
@@ -78,7 +78,8 @@ def check(records: Iterable[Record]) -> None:
         run = record.run
         try:
             config = run.config()
-            _require_same(record.config, config)
+            if record.config:
+                _require_same(from_dict(record.config), config)
             if record.state == "left" and run.place not in made:
                 made.add(run.place)
                 learner, workers = make_algorithm(config, Communicator())
@@ -88,22 +89,15 @@ def check(records: Iterable[Record]) -> None:
             raise InputError(f"run {run.name}: {error}") from error
 
 
-def _require_same(made: dict[str, Any], config: RunConfig) -> None:
-    """Raise InputError where the run was made with other values, or would be cut."""
-    steps = (made.get("run") or {}).get("total_timesteps", 0)
-    if config.run.total_timesteps < steps:
-        found = f"total_timesteps: found {config.run.total_timesteps}"
-        raise InputError(
-            f"{found}, allowed {steps} or more: a run can be extended, not cut"
-        )
-    for part, values in config.identity().items():
-        for key, value in (values or {}).items():
-            before = (made.get(part) or {}).get(key, value)
-            if before != value:
-                raise InputError(
-                    f"{key}: found {value!r}, the run was made with {before!r}; give this study "
-                    "another --out, or move that folder away"
-                )
+def _require_same(made: RunConfig, asked: RunConfig) -> None:
+    """Raise InputError where a run was made with other values, or would be cut."""
+    steps = made.run.total_timesteps
+    if asked.run.total_timesteps < steps:
+        found = f"total_timesteps: found {asked.run.total_timesteps}, allowed {steps} or more"
+        raise InputError(f"{found}: a run can be extended, not cut")
+    if difference := made.difference(asked.identity()):
+        hint = "give this study another --out, or move that folder away"
+        raise InputError(f"{difference}; {hint}")
 
 
 def run_all(

@@ -11,20 +11,11 @@ from functools import cache
 import numpy as np
 
 from .. import statistics
-from ..errors import InputError
-from ..machine import short
 from ..statistics import N_RESAMPLES, Array, Estimate
 from .grid import Setup, Study
-from .records import Record, flags_of
+from .records import Record
 
 SEED = 20_210_830  # of all resampling: the same records give the same report
-THRESHOLDS = (0.5, 0.9)
-SILENT = (
-    "seed",
-    "workers",
-    "threads",
-    "tensorboard",
-)  # flags that change no comparison
 ALPHA = 0.05
 BySeed = dict[int, float]
 """A score by seed."""
@@ -86,7 +77,7 @@ def span(records: Iterable[Record]) -> tuple[float, float]:
 def scores(record: Record, first: float, last: float) -> dict[str, float]:
     """Return what a finished run reached from the `first` to the `last` step.
 
-    The names are those of `grid.Score`, and "steps to T" for each threshold T.
+    The names are those of `grid.Score`.
     """
     steps, rates = record.curve
     at = np.unique([min(first, last), *steps[(steps > first) & (steps < last)], last])
@@ -96,9 +87,6 @@ def scores(record: Record, first: float, last: float) -> dict[str, float]:
         "final": statistics.final_rate(rates),
         "converged": statistics.converged_rate(rates),
     }
-    for threshold in THRESHOLDS:
-        to_threshold = statistics.steps_to_threshold(at, rates, threshold)
-        reached[f"steps to {threshold:g}"] = to_threshold
     return {name: float(value[0]) for name, value in reached.items()}
 
 
@@ -152,63 +140,3 @@ def judge(
         one.setting: replace(one, p_holm=float(p))
         for one, p in zip(verdicts, corrected, strict=True)
     }
-
-
-# -- two studies against each other -------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """One group of runs in two studies."""
-
-    place: str
-    """Names of set-up, setting and group."""
-    until: float
-    """The step until which they are compared: the end of the shortest run."""
-    pairs: Pairs
-    p_holm: float = math.nan
-    """The p-value corrected for the other groups."""
-
-
-def compare(a: Sequence[Record], b: Sequence[Record], score: str) -> list[Comparison]:
-    """Compare the runs of `a` with those of `b`, in every group that both studies have.
-
-    Raises InputError where no group has a finished run of the same seed in both.
-    """
-    rows = []
-    for place in dict.fromkeys(record.run.place for record in a):
-        groups = [
-            [one for one in study if one.run.place == place and one.is_finished]
-            for study in (a, b)
-        ]
-        pairs = in_pairs(scored(score, *groups))
-        if len(pairs):
-            begin, end = span(itertools.chain(*groups))
-            if begin > end:
-                raise InputError(f"{place}: found no steps that all runs have")
-            name = ", ".join(one for one in place if one not in ("", "all"))
-            rows.append(Comparison(name, end, pairs))
-    if not rows:
-        raise InputError("found no group with finished runs of the same seed in both")
-    corrected = statistics.holm([row.pairs.p_value for row in rows])
-    return [
-        replace(row, p_holm=float(p)) for row, p in zip(rows, corrected, strict=True)
-    ]
-
-
-def differing(a: Sequence[Record], b: Sequence[Record]) -> list[str]:
-    """Return the flags, the commit and the measure in which the first runs of two studies differ."""
-    values = []
-    for first in (a[0], b[0]):
-        origins = first.config.get("provenance") or [{}]
-        more = {
-            "commit": short(origins[-1].get("commit")),
-            "measure": first.run.measure,
-        }
-        values.append(flags_of(first.config) | more)
-    before, after = values
-    return [
-        f"{name} {before.get(name)} − {after.get(name)}"
-        for name in before | after
-        if name not in SILENT and before.get(name) != after.get(name)
-    ]

@@ -16,7 +16,7 @@ import json
 import math
 import os
 import tarfile
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from gzip import GzipFile
@@ -36,10 +36,9 @@ from ..files import (
     unzip,
     writable,
 )
-from ..runs.config import PARTS
 from ..runs.store import Row, RunDir, as_record, parse
 from ..statistics import Array
-from .grid import Run, Study, from_dict, read
+from .grid import Run, Study, from_dict
 
 State = Literal["done", "running", "failed", "interrupted", "left"]
 STATES: tuple[State, ...] = get_args(State)
@@ -88,32 +87,11 @@ class Record:
         return self.state in ("done", "failed")
 
     @property
-    def fraction(self) -> float:
-        """The share of its steps that it has made."""
-        done = int(self.rows[-1]["env_steps"]) if self.rows else 0
-        planned: Any = flags_of(self.config).get("total_timesteps")
-        planned = self.run.flags.get("total_timesteps", planned)
-        if not (self.config and isinstance(planned, int | float) and planned > 0):
-            return 0.0
-        return min(1.0, done / planned)
-
-    @property
     def seconds(self) -> float:
         """The seconds spent in epochs, without starting and saving."""
-        made, speed = (
-            np.diff(self.column("env_steps"), prepend=0),
-            self.column("steps_per_s"),
-        )
-        known = speed > 0
-        return float((made[known] / speed[known]).sum())
-
-
-def flags_of(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Return every value of a config.json by its flag."""
-    values: dict[str, Any] = {}
-    for part in PARTS:
-        values |= config.get(part) or {}
-    return values
+        made = np.diff(self.column("env_steps"), prepend=0)
+        speed = self.column("steps_per_s")
+        return float((made / np.where(speed > 0, speed, np.inf)).sum())
 
 
 class StudyFiles:
@@ -156,9 +134,12 @@ class StudyFiles:
         nothing = list[Row](), ""
         (rows, cut), damaged = self._parsed(f"{name}/progress.csv", _rows, nothing)
         failure, _ = self._parsed(f"{name}.json", _failure, "")
-        state: State = "interrupted" if config or unread else "left"
-        if Record(run, "done", "", config, rows).fraction == 1:
+        planned = config.get("run", {}).get("total_timesteps")
+        planned = run.flags.get("total_timesteps", planned)
+        is_length = isinstance(planned, int | float) and planned > 0
+        if config and rows and is_length and int(rows[-1]["env_steps"]) >= planned:
             return Record(run, "done", "", config, rows)
+        state: State = "interrupted" if config or unread else "left"
         if self._packed is None and self.is_running(run):
             state = "running"
         elif failure:
@@ -203,16 +184,15 @@ class StudyFiles:
             names = (
                 {p.name for p in self.path.iterdir()} if self.path.exists() else set()
             )
-        if STUDY in names and (other := self.study().name) != study.name:
+        holds = ""
+        if STUDY not in names:
+            if any(name != RUNS and not LEFTOVER.fullmatch(name) for name in names):
+                holds = "no study"
+        elif self.study().name != study.name:
+            holds = f"the study {self.study().name!r}, not {study.name!r}"
+        if holds:
             raise InputError(
-                f"{str(self.path)!r} holds the study {other!r}, not {study.name!r}; choose another "
-                "with --out"
-            )
-        if STUDY not in names and not all(
-            LEFTOVER.fullmatch(one) or one == RUNS for one in names
-        ):
-            raise InputError(
-                f"{str(self.path)!r} exists and holds no study; choose another with --out"
+                f"{str(self.path)!r} holds {holds}; choose another with --out"
             )
         with writable(self.path):
             (self.path / RUNS).mkdir(parents=True, exist_ok=True)
@@ -244,11 +224,6 @@ def _study(study: Study) -> bytes:
 
 def load(path: Path) -> tuple[Study, list[Record]]:
     """Return the study in a folder or a packed file, and all its runs in order of the grid."""
-    if path.suffix == ".toml":
-        folder = f"studies/{read(path).name}"
-        raise InputError(
-            f"{path}: found a study file, expected the study's folder, such as {folder}"
-        )
     files = StudyFiles(path)
     study = files.study()
     return study, [files.record(run) for run in study.runs()]
@@ -291,27 +266,3 @@ def _unpacked(path: Path) -> dict[str, bytes]:
         if STUDY not in found:
             raise ValueError("no study.json in it")
         return found
-
-
-def counts(records: Iterable[Record]) -> dict[str, int]:
-    """Return how many runs are in each state."""
-    states = [record.state for record in records]
-    return {state: states.count(state) for state in STATES}
-
-
-def seconds_left(records: Collection[Record], parallel: int) -> float | None:
-    """Return the seconds until all is done; None while nobody can know.
-
-    Runs of a set-up are taken to be equally long, and as long as the others where none has begun.
-    """
-
-    def per_run(some: Collection[Record]) -> float:
-        done = sum(one.fraction for one in some)
-        return sum(one.seconds for one in some) / done if done else 0.0
-
-    overall, left = per_run(records), 0.0
-    for setup in {record.run.setup for record in records}:
-        of_setup = [one for one in records if one.run.setup == setup]
-        n_open = sum(1 - one.fraction for one in of_setup if not one.has_ended)
-        left += (per_run(of_setup) or overall) * n_open
-    return left / parallel if overall else None

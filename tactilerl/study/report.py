@@ -1,33 +1,276 @@
-"""report.html, and the same as files: tables as CSV, figures as SVG.
+"""What a study says: sentences and tables, and report.html with the same as files beside it.
 
 The same records give the same bytes: no file holds a date or a path.
 """
 
 from __future__ import annotations
 
+import csv
+import io
+import math
 from base64 import b64encode
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import jinja2
 
+from .. import statistics
 from ..files import content, own_folder, replacing, require_ours
-from . import summary, tables
-from .analysis import Analysis
-from .figures import Curves
-from .tables import Table
+from ..machine import short
+from ..statistics import FEW_RUNS, Estimate, fewest_pairs
+from . import figures
+from .analysis import Analysis, SetupResult
+from .grid import Setup
+from .pairs import ALPHA, Verdict
 
 TEMPLATE = "report.html.j2"
 FOOTER = b"Made by <code>tactilerl study report</code>"  # of every version
+MEANS = {
+    "area": "mean success",
+    "final": "final success",
+    "converged": "converged success",
+}
+"""Scores as sentences have them."""
 
 
 @dataclass(frozen=True)
-class Section:
-    """A heading with the figures and tables below it."""
+class Table:
+    """A table of texts."""
 
-    key: str
+    name: str
+    """The name of its file and of its place in report.html."""
     title: str
-    parts: list[Curves | Table]
+    rows: list[dict[str, str]]
+    """Cells by the headings of their columns, which are those of the first row."""
+    note: str = ""
+
+    @property
+    def columns(self) -> list[str]:
+        """The headings, without settings or groups where there is only one."""
+        return [
+            name
+            for name in self.rows[0]
+            if name not in ("Setting", "Group")
+            or any(row[name] != "all" for row in self.rows)
+        ]
+
+    def csv(self) -> bytes:
+        """Return the table as a CSV file."""
+        file = io.StringIO()
+        writer = csv.DictWriter(
+            file, self.columns, extrasaction="ignore", lineterminator="\n"
+        )
+        writer.writeheader()
+        writer.writerows(self.rows)
+        return file.getvalue().encode()
+
+
+class Picture(NamedTuple):
+    """A figure of a report."""
+
+    name: str
+    title: str
+    svg: bytes
+
+
+Section = tuple[str, str, list[Table | Picture]]
+"""The place of a section in the page, its heading, and what is below it."""
+
+
+def number(value: float, digits: int = 2) -> str:
+    """Return a number as tables show it; a dash where there is none."""
+    return "–" if math.isnan(value) else f"{value + 0.0:.{digits}f}"
+
+
+def shown(estimate: Estimate, digits: int = 2) -> str:
+    """Return a value and its interval in one cell, as the paper's tables have it."""
+    value, low, high = (number(x, digits) for x in estimate)
+    return f"{value} [{low}, {high}]"
+
+
+def p_value(value: float) -> str:
+    """Return a p-value to three digits."""
+    return "< 0.001" if value < 0.001 else number(value, 3)
+
+
+# -- sentences -------------------------------------------------------------------------------
+
+
+def about(result: SetupResult, score: str) -> str:
+    """Return what was compared, in a sentence or two."""
+    setup, run = result.setup, result.config.get("run", {})
+    length = f", {run['total_timesteps']:,} steps a run" if run else ""
+    sentence = f"{setup.name}: {result.subject}{length}."
+    if setup.compare is None:
+        return sentence
+    treatment, control = map(setup.label, setup.groups[:2])
+    return (
+        f"{sentence} Compares {treatment} with {control}, in pairs of runs with the same seed, by "
+        f"{MEANS[score]} ({setup.measure})."
+    )
+
+
+def provenance(analysis: Analysis) -> str:
+    """Return how many runs are done, how long they took, and of which commits they are."""
+    done = [record for record in analysis.records if record.state == "done"]
+    commits = Counter(
+        short(record.config["provenance"][-1]["commit"])
+        for record in done
+        if record.config.get("provenance")
+    )
+    hours = sum(record.seconds * record.config.get("ranks", 1) for record in done)
+    by = [f"{n} of commit {commit}" for commit, n in commits.most_common()]
+    counted = f"{len(done)} of {len(analysis.records)} runs are done"
+    return f"{', '.join([counted, f'{hours / 3600:.2f} core-hours', *by])}."
+
+
+def answer(setup: Setup, verdict: Verdict, score: str) -> str:
+    """Return the primary comparison of a setting in a sentence, with its interval."""
+    pairs, p = verdict.pairs, verdict.p_holm
+    treatment, control = map(setup.label, setup.groups[:2])
+    fewest = fewest_pairs(ALPHA / len(setup.settings))
+    if verdict.is_difference:
+        verb = "raised" if pairs.difference.value > 0 else "lowered"
+        result = f"{treatment} {verb} {MEANS[score]}"
+    elif len(pairs) < fewest:
+        result = f"too few runs to find a difference, which takes {fewest} pairs"
+    else:
+        result = f"no significant difference in {MEANS[score]}"
+    signed = (f"{round(x, 2) + 0.0:+.2f}".replace("-", "−") for x in pairs.difference)
+    value, low, high = signed
+    chance = "p < 0.001" if p < 0.001 else f"p = {p:.3f}"
+    return (
+        f"{setup.name}, {verdict.setting}: {result} ({treatment} − {control}: {value}, 95 % interval "
+        f"{low} to {high}, {chance}, {len(pairs)} of {verdict.n_seeds} pairs)."
+    )
+
+
+def answers(analysis: Analysis) -> list[str]:
+    """Return every comparison's answer."""
+    return [
+        answer(result.setup, verdict, analysis.study.primary.score)
+        for result in analysis.setups
+        for verdict in result.verdicts.values()
+    ]
+
+
+def warnings(analysis: Analysis) -> list[str]:
+    """Return what a reader must know before believing the numbers."""
+    notes = []
+    states = Counter(record.state for record in analysis.records)
+    missing = [f"{n} {state}" for state, n in sorted(states.items()) if state != "done"]
+    if missing:
+        n_runs = len(analysis.records)
+        notes.append(f"Of {n_runs} runs {', '.join(missing)}: they are in no figure.")
+    groups = [group for one in analysis.setups for group in one.groups.values()]
+    fewest = min((len(group.seeds) for group in groups), default=FEW_RUNS)
+    if fewest < FEW_RUNS:
+        notes.append(
+            f"The smallest group has {fewest} runs. Bands of learning curves of fewer than {FEW_RUNS} "
+            "runs are too narrow: they contain the truth less often than they say."
+        )
+    for one in analysis.setups:
+        name, made_with = one.setup.name, set[tuple[str, str]]()
+        for record in one.records:
+            for origin in record.config.get("provenance", []):
+                versions = sorted(origin["versions"].items())
+                made_with.add((str(origin["commit"]), str(versions)))
+        if not one.groups:
+            notes.append(f"{name}: no finished run with a {one.setup.measure}.")
+        if len(made_with) > 1:
+            notes.append(
+                f"{name}: versions or commits differ between runs, and could change results."
+            )
+    diverged = sum(record.diverged > 0 for record in analysis.records)
+    if diverged:
+        notes.append(f"Episodes diverged in some runs ({diverged}): see Runs.")
+    return notes
+
+
+# -- tables ----------------------------------------------------------------------------------
+
+
+def comparisons(result: SetupResult, score: str) -> Table:
+    """Return treatment against control in every setting, in pairs of runs of the same seed."""
+    treatment, control = map(result.setup.label, result.setup.groups[:2])
+    rows = [
+        {
+            "Setting": setting,
+            "Pairs": f"{len(verdict.pairs)} of {verdict.n_seeds}",
+            MEANS[score].capitalize(): shown(verdict.pairs.difference, 3),
+            "p": p_value(verdict.p_holm),
+        }
+        for setting, verdict in result.verdicts.items()
+    ]
+    note = (
+        f"Mean of {treatment} minus {control} in runs of the same seed, with a 95 % bootstrap interval "
+        f"over pairs. The study is judged by {MEANS[score]}. p is that of a sign-flip test, corrected "
+        "for all rows (Holm)."
+    )
+    title = f"{treatment} − {control} in pairs: {result.subject}"
+    return Table(f"{result.setup.name}_comparisons", title, rows, note)
+
+
+def measures(result: SetupResult) -> Table:
+    """Return the mean scores of each group, with intervals."""
+    rows = []
+    for (setting, name), group in result.groups.items():
+        means = {
+            MEANS[score].capitalize(): shown(statistics.mean(values, group.counts))
+            for score, values in group.scores.items()
+        }
+        row = {"Setting": setting, "Group": result.setup.label(name)}
+        rows.append({**row, "Runs": str(len(group.seeds)), **means})
+    note = (
+        "Mean of the runs with 95 % interval. Mean success: over the run; final: over its last tenth; "
+        "converged: the level where a run spends most of its epochs."
+    )
+    title = f"Each group of runs: {result.subject}"
+    return Table(f"{result.setup.name}_measures", title, rows, note)
+
+
+def runs(analysis: Analysis) -> Table:
+    """Return every run: its seed, how it ended and what it reached."""
+    rows = []
+    for one in analysis.setups:
+        for record in one.records:
+            run, group = record.run, one.groups.get(record.run.place[1:])
+            row = {
+                "Set-up": run.setup,
+                "Setting": run.setting,
+                "Group": one.setup.label(run.group),
+                "Seed": str(run.seed),
+                "State": record.state,
+                "Steps": record.rows[-1]["env_steps"] if record.rows else "0",
+            }
+            for score, mean in MEANS.items():
+                known = (
+                    zip(group.seeds, group.scores[score], strict=True) if group else ()
+                )
+                row[mean.capitalize()] = number(dict(known).get(run.seed, math.nan))
+            row["Diverged episodes"] = str(record.diverged)
+            rows.append({**row, "Why it failed": record.reason})
+    return Table("runs", "Every run", rows)
+
+
+# -- the page --------------------------------------------------------------------------------
+
+
+def sections(analysis: Analysis) -> list[Section]:
+    """Return the sections of a report, in its order."""
+    report: list[Section] = []
+    for one in analysis.setups:
+        name, parts = one.setup.name, list[Table | Picture]()
+        if one.verdicts:
+            parts.append(comparisons(one, analysis.study.primary.score))
+        if one.groups:
+            image = figures.curves(one)
+            parts.append(Picture(f"{name}_curves", figures.title(one), image))
+            parts.append(measures(one))
+            report.append((f"setup-{name}", f"{name}: {one.subject}", parts))
+    return [*report, ("runs", "Runs", [runs(analysis)])]
 
 
 def write(analysis: Analysis, folder: Path) -> Path:
@@ -35,15 +278,14 @@ def write(analysis: Analysis, folder: Path) -> Path:
 
     Raises InputError where a file of another kind would be lost.
     """
-    page, files, images = folder / "report.html", dict[Path, bytes](), {}
+    page, report = folder / "report.html", sections(analysis)
     require_ours(page, lambda path: FOOTER in content(path))
-    report = sections(analysis)
-    for part in (part for section in report for part in section.parts):
+    files: dict[Path, bytes] = {}
+    for part in (part for *_, parts in report for part in parts):
         if isinstance(part, Table):
             files[folder / "tables" / f"{part.name}.csv"] = part.csv()
         else:
-            image = files[folder / "figures" / f"{part.name}.svg"] = part.image()
-            images[part.name] = b64encode(image).decode()
+            files[folder / "figures" / f"{part.name}.svg"] = part.svg
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("tactilerl.study", "."),
         autoescape=True,
@@ -51,43 +293,23 @@ def write(analysis: Analysis, folder: Path) -> Path:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
+    environment.filters["base64"] = lambda data: b64encode(data).decode()
     score = analysis.study.primary.score
     html = environment.get_template(TEMPLATE).render(
         study=analysis.study,
-        about=[summary.about(result, score) for result in analysis.setups],
-        provenance=summary.provenance(analysis.records),
-        answers=summary.answers(analysis),
-        warnings=summary.warnings(analysis),
+        about=[about(result, score) for result in analysis.setups],
+        provenance=provenance(analysis),
+        answers=answers(analysis),
+        warnings=warnings(analysis),
         sections=report,
-        images=images,
     )
-    is_new = not page.exists()
+    is_ours = None if page.exists() else lambda _: False
     folder.mkdir(parents=True, exist_ok=True)
     for name in ("tables", "figures"):
         own_folder(folder / name)
     for path in files:
-        require_ours(path, (lambda _: False) if is_new else None)
-    for path, data in {
-        page: html.encode(),
-        **files,
-    }.items():  # the page says whose it is
+        require_ours(path, is_ours)
+    for path, data in {page: html.encode(), **files}.items():  # the page first
         with replacing(path) as file:
             file.write(data)
     return page
-
-
-def sections(analysis: Analysis) -> list[Section]:
-    """Return the sections of a report, in its order."""
-    score, report = analysis.study.primary.score, []
-    for one in analysis.setups:
-        parts: list[Curves | Table] = []
-        if one.verdicts:
-            parts.append(tables.comparisons(one, score))
-        if one.groups:
-            parts += [Curves(one), tables.measures(one, score)]
-            title = f"{one.setup.name}: {summary.subject(one)}"
-            report.append(Section(f"setup-{one.setup.name}", title, parts))
-    kinds = tables.cost, tables.deviations, tables.versions, tables.runs
-    about = [table for kind in kinds if (table := kind(analysis)).rows]
-    report.append(Section("runs", "Runs, cost and versions", [*about]))
-    return report

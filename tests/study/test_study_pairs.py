@@ -1,22 +1,9 @@
-"""What a study says of its comparisons, in sentences and numbers, and of two studies."""
-
-import dataclasses
-import re
+"""What a study says of its comparisons, in sentences and numbers."""
 
 import numpy as np
 import pytest
-from tactilerl.study import pairs, records, summary
+from tactilerl.study import pairs, records, report
 from tactilerl.study.grid import Contrast, Run, Setup
-
-from one_line import fails_with, printed
-from study_records import PAPER_LIKE, make_study
-
-DIFFERENCE = re.compile(r"([+-]0\.\d{3}) \(([+-]\d\.\d{3}) to ([+-]\d\.\d{3})\)")
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    return make_study(tmp_path_factory.mktemp("pairs") / "s", n_seeds=4)
 
 
 class TestAnswers:
@@ -43,41 +30,13 @@ class TestAnswers:
         ],
     )
     def test_each_kind_of_answer(self, gap, p, n, words):
-        said = summary.answer(self.setup, self.verdict(gap, p, n), "area")
+        said = report.answer(self.setup, self.verdict(gap, p, n), "area")
         assert said.startswith(f"one, layout 2: {words}")
         assert said.endswith(f"p = {p:.3f}, {n} of 12 pairs).")
 
     def test_a_bound_below_zero_keeps_its_sign(self):
-        said = summary.answer(self.setup, self.verdict((0.1, -0.02, 0.2), 1e-4), "final")
+        said = report.answer(self.setup, self.verdict((0.1, -0.02, 0.2), 1e-4), "final")
         assert "−0.02 to +0.20, p < 0.001" in said
-
-
-class TestCompare:
-    def test_two_studies_with_some_common_seeds(self, folder, tmp_path, capsys):
-        text = PAPER_LIKE.replace('"0-{last}"', '"2-7"')
-        other = make_study(tmp_path / "other", text)
-        _, a = records.load(folder.path)
-        _, b = records.load(other.path)
-        rows = pairs.compare(a, b, "area")
-        assert [len(row.pairs) for row in rows] == [2] * 12
-        assert rows[0].place == "pybullet, layout 1, on"
-        assert rows[0].pairs.seeds == [2, 3]
-        assert rows[0].p_holm == 1
-        assert pairs.differing(a, b) == []
-        shown = printed(capsys, ["study", "compare", folder.path, other.path])
-        assert len(DIFFERENCE.findall(shown)) == 12
-
-    def test_flags_in_which_they_differ(self, folder):
-        _, a = records.load(folder.path)
-        first = a[0].config | {"learner": a[0].config["learner"] | {"gamma": 0.5}}
-        b = [dataclasses.replace(a[0], config=first)]
-        assert [one.partition(" ")[0] for one in pairs.differing(a, b)] == ["gamma"]
-
-    def test_nothing_to_compare(self, folder, tmp_path, capsys):
-        other = make_study(tmp_path / "other", PAPER_LIKE.replace('"0-{last}"', '"10-11"'))
-        fails_with(capsys, ["study", "compare", folder.path, other.path], "same seed in both")
-        late = make_study(tmp_path / "late", n_seeds=2, epochs=1, total=60_000)
-        fails_with(capsys, ["study", "compare", folder.path, late.path], "found no steps that all")
 
 
 class TestCommonRange:
@@ -102,7 +61,7 @@ class TestCommonRange:
         steps = np.arange(0, 50, 10)
         same = [self.record(steps, [0.1, 0.2, 0.4, 0.6, last], 1) for last in (0.0, 1.0)]
         short = self.record(steps[:4], [0.1, 0.2, 0.4, 0.6], 2)
-        for score in ("area", "final", "converged", "steps to 0.5"):
+        for score in ("area", "final", "converged"):
             a, b = (pairs.scored(score, [one], [short]) for one in same)
             assert a[0][1] == b[0][1] == a[1][2]
 
