@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
@@ -14,24 +14,15 @@ from ..files import MAKER
 from . import places
 from .places import Place
 
+Box = tuple[float, float, float, float]
 # All mm.
-COLUMN, ROW = (
-    38.0,
-    52.0,
-)  # between digits and between segments on the map, or more where they are large
+COLUMN, ROW = 38.0, 52.0  # between digits and between segments, or more for large ones
 MARGIN = 6.0  # around all of it
-EDGE = (
-    3.0  # of a panel beyond the places of its outermost taxels, for they have a radius
-)
+EDGE = 3.0  # of a panel beyond the places of its outermost taxels
 LETTERS = 10.0  # the height of a label
 ROUND = 0.4  # radius of a panel's corners, of half its width
-PAPER, PHALANX, TAXEL, LIT = (
-    (255, 255, 255),
-    (224, 224, 224),
-    (70, 90, 160),
-    (255, 200, 0),
-)
-LETTER = (20, 20, 20)
+PAPER, PHALANX, TAXEL = (255, 255, 255), (224, 224, 224), (70, 90, 160)
+LIT, LETTER = (255, 200, 0), (20, 20, 20)
 
 
 class Panel(NamedTuple):
@@ -55,17 +46,14 @@ def panels(hand: Hand) -> list[Panel]:
     found, segments = [], dict.fromkeys(hand.digits, 0)
     for surface, (low, high, half_width) in zip(hand.surfaces, spans, strict=True):
         middle = (len(columns) - 1) / 2
-        x = across * (
-            columns.index(surface.digit) if surface.digit in columns else middle
-        )
+        is_column = surface.digit in columns
+        x = across * (columns.index(surface.digit) if is_column else middle)
         y = low - high - 27.0
         if surface.segment != "palm":
             y = apart * segments[surface.digit]
             segments[surface.digit] += 1
-            if (
-                surface.segment == "distal" and surface.bone is not None
-            ):  # a fingertip is round
-                high += half_width
+            if surface.segment == "distal" and surface.bone is not None:
+                high += half_width  # a fingertip is round
         found.append(Panel(x, y, half_width, low, high))
     return found
 
@@ -84,12 +72,6 @@ def labels(hand: Hand, drawn: list[Panel]) -> list[tuple[str, float, float]]:
         return tips
     middle = sum(panel.x for panel in palm) / len(palm)
     return [*tips, ("palm", middle, min(p.y + p.low for p in palm) - EDGE - LETTERS)]
-
-
-def point(place: Place, drawn: list[Panel]) -> tuple[float, float]:
-    """Return where a taxel lies on the map, mm."""
-    panel = drawn[place.surface]
-    return panel.x + place.column, panel.y + place.row
 
 
 def beyond(hand: Hand, taxels: Taxels) -> list[str]:
@@ -123,49 +105,60 @@ class TaxelMap:
     """Pictures of the unrolled hand, `height` pixels high, with the taxels that fire lit."""
 
     def __init__(self, hand: Hand, taxels: Taxels, height: int) -> None:
-        drawn = panels(hand)
-        left = min(panel.x - panel.half_width for panel in drawn) - MARGIN
-        right = max(panel.x + panel.half_width for panel in drawn) + MARGIN
-        bottom = min(panel.y + panel.low for panel in drawn) - MARGIN - LETTERS
-        top = max(panel.y + panel.high for panel in drawn) + MARGIN + LETTERS
-        n_columns = 2 * round(
-            height * (right - left) / (top - bottom) / 2
-        )  # even: films want that
-        x = np.linspace(left, right, n_columns)
-        y = np.linspace(top, bottom, height)[:, None]
-        self._blank = np.full((height, n_columns, 3), PAPER, np.uint8)
-        for panel in drawn:
-            self._blank[_inside(x, y, panel)] = PHALANX
-        scale = height / (top - bottom)
-        words = [
-            (text, (x - left) * scale, (top - y) * scale)
-            for text, x, y in labels(hand, drawn)
-        ]
-        self._blank = lettered(self._blank, words, LETTERS * scale, "ms")
+        from PIL import Image, ImageDraw
+
+        self._panels = panels(hand)
+        left = min(panel.x - panel.half_width for panel in self._panels) - MARGIN
+        right = max(panel.x + panel.half_width for panel in self._panels) + MARGIN
+        low = min(panel.y + panel.low for panel in self._panels) - MARGIN - LETTERS
+        top = max(panel.y + panel.high for panel in self._panels) + MARGIN + LETTERS
+        self.extent = left, right, low, top
+        """Its edges on the map, mm."""
+        self._scale = height / (top - low)
+        width = 2 * round(self._scale * (right - left) / 2)  # even: films want that
+        self._blank = Image.new("RGB", (width, height), PAPER)
+        draw = ImageDraw.Draw(self._blank)
+        for x, y, half_width, bottom, end in self._panels:
+            box = self._box(
+                x, y + (bottom + end) / 2, half_width + EDGE, (end - bottom) / 2 + EDGE
+            )
+            radius = self._scale * (ROUND * half_width + EDGE)
+            draw.rounded_rectangle(box, radius, PHALANX)
+        size = self._scale * LETTERS
+        for text, x, y in labels(hand, self._panels):
+            at = self._box(x, y, 0.0, 0.0)[:2]
+            draw.text(at, text, LETTER, font_size=size, anchor="ms")
         self._discs = []
         for place in places.of(taxels):
-            across, up = point(place, drawn)
-            self._discs.append(np.nonzero(np.hypot(x - across, y - up) <= place.radius))
+            x, y = self.point(place)
+            self._discs.append(self._box(x, y, place.radius, place.radius))
 
-    def picture(self, lit: Array) -> Array:
+    def point(self, place: Place) -> tuple[float, float]:
+        """Return where a taxel lies on the map, mm."""
+        panel = self._panels[place.surface]
+        return panel.x + place.column, panel.y + place.row
+
+    def _box(self, x: float, y: float, half_width: float, half_height: float) -> Box:
+        """Return the edges in pixels of what lies around (x, y), all mm."""
+        left, _, _, top = self.extent
+        right, down = self._scale * (x - left), self._scale * (top - y)
+        half_width, half_height = self._scale * half_width, self._scale * half_height
+        return (
+            right - half_width,
+            down - half_height,
+            right + half_width,
+            down + half_height,
+        )
+
+    def picture(self, lit: Iterable[bool]) -> Array:
         """Return an RGB picture (height, width, 3) uint8; `lit` bool (n,)."""
+        from PIL import ImageDraw
+
         image = self._blank.copy()
-        for disc, on in zip(self._discs, lit, strict=True):
-            image[disc] = LIT if on else TAXEL
-        return image
-
-
-def _inside(x: Array, y: Array, panel: Panel) -> Array:
-    """Tell which points lie in a panel, whose corners are round."""
-    corner, half_width = ROUND * panel.half_width + EDGE, panel.half_width + EDGE
-    middle, half_height = (
-        panel.y + (panel.low + panel.high) / 2,
-        (panel.high - panel.low) / 2 + EDGE,
-    )
-    beyond_x = np.maximum(np.abs(x - panel.x) - (half_width - corner), 0.0)
-    beyond_y = np.maximum(np.abs(y - middle) - (half_height - corner), 0.0)
-    is_inside: Array = np.hypot(beyond_x, beyond_y) <= corner
-    return is_inside
+        draw = ImageDraw.Draw(image)
+        for disc, is_lit in zip(self._discs, lit, strict=True):
+            draw.ellipse(disc, LIT if is_lit else TAXEL)
+        return np.array(image)
 
 
 def save_picture(picture: Array, file: BinaryIO, ending: str) -> None:

@@ -85,10 +85,6 @@ class DesignFlags:
         validation.require(type(self), vars(self))
         if not self.scene:
             raise ValueError("scene: found none, allowed one or more handovers")
-        for name in ("scene", "start_closing"):
-            values = getattr(self, name)
-            if len(set(values)) < len(values):
-                raise ValueError(f"{name}: found {list(values)}, allowed each once")
         _ = self.numbers
 
 
@@ -112,12 +108,8 @@ def candidates(flags: DesignFlags, hand: Hand) -> Taxels:
     """Return what may be chosen; ValueError where nothing may."""
     segments = {surface.segment for surface in hand.surfaces}
     names_of = [
-        {
-            surface.segment,
-            f"{surface.digit}.{surface.segment}",
-            *({surface.digit} - segments),
-        }
-        for surface in hand.surfaces
+        {at.segment, f"{at.digit}.{at.segment}", *({at.digit} - segments)}
+        for at in hand.surfaces
     ]
     require_known((*flags.only, *flags.leave_out), set().union(*names_of))
     taxels = places.skin(flags.skin, hand)
@@ -214,13 +206,13 @@ def _scenes(flags: DesignFlags) -> tuple[str, list[Scene]]:
     if len(weights) != len(flags.scene):
         allowed = f"{len(flags.scene)}, one for each of the scenes"
         raise ValueError(f"weights: found {len(weights)}, allowed {allowed}")
-    named = {name: scenes.load(name) for name in flags.scene}
-    hand = flags.env or named[flags.scene[0]].env
+    loaded = [scenes.load(name) for name in flags.scene]
+    hand = flags.env or loaded[0].env
     if not hands.is_hand(hand):
         raise ValueError(f"env: found {hand!r}, allowed: {hands.allowed()}")
     simulator = {"simulator": flags.simulator} if flags.simulator else {}
     chosen = []
-    for (name, scene), weight in zip(named.items(), weights, strict=True):
+    for name, scene, weight in zip(flags.scene, loaded, weights, strict=True):
         if not flags.env and scene.env != hand:
             allowed = "scenes of one hand, or --env"
             raise ValueError(f"scene: found {name} of {scene.env}, allowed {allowed}")

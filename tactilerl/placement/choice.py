@@ -17,12 +17,11 @@ from ..scripted import gate
 from . import cover
 from .candidates import DesignFlags, Pool
 from .cover import Starts
-from .recording import Skin, record
+from .recording import record
 
 CHOICE, TEST = 500_000, 750_000
 """Seeds of starts to choose from, and to judge on; those of the gate are others."""
 RANDOM_SETS = 20
-FEW = 20  # starts, to say where arrivals are felt
 N_RESAMPLES = 10_000
 MADE = "placed by tactilerl"
 """Stands in the description of every layout that was designed."""
@@ -119,7 +118,8 @@ def design(flags: DesignFlags, workers: int, tick: Tick = lambda: None) -> Desig
     # The same candidates for all ways to wait.
     pool = pool.without(np.any([starts.early for starts in choice.values()], axis=0))
     wait = max(choice, key=lambda wait: cover.value(choice[wait], pool.columns))
-    _require_felt(choice[wait], wait, pool, workers)
+    if not choice[wait].take(pool.columns).good.any():
+        raise ValueError("skin: no taxel feels any start in time; choose other places")
     _require_use(choice[wait], wait, pool, workers)
     test = _played(pool, TEST, flags.test_starts, workers, tick)
     judge = Judge(choice, test, len(pool.scenes))
@@ -131,18 +131,16 @@ def design(flags: DesignFlags, workers: int, tick: Tick = lambda: None) -> Desig
         picked = _choose(choice, pool, n)
         chosen[n] = [i for i in picked.taxels if i >= pool.n_kept]
         columns = [pool.columns[i] for i in picked.taxels]
-        rows += [
-            replace(
-                judge.row("chosen", columns),
-                taxels=n,
-                chosen_from=picked.value,
-                bound=picked.bound,
-                difference=judge.difference(columns, pool.beside[best])
-                if best
-                else None,
-            ),
-            judge.random(n, pool, np.random.default_rng([flags.seed, n])),
-        ]
+        row = replace(
+            judge.row("chosen", columns),
+            taxels=n,
+            chosen_from=picked.value,
+            bound=picked.bound,
+        )
+        if best:
+            difference = judge.difference(columns, pool.beside[best])
+            row = replace(row, difference=difference)
+        rows += [row, judge.random(n, pool, np.random.default_rng([flags.seed, n]))]
     worth = choice[judge.wait(columns)].take(pool.columns).worth
     return Design(pool, chosen, worth, judge.hopeless, best, rows)
 
@@ -154,19 +152,13 @@ def _played(pool: Pool, first: int, n: int, workers: int, tick: Tick) -> ByWait:
     played: ByWait = {}
     for wait in pool.flags.start_closing or (None,):
         parts = [
-            vars(
-                record(
-                    pool.env, scene.waiting(wait), pool.skin, numbers, workers, tick,
-                    scene.weight,
-                )
+            record(
+                pool.env, scene.waiting(wait), pool.skin, numbers, workers, tick,
+                scene.weight,
             )
             for scene in pool.scenes
         ]  # fmt: skip
-        names = parts[0]
-        joined = {
-            name: np.concatenate([part[name] for part in parts]) for name in names
-        }
-        played[wait] = Starts(**joined)
+        played[wait] = Starts.joined(parts)
     return played
 
 
@@ -207,11 +199,9 @@ class Judge:
     def row(self, layout: str, taxels: Sequence[int]) -> Row:
         """Return success, with its interval, and share felt."""
         won, felt = self._won_and_felt(taxels)
+        interval = self._mean(won)[1:]
         if np.allclose(self._weights, 1 / len(won)):
             interval = statistics.wilson_interval(int(won.sum()), len(won))
-        else:
-            _, low, high = self._mean(won)
-            interval = low, high
         return Row(
             layout=layout,
             taxels=len(taxels),
@@ -227,14 +217,11 @@ class Judge:
         success, felt = (np.mean(sets, axis=0) @ self._weights).tolist()
         return Row("random", n, success, felt)
 
-    def difference(
-        self, a: Sequence[int], b: Sequence[int]
-    ) -> tuple[float, float, float]:
+    def difference(self, a: Sequence[int], b: Sequence[int]) -> statistics.Estimate:
         """Return by how much the success of `a` is above that of `b` in the same starts, with its
         interval."""
         won = [self._won_and_felt(taxels)[0].astype(float) for taxels in (a, b)]
-        value, low, high = self._mean(won[0] - won[1])
-        return value, low, high
+        return self._mean(won[0] - won[1])
 
     def _won_and_felt(self, taxels: Sequence[int]) -> tuple[Array, Array]:
         """Tell of each start, bool (n,): does it succeed? Is it felt?"""
@@ -255,22 +242,6 @@ def drawn(n: int, pool: Pool, rng: np.random.Generator) -> list[int]:
         if len(taxels) < pool.n_kept + n and not pool.overlap[taxel, taxels].any():
             taxels.append(int(taxel))
     return [pool.columns[taxel] for taxel in taxels]
-
-
-def _require_felt(starts: Starts, wait: float | None, pool: Pool, workers: int) -> None:
-    """Raise ValueError where no candidate feels anything in time."""
-    if starts.take(pool.columns).good.any():
-        return
-    skin = Skin.of([places.skin("6mm", pool.hand)])
-    numbers = range(CHOICE, CHOICE + FEW)
-    scene = pool.scenes[0].waiting(wait)
-    feels = record(pool.env, scene, skin, numbers, workers).worth > 0
-    surfaces = [pool.hand.surfaces[i] for i in np.unique(skin.taxels.surfaces[feels])]
-    names = sorted(f"{surface.digit}.{surface.segment}" for surface in surfaces)
-    where = ", ".join(names) or "nothing of the hand in time"
-    raise ValueError(
-        f"skin: no taxel feels any start in time; arrivals meet {where}, where it has none"
-    )
 
 
 def _require_use(starts: Starts, wait: float | None, pool: Pool, workers: int) -> None:

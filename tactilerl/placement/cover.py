@@ -42,6 +42,12 @@ class Starts:
     def __len__(self) -> int:
         return len(self.fires)
 
+    @classmethod
+    def joined(cls, parts: Sequence[Starts]) -> Starts:
+        """Return the starts of all parts, in their order."""
+        arrays = zip(*(vars(part).values() for part in parts), strict=True)
+        return cls(*map(np.concatenate, arrays))
+
     def take(self, taxels: Sequence[int]) -> Starts:
         """Return the same starts with some taxels alone."""
         return replace(self, fires=self.fires[:, list(taxels)])

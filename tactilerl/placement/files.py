@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..envs import validation
 from ..errors import InputError, extra
-from ..files import is_picture, locked, read_json, replacing, require_ours
+from ..files import locked, read_json, replacing, require_ours
 from .choice import MADE, Design
 
 
@@ -29,8 +29,7 @@ def require(out: Path, numbers: Sequence[int]) -> None:
             allowed = "a folder for several numbers of taxels"
             raise InputError(f"--out: found {str(out)!r}, allowed {allowed}")
         if not out.parent.is_dir():
-            missing = f"there is no folder {str(out.parent)!r}"
-            raise InputError(f"cannot write {str(out)!r}: {missing}")
+            raise InputError(f"--out: found no folder {str(out.parent)!r}")
         require_ours(out, is_layout)
     elif out.suffix or (out.exists() and not out.is_dir()):
         raise InputError(f"--out: found {str(out)!r}, allowed FILE.toml or a folder")
@@ -51,7 +50,10 @@ def write(design: Design, out: Path) -> list[Path]:
         files.append(out / "design.json")
         with replacing(files[-1], is_result) as file:
             file.write((json.dumps(design.as_dict(), indent=1) + "\n").encode())
-        return [*files, *figures.save(figures.of_design(design), out, is_picture)]
+        for name, figure in figures.of_design(design).items():
+            files.append(out / f"{name}.png")
+            figures.save(figure, files[-1])
+        return files
 
 
 def _layout(design: Design, n: int, path: Path) -> Path:
