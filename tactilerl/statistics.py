@@ -75,16 +75,6 @@ def area_under_curve(steps: Array, curves: Array) -> Array:
     return np.asarray(np.trapezoid(curves, steps, axis=1) / (steps[-1] - steps[0]))
 
 
-def steps_to_threshold(steps: Array, curves: Array, threshold: float) -> Array:
-    """Return the steps at each curve's first point at or above `threshold`, else infinity.
-
-    (points,), (runs, points) → (runs,). All runs of a study are equally long, so quantiles over runs
-    are right as they are.
-    """
-    reached = curves >= threshold
-    return np.where(reached.any(axis=1), steps[reached.argmax(axis=1)], np.inf)
-
-
 # -- over the runs ---------------------------------------------------------------------------
 
 

@@ -83,11 +83,6 @@ class TestRates:
         assert_allclose(s.area_under_curve(steps, np.array([[1.0, 0.0, 0.0]])), [0.05])
         assert_allclose(s.area_under_curve(steps[:1], np.array([[0.3]])), [0.3])
 
-    def test_steps_to_a_threshold_are_infinite_where_it_is_never_reached(self):
-        curves = np.array([[0.1, 0.5, 0.2], [0.1, 0.2, 0.3]])
-        reached = s.steps_to_threshold(np.array([10, 20, 30]), curves, 0.5)
-        assert_allclose(reached, [20, np.inf])
-
 
 class TestIntervals:
     def test_interquartile_means_are_those_of_rliable(self):

@@ -159,9 +159,7 @@ def film(
             for player in players:
                 player.label = player.name
         if len({player.fps for player in players}) > 1:
-            raise InputError(
-                "render: found runs with different timesteps, allowed runs with the same"
-            )
+            raise InputError("render: found runs whose timesteps differ")
         writer = ffmpeg.write_frames(
             out,
             (SIDE * len(runs), SIDE + LINES),

@@ -13,6 +13,7 @@ from pathlib import Path
 import filelock
 import pytest
 from tactilerl.commands.cli import main
+from tactilerl.envs import plugins
 from tactilerl.study import jobs, records
 from tactilerl.study.records import StudyFiles
 
@@ -110,6 +111,7 @@ class TestBeforeItStarts:
         self, tmp_path, capsys, monkeypatch
     ):
         monkeypatch.syspath_prepend(tmp_path)
+        monkeypatch.setattr(plugins, "imported", [])
         (tmp_path / "evil.py").write_text(f"open({str(tmp_path / 'pwned')!r}, 'w')")
         text = 'name = "x"\n[setups.x]\nenv = "evil:x-v0"\n'
         args = ["study", "run", write(tmp_path, text), "--out", tmp_path / "out"]
@@ -127,6 +129,7 @@ class TestFailures:
         (tmp_path / "broken.py").write_text(BROKEN)
         monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}")
         monkeypatch.syspath_prepend(tmp_path)
+        monkeypatch.setattr(plugins, "imported", [])
         text = 'name = "x"\n[setups.x]\nenv = "broken:Broken-v0"\nsteps_per_epoch = 40\nn_passes = 1\n'
         text += 'hidden = [8]\ntotal_timesteps = 200\n[setups.y]\nenv = "lqr"\nsteps_per_epoch = 60\n'
         text += "n_passes = 1\nhidden = [8]\ntotal_timesteps = 60\n"
