@@ -9,6 +9,7 @@ imported when an environment that uses it is made.
 
 from __future__ import annotations
 
+import traceback
 from functools import partial
 from typing import Any
 
@@ -85,7 +86,8 @@ def make(
     except (ValueError, OSError, ImportError, RuntimeError):  # say what is wrong
         raise
     except Exception as error:  # of an environment that is not ours
-        reason = f"{type(error).__name__}: {error}"
+        line = traceback.extract_tb(error.__traceback__)[-1].line
+        reason = f"{type(error).__name__}: {str(error) or line}"  # of an assertion
         raise ValueError(f"env: {name!r} cannot be made here ({reason})") from error
 
 
