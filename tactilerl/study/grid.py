@@ -35,9 +35,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from ..envs import plugins, validation
+from ..envs import validation
 from ..envs.validation import require_one_of
-from ..errors import InputError, input_errors
+from ..errors import input_errors
 from ..files import require_name
 from ..runs.config import RunConfig, configure
 from ..style import ROLES
@@ -45,7 +45,7 @@ from ..style import ROLES
 MEASURES = ("success_rate", "test_success_rate")  # columns of progress.csv
 KEYS = {"name", "measure", "compare", "primary", "grid", "setups"}
 SETUP_KEYS = {"measure", "compare", "grid"}  # of a set-up, besides flags
-SEED, IMPORT = "seed", "import"
+SEED = "seed"
 TAKEN = {SEED, "out", "resume", "workers", "threads", "tensorboard"}
 MOST_RUNS = 10_000  # a slip in a grid multiplies
 
@@ -91,18 +91,8 @@ class Run:
         return self.setup, self.setting, self.group
 
     def config(self) -> RunConfig:
-        """Return the configuration of the run; raise InputError naming what is wrong with it.
-
-        A module that it names is imported by nobody but the user, with `--import`.
-        """
-        flags = dict(self.flags)
-        modules = _as_list(flags.pop(IMPORT, []))
-        module, colon, _ = str(flags.get("env", "")).partition(":")
-        for name in (*modules, module) if colon else modules:
-            if name not in plugins.imported:
-                hint = f"if you trust it, give --import {name}"
-                raise InputError(f"it needs the module {str(name)[:50]!r}; {hint}")
-        return configure({**flags, SEED: self.seed, "workers": 1})
+        """Return the configuration of the run; raise InputError naming what is wrong with it."""
+        return configure({**self.flags, SEED: self.seed, "workers": 1})
 
 
 @dataclass(frozen=True)
@@ -126,15 +116,8 @@ class Setup:
         """The values of the compared flag, the treatment first; one nameless group without one."""
         if self.compare is None:
             return [""]
-        values = map(text, self.grid[self.compare.flag])
-        return list(
-            dict.fromkeys([self.compare.treatment, self.compare.control, *values])
-        )
-
-    @property
-    def is_touch(self) -> bool:
-        """Whether hands with touch are compared with hands without."""
-        return self.compare is not None and self.compare.flag == "touch"
+        pair, values = self.compare, map(text, self.grid[self.compare.flag])
+        return list(dict.fromkeys([pair.treatment, pair.control, *values]))
 
     def label(self, group: str) -> str:
         """Return what a group is called wherever it is shown: `touch`, `polyak 0.9`."""
@@ -181,9 +164,9 @@ class Study:
             len(setup.seeds) * math.prod(map(len, setup.grid.values()))
             for setup in self.setups
         ]
-        found = sum(counts) if all(counts) else 0
-        if not 0 < found <= MOST_RUNS:
-            raise ValueError(f"grid: found {found:,} runs, allowed 1 to {MOST_RUNS:,}")
+        n_runs = sum(counts) * all(counts)
+        if not 0 < n_runs <= MOST_RUNS:
+            raise ValueError(f"grid: found {n_runs:,} runs, allowed 1 to {MOST_RUNS:,}")
         for name, times in Counter(run.name for run in self.runs()).items():
             require_name(name, "the name of a run")
             if times > 1:
@@ -203,19 +186,13 @@ def from_dict(data: Any) -> Study:
     """
     setups = {}
     for one in data["setups"]:
-        pair = one["compare"] and {
-            one["compare"]["flag"]: [
-                one["compare"]["treatment"],
-                one["compare"]["control"],
-            ]
-        }
+        pair = one["compare"]
+        compare = pair and {pair["flag"]: [pair["treatment"], pair["control"]]}
         grid = {**one["grid"], SEED: one["seeds"]}
-        parts = {"measure": one["measure"], "compare": pair or {}, "grid": grid}
+        parts = {"measure": one["measure"], "compare": compare or {}, "grid": grid}
         setups[one["name"]] = {**one["flags"], **parts}
-    if len(setups) < len(data["setups"]):
-        raise ValueError("setups: found one twice")
-    more = {key: data[key] for key in ("primary", "looks") if data.get(key)}
-    return _study({"name": data["name"], "setups": setups, **more})
+    primary = data.get("primary") or {}
+    return _study({"name": data["name"], "setups": setups, "primary": primary})
 
 
 def read(path: Path) -> Study:
@@ -227,10 +204,6 @@ def read(path: Path) -> Study:
 
 
 def _study(data: dict[str, Any]) -> Study:
-    if "looks" in data:
-        raise ValueError(
-            "looks: interim looks went after 0.4.0: leave them out, all pairs are tested once"
-        )
     validation.only(data, KEYS, "study file")
     setups = []
     for name in validation.table(data, "setups"):
@@ -245,12 +218,14 @@ def _study(data: dict[str, Any]) -> Study:
 
 def _setup(name: str, table: dict[str, Any], study: dict[str, Any]) -> Setup:
     parts = {"measure": MEASURES[0], **study, **table}
-    flags = _flags({k: v for k, v in table.items() if k not in SETUP_KEYS})
+    own = {k: v for k, v in table.items() if k not in (*SETUP_KEYS, "import")}
+    flags = _flags(own)
     grid = _flags(validation.table(parts, "grid"))
     seeds = _seeds(_as_list(grid.pop(SEED, 0)))
     for flag in TAKEN & (flags.keys() | grid.keys()):
-        where = "belongs in the grid" if flag == SEED else "is decided by `study run`"
-        raise ValueError(f"{flag}: {where}; leave it out")
+        raise ValueError(
+            f"{flag}: leave it out; seeds belong in the grid, the rest to `study run`"
+        )
     grid = {flag: _as_list(values) for flag, values in grid.items()}
     compare = _compare(_flags(validation.table(parts, "compare")), grid)
     require_one_of(MEASURES, parts["measure"], "measure")

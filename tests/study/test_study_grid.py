@@ -72,14 +72,12 @@ class TestGrid:
         [
             lambda data: data.update(name="../x"),
             lambda data: data.update(setups=[]),
-            lambda data: data["setups"].append(data["setups"][0]),
             lambda data: data["setups"][0].update(name="../../../pwn"),
             lambda data: data["setups"][0].update(seeds=[True]),
             lambda data: data["setups"][0].update(flags={"out": "/"}),
             lambda data: data["setups"][0].update(compare=3),
             lambda data: data["setups"][0]["compare"].update(flag=None),
             lambda data: data["setups"][0].pop("seeds"),
-            lambda data: data.update(looks={"pairs": [6, 9]}),
         ],
     )
     def test_a_study_of_somebody_else_is_checked_as_a_study_file_is(self, tmp_path, capsys, change):
@@ -117,7 +115,7 @@ class TestBadFiles:
             ('name = "toy"', 'name = "toy"\ngird = 1', ["'gird'", "grid"]),
             ('name = "toy"', 'name = "toy"\nprimary.score = "best"', ["primary.score", "best"]),
             ('name = "toy"', 'name = "toy"\nprimary = "area"', ["primary", "table"]),
-            ('name = "toy"', 'name = "toy"\nlooks.pairs = [2, 3]', ["interim looks"]),
+            ('name = "toy"', 'name = "toy"\nlooks.pairs = [2, 3]', ["looks"]),
             ("batch-size = [16, 32]", "batch-size = []", ["found 0 runs"]),
             ("batch-size = [16, 32]", "batch-size = [16, 16]", ["2 runs would be called"]),
             ("batch-size = [16, 32]", "batch-sise = [16, 32]", ["reach", "batch_sise"]),
@@ -138,8 +136,8 @@ class TestBadFiles:
             ("batch-size = [16, 32]", "device = ['" + "x" * 300 + "']", ["run", "bytes", "240"]),
             ("batch-size = [16, 32]", TOO_MANY, ["runs", "allowed", "10,000"]),
             ('algo = "ddpg_her"', '"--help" = true', ["reach", "__help"]),
-            ("batch-size = [16, 32]", "batch-size = [{a = 1}]", ["batch_size", "dict"]),
-            ("batch-size = [16, 32]", "batch-size = " + "[" * 5000, ["nested too deeply"]),
+            ("batch-size = [16, 32]", "batch-size = [{a = 1}]", ["batch_size", "a table"]),
+            ("batch-size = [16, 32]", "batch-size = " + "[" * 5000, ["not valid TOML"]),
         ],
     )  # fmt: skip
     def test_one_line_and_nothing_begun(self, tmp_path, capsys, old, new, words):

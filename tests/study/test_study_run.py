@@ -115,7 +115,7 @@ class TestBeforeItStarts:
         (tmp_path / "evil.py").write_text(f"open({str(tmp_path / 'pwned')!r}, 'w')")
         text = 'name = "x"\n[setups.x]\nenv = "evil:x-v0"\n'
         args = ["study", "run", write(tmp_path, text), "--out", tmp_path / "out"]
-        fails_with(capsys, args, "needs the module 'evil'", "--import evil")
+        fails_with(capsys, args, "the module evil", "--import evil")
         assert not (tmp_path / "pwned").exists()
         fails_with(capsys, [*args, "--import", "evil"], "x-v0")
         assert (tmp_path / "pwned").exists()
