@@ -72,7 +72,7 @@ def test_a_module_adds_a_task_a_touch_rule_and_a_hand(theirs, capsys):
 
 def test_what_a_module_adds_and_cannot_be_used_is_one_line(theirs, capsys):
     fails_with(capsys, [*theirs, "--task", "half"], "half", "lacks after_step, reward")
-    fails_with(capsys, [*theirs, "--task", "own", "--reward", "x"], "allowed for own: near, far")
+    fails_with(capsys, [*theirs, "--task", "own", "--reward", "x"], "allowed: near, far")
     fails_with(capsys, [*theirs, "--task", "esay"], "allowed: lift-and-hold", "easy")
     assert main([*theirs, "--task", "own", "--reward", "far"]) == 0
 

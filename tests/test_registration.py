@@ -11,7 +11,7 @@ from tactilerl.commands.cli import main
 from tactilerl.envs import observations, simulators, tasks
 from tests import outside
 
-from one_line import fails_with, printed
+from one_line import fails_with
 
 TINY = ["--hidden", "8", "--steps-per-epoch", "8", "--n-passes", "1", "--workers", "1"]
 
@@ -44,15 +44,11 @@ def test_all_of_them_train_together_and_are_evaluated():
     env.close()
 
 
-def test_a_simulator_in_doctor_and_probe(capsys):
-    few = ["--simulator", "saturn", "--layout", "5"]
-    assert main(["doctor", *few, "--grasps", "1", "--seconds", "0.1"]) in (0, 1)
+def test_a_simulator_in_env_check(capsys):
+    assert main(["env", "--simulator", "saturn", "--layout", "5", "--check"]) in (0, 1)
     assert "saturn" in capsys.readouterr().out
-    few += ["--grasps", "12", "--joint-noise", "0", "--resamples", "100", "--shuffles", "2"]
-    found = printed(capsys, ["probe", *few, "--folds", "2", "--workers", "1", "--json"])
-    assert json.loads(found)["simulator"] == "saturn"
 
 
 def test_what_is_not_registered_is_refused(capsys):
     words = "simulator: found 'mars', allowed: mujoco, pybullet, saturn"
-    fails_with(capsys, ["probe", "--simulator", "mars"], words)
+    fails_with(capsys, ["gate", "--simulator", "mars"], words)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -53,7 +54,7 @@ def load_policy(path: str | Path) -> Policy:
     path = Path(path)
     if path.is_dir():
         return read_run(path).policy
-    data = read_tensors(path, "policy", FORMAT, POLICY, "; for a run, give its folder")
+    data = _read(path)
     with damage_named(path):
         config_type, _ = algos.get(data["algo"])
         config = from_saved(config_type, json.loads(data["learner"]), "learner")
@@ -62,16 +63,23 @@ def load_policy(path: str | Path) -> Policy:
         return _policy(path, data["algo"], config, spaces, data["state"])
 
 
-def save_policy(path: str | Path, algo: str, learner: Learner) -> None:
-    """Write the policy of a learner, whole or not at all; replaces a file that is there.
+def _read(path: Path) -> dict[str, Any]:
+    return read_tensors(path, "policy", FORMAT, POLICY, "; for a run, give its folder")
 
-    Raises ValueError when `path` is no place for a file, OSError when the disk is full.
+
+def save_policy(path: str | Path, algo: str, learner: Learner) -> None:
+    """Write the policy of a learner, whole or not at all; replaces another policy that is there.
+
+    Raises ValueError when `path` is no place for a file, or holds another one, and OSError when
+    the disk is full.
     """
     path = Path(path)
     if path.is_dir() or not path.parent.is_dir():
         raise ValueError(
             f"path: found {str(path)!r}, allowed a file in a folder that exists"
         )
+    if os.path.lexists(path):
+        _read(path)  # ValueError where it is no policy
     state = learner.state_dict()
     acting = learner.config.acting(learner.progress_remaining)
     content = {

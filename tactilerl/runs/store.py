@@ -40,7 +40,7 @@ from ..files import (
     replacing,
     writable,
 )
-from .config import LAYOUT_COPY, PARTS, RunConfig, defaults, from_dict
+from .config import ENV_ID, LAYOUT_COPY, PARTS, RunConfig, defaults, from_dict
 
 FORMAT = 3  # of all files in a run folder; 1 and 2 are those of 0.1
 OLDEST = (0, 4)  # version whose runs are read
@@ -403,7 +403,7 @@ def resolve(
     the folder `resume`. Imports the module that `env` names. InputError where there is no such
     run, or a scene is named as well."""
     module, colon, _ = env.partition(":")
-    if colon:
+    if colon and ENV_ID.fullmatch(env):
         with input_errors("env"):
             plugins.import_modules([module])
     if not resume:

@@ -19,7 +19,7 @@ import torch
 from tactilerl.algos import recipes
 from tactilerl.commands.cli import COMMANDS, main
 from tactilerl.commands.study import PARTS
-from tactilerl.envs import scripted
+from tactilerl.envs import plugins, scripted
 from tactilerl.pictures.render import Filmed
 from tactilerl.runs import evaluation, store
 from tactilerl.runs.store import TIMES
@@ -297,7 +297,7 @@ class TestBadInput:
             (["train", "--total-timesteps", "-5"], ["total_timesteps: found -5", "from 1 to"]),
             (
                 ["train", "--gama", "0.9"],
-                ["Unrecognized options: --gama", "meant: --gamma"],
+                ["Unrecognized options: --gama", "--gamma FLOAT"],
             ),
             (["train", "--total-timesteps", "1e4"], ["--total-timesteps", "'1e4'"]),
             (["design", "--radius", "4mm"], ["--radius", "'4mm'"]),
@@ -332,7 +332,7 @@ class TestBadInput:
     @pytest.mark.parametrize(
         ("typed", "hint"),
         [
-            ("train --scen handover", "Perhaps you meant: --scene"),
+            ("train --scen handover", "--scene STR"),
             ("train --env shadwo", "did you mean shadow?"),
             ("train --algo PPO", "did you mean ppo?"),
             ("train --env shadov --layout 4", "did you mean shadow? allowed: shadow, mpl, allegro"),
@@ -357,12 +357,13 @@ class TestBadInput:
         assert done.stderr.count("\n") == 1
 
     def test_an_environment_that_breaks_when_it_is_made(self, capsys, monkeypatch):
+        monkeypatch.setattr(plugins, "imported", [])
         Path("broken.py").write_text(
             "import gymnasium as gym\n\n\nclass Broken(gym.Env):\n    def __init__(self):\n"
             '        assert "joint" in ()\n\n\ngym.register("Broken-v0", Broken)\n'
         )
         monkeypatch.syspath_prepend(".")
-        words = 'AssertionError: assert "joint" in ()'
+        words = "cannot be made here (AssertionError"
         fails_with(capsys, ["train", "--env", "broken:Broken-v0"], words)
 
     def test_existing_run_folder_is_kept(self, capsys):
@@ -495,8 +496,8 @@ class TestOtherCommands:
 
     def test_the_help_of_train_is_that_of_its_scene(self, capsys):
         out = printed(capsys, ["train", "--scene", "handover", "--help"])
-        assert out.index("examples:") < out.index("--scene") < out.index("--layout")
-        assert re.search(r"--env STR .*?\(default:\s+mpl\)", out.replace("│", ""), re.DOTALL)
+        assert out.index("examples:") < out.index("--scene STR") < out.index("--layout STR")
+        assert re.search(r"--env STR .*?\(default:\W+mpl\)", out, re.DOTALL)
         assert "{on,off,absent}" in out
 
     def test_installed_command_starts_fast_enough_to_be_pleasant(self):
