@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-import importlib.util
 import os
 import tomllib
 from dataclasses import dataclass
@@ -17,7 +15,6 @@ from ..envs.grasp import setup
 from ..envs.hands import guess, sandbox
 from ..errors import InputError, input_errors
 from ..files import begins_with, pasted, replacing
-from ..scripted import taxels
 from ..terminal import flags
 from ..terminal.console import console
 from .grasps import draw, found_grasp
@@ -30,7 +27,6 @@ examples:
   tactilerl hand robot.urdf --out my_hand.toml
   tactilerl hand leap_hand/right_hand.xml --out leap.toml"""
 MARK = "# Written by `tactilerl hand`: change what is wrong; docs/guides/own_hand.md has all keys.\n"
-is_ours = begins_with(MARK)
 
 
 @dataclass(frozen=True)
@@ -66,17 +62,12 @@ def main(args: list[str]) -> int:
         text = f"\n{found.toml()}\n"
         if found.shift is not None:
             text = f"\n[pitch]\ndistal_shift = {found.shift:.4g}\n{text}"
-        _append(read.out, text)
+        _save(read.out, read.out.read_bytes() + text.encode())
     pose: Literal["start", "grasp"] = "start" if found is None else "grasp"
     what, picture = f"the {pose}, and the hand unrolled", read.out.with_suffix(".png")
     draw(console, what, str(read.out), scene, pose, picture)
     if found is None:
         return 1
-    simulators = ["mujoco"] + ["pybullet"] * (
-        importlib.util.find_spec("pybullet") is not None
-    )
-    for simulator in simulators:
-        _try(read.out, simulator)
     name = pasted(read.out)
     train = f"tactilerl train --env {name} --recipe steady --total-timesteps 15000"
     console.print(f"next: tactilerl env --env {name} --check    {train}")
@@ -103,28 +94,25 @@ def _written(path: Path, model: str, said: dict[str, Any]) -> list[str]:
     """Write the file once; return notes on what was guessed."""
     folder = path.parent.absolute()
     text, notes = sandbox.call(guess.describe, model, folder, said)
-    with replacing(path, is_ours) as file:
-        file.write((MARK + text).encode())
+    _save(path, (MARK + text).encode())
     return notes
+
+
+def _save(path: Path, content: bytes) -> None:
+    with replacing(path, begins_with(MARK)) as file:
+        file.write(content)
 
 
 def _servos_fail(path: Path) -> str:
     """Return how the model's own servos fail, "" where they do not."""
     try:
         notes = hands.get(str(path)).notes
-        return next(
-            (note.partition(";")[0] for note in notes if "weak or slow" in note), ""
-        )
+        weak = [note.partition(";")[0] for note in notes if "weak or slow" in note]
+        return (*weak, "")[0]
     except ValueError as error:
         if "hang still" not in str(error):
             raise
         return str(error).rpartition("model: ")[2].partition(";")[0]
-
-
-def _append(path: Path, text: str) -> None:
-    before = path.read_bytes()
-    with replacing(path, is_ours) as file:
-        file.write(before + text.encode())
 
 
 def _say_what_was_guessed(path: Path, hand: hands.Hand) -> None:
@@ -139,18 +127,3 @@ def _say_what_was_guessed(path: Path, hand: hands.Hand) -> None:
     )
     for note in hand.notes:
         console.print(f"  note: {note}")
-
-
-def _try(path: Path, simulator: str) -> None:
-    """Print what layout 1 feels in the grasp, in one line."""
-    scene = dataclasses.replace(setup(str(path), layout="1"), simulator=simulator)
-    try:
-        felt = taxels.check(str(path), scene, n=10, seconds=1.0)
-    except (ValueError, OSError) as error:
-        console.print(f"{simulator}: {error}")
-        return
-    n_taxels = len(felt.fired) + len(felt.never_fired)
-    console.print(
-        f"{simulator}: {felt.held} of {felt.grasps} grasps hold, {felt.mean_fired:.1f} of {n_taxels} "
-        "taxels of layout 1 fire"
-    )

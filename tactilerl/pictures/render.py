@@ -160,18 +160,13 @@ def film(
                 player.label = player.name
         if len({player.fps for player in players}) > 1:
             raise InputError("render: found runs whose timesteps differ")
-        writer = ffmpeg.write_frames(
-            out,
-            (SIDE * len(runs), SIDE + LINES),
-            fps=players[0].fps,
-            macro_block_size=2,
-            output_params=PLAYABLE,
-        )
+        size = SIDE * len(runs), SIDE + LINES
+        options = {"macro_block_size": 2, "output_params": PLAYABLE}
+        writer = ffmpeg.write_frames(out, size, fps=players[0].fps, **options)
         opened.enter_context(closing(writer)).send(None)
         for number in range(episodes):
-            films, successes = zip(
-                *(player.film(number) for player in players), strict=True
-            )
+            played = [player.film(number) for player in players]
+            films, successes = zip(*played, strict=True)
             for i in range(max(map(len, films))):  # a shorter film waits at its end
                 images = [film[min(i, len(film) - 1)] for film in films]
                 writer.send(np.ascontiguousarray(np.hstack(images)))

@@ -186,24 +186,22 @@ def _exact(
     if overlap is not None:
         for i, j in np.argwhere(np.triu(overlap)).tolist():
             if not (i in kept and j in kept):
-                rows.append(_not_both(i, j))
+                rows.append(({i: 1.0, j: 1.0}, 1.0))
+    matrix = sparse.lil_array((len(rows), m + n))
+    for at, (row, _) in enumerate(rows):
+        matrix[at, list(row)] = list(row.values())
+    limits = np.array([limit for _, limit in rows])
     lower = np.zeros(m + n)
     lower[list(kept)] = 1.0
-    coefficients, columns, limits = zip(*rows, strict=True)
-    row_ends = np.cumsum([0, *map(len, columns)])
-    matrix = sparse.csr_array(
-        (np.concatenate(coefficients), np.concatenate(columns), row_ends),
-        shape=(len(rows), m + n),
-    )
-    size = sparse.csr_array(np.r_[np.ones(m), np.zeros(n)][None])
+    is_taxel = np.r_[np.ones(m), np.zeros(n)]
     ties = 0.1 * starts.weights.min() / k * starts.worth
     solved = optimize.milp(
         -np.r_[ties, gains],
-        integrality=np.r_[np.ones(m), np.zeros(n)],
+        integrality=is_taxel,
         bounds=optimize.Bounds(lower, np.ones(m + n)),
         constraints=[
-            optimize.LinearConstraint(matrix, -np.inf, np.array(limits)),
-            optimize.LinearConstraint(size, k, k),
+            optimize.LinearConstraint(matrix.tocsr(), -np.inf, limits),
+            optimize.LinearConstraint(is_taxel[None], k, k),
         ],
         options={"node_limit": NODES, "mip_rel_gap": 1e-6},
     )
@@ -219,45 +217,33 @@ def _exact(
     return np.flatnonzero(solved.x[:m] > 0.5).tolist(), bound
 
 
-Row = tuple[list[float], list[int], float]
-"""Coefficients, columns and upper limit of a linear constraint."""
-
-
-def _not_both(i: int, j: int) -> Row:
-    """Only one of two variables may be 1."""
-    return [1.0, 1.0], [i, j], 1.0
-
-
-def _needs_one(z: int, taxels: list[int]) -> Row:
-    """The variable z may be 1 where one of the taxels is chosen."""
-    return [-1.0] * len(taxels) + [1.0], [*taxels, z], 0.0
+Row = tuple[dict[int, float], float]
+"""Coefficients by column, and the upper limit, of a linear constraint."""
 
 
 def _constraints(starts: Starts) -> tuple[list[Row], list[float]]:
-    """Return rows of a matrix, and the weight of each variable of a start; starts in which the same
+    """Return the constraints, and the weight of each variable of a start; starts in which the same
     happens count together."""
-    m, good = starts.fires.shape[1], starts.good
-    patterns, which = np.unique(
-        np.hstack([starts.fires, good]), axis=0, return_inverse=True
-    )
+    m = starts.fires.shape[1]
+    happens = np.hstack([starts.fires, starts.good])
+    patterns, which = np.unique(happens, axis=0, return_inverse=True)
     weights = np.bincount(which.reshape(-1), starts.weights)
     rows: list[Row] = []
     gains: list[float] = []
-    for pattern, weight in zip(patterns, weights, strict=True):
+    for pattern, weight in zip(patterns, weights.tolist(), strict=True):
         fires, is_good = pattern[:m], pattern[m:].astype(bool)
-        runs: list[int] = []  # variables of this start
-        n_early, run_row = -1, 0
-        for moment in np.unique(fires[is_good]):
+        last: dict[
+            int, int
+        ] = {}  # moment of each run, by how many taxels are too early
+        for moment in np.unique(fires[is_good]).tolist():
+            last[int((~is_good & (fires < moment)).sum())] = moment
+        runs = range(m + len(gains), m + len(gains) + len(last))
+        gains += [weight] * len(last)
+        for run, moment in zip(runs, last.values(), strict=True):
+            good = np.flatnonzero(is_good & (fires <= moment)).tolist()
             early = np.flatnonzero(~is_good & (fires < moment)).tolist()
-            good_so_far = np.flatnonzero(is_good & (fires <= moment)).tolist()
-            if len(early) == n_early:  # the same run goes on
-                rows[run_row] = _needs_one(runs[-1], good_so_far)
-                continue
-            n_early, run_row = len(early), len(rows)
-            runs.append(m + len(gains))
-            gains.append(float(weight))
-            rows.append(_needs_one(runs[-1], good_so_far))
-            rows += [_not_both(taxel, runs[-1]) for taxel in early]
+            rows.append(({**dict.fromkeys(good, -1.0), run: 1.0}, 0.0))
+            rows += [({taxel: 1.0, run: 1.0}, 1.0) for taxel in early]
         if len(runs) > 1:
-            rows.append(([1.0] * len(runs), runs, 1.0))
+            rows.append((dict.fromkeys(runs, 1.0), 1.0))
     return rows, gains

@@ -18,11 +18,8 @@ from ..envs.state import Array, State
 
 SEED = 30_000  # apart from the starts of the check of taxels and from those of training
 SECONDS = 1.0  # of a hold
-STARTS, OTHERS = (
-    4,
-    8,
-)  # from which each candidate is tried, and from which the best are once more
-ROUNDS = (48, 16, 16, 16)  # candidates; the first are spread over all that is allowed
+STARTS, OTHERS = 4, 8  # from which each candidate is tried, and the best once more
+ROUNDS = 48, 16, 16, 16  # candidates; the first are spread over all that is allowed
 GOOD = (
     0.9  # share of the time that an object is held, below which there is another search
 )
@@ -33,11 +30,9 @@ GROUNDS = 0.004, -0.03, -0.03
 UP = 0.05  # m above its place at the start
 CLOSINGS = (0.3, 1.2)
 TOUCHING = CENTRED = (
-    0.1  # what all digits touching, and all that is possible off the middle, count
+    0.1  # what all digits touching, and the object in the middle, count
 )
-NARROWEST = np.array(
-    [2e-3, 2e-3, 2e-3, 0.03]
-)  # m and share: what the draws differ by at least
+NARROWEST = 2e-3, 2e-3, 2e-3, 0.03  # m and share: what the draws differ by at least
 
 
 class Found(NamedTuple):
@@ -78,35 +73,32 @@ def find(
     """
     make = partial(GraspEnv, hand, config)
     with closing(make()) as example:
-        if not example.hand.closed:
-            raise ValueError(
-                f"hand {hand}: has no [closed], the joint angles of the closed hand"
-            )
-        own, size = example.hand, example.shape.width
+        built, size = example.hand, example.shape.width
         tip = float(example.simulator.state().fingertips[:, 2].min())
+    if not built.closed:
+        missing = "has no [closed], the joint angles of the closed hand"
+        raise ValueError(f"hand {hand}: {missing}")
     highest = np.array([BESIDE, BESIDE, UP, CLOSINGS[1]])
-    found: list[tuple[Array, Array]] = []
+    best = np.zeros(4), highest
     with closing(vector.start(make, workers)) as played_in:
 
         def tested(figures: Array, starts: range) -> Array:
-            task = partial(_hold, _grasp(own, size, figures))
+            """Return how a candidate went on the mean; NaN where no contact was seen."""
             tick()
-            went = np.ma.masked_invalid(list(played_in.play(task, starts)))
-            return np.asarray(
-                went.mean(axis=0).filled(np.nan)
-            )  # NaN where no contact was seen
+            held = played_in.play(partial(_hold, _grasp(built, size, figures)), starts)
+            return np.asarray(np.ma.masked_invalid(list(held)).mean(0).filled(np.nan))
 
         for attempt, ground in enumerate(GROUNDS):
             lowest = np.array([-BESIDE, -BESIDE, min(ground - tip, 0.0), CLOSINGS[0]])
-            found.append(
-                _search(tested, lowest, highest, np.random.default_rng(SEED + attempt))
-            )
-            if found[-1][0][1] >= GOOD:
+            rng = np.random.default_rng(SEED + attempt)
+            last = _search(tested, lowest, highest, rng)
+            best = max(last, best, key=_goodness)
+            if last[0][1] >= GOOD:
                 break
-    (_, share, digits, shift), figures = max(found, key=lambda each: each[0][0])
+    (_, share, digits, shift), figures = best
     figures = np.round(figures, 4)
     return Found(
-        grasp=_grasp(own, size, figures),
+        grasp=_grasp(built, size, figures),
         closing=float(figures[-1]),
         share=float(share),
         digits=float(digits),
@@ -114,14 +106,22 @@ def find(
     )
 
 
+Candidate = tuple[Array, Array]
+"""How a candidate went, (4,) as `_hold` says, and its figures (4,)."""
+
+
+def _goodness(candidate: Candidate) -> float:
+    return float(candidate[0][0])
+
+
 def _search(
     tested: Callable[[Array, range], Array],
     lowest: Array,
     highest: Array,
     rng: np.random.Generator,
-) -> tuple[Array, Array]:
+) -> Candidate:
     """Return how the best candidate went, and what it is."""
-    tried: list[tuple[Array, Array]] = []
+    tried: list[Candidate] = []
     for n in ROUNDS:
         if not tried:
             candidates = rng.uniform(lowest, highest, (n, len(lowest)))
@@ -131,10 +131,10 @@ def _search(
             drawn = rng.normal(best.mean(axis=0), spread, (n, len(lowest)))
             candidates = np.clip(drawn, lowest, highest)
         tried += [(tested(figures, range(STARTS)), figures) for figures in candidates]
-        tried.sort(key=lambda each: -each[0][0])
+        tried.sort(key=_goodness, reverse=True)
     others = range(STARTS, STARTS + OTHERS)  # where those that were lucky are not
     last = [(tested(figures, others), figures) for _, figures in tried[:BEST]]
-    return max(last, key=lambda each: each[0][0])
+    return max(last, key=_goodness)
 
 
 def _grasp(hand: Hand, size: float, figures: Array) -> ScriptedGrasp:
@@ -164,14 +164,13 @@ def _hold(
             ups.append(is_up)
             last = base.simulator.state() if is_up else last
     except SimulationError:
-        return np.array([0.0, 0.0, 0.0, np.nan])
+        ups, last = [False], None
     share = float(np.mean(ups))
     if last is None:
         return np.array([share, share, 0.0, np.nan])
     digits, rows = _touched(base.hand, last)
-    beside = float(
-        np.linalg.norm(last.object_position - _middle(base.hand, last.fingertips))
-    )
+    middle = _middle(base.hand, last.fingertips)
+    beside = float(np.linalg.norm(last.object_position - middle))
     touching = TOUCHING * len(digits) / len(base.hand.digits)
     good = share * (1 + touching - CENTRED * min(1, beside / UP))
     return np.array([good, share, len(digits), np.mean(rows) if rows else np.nan])
@@ -179,9 +178,7 @@ def _hold(
 
 def _touched(hand: Hand, state: State) -> tuple[set[str], list[float]]:
     """Return the digits that touch the object, and how far beyond the middle of last links, m."""
-    surfaces = {
-        surface.link: surface for surface in hand.surfaces if surface.segment != "palm"
-    }
+    surfaces = {at.link: at for at in hand.surfaces if at.segment != "palm"}
     digits, rows = set[str](), []
     for point, index in zip(state.contacts.points, state.contacts.links, strict=True):
         if surface := surfaces.get(state.links[index]):

@@ -138,7 +138,6 @@ def test_from_model_to_training(monkeypatch, capsys):
     Path("hand.xml").write_text(MODEL)
     said = printed(capsys, ["hand", "hand.xml", "--out", "mine.toml"])
     assert "digits.thumb: " in said
-    assert "mujoco: " in said
     assert "next: tactilerl env --env mine.toml --check" in said
     assert len(hands.get("mine.toml").grasps) == 1
     flags = ["--total-timesteps", "20", "--steps-per-epoch", "10", "--max-episode-steps", "5"]
