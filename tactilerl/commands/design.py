@@ -72,16 +72,16 @@ def main(args: list[str]) -> int:
 
 def _hint(found: Design, path: Path, n: int) -> str:
     """Return what trains the hand with the layout."""
-    asked, closing = found.pool.flags, found.waits_at(n)
-    parts = [f"    tactilerl train --scene {pasted(asked.scene[0])}"]
-    if asked.env:
-        parts.append(f"--env {pasted(asked.env)}")
-    if asked.simulator:
-        parts.append(f"--simulator {asked.simulator}")
-    parts.append(f"--layout {pasted(path)}")
-    if closing is not None:
-        parts.append(f"--start-closing {closing:g}")
-    return " ".join(parts)
+    asked, waits = found.pool.flags, found.waits_at(n)
+    flags_given = {
+        "--scene": asked.scene[0],
+        "--env": asked.env,
+        "--simulator": asked.simulator,
+        "--layout": str(path),
+        "--start-closing": "" if waits is None else f"{waits:g}",
+    }
+    given = [f"{key} {pasted(value)}" for key, value in flags_given.items() if value]
+    return f"    tactilerl train {' '.join(given)}"
 
 
 def _print(found: Design) -> None:
@@ -131,9 +131,8 @@ def _cells(row: Row, waits: bool) -> list[str]:
 
 def _bound(row: Row, reached: float) -> str:
     """Return how good a set of the same size could be."""
-    told = f"{row.taxels} chosen: {reached:.3f} of the starts they were chosen from"
-    if row.bound is None:
-        return f"{told}, by greedy search with swaps"
-    if row.bound - reached < EXACT:
-        return f"{told}; no set of the same size has more"
-    return f"{told}, by greedy search with swaps; none has more than {row.bound:.3f}"
+    best = f"{row.taxels} chosen: {reached:.3f} of the starts they were chosen from"
+    if row.bound is not None and row.bound - reached < EXACT:
+        return f"{best}; no set of the same size has more"
+    bound = "" if row.bound is None else f"; none has more than {row.bound:.3f}"
+    return f"{best}, by greedy search with swaps{bound}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from functools import partial
-from typing import Annotated
+from typing import Annotated, Any
 
 from rich.table import Table
 
@@ -71,28 +71,25 @@ def main(args: list[str]) -> int:
         touch = {each.layout: examine(each, senses=["touch"])[0] for each in beside}
     sentence = gate.verdict(rows)
     if read.json:
-        more = {
-            "layouts": {name: dataclasses.asdict(row) for name, row in touch.items()}
-        }
-        result = {
-            "reflexes": [dataclasses.asdict(r) for r in rows],
+        result: dict[str, Any] = {
+            "reflexes": [dataclasses.asdict(row) for row in rows],
             "verdict": sentence,
         }
-        print(json.dumps(result | (more if touch else {})))
+        if touch:
+            plain = {name: dataclasses.asdict(row) for name, row in touch.items()}
+            result["layouts"] = plain
+        print(json.dumps(result))
         return 0
     table = Table("scripted hand", "switches when", "success", "95 % interval")
     for row in rows:
         shown = {row.name: row}
         if touch and row.name == "touch":
-            shown = {
-                f"touch, layout {name}": it
-                for name, it in {scene.layout: row, **touch}.items()
-            }
+            every = {scene.layout: row, **touch}
+            shown = {f"touch, layout {name}": one for name, one in every.items()}
         for name, one in shown.items():
-            rate, (low, high) = f"{one.rate:.2f}", one.interval
-            table.add_row(
-                name, gate.SENSES[row.name][1], rate, f"{low:.2f} – {high:.2f}"
-            )
+            low, high = one.interval
+            when = gate.SENSES[row.name][1]
+            table.add_row(name, when, f"{one.rate:.2f}", f"{low:.2f} – {high:.2f}")
     console.print(table)
     console.print(sentence)
     return 0

@@ -112,11 +112,9 @@ class _Reading:
 
     def sight(self) -> float:
         """Return how near the object is to the palm, m; of one on the ground, the time."""
-        return (
-            self.time()
-            if self._lifts
-            else float(self._seen[-1][self._object[2]] - self._touching)
-        )
+        if self._lifts:
+            return self.time()
+        return float(self._seen[-1][self._object[2]] - self._touching)
 
     def time(self) -> float:
         """Return the actions so far; of a lift, since a grasp could be closed."""
@@ -133,9 +131,8 @@ class _Reading:
         if self.step < BASELINE:
             return 0.0
         first = seen[:BASELINE]
-        return float(
-            (np.abs(seen[-1] - first.mean(0)) / (first.std(0) + RESOLUTION)).max()
-        )
+        moved = np.abs(seen[-1] - first.mean(0)) / (first.std(0) + RESOLUTION)
+        return float(moved.max())
 
     def active(self) -> float:
         """Return after a test squeeze how far joints and hand are from where the first one took

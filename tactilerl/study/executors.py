@@ -40,9 +40,8 @@ def start(
         raise InputError(f"--on {on}: how many jobs to submit? Give --jobs N")
     if is_dask and jobs:
         raise InputError("--jobs: found with Dask, which has as many as there are")
-    for flag, value in {"walltime": walltime, "memory": memory}.items():
-        if value and not is_batch:
-            raise InputError(f"--{flag}: allowed only with --on {', '.join(BATCH)}")
+    if (walltime or memory) and not is_batch:
+        raise InputError(f"--walltime, --memory: allowed only with {', '.join(BATCH)}")
     if on == "local":
         with threads(jobs or max(1, free_cores() // ranks)) as pool:
             yield pool
