@@ -10,7 +10,7 @@ PEERS: dict[str, tuple[str, str]] = {
     for names, ours, difference in (
         ("batch_size", "minibatch_size", ""),
         (
-            "blind no_taxels no_touch run_type taxels",
+            "blind no_taxels no_touch taxels",
             "touch",
             "with off, all taxels read zero",
         ),

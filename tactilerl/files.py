@@ -11,14 +11,12 @@ import re
 import secrets
 import shlex
 import stat
-import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import filelock
-import numpy as np
 
 from .errors import BusyError, InputError
 
@@ -98,34 +96,13 @@ def read_json(path: Path) -> Any:
 
 
 def unzip(path: Path) -> bytes:
-    """What a gzip file holds; ValueError where that is out of proportion."""
+    """Return what a gzip file holds; ValueError where that is out of proportion."""
     with open_regular(path) as file, gzip.GzipFile(fileobj=file) as packed:
-        most = _most(file)
+        most = max(UNPACKED, RATIO * os.fstat(file.fileno()).st_size)
         data = packed.read(most + 1)
     if len(data) > most:
         raise ValueError(f"it unpacks to more than {most:,} bytes")
     return data
-
-
-def read_arrays(path: Path) -> dict[str, Any]:
-    """The arrays of an npz file; ValueError where it unpacks to what is out of proportion."""
-    with open_regular(path) as file:
-        require_small(file)
-        with np.load(file, allow_pickle=False) as arrays:
-            return dict(arrays)
-
-
-def require_small(file: BinaryIO, unpacked: int = UNPACKED, ratio: int = RATIO) -> None:
-    """ValueError before anything of an archive is unpacked that is out of proportion."""
-    with zipfile.ZipFile(file) as archive:
-        size = sum(entry.file_size for entry in archive.infolist())
-    if size > (most := _most(file, unpacked, ratio)):
-        raise ValueError(f"it unpacks to more than {most:,} bytes")
-    file.seek(0)
-
-
-def _most(file: BinaryIO, unpacked: int = UNPACKED, ratio: int = RATIO) -> int:
-    return max(unpacked, ratio * os.fstat(file.fileno()).st_size)
 
 
 @contextmanager

@@ -15,13 +15,11 @@ from rich.table import Table
 from ..algos import UnfitError
 from ..algos.mpi import Communicator
 from ..envs import validation
-from ..envs.grasp import GraspConfig
 from ..envs.observations import SensorConfig
 from ..errors import InputError, input_errors
 from ..machine import WorkerCount
 from ..runs import evaluation, policies
 from ..runs.config import RunConfig
-from ..runs.store import RunDir
 from ..runs.training import start_workers
 from ..terminal import flags
 from ..terminal.console import console, progress
@@ -36,8 +34,8 @@ examples:
 
 
 @dataclass(frozen=True)
-class EvaluateFlags:
-    """Flags of `tactilerl evaluate`."""
+class _CommandFlags:
+    """What is played."""
 
     run: tyro.conf.Positional[Path]
     """Run folder."""
@@ -54,34 +52,35 @@ class EvaluateFlags:
 
 
 @dataclass(frozen=True)
-class _AllFlags:
-    command: EvaluateFlags
+class EvaluateFlags:
+    """Flags of `tactilerl evaluate`."""
+
+    command: _CommandFlags
     sensors: SensorConfig = dataclasses.field(default_factory=SensorConfig)
 
 
 def main(args: list[str]) -> int:
     """`tactilerl evaluate RUN`"""
     prog = "tactilerl evaluate"
-    command = flags.parse(_AllFlags, args, prog, ABOUT).command
-    saved = RunDir(command.run).read_config()
-    if saved.scene is None:
-        flags.parse(EvaluateFlags, args, prog, ABOUT)  # which has no flag of a sensor
+    read = flags.parse(EvaluateFlags, args, prog, ABOUT)
+    command: _CommandFlags = read.command
     trained = policies.read_run(command.run)
-    run = trained.config
+    run, scene = trained.config, trained.config.scene
     changed: dict[str, Any] = {}
-    if run.scene is not None:
+    if scene is not None:
         names = validation.names(SensorConfig)
-        usual = SensorConfig(**{name: getattr(run.scene, name) for name in names})
-        kinds: Any = [("command", EvaluateFlags), ("sensors", SensorConfig, usual)]
-        options = dataclasses.make_dataclass("Options", kinds)
-        sensors: Any = flags.parse(options, args, prog, ABOUT).sensors
-        chosen = {**vars(sensors), "touch": command.touch or run.scene.touch}
-        changed = {k: v for k, v in chosen.items() if v != getattr(run.scene, k)}
-        _require_inputs(run.scene, changed)
-        run = dataclasses.replace(run, scene=dataclasses.replace(run.scene, **changed))
-    elif command.touch:
+        usual = SensorConfig(**{name: getattr(scene, name) for name in names})
+        default = EvaluateFlags(command, usual)  # known only now
+        sensors = flags.parse(EvaluateFlags, args, prog, ABOUT, default).sensors
+        chosen = {**vars(sensors), "touch": command.touch or scene.touch}
+        changed = {k: v for k, v in chosen.items() if v != getattr(scene, k)}
+        if scene.touch == "absent" and "touch" in changed:  # inputs that it never had
+            found = f"touch: found {command.touch}"
+            raise InputError(f"{found}, allowed absent, as the run was trained")
+        run = dataclasses.replace(run, scene=dataclasses.replace(scene, **changed))
+    elif command.touch or read.sensors != SensorConfig():
         raise InputError(
-            f"touch: found with a run on {run.run.env!r}, which has no hand"
+            f"sensors: found with a run on {run.run.env!r}, which has no hand"
         )
     with input_errors():
         run.validate()
@@ -97,15 +96,7 @@ def main(args: list[str]) -> int:
     return 0
 
 
-def _require_inputs(scene: GraspConfig, changed: dict[str, Any]) -> None:
-    """Raise InputError where the policy was trained without the inputs of taxels."""
-    if scene.touch == "absent" and "touch" in changed:
-        raise InputError(
-            f"touch: found {changed['touch']}, allowed absent, as the run was trained"
-        )
-
-
-def _play(run: RunConfig, policy: Any, command: EvaluateFlags) -> list[dict[str, Any]]:
+def _play(run: RunConfig, policy: Any, command: _CommandFlags) -> list[dict[str, Any]]:
     """Play the episodes of an evaluation; return a row for each."""
     with input_errors():
         workers = start_workers(run, Communicator(), command.workers)

@@ -15,7 +15,6 @@ from ..envs.grasp import GraspConfig, setup
 from ..envs.simulators import Camera
 from ..errors import InputError, input_errors
 from ..pictures import render
-from ..terminal import flags
 from ..terminal.console import console, progress
 from .grasps import require_grasp
 from .scene import layout_notes, read_scene
@@ -72,7 +71,7 @@ def main(args: list[str]) -> int:
                 f"{flag}: found {found} a run folder, allowed only {needed} one"
             )
     if read.run:
-        hold_seconds = _hold_seconds(args, read, scene)
+        hold_seconds = _hold_seconds(read, scene)
         if read.video is None and len(read.run) == 1 and _has_display():
             _watch(read.run[0], read.episodes, hold_seconds)
         else:
@@ -88,17 +87,15 @@ def main(args: list[str]) -> int:
     return 0
 
 
-def _hold_seconds(args: list[str], read: RenderFlags, scene: GraspConfig) -> float:
+def _hold_seconds(read: RenderFlags, scene: GraspConfig) -> float:
     """Return the length of hold tests, s; a run keeps everything else of its scene."""
-    hold_seconds = render.HOLD_SECONDS
-    if flags.peek(args, "hold-seconds")["hold_seconds"]:
-        hold_seconds = scene.hold_seconds
-        scene = replace(scene, hold_seconds=setup(read.env).hold_seconds)
-    if scene != setup(read.env):
+    usual = setup(read.env)
+    if replace(scene, hold_seconds=usual.hold_seconds) != usual:
         raise InputError(
             "render RUN: found scene flags, allowed only --hold-seconds: a run keeps its scene"
         )
-    return hold_seconds
+    is_given = scene.hold_seconds != usual.hold_seconds
+    return scene.hold_seconds if is_given else render.HOLD_SECONDS
 
 
 def _has_display() -> bool:

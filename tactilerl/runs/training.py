@@ -40,7 +40,7 @@ COUNTS = (
 def make_algorithm(
     config: RunConfig, comm: Communicator
 ) -> tuple[Learner, vector.Workers]:
-    """The learner and its workers; InputError when they do not go together."""
+    """Return the learner and its workers; InputError when they do not go together."""
     run = config.run
     with input_errors():
         config.validate()
@@ -54,7 +54,7 @@ def start_learner(
     start: Callable[[], vector.Workers],
     comm: Communicator,
 ) -> tuple[Learner, vector.Workers]:
-    """The learner and the workers that `start` returns; ValueError when they do not go together."""
+    """Return a learner and the workers of `start`; ValueError when they do not go together."""
     _, algorithm = algos.get(run.algo)
     _require_device(run.device)
     with ExitStack() as started:
@@ -70,7 +70,7 @@ def start_learner(
 
 
 def _warn_of_wrappers(env: Any) -> None:
-    """A warning where a wrapper's running statistics are of one process, and in no saved policy."""
+    """Warn where a wrapper's running statistics are of one process, and in no saved policy."""
     while isinstance(env, gym.Wrapper):
         if isinstance(
             env, gym.wrappers.NormalizeObservation | gym.wrappers.NormalizeReward
@@ -87,15 +87,16 @@ def _warn_of_wrappers(env: Any) -> None:
 def start_workers(
     config: RunConfig, comm: Communicator, n: int | None
 ) -> vector.Workers:
-    """`n` environments and who plays in them; by default as many as there are free cores. PyTorch
-    computes with the run's number of threads from here on, in this process and in theirs."""
+    """Return `n` environments and who plays in them; by default as many as there are free cores.
+
+    PyTorch computes with the run's number of threads from here on, in this process and in theirs."""
     set_up = partial(torch.set_num_threads, config.run.threads)
     set_up()
     return vector.start(config.make_env, n or free_cores(comm.local_size), set_up)
 
 
 def train(config: RunConfig, comm: Communicator, summary: str = "") -> Path:
-    """Train until the learner's `total_timesteps`; returns the run folder.
+    """Train until the learner's `total_timesteps`; return the run folder.
 
     A run that is there already goes on from its checkpoint, bit for bit as if it had never been cut
     off. `summary` is shown at the beginning.
@@ -152,7 +153,7 @@ def train(config: RunConfig, comm: Communicator, summary: str = "") -> Path:
 
 @contextmanager
 def _writing(run_dir: RunDir, config: RunConfig, comm: Communicator) -> Iterator[None]:
-    """Rank 0 holds the run folder; what ends the run says that its last checkpoint stays."""
+    """Hold the run folder on rank 0; what ends the run says that its last checkpoint stays."""
     with ExitStack() as held:
         if comm.rank == 0:
             run_dir.create()
@@ -169,8 +170,10 @@ def _writing(run_dir: RunDir, config: RunConfig, comm: Communicator) -> Iterator
 
 
 def _begun(checkpoint: Checkpoint) -> int:
-    """The epoch after which a run goes on, its state restored; 0 when it has none yet. InputError where
-    the goal was made smaller, and the run is beyond it already."""
+    """Restore a run's state and return the epoch after which it goes on; 0 when it has none yet.
+
+    InputError where the goal was made smaller, and the run is beyond it already.
+    """
     run_dir, learner = checkpoint.run_dir, checkpoint.learner
     if not run_dir.checkpoint_file.exists():
         if run_dir.n_rows() or any(run_dir.experience_folder.glob("*.pt")):
@@ -191,7 +194,7 @@ def _begun(checkpoint: Checkpoint) -> int:
 
 
 def epochs(learner: Learner, epoch: int = 0) -> Iterator[dict[str, Any]]:
-    """Learn until `total_timesteps`; yields each epoch's row of the progress table. `epoch` is how many
+    """Learn until `total_timesteps`; yield each epoch's row of the progress table. `epoch` is how many
     there were before."""
     while learner.env_steps < learner.total_timesteps:
         epoch += 1
@@ -199,8 +202,11 @@ def epochs(learner: Learner, epoch: int = 0) -> Iterator[dict[str, Any]]:
 
 
 def _epoch(learner: Learner) -> dict[str, Any]:
-    """One epoch: as many cycles as the algorithm's epochs have, but none beyond the run's length, for
-    what falls over a run is zero there; then its test."""
+    """Play one epoch and learn from it, then test; return its row of the progress table.
+
+    It has as many cycles as the algorithm's epochs, but none begins beyond the run's length, where
+    what is annealed is zero.
+    """
     before, times = learner.env_steps, [time.perf_counter()]
     collected: list[dict[str, float]] = []
     learned: list[dict[str, float]] = []
@@ -249,7 +255,7 @@ def _merged(
 
 
 def _require_device(device: str) -> None:
-    """ValueError where PyTorch cannot compute."""
+    """Raise ValueError where PyTorch cannot compute."""
     try:
         torch.zeros(1, device=device).cpu()  # "meta" holds no numbers
     except Exception as error:  # each device answers with errors of its own

@@ -9,7 +9,6 @@ from typing import Any
 
 from rich import progress
 from rich.console import Console
-from rich.table import Column
 
 from ..algos.learner import Learner
 from ..algos.mpi import Communicator
@@ -31,42 +30,34 @@ class ProgressBar:
         self.console = Console(
             quiet=comm.rank > 0, highlight=False, soft_wrap=True, markup=False
         )
-        self.total = learner.total_timesteps
-        self._first_step, self._started = learner.env_steps, time.perf_counter()
+        self.total, self._first_step = learner.total_timesteps, learner.env_steps
+        self._started = time.perf_counter()
+        self._faults = dict.fromkeys(FAULTS, 0.0)
         self._events: Any = None
         if events is not None and comm.rank == 0:
             self._events = require_tensorboard()(str(events))
-        self._faults = dict.fromkeys(FAULTS, 0.0)
-        self._bar: progress.Progress | None = None
         # mpirun hands its ranks a terminal that is none: plain lines for several processes
-        if self.console.is_terminal and comm.size == 1:
-            whole, wraps = (
-                Column(no_wrap=True),
-                Column(no_wrap=False),
-            )  # where the terminal is narrow
-            self._bar = progress.Progress(
-                progress.BarColumn(),
-                progress.MofNCompleteColumn(table_column=whole.copy()),
-                progress.TextColumn("steps  {task.description}", table_column=wraps),
-                progress.TimeElapsedColumn(table_column=whole.copy()),
-                progress.TextColumn("ETA"),
-                progress.TimeRemainingColumn(
-                    elapsed_when_finished=False, table_column=whole.copy()
-                ),
-                console=self.console,
-            )
-            self._task = self._bar.add_task(
-                "", total=self.total, completed=learner.env_steps
-            )
+        self._is_bar = self.console.is_terminal and comm.size == 1
+        self._bar = progress.Progress(
+            progress.BarColumn(),
+            progress.MofNCompleteColumn(),
+            progress.TextColumn("steps  {task.description}"),
+            progress.TimeElapsedColumn(),
+            progress.TextColumn("ETA"),
+            progress.TimeRemainingColumn(elapsed_when_finished=False),
+            console=self.console,
+            disable=not self._is_bar,
+        )
+        self._task = self._bar.add_task(
+            "", total=self.total, completed=learner.env_steps
+        )
 
     def __enter__(self) -> ProgressBar:
-        if self._bar is not None:
-            self._bar.start()
+        self._bar.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._bar is not None:
-            self._bar.stop()
+        self._bar.stop()
         if self._events is not None:
             self._events.close()
         for fault, times in self._faults.items():
@@ -81,36 +72,22 @@ class ProgressBar:
         """Show one row of the progress table."""
         for fault in self._faults:
             self._faults[fault] += row.get(fault, 0.0) + row.get(f"test_{fault}", 0.0)
-        test = (
-            f"test {_rate(row['test_success_rate'])}  "
-            if "test_success_rate" in row
-            else ""
-        )
-        text = (
-            f"success {_rate(row['success_rate'])}  {test}return {row['mean_return']:.1f}  "
-            f"{row['steps_per_s']:.0f} steps/s"
-        )
-        if self._bar is not None:
-            self._bar.update(
-                self._task,
-                completed=min(row["env_steps"], self.total),
-                description=text,
-            )
-        else:
-            done = row["env_steps"] - self._first_step
-            left = (
-                (time.perf_counter() - self._started)
-                * (self.total - row["env_steps"])
-                / done
-            )
+        steps, text = row["env_steps"], f"success {_rate(row['success_rate'])}  "
+        if "test_success_rate" in row:
+            text += f"test {_rate(row['test_success_rate'])}  "
+        text += f"return {row['mean_return']:.1f}  {row['steps_per_s']:.0f} steps/s"
+        self._bar.update(self._task, completed=min(steps, self.total), description=text)
+        if not self._is_bar:
+            spent = time.perf_counter() - self._started
+            left = spent * max(0, self.total - steps) / (steps - self._first_step)
             self.console.print(
-                f"epoch {row['epoch']:4d}  steps {row['env_steps']:,}/{self.total:,}  {text}  "
-                f"ETA {duration(max(0.0, left))}"
+                f"epoch {row['epoch']:4d}  steps {steps:,}/{self.total:,}  {text}  "
+                f"ETA {duration(left)}"
             )
         if self._events is not None:
             for key, value in row.items():
                 if key not in ("epoch", "env_steps") and not math.isnan(value):
-                    self._events.add_scalar(f"train/{key}", value, row["env_steps"])
+                    self._events.add_scalar(f"train/{key}", value, steps)
 
 
 def _rate(value: float) -> str:

@@ -91,5 +91,5 @@ class TestEvaluateWithOtherSensors:
 
     def test_a_run_without_a_hand_has_no_sensors(self, capsys):
         main(["train", *PPO, "--env", "lqr", "--total-timesteps", "16", "--out", "run"])
-        fails_with(capsys, ["evaluate", "run", "--taxel-dead", "0.1"], "--taxel-dead")
+        fails_with(capsys, ["evaluate", "run", "--taxel-dead", "0.1"], "which has no hand")
         assert main(["evaluate", "run", "--episodes", "1", "--json"]) == 0
