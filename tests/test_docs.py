@@ -22,7 +22,7 @@ READ = [page for page in PAGES if page.name != "CHANGELOG.md"]
 TEXT = {page: page.read_text(encoding="utf-8") for page in PAGES}
 NOT_RUN = "<!-- not run"  # on the line before a block
 BLOCK = re.compile(r"(?:(<!-- not run[^\n]*)\n)?^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
-STUDY_PARTS = ("run", "status", "todo", "compare", "collect", "report")
+STUDY_PARTS = ("run", "status", "collect", "report")
 COLUMNS = 88  # of code, that a page 1280 pixels wide shows without scrolling
 
 

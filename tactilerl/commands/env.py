@@ -8,6 +8,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
+
 from .. import envs
 from ..envs import scenes, tasks
 from ..envs.grasp import GraspConfig, GraspEnv
@@ -67,6 +69,8 @@ def main(args: list[str]) -> int:
     if read.json:
         print(json.dumps(described))
     else:
+        for name in ("action_space", "observation_space"):
+            described[name] = _short(getattr(made, name))
         lines = _lines(described, read.describe, check)
         if not args:
             lines.append("named scenes (--scene NAME):")
@@ -125,6 +129,17 @@ def _lines(
             f"never fired: {', '.join(check.never_fired) or 'none'}",
         ]
     return lines
+
+
+def _short(space: gym.Space[Any]) -> str:
+    """Return one line; bounds that are infinite, or differ between entries, are left out."""
+    if isinstance(space, gym.spaces.Dict):
+        parts = (f"{key}: {_short(part)}" for key, part in space.spaces.items())
+        return f"Dict({', '.join(parts)})"
+    whole = str(space)
+    if "[" in whole or "inf" in whole:
+        return f"{type(space).__name__}{space.shape}"
+    return whole
 
 
 def _export(path: Path, env: Any) -> None:
