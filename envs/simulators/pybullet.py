@@ -102,7 +102,9 @@ class PyBulletSimulator(Simulator):
 
     def __reduce__(self) -> Any:
         """Bullet's worlds cannot be copied whole: a copy would share this one's."""
-        raise TypeError("a PyBullet environment cannot be copied: make another")
+        raise TypeError(
+            "a PyBullet environment cannot be copied or pickled: make another"
+        )
 
     # -- building ----------------------------------------------------------------------------
 

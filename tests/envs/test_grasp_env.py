@@ -471,6 +471,6 @@ def test_a_pybullet_environment_says_that_it_cannot_be_copied(copied):
     """A copy would step the original's world."""
     pytest.importorskip("pybullet")
     env = envs.make("mpl")
-    with pytest.raises(TypeError, match="cannot be copied: make another"):
+    with pytest.raises(TypeError, match="cannot be copied or pickled: make another"):
         copied(env)
     env.reset(seed=0)
