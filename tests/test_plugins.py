@@ -1,7 +1,7 @@
 """What modules add: tasks, touch rules and hands, by --import."""
 
 import json
-import shlex
+import os
 import sys
 from pathlib import Path
 
@@ -93,29 +93,24 @@ def test_the_cup_of_the_example_breaks_when_it_is_pressed(capsys):
     env.close()
 
 
-def test_a_run_is_trained_evaluated_and_listed_with_import(capsys):
+def test_a_run_is_trained_and_evaluated_with_import(capsys):
     """Without, its task is unknown."""
     out = printed(capsys, ["train", *CUP, *TINY, "--workers", "1", "--out", "cup"])
     assert "evaluate cup --import own_task" in out
     assert main(["evaluate", "cup", "--episodes", "2", "--import", "own_task"]) == 0
-    scene = EXAMPLES / "own_task.toml"
-    Path("s.toml").write_text(f'name = "s"\n[setups.cup]\nscene = "{scene}"\n')
-    todo = ["study", "todo", "s.toml", "--import", "own_task"]
-    assert "--import=own_task" in printed(capsys, todo)
     del tasks.TASKS["hold-cup"]
     fails_with(capsys, ["evaluate", "cup"], "task: found 'hold-cup'", "--import MODULE")
 
 
-def test_a_study_says_what_the_user_has_to_import(capsys):
+def test_a_study_says_what_the_user_has_to_import(capsys, monkeypatch):
     lines = ['name = "s"', "[setups.cup]", f'scene = "{EXAMPLES / "own_task.toml"}"', "layout = 5"]
     lines += ['import = "own_task"', "total_timesteps = 60", "steps_per_epoch = 60", "n_passes = 1"]
     Path("s.toml").write_text("\n".join(lines))
-    fails_with(capsys, ["study", "todo", "s.toml"], "module 'own_task'", "--import own_task")
+    run = ["study", "run", "s.toml", "--jobs", "1"]
+    fails_with(capsys, run, "module 'own_task'", "--import own_task")
     assert "own_task" not in sys.modules
-    command = printed(capsys, ["study", "todo", "s.toml", "--import", "own_task"])
-    assert "--import=own_task" in command
-    assert main(shlex.split(command)[1:]) == 0
-    assert "nothing left to do" in printed(capsys, ["study", "status", "studies/s"])
+    monkeypatch.setenv("PYTHONPATH", f"{EXAMPLES}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
+    assert "cup_s0 done" in printed(capsys, [*run, "--import", "own_task"])
 
 
 @pytest.mark.pybullet

@@ -35,9 +35,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from ..envs import validation
+from ..envs import plugins, validation
 from ..envs.validation import require_one_of
-from ..errors import input_errors
+from ..errors import InputError, input_errors
 from ..files import require_name
 from ..runs.config import RunConfig, configure
 from ..style import ROLES
@@ -45,7 +45,7 @@ from ..style import ROLES
 MEASURES = ("success_rate", "test_success_rate")  # columns of progress.csv
 KEYS = {"name", "measure", "compare", "primary", "grid", "setups"}
 SETUP_KEYS = {"measure", "compare", "grid"}  # of a set-up, besides flags
-SEED = "seed"
+SEED, IMPORT = "seed", "import"
 TAKEN = {SEED, "out", "resume", "workers", "threads", "tensorboard"}
 MOST_RUNS = 10_000  # a slip in a grid multiplies
 
@@ -91,8 +91,16 @@ class Run:
         return self.setup, self.setting, self.group
 
     def config(self) -> RunConfig:
-        """Return the configuration of the run; raise InputError naming what is wrong with it."""
-        return configure({**self.flags, SEED: self.seed, "workers": 1})
+        """Return the configuration of the run; raise InputError naming what is wrong with it.
+
+        A module that it names is imported by nobody but the user, with `--import`.
+        """
+        flags = dict(self.flags)
+        for name in _as_list(flags.pop(IMPORT, [])):
+            if name not in plugins.imported:
+                hint = f"if you trust it, give --import {name}"
+                raise InputError(f"it needs the module {str(name)[:50]!r}; {hint}")
+        return configure({**flags, SEED: self.seed, "workers": 1})
 
 
 @dataclass(frozen=True)
@@ -218,8 +226,7 @@ def _study(data: dict[str, Any]) -> Study:
 
 def _setup(name: str, table: dict[str, Any], study: dict[str, Any]) -> Setup:
     parts = {"measure": MEASURES[0], **study, **table}
-    own = {k: v for k, v in table.items() if k not in (*SETUP_KEYS, "import")}
-    flags = _flags(own)
+    flags = _flags({k: v for k, v in table.items() if k not in SETUP_KEYS})
     grid = _flags(validation.table(parts, "grid"))
     seeds = _seeds(_as_list(grid.pop(SEED, 0)))
     for flag in TAKEN & (flags.keys() | grid.keys()):
