@@ -46,14 +46,14 @@ class Geom(NamedTuple):
         return np.array(self.position) + turned
 
 
-def geoms_of(model: mujoco.MjModel, body: int) -> tuple[Geom, ...]:
+def geoms_of(model: mujoco.MjModel, link: str) -> tuple[Geom, ...]:
     """Return what collides of a body; ValueError for a shape that no link has."""
     shapes = []
-    for geom in colliding(model, body):
+    for geom in colliding(model, link):
         kind = mujoco.mjtGeom(geom.type[0]).name.removeprefix("mjGEOM_").lower()
         if kind not in KINDS:
             raise ValueError(
-                f"body {model.body(body).name!r}: found a geom of kind {kind}, "
+                f"body {link!r}: found a geom of kind {kind}, "
                 f"allowed: {', '.join(KINDS)}"
             )
         corners = list(product((-1, 1), repeat=3)) * model.geom_aabb[geom.id, 3:]
@@ -72,10 +72,11 @@ def geoms_of(model: mujoco.MjModel, body: int) -> tuple[Geom, ...]:
     return tuple(shapes)
 
 
-def colliding(model: mujoco.MjModel, body: int) -> list[Any]:
+def colliding(model: mujoco.MjModel, body: int | str) -> list[Any]:
     """Return the geoms of a body that collide."""
-    first = model.body_geomadr[body]
-    geoms = map(model.geom, range(first, first + model.body_geomnum[body]))
+    about = model.body(body)
+    first = int(about.geomadr[0])
+    geoms = map(model.geom, range(first, first + int(about.geomnum[0])))
     return [geom for geom in geoms if geom.contype[0] or geom.conaffinity[0]]
 
 
@@ -202,7 +203,9 @@ def placed(data: mujoco.MjData, link: str, point: Any) -> Array:
     return np.asarray(body.xpos + body.xmat.reshape(3, 3) @ point)
 
 
-def gap(model: mujoco.MjModel, data: mujoco.MjData, first: int, second: int) -> float:
+def gap(
+    model: mujoco.MjModel, data: mujoco.MjData, first: int | str, second: int | str
+) -> float:
     """Return how far what collides of two bodies is apart, m, at most FAR; negative where they are in
     each other."""
     distances = [
