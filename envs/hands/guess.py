@@ -289,15 +289,18 @@ class Guess:
         goal = self.tips(fingers)[first].mean(axis=0) + 0.01 * self.directions[0]
         joints, rng = self.chains[thumb].joints, np.random.default_rng(0)
         low, high = np.array([self._limits(joint) for joint in joints]).T
-        least, best = math.inf, dict[str, float]()
+        least, best = math.inf, low
         for number in range(SAMPLES):
-            angles = rng.uniform(low, high) if number < SAMPLES // 2 else np.clip(
-                [*best.values()] + rng.normal(0, 0.1, len(joints)) * (high - low), low, high)  # fmt: skip
+            if number < SAMPLES // 2:
+                angles = rng.uniform(low, high)
+            else:
+                step = rng.normal(0, 0.1, len(joints)) * (high - low)
+                angles = np.clip(best + step, low, high)
             drawn = dict(zip(joints, angles.tolist(), strict=True))
             away = float(np.linalg.norm(self.tips(fingers | drawn)[thumb] - goal))
             if away < least:
-                least, best = away, drawn
-        return best
+                least, best = away, angles
+        return dict(zip(joints, best.tolist(), strict=True))
 
     def _until_contact(self, opened: Angles, closed: Angles) -> float:
         """Return which share of their way the fingers can go before a fingertip is in the palm, or a
@@ -431,26 +434,21 @@ def chains_of(parts: Parts, palm: str) -> list[Chain]:
     furthest; ValueError for fewer than two."""
     spec, data, loops = parts.spec, posed(parts.model, {}), mount.loops(parts.spec)
     above = mount.chain(spec.body(palm))
-    groups: list[list[list[str]]] = []
+    groups: dict[Any, list[list[str]]] = {}
     for body in spec.body(palm).find_all("body"):
-        if list(body.bodies):
-            continue
-        path = mount.chain(body)[len(above) :]
-        joined = [
-            group
-            for group in groups
-            if any(loop & {*path} and loop & {*sum(group, [])} for loop in loops)
-        ]
-        groups = [group for group in groups if group not in joined]
-        groups.append([*sum(joined, []), path])
+        if not list(body.bodies):
+            path = mount.chain(body)[len(above) :]
+            joining = [number for number, loop in enumerate(loops) if loop & {*path}]
+            groups.setdefault(joining[0] if joining else body.name, []).append(path)
 
     def reach(chain: Chain) -> float:
         tip = placed(data, chain.links[-1], chain.tip)
         return float(np.linalg.norm(tip - data.body(palm).xpos))
 
     digits = []
-    for group in groups:
-        chains = [_chain(parts, path, {*sum(group, [])}) for path in group]
+    for paths in groups.values():
+        group = set[str]().union(*paths)
+        chains = [_chain(parts, path, group) for path in paths]
         if made := [chain for chain in chains if chain]:
             digits.append(max(made, key=reach))
     if len(digits) < 2:
