@@ -82,7 +82,7 @@ def _require_palmar(parts: Parts) -> None:
         data = posed(parts.model, parts.pose(share))
         up = data.xmat[parts.palm].reshape(3, 3) @ parts.palmar
         point = placed(data, parts.palm_frame.link, parts.palm_point)
-        depths.append(float((parts.tips(parts.model, data) - point).mean(axis=0) @ up))
+        depths.append(float((parts.tips(data) - point).mean(axis=0) @ up))
     if max(depths) < 0:
         raise ValueError(
             f"palmar: found {list(parts.file.palmar)}, but the closed fingertips are "

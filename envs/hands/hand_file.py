@@ -112,7 +112,7 @@ def _finger_length(parts: Parts, sides: tuple[Surface, ...]) -> float:
     """Return the length of the longest digit: of its bones, where all its links are such, else from
     joint to joint, m."""
     data, found = posed(parts.model, parts.open_pose), []
-    tips = parts.tips(parts.model, data)
+    tips = parts.tips(data)
     for tip, (name, digit) in zip(tips, parts.digits.items(), strict=True):
         bones = [s for s in sides if s.digit == name and s.segment != "palm" and s.bone]
         if len(bones) == len(digit.links):
@@ -130,7 +130,7 @@ def _reach(parts: Parts) -> float:
     for share in (0.0, 0.5, 1.0) if parts.is_own else ():
         data = posed(parts.model, parts.pose(share))
         point = placed(data, parts.palm_frame.link, parts.palm_point)
-        found += np.linalg.norm(parts.tips(parts.model, data) - point, axis=1).tolist()
+        found += np.linalg.norm(parts.tips(data) - point, axis=1).tolist()
     return max(found)
 
 
@@ -191,10 +191,10 @@ def _middle(parts: Parts, model: mujoco.MjModel) -> Array:
     others, closed as far as an object just fits in."""
     if "thumb" not in parts.digits or len(parts.digits) == 2:
         half = posed(model, parts.pose(0.5))
-        return np.asarray(parts.tips(model, half).mean(axis=0))
+        return np.asarray(parts.tips(half).mean(axis=0))
     thumb = list(parts.digits).index("thumb")
     for share in np.linspace(1.0, 0.0, 21):
-        tips = parts.tips(model, posed(model, parts.pose(float(share))))
+        tips = parts.tips(posed(model, parts.pose(float(share))))
         sides = tips[thumb], np.delete(tips, thumb, axis=0).mean(axis=0)
         if np.linalg.norm((sides[0] - sides[1])[:2]) > Hand.start_clearance + FINGERS:
             break

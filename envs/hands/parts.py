@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -17,7 +18,7 @@ import numpy as np
 from ..state import Array
 from ..validation import require_one_of, require_rising
 from . import model_file, mount
-from .geometry import beside, posed, unit
+from .geometry import beside, placed, posed, unit
 from .hand import CLOSING_STEP, FOLDER, Coupling, Frame, Hand
 from .mount import Mount, Number, Positive, Servos, Slides, Span, Vector
 
@@ -186,22 +187,22 @@ class Parts:
         for body in self.file.masses:
             require_one_of([each.name for each in spec.bodies], body, "masses")
             if not spec.body(body).explicitinertial:
-                allowed = "allowed bodies whose model has an inertial"
-                raise ValueError(f"masses: found {body!r}, {allowed}")
+                raise ValueError(
+                    f"masses: found {body!r}, allowed bodies whose model has an inertial"
+                )
         for joint in spec.joints:
-            of_body = f"a joint of body {joint.parent.name!r}"
+            where = f"a joint of body {joint.parent.name!r}"
             if joint.type not in (mount.HINGE, mount.LINEAR):
                 kind = joint.type.name.removeprefix("mjJNT_").lower()
-                what = f"joint {joint.name!r}" if joint.name else of_body
                 raise ValueError(
-                    f"{what}: is a {kind} joint, allowed hinges and slides"
+                    f"{where}: is a {kind} joint, allowed hinges and slides"
                 )
             if not joint.name:
-                raise ValueError(f"{of_body}: has no name; give it one")
+                raise ValueError(f"{where}: has no name; give it one")
         if empty := [body.name for body in mount.weightless(spec)]:
-            drop = ", ".join(f'"{name}"' for name in empty)
             raise ValueError(
-                f"model: found links without mass or shape; leave them out: drop = [{drop}]"
+                "model: found links without mass or shape; leave them out: "
+                f"drop = {json.dumps(empty)}"
             )
         return spec
 
@@ -225,47 +226,39 @@ class Parts:
     def replaced(self) -> tuple[str, ...]:
         """The actuators of the model in whose place joints get the library's servos, because not all
         of them are position servos, each of other joints."""
-        spec, driven, bad = self.raw, dict[str, str](), []
+        spec, driven = self.raw, set[str]()
+        moves = {joint for each in spec.actuators for joint in mount.arms(spec, each)}
+        moves |= {coupling.joint for coupling in mount.followed(spec)}
+        has_tendon = any(each.trntype == mount.TENDON for each in spec.actuators)
+        is_bad = has_tendon and bool({*self.moved("closed")} - moves)
         for actuator in spec.actuators:
-            arms = mount.arms(spec, actuator)
-            if not mount.is_servo(spec, actuator) or set(arms) & set(driven):
-                bad.append(actuator.name)
-            driven |= dict.fromkeys(arms, actuator.name)
-        if any(actuator.trntype == mount.TENDON for actuator in spec.actuators):
-            moved = {*driven, *(coupling.joint for coupling in mount.followed(spec))}
-            closed = self.angles(self.file.closed, "closed", False)
-            bad += [joint for joint in closed if joint not in moved]
-        return tuple(actuator.name for actuator in spec.actuators) if bad else ()
+            arms = mount.arms(spec, actuator).keys()
+            is_bad |= not mount.is_servo(spec, actuator) or bool(arms & driven)
+            driven |= arms
+        return tuple(actuator.name for actuator in spec.actuators) if is_bad else ()
 
     @cached_property
     def passive(self) -> tuple[str, ...]:
         """Joints without servos: those that the file names, and those in closed loops that it does not
         move."""
-        named = [
+        names = [
             j for each in self.file.passive for j in self.matching(each, "passive")
         ]
-        poses = {
-            "opened": self.file.opened,
-            "closed": self.file.closed,
-            "start": self.file.start or {},
-        }
-        moved = {
-            j for key, pose in poses.items() for j in self.angles(pose, key, False)
-        }
-        looped = set().union(*mount.loops(self.raw))
-        joints = [j.name for j in self.raw.joints if j.parent.name in looped]
-        return tuple(dict.fromkeys([*named, *(j for j in joints if j not in moved)]))
+        moved = {*self.moved("opened"), *self.moved("closed"), *self.moved("start")}
+        looped = set[str]().union(*mount.loops(self.raw))
+        for joint in self.raw.joints:
+            if joint.parent.name in looped and joint.name not in moved:
+                names.append(joint.name)
+        return tuple(dict.fromkeys(names))
+
+    def moved(self, pose: str) -> Angles:
+        """Return the angles of a pose of the file, in a joint's range or not."""
+        return self.angles(getattr(self.file, pose) or {}, pose, False)
 
     @cached_property
     def spec(self) -> mujoco.MjSpec:
         """The bare model."""
-        spec = self.mount.bare()
-        for actuator in spec.actuators:
-            if not mount.is_servo(spec, actuator):
-                raise ValueError(
-                    f"actuator {actuator.name!r}: is no position servo of a joint"
-                )
-        return spec
+        return self.mount.bare()
 
     @cached_property
     def files(self) -> tuple[Path, ...]:
@@ -284,10 +277,9 @@ class Parts:
             and not model.actuator(actuator).ctrllimited[0]
         ]
         if free:
-            more = "; so have " + ", ".join(free[1:]) if free[1:] else ""
-            hint = f'[ranges] "{free[0]}" = [low, high]'
             raise ValueError(
-                f"joint {free[0]!r}: has no range; give it one: {hint}{more}"
+                f"joint {free[0]!r}: has no range; give it one: [ranges] "
+                f'"{free[0]}" = [low, high]; all without: {", ".join(free)}'
             )
         return model
 
@@ -331,8 +323,9 @@ class Parts:
         """Return the link that a body is, or is part of; ValueError where none has that name."""
         bodies = [body.name for body in self.raw.bodies[1:]]
         if name not in bodies:
-            found = f"found no body {name!r} in the model"
-            raise ValueError(f"{where}: {found}, allowed: {', '.join(bodies)}")
+            raise ValueError(
+                f"{where}: found no body {name!r} in the model, allowed: {', '.join(bodies)}"
+            )
         return self.welded.get(str(name), Frame(str(name)))
 
     @cached_property
@@ -358,8 +351,9 @@ class Parts:
         """Return the joints of that name, or pattern; ValueError where there is none."""
         joints = [pattern] if pattern in self.joints else matching(self.joints, pattern)
         if not joints:
-            found = f"found no joint {pattern!r} in the model"
-            raise ValueError(f"{where}: {found}, allowed: {', '.join(self.joints)}")
+            raise ValueError(
+                f"{where}: found no joint {pattern!r} in the model, allowed: {', '.join(self.joints)}"
+            )
         return joints
 
     def angles(
@@ -373,8 +367,10 @@ class Parts:
         for joint, angle in found.items() if ranged else ():
             low, high = self.range_of(joint)
             if not low - SLACK <= angle <= high + SLACK:
-                allowed = f"allowed {low:.4g} to {high:.4g}, the joint's range"
-                raise ValueError(f"{where}.{joint}: found {angle:g}, {allowed}")
+                raise ValueError(
+                    f"{where}.{joint}: found {angle:g}, allowed {low:.4g} to {high:.4g}, "
+                    "the joint's range"
+                )
         return found
 
     def range_of(self, joint: str) -> tuple[float, float]:
@@ -391,14 +387,10 @@ class Parts:
     @cached_property
     def closed(self) -> Angles:
         closed = self.angles(self.file.closed, "closed")
-        idle = [joint for joint in closed if joint not in self.driven]
-        if idle:
-            hint = "leave it out"
-            if self.driven and not {*idle} & {each.joint for each in self.follows}:
-                names = ", ".join(f'"{name}"' for name in self.driven.values())
-                hint = f"add the missing ones, or give all joints the library's: drop = [{names}]"
+        for joint in [joint for joint in closed if joint not in self.driven]:
             raise ValueError(
-                f"closed.{idle[0]}: found a joint without an actuator; {hint}"
+                f"closed.{joint}: found a joint without an actuator; leave it out, or give all joints "
+                f"the library's: drop = {json.dumps([*self.driven.values()])}"
             )
         return closed
 
@@ -406,10 +398,8 @@ class Parts:
     def opened(self) -> Angles:
         """The same joints, open."""
         opened = self.angles(self.file.opened, "opened")
-        for joint in opened:
-            if joint not in self.closed:
-                found = "found it without a value in [closed]"
-                raise ValueError(f"opened.{joint}: {found}")
+        for joint in [joint for joint in opened if joint not in self.closed]:
+            raise ValueError(f"opened.{joint}: found it without a value in [closed]")
         return {joint: self.inside(joint) for joint in self.closed} | opened
 
     @cached_property
@@ -468,10 +458,11 @@ class Parts:
             for frame, side in zip(frames, directions, strict=True):
                 turned = None if side is None else np.array(frame.direction(side))
                 sides.setdefault(frame.link, turned)
-                for other, digit in found.items():
-                    if frame.link in digit.links:
-                        what = f"found {frame.link!r}, which is a link of {other}"
-                        raise ValueError(f"{where}.links: {what}")
+            for other, digit in found.items():
+                for link in sides.keys() & {*digit.links}:
+                    raise ValueError(
+                        f"{where}.links: found {link!r}, which is a link of {other}"
+                    )
             tip = frames[-1].point(about.tip)
             found[name] = Digit(tuple(sides), tip, tuple(sides.values()))
         if not found:
@@ -484,12 +475,10 @@ class Parts:
         chain = chain.union(*(loop for loop in mount.loops(self.spec) if chain & loop))
         return [j for j in self.closed if self.spec.joint(j).parent.name in chain]
 
-    def tips(self, model: mujoco.MjModel, data: mujoco.MjData) -> Array:
+    def tips(self, data: mujoco.MjData) -> Array:
         """Return where fingertips are in a posed model, (n_digits, 3), m."""
-        bodies = [model.body(digit.links[-1]).id for digit in self.digits.values()]
-        points = np.array([digit.tip for digit in self.digits.values()])
-        turned = np.einsum("nij,nj->ni", data.xmat[bodies].reshape(-1, 3, 3), points)
-        return np.asarray(data.xpos[bodies] + turned)
+        digits = self.digits.values()
+        return np.array([placed(data, digit.links[-1], digit.tip) for digit in digits])
 
     @cached_property
     def palm_frame(self) -> Frame:
@@ -545,8 +534,9 @@ def _directions(value: Any, n: int, where: str) -> list[Array | None]:
         return [None] * n
     each = value if isinstance(value[0], tuple) else [value] * n
     if len(each) != n:
-        expected = "expected one, or one for each link"
-        raise ValueError(f"{where}: found {len(each)} directions, {expected}")
+        raise ValueError(
+            f"{where}: found {len(each)} directions, expected one, or one for each link"
+        )
     return [unit(one, where) for one in each]
 
 
@@ -559,6 +549,7 @@ def _model_file(name: str, folder: Path) -> Path:
     spec = find_spec(package) if package.isidentifier() else None
     if spec is None or not spec.submodule_search_locations:
         package = package.replace("_", "-")
-        what = f"the hand's model files come with {package}, which is not installed"
-        raise ImportError(f"{what}: pip install {package}")
+        raise ImportError(
+            f"the hand's model files come with {package}, which is not installed: pip install {package}"
+        )
     return Path(spec.submodule_search_locations[0]) / inside

@@ -27,7 +27,7 @@ NANO = 9  # decimals of m that count of a place
 def of(parts: Parts) -> tuple[Surface, ...]:
     """Return the palmar sides of all segments, then of the palm at the bases of the fingers."""
     data, surfaces = posed(parts.model, parts.open_pose), []
-    tips = parts.tips(parts.model, data)
+    tips = parts.tips(data)
     for name, digit, place in zip(
         parts.digits, parts.digits.values(), tips, strict=True
     ):

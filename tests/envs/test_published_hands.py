@@ -406,7 +406,7 @@ class TestUrdf:
                 urdf('<mesh filename="package://no/bone.stl"/>'),
                 "no files for these meshes: package://no",
             ),
-            (urdf(kind="continuous"), r"joint 'l_b': has no range; .*; so have r_b"),
+            (urdf(kind="continuous"), r"joint 'l_b': has no range; .*: l_b, r_b"),
         ],
     )
     def test_what_is_missing_is_said(self, made, model, complaint):
