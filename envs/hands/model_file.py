@@ -25,8 +25,6 @@ NOT_DEFAULTS = {
 }
 MESHES = (".stl", ".obj", ".msh")
 PACKAGE = "package://"
-DUMMY = {"mass": 1e-3, "inertia": [1e-6] * 3}
-"""kg, kg m²: of links between two joints that a model gives neither mass nor shape."""
 
 
 def read(path: Path) -> mujoco.MjSpec:

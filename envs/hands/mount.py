@@ -8,9 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from fnmatch import filter as filter_names
-from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import mujoco
 import numpy as np
@@ -137,7 +136,7 @@ class Mount:
         root.pos = self.position
         if self.is_turned:
             root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-            root.quat = _quaternion(rotation)
+            root.quat = Rotation.from_matrix(rotation).as_quat(scalar_first=True)
         damping = [self.slides.damping, 0, 0]
         for name, axis in zip(SLIDES, rotation, strict=True):
             root.add_joint(name=name, type=LINEAR, axis=axis, damping=damping)
@@ -166,10 +165,8 @@ class Mount:
             for pair in (*spec.pairs, *spec.excludes):
                 spec.delete(pair)
             for geom in spec.geoms:
-                geom.contype, geom.conaffinity = (
-                    int(bool(geom.contype or geom.conaffinity)),
-                    0,
-                )
+                geom.contype = int(bool(geom.contype or geom.conaffinity))
+                geom.conaffinity = 0
         self._couple(spec)
         self._drive(spec)
         return spec
@@ -188,11 +185,7 @@ class Mount:
         if self.fuses:
             for body in weightless(spec):
                 if list(body.bodies):
-                    body.mass, body.inertia = (
-                        model_file.DUMMY["mass"],
-                        model_file.DUMMY["inertia"],
-                    )
-                    body.explicitinertial = True
+                    _make_light(body)
         for joint in spec.joints:
             if joint.name in self.ranges:
                 joint.range = np.array(self.ranges[joint.name]) / _unit(joint)
@@ -200,46 +193,37 @@ class Mount:
         return spec
 
     def _leave_out(self, spec: mujoco.MjSpec) -> None:
-        """What the file says, and what a scene has of its own or has no use for."""
-        kinds = ("bodies", "geoms", "tendons", "actuators", "sites")
-        names = [element.name for kind in kinds for element in getattr(spec, kind)]
+        """Delete what the file says, and what a scene has of its own or has no use for."""
+        kinds = ("tendons", "actuators", "sites", "geoms", "bodies")
+        names = [each.name for kind in kinds for each in getattr(spec, kind)]
         for pattern in self.drop:
             if not filter_names(names, pattern):
                 raise ValueError(
                     f"drop: found {pattern!r}, which nothing in the model is called"
                 )
         for kind in kinds:
-            elements = getattr(spec, kind)  # those that are left
-            chosen = [element for element in elements if self._is_left_out(element)]
+            chosen = {
+                name
+                for pattern in self.drop
+                for name in filter_names([e.name for e in getattr(spec, kind)], pattern)
+            } - {"world"}
+            elements = [e for e in getattr(spec, kind) if e.name in chosen]
             if kind == "bodies":  # one takes along what hangs on it
-                chosen = [
-                    body
-                    for body in chosen
-                    if not any(map(self._is_left_out, _above(body)))
-                ]
-            for element in chosen:
+                elements = [e for e in elements if not chosen & {*chain(e)[:-1]}]
+            for element in elements:
                 spec.delete(element)
         used = {geom.meshname for geom in spec.geoms}
-        meshes = [mesh for mesh in spec.meshes if mesh.name not in used]
         flat = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD
-        floors = [geom for geom in spec.worldbody.geoms if geom.type in flat]
         alone = len(list(spec.worldbody.bodies)) == 1
-        floors += [
-            geom for geom in spec.worldbody.geoms if alone and geom not in floors
-        ]
         for element in (
             *spec.sensors,
             *spec.lights,
             *spec.cameras,
             *spec.keys,
-            *meshes,
-            *floors,
+            *(mesh for mesh in spec.meshes if mesh.name not in used),
+            *(g for g in spec.worldbody.geoms if alone or g.type in flat),
         ):
             spec.delete(element)
-
-    def _is_left_out(self, element: Any) -> bool:
-        is_named = any(fnmatchcase(element.name, pattern) for pattern in self.drop)
-        return is_named and element.name != "world"
 
     def _couple(self, spec: mujoco.MjSpec) -> None:
         """By an equality, what the file couples and neither a tendon nor an equality of the model does;
@@ -282,11 +266,9 @@ class Mount:
         return self.servos.slide if joint.type == LINEAR else self.servos.hinge
 
 
-def _above(body: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:
-    """What a body hangs on, up to the world."""
-    while body.name != "world":
-        body = body.parent
-        yield body
+def _make_light(body: mujoco.MjsBody) -> None:
+    """Give a body that has neither mass nor shape as little as moves."""
+    body.mass, body.inertia, body.explicitinertial = 1e-3, [1e-6] * 3, True  # kg, kg m²
 
 
 def _with_one_root(spec: mujoco.MjSpec, root: str) -> mujoco.MjSpec:
@@ -303,9 +285,11 @@ def _with_one_root(spec: mujoco.MjSpec, root: str) -> mujoco.MjSpec:
         if roots[0].frame is None and not list(roots[0].joints):
             return spec
     elif not root and (not roots or any(map(is_loose, roots))):
-        found = f"found {len(roots)} bodies at its root ({', '.join(root.name for root in roots)})"
-        hint = 'or several that are fixed; leave others out with drop = ["NAME"]'
-        raise ValueError(f"model: {found}, allowed one, {hint}")
+        names = ", ".join(body.name for body in roots)
+        raise ValueError(
+            f"model: found {len(roots)} bodies at its root ({names}), allowed one, or several that are "
+            'fixed; leave others out with drop = ["NAME"]'
+        )
     whole = mujoco.MjSpec()
     with model_file.quiet():  # names stay as they are
         if chosen is None:
@@ -314,11 +298,7 @@ def _with_one_root(spec: mujoco.MjSpec, root: str) -> mujoco.MjSpec:
             if all(
                 list(body.joints) for body in roots
             ):  # nothing of it is part of the base
-                base.mass, base.inertia = (
-                    model_file.DUMMY["mass"],
-                    model_file.DUMMY["inertia"],
-                )
-                base.explicitinertial = True
+                _make_light(base)
         else:
             for joint in chosen.joints:
                 spec.delete(joint)
@@ -331,8 +311,12 @@ def _with_one_root(spec: mujoco.MjSpec, root: str) -> mujoco.MjSpec:
 
 
 def chain(body: mujoco.MjsBody) -> list[str]:
-    """What a body hangs on, from the root on, and itself."""
-    return [each.name for each in (body, *_above(body))][-2::-1]
+    """Return what a body hangs on, from the root on, and itself."""
+    names: list[str] = []
+    while body.name != "world":
+        names.insert(0, body.name)
+        body = body.parent
+    return names
 
 
 def loops(spec: mujoco.MjSpec) -> list[set[str]]:
@@ -370,17 +354,6 @@ def weightless(spec: mujoco.MjSpec) -> list[mujoco.MjsBody]:
     return [body for body in spec.bodies[1:] if list(body.joints) and not weighs(body)]
 
 
-def _quaternion(rotation: Array) -> Array:
-    turn = Rotation.from_matrix(rotation).as_rotvec()
-    angle = float(np.linalg.norm(turn))
-    return np.array(
-        [
-            np.cos(angle / 2),
-            *(np.sin(angle / 2) * np.round(turn / max(angle, 1e-9), 12)),
-        ]
-    )
-
-
 def followed(spec: mujoco.MjSpec) -> Iterator[Coupling]:
     """Where an equality of the model couples two joints: the second drives, unless only the first has
     a servo; ValueError where not by a straight line."""
@@ -395,8 +368,10 @@ def followed(spec: mujoco.MjSpec) -> Iterator[Coupling]:
         joint, driver = equality.name1, equality.name2
         offset, ratio, *higher = (float(value) for value in equality.data[:5])
         if any(higher):
-            found = f"found {joint!r} coupled to {driver!r} by {higher}"
-            raise ValueError(f"model: {found} beyond a straight line, allowed 0")
+            raise ValueError(
+                f"model: found {joint!r} coupled to {driver!r} by {higher} beyond a straight "
+                "line, allowed 0"
+            )
         offset += _rest(spec, joint, driver, ratio)
         if joint in driven and driver not in driven and ratio:
             joint, driver, offset, ratio = driver, joint, -offset / ratio, 1 / ratio
@@ -468,19 +443,13 @@ def arms(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> dict[str, float]:
 def measure_in_joints(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> None:
     """Have the control of a servo be the position of its joint, or of all joints of its tendon, as
     they are where the servo holds still."""
-    gain, offset, stiffness = (
-        actuator.gainprm[0],
-        actuator.biasprm[0],
-        -actuator.biasprm[1],
-    )
-    length = sum(arms(spec, actuator).values())
+    gain, offset = actuator.gainprm[0], actuator.biasprm[0]
+    stiffness, length = -actuator.biasprm[1], sum(arms(spec, actuator).values())
     if gain == stiffness and offset == 0 and length == 1:
         return
     ends = (gain * np.array(actuator.ctrlrange) + offset) / stiffness / length
     actuator.ctrlrange = np.sort(ends)
-    gains, biases = np.array(actuator.gainprm), np.array(actuator.biasprm)
-    gains[0], biases[0] = stiffness * length, 0.0
-    actuator.gainprm, actuator.biasprm = gains, biases
+    actuator.gainprm[0], actuator.biasprm[0] = stiffness * length, 0.0
 
 
 def hold(

@@ -387,10 +387,13 @@ class Parts:
     @cached_property
     def closed(self) -> Angles:
         closed = self.angles(self.file.closed, "closed")
+        followers = [each.joint for each in self.follows]
         for joint in [joint for joint in closed if joint not in self.driven]:
+            drop = json.dumps([*self.driven.values()])
+            more = f", or give all joints the library's: drop = {drop}"
             raise ValueError(
-                f"closed.{joint}: found a joint without an actuator; leave it out, or give all joints "
-                f"the library's: drop = {json.dumps([*self.driven.values()])}"
+                f"closed.{joint}: found a joint without an actuator; leave it out"
+                f"{'' if joint in followers else more}"
             )
         return closed
 
