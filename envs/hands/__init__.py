@@ -69,29 +69,27 @@ class Usage:
 
 
 def is_hand(name: str) -> bool:
-    """Is it the name of one of the library's hands, of another package's, or of anybody's hand file?"""
-    return name in HANDS or name.endswith(SUFFIX) or name in names()
+    """Return whether it is the name of a hand of the library or of a module, or of anybody's file."""
+    return name in names() or name.endswith(SUFFIX)
 
 
 def names() -> list[str]:
-    """Hands that can be asked for by name."""
+    """Return hands that can be asked for by name."""
     return [*HANDS, *OTHERS]
 
 
 def allowed() -> str:
-    """What hands may be called, for messages."""
+    """Return what hands may be called, for messages."""
     return f"{', '.join(names())}, or the path of a hand's .toml file"
 
 
 def file(name: str) -> Path:
-    """The file of a hand; ValueError for a name that is none."""
-    if not is_hand(name):
-        raise ValueError(f"unknown hand {name!r}; allowed: {allowed()}")
+    """Return the file of a hand; ValueError for a name that is none."""
     if name in HANDS:
         return FOLDER / f"{name}{SUFFIX}"
-    if name.endswith(SUFFIX):
-        return Path(name)
-    return Path(OTHERS[name])
+    if name in OTHERS or name.endswith(SUFFIX):
+        return Path(OTHERS.get(name, name))
+    raise ValueError(f"unknown hand {name!r}; allowed: {allowed()}")
 
 
 def usage(name: str) -> Usage:

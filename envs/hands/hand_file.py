@@ -19,7 +19,7 @@ from ..validation import require_one_of, require_rising, require_type
 from . import checks, model_file, mount, surfaces
 from .geometry import placed, posed
 from .hand import KEPT, SLIDES, Hand, LinearAction, ScriptedGrasp, Surface, short_digest
-from .mount import Mount, Slides
+from .mount import Mount
 from .parts import GraspTable, HandFile, Names, Parts, require_distinct
 
 CLEAR, STEP, HIGHEST = 0.008, 0.002, 0.5
@@ -47,15 +47,12 @@ def load(path: Path) -> Hand:
 def _hand(parts: Parts, path: Path) -> Hand:
     file, sides = parts.file, surfaces.of(parts)
     built, at = _hung(parts)
-    grasps = _grasps(parts, at, file.grasp)
-    actuators = (*SLIDES, *parts.driven.values())
-    driven = parts.driven
-    for names, known, where in (
-        (file.first_joints, parts.joints, "first_joints"),
-        (file.handed_beside, parts.digits, "handed_beside"),
-    ):
-        for name in names:
-            require_one_of(known, name, where)
+    grasps, driven = _grasps(parts, at, file.grasp), parts.driven
+    actuators = (*SLIDES, *driven.values())
+    for name in file.first_joints:
+        require_one_of(parts.joints, name, "first_joints")
+    for name in file.handed_beside:
+        require_one_of(parts.digits, name, "handed_beside")
     hand = Hand(
         name=path.stem,
         build=built,
@@ -91,47 +88,41 @@ def _hand(parts: Parts, path: Path) -> Hand:
 
 
 def _notes(parts: Parts) -> tuple[str, ...]:
-    """Say what became of the model's servos, and what its meshes count as."""
-    found = []
-    if names := parts.replaced:
-        found.append(
-            f"its actuators ({_some(names)}) are not all position servos of different joints: "
-            "the joints have the library's"
+    """Say what became of the model's servos."""
+    notes = []
+    if names := ", ".join(parts.replaced):
+        notes.append(
+            f"its actuators ({names}) are not all position servos of different joints: the joints have "
+            "the library's"
         )
     if parts.passive:
-        found.append(f"joints without servos: {_some(parts.passive)}")
-    return tuple(found)
-
-
-def _some(names: Names) -> str:
-    more = f" and {len(names) - 4} more" if len(names) > 4 else ""
-    return ", ".join(names[:4]) + more
+        notes.append(f"joints without servos: {', '.join(parts.passive)}")
+    return tuple(notes)
 
 
 def _finger_length(parts: Parts, sides: tuple[Surface, ...]) -> float:
     """Return the length of the longest digit: of its bones, where all its links are such, else from
     joint to joint, m."""
-    data, found = posed(parts.model, parts.open_pose), []
-    tips = parts.tips(data)
-    for tip, (name, digit) in zip(tips, parts.digits.items(), strict=True):
-        bones = [s for s in sides if s.digit == name and s.segment != "palm" and s.bone]
+    data, lengths = posed(parts.model, parts.open_pose), []
+    for tip, (name, digit) in zip(parts.tips(data), parts.digits.items(), strict=True):
+        bones = [s.span for s in sides if s.digit == name and s.bone]
+        joints = np.array([*(data.body(link).xpos for link in digit.links), tip])
+        length = float(np.linalg.norm(np.diff(joints, axis=0), axis=1).sum())
         if len(bones) == len(digit.links):
-            found.append(sum(bone.span[1] - bone.span[0] for bone in bones))
-        else:
-            joints = np.array([*(data.body(link).xpos for link in digit.links), tip])
-            found.append(float(np.linalg.norm(np.diff(joints, axis=0), axis=1).sum()))
-    return max(found)
+            length = sum(high - low for low, high, _ in bones)
+        lengths.append(length)
+    return max(lengths)
 
 
 def _reach(parts: Parts) -> float:
     """Return how far the fingertips get from the palm's point, open or closed, m; at least the usual,
     which is that of the library's hands."""
-    found = [Hand.reach]
+    away = [Hand.reach]
     for share in (0.0, 0.5, 1.0) if parts.is_own else ():
         data = posed(parts.model, parts.pose(share))
         point = placed(data, parts.palm_frame.link, parts.palm_point)
-        found += np.linalg.norm(parts.tips(data) - point, axis=1).tolist()
-    return max(found)
+        away += np.linalg.norm(parts.tips(data) - point, axis=1).tolist()
+    return max(away)
 
 
 # -- where it hangs --------------------------------------------------------------------------
@@ -182,8 +173,9 @@ def _above_the_object(parts: Parts, built: Mount) -> Array:
         mujoco.mj_collision(model, data)
         if data.ncon == 0:
             return np.round([*at[:2], height], 4)
-    found = f"found no height up to {HIGHEST:g} m at which the hand is free"
-    raise ValueError(f"place: {found}; give it: at = [x, y, z]")
+    raise ValueError(
+        f"place: found no height up to {HIGHEST:g} m at which the hand is free; give it: at = [x, y, z]"
+    )
 
 
 def _middle(parts: Parts, model: mujoco.MjModel) -> Array:
@@ -195,10 +187,11 @@ def _middle(parts: Parts, model: mujoco.MjModel) -> Array:
     thumb = list(parts.digits).index("thumb")
     for share in np.linspace(1.0, 0.0, 21):
         tips = parts.tips(posed(model, parts.pose(float(share))))
-        sides = tips[thumb], np.delete(tips, thumb, axis=0).mean(axis=0)
-        if np.linalg.norm((sides[0] - sides[1])[:2]) > Hand.start_clearance + FINGERS:
+        others = np.delete(tips, thumb, axis=0).mean(axis=0)
+        width = np.linalg.norm((tips[thumb] - others)[:2])
+        if width > Hand.start_clearance + FINGERS:
             break
-    return np.asarray((sides[0] + sides[1]) / 2)
+    return np.asarray((tips[thumb] + others) / 2)
 
 
 # -- what it does ----------------------------------------------------------------------------
@@ -218,7 +211,7 @@ def _kept(path: Path) -> tuple[GraspTable, ...]:
 def _grasps(
     parts: Parts, at: Array, tables: tuple[GraspTable, ...]
 ) -> tuple[ScriptedGrasp, ...]:
-    found = []
+    grasps = []
     for number, grasp in enumerate(tables, 1):
         where, slides = f"grasp {number}", grasp.slides
         if grasp.at is not None:
@@ -228,10 +221,10 @@ def _grasps(
         angles = parts.angles(grasp.joints, f"{where}: joints")
         if grasp.closing is not None:
             angles = parts.at(grasp.closing) | angles
-        targets = {parts.driven[j]: a for j, a in angles.items() if j in parts.driven}
-        places = dict(zip(SLIDES, slides, strict=True))
-        found.append(ScriptedGrasp(grasp.object_size, {**places, **targets}))
-    return tuple(found)
+        targets = dict(zip(SLIDES, slides, strict=True))
+        targets |= {parts.driven[j]: a for j, a in angles.items() if j in parts.driven}
+        grasps.append(ScriptedGrasp(grasp.object_size, targets))
+    return tuple(grasps)
 
 
 def _groups(parts: Parts) -> dict[str, Names]:
@@ -246,8 +239,9 @@ def _groups(parts: Parts) -> dict[str, Names]:
             require_one_of(parts.digits, digit, "actions.groups")
         joints = [joint for digit in group for joint in parts.closing_of(digit)]
         if joints and not any(map(parts.way, joints)):
-            found_no = "found none of its joints that [opened] and [closed] move"
-            raise ValueError(f"digits.{group[0]}: {found_no}")
+            raise ValueError(
+                f"digits.{group[0]}: found none of its joints that [opened] and [closed] move"
+            )
         if joints:
             members = tuple(parts.driven[joint] for joint in joints)
             found["closing of " + " and ".join(group)] = members
@@ -273,12 +267,13 @@ def _joint_action(
 def _with_actions(file: HandFile, hand: Hand) -> Hand:
     """Return the hand with the actions that the file wants: of joints, or increments of slides and
     groups."""
-    slides: Slides = file.slides
+    slides = file.slides
     if file.actions.kind == "joints":
         return hand
     if not hand.groups:
-        needs = "needs the angles of the closed hand: [closed]"
-        raise ValueError(f"actions: kind closing {needs}")
+        raise ValueError(
+            "actions: kind closing needs the angles of the closed hand: [closed]"
+        )
     for limits in slides.limits:
         require_rising(limits, "slides.limits")
     action = hand.closing(

@@ -136,7 +136,10 @@ class Mount:
         root.pos = self.position
         if self.is_turned:
             root.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-            root.quat = Rotation.from_matrix(rotation).as_quat(scalar_first=True)
+            turn = Rotation.from_matrix(rotation).as_rotvec()
+            angle = float(np.linalg.norm(turn))
+            axis = np.round(turn / max(angle, 1e-9), 12)
+            root.quat = [np.cos(angle / 2), *(np.sin(angle / 2) * axis)]
         damping = [self.slides.damping, 0, 0]
         for name, axis in zip(SLIDES, rotation, strict=True):
             root.add_joint(name=name, type=LINEAR, axis=axis, damping=damping)
