@@ -22,6 +22,7 @@ BEYOND = 0.01  # m that a fingertip, or a sensor, may lie off the shapes of its 
 SENSORS = re.compile(r"(?i)sensor|taxel|tactile|touch")
 LEAST, MOST = 1e-3, 0.02  # m, of radii
 NANO = 9  # decimals of m that count of a place
+ORIGIN = (0.0, 0.0, 0.0)
 
 
 def of(parts: Parts) -> tuple[Surface, ...]:
@@ -38,7 +39,7 @@ def of(parts: Parts) -> tuple[Surface, ...]:
             turn = body.xmat.reshape(3, 3).T
             along = unit(turn @ (place - body.xpos), f"digits.{name}.tip")
             inward = turn @ (tips.mean(axis=0) - body.xpos)
-            empty = Surface(name, segments[count], links[0], *[(0.0, 0.0, 0.0)] * 3)
+            empty = Surface(name, segments[count], links[0], ORIGIN, ORIGIN, ORIGIN)
             surfaces.append(_segment(parts, data, empty, links, along, inward, side))
         last = surfaces[-1]
         shift = parts.file.pitch.distal_shift * np.array(last.along)
@@ -49,8 +50,8 @@ def of(parts: Parts) -> tuple[Surface, ...]:
                 f"digits.{name}.tip: found a point {1e3 * away:.1f} mm off body {last.link!r}, "
                 f"allowed up to {1e3 * BEYOND:g} mm"
             )
-    bases = [(name, about) for name, about in parts.file.digits.items() if about.base]
-    palms = [_palm_side(parts, *base) for base in bases or [("palm", None)]]
+    bases = {name: about for name, about in parts.file.digits.items() if about.base}
+    palms = [_palm_side(parts, name, bases.get(name)) for name in bases or ["palm"]]
     return (*surfaces, *palms)
 
 
@@ -105,8 +106,8 @@ def _segment(
         )
     if side is None:
         side, along = _palmar(parts, data, links, along, inward)
-    axes = {"along": tuple(beside(along, side)), "palmar": tuple(side)}
-    return _around(replace(empty, geoms=geoms, **axes))
+    along = beside(along, side)
+    return _around(replace(empty, geoms=geoms, along=tuple(along), palmar=tuple(side)))
 
 
 def _palmar(
@@ -158,7 +159,8 @@ def _around(surface: Surface) -> Surface:
 
 
 def _palm_side(parts: Parts, digit: str, about: DigitTable | None) -> Surface:
-    """Return the palm at a place: a plane where it is said to be flat, else whatever is there."""
+    """Return the palm at the base of a digit, or at its own point: a plane where it is said to be flat,
+    else whatever is there."""
     frame, base = parts.palm_frame, parts.palm_point
     if about is not None:
         if about.base_link is not None:
