@@ -110,7 +110,10 @@ def _step(
         )
     episode.info = info
     for fault in FAULTS:
-        episode.faults[fault] += int(_number(info.get(fault, 0), f"{fault} in info"))
+        count = finite(
+            _number(info.get(fault, 0), f"{fault} in info"), f"{fault} in info"
+        )
+        episode.faults[fault] += int(count)
     success = info.get("is_success", info.get("success"))
     episode.success = (
         math.nan if success is None else _number(success, "is_success in info")

@@ -83,7 +83,7 @@ def make(
         )
         what = f"unknown environment {name!r}; {_meant(name, known)}"
         raise ValueError(f"{what}allowed: {allowed} ({reason})") from None
-    except (ValueError, OSError, ImportError, RuntimeError):  # say what is wrong
+    except (ValueError, OSError, RuntimeError):  # say what is wrong
         raise
     except Exception as error:  # of an environment that is not ours
         line = traceback.extract_tb(error.__traceback__)[-1].line

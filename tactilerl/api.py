@@ -13,6 +13,7 @@ print(tactilerl.evaluate(policy, env, episodes=20))
 from __future__ import annotations
 
 import copy
+import pickle
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, nullcontext
 from functools import partial
@@ -39,7 +40,11 @@ from .terminal.progress_bar import ProgressBar
 
 Env = gym.Env[Any, Any] | str | Callable[[], gym.Env[Any, Any]]
 """An environment, which the caller closes; or an id, or a function that makes one."""
-Callback = Callable[[dict[str, Any]], bool | None]
+NEEDS = (
+    'a script that plays in processes needs `if __name__ == "__main__":`, and a function that '
+    "makes environments above it, with a name; or give workers=1"
+)
+Callback = Callable[[dict[str, Any]], Any]
 
 
 class Learner:
@@ -115,22 +120,21 @@ class Learner:
             total_timesteps = int(total_timesteps)
         run = validation.replace(self._run, {"total_timesteps": total_timesteps})
         validation.validate(run)
-        total_timesteps = run.total_timesteps
         learner = self._learner
-        learner.total_timesteps = learner.env_steps + total_timesteps
+        learner.total_timesteps = learner.env_steps + run.total_timesteps
         with _threads(self._run.threads):
             if not self._epoch:
                 learner.check()
             shown = ProgressBar(learner, self._comm) if progress else nullcontext()
             with shown as report:
-                for row in training.epochs(learner, self._epoch):
-                    self._epoch = row["epoch"]
-                    if report is not None:
-                        report.epoch(row)
-                    answer = callback(row) if callback is not None else None
-                    if answer is not None and not answer:
-                        break
+                shown_to = report.epoch if report is not None else None
+                calls = (self._count, shown_to, callback)
+                after = [call for call in calls if call is not None]
+                training.learn(learner, self._epoch, *after)
         return self
+
+    def _count(self, row: dict[str, Any]) -> None:
+        self._epoch = row["epoch"]
 
     def policy(self) -> Policy:
         """A copy of the current policy; further learning does not change it."""
@@ -252,6 +256,11 @@ def train(
     """
     if resume is not None and out is not None:
         raise ValueError("out: found with resume; a resumed run stays in its folder")
+    if isinstance(env, gym.Env):
+        raise ValueError(
+            "env: found an environment, allowed a name or an id; PPO(env) and DDPGHER(env) "
+            "learn in an environment"
+        )
     base = resolve(algo, env or "", recipe, scene, resume)
     said = {"algo": algo, "out": out and str(out)}
     chosen = base.choose(
@@ -281,11 +290,12 @@ def _start(env: Env, workers: int | None, threads: int = 1) -> vector.Workers:
         )
     except ImportError as error:
         raise ValueError(f"env: {error}") from error
+    except (AttributeError, TypeError, pickle.PicklingError) as error:
+        if "pickle" not in str(error):
+            raise
+        raise ValueError(f"env: {NEEDS} ({error})") from error
     except vector.WorkerDiedError as error:
-        error.add_note(
-            'a script that plays in processes needs `if __name__ == "__main__":`'
-        )
-        raise
+        raise ValueError(f"env: {error}; {NEEDS}") from error
 
 
 def _made(make: Callable[[], gym.Env[Any, Any]]) -> gym.Env[Any, Any]:

@@ -11,7 +11,7 @@ import re
 import secrets
 import shlex
 import stat
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -29,9 +29,6 @@ PATIENCE = 2.0  # s; who only looks at a lock has it for an instant
 LEFTOVER = re.compile(
     r"\.[0-9a-f]{16}\.tmp"
 )  # of a process that was killed while it wrote
-MAKER = "made by tactilerl"  # in the metadata of pictures
-IsOurs = Callable[[Path], Any]
-"""Is the regular file there one of ours, by its content? What is false, or a ValueError, says no."""
 FULL = (
     errno.ENOSPC,
     errno.EDQUOT,
@@ -80,16 +77,6 @@ def content(path: Path, most: int = LARGEST) -> bytes:
     return data
 
 
-def begins_with(mark: str) -> IsOurs:
-    """Files that begin so are ours."""
-
-    def is_ours(path: Path) -> bool:
-        with open_regular(path) as file:
-            return file.read(len(mark.encode())) == mark.encode()
-
-    return is_ours
-
-
 def read_json(path: Path) -> Any:
     """The values in a JSON file."""
     return json.loads(content(path, MAX_JSON).decode("utf-8"))
@@ -105,15 +92,30 @@ def unzip(path: Path) -> bytes:
     return data
 
 
-@contextmanager
-def replacing(path: Path, is_ours: IsOurs | None = None) -> Iterator[BinaryIO]:
-    """A file to write to that takes the place of `path` when it is whole, or not at all.
+def require_new(path: Path, overwrite: bool = False) -> None:
+    """Raise InputError where something is at `path` that a command may not replace: anything but an
+    empty folder, unless it was told to `overwrite`; a link or a device in any case."""
+    with writable(path):
+        is_there = os.path.lexists(path)
+        if is_there and path.is_dir():
+            is_there = any(path.iterdir())
+    if is_there and not overwrite:
+        raise InputError(
+            f"cannot write {str(path)!r}: it is there already; choose another name, or "
+            "replace it with --overwrite"
+        )
+    if not path.is_dir() or path.is_symlink():
+        _require_file(path)
 
-    What is there may be nothing, or a regular file that `is_ours` (None: of a folder that is ours).
-    It is made anew under a name that nobody knows, so that no link is followed.
-    InputError where something else is there or nothing can be written, OSError where the disk is full.
+
+@contextmanager
+def replacing(path: Path) -> Iterator[BinaryIO]:
+    """Give a file to write to that takes the place of `path` when it is whole, or not at all.
+
+    It is made under a name that nobody knows, so that no link is followed. InputError where a link,
+    a folder or a device is at `path`, or nothing can be written; OSError where the disk is full.
     """
-    require_ours(path, is_ours)
+    _require_file(path)
     temporary = path.with_name(f".{secrets.token_hex(8)}.tmp")
     with writable(path):
         file = temporary.open("x+b")
@@ -132,42 +134,16 @@ def replacing(path: Path, is_ours: IsOurs | None = None) -> Iterator[BinaryIO]:
         temporary.unlink(missing_ok=True)
 
 
-def require_ours(path: Path, is_ours: IsOurs | None = None) -> None:
-    """InputError unless nothing is at `path` yet, or a regular file that `is_ours`."""
+def _require_file(path: Path) -> None:
+    """Raise InputError where something else than a regular file is at `path`."""
     with writable(path):
-        if not os.path.lexists(path):
-            return
-        mode = path.lstat().st_mode
-        if not stat.S_ISREG(mode):
-            found = (
-                "a link"
-                if stat.S_ISLNK(mode)
-                else "a folder"
-                if stat.S_ISDIR(mode)
-                else "no file"
-            )
-            raise InputError(
-                f"cannot write {str(path)!r}: it is {found}, allowed a file or a new name"
-            )
-        try:
-            is_known = is_ours is None or is_ours(path)
-        except (
-            ValueError,
-            TypeError,
-            AttributeError,
-            FileNotFoundError,
-        ):  # other things are in it
-            is_known = False
-    if not is_known:
+        mode = path.lstat().st_mode if os.path.lexists(path) else stat.S_IFREG
+    if not stat.S_ISREG(mode):
+        kinds = {stat.S_IFLNK: "a link", stat.S_IFDIR: "a folder"}
+        found = kinds.get(stat.S_IFMT(mode), "no file")
         raise InputError(
-            f"cannot write {str(path)!r}: another file is there, which would be lost; "
-            "choose another name, or move it away"
+            f"cannot write {str(path)!r}: it is {found}, allowed a file or a new name"
         )
-
-
-def is_picture(path: Path) -> bool:
-    """Was the picture or film made here?"""
-    return MAKER.encode() in content(path)
 
 
 def own_folder(path: Path) -> Path:

@@ -45,6 +45,8 @@ class Flags(DesignFlags):
     """Not on these segments or digits, named likewise."""
     out: Path | None = None
     """Where the layout goes: FILE.toml, or a folder for the layouts of all numbers, figures, JSON."""
+    overwrite: bool = False
+    """Replace files of --out that are there."""
     json: bool = False
     """Print JSON instead of a table."""
 
@@ -55,7 +57,7 @@ def main(args: list[str]) -> int:
     with input_errors():
         read.validate()
         if read.out is not None:
-            files.require(read.out, read.numbers)
+            files.require(read.out, read.numbers, read.overwrite)
         with progress("playing starts", read.n_played, not read.json) as tick:
             found = design(read, read.workers or free_cores(), tick)
         written = [] if read.out is None else files.write(found, read.out)

@@ -17,8 +17,7 @@ from ..envs.hands import tactile
 from ..envs.layouts import Taxels
 from ..envs.taxel_files import WRITERS
 from ..errors import InputError, input_errors
-from ..files import content as read_all
-from ..files import replacing
+from ..files import replacing, require_new
 from ..scripted import taxels
 from ..scripted.taxels import TaxelCheck
 from .grasps import require_grasp
@@ -46,6 +45,8 @@ class EnvFlags:
     export: Path | None = None
     """Write the layout as points on the hand's links (.toml or .csv), or the hand with it
     as MuJoCo's tactile sensors (.xml)."""
+    overwrite: bool = False
+    """Replace the file that --export names."""
     check: bool = False
     """Play scripted grasps and say which taxels fire while the object is held and which never do. The
     exit code is 1 where one never does."""
@@ -56,6 +57,8 @@ class EnvFlags:
 def main(args: list[str]) -> int:
     """`tactilerl env --describe`: exit 1 where --check finds a taxel that never fires."""
     read, scene = read_any(EnvFlags, args, "tactilerl env", ABOUT)
+    if read.export is not None:
+        require_new(read.export, read.overwrite)
     with input_errors():
         made = GraspEnv(read.env, scene) if scene else envs.make(read.env)
         with closing(made):
@@ -156,5 +159,5 @@ def _export(path: Path, env: Any) -> None:
         else:
             allowed = f"names that end in {', '.join((*WRITERS, MJCF))}"
             raise InputError(f"--export: found {path.name!r}, allowed {allowed}")
-    with replacing(path, lambda there: read_all(there) == content) as file:
+    with replacing(path) as file:
         file.write(content)

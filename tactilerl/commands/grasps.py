@@ -11,7 +11,7 @@ from ..envs.grasp import GraspConfig
 from ..envs.hands import ScriptedGrasp
 from ..envs.simulators import Camera
 from ..errors import InputError
-from ..files import begins_with, replacing
+from ..files import replacing, require_new
 from ..machine import free_cores
 from ..pictures import render
 from ..scripted import grasp_search
@@ -33,13 +33,15 @@ def require_grasp(name: str, scene: GraspConfig) -> None:
         )
     path = hands.file(name)
     kept = path.with_suffix(hands.KEPT)
-    with replacing(kept, begins_with(MARK)) as file:
+    with replacing(kept) as file:
         digest = hands.short_digest(path)
         file.write(f'{MARK}hand = "{digest}"\n\n{found.toml()}\n'.encode())
     beside.print(f"kept in {kept}")
 
 
-def found_grasp(name: str, scene: GraspConfig) -> grasp_search.Found | None:
+def found_grasp(
+    name: str, scene: GraspConfig, overwrite: bool = False
+) -> grasp_search.Found | None:
     """Return the best grasp that a search finds, and how it went; None, with a picture of the best,
     where that does not hold."""
     beside.print(f"{name} has no [[grasp]]: looking for one")
@@ -59,16 +61,26 @@ def found_grasp(name: str, scene: GraspConfig) -> grasp_search.Found | None:
     beside.print(f"found no grasp that holds {size}: the best keeps it up {up}")
     beside.print("look at [opened] and [closed], or at the force of the servos")
     picture = Path(hands.file(name).with_suffix(".no_grasp.png").name)
-    draw(beside, "the best of them", name, scene, "grasp", picture, found.grasp)
+    draw(
+        beside,
+        "the best of them",
+        name,
+        scene,
+        "grasp",
+        picture,
+        overwrite,
+        found.grasp,
+    )
     return None
 
 
 def draw(
     screen: Console, what: str, name: str, scene: GraspConfig, pose: render.Pose, path: Path,
-    grasp: ScriptedGrasp | None = None,
+    overwrite: bool, grasp: ScriptedGrasp | None = None,
 ) -> None:  # fmt: skip
     """Write a picture of a hand, and on the screen `what` it is, or why there is none."""
     try:
+        require_new(path, overwrite)
         render.picture(name, scene, pose, Camera(azimuth=300.0), path, grasp)
         screen.print(f"{path}: {what}")
     except (ImportError, OSError, InputError) as error:

@@ -14,7 +14,7 @@ from ..envs import hands
 from ..envs.grasp import setup
 from ..envs.hands import guess, sandbox
 from ..errors import InputError, input_errors
-from ..files import begins_with, pasted, replacing
+from ..files import pasted, replacing, require_new
 from ..terminal import flags
 from ..terminal.console import console
 from .grasps import draw, found_grasp
@@ -37,6 +37,8 @@ class HandFlags:
     """Path of an MJCF or URDF file, or package:path in an installed package."""
     out: Path = Path("my_hand.toml")
     """The file to write. A picture of the hand is written beside it (extra: render)."""
+    overwrite: bool = False
+    """Replace the file and the picture where they are there."""
     palm: str = ""
     """The palm's body; default: the one from which most digits branch."""
     drop: tuple[str, ...] = ()
@@ -52,12 +54,13 @@ def main(args: list[str]) -> int:
         raise InputError(
             f"--out: found {read.out.name!r}, allowed names that end in {hands.SUFFIX}"
         )
+    require_new(read.out, read.overwrite)
     with input_errors():
         _write(read)
         hand = hands.get(str(read.out))
         _say_what_was_guessed(read.out, hand)
         scene = setup(str(read.out), layout="1")
-        found = found_grasp(str(read.out), scene)
+        found = found_grasp(str(read.out), scene, read.overwrite)
     if found is not None:
         text = f"\n{found.toml()}\n"
         if found.shift is not None:
@@ -65,7 +68,7 @@ def main(args: list[str]) -> int:
         _save(read.out, read.out.read_bytes() + text.encode())
     pose: Literal["start", "grasp"] = "start" if found is None else "grasp"
     what, picture = f"the {pose}, and the hand unrolled", read.out.with_suffix(".png")
-    draw(console, what, str(read.out), scene, pose, picture)
+    draw(console, what, str(read.out), scene, pose, picture, read.overwrite)
     if found is None:
         return 1
     name = pasted(read.out)
@@ -99,7 +102,7 @@ def _written(path: Path, model: str, said: dict[str, Any]) -> list[str]:
 
 
 def _save(path: Path, content: bytes) -> None:
-    with replacing(path, begins_with(MARK)) as file:
+    with replacing(path) as file:
         file.write(content)
 
 

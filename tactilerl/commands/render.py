@@ -14,6 +14,7 @@ import tyro
 from ..envs.grasp import GraspConfig, setup
 from ..envs.simulators import Camera
 from ..errors import InputError, input_errors
+from ..files import require_new
 from ..pictures import render
 from ..terminal.console import console, progress
 from .grasps import require_grasp
@@ -46,6 +47,8 @@ class RenderFlags:
     """The hand in the picture."""
     out: Path = Path("grasp.png")
     """File of the picture."""
+    overwrite: bool = False
+    """Replace a picture or film that is there."""
     pose: Literal["start", "grasp"] = "grasp"
     """What the picture shows: the start of an episode, or a scripted grasp."""
     azimuth: float = Camera.azimuth
@@ -77,6 +80,7 @@ def main(args: list[str]) -> int:
         else:
             _film(read, hold_seconds)
         return 0
+    require_new(read.out, read.overwrite)
     with input_errors():
         if read.pose == "grasp":
             require_grasp(read.env, scene)
@@ -114,6 +118,7 @@ def _watch(folder: Path, episodes: int, hold_seconds: float) -> None:
 
 def _film(read: RenderFlags, hold_seconds: float) -> None:
     video = read.video or Path("episodes.mp4")
+    require_new(video, read.overwrite)
     with input_errors(), progress("pictures") as tick:
         for successes in render.film(
             read.run, read.episodes, hold_seconds, read.camera, video, tick

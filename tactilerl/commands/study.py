@@ -14,7 +14,7 @@ import tyro
 from rich.table import Table
 
 from ..errors import InputError, extra, input_errors
-from ..files import pasted
+from ..files import pasted, require_new
 from ..study import executors, grid, jobs, records
 from ..study.jobs import Job
 from ..study.records import Record, StudyFiles
@@ -155,10 +155,14 @@ class Collect:
     """Folder of the study."""
     out: Path | None = None
     """File to write; default: collected.tar.gz in FOLDER."""
+    overwrite: bool = False
+    """Replace that file where it is there."""
 
     def __call__(self) -> None:
         """Run `tactilerl study collect FOLDER`."""
-        path = records.collect(self.folder, self.out)
+        out = self.out or self.folder / records.PACKED
+        require_new(out, self.overwrite)
+        path = records.collect(self.folder, out)
         console.print(f"{path}: {path.stat().st_size / 1e6:.2f} MB")
 
 
@@ -170,6 +174,8 @@ class Report:
     """Folder of the study, or the file that `collect` wrote."""
     out: Path | None = None
     """Folder for the report; default: report/ beside the runs or the collected file."""
+    overwrite: bool = False
+    """Replace an earlier report there."""
     resamples: Annotated[int, "[100, 1e6]"] = 50_000
     """Resamples of every bootstrap and permutation test; fewer are faster and less exact."""
 
@@ -180,6 +186,7 @@ class Report:
         result = analysis.analyse(*records.load(self.study), self.resamples)
         beside = self.study if os.path.isdir(self.study) else self.study.parent
         out = self.out or beside / "report"
+        require_new(out, self.overwrite)
         with input_errors(f"cannot write the report into {str(out)!r}"):
             path = report.write(result, out)
         for sentence in report.answers(result):

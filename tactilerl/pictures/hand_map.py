@@ -10,7 +10,6 @@ import numpy as np
 from ..envs.hands import DIGITS, Hand
 from ..envs.layouts import Taxels
 from ..envs.state import Array
-from ..files import MAKER
 from . import places
 from .places import Place
 
@@ -162,15 +161,11 @@ class TaxelMap:
 
 
 def save_picture(picture: Array, file: BinaryIO, ending: str) -> None:
-    """Write a picture as .png or .jpg, with who made it."""
-    from PIL import Image, PngImagePlugin
+    """Write a picture as .png or .jpg."""
+    from PIL import Image
 
-    about = PngImagePlugin.PngInfo()
-    about.add_text("Software", MAKER)
     kind = {".png": "PNG", ".jpg": "JPEG"}[ending.lower()]
-    Image.fromarray(picture).save(
-        file, kind, pnginfo=about, comment=MAKER
-    )  # each format takes its own
+    Image.fromarray(picture).save(file, kind)
 
 
 def lettered(

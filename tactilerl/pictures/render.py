@@ -17,7 +17,7 @@ from ..envs.hands import ScriptedGrasp
 from ..envs.simulators import Camera, Simulator
 from ..envs.state import Array
 from ..errors import InputError, extra
-from ..files import MAKER, is_picture, replacing, require_ours
+from ..files import replacing
 from ..style import ROLES
 from .hand_map import PAPER, TaxelMap, lettered, save_picture
 
@@ -28,7 +28,6 @@ FILMS, PICTURES = (".mp4", ".mkv", ".mov"), (".png", ".jpg")
 HOLD_SECONDS = 2.0  # of a hold test in a film: all there is to see in the whole
 # Fragments of a second, each whole in itself: what is there can be played at any time.
 PLAYABLE = ["-tune", "zerolatency", "-g", str(FPS), "-flush_packets", "1"]
-PLAYABLE += ["-metadata", f"comment={MAKER}"]
 PLAYABLE += ["-movflags", "frag_keyframe+empty_moov+default_base_moof"]
 END_PICTURES = FPS  # of the last moment, repeated: so one sees how it ended
 # Pixels: of the scene, of the lines above it and their letters, of the hand unrolled in a corner.
@@ -57,7 +56,7 @@ def picture(
         if config.touch == "on":  # what is hard to see in the hand's shade
             unrolled = TaxelMap(env.hand, env.taxels, camera.height).picture(fires)
             image = np.hstack([image, unrolled])
-        with replacing(out, is_picture) as file:
+        with replacing(out) as file:
             save_picture(image, file, out.suffix)
         return int(fires.sum())
 
@@ -205,6 +204,5 @@ def _writer(flag: str, out: Path, endings: tuple[str, ...], module: str) -> Any:
         raise InputError(
             f"{flag}: found no folder {out.parent}, allowed one that exists"
         )
-    require_ours(out, is_picture)
     with extra("render"):
         return importlib.import_module(module)

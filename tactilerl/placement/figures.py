@@ -11,7 +11,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from ..envs import layouts
-from ..files import MAKER, is_picture, replacing
+from ..files import replacing
 from ..pictures import places
 from ..pictures.hand_map import TaxelMap
 from ..style import DPI, HEAD, INK, NAMES, OTHERS, STYLE
@@ -34,9 +34,9 @@ def of_design(design: Design) -> dict[str, Figure]:
 
 @rc_context(STYLE)
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG over one of ours; the same figure gives the same bytes."""
-    with replacing(path, is_picture) as file:
-        figure.savefig(file, dpi=DPI, metadata={"Software": MAKER})
+    """Write a figure as PNG; the same figure gives the same bytes."""
+    with replacing(path) as file:
+        figure.savefig(file, dpi=DPI)
 
 
 def hand_map(design: Design, title: str) -> Figure:

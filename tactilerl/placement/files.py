@@ -6,23 +6,12 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..envs import validation
 from ..errors import InputError, extra
-from ..files import locked, read_json, replacing, require_ours
-from .choice import MADE, Design
+from ..files import locked, replacing, require_new
+from .choice import Design
 
 
-def is_layout(path: Path) -> bool:
-    """Tell whether the layout file is one that was designed."""
-    return MADE in str(validation.read(path, "layout file").get("description"))
-
-
-def is_result(path: Path) -> bool:
-    """Tell whether the JSON file is one of a design."""
-    return MADE in read_json(path).get("about", "")
-
-
-def require(out: Path, numbers: Sequence[int]) -> None:
+def require(out: Path, numbers: Sequence[int], overwrite: bool) -> None:
     """Raise InputError where nothing can be written to `out`, before minutes of playing."""
     if out.suffix == ".toml":
         if len(numbers) > 1:
@@ -30,13 +19,16 @@ def require(out: Path, numbers: Sequence[int]) -> None:
             raise InputError(f"--out: found {str(out)!r}, allowed {allowed}")
         if not out.parent.is_dir():
             raise InputError(f"--out: found no folder {str(out.parent)!r}")
-        require_ours(out, is_layout)
     elif out.suffix or (out.exists() and not out.is_dir()):
         raise InputError(f"--out: found {str(out)!r}, allowed FILE.toml or a folder")
     else:
         with extra("plots"):
             from . import figures  # noqa: F401
-        require_ours(out / "design.json", is_result)
+        names = [f"design_{n}.toml" for n in numbers]
+        names += ["design.json", "hand.png", "curve.png"]
+        for name in names:
+            require_new(out / name, overwrite)
+    require_new(out, overwrite)
 
 
 def write(design: Design, out: Path) -> list[Path]:
@@ -48,7 +40,7 @@ def write(design: Design, out: Path) -> list[Path]:
     with locked(out):
         files = [_layout(design, n, out / f"design_{n}.toml") for n in design.chosen]
         files.append(out / "design.json")
-        with replacing(files[-1], is_result) as file:
+        with replacing(files[-1]) as file:
             file.write((json.dumps(design.as_dict(), indent=1) + "\n").encode())
         for name, figure in figures.of_design(design).items():
             files.append(out / f"{name}.png")
@@ -57,6 +49,6 @@ def write(design: Design, out: Path) -> list[Path]:
 
 
 def _layout(design: Design, n: int, path: Path) -> Path:
-    with replacing(path, is_layout) as file:
+    with replacing(path) as file:
         file.write(design.layout(n).toml().encode())
     return path

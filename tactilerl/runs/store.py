@@ -355,8 +355,16 @@ class Checkpoint:
                 f"ranks: found {self.comm.size}, the run was made with {before}; start it with "
                 f"mpirun -n {before}"
             )
+        state = data["ranks"][rank]
+        if self.learner.state_dict().keys() ^ state.keys():
+            versions = self.run_dir.record()["provenance"][-1]["versions"]
+            raise InputError(
+                f"{self.run_dir.checkpoint_file}: its learner has other parts than this "
+                f"version's; finish the run with version {versions.get('tactilerl')}, which made "
+                "it (evaluate and render do read it)"
+            )
         with damage_named(self.run_dir.checkpoint_file):
-            self.learner.load_state_dict(data["ranks"][rank])
+            self.learner.load_state_dict(state)
         if self._memory is not None:
             self._epochs = data["experience"]
             for epoch in self._epochs:

@@ -29,6 +29,7 @@ from ..terminal.progress_bar import ProgressBar, require_tensorboard
 from .config import RunConfig, RunOptions
 from .store import Checkpoint, RunDir
 
+Row = dict[str, Any]
 COUNTS = (
     "episodes",
     *FAULTS,
@@ -139,11 +140,12 @@ def train(config: RunConfig, comm: Communicator, summary: str = "") -> Path:
                 learner, comm, run_dir.path if config.run.tensorboard else None
             ) as report:
                 report.note("\n".join(filter(None, notes)))
-                for row in epochs(learner, epoch):
-                    if comm.rank == 0:
-                        run_dir.append(row)
+
+                def save(row: Row) -> None:
                     checkpoint.save(row["epoch"])
-                    report.epoch(row)
+
+                append = [run_dir.append] if comm.rank == 0 else []
+                learn(learner, epoch, *append, save, report.epoch)
     except algos.UnfitError as error:
         raise InputError(str(error)) from error
     finally:
@@ -193,12 +195,19 @@ def _begun(checkpoint: Checkpoint) -> int:
     return epoch
 
 
-def epochs(learner: Learner, epoch: int = 0) -> Iterator[dict[str, Any]]:
-    """Learn until `total_timesteps`; yield each epoch's row of the progress table. `epoch` is how many
-    there were before."""
-    while learner.env_steps < learner.total_timesteps:
+def learn(learner: Learner, epoch: int, *after: Callable[[Row], Any]) -> int:
+    """Learn until `total_timesteps`, from after `epoch` on; return the last epoch.
+
+    Each of `after` is called after every epoch with its row of the progress table, and ends the
+    learning when it returns something false but None.
+    """
+    goes_on = True
+    while goes_on and learner.env_steps < learner.total_timesteps:
         epoch += 1
-        yield {"epoch": epoch, **_epoch(learner)}
+        row = {"epoch": epoch, **_epoch(learner)}
+        answers = [call(row) for call in after]
+        goes_on = all(answer is None or answer for answer in answers)
+    return epoch
 
 
 def _epoch(learner: Learner) -> dict[str, Any]:

@@ -243,7 +243,7 @@ def collect(path: Path, out: Path | None = None) -> Path:
         if record.state == "failed":
             files[f"{name}.json"] = _failed(record.reason)
     with (
-        replacing(out, _unpacked) as file,
+        replacing(out) as file,
         GzipFile(filename="", mode="wb", fileobj=file, mtime=0) as packed,
         tarfile.open(fileobj=packed, mode="w", format=tarfile.PAX_FORMAT) as archive,
     ):

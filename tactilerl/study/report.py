@@ -17,7 +17,7 @@ from typing import NamedTuple
 import jinja2
 
 from .. import statistics
-from ..files import content, own_folder, replacing, require_ours
+from ..files import own_folder, replacing
 from ..machine import short
 from ..statistics import FEW_RUNS, Estimate, fewest_pairs
 from . import figures
@@ -26,7 +26,6 @@ from .grid import Setup
 from .pairs import ALPHA, Verdict
 
 TEMPLATE = "report.html.j2"
-FOOTER = b"Made by <code>tactilerl study report</code>"  # of every version
 MEANS = {
     "area": "mean success",
     "final": "final success",
@@ -274,12 +273,8 @@ def sections(analysis: Analysis) -> list[Section]:
 
 
 def write(analysis: Analysis, folder: Path) -> Path:
-    """Write everything into `folder`, over an earlier report there; return report.html's path.
-
-    Raises InputError where a file of another kind would be lost.
-    """
+    """Write everything into `folder`, over files that are there; return report.html's path."""
     page, report = folder / "report.html", sections(analysis)
-    require_ours(page, lambda path: FOOTER in content(path))
     files: dict[Path, bytes] = {}
     for part in (part for *_, parts in report for part in parts):
         if isinstance(part, Table):
@@ -303,13 +298,10 @@ def write(analysis: Analysis, folder: Path) -> Path:
         warnings=warnings(analysis),
         sections=report,
     )
-    is_ours = None if page.exists() else lambda _: False
     folder.mkdir(parents=True, exist_ok=True)
     for name in ("tables", "figures"):
         own_folder(folder / name)
-    for path in files:
-        require_ours(path, is_ours)
-    for path, data in {page: html.encode(), **files}.items():  # the page first
+    for path, data in {**files, page: html.encode()}.items():
         with replacing(path) as file:
             file.write(data)
     return page

@@ -238,11 +238,17 @@ def test_study_folders(study, tried, cases):
             path.write_text(mutated(text, rng), encoding="utf-8")
         what = f"{path}: {path.read_text()[:1000]}"
         tried(["study", "status", "study", "--json"], what)
-        if tried(["study", "collect", "study", "--out", "collected.tar.gz"], what) == 0:
+        if tried(["study", "collect", "study", "--out", "collected.tar.gz", "--overwrite"], what) == 0:
             require_sound(records.load(study)[1])
-            assert tried(["study", "collect", "collected.tar.gz", "--out", "again.tar.gz"], what) == 0
+            assert (
+                tried(
+                    ["study", "collect", "collected.tar.gz", "--out", "again.tar.gz", "--overwrite"],
+                    what,
+                )
+                == 0
+            )
         if i % 30 == 0:
-            tried(["study", "report", "study", "--resamples", "100"], what)
+            tried(["study", "report", "study", "--resamples", "100", "--overwrite"], what)
 
 
 def test_collected_studies(study, tried, cases):
@@ -253,13 +259,15 @@ def test_collected_studies(study, tried, cases):
         bad, at = bytearray(good), rng.randrange(8 * len(good))
         bad[at // 8] ^= 1 << at % 8
         path.write_bytes(bad if i % 2 else gzip.compress(mutated(text, rng).encode()))
-        code = tried(["study", "collect", str(path), "--out", "x.tar.gz"], f"collected {i}")
+        code = tried(
+            ["study", "collect", str(path), "--out", "x.tar.gz", "--overwrite"], f"collected {i}"
+        )
         if i % 2:
             assert code == 2 or records.load(path) == whole, f"bit {at}"
         elif code == 0:
             require_sound(records.load(path)[1])
         if i % 30 == 0:
-            tried(["study", "report", str(path), "--resamples", "100"], f"collected {i}")
+            tried(["study", "report", str(path), "--resamples", "100", "--overwrite"], f"collected {i}")
 
 
 def require_sound(found):

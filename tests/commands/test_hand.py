@@ -152,7 +152,7 @@ def test_what_a_model_does_not_say_is_asked_for(capsys):
     fails_with(capsys, ["hand", "no.xml"], "no.xml' does not exist")
     Path("hand.xml").write_text(MODEL)
     Path("mine.toml").write_text("somebody's")
-    fails_with(capsys, flags, "another file is there")
+    fails_with(capsys, flags, "it is there already")
     assert Path("mine.toml").read_text() == "somebody's"
 
 

@@ -208,7 +208,7 @@ class TestCommand:
             (["--env", "foot"], "env: found 'foot'"),
             (["--taxels", "1..2", "--out", "x.toml"], "--out: found 'x.toml'"),
             (["--out", "x.png"], "--out: found 'x.png'"),
-            (["--out", "mine.toml"], "another file is there"),
+            (["--out", "mine.toml"], "it is there already"),
             (["--out", "gone/x.toml"], "found no folder 'gone'"),
             (["--scene", "handover_fingers", "--only", "palm", "--skin=8mm", "--starts=3", "--json"],
              "no taxel feels any start in time"),

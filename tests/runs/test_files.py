@@ -67,8 +67,8 @@ class TestCheckpoint:
     @pytest.mark.parametrize(
         ("change", "words"),
         [
-            (lambda content: content["ranks"][0].pop("actor"), "state: actor: missing"),
-            (lambda content: content["ranks"][0].update(more=1), "state: more: missing, or unknown"),
+            (lambda content: content["ranks"][0].pop("actor"), "finish the run with version"),
+            (lambda content: content["ranks"][0].update(more=1), "finish the run with version"),
             (lambda content: content.update(ranks=[]), "0 ranks"),
             (lambda content: content.update(epoch=-1), "epoch -1"),
             (lambda content: content.update(epoch="3"), "found"),

@@ -4,12 +4,9 @@ import os
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pytest
 import tactilerl
-from tactilerl import files
 from tactilerl.commands.cli import main
-from tactilerl.pictures.hand_map import save_picture
 
 from study_records import make_study
 
@@ -38,73 +35,48 @@ def here(made, in_tmp):
         shutil.copytree(made / name, name)
 
 
-def save(path):
-    learner = tactilerl.PPO("lqr", hidden=(8,))
-    try:
-        learner.save(path)
-    except ValueError:
-        return 2
-    return 0
-
-
 # What it writes, and how; a folder's first file says whose the folder is.
 WRITERS = {
-    "x.toml": lambda name: main(["env", "--export", name]),
-    "x.csv": lambda name: main(["env", "--export", name]),
-    "x.pt": save,
-    "design.json": lambda name: main(["design", "--taxels", "1..2", "--out", "."]),
-    "x.tar.gz": lambda name: main(["study", "collect", "study", "--out", name]),
-    "x.jpg": lambda name: main(["render", "--pose", "start", "--out", name]),
-    "x.png": lambda name: main(["render", "--pose", "start", "--out", name]),
-    "x.mp4": lambda name: main(["render", "examples", "--video", name]),
-    "report/report.html": lambda name: main(["study", "report", "study", "--out", "report"]),
-    "report/tables/runs.csv": lambda name: main(["study", "report", "study", "--out", "report"]),
+    "x.toml": lambda name, *more: main(["env", "--export", name, *more]),
+    "x.csv": lambda name, *more: main(["env", "--export", name, *more]),
+    "design/design.json": lambda name, *more: main(
+        ["design", "--taxels", "1..2", "--starts", "20", "--out", "design", *more]
+    ),
+    "x.tar.gz": lambda name, *more: main(["study", "collect", "study", "--out", name, *more]),
+    "x.jpg": lambda name, *more: main(["render", "--pose", "start", "--out", name, *more]),
+    "x.png": lambda name, *more: main(["render", "--pose", "start", "--out", name, *more]),
+    "x.mp4": lambda name, *more: main(["render", "examples", "--video", name, *more]),
+    "report/report.html": lambda name, *more: main(
+        ["study", "report", "study", "--out", "report", *more]
+    ),
 }
-DRAWN = ("x.jpg", "x.png", "x.mp4")
-
-
-@pytest.fixture
-def foreign():
-    Path("victim").write_text("mine")
-    yield
-    assert Path("victim").read_text() == "mine"
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_the_files_of_others_stay(name, foreign, capsys):
+def test_what_exists_stays_unless_it_is_to_be_overwritten(name, capsys):
+    Path("victim").write_text("mine")
     policies = Path(__file__).parents[2] / "examples/policies"
     os.symlink(policies / "handover_touch", "examples")
     path = Path(name)
     path.parent.mkdir(parents=True, exist_ok=True)
-    for there in (
-        lambda: path.write_text("mine"),
-        lambda: path.write_text("[1]"),
-        lambda: path.symlink_to(Path("victim").resolve()),
-        lambda: os.mkfifo(path),
+    for put, flags in (
+        (lambda: path.write_text("mine"), ()),
+        (lambda: path.symlink_to(Path("victim").resolve()), ("--overwrite",)),
+        (lambda: os.mkfifo(path), ("--overwrite",)),
     ):
-        there()
+        put()
         before = path.lstat()
-        assert WRITERS[name](name) == 2
+        assert WRITERS[name](name, *flags) == 2
         assert path.lstat()[:7] == before[:7]
+        assert [*path.parent.glob(".lock")] == []
         path.unlink()
-
-
-@pytest.mark.parametrize("name", [name for name in WRITERS if name not in DRAWN])
-def test_what_is_ours_is_replaced(name):
-    for _ in range(2):
-        assert WRITERS[name](name) == 0
-    assert Path(name).is_file()
-
-
-@pytest.mark.parametrize("ending", [".png", ".jpg"])
-def test_a_picture_says_who_made_it(ending):
-    path, picture = Path(f"x{ending}"), np.zeros((4, 4, 3), np.uint8)
-    for _ in range(2):
-        with files.replacing(path, files.is_picture) as file:
-            save_picture(picture, file, ending)
-    assert files.is_picture(path)
+    assert Path("victim").read_text() == "mine"
+    path.write_text("mine")
+    assert WRITERS[name](name, "--overwrite") == 0
+    assert path.read_bytes() != b"mine"
 
 
 def test_a_policy_never_replaces_a_run():
-    assert save("run/checkpoint.pt") == 2
+    with pytest.raises(ValueError, match="not a policy"):
+        tactilerl.PPO("lqr", hidden=(8,)).save("run/checkpoint.pt")
     assert main(["evaluate", "run", "--episodes", "1"]) == 0
