@@ -96,15 +96,14 @@ def require_new(path: Path, overwrite: bool = False) -> None:
     """Raise InputError where something is at `path` that a command may not replace: anything but an
     empty folder, unless it was told to `overwrite`; a link or a device in any case."""
     with writable(path):
-        is_there = os.path.lexists(path)
-        if is_there and path.is_dir():
-            is_there = any(path.iterdir())
+        is_folder = path.is_dir() and not path.is_symlink()
+        is_there = any(path.iterdir()) if is_folder else os.path.lexists(path)
     if is_there and not overwrite:
         raise InputError(
             f"cannot write {str(path)!r}: it is there already; choose another name, or "
             "replace it with --overwrite"
         )
-    if not path.is_dir() or path.is_symlink():
+    if not is_folder:
         _require_file(path)
 
 

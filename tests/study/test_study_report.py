@@ -70,7 +70,7 @@ def rewrite(path, name, change):
 
 
 def reported(capsys, path):
-    return printed(capsys, ["study", "report", path, "--resamples", "100"])
+    return printed(capsys, ["study", "report", path, "--resamples", "100", "--overwrite"])
 
 
 def parts(result, kind):
