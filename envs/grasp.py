@@ -87,6 +87,10 @@ class GraspConfig(ObservationConfig, TaskConfig, ObjectConfig):
             raise ValueError(
                 f"control_dt: found {self.control_dt} s, allowed {allowed}"
             )
+        if self.touch_rule != "skin":
+            validation.allow_only_with(
+                "touch_rule skin", self, "taxel_threshold", "taxel_release"
+            )
         if self.actions == "all":
             validation.allow_only_with("actions fingers or grip", self, "start_closing")
         objects.validate(self)
@@ -138,7 +142,8 @@ class GraspEnv(gym.Env[Any, Array]):
         if config.actions != "all":
             self.hand = self.hand.closing_from(config.start_closing, config.actions)
         self.taxels = layouts.load(config.layout).place(self.hand)
-        self._touch = touch.RULES[config.touch_rule](self.taxels, self.hand)
+        figures = config.taxel_threshold, config.taxel_release
+        self._touch = touch.make(config.touch_rule, self.taxels, self.hand, *figures)
         self._points = touch.taxel_points(self.taxels)
         kind: type[tasks.Task] = tasks.TASKS[config.task]
         self.task = kind(config, self.hand, setup(hand).timestep, first.shape)
@@ -157,8 +162,14 @@ class GraspEnv(gym.Env[Any, Array]):
         )
         self.simulator = simulators.make(config.simulator, scene)
         names = () if config.touch == "absent" else self.taxels.names
-        figures = self._touch.is_boolean, config.control_dt, first.shape
-        self._observer = Observer(config, self.hand, names, *figures)
+        self._observer = Observer(
+            config,
+            self.hand,
+            names,
+            self._touch.is_boolean,
+            config.control_dt,
+            first.shape,
+        )
         place = np.array([0.0, 0.0, items.height / 2])
         self.simulator.reset(self.hand.start_positions(), place, 0.0)
         self.state = self.simulator.state()
@@ -204,6 +215,7 @@ class GraspEnv(gym.Env[Any, Array]):
             self._jittered(item.shape), self.palm_skin, item.shape, goal_rng
         )
         self._observer.begin(observer_rng)
+        self._touch.begin()
         try:
             self.simulator.change_object(item.shape, item.mass, item.friction)
             self.simulator.reset(*start)

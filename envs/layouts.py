@@ -23,11 +23,12 @@ from . import taxel_files, validation
 from .hands import DIGITS, HANDS, SEGMENTS, Hand, Pitch, Point, Surface
 from .state import Array
 from .taxel_files import READERS, SensorTable, require_distinct
-from .validation import require_one_of
+from .validation import Newtons, require_one_of
 
 MODEL = "model"
 """The layout of the sensors that a hand's own model has."""
 Millimetres = Annotated[float, "[-50, 50]"]
+Count = Annotated[int, "[1, 100]"]
 LEAST = 1e-7  # m: nearer places are the same
 NAMED = Path(__file__).with_name("layout_files")
 
@@ -74,6 +75,11 @@ class Taxels:
         """(n,), m."""
         return np.array([point.radius for point in self.points])
 
+    @cached_property
+    def thresholds(self) -> Array:
+        """(n,) forces from which they fire, N; 0: any touch."""
+        return np.array([point.threshold_N or 0.0 for point in self.points])
+
     def take(self, chosen: Sequence[int]) -> Taxels:
         """Return those with these indices."""
         some = [*chosen]
@@ -93,6 +99,8 @@ class Patch:
     radius: float | None = None
     large: bool = False
     """Use the hand's large radius (layout 6)."""
+    threshold_N: float | None = None
+    """Force from which they fire, N; None: any touch."""
 
     def is_on(self, digit: str, segment: str) -> bool:
         """Return whether it puts taxels there."""
@@ -125,15 +133,35 @@ class Patch:
 class PatchTable:
     """One [[patch]] of a layout file."""
 
-    offsets_mm: tuple[tuple[Millimetres, Millimetres], ...]
     radius_mm: Annotated[float, "[0.1, 20]"]
+    offsets_mm: tuple[tuple[Millimetres, Millimetres], ...] | None = None
     digits: tuple[str, ...] | None = None
     segments: tuple[str, ...] | None = None
+    threshold_N: Newtons | None = None
+    rows: Count = 1
+    columns: Count = 1
+    pitch_mm: Annotated[float, "[0.1, 50]"] | None = None
+    """Distance between the middles of neighbours in an array of rows and columns."""
 
     def patch(self) -> Patch:
-        """Return the patch that it says."""
-        offsets = tuple((1e-3 * row, 1e-3 * column) for row, column in self.offsets_mm)
-        return Patch(self.digits, self.segments, offsets, 1e-3 * self.radius_mm)
+        """Return the patch that it says; ValueError unless it has either offsets or an array."""
+        is_array = self.pitch_mm is not None or self.rows * self.columns > 1
+        if (self.offsets_mm is None) != is_array or (is_array and not self.pitch_mm):
+            raise ValueError(
+                "patch: needs either offsets_mm or rows, columns, pitch_mm"
+            )
+        pitch = self.pitch_mm or 0.0
+        places = self.offsets_mm or product(
+            (pitch * (row - (self.rows - 1) / 2) for row in range(self.rows)),
+            (pitch * (col - (self.columns - 1) / 2) for col in range(self.columns)),
+        )
+        return Patch(
+            self.digits,
+            self.segments,
+            tuple((1e-3 * row, 1e-3 * column) for row, column in places),
+            1e-3 * self.radius_mm,
+            threshold_N=self.threshold_N,
+        )
 
 
 @dataclass(frozen=True)
@@ -164,10 +192,10 @@ class Layout:
         """The taxels of this layout on `hand`; ValueError when the hand cannot carry them."""
         self._require_digits(hand)
         placed = []
-        for index, surface, offset, radius, name in self.on_grids(hand):
+        for index, surface, offset, radius, name, threshold in self.on_grids(hand):
             if not surface.is_gap(*offset):
                 position, normal = (tuple(v.tolist()) for v in surface.place(*offset))
-                point = Point(surface.link, position, normal, radius, name)
+                point = Point(surface.link, position, normal, radius, name, threshold)
                 placed.append((point, index, (*offset, 0.0)))
         taxels = hand.sensors if self.is_model else self.taxels
         points = [_of_link(point, hand) for point in taxels]
@@ -199,20 +227,22 @@ class Layout:
                 lines.append(f"segments = {json.dumps(patch.segments)}")
             lines.append(f"offsets_mm = [{offsets}]")
             lines.append(f"radius_mm = {_in_mm(patch.radius or 0.0)}")
+            if patch.threshold_N is not None:
+                lines.append(f"threshold_N = {patch.threshold_N}")
         for point in self.taxels:
             lines += ["", *point.toml()]
         return "\n".join(lines) + "\n"
 
     def on_grids(
         self, hand: Hand
-    ) -> Iterator[tuple[int, Surface, tuple[float, float], float, str]]:
-        """Yield index of the surface, the surface, (row, column) on it in m, radius and name of every
-        taxel of a patch, whether or not there is something of the link."""
+    ) -> Iterator[tuple[int, Surface, tuple[float, float], float, str, float | None]]:
+        """Yield index of the surface, the surface, (row, column) on it in m, radius, name and threshold
+        of every taxel of a patch, whether or not there is something of the link."""
         for index, surface in enumerate(hand.surfaces):
             for patch in self.patches:
                 if patch.is_on(surface.digit, surface.segment):
                     for spot in patch.spots(surface, hand.pitch):
-                        yield index, surface, *spot
+                        yield index, surface, *spot, patch.threshold_N
 
     def _require_digits(self, hand: Hand) -> None:
         """Raise ValueError for a digit or a segment that no hand has, or only others."""
@@ -276,7 +306,9 @@ def left_out(layout: Layout, hand: Hand) -> list[str]:
     ]
     missing = [".".join(each) for each in dict.fromkeys(wanted) if each not in there]
     spots = layout.on_grids(hand)
-    return missing + [name for _, surface, at, _, name in spots if surface.is_gap(*at)]
+    return missing + [
+        name for _, surface, at, _, name, _ in spots if surface.is_gap(*at)
+    ]
 
 
 CENTRE = ((0.0, 0.0),)
@@ -364,13 +396,25 @@ def of_taxels(taxels: Taxels, hand: Hand, description: str) -> Layout:
         if height:
             points.append(point)
         else:
-            on_grid.append((int(taxels.surfaces[index]), mm(point.radius), row, column))
+            kind = (
+                int(taxels.surfaces[index]),
+                mm(point.radius),
+                point.threshold_N or 0.0,
+            )
+            on_grid.append((kind, row, column))
     patches = []
-    for (index, radius), group in groupby(sorted(on_grid), key=lambda taxel: taxel[:2]):
+    for kind, group in groupby(sorted(on_grid), key=lambda taxel: taxel[0]):
+        index, radius, threshold = kind
         surface = hand.surfaces[index]
-        offsets = tuple((1e-3 * row, 1e-3 * column) for *_, row, column in group)
+        offsets = tuple((1e-3 * row, 1e-3 * column) for _, row, column in group)
         patches.append(
-            Patch((surface.digit,), (surface.segment,), offsets, 1e-3 * radius)
+            Patch(
+                (surface.digit,),
+                (surface.segment,),
+                offsets,
+                1e-3 * radius,
+                threshold_N=threshold or None,
+            )
         )
     return Layout("", description, tuple(patches), tuple(points))
 

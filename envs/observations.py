@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from .hands import SLIDES, Hand
 from .state import KINDS, Array, Shape, State
-from .validation import Fraction, allow_only_with, require_one_of
+from .validation import Fraction, Newtons, allow_only_with, require_one_of
 
 Metres = Annotated[float, "[0, 1]"]
 Radians = Annotated[float, "[0, 3.142]"]
@@ -66,6 +66,10 @@ class SensorConfig(TaxelFaults):
     taxel_delay: Annotated[int, "[0, 10000]"] = 0
     """Delay of the taxel readings, in control steps. If it is longer than the episode, the reading at
     its start is repeated throughout."""
+    taxel_threshold: Newtons | None = None
+    """Force from which a taxel fires, N; 0: any touch. Default: what the layout says, else 0."""
+    taxel_release: Newtons | None = None
+    """Force below which a taxel that fires stops, N; default: four fifths of its threshold."""
     hand_seed: Annotated[int, "[0, 4294967295]"] | None = None
     """Random seed that decides which taxels are broken; default: the run's seed, or 0 without a run."""
 
@@ -82,24 +86,24 @@ class ObservationConfig(SensorConfig):
 
 
 def validate(config: ObservationConfig, touch: str, is_boolean: bool) -> None:
-    """ValueError naming the first field that does nothing with this `touch` or its rule."""
-    validate_faults(config)
+    """Raise ValueError for the first field that does nothing with this `touch` or its rule."""
+    if (together := config.taxel_dead + config.taxel_stuck) > 1:
+        raise ValueError(
+            f"taxel_stuck: found {together:g} with taxel_dead, allowed together up to 1"
+        )
     if config.object_seen != "noisy":
         allow_only_with("object_seen noisy", config, "sight_noise", "sight_noise_kind")
     if touch != "on":
         what = "touch on (else no taxel is read)"
-        allow_only_with(what, config, *vars(TaxelFaults()), "taxel_delay")
+        taxels = "taxel_delay", "taxel_threshold", "taxel_release"
+        allow_only_with(what, config, *vars(TaxelFaults()), *taxels)
+    release, highest = config.taxel_release, config.taxel_threshold or 0.0
+    if release is not None and release > highest:
+        allowed = f"up to taxel_threshold, {highest:g} N"
+        raise ValueError(f"taxel_release: found {release} N, allowed {allowed}")
     if not is_boolean:
         what = "Boolean taxels (touch_rule skin or contact)"
         allow_only_with(what, config, "taxel_false_on", "taxel_stuck")
-
-
-def validate_faults(faults: TaxelFaults) -> None:
-    """ValueError where there are more broken taxels than taxels."""
-    if (together := faults.taxel_dead + faults.taxel_stuck) > 1:
-        raise ValueError(
-            f"taxel_stuck: found {together:g} with taxel_dead, allowed together up to 1"
-        )
 
 
 # -- terms -----------------------------------------------------------------------------------

@@ -63,6 +63,7 @@ def hold_steps(
     position = np.array([0.0, 0.0, env.shape.half_size[2]])
     position[:2] += start.place
     simulator.reset(env.hand.start_positions() + start.joints, position, start.yaw)
+    env.taxel_readings()  # where nothing touches, so that no taxel fires any more
     for targets in ramps(env, grasp, dt):
         simulator.step(targets, n_substeps)
     floor = simulator.state().object_position[2] - FALLEN

@@ -9,7 +9,7 @@ relabelling can recompute them.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -45,6 +45,8 @@ class TaskConfig:
     handover_reach: Annotated[float, "[0, 0.3]"] | str = 0.0
     """handover: how far from the finger bases towards the fingertips the object is held, m; 0: against
     the palm. It may be a range, such as 0.01..0.05."""
+    giver_force: Annotated[float, "(0, 5]"] = 0.32
+    """handover: with how much the giver presses the object against the hand, N."""
     goal_height: Annotated[float, "(0, 1]"] = 0.08
     """reach-goal: height of the goal above where the object rests, m; where objects differ, above where
     the largest of the first kind rests, so that the goal does not tell the object's size."""
@@ -95,7 +97,7 @@ class Task(ABC):
     """Length of an episode unless the configuration says otherwise."""
     rise: ClassVar[float] = 0.0
     """How much higher than usual the hand hangs, m."""
-    giver: ClassVar[Giver | None] = None
+    giver: Giver | None = None
     """Who carries the object before the hand has it."""
     goal_size: int
     """Length of achieved and desired goals."""
@@ -272,16 +274,14 @@ class Handover(Task):
     """
 
     rewards = ("outcome",)
-    options = ("handover_reach",)
+    options = ("handover_reach", "giver_force")
     max_episode_steps = 60
     rise = 0.2
-    giver: ClassVar[Giver] = Giver()
+    giver: Giver = Giver()
     goal_size = 1
     only_goal: Array = np.array([OUTCOMES["held"]])
     below: ClassVar[float] = 0.12
     """How far under the palm the object waits, m."""
-    beyond: ClassVar[float] = 0.004
-    """How far beyond contact the giver wants to move it, m."""
     waits: ClassVar[tuple[int, int]] = (5, 35)
     """Before which action, from and to, the giver sets off."""
     stays: ClassVar[int] = 10
@@ -301,7 +301,8 @@ class Handover(Task):
         if steps is not None and steps < least:
             allowed = f"{least} or more in a handover"
             raise ValueError(f"max_episode_steps: found {steps}, allowed {allowed}")
-        fastest = 2 * (cls.below + cls.beyond) / cls.giver.speed / cls.stays
+        beyond = config.giver_force / cls.giver.stiffness
+        fastest = 2 * (cls.below + beyond) / cls.giver.speed / cls.stays
         if dt < fastest:
             allowed = f"{fastest:.3f} s or more in a handover"
             raise ValueError(f"control_dt: found {dt} s, allowed {allowed}")
@@ -310,6 +311,10 @@ class Handover(Task):
         self, config: TaskConfig, hand: Hand, own_timestep: float, first: Shape
     ) -> None:
         super().__init__(config, hand, own_timestep, first)
+        self.beyond = config.giver_force / self.giver.stiffness
+        """How far beyond contact the giver wants to move the object, m."""
+        most = max(self.giver.force, config.giver_force)
+        self.giver = replace(self.giver, force=most)
         self.fallen = max(self.fallen, hand.reach + BEYOND_FALLEN)
 
     def start(

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .hands import RADIUS, Point
-from .validation import blamed, fill, read_text
+from .validation import Newtons, blamed, fill, read_text
 
 COLUMNS = ("link", "x", "y", "z", "nx", "ny", "nz", "radius")
 Near = Annotated[float, "[-1, 1]"]
@@ -38,6 +38,7 @@ class TaxelTable:
     normal: tuple[float, float, float] | None = None
     radius: Radius = RADIUS
     name: str = ""
+    threshold_N: Newtons | None = None
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,7 @@ class SensorTable:
     position: Place = (0.0, 0.0, 0.0)
     quaternion: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
     radius: Radius | None = None
+    threshold_N: Newtons | None = None
 
 
 def point(data: Any, number: int) -> Point:
@@ -63,7 +65,9 @@ def point(data: Any, number: int) -> Point:
             raise ValueError(f"{where}: normal: {found}")
         normal = tuple((np.array(table.normal) / length).tolist())
     name = table.name or f"{table.link}[{number}]"
-    return Point(table.link, table.position, normal, table.radius, name)
+    return Point(
+        table.link, table.position, normal, table.radius, name, table.threshold_N
+    )
 
 
 def require_distinct(points: Sequence[Point]) -> None:
@@ -119,6 +123,7 @@ def mounted(sensors: Sequence[SensorTable], folder: Path) -> Iterator[Point]:
                     tuple((turn @ each.normal).tolist()),
                     sensor.radius or each.radius,
                     f"{link}.{stem}[{i}]",
+                    sensor.threshold_N,
                 )
 
 
@@ -137,20 +142,25 @@ def _read_genesis(text: str) -> Tables:
 
 
 def _read_csv(text: str) -> Tables:
-    """Yield a table a row. There is a heading, and perhaps a last column with names."""
-    rows = csv.DictReader(io.StringIO(text, newline=""))
-    heading = tuple(rows.fieldnames or ())
-    if heading not in (COLUMNS, (*COLUMNS, "name")):
-        expected = f"{', '.join(COLUMNS)}[, name]"
+    """Yield a table a row. There is a heading; the first column, links, and the last, names, may be
+    missing."""
+    rows = csv.DictReader(io.StringIO(text, newline=""), skipinitialspace=True)
+    heading = tuple(name.strip() for name in rows.fieldnames or ())
+    rows.fieldnames = heading
+    if {*heading} - {"link", "name"} != {*COLUMNS[1:]} or len({*heading}) < len(
+        heading
+    ):
+        expected = f"[link, ]{', '.join(COLUMNS[1:])}[, name]"
         raise ValueError(f"found the columns {', '.join(heading)}, expected {expected}")
     for line, row in enumerate(rows, 2):
         try:
             numbers = [float(row[column]) for column in COLUMNS[1:]]
         except (TypeError, ValueError):
-            found = f"found {list(row.values())}, expected a link and numbers"
+            found = f"found {list(row.values())}, expected numbers"
             raise ValueError(f"line {line}: {found}") from None
         place = {"position": numbers[:3], "normal": numbers[3:6], "radius": numbers[6]}
-        yield {"link": row["link"], **place, "name": row.get("name") or ""}
+        link = {"link": row["link"].strip()} if "link" in heading else {}
+        yield {**link, **place, "name": (row.get("name") or "").strip()}
 
 
 def _write_csv(points: Sequence[Point]) -> bytes:

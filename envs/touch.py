@@ -8,9 +8,14 @@ Ground and self-contact cannot fire a taxel, and the rule is the same in every s
 
 Rule "contact" (the paper's) depends on the simulator, whose own sensors feel it.
 
-Rule "force": the taxels that are on by rule "skin" carry the normal forces between their link and the
-object. Each contact's force is shared among those of its link, the near ones taking more, so that
-nothing is felt twice.
+Rule "force", and a threshold in newtons: a taxel that is on by rule "skin" reads what a sensor that
+stands a little proud of the skin would carry if it were the only one. The object presses on a link with
+the sum F of its contacts' forces, at their centre of pressure. To rest on a sensor at the distance d
+from there it tips about the far rim of the contact, at the distance b on the other side; by the lever
+the sensor carries F b / (b + d). Skin that gives way by `SKIN` makes a contact point a patch of the
+radius `PATCH`, which widens the rim; d counts from the sensor's edge. No reading depends on another
+taxel, so those of several do not add up to F. Against MuJoCo's touch sensors on such sensors, one at a
+time: docs/concepts/touch.md.
 """
 
 from __future__ import annotations
@@ -24,13 +29,15 @@ import numpy as np
 from .hands import Hand, Surface
 from .layouts import Taxels
 from .simulators import Sensor
-from .state import Array, State
+from .state import Array, State, places
 
 if TYPE_CHECKING:
     from .hands.geometry import Geom
 
 SKIN = 5e-4  # m, how thick the skin is: what is further from a link's surface does not touch it
 SLACK = 5e-5  # m, by how much the distance of a bone may be taken too large
+PATCH = 3e-3  # m, radius of a contact: (2 R SKIN)^0.5 on a finger of R = 9 mm
+RELEASE = 0.8  # of its threshold: the force below which a taxel that fires stops
 
 
 class LinkPoints:
@@ -43,7 +50,7 @@ class LinkPoints:
     def __init__(
         self, links: tuple[str, ...], link_index: Array, points: Array
     ) -> None:
-        """`points` (n, 3), each in the frame of the link that `link_index` (n,) says, m."""
+        """Take `points` (n, 3), m, each in the frame of the link with its `link_index` (n,)."""
         n, k = len(points), len(links)
         blocks = np.zeros((n, k, 4))
         blocks[np.arange(n), link_index, :3] = points
@@ -52,18 +59,18 @@ class LinkPoints:
         self._blocks = blocks.reshape(n, 4 * k)
 
     def world(self, state: State) -> Array:
-        """(..., n, 3), m."""
+        """Return the points in the world's frame, (..., n, 3), m."""
         return self._blocks @ _stacked(*state.poses(self.links))
 
     def local(self, state: State) -> Array:
-        """The same points in the object's frame."""
+        """Return the points in the object's frame, (..., n, 3), m."""
         positions, rotations = state.poses(self.links)
         from_object = positions - state.object_position[..., None, :]
         return self._blocks @ (_stacked(from_object, rotations) @ state.object_rotation)
 
 
 def _stacked(positions: Array, rotations: Array) -> Array:
-    """Poses (..., k, 3), (..., k, 3, 3) as the factor (..., 4k, 3) of `LinkPoints`."""
+    """Return poses (..., k, 3), (..., k, 3, 3) as the factor (..., 4k, 3) of `LinkPoints`."""
     poses = np.concatenate(
         [rotations.swapaxes(-1, -2), positions[..., None, :]], axis=-2
     )
@@ -71,12 +78,12 @@ def _stacked(positions: Array, rotations: Array) -> Array:
 
 
 def taxel_points(taxels: Taxels) -> LinkPoints:
-    """The centres of taxels."""
+    """Return the centres of taxels."""
     return LinkPoints(taxels.links, taxels.link_index, taxels.positions)
 
 
 def sensors(taxels: Taxels) -> tuple[Sensor, ...]:
-    """Where the simulator itself is to feel, for rules that go by that."""
+    """Return the sensors that a simulator must have for rules that read them."""
     links = (taxels.links[link] for link in taxels.link_index)
     return tuple(map(Sensor, links, taxels.positions, taxels.radii.tolist()))
 
@@ -85,13 +92,16 @@ class Rule(ABC):
     """A touch rule for the taxels of one layout on one hand."""
 
     is_boolean: bool = True
-    """Are its readings 0 or 1?"""
+    """Whether its readings are 0 or 1."""
     by_sensors: bool = False
-    """Does it read sensors that the simulator has where the taxels are?"""
+    """Whether it reads sensors that the simulator has where the taxels are."""
 
     @abstractmethod
     def __init__(self, taxels: Taxels, hand: Hand) -> None:
         """Prepare the rule for these taxels on this hand."""
+
+    def begin(self) -> None:
+        """Forget the last episode."""
 
     @abstractmethod
     def read(self, state: State) -> Array:
@@ -190,7 +200,7 @@ class _Shaped:
 
 
 def _along(phalanx: Surface) -> tuple[Array, float]:
-    """Points (m, 3) along a bone, and how near the object must be to one of them.
+    """Return points (m, 3) along a bone, and how near the object must be to one of them.
 
     From a convex body at least `radius` away, a line's distance grows by no more than
     s² / (2 radius) within s of where it is least.
@@ -204,7 +214,7 @@ def _along(phalanx: Surface) -> tuple[Array, float]:
 
 
 def _cap(position: Array, radius: float, normal: Array) -> tuple[Array, float]:
-    """Centre (1, 3) and radius of the sphere whose cap stands `SKIN` proud of a disc."""
+    """Return centre (1, 3) and radius of the sphere whose cap stands `SKIN` proud of a disc."""
     sphere = (radius**2 + SKIN**2) / (2 * SKIN)
     return (position - (sphere - SKIN) * normal)[None], sphere
 
@@ -222,9 +232,7 @@ class ContactRule(Rule):
 
 
 class ForceRule(SkinTouch):
-    """Rule "force": normal force in N. A contact's force goes to the taxels of its link that are on
-    by rule "skin", in the proportion 1 / (d² + r²), d being a taxel's distance from the contact and r
-    its radius; where none is on, it is felt by none."""
+    """Rule "force": the normal force that each taxel alone would carry, N."""
 
     is_boolean = False
 
@@ -233,24 +241,55 @@ class ForceRule(SkinTouch):
         self._taxels, self._centres = taxels, taxel_points(taxels)
 
     def read(self, state: State) -> Array:
+        is_on, forces = self.feel(state)
+        return np.where(is_on, forces, 0.0)
+
+    def feel(self, state: State) -> tuple[Array, Array]:
+        """Return which taxels are on by rule "skin", bool (n,), and the force that each would carry, N
+        (n,). A taxel with a threshold fires where it is on and carries as much."""
         taxels, contacts = self._taxels, state.contacts
-        is_on = super().read(state)
-        index = {name: number for number, name in enumerate(taxels.links)}
-        link = np.array(
-            [index.get(state.links[link], -1) for link in contacts.links], int
-        )
-        felt = link >= 0
-        if not (is_on.any() and felt.any()):
-            return np.zeros(len(taxels))
-        offsets = self._centres.world(state)[:, None] - contacts.points[felt]
-        weights = is_on[:, None] / (
-            np.square(offsets).sum(axis=-1) + taxels.radii[:, None] ** 2
-        )
-        weights *= taxels.link_index[:, None] == link[felt]
-        total = weights.sum(axis=0)
-        return weights @ np.divide(
-            contacts.forces[felt], total, out=np.zeros_like(total), where=total > 0
-        )
+        is_on, forces = super().read(state), np.zeros(len(taxels))
+        if not (is_on.any() and len(contacts.forces)):
+            return is_on, forces
+        centres = self._centres.world(state)
+        for number, link in enumerate(places(state.links, taxels.links)):
+            pressing, carried = contacts.links == link, taxels.link_index == number
+            total = contacts.forces[pressing].sum()
+            if not total:
+                continue
+            points = contacts.points[pressing]
+            middle = contacts.forces[pressing] @ points / total
+            offsets = centres[carried] - middle
+            distances = np.maximum(np.linalg.norm(offsets, axis=1), 1e-9)
+            ways = offsets / distances[:, None]
+            rims = PATCH + np.maximum(-ways @ (points - middle).T, 0.0).max(axis=1)
+            arms = np.maximum(distances - taxels.radii[carried], 0.0)
+            forces[carried] = total * rims / (rims + arms)
+        return is_on, forces
+
+
+class ThresholdTouch(ForceRule):
+    """Rule "skin" for sensors that fire from a force up, and stop below another."""
+
+    is_boolean = True
+
+    def __init__(
+        self, taxels: Taxels, hand: Hand, thresholds: Array, releases: Array
+    ) -> None:
+        """Take the forces (n,) in N at which each taxel begins to fire, and below which it stops."""
+        super().__init__(taxels, hand)
+        self._thresholds, self._releases = thresholds, releases
+        self.begin()
+
+    def begin(self) -> None:
+        self._fires = np.zeros(len(self._taxels), bool)
+
+    def read(self, state: State) -> Array:
+        """Return which taxels fire, bool (n,); to ask again at the same moment changes nothing."""
+        is_on, forces = self.feel(state)
+        needed = np.where(self._fires, self._releases, self._thresholds)
+        self._fires = is_on & (forces >= needed)
+        return self._fires
 
 
 RULES: dict[str, type[Rule]] = {
@@ -258,3 +297,26 @@ RULES: dict[str, type[Rule]] = {
     "contact": ContactRule,
     "force": ForceRule,
 }
+
+
+def make(
+    rule: str,
+    taxels: Taxels,
+    hand: Hand,
+    threshold: float | None = None,
+    release: float | None = None,
+) -> Rule:
+    """Return the rule of a name for taxels that fire from `threshold` N up (None: from their own) and
+    stop below `release` N (None: `RELEASE` of the threshold). ValueError for a threshold with a rule
+    that reads no force of its own."""
+    thresholds = taxels.thresholds
+    if threshold is not None:
+        thresholds = np.full(len(taxels), threshold)
+    if not thresholds.any():
+        return RULES[rule](taxels, hand)
+    if rule != "skin":
+        raise ValueError(f"touch_rule: found {rule} with a threshold, allowed skin")
+    releases = (
+        RELEASE * thresholds if release is None else np.full(len(taxels), release)
+    )
+    return ThresholdTouch(taxels, hand, thresholds, releases)

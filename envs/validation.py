@@ -30,6 +30,7 @@ import numpy as np
 
 T = TypeVar("T")
 Fraction = Annotated[float, "[0, 1]"]
+Newtons = Annotated[float, "[0, 100]"]
 WORDS = {
     int: "a whole number",
     float: "a number",

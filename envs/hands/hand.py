@@ -246,11 +246,13 @@ class Point(NamedTuple):
     radius: float
     """Of its sensing sphere, m."""
     name: str
+    threshold_N: float | None = None
+    """Force from which it fires, N; None: any touch."""
 
     def toml(self) -> list[str]:
         """Return lines of a layout file."""
         values = {"name": self.name, **self._asdict()}.items()
-        given = [(key, value) for key, value in values if value != ()]
+        given = [(key, value) for key, value in values if value not in ((), None)]
         texts = [f"{k} = {json.dumps(v, ensure_ascii=False)}" for k, v in given]
         return ["[[taxel]]", *texts]
 

@@ -18,7 +18,12 @@ from . import reflexes
 
 SEARCH = 1_000_000  # starts of the search are not those of the comparison
 TELLS = 0.3  # what a scene must leave to win to tell anything
-NO_FAULTS: dict[str, Any] = {**dataclasses.asdict(TaxelFaults()), "taxel_delay": 0}
+NO_FAULTS: dict[str, Any] = {
+    **dataclasses.asdict(TaxelFaults()),
+    "taxel_delay": 0,
+    "taxel_threshold": None,
+    "taxel_release": None,
+}
 SENSES = {
     "timed": ("time", "a fixed time has passed"),
     "joints": ("joints", "the joints or the hand have moved"),
