@@ -10,7 +10,6 @@ import warnings
 import gymnasium as gym
 import numpy as np
 import pytest
-import tactilerl
 import torch
 from tactilerl.algos import DivergenceError, recipes
 from tactilerl.algos.ddpg_her import (
@@ -158,10 +157,6 @@ class TestTargets:
         env.compute_reward = lambda achieved, desired, info: (achieved == desired).all(-1) * 1.0
         assert trained(5, make(env, replay_p=1.0)).best == 1.0
 
-    def test_discount_of_the_source(self):
-        assert make().config.gamma == pytest.approx(1 - 1 / 5)
-        assert make(gamma=0.5).config.gamma == 0.5
-
     def test_terminal_transitions_bootstrap_unless_told_otherwise(self):
         for termination, is_cut in (("bootstrap", False), ("terminal", True)):
             env = GoalEnv(length=1, terminated=True)
@@ -200,9 +195,7 @@ class TestUnitOfRewards:
         assert largest_return([0.0], 0.5) == 0.0
 
     @pytest.mark.parametrize("env", [Ended, lambda unit=1.0: GoalEnv(reward_scale=unit)])
-    @pytest.mark.parametrize(
-        ("unit", "tolerance"), [(2.0**-10, 0), (32.0, 0), (20, 1e-6), (1e-3, 1e-6)]
-    )
+    @pytest.mark.parametrize(("unit", "tolerance"), [(2.0**-10, 0), (20, 1e-6)])
     def test_does_not_matter(self, env, unit, tolerance):
         """Powers of two change no digit; others round."""
         config = dataclasses.asdict(recipes.recipe("ddpg_her", "scaled")) | SMALL
@@ -210,16 +203,6 @@ class TestUnitOfRewards:
         assert other.reward_scale == pytest.approx(unit * one.reward_scale)
         both = (everything(learner) for learner in (one, other))
         torch.testing.assert_close(*both, atol=tolerance, rtol=0)
-
-    def test_rewards_of_minus_one_and_zero_stay_as_they_are(self):
-        """As soon as an episode misses its goal all along."""
-        found = []
-        for normalise in (False, True):
-            env = GoalEnv()
-            env.compute_reward = lambda achieved, desired, _: (achieved == desired).all(-1) - 1.0
-            found.append(trained(5, make(env, normalise_rewards=normalise)))
-            assert found[-1].reward_scale == 1.0
-        assert torch.equal(*map(everything, found))
 
     def test_a_larger_return_leaves_what_the_critics_say_of_rewards(self):
         learner = trained(2, make(Ended(), normalise_rewards=True))
@@ -245,24 +228,6 @@ class TestUnitOfRewards:
         assert learner.update()["critic_loss"] == pytest.approx((seen[-1][0] + 1.0) / 2)
 
 
-class TestTargetUpdates:
-    def test_after_every_interval_and_at_the_end_of_a_cycle(self):
-        learner = make(n_batches=5, target_update_interval=2, polyak=0.5)
-        learner.collect()
-        expected, moves, step = targets(learner), [], learner._update_networks
-
-        def update(batch):
-            losses = step(batch)
-            moves.append(everything(learner))
-            return losses
-
-        learner._update_networks = update
-        learner.update()
-        for moved in (moves[1], moves[3], moves[4]):
-            expected.lerp_(moved, 0.5)
-        assert torch.equal(targets(learner), expected)
-
-
 class TestFallsOverTheRun:
     """100 steps are half over after five cycles of two episodes of 5 steps."""
 
@@ -282,13 +247,6 @@ class TestFallsOverTheRun:
         noise = load_policy(tmp_path / "policy.pt").explore.keywords
         assert noise == learner.policy().explore.keywords
         assert noise == dict(noise_eps=0.1, random_eps=0.15, random_hold=1.0)
-
-    def test_a_finished_run_has_no_noise_left(self, tmp_path):
-        small = dict(hidden=[8], n_cycles=1, n_batches=1, n_test_rollouts=0, total_timesteps=50)
-        for anneals, left in ((True, 0.0), (False, 0.2)):
-            chosen = {"anneal_noise": anneals, "out": tmp_path / str(left), **small}
-            run = tactilerl.train("point-reach", algo="ddpg_her", **chosen)
-            assert load_policy(run).explore.keywords["noise_eps"] == left
 
     @pytest.mark.parametrize("anneals", [False, True])
     def test_action_penalty(self, anneals):
@@ -326,11 +284,10 @@ def test_a_policy_acts_without_the_achieved_goal():
 
 
 class TestExploration:
-    @pytest.mark.parametrize("hold", [1.0, 8.0])
-    def test_rows_are_random_or_noisy(self, hold):
+    def test_rows_are_random_or_noisy(self):
         """In the first step and in later ones."""
         rng = np.random.default_rng(0)
-        base, explore = np.full((20_000, 4), 0.1, np.float32), Exploration(rng, 0.2, 0.3, hold)
+        base, explore = np.full((20_000, 4), 0.1, np.float32), Exploration(rng, 0.2, 0.3, 8.0)
         for got in [explore(base) for _ in range(5)]:
             assert np.abs(got).max() <= 1.0
             # 30 % uniform with standard deviation 1/sqrt(3), 70 % Gaussian with .2
@@ -341,7 +298,7 @@ class TestExploration:
             some = 1 - 0.8**4  # of four uniform entries one is below -.7 or above .9
             assert far.mean() == pytest.approx(0.3 * some, abs=0.02)
 
-    @pytest.mark.parametrize("hold", [1.0, 3.0, 8.0])
+    @pytest.mark.parametrize("hold", [1.0, 8.0])
     def test_random_actions_are_held_for_a_geometric_number_of_steps(self, hold):
         """Of mean `hold`: another random action may follow at once, and is another hold."""
         explore = Exploration(np.random.default_rng(1), 0.0, 0.3, hold)
@@ -389,12 +346,21 @@ class TestExploration:
 
 
 class TestUpdate:
-    def test_polyak_once_per_cycle(self):
-        learner = make(polyak=0.75)
+    @pytest.mark.parametrize(("interval", "after"), [(2, (1, 3, 4)), (None, (4,))])
+    def test_target_networks_follow_at_intervals_and_at_the_end_of_a_cycle(self, interval, after):
+        learner = make(n_batches=5, target_update_interval=interval, polyak=0.75)
         learner.collect()
-        before = targets(learner)
+        expected, moves, step = targets(learner), [], learner._update_networks
+
+        def update(batch):
+            losses = step(batch)
+            moves.append(everything(learner))
+            return losses
+
+        learner._update_networks = update
         learner.update()
-        expected = 0.75 * before + 0.25 * everything(learner)
+        for batch in after:
+            expected.lerp_(moves[batch], 0.25)
         torch.testing.assert_close(targets(learner), expected)
 
     def test_gradients_are_those_of_the_two_losses_apart(self):
@@ -432,15 +398,6 @@ class TestUpdate:
             seen = learner._as_inputs(learner.replay.sample(64, 0.8)).obs[:, 3]
             assert low <= seen.max() <= high
             assert (seen.min() == 0.0) == (scale != "each")
-
-    def test_denormal_numbers_are_zero_while_it_learns(self):
-        learner, seen = make(), []
-        learner.collect()
-        step, tiny = learner.critic_adam.step, torch.full((8,), 1e-38)
-        learner.critic_adam.step = lambda: seen.append(bool((tiny * 0.1 == 0).all())) or step()
-        learner.update()
-        assert all(seen)
-        assert not (tiny * 0.1 == 0).any()
 
     def test_normaliser_is_fed_relabelled_goals_of_new_episodes(self):
         learner, asked = make(), []
@@ -502,24 +459,6 @@ class TestUpdate:
             learner.collect()
         seeds = [set(learner.workers.env.seeds) for learner in (first, second)]
         assert not seeds[0] & seeds[1]
-
-
-class TestSaving:
-    @pytest.mark.parametrize("normalise", [False, True])
-    def test_goes_on_as_if_never_stopped(self, normalise):
-        def env():
-            return GoalEnv(reward_scale=7.0)
-
-        whole = trained(6, make(env(), normalise_rewards=normalise))
-        half = trained(3, make(env(), normalise_rewards=normalise))
-        state, kept = copy.deepcopy(half.state_dict()), half.replay.new_experience()
-        again = make(env(), normalise_rewards=normalise)
-        again.load_state_dict(state)
-        again.replay.add_experience(kept)
-        trained(3, again)
-        assert torch.equal(everything(whole), everything(again))
-        assert torch.equal(targets(whole), targets(again))
-        assert whole.env_steps == again.env_steps
 
 
 def test_the_outermost_wrappers_reward_counts():

@@ -13,8 +13,8 @@ import torch
 from tactilerl.algos import DivergenceError, UnfitError, recipes
 from tactilerl.algos.mpi import Communicator
 from tactilerl.algos.policy import Policy, Spaces
-from tactilerl.algos.ppo import PPO, Gaussian, PPOConfig, gae, normalise, surrogate
-from tactilerl.envs import validation, vector
+from tactilerl.algos.ppo import PPO, PPOConfig, gae, normalise, surrogate
+from tactilerl.envs import vector
 
 from states import flat
 from states import vector as parameters
@@ -82,22 +82,8 @@ class TestGAE:
         # with 6 after them the last delta is 3 + .5*6 - 4 = 2
         assert gae(rewards, values, 6.0, 0.5, 0.5).tolist() == [1.0 + (2.0 + 2.0 / 4) / 4, 2.5, 2.0]
 
-    def test_lambda_one_is_return_minus_value(self):
-        rng = np.random.default_rng(1)
-        rewards, values = rng.standard_normal((2, 50))
-        returns = np.array([sum(0.9**k * r for k, r in enumerate(rewards[t:])) for t in range(50)])
-        np.testing.assert_allclose(gae(rewards, values, 0.0, 0.9, 1.0), returns - values, atol=1e-12)
-
 
 class TestDensityAndLoss:
-    def test_density_agrees_with_torch(self):
-        draw = partial(torch.randn, generator=torch.Generator().manual_seed(0))
-        x, mean = draw(2, 10, 23)
-        gaussian = Gaussian(23, 0.05)
-        gaussian.log_std.data.copy_(0.3 * draw(23))
-        normal = torch.distributions.Normal(mean, math.sqrt(0.05) * gaussian.log_std.exp())
-        torch.testing.assert_close(gaussian.log_prob(x, mean), normal.log_prob(x).sum(-1))
-
     def test_clipped_loss_case_by_case(self):
         # ratios 1.5, 1.5, 0.5, 0.5 and advantages 1, -1, 1, -1 at clip 0.2:
         # min(1.5, 1.2) = 1.2; min(-1.5, -1.2) = -1.5; min(.5, .8) = .5; min(-.5, -.8) = -.8
@@ -229,19 +215,6 @@ class TestLearning:
         torch.testing.assert_close(learned.abs(), torch.full_like(learned, 3e-4))
         assert not log_std()[0].any()
 
-    def test_normalised_observations_are_those_of_the_epochs_before(self):
-        def obs(rng):
-            return (1e4 + 100 * rng.standard_normal(3)).astype(np.float32)
-
-        ppo = make_ppo(scripted(obs=obs), normalise_obs=True)
-        ppo.collect()
-        assert (ppo._batch()[0] == 5.0).all()  # nothing was seen before: cut off
-        ppo.update()
-        ppo.collect()
-        shown = ppo._batch()[0]
-        assert shown.mean().abs() < 0.5
-        assert shown.std().item() == pytest.approx(1.0, abs=0.3)
-
     @pytest.mark.parametrize("normalise", [False, True])
     @pytest.mark.parametrize("scale", ["none", "block", "each"])
     def test_taxels_have_a_scale_of_their_own(self, normalise, scale):
@@ -277,17 +250,6 @@ class TestLearning:
         np.testing.assert_allclose(noise, residual, atol=1e-5)
         log_prob = torch.distributions.Normal(0.0, 1.0).log_prob(noise) - std.log()
         torch.testing.assert_close(log_prob.sum(-1), old[: len(noise)], atol=1e-4, rtol=1e-4)
-
-    def test_denormal_numbers_are_zero_while_it_learns(self):
-        """Adam's moments of units that are never active fade until they are, and are slow then."""
-        ppo, seen = make_ppo(scripted()), []
-        ppo.collect()
-        step = ppo.actor_adam.step
-        tiny = torch.full((8,), 1e-38)
-        ppo.actor_adam.step = lambda: seen.append(bool((tiny * 0.1 == 0).all())) or step()
-        ppo.update()
-        assert all(seen)
-        assert not (tiny * 0.1 == 0).any()
 
     def test_target_kl_ends_the_passes(self):
         ppo = make_ppo(scripted(), n_passes=50, target_kl=1e-6)
@@ -406,24 +368,6 @@ class TestUndo:
         resumed = run(2, half.state_dict())
         assert half.before_update
         assert flat(whole.state_dict()) == flat(resumed.state_dict())
-
-    @pytest.mark.parametrize("undo", [False, True])
-    def test_a_toy_recovers_from_one_bad_update_only_with_it(self, undo):
-        """After it, no action is rewarded any more, and updates follow noise."""
-        env = Switch()
-        env.threshold = 0.2
-        ppo = make_ppo(vector.start(lambda: env), undo_silent=undo, action_variance=0.04, actor_lr=1e-3)
-        trained(ppo, 1)
-        ppo.collect()
-        ppo.update()
-        with torch.no_grad():  # the bad update
-            ppo.actor[-2].bias.fill_(-3.0)
-        rates = []
-        for _ in range(12):
-            rates.append(ppo.collect()["success_rate"])
-            ppo.update()
-        assert rates[0] == 0.0
-        assert (rates[-1] > 0.9) == undo
 
 
 def test_a_critic_that_diverged_is_told_once():
@@ -548,16 +492,3 @@ class TestHardCases:
         )
         assert ppo.collect()["success_rate"] == 1.0
         assert math.isnan(make_ppo(scripted()).collect()["success_rate"])
-
-    def test_warnings_are_counted_also_of_steps_that_diverged(self):
-        faults = {2: {"warnings": 3}, 4: {"warnings": 10, "diverged": True}}
-        ppo = make_ppo(scripted(length=9, info=lambda step: faults.get(step, {})))
-        for _ in range(2):
-            seen = ppo.collect()
-            assert seen["warnings"] == 13 * seen["diverged"] > 0
-
-
-@pytest.mark.parametrize("choices", [dict(actor_lr=0.0), dict(hidden=()), dict(target_kl=0.0)])
-def test_config_rejects(choices):
-    with pytest.raises(ValueError, match=next(iter(choices))):
-        validation.validate(PPOConfig(**choices))

@@ -48,13 +48,19 @@ def test_an_error_of_either_comes_out(together, failing):
         learner(together).in_two_threads(*jobs)
 
 
-@pytest.mark.parametrize("algo", ["ppo", "ddpg_her"])
-@pytest.mark.parametrize(("asked", "free", "two"), [(None, 2, True), (None, 1, False), (1, 2, False)])
-@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize(
+    ("algo", "asked", "free", "ranks", "two"),
+    [
+        ("ppo", None, 2, 1, True),
+        ("ddpg_her", None, 2, 1, True),
+        ("ppo", None, 1, 1, False),
+        ("ddpg_her", 1, 2, 1, False),
+        ("ppo", None, 2, 2, False),  # one in each of several processes
+    ],
+)
 def test_a_toy_is_played_on_one_core_and_learned_from_on_those_that_are_allowed(
-    monkeypatch, algo, asked, free, two, ranks
+    monkeypatch, algo, asked, free, ranks, two
 ):
-    """But on one in each of several processes."""
     monkeypatch.setattr(training, "free_cores", lambda comm=None: free)
     config = defaults(algo, "point-reach").choose({"workers": asked, "hidden": (8,)})
     comm = Communicator()
@@ -62,16 +68,31 @@ def test_a_toy_is_played_on_one_core_and_learned_from_on_those_that_are_allowed(
     made, workers = training.make_algorithm(config, comm)
     with closing(workers):
         assert len(workers) == 1
-        assert (made._second_thread is not None) == (two and ranks == 1)
+        assert (made._second_thread is not None) == two
 
 
 PPO_SMALL = PPOConfig(hidden=(32, 32), steps_per_epoch=100, n_passes=4, target_kl=0.05)
 HER_SMALL = DDPGHERConfig(hidden=(32, 32), n_batches=20, batch_size=32, buffer_size=1000)
 
 
-@pytest.mark.parametrize(
+BOTH = pytest.mark.parametrize(
     ("algorithm", "config", "env"), [(PPO, PPO_SMALL, "lqr"), (DDPGHER, HER_SMALL, "point-reach")]
 )
+
+
+@BOTH
+def test_denormal_numbers_are_zero_while_it_learns(algorithm, config, env):
+    """Adam's moments of units that are never active fade until they are, and are slow then."""
+    one, seen = learner(False, algorithm, config, env), []
+    one.collect()
+    step, tiny = one.actor_adam.step, torch.full((8,), 1e-38)
+    one.actor_adam.step = lambda: seen.append(bool((tiny * 0.1 == 0).all())) or step()
+    one.update()
+    assert all(seen)
+    assert not (tiny * 0.1 == 0).any()
+
+
+@BOTH
 def test_the_same_bits(algorithm, config, env):
     results = []
     for together in (False, True):

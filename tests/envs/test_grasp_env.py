@@ -19,7 +19,7 @@ from tactilerl.envs.simulators import SimulationError
 from tactilerl.envs.simulators import mujoco as mujoco_simulator
 from tactilerl.envs.state import Shape
 
-TASKS = ("lift-and-hold", "reach-goal")
+BOTH = [("shadow", "mujoco"), ("mpl", "pybullet")]
 GRIPPER = str(Path(__file__).parents[1] / "hands" / "gripper.toml")
 
 
@@ -40,8 +40,16 @@ def rollout(env, seed, n=30, scale=1.0):
     return np.concatenate(seen)
 
 
-@pytest.mark.parametrize("task", TASKS)
-def test_gymnasium_accepts_it(task, simulator, hand):
+@pytest.mark.parametrize(
+    ("task", "hand", "simulator"),
+    [
+        ("reach-goal", "shadow", "mujoco"),
+        ("lift-and-hold", "shadow", "pybullet"),
+        ("reach-goal", "mpl", "pybullet"),
+        ("lift-and-hold", "allegro", "mujoco"),
+    ],
+)
+def test_gymnasium_accepts_it(task, hand, simulator):
     env = envs.make(hand, hold_seconds=0.4, task=task, simulator=simulator)
     digits = 4 if hand == "allegro" else 5
     assert env.task.goal_size == {"reach-goal": 3, "lift-and-hold": 1 + digits + 1}[task]
@@ -51,9 +59,13 @@ def test_gymnasium_accepts_it(task, simulator, hand):
         check_env(env, skip_render_check=True)
 
 
-@pytest.mark.parametrize("task", TASKS)
 @pytest.mark.parametrize(
-    ("hand", "simulator"), [("shadow", "mujoco"), ("mpl", "pybullet"), ("allegro", "pybullet")]
+    ("task", "hand", "simulator"),
+    [
+        ("lift-and-hold", "shadow", "mujoco"),
+        ("reach-goal", "mpl", "pybullet"),
+        ("lift-and-hold", "allegro", "pybullet"),
+    ],
 )
 def test_same_seed_same_trajectory_after_every_reset(task, hand, simulator):
     env, again = (
@@ -66,7 +78,7 @@ def test_same_seed_same_trajectory_after_every_reset(task, hand, simulator):
     assert not np.array_equal(first[:50], other[:50])
 
 
-@pytest.mark.parametrize("hand", ["shadow", "mpl"])
+@pytest.mark.parametrize(("hand", "simulator"), BOTH)
 def test_jitter_stays_within_the_joints_ranges(hand, simulator):
     env, starts = envs.make(hand, simulator=simulator), []
     model = env.simulator.model
@@ -150,7 +162,7 @@ def test_absolute_actions_are_the_papers_linear_map():
         assert target == pytest.approx((low + high) / 2 + value * (high - low) / 2)
 
 
-@pytest.mark.parametrize("hand", ["shadow", "mpl"])
+@pytest.mark.parametrize(("hand", "simulator"), BOTH)
 def test_huge_actions_are_those_at_the_limit_and_what_is_none_changes_nothing(hand, simulator):
     env, seen = envs.make(hand, simulator=simulator, task="reach-goal"), []
     size = env.action_space.shape[0]
@@ -227,8 +239,9 @@ class TestFaults:
         assert np.array_equal(obs["observation"], before["observation"])
         assert np.array_equal(env.reset(seed=0)[0]["observation"], before["observation"])
 
-    @pytest.mark.parametrize("poison", ["qpos", "qvel", "qfrc_applied"])
-    @pytest.mark.parametrize("resets_itself", [False, True])
+    @pytest.mark.parametrize(
+        ("poison", "resets_itself"), [("qpos", True), ("qvel", False), ("qfrc_applied", True)]
+    )
     def test_a_huge_state_that_no_observation_shows_is_divergence(self, poison, resets_itself, in_tmp):
         """Also where MuJoCo puts everything back to the start of the episode and goes on."""
         env = envs.make("mpl", simulator="mujoco", task="reach-goal")
@@ -302,13 +315,13 @@ def test_nothing_overlaps_at_the_start(hand, size, read_here):
     env = envs.make(hand, object_size=size)
     model, data = env.simulator.model, env.simulator.data
     ground, thing = model.geom("ground").id, model.geom("object").id
-    for seed in range(30):
+    for seed in range(10):
         env.reset(seed=seed)
         depths = [-c.dist for c in data.contact if {c.geom1, c.geom2} != {ground, thing}]
         assert max(depths, default=0.0) <= 0.0
 
 
-@pytest.mark.parametrize("friction", [0.3, 1.0, 2.5])
+@pytest.mark.parametrize("friction", [0.3, 2.5])
 def test_friction_is_the_objects_against_everything(friction):
     env = make(friction=friction, task="reach-goal")
     env.reset(seed=0)
@@ -369,8 +382,7 @@ class TestHoldTest:
         assert env.simulator.state().palm[2] == pytest.approx(1.0, abs=0.02)
         assert env.simulator.state().object_position[2] > 0.85
 
-    @pytest.mark.parametrize("timestep", [0.004, 0.002, 0.0031])
-    @pytest.mark.parametrize("seconds", [0.08, 0.196, 0.4])
+    @pytest.mark.parametrize(("seconds", "timestep"), [(0.08, 0.004), (0.196, 0.0031), (0.4, 0.002)])
     def test_lasts_as_long_as_it_says_and_looks_as_often_at_any_timestep(self, seconds, timestep):
         env = make(timestep=timestep, control_dt=50 * timestep, hold_seconds=seconds)
         env.reset(seed=0)
@@ -415,20 +427,6 @@ class TestHoldTest:
         env.task.hold.run(env.simulator, env.state)
         assert env.simulator.state().object_position[2] < 0.03
         assert env.simulator.data.time - began > 0.8 * rises
-
-    def test_the_ramp_begins_where_the_hand_is(self):
-        env = make(hold_seconds=0.4)
-        env.reset(seed=0)
-        targets = env.hand.start_targets()
-        targets[2] -= 0.2
-        assert self.looks(env, targets)[0][0] > env.state.palm[2] + 0.01
-
-    def test_settled_leaves_the_creep_as_it_was(self):
-        env = make()
-        before = env.simulator.model.opt.impratio
-        for close in (True, False):
-            self.verdict(env, close=close, verdict="settled")
-            assert env.simulator.model.opt.impratio == before
 
     @pytest.mark.parametrize(("shake_seconds", "ends"), [(0.2, 2.7 + 2.9), (2.7, 2.7 + 2.7 + 1.2)])
     def test_settled_ends_at_the_top_when_the_compressed_time_is_up(self, shake_seconds, ends):
