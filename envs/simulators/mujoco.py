@@ -20,6 +20,9 @@ from ..hands import model_file
 from ..hands.mount import hold
 from ..state import Array, Contacts, Shape, State
 from . import (
+    GIVER,
+    GROUND,
+    OBJECT,
     Camera,
     Giver,
     Scene,
@@ -30,9 +33,20 @@ from . import (
     joint_limits,
 )
 
-OBJECT, GIVER = "object", "giver"
 GIVERS_GROUP = 30  # of actuators, the last: a hand's are elsewhere
 GEOM, NOT_DRAWN = mujoco.mjtGeom, 4  # group of sites
+SURROUNDINGS = f"""
+<mujoco>
+  <asset>
+    <texture name="sky" type="skybox" builtin="gradient" width="64" height="64"
+             rgb1="0.96 0.97 0.99" rgb2="0.75 0.8 0.88"/>
+  </asset>
+  <worldbody>
+    <geom name="{GROUND}" type="plane" size="1 1 0.1" rgba="0.8 0.8 0.8 1"/>
+    <light pos="0.1 -0.2 -0.6" dir="-0.1 0.2 0.6" diffuse="0.3 0.3 0.3"/>
+    <light pos="0.3 -0.5 1" dir="-0.3 0.5 -1" diffuse="0.5 0.5 0.5"/>
+  </worldbody>
+</mujoco>"""
 # What depends on the object in a compiled model, besides what `mj_setConst` derives.
 OBJECT_FIGURES = {
     "body": ("body_pos", "body_ipos", "body_iquat", "body_mass", "body_inertia"),
@@ -51,7 +65,7 @@ FRICTION_TO_NORMAL_IMPEDANCE = 100.0
 
 
 def build_spec(scene: Scene) -> mujoco.MjSpec:
-    """Hand, ground, object and sensors."""
+    """Return hand, ground, object and sensors as an editable model."""
     spec = scene.build_hand(scene.visual)
     spec.option.timestep = scene.timestep
     spec.option.solver = mujoco.mjtSolver.mjSOL_NEWTON
@@ -59,14 +73,7 @@ def build_spec(scene: Scene) -> mujoco.MjSpec:
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE  # faster when pressed hard
     spec.option.impratio = FRICTION_TO_NORMAL_IMPEDANCE
-    spec.worldbody.add_geom(
-        name="ground", type=GEOM.mjGEOM_PLANE, size=[1, 1, 0.1], rgba=[0.8, 0.8, 0.8, 1]
-    )
-    if scene.visual:
-        _lighten(spec)
-    for place, brightness in (([0.1, -0.2, -0.6], 0.3), ([0.3, -0.5, 1.0], 0.5)):
-        shine = [-along for along in place]
-        spec.worldbody.add_light(pos=place, dir=shine, diffuse=[brightness] * 3)
+    _surround(spec)
     _add_object(spec, scene)
     if scene.giver is not None:
         _add_giver(spec, scene.giver)
@@ -75,9 +82,22 @@ def build_spec(scene: Scene) -> mujoco.MjSpec:
     return spec
 
 
+def _surround(spec: mujoco.MjSpec) -> None:
+    """Add the ground and light, in place of the hand model's background and textures, whose files are
+    seldom published with it."""
+    spec.visual.headlight.ambient[:], spec.visual.headlight.diffuse[:] = 0.3, 0.4
+    for material in spec.materials:
+        material.textures = [""] * len(material.textures)
+    for texture in spec.textures:
+        spec.delete(texture)
+    surroundings = mujoco.MjSpec.from_string(SURROUNDINGS)
+    with model_file.quiet():
+        spec.attach(surroundings, prefix="", frame=spec.worldbody.add_frame())
+
+
 def _add_giver(spec: mujoco.MjSpec, giver: Giver) -> None:
-    """A damped spring along each axis of the world, whose rest point, the actuator's activation, goes
-    at the speed that is its control and stays within the activation's range."""
+    """Add a damped spring along each axis of the world, whose rest point, the actuator's activation,
+    goes at the speed that is its control and stays within the activation's range."""
     spec.worldbody.add_site(name=GIVER, group=NOT_DRAWN)
     spec.body(OBJECT).add_site(name=OBJECT, group=NOT_DRAWN)
     for axis in range(3):
@@ -116,24 +136,6 @@ def _add_object(spec: mujoco.MjSpec, scene: Scene) -> None:
     )
 
 
-def _lighten(spec: mujoco.MjSpec) -> None:
-    """A light background, in place of the hand model's own if it has one, and light wherever the hand
-    goes."""
-    spec.visual.headlight.ambient[:], spec.visual.headlight.diffuse[:] = 0.3, 0.4
-    for texture in spec.textures:
-        if texture.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX:
-            spec.delete(texture)
-    spec.add_texture(
-        name="sky",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        width=64,
-        height=64,
-        rgb1=[0.96, 0.97, 0.99],
-        rgb2=[0.75, 0.8, 0.88],
-    )
-
-
 def _add_touch_sensor(spec: mujoco.MjSpec, name: str, sensor: Sensor) -> None:
     spec.body(sensor.link).add_site(
         name=name,
@@ -147,10 +149,8 @@ def _add_touch_sensor(spec: mujoco.MjSpec, name: str, sensor: Sensor) -> None:
 
 
 def add_spheres(scene: mujoco.MjvScene, spheres: Sequence[Sphere]) -> None:
-    """To what is drawn; RuntimeError where there are too many."""
-    if scene.ngeom + len(spheres) > scene.maxgeom:
-        raise RuntimeError("too many spheres to draw")
-    for sphere in spheres:
+    """Add spheres to what is drawn, as many as there is room for."""
+    for sphere in spheres[: scene.maxgeom - scene.ngeom]:
         mujoco.mjv_initGeom(
             scene.geoms[scene.ngeom], GEOM.mjGEOM_SPHERE, np.full(3, sphere.radius), sphere.centre,
             np.eye(3).ravel(), np.array(sphere.colour, np.float32),
@@ -159,14 +159,16 @@ def add_spheres(scene: mujoco.MjvScene, spheres: Sequence[Sphere]) -> None:
 
 
 LONGEST_WAIT = 2.0  # s, for a picture to be due
-_failures: list[OSError] = []  # of drawing, in this process
+_cannot_draw: list[str] = []  # the reason, once an attempt has failed in this process
 DISPLAYS = ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY")
 """Variables that say what MuJoCo draws with, or on."""
 
 
 def _renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Renderer:
     """Return what draws; where there is no display, and nobody says with what, by EGL, or else OSMesa.
-    OSError where nothing can."""
+    Raise OSError where nothing can."""
+    if _cannot_draw:  # a second attempt would end the process
+        raise OSError(_cannot_draw[0])
     if sys.platform == "linux" and not any(map(os.environ.get, DISPLAYS)):
         library = "egl" if find_library("EGL") else "osmesa"
         # MuJoCo chose when it was imported.
@@ -178,20 +180,20 @@ def _renderer(model: mujoco.MjModel, height: int, width: int) -> mujoco.Renderer
             return mujoco.Renderer(model, height, width)
     except (mujoco.FatalError, ImportError, AttributeError) as error:
         reason = " ".join(str(error).split()).partition(", this most")[0]
-        needs = (
-            "without a display it needs EGL or OSMesa (Debian: libegl1 or libosmesa6)"
+        _cannot_draw.append(
+            "MuJoCo cannot draw here; without a display it needs EGL or OSMesa (Debian: libegl1 or "
+            f"libosmesa6) ({reason})"
         )
-        _failures.append(OSError(f"MuJoCo cannot draw here; {needs} ({reason})"))
-        raise _failures[0] from error
+        raise OSError(_cannot_draw[0]) from error
 
 
 class _Window:
     """MuJoCo's viewer on a copy of the scene, which nothing done in it can disturb."""
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    def __init__(self, model: mujoco.MjModel) -> None:
         self._model, self._copy = model, mujoco.MjData(model)
-        self._shown_at, self._time = time.monotonic(), data.time
-        before = set(threading.enumerate())
+        self._shown_at = self._time = 0.0
+        threads = set(threading.enumerate())
         try:
             with warnings.catch_warnings(action="ignore"):  # GLFW's, before the error
                 import glfw
@@ -199,47 +201,46 @@ class _Window:
 
                 if not glfw.init():
                     raise RuntimeError("no display")
-            self._viewer = viewer.launch_passive(
+            self.viewer = viewer.launch_passive(
                 model, self._copy, show_left_ui=False, show_right_ui=False
             )
         except (ImportError, RuntimeError) as error:
             reason = f"no window opens here ({error})"
             raise OSError(f"render_mode human: {reason}") from error
-        self._threads = set(threading.enumerate()) - before
-        camera, view = Camera(), self._viewer.cam
+        self._threads = set(threading.enumerate()) - threads
+        camera, view = Camera(), self.viewer.cam
         view.azimuth, view.elevation = camera.azimuth, camera.elevation
         view.distance = 1.5 * camera.distance
 
     def show(self, data: mujoco.MjData, spheres: Sequence[Sphere]) -> None:
-        """Show what is true now when it is due; nothing where the window has been closed."""
-        if not self._viewer.is_running():
+        """Show the state when it is due; nothing where the window has been closed."""
+        if not self.viewer.is_running():
             return
         ahead = data.time - self._time - (time.monotonic() - self._shown_at)
-        if 0.0 < ahead < LONGEST_WAIT:
-            time.sleep(ahead)
+        time.sleep(min(max(ahead, 0.0), LONGEST_WAIT))
         self._shown_at, self._time = time.monotonic(), data.time
-        with self._viewer.lock():
+        with self.viewer.lock():
             mujoco.mj_copyData(self._copy, self._model, data)
-            self._viewer.cam.lookat[:] = data.xpos[self._model.body(OBJECT).id]
-            self._viewer.user_scn.ngeom = 0
-            add_spheres(self._viewer.user_scn, spheres)
-        self._viewer.sync()
+            self.viewer.cam.lookat[:] = data.body(OBJECT).xpos
+            self.viewer.user_scn.ngeom = 0
+            add_spheres(self.viewer.user_scn, spheres)
+        self.viewer.sync()
 
     def close(self) -> None:
-        """Close the window; it draws until its end, and must not outlive the scene."""
-        self._viewer.close()
+        """Close the window and wait for its end: drawing that outlives the scene crashes."""
+        self.viewer.close()
         for thread in self._threads:
             thread.join()
 
 
 def _set_mean_inertia(model: mujoco.MjModel) -> None:
-    """The solver's unit, by one sum for models as compiled and changed: some processors round MuJoCo's
-    own differently."""
+    """Set the solver's unit by one sum for models as compiled and changed: some processors round
+    MuJoCo's own differently."""
     model.stat.meaninertia = sum(model.dof_M0.tolist()) / model.nv
 
 
 class MujocoSimulator(Simulator):
-    """One scene."""
+    """Simulate one scene in MuJoCo."""
 
     holds_gil = False
     creeps = True
@@ -270,19 +271,18 @@ class MujocoSimulator(Simulator):
         if scene.giver is not None:
             actuators = [model.actuator(f"{GIVER}{axis}") for axis in range(3)]
             self._giver = np.array([actuator.id for actuator in actuators])
-        bodies = [b for b in range(1, model.nbody) if b != self._object_body]
-        self._bodies = np.array(bodies)
-        self._links = tuple(model.body(body).name for body in bodies)
-        of_body = {body: link for link, body in enumerate(bodies)}
-        geoms = model.geom_bodyid.tolist()
-        self._link_of_geom = [of_body.get(body, -1) for body in geoms]
+        # The world is body 0, the object the last: links are what is between.
+        self._bodies = slice(1, self._object_body)
+        names = [model.body(body).name for body in range(self._object_body)]
+        self._links = tuple(names[self._bodies])
+        self._link_of_geom = (model.geom_bodyid - 1).tolist()
 
     @property
     def warnings(self) -> int:  # type: ignore[override]
         return self._past_warnings + sum(self.data.warning.number.tolist())
 
     def change_object(self, shape: Shape, mass: float, friction: float) -> None:
-        """Writes into the compiled model what another object would have been compiled to."""
+        """Write into the compiled model what another object would have been compiled to."""
         scene = self.scene.with_object(shape, mass, friction)
         if scene is self.scene:
             return
@@ -364,7 +364,7 @@ class MujocoSimulator(Simulator):
         self.data.xfrc_applied[self._object_body] = 0.0
 
     def set_creep(self, factor: float) -> None:
-        """A soft contact that sticks moves at (friction force) / (friction impedance)."""
+        """Set the impedance: a soft contact that sticks moves at friction force / impedance."""
         self.model.opt.impratio = FRICTION_TO_NORMAL_IMPEDANCE / factor
 
     def state(self) -> State:
@@ -372,8 +372,8 @@ class MujocoSimulator(Simulator):
         rotation = data.xmat[body].reshape(3, 3).copy()
         return self._state(
             self._links,
-            data.xpos.take(self._bodies, axis=0),
-            data.xmat.take(self._bodies, axis=0).reshape(-1, 3, 3),
+            data.xpos[self._bodies].copy(),
+            data.xmat[self._bodies].reshape(-1, 3, 3).copy(),
             object_position=data.xpos[body].copy(),
             object_rotation=rotation,
             object_orientation=data.xquat[body].copy(),
@@ -386,21 +386,21 @@ class MujocoSimulator(Simulator):
         )
 
     def _contacts(self) -> Contacts:
-        thing, force, where, links, forces = self._object_geom, np.zeros(6), [], [], []
+        """Return the contacts of links with the object that carry force."""
+        indices, links, forces = [], [], []
+        force, held = np.zeros(6), self._object_geom
         for index, pair in enumerate(self.data.contact.geom.tolist()):
-            link = self._link_of_geom[pair[0] if pair[1] == thing else pair[1]]
-            if thing in pair and link >= 0:
+            link = self._link_of_geom[pair[0] if pair[1] == held else pair[1]]
+            if held in pair and link >= 0:
                 mujoco.mj_contactForce(self.model, self.data, index, force)
                 if force[0] > 0.0:
-                    where.append(index)
+                    indices.append(index)
                     links.append(link)
                     forces.append(force[0])
-        points = self.data.contact.pos.reshape(-1, 3)[np.array(where, int)]
+        points = self.data.contact.pos.reshape(-1, 3)[np.array(indices, int)]
         return Contacts(points, np.array(links, int), np.array(forces))
 
     def render(self, camera: Camera, spheres: Sequence[Sphere] = ()) -> Array:
-        if _failures:  # a second attempt would end the process
-            raise _failures[0]
         size = camera.height, camera.width
         if self._renderer and (self._renderer.height, self._renderer.width) != size:
             self.close()
@@ -419,7 +419,7 @@ class MujocoSimulator(Simulator):
 
     def show(self, spheres: Sequence[Sphere] = ()) -> None:
         if self._window is None:
-            self._window = _Window(self.model, self.data)
+            self._window = _Window(self.model)
         self._window.show(self.data, spheres)
 
     def close(self) -> None:

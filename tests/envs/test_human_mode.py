@@ -24,8 +24,8 @@ for _ in range(3):
 print(time.monotonic() - begin > 0.9 * 3 * env.unwrapped.config.control_dt)
 print(np.array_equal(seen["observation"], unseen["observation"]))
 window = env.unwrapped.simulator._window
-print(window._viewer.user_scn.ngeom == len(env.unwrapped.taxels))
-window._viewer.close()
+print(window.viewer.user_scn.ngeom == len(env.unwrapped.taxels))
+window.viewer.close()
 env.step(action)
 env.close()
 """
