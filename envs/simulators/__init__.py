@@ -1,4 +1,4 @@
-"""What a simulator is: one scene with a hand, one object and the ground."""
+"""The interface of a simulator: one scene with a hand, one object and the ground."""
 
 from __future__ import annotations
 
@@ -29,23 +29,23 @@ class SimulationError(FloatingPointError):
 
 @dataclass(frozen=True)
 class Giver:
-    """Brings the object to the hand: holds it by a damped spring and carries its weight.
+    """Bring the object to the hand: hold it by a damped spring and carry its weight.
 
     The spring's rest point moves at `speed`, so what stands in the way is pressed on harder and harder,
     but never with more than `force`.
     """
 
     stiffness: float = 80.0
-    """N/m"""
+    """Stiffness of the spring, N/m."""
     damping: float = 4.0
-    """N s/m; about critical for 50 g."""
+    """Damping of the spring, N s/m; about critical for 50 g."""
     force: float = 1.0
-    """The most along each axis, N."""
+    """Largest force along each axis, N."""
     speed: float = 0.6
-    """m/s"""
+    """Speed of the rest point, m/s."""
 
     def pull(self, rest: Array, position: Array, velocity: Array) -> Array:
-        """The spring's force (3,) in N on an object at `position`, its rest point being `rest`."""
+        """Return the spring's force (3,) on an object at `position`, N; `rest` is its rest point."""
         force = self.stiffness * (rest - position) - self.damping * velocity
         return np.clip(force, -self.force, self.force)
 
@@ -55,23 +55,23 @@ class Sensor(NamedTuple):
 
     link: str
     centre: Array
-    """(3,) in the link's frame."""
+    """Centre (3,) in the link's frame."""
     radius: float
 
 
 class Sphere(NamedTuple):
-    """What a picture shows besides the scene; m."""
+    """A sphere that a picture shows besides the scene; m."""
 
     centre: Array
-    """(3,) in the world's frame."""
+    """Centre (3,) in the world's frame."""
     radius: float
     colour: tuple[float, float, float, float]
-    """Red, green, blue, opacity."""
+    """Red, green, blue and opacity, 0 to 1."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What is simulated, in SI units."""
+    """A hand, an object and what else is simulated, in SI units."""
 
     hand: Hand
     shape: Shape
@@ -81,22 +81,21 @@ class Scene:
     timestep: float
     finger_gain: float
     rise: float = 0.0
-    """How much higher than usual the hand hangs."""
+    """Height by which the hand hangs higher than usual."""
     sensors: tuple[Sensor, ...] = ()
     giver: Giver | None = None
-    """Who may carry the object."""
+    """Giver that may carry the object."""
     visual: bool = False
-    """Keep the meshes, for pictures."""
+    """True to keep the meshes that only pictures need."""
 
     def with_object(self, shape: Shape, mass: float, friction: float) -> Scene:
-        """The scene with another object; itself where it is the same."""
-        is_same = (shape, mass, friction) == (self.shape, self.mass, self.friction)
-        if is_same:
+        """Return the scene with another object; itself where it is the same."""
+        if (shape, mass, friction) == (self.shape, self.mass, self.friction):
             return self
         return replace(self, shape=shape, mass=mass, friction=friction)
 
     def build_hand(self, visual: bool) -> mujoco.MjSpec:
-        """The hand alone, where it starts."""
+        """Return the hand alone, where it starts."""
         spec = self.hand.build(visual, self.finger_gain)
         root = spec.worldbody.first_body()
         root.pos = root.pos + np.array([0.0, 0.0, self.rise])
@@ -104,7 +103,7 @@ class Scene:
 
     @cached_property
     def points(self) -> tuple[tuple[str, ...], Array]:
-        """Palm point and fingertips: links, and points (1 + n_digits, 3, 1) in their frames, m."""
+        """Links of palm point and fingertips, and these (1 + n_digits, 3, 1) in their frames, m."""
         palm = self.hand.palm, self.hand.palm_point
         links, points = zip(palm, *self.hand.fingertips, strict=True)
         return links, np.array(points)[:, :, None]
@@ -112,39 +111,41 @@ class Scene:
 
 @dataclass(frozen=True)
 class Camera:
-    """Where a picture is taken from: around the palm and the object, degrees and m."""
+    """A camera on a circle around the palm and the object."""
 
     azimuth: float = 120.0
+    """Direction, degrees."""
     elevation: float = 35.0
-    """Positive looks up from below, where the palmar side is."""
+    """Elevation, degrees; positive looks up from below, where the palmar side is."""
     distance: float = 0.32
+    """Distance, m."""
     lookat: tuple[float, float, float] | None = None
-    """The point it looks at, m; None: between the palm and the object, wherever they are."""
+    """Point it looks at, m; None: between the palm and the object, wherever they are."""
     width: int = 720
     height: int = 540
     shadows: bool = True
-    """Without a graphics card they take five sixths of the time."""
+    """True for shadows: without a graphics card they take five sixths of the time."""
 
 
 class Simulator(ABC):
     """One running scene. Everything is in SI units, the world's frame, z up, ground at 0."""
 
     holds_gil: bool
-    """Does `step` keep other threads of Python waiting?"""
+    """True where `step` keeps other threads of Python waiting."""
     creeps: bool
-    """Does what sticks creep, so that an object at rest in the hand may yet slip out of it?"""
+    """True where what sticks creeps, so that an object at rest in the hand may yet slip out of it."""
     joint_limits: Array
-    """(n_joints, 2) lowest and highest position of each of ``hand.joints``, ±inf without one."""
+    """Lowest and highest positions (n_joints, 2) of ``hand.joints``, rad or m, ±inf without one."""
 
     warnings: int = 0
-    """How often the engine has warned of something since it was made, resets included."""
+    """Number of times that the engine has warned since it was made, resets included."""
 
     def __init__(self, scene: Scene) -> None:
-        """Begin with the hand's targets at its start."""
+        """Build a scene, with the hand's targets at its start."""
         self.scene, self._targets = scene, scene.hand.start_targets()
 
     def change_object(self, shape: Shape, mass: float, friction: float) -> None:
-        """Have another object in the scene, of which a reset must follow."""
+        """Put another object into the scene; a reset must follow."""
         self.scene = self.scene.with_object(shape, mass, friction)
 
     def reset(
@@ -154,7 +155,7 @@ class Simulator(ABC):
         yaw: float,
         targets: Array | None = None,
     ) -> None:
-        """Put everything at rest; afterwards the past has no influence. SimulationError when the
+        """Put everything at rest; afterwards the past has no influence. Raise SimulationError when the
         physics cannot begin there. `targets` (n_actuators,) are the state's until the next step;
         usually the hand's at its start."""
         self._targets = self.scene.hand.start_targets() if targets is None else targets
@@ -162,7 +163,7 @@ class Simulator(ABC):
             self._begin(joint_positions, object_position, yaw)
 
     def step(self, joint_targets: Array, n_substeps: int) -> None:
-        """Advance by `n_substeps` timesteps; SimulationError when that broke the state."""
+        """Advance by `n_substeps` timesteps. Raise SimulationError when that broke the state."""
         self._targets = np.array(joint_targets)
         with self._checked():
             self._advance(n_substeps)
@@ -183,16 +184,16 @@ class Simulator(ABC):
 
     @abstractmethod
     def carry(self, goal: Array) -> None:
-        """The scene's giver carries the object towards `goal` (3,), m, from where it is. After a reset
-        nobody carries it."""
+        """Make the scene's giver carry the object towards `goal` (3,), m, from where it is. After a
+        reset nobody carries it."""
 
     @abstractmethod
     def let_go(self) -> None:
-        """Nobody carries the object any more."""
+        """Carry the object no longer."""
 
     def set_creep(self, factor: float) -> None:
-        """From now on, let what sticks creep this many times as fast as it does in the scene as it
-        is built (1); nothing where dry friction does not creep."""
+        """Make what sticks creep this many times as fast as in the scene as it is built (1); nothing
+        where dry friction does not creep."""
 
     @abstractmethod
     def state(self) -> State:
@@ -208,25 +209,25 @@ class Simulator(ABC):
         """Return a state with these poses of links, and the palm point and fingertips on them."""
         on_links, points = self.scene.points
         at = places(links, on_links)
-        found = positions[at] + np.matmul(rotations[at], points)[:, :, 0]
+        placed = positions[at] + np.matmul(rotations[at], points)[:, :, 0]
         return State(
             shape=self.scene.shape,
             targets=self._targets,
             links=links,
             link_positions=positions,
             link_rotations=rotations,
-            palm=found[0],
-            fingertips=found[1:],
+            palm=placed[0],
+            fingertips=placed[1:],
             **measured,
         )
 
     @abstractmethod
     def render(self, camera: Camera, spheres: Sequence[Sphere] = ()) -> Array:
-        """RGB picture (height, width, 3) uint8 of the scene with some spheres."""
+        """Return an RGB picture (height, width, 3) uint8 of the scene with some spheres."""
 
     def show(self, spheres: Sequence[Sphere] = ()) -> None:
-        """Show the scene with some spheres in a window, no faster than real time; ValueError where the
-        simulator has none, OSError where there is no display."""
+        """Show the scene with some spheres in a window, no faster than real time. Raise ValueError
+        where the simulator has none, OSError where there is no display."""
         raise ValueError("render_mode: found 'human', allowed with simulator mujoco")
 
     @abstractmethod
@@ -235,7 +236,7 @@ class Simulator(ABC):
 
 
 def joint_limits(model: mujoco.MjModel, hand: Hand) -> Array:
-    """Of a compiled model: see `Simulator.joint_limits`."""
+    """Return the limits (n_joints, 2) of a hand's joints in a compiled model, ±inf without one."""
     joints = [model.joint(name).id for name in hand.joints]
     limited = model.jnt_limited[joints].astype(bool)
     return np.where(limited[:, None], model.jnt_range[joints], (-np.inf, np.inf))
@@ -245,16 +246,16 @@ SIMULATORS = {
     "mujoco": f"{__name__}.mujoco:MujocoSimulator",
     "pybullet": f"{__name__}.pybullet:PyBulletSimulator",
 }
-"""Where the class of a simulator is, by the name that one asks for it by: "module:class"."""
+"""Place of a simulator's class, "module:class", by the name that one asks for it by."""
 MISSING = {
     "pybullet": "simulator pybullet: found no PyBullet; install the extra: pip install "
     "'tactilerl[pybullet]' (wheels for Python up to 3.11), or choose --simulator mujoco",
 }
-"""What to say where its module cannot be imported."""
+"""Message where a simulator's module cannot be imported."""
 
 
 def make(name: str, scene: Scene) -> Simulator:
-    """A running scene; the simulator's package is imported here and not before."""
+    """Return a running scene; the simulator's package is imported here and not before."""
     module, _, kind = SIMULATORS[name].partition(":")
     try:
         simulator: Simulator = getattr(importlib.import_module(module), kind)(scene)

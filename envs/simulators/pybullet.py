@@ -33,15 +33,15 @@ from .mujoco import MujocoSimulator
 
 
 def _import_quietly() -> Any:
-    """PyBullet, without the line that it prints to the process's stderr when imported."""
-    kept = os.dup(2)
+    """Return PyBullet, without the line that it prints to the process's stderr when imported."""
+    stderr = os.dup(2)
     try:
         with open(os.devnull, "wb") as nowhere:
             os.dup2(nowhere.fileno(), 2)
             return importlib.import_module("pybullet")
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        os.dup2(stderr, 2)
+        os.close(stderr)
 
 
 pybullet = _import_quietly()
@@ -67,7 +67,7 @@ def _bound(client: int) -> Any:
 
 
 class PyBulletSimulator(Simulator):
-    """One scene with a client of its own."""
+    """Simulate one scene in PyBullet, with a client of its own."""
 
     holds_gil = True
     creeps = False  # friction anchors
@@ -79,16 +79,17 @@ class PyBulletSimulator(Simulator):
         self.joint_limits = joint_limits(self.model, hand)
         self.client = pybullet.connect(pybullet.DIRECT)
         self._bullet = _bound(self.client)
-        held = ExitStack()
-        self._release = weakref.finalize(self, held.close)
-        folder = Path(held.enter_context(tempfile.TemporaryDirectory()))
-        held.enter_context(suppress(pybullet.error))  # it may be disconnected already
-        held.callback(self._bullet.disconnect)
+        resources = ExitStack()
+        self._release = weakref.finalize(self, resources.close)
+        folder = Path(resources.enter_context(tempfile.TemporaryDirectory()))
+        resources.enter_context(suppress(pybullet.error))  # disconnected already
+        resources.callback(self._bullet.disconnect)
         self._urdf = folder / "hand.urdf"
         self._urdf.write_text(urdf.from_model(self.model, folder), encoding="utf-8")
         self._build()
         self._joints = [self._joint_index[name] for name in hand.joints]
         self._motors, self._gains, self._forces = self._motor_figures()
+        self._lowest, self._highest = self._target_limits()
         self._names = tuple(
             self.model.body(body).name for body in range(1, self.model.nbody)
         )
@@ -101,7 +102,7 @@ class PyBulletSimulator(Simulator):
         self._goal = np.zeros(3)
 
     def __reduce__(self) -> Any:
-        """Bullet's worlds cannot be copied whole: a copy would share this one's."""
+        """Raise TypeError: Bullet's worlds cannot be copied, a copy would share this one's."""
         raise TypeError(
             "a PyBullet environment cannot be copied or pickled: make another"
         )
@@ -109,7 +110,7 @@ class PyBulletSimulator(Simulator):
     # -- building ----------------------------------------------------------------------------
 
     def _build(self) -> None:
-        """The scene in an empty world."""
+        """Put the scene into an empty world."""
         scene, bullet = self.scene, self._bullet
         self._weight = (0.0, 0.0, -GRAVITY * scene.mass)
         bullet.resetSimulation()
@@ -131,7 +132,7 @@ class PyBulletSimulator(Simulator):
                 self._gear(coupling)
 
     def _gear(self, coupling: Coupling) -> None:
-        """Have two joints move as one, whichever of them is pushed."""
+        """Make two joints move as one, whichever of them is pushed."""
         follower, driver = (self._joint_index[name] for name in coupling[:2])
         bullet, hand, origin = self._bullet, self.hand, [0.0, 0.0, 0.0]
         bullet.setJointMotorControl2(
@@ -153,7 +154,8 @@ class PyBulletSimulator(Simulator):
         return body
 
     def _set_dynamics(self) -> None:
-        """Bullet multiplies the frictions of two bodies: 1 everywhere but on the object."""
+        """Set friction and damping. Bullet multiplies the frictions of two bodies: 1 everywhere but on
+        the object."""
         change, added = self._bullet.changeDynamics, self.scene.hand.added_inertia
         change(
             self.object,
@@ -172,7 +174,7 @@ class PyBulletSimulator(Simulator):
             )  # fmt: skip
 
     def _motor_figures(self) -> tuple[list[int], list[float], list[float]]:
-        """Joint, gain and force limit of each motor: the actuated joints, then the coupled.
+        """Return joint, gain and force limit of each motor: the actuated joints, then the coupled.
 
         A motor takes back the share `gain` of its error in a step. The model's servo, a spring of
         `stiffness` on a damped joint, takes it back at the rate stiffness / damping.
@@ -198,6 +200,20 @@ class PyBulletSimulator(Simulator):
             figures += [figures[driver] for driver in self._drivers]
         motors = [*hand.actuated, *(each.joint for each in soft)]
         return [self._joint_index[joint] for joint in motors], gains, limits
+
+    def _target_limits(self) -> Array:
+        """Return the lowest and highest targets (2, n_actuators) with which joints that follow rigidly
+        stay in their ranges, rad or m."""
+        hand = self.scene.hand
+        limits = np.outer([-np.inf, np.inf], np.ones(len(hand.actuated)))
+        for joint, driver, ratio, offset, is_rigid in hand.couplings:
+            if is_rigid and ratio:
+                followed = self.joint_limits[hand.joints.index(joint)]
+                low, high = sorted((followed - offset) / ratio)
+                index = hand.actuated.index(driver)
+                limits[0, index] = max(low, limits[0, index])
+                limits[1, index] = min(high, limits[1, index])
+        return limits
 
     # -- running -----------------------------------------------------------------------------
 
@@ -225,7 +241,8 @@ class PyBulletSimulator(Simulator):
             raise SimulationError("PyBullet's state is not finite")
 
     def _advance(self, n_substeps: int) -> None:
-        bullet, targets = self._bullet, self._targets
+        bullet = self._bullet
+        targets = np.clip(self._targets, self._lowest, self._highest)
         coupled = self._ratios * targets[self._drivers] + self._offsets
         bullet.setJointMotorControlArray(
             self.hand, self._motors, pybullet.POSITION_CONTROL,
@@ -242,8 +259,8 @@ class PyBulletSimulator(Simulator):
             bullet.stepSimulation()
 
     def _pull(self, position: Array) -> Array:
-        """The giver's force (3,) on the object, N, whose weight is carried; the spring's rest point
-        goes on by a timestep."""
+        """Return the giver's force (3,) on the object, N, whose weight is carried; the spring's rest
+        point goes on by a timestep."""
         giver, rest = self.scene.giver, self._rest
         assert giver is not None
         assert rest is not None
@@ -262,7 +279,7 @@ class PyBulletSimulator(Simulator):
         self._rest = None
 
     def _joint_states(self) -> list[tuple[float, float]]:
-        """Position and velocity of each joint."""
+        """Return position and velocity of each joint."""
         states = self._bullet.getJointStates(self.hand, self._joints)
         return [(state[0], state[1]) for state in states]
 
@@ -295,15 +312,15 @@ class PyBulletSimulator(Simulator):
         )
 
     def _contacts(self) -> Contacts:
-        found = self._bullet.getContactPoints(self.hand, self.object)
-        pressing = [contact for contact in found if contact[9] > 0.0]
+        contacts = self._bullet.getContactPoints(self.hand, self.object)
+        pressing = [contact for contact in contacts if contact[9] > 0.0]
         points = np.array([contact[5] for contact in pressing]).reshape(-1, 3)
         links = [self._link_of_index[contact[3]] for contact in pressing]
         forces = np.array([contact[9] for contact in pressing])
         return Contacts(points, np.array(links, int), forces)
 
     def _sensed(self, points: Array, positions: Array, rotations: Array) -> Array:
-        """bool (n,): does a contact with the object that carries force lie in a sensor?"""
+        """Return bool (n,): whether a contact with the object that carries force lies in a sensor."""
         if not self.scene.sensors:
             return np.zeros(0, bool)
         names, centres, radii = zip(*self.scene.sensors, strict=True)
@@ -314,7 +331,7 @@ class PyBulletSimulator(Simulator):
         return (gaps <= np.square(radii)[:, None]).any(axis=1)
 
     def render(self, camera: Camera, spheres: Sequence[Sphere] = ()) -> Array:
-        """Drawn by MuJoCo's renderer: one look for both simulators."""
+        """Draw by MuJoCo's renderer: one look for both simulators."""
         if self._painter is None:
             self._painter = MujocoSimulator(self.scene)
         scene, state = self.scene, self.state()
@@ -331,7 +348,7 @@ class PyBulletSimulator(Simulator):
 
 
 def _measures(shape: Shape) -> dict[str, Any]:
-    """A shape as PyBullet wants it."""
+    """Return a shape as PyBullet wants it."""
     x, _, z = shape.half_size
     if shape.kind == "sphere":
         return {"shapeType": pybullet.GEOM_SPHERE, "radius": x}
